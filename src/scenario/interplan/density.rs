@@ -61,11 +61,11 @@ pub fn fill_row(random: &mut PythonRandom, density: Density, row: &Row) -> Vec<P
     let alpha = (accel + decel) / (2.0 * decel);
     let mut places: Vec<PlacedCar> = Vec::new();
     let mut s = row.length;
-    loop {
+    while s > 0.0 {
         let mut gap = random.range(MIN_GAP, density.max_gap()) as f64;
         s -= gap;
         if s < 0.0 {
-            return places;
+            break;
         }
         if row.is_ego_lane && (s - row.ego_s).abs() < NEAR_EGO {
             gap += s - row.ego_s;
@@ -86,4 +86,5 @@ pub fn fill_row(random: &mut PythonRandom, density: Density, row: &Row) -> Vec<P
         speed = row.limit.map_or(speed, |limit| speed.min(limit)).max(0.0);
         places.push(PlacedCar { s, speed, is_ego });
     }
+    places
 }
