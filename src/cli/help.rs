@@ -176,6 +176,12 @@ Examples:
   planagent scenarios interactive --count 2
   planagent scenarios interactive --recordings folder/of/data";
 
+pub(super) const SCENARIOS_STATISTICS: &str = "\
+Examples:
+  planagent scenarios statistics generated folder/of/recordings
+  planagent scenarios statistics generated a/folder,b/folder \\
+    --figure statistics.svg";
+
 pub(super) const SCENARIOS_HARD: &str = "\
 Example:
   planagent simulate --split generated-test14-candidates \\

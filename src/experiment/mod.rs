@@ -6,6 +6,7 @@ pub mod interactive;
 mod oracle;
 pub mod panic_guard;
 pub mod rank_correlation;
+pub mod realism;
 pub mod run;
 mod shuffled_bev;
 pub mod split;

@@ -67,6 +67,37 @@ impl Bootstrap {
     }
 }
 
+impl Bootstrap {
+    /// The mean of the means of several sets of clusters, each drawn for itself: every set counts equally, whatever its size.
+    pub fn balanced(&self, sets: &[Vec<Vec<f64>>]) -> Option<PairedDifference> {
+        let mut random = Pcg64Mcg::seed_from_u64(self.seed);
+        let mean = |clusters: &mut dyn Iterator<Item = &Vec<f64>>| {
+            let (sum, count) =
+                clusters.fold((0.0, 0_usize), |(sum, count), own| (sum + own.iter().sum::<f64>(), count + own.len()));
+            (count > 0).then(|| sum / count as f64)
+        };
+        let own: Option<Vec<f64>> = sets.iter().map(|set| mean(&mut set.iter())).collect();
+        let own = own.filter(|means| !means.is_empty())?;
+        let mut means = Vec::with_capacity(self.resamples);
+        for _ in 0..self.resamples {
+            let drawn = sets.iter().map(|set| {
+                let places: Vec<usize> = (0..set.len()).map(|_| below(&mut random, set.len())).collect();
+                mean(&mut places.iter().filter_map(|&place| set.get(place)))
+            });
+            let drawn: Option<Vec<f64>> = drawn.collect();
+            means.push(drawn?.iter().sum::<f64>() / sets.len() as f64);
+        }
+        means.sort_by(f64::total_cmp);
+        let outside = (1.0 - self.level) / 2.0;
+        Some(PairedDifference {
+            mean: own.iter().sum::<f64>() / own.len() as f64,
+            low: quantile(&means, outside)?,
+            high: quantile(&means, 1.0 - outside)?,
+            pairs: sets.iter().flatten().map(Vec::len).sum(),
+        })
+    }
+}
+
 /// A number below `end`, by multiplication with a fraction of 32 bits. The sampling code of a library may change.
 pub(super) fn below(random: &mut Pcg64Mcg, end: usize) -> usize {
     ((u64::from(random.next_u32()) * end as u64) >> 32) as usize
@@ -133,6 +164,18 @@ mod tests {
         let uneven = Bootstrap::default().clustered(&[vec![1.0], vec![], vec![0.0, 0.0, 0.0]]).unwrap();
         assert_eq!((uneven.mean, uneven.pairs), (0.25, 4));
         assert_eq!(Bootstrap::default().clustered(&[Vec::new(), Vec::new()]), None);
+    }
+
+    #[test]
+    fn sets_of_unequal_size_count_equally() {
+        let sets = [vec![vec![1.0]; 9], vec![vec![0.0]; 3]];
+        let found = Bootstrap::default().balanced(&sets).unwrap();
+        assert_eq!((found.mean, found.low, found.high, found.pairs), (0.5, 0.5, 0.5, 12));
+        // Each set alone is binomial; the second adds nothing.
+        let mixed: Vec<Vec<f64>> = (0..100).map(|i| vec![f64::from(i % 2)]).collect();
+        let found = Bootstrap::default().balanced(&[mixed, vec![vec![1.0]; 5]]).unwrap();
+        assert_eq!((found.mean, found.low, found.high), (0.75, 0.70, 0.80));
+        assert_eq!(Bootstrap::default().balanced(&[vec![vec![1.0]], vec![]]), None);
     }
 
     #[test]

@@ -40,6 +40,7 @@ pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigur
 pub use call_record::{CallRecord, DecisionRecord};
 pub use decision::decision_words;
 pub use error::{ReportError, ReportFault};
+pub use figure::realism_figure;
 pub use inputs::{AcceptedChanges, DataFile, Inputs};
 pub use judgement::{JudgedMetric, Judgement};
 pub use layout::{MANIFEST, SUMMARY};
@@ -56,8 +57,8 @@ pub use study::{
 };
 pub use summary::{Aggregate, ScenarioSummary, Summary};
 pub use table::{
-    bench_markdown, bench_table, comparison_table, failures, fill, main_table, study_markdown, study_table,
-    token_markdown, token_table,
+    bench_markdown, bench_table, comparison_table, failures, fill, main_table, realism_table, study_markdown,
+    study_table, token_markdown, token_table,
 };
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};

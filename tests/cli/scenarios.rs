@@ -70,6 +70,45 @@ fn other_traffic_has_a_name() {
 }
 
 #[test]
+fn statistics_of_two_sets_fit_a_terminal_and_tell_them_apart() {
+    let work = TempDir::new().unwrap();
+    let figure = work.path().join("statistics.svg");
+    let figure = figure.to_str().unwrap();
+    let list = |from: usize| {
+        let names = (from..from + 10).map(|seed| format!("generated/high_magnitude_speed/{seed}"));
+        names.collect::<Vec<_>>().join(",")
+    };
+    // Slow and fast scenes of one generator; and a set against itself.
+    let slow: Vec<String> = (0..10).map(|seed| format!("generated/stationary_in_traffic/{seed}")).collect();
+    let (fast, slow) = (list(0), slow.join(","));
+    let found = told(&["scenarios", "statistics", &fast, &slow, "--figure", figure]).remove(0);
+    assert!(found["classifier"]["mean"].as_f64().unwrap() >= 0.9, "{}", found["classifier"]);
+    let feature = |key: &str| {
+        let features = found["features"].as_array().unwrap();
+        features.iter().find(|feature| feature["key"] == key).unwrap().clone()
+    };
+    let speed = feature("ego_speed");
+    assert!(speed["a"]["mean"].as_f64() > speed["b"]["mean"].as_f64(), "{speed}");
+    assert!(speed["coefficient"].as_f64().unwrap() > 0.0, "{speed}");
+    assert_eq!(feature("unknown_limits")["difference"], Value::Null);
+    assert_eq!(found["scenes"][1].as_array().unwrap().len(), 10);
+    let drawn = std::fs::read_to_string(figure).unwrap();
+    assert!(drawn.starts_with("<svg") && drawn.contains("speed of the ego, m/s"), "{drawn}");
+
+    let same = told(&["scenarios", "statistics", &fast, &fast]).remove(0);
+    assert!(same["classifier"]["mean"].as_f64().unwrap() <= 0.5, "{}", same["classifier"]);
+    let (code, table, stderr) = run(&["scenarios", "statistics", SCENE, "generated/changing_lane/4"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
+    assert!(table.contains("no classifier"), "{table}");
+
+    let png = refused(&["scenarios", "statistics", SCENE, SCENE, "--figure", "statistics.png"]);
+    assert!(png.contains("must end in .svg"), "{png}");
+    let nowhere = refused(&["scenarios", "statistics", SCENE, "nowhere"]);
+    assert!(nowhere.contains("no file or folder nowhere"), "{nowhere}");
+}
+
+#[test]
 fn hard_scenes_are_chosen_out_of_a_whole_run_only() {
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");

@@ -20,6 +20,7 @@ const DEVKIT: &str = "needs clones of nuplan-devkit and tuplan_garage";
 const NETWORK: &str = "downloads";
 const ENDLESS: &str = "runs until it is ended";
 const CHECKPOINT: &str = "needs a checkpoint of a learned planner";
+const VALIDATION: &str = "needs the validation recordings";
 const FORMER: &str = "needs the run of a command that is not run";
 
 /// Commands that are not run: page, command, reason.
@@ -86,6 +87,12 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "docs/generator.md",
         "planagent simulate --split generated-test14-candidates --planner pdm-closed --out runs/candidates",
         HOURS,
+    ),
+    (
+        "docs/generator.md",
+        "planagent scenarios statistics generated $PLANAGENT_DATA/womd_validation,$PLANAGENT_DATA/argoverse2_validation --figure \
+         statistics.svg",
+        VALIDATION,
     ),
     ("docs/generator.md", "planagent scenarios hard runs/candidates > suites/generated-test14-hard.txt", FORMER),
     (

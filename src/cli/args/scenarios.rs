@@ -17,6 +17,9 @@ pub(in crate::cli) enum ScenariosCommand {
     /// Show one scenario: its map, route, objects and lights; with --image a picture.
     #[command(after_long_help = help::SCENARIOS_SHOW)]
     Show(ShowArguments),
+    /// Compare two sets of scenes, such as generated and recorded ones, feature by feature.
+    #[command(after_long_help = help::SCENARIOS_STATISTICS)]
+    Statistics(StatisticsArguments),
     /// Generate scenarios with their expert drivers, and print a line for each.
     #[command(after_long_help = help::SCENARIOS_GENERATE)]
     Generate(GenerateArguments),
@@ -97,6 +100,22 @@ pub(in crate::cli) struct ShowArguments {
     /// Side of the picture, meters.
     #[arg(long, value_name = "METERS", default_value_t = 128.0, allow_negative_numbers = true)]
     pub(in crate::cli) view: f64,
+}
+
+/// Arguments of `scenarios statistics`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct StatisticsArguments {
+    /// Scenarios, as `simulate` takes them, or a split; several are separated by commas.
+    #[arg(value_name = "A", value_parser = path_word())]
+    pub(in crate::cli) a: String,
+    /// The scenarios that they are compared with.
+    #[arg(value_name = "B", value_parser = path_word())]
+    pub(in crate::cli) b: String,
+    #[command(flatten)]
+    pub(in crate::cli) data: DataArguments,
+    /// Write a figure to this file, an SVG.
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) figure: Option<PathBuf>,
 }
 
 /// Arguments of `scenarios export`.

@@ -4,8 +4,10 @@ mod agreement;
 mod bars;
 mod differences;
 mod lines;
+mod realism;
 mod svg;
 
+pub use realism::realism_figure;
 pub(super) use svg::escaped;
 
 use crate::experiment::study::{Figure, Study};

@@ -139,6 +139,21 @@ impl Scale {
         Self { values: [low, if high > low { high } else { low + step }], pixels, step }
     }
 
+    /// The value at the first pixel.
+    pub(super) fn low(&self) -> f64 {
+        self.values[0]
+    }
+
+    /// The value at the last pixel.
+    pub(super) fn high(&self) -> f64 {
+        self.values[1]
+    }
+
+    /// Decimals of its ticks.
+    pub(super) fn decimals(&self) -> usize {
+        (-self.step.log10().floor()).max(0.0) as usize
+    }
+
     /// The pixel of a value.
     pub(super) fn at(&self, value: f64) -> f64 {
         let ([low, high], [first, last]) = (self.values, self.pixels);
@@ -147,7 +162,7 @@ impl Scale {
 
     fn ticks(&self) -> impl Iterator<Item = (f64, String)> {
         let Self { values: [low, high], step, .. } = *self;
-        let decimals = (-step.log10().floor()).max(0.0) as usize;
+        let decimals = self.decimals();
         let count = ((high - low) / step).round() as usize;
         (0..=count).map(move |i| {
             // Whole multiples of the step: no tick misses zero by a rounding error.

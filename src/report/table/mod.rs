@@ -4,6 +4,7 @@ mod bench;
 mod markdown;
 mod overview;
 mod paired;
+mod realism;
 mod recordings;
 mod reported;
 mod simulations;
@@ -21,6 +22,7 @@ use crate::simulation::Challenge;
 
 pub use bench::{bench_markdown, bench_table};
 pub use paired::comparison_table;
+pub use realism::realism_table;
 pub use simulations::failures;
 pub use study::{study_markdown, study_table};
 pub use terminal::fill;

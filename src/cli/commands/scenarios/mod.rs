@@ -1,4 +1,4 @@
-//! `planagent scenarios list|show|generate|export|hard`.
+//! `planagent scenarios list|show|statistics|generate|export|hard`.
 
 mod export;
 mod generate;
@@ -6,6 +6,7 @@ mod hard;
 mod interactive;
 mod list;
 mod show;
+mod statistics;
 
 use crate::cli::args::ScenariosCommand;
 use crate::cli::{Exit, Printer};
@@ -17,6 +18,7 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
     match command {
         ScenariosCommand::List(arguments) => list::run(arguments, printer),
         ScenariosCommand::Show(arguments) => show::run(arguments, printer),
+        ScenariosCommand::Statistics(arguments) => statistics::run(arguments, printer),
         ScenariosCommand::Generate(arguments) => generate::run(arguments, printer),
         ScenariosCommand::Export(arguments) => export::run(arguments, printer),
         ScenariosCommand::Interactive(arguments) => interactive::run(arguments, printer),

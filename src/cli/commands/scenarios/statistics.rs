@@ -1,0 +1,75 @@
+//! `planagent scenarios statistics`: compares two sets of scenes.
+
+use crate::cli::args::StatisticsArguments;
+use crate::cli::{Exit, Printer};
+use crate::experiment::realism::{MeasuredScene, SceneComparison};
+use crate::experiment::split::{SplitError, split};
+use crate::files::path_of;
+use crate::report::{realism_figure, realism_table};
+use crate::scenario::{ReaderError, Readers, ScenarioRef};
+use anyhow::{Context, bail};
+use rayon::prelude::*;
+use serde_json::json;
+use std::path::Path;
+
+/// Opens all scenes, measures them, and prints the comparison.
+pub(super) fn run(arguments: &StatisticsArguments, printer: Printer) -> anyhow::Result<Exit> {
+    let StatisticsArguments { a, b, data, figure } = arguments;
+    if let Some(file) = figure {
+        check_figure(file)?;
+    }
+    let readers = data.readers();
+    let (of_a, of_b) = (scenarios(a, &readers)?, scenarios(b, &readers)?);
+    let progress = printer.progress((of_a.len() + of_b.len()) as u64, "scenes");
+    let measured = |list: &[ScenarioRef]| -> Result<Vec<MeasuredScene>, ReaderError> {
+        list.par_iter()
+            .map(|scenario| {
+                let measured = scenario.open().map(|opened| MeasuredScene::of(&opened));
+                progress.inc(1);
+                measured
+            })
+            .collect()
+    };
+    let (a_scenes, b_scenes) = (measured(&of_a)?, measured(&of_b)?);
+    progress.finish_and_clear();
+    for note in readers.take_notes() {
+        printer.note(note);
+    }
+    let comparison = SceneComparison::of(a_scenes, b_scenes);
+    if let Some(file) = figure {
+        std::fs::write(file, realism_figure(&comparison, [a, b]))
+            .with_context(|| format!("cannot write {}", file.display()))?;
+        printer.note(format!("figure in {}", file.display()));
+    }
+    printer.line(realism_table(&comparison, [a, b]));
+    if printer.is_json() {
+        let SceneComparison { features, classifier, scenes } = &comparison;
+        printer.json(&json!({"a": a, "b": b, "features": features, "classifier": classifier, "scenes": scenes}))?;
+    }
+    Ok(Exit::Success)
+}
+
+fn check_figure(file: &Path) -> anyhow::Result<()> {
+    if file.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("svg")) {
+        bail!("--figure {} must end in .svg", file.display());
+    }
+    Ok(())
+}
+
+/// The scenarios of words separated by commas, each a split or what a reader takes. A path may hold a comma.
+fn scenarios(words: &str, readers: &Readers) -> anyhow::Result<Vec<ScenarioRef>> {
+    let list: Vec<&str> = if path_of(words).exists() { vec![words] } else { words.split(',').map(str::trim).collect() };
+    let mut found = Vec::new();
+    for word in list {
+        match split(word, readers, &|_, _| {}) {
+            Ok(split) if split.missing.is_empty() => found.extend(split.scenarios),
+            Ok(split) => bail!("{}", split.missing),
+            Err(SplitError::Unknown { .. }) => found.extend(readers.find(word)?),
+            Err(error) => return Err(error.into()),
+        }
+    }
+    if found.is_empty() {
+        bail!("'{words}' names no scenario");
+    }
+    Ok(found)
+}
