@@ -16,6 +16,7 @@ pub(super) const COMMANDS: [&str; 26] = [
     "scenarios",
     "scenarios list",
     "scenarios show",
+    "scenarios statistics",
     "scenarios generate",
     "scenarios export",
     "scenarios hard",
