@@ -261,6 +261,11 @@ impl LaneMap {
         self
     }
 
+    /// The layers.
+    pub(crate) fn parts(&self) -> &MapParts {
+        &self.parts
+    }
+
     /// Name of the map.
     pub fn name(&self) -> &str {
         &self.parts.name

@@ -66,12 +66,12 @@ pub fn generate(spec: &Spec) -> Result<Scenario, GeneratorError> {
 /// # Errors
 /// When [`MAX_DRAWS`] draws were discarded.
 pub fn generate_with_record(spec: &Spec) -> Result<Generated, GeneratorError> {
-    let (own, rng) = first_kept(&spec.with_traffic_seed(0), |number| rng_of(spec.scenario_type, spec.seed, number))?;
+    let (own, rng) = first_kept(&spec.with_traffic_seed(0), |number| rng_of(spec, spec.seed, number))?;
     if spec.traffic_seed == 0 {
         return Ok(own);
     }
     let seed = spec.seed ^ SeededRng::new(spec.traffic_seed, TRAFFIC).next_u64();
-    let other = |number| rng_of(spec.scenario_type, seed, number).with_situation_of(&rng);
+    let other = |number| rng_of(spec, seed, number).with_situation_of(&rng);
     let (generated, _) = first_kept(spec, other)?;
     Ok(Generated { discarded: [own.discarded, generated.discarded].concat(), ..generated })
 }
@@ -79,8 +79,14 @@ pub fn generate_with_record(spec: &Spec) -> Result<Generated, GeneratorError> {
 /// Purpose of the random numbers that turn traffic seeds into seeds.
 const TRAFFIC: u64 = 1;
 
-fn rng_of(kind: ScenarioType, seed: u64, draw: u64) -> SeededRng {
-    SeededRng::new(seed, kind.definition().seed + draw)
+/// Added to the seed of a type for draws from wider ranges.
+const WIDE: u64 = 1_000_000;
+/// Purpose of the random numbers that say what a wide map leaves out.
+const MAP: u64 = 2;
+
+fn rng_of(spec: &Spec, seed: u64, draw: u64) -> SeededRng {
+    let purpose = spec.scenario_type.definition().seed + draw + if spec.wide { WIDE } else { 0 };
+    SeededRng::new(seed, purpose).widened(spec.wide)
 }
 
 /// The first draw that is not discarded, and its random numbers after the draw.
@@ -117,12 +123,17 @@ fn draw(spec: &Spec, rng: &mut SeededRng) -> Result<Scenario, Discard> {
     }
     let future = log.future(&mut traffic, &mut expert);
     let goal = log.frames.last().map(|frame| frame.ego.center());
+    // The traffic ran on the lines as they were drawn: their vertices must not move its last bits.
+    let map = if spec.wide {
+        scene::wide::as_recorded(&roads.map, &mut SeededRng::new(spec.seed, MAP)).map_err(|_| Discard::Roads)?
+    } else {
+        (*roads.map).clone().with_dense_baselines()
+    };
     Ok(Scenario {
         id: spec.to_string(),
         scenario_type: kind.name.to_owned(),
         log_name: spec.log_name(),
-        // The traffic ran on the lines as they were drawn: their vertices must not move its last bits.
-        map: Arc::new((*roads.map).clone().with_dense_baselines()),
+        map: Arc::new(map),
         route: Route { roadblocks: roads.route(), goal },
         frames: log.frames,
         start: PAST,

@@ -11,6 +11,7 @@ use rand_pcg::Pcg64;
 pub struct SeededRng {
     source: Pcg64,
     situation: Situation,
+    wide: bool,
 }
 
 /// The state of the stream before each draw of the situation.
@@ -32,13 +33,23 @@ impl SeededRng {
     /// The stream of `seed` for one purpose; streams of different purposes are unrelated.
     pub(crate) fn new(seed: u64, purpose: u64) -> Self {
         let source = Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ purpose.rotate_left(48));
-        Self { source, situation: Situation::Recorded(Vec::new()) }
+        Self { source, situation: Situation::Recorded(Vec::new()), wide: false }
+    }
+
+    /// This stream for draws from wider ranges.
+    pub(crate) fn widened(self, wide: bool) -> Self {
+        Self { wide, ..self }
+    }
+
+    /// True if ranges are the wider ones.
+    pub(crate) fn is_wide(&self) -> bool {
+        self.wide
     }
 
     /// This stream, with the situation that `drawn` recorded.
     pub(crate) fn with_situation_of(self, drawn: &Self) -> Self {
         let (Situation::Recorded(recorded) | Situation::Repeated(recorded, _)) = &drawn.situation;
-        Self { source: self.source, situation: Situation::Repeated(recorded.clone(), 0) }
+        Self { situation: Situation::Repeated(recorded.clone(), 0), ..self }
     }
 
     /// A draw of the situation.
@@ -55,7 +66,7 @@ impl SeededRng {
         };
         match then {
             None => draw(self),
-            Some(source) => draw(&mut Self { source, situation: Situation::Recorded(Vec::new()) }),
+            Some(source) => draw(&mut Self { source, situation: Situation::Recorded(Vec::new()), wide: self.wide }),
         }
     }
 

@@ -9,8 +9,11 @@ use std::str::FromStr;
 /// First part of the id of every generated scenario.
 pub const SOURCE: &str = "generated";
 
+/// Second part of the id of a scenario that is drawn from wider ranges.
+const WIDE: &str = "wide";
+
 /// Names a generated scenario and determines its every byte. Written `generated/<scenario type>/<seed>` or
-/// `generated/<scenario type>/<seed>.<traffic seed>`.
+/// `generated/<scenario type>/<seed>.<traffic seed>`, with `wide/` before the type for one that is drawn from wider ranges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Spec {
     /// Scenario type.
@@ -19,6 +22,8 @@ pub struct Spec {
     pub seed: u64,
     /// Seed of all other draws; 0 stands for the own traffic of `seed` and is not written.
     pub traffic_seed: u64,
+    /// Whether roads and traffic are drawn from the wider ranges of recordings.
+    pub wide: bool,
 }
 
 /// Why there is no such generated scenario.
@@ -27,7 +32,7 @@ pub struct Spec {
 pub enum GeneratorError {
     #[error(
         "'{0}' does not name a generated scenario: expected generated/<scenario type>/<seed> or \
-        generated/<scenario type>/<seed>.<traffic seed>"
+        generated/<scenario type>/<seed>.<traffic seed>, both also with wide/ before the type"
     )]
     Form(String),
     #[error("'{0}' is not a scenario type of the generator; `planagent scenarios list` names them")]
@@ -41,7 +46,7 @@ pub enum GeneratorError {
 impl Spec {
     /// The scenario of a seed with its own traffic.
     pub const fn new(scenario_type: ScenarioType, seed: u64) -> Self {
-        Self { scenario_type, seed, traffic_seed: 0 }
+        Self { scenario_type, seed, traffic_seed: 0, wide: false }
     }
 
     /// The same situation with other traffic.
@@ -50,15 +55,22 @@ impl Spec {
         Self { traffic_seed, ..self }
     }
 
+    /// The scenario of the same type and seed that is drawn from wider ranges: another scenario.
+    #[must_use]
+    pub const fn widened(self) -> Self {
+        Self { wide: true, ..self }
+    }
+
     /// Name of the log that the scenario counts as cut from; it depends on the seed alone.
     pub fn log_name(&self) -> String {
-        format!("{SOURCE}-{}", self.seed)
+        if self.wide { format!("{SOURCE}-{WIDE}-{}", self.seed) } else { format!("{SOURCE}-{}", self.seed) }
     }
 }
 
 impl fmt::Display for Spec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{SOURCE}/{}/{}", self.scenario_type, self.seed)?;
+        let wide = if self.wide { format!("{WIDE}/") } else { String::new() };
+        write!(f, "{SOURCE}/{wide}{}/{}", self.scenario_type, self.seed)?;
         if self.traffic_seed == 0 { Ok(()) } else { write!(f, ".{}", self.traffic_seed) }
     }
 }
@@ -67,7 +79,10 @@ impl FromStr for Spec {
     type Err = GeneratorError;
 
     fn from_str(id: &str) -> Result<Self, Self::Err> {
-        let mut parts = id.split('/');
+        let named = id.strip_prefix(SOURCE).and_then(|rest| rest.strip_prefix('/'));
+        let wide = named.and_then(|rest| rest.strip_prefix(WIDE)).and_then(|rest| rest.strip_prefix('/'));
+        let mut parts =
+            std::iter::once(SOURCE).filter(|_| named.is_some()).chain(wide.or(named).unwrap_or(id).split('/'));
         let (Some(SOURCE), Some(kind), Some(seed), None) = (parts.next(), parts.next(), parts.next(), parts.next())
         else {
             return Err(GeneratorError::Form(id.to_owned()));
@@ -77,6 +92,7 @@ impl FromStr for Spec {
             seed.parse().map_err(|_| GeneratorError::Seed { which, seed: seed.to_owned(), id: id.to_owned() })
         };
         let (seed, traffic) = seed.split_once('.').unwrap_or((seed, "0"));
-        Ok(Self { scenario_type, seed: number("seed", seed)?, traffic_seed: number("traffic seed", traffic)? })
+        let (seed, traffic_seed) = (number("seed", seed)?, number("traffic seed", traffic)?);
+        Ok(Self { scenario_type, seed, traffic_seed, wide: wide.is_some() })
     }
 }

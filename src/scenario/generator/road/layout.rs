@@ -2,7 +2,7 @@
 
 use super::junction::{Arm, Control, End, Turn};
 use super::line::{bend, straight, trace};
-use super::network::{Network, RoadIndex, RoadPlan, band};
+use super::network::{ExtraWidths, Network, RoadIndex, RoadPlan, band};
 use super::roundabout::Ring;
 use crate::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
 use crate::scenario::generator::rng::SeededRng;
@@ -20,6 +20,8 @@ pub struct RoadStyle {
     pub(crate) oncoming: usize,
     /// Meters.
     pub(crate) lane_width: f64,
+    /// How much wider single lanes are.
+    pub(crate) extra: Option<ExtraWidths>,
     /// m/s.
     pub(crate) speed_limit: f64,
     /// Paved width beside the outermost lanes, right and left, meters.
@@ -29,8 +31,10 @@ pub struct RoadStyle {
 impl RoadStyle {
     /// Distance from the line to the farther edge of the pavement, meters.
     fn reach(&self) -> f64 {
-        let right = self.own as f64 * self.lane_width + self.shoulder[0];
-        right.max(self.oncoming as f64 * self.lane_width + self.shoulder[1])
+        let right =
+            self.own as f64 * self.lane_width + ExtraWidths::before(self.extra, true, self.own) + self.shoulder[0];
+        let left = self.oncoming as f64 * self.lane_width + ExtraWidths::before(self.extra, false, self.oncoming);
+        right.max(left + self.shoulder[1])
     }
 }
 
@@ -136,6 +140,7 @@ impl Layout {
             forward: style.own,
             backward: style.oncoming,
             lane_width: style.lane_width,
+            extra: style.extra,
             speed_limit: style.speed_limit,
             shoulder: style.shoulder,
         })

@@ -12,6 +12,6 @@ mod signal;
 pub(crate) use junction::{Control, Turn};
 pub(crate) use layout::{CirclePlan, Course, CrossingPlan};
 pub(crate) use layout::{Layout, RoadStyle};
-pub(crate) use network::{Conflict, Passage};
+pub(crate) use network::{Conflict, ExtraWidths, MAX_LANES, Passage};
 pub(crate) use roads::Roads;
 pub(crate) use signal::YELLOW;

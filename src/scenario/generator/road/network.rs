@@ -5,6 +5,25 @@ use super::signal::SignalPlan;
 use crate::geometry::{GeometryError, Point, Polygon, Polyline, Pose};
 use crate::world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId};
 
+/// How much wider the lanes of a road are than its lane width, meters: along the line and against it, leftmost first.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct ExtraWidths(pub(crate) [[f64; MAX_LANES]; 2]);
+
+/// Maximum number of lanes in a direction.
+pub(crate) const MAX_LANES: usize = 4;
+
+impl ExtraWidths {
+    /// Of a lane by its index.
+    fn of(extra: Option<Self>, along: bool, lane: usize) -> f64 {
+        extra.map_or(0.0, |Self(widths)| widths[usize::from(!along)].get(lane).copied().unwrap_or(0.0))
+    }
+
+    /// Sum over the first `lanes` lanes.
+    pub(crate) fn before(extra: Option<Self>, along: bool, lanes: usize) -> f64 {
+        (0..lanes).map(|lane| Self::of(extra, along, lane)).sum()
+    }
+}
+
 /// Parameters of a road. Lanes in the direction of the line lie to its right, oncoming ones to its left.
 #[derive(Debug, Clone)]
 pub(crate) struct RoadPlan {
@@ -16,10 +35,30 @@ pub(crate) struct RoadPlan {
     pub(crate) backward: usize,
     /// Meters.
     pub(crate) lane_width: f64,
+    /// How much wider single lanes are.
+    pub(crate) extra: Option<ExtraWidths>,
     /// m/s.
     pub(crate) speed_limit: f64,
     /// Paved width beside the outermost lanes (curb margin, bicycle strip or parking strip), right and left of the line, meters.
     pub(crate) shoulder: [f64; 2],
+}
+
+impl RoadPlan {
+    /// Distance from the line to the left edge of a lane, counted from the line; for the number of lanes to the last edge.
+    fn edge(&self, along: bool, lane: usize) -> f64 {
+        lane as f64 * self.lane_width + ExtraWidths::before(self.extra, along, lane)
+    }
+
+    /// Distance from the line to the middle of a lane.
+    fn middle(&self, along: bool, lane: usize) -> f64 {
+        let extra = ExtraWidths::before(self.extra, along, lane) + ExtraWidths::of(self.extra, along, lane) / 2.0;
+        (lane as f64 + 0.5) * self.lane_width + extra
+    }
+
+    /// Distance from the line to the outer edge of the outermost lane.
+    fn reach(&self, along: bool) -> f64 {
+        self.edge(along, if along { self.forward } else { self.backward })
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -36,12 +75,12 @@ pub(crate) struct Road {
 impl Road {
     /// Distance from the line to the right edge of the pavement, meters.
     pub(crate) fn right_edge(&self) -> f64 {
-        self.plan.forward as f64 * self.plan.lane_width + self.plan.shoulder[0]
+        self.plan.reach(true) + self.plan.shoulder[0]
     }
 
     /// Distance from the line to the left edge of the pavement, meters.
     pub(crate) fn left_edge(&self) -> f64 {
-        self.plan.backward as f64 * self.plan.lane_width + self.plan.shoulder[1]
+        self.plan.reach(false) + self.plan.shoulder[1]
     }
 
     pub(crate) fn end(&self) -> Pose {
@@ -90,11 +129,9 @@ pub(crate) struct Network {
 impl Network {
     /// Adds a road with its lanes, roadblocks and margins.
     pub(crate) fn add_road(&mut self, plan: RoadPlan) -> Result<RoadIndex, GeometryError> {
-        let width = plan.lane_width;
         let forward = self.add_side(&plan, plan.forward, true)?;
         let backward = self.add_side(&plan, plan.backward, false)?;
-        let right = plan.forward as f64 * width;
-        let left = plan.backward as f64 * width;
+        let (right, left) = (plan.reach(true), plan.reach(false));
         let strips = [(-right, -right - plan.shoulder[0]), (left + plan.shoulder[1], left)];
         for (upper, lower) in strips {
             self.parts.generic_drivable.push(band(&plan.line, upper, lower)?);
@@ -111,14 +148,14 @@ impl Network {
         }
         let side = if along { -1.0 } else { 1.0 };
         let edge = |lanes: usize| -> Vec<Point> {
-            let line = shifted(&plan.line, side * lanes as f64 * plan.lane_width);
+            let line = shifted(&plan.line, side * plan.edge(along, lanes));
             if along { line } else { line.into_iter().rev().collect() }
         };
         let block = RoadblockId(self.parts.roadblocks.len() as u32);
         let first = self.parts.lanes.len() as u32;
         let mut lanes = Vec::with_capacity(count);
         for i in 0..count {
-            let center = shifted(&plan.line, side * (i as f64 + 0.5) * plan.lane_width);
+            let center = shifted(&plan.line, side * plan.middle(along, i));
             let center = if along { center } else { center.into_iter().rev().collect() };
             let centerline = Polyline::new(center)?;
             let length = centerline.length();
@@ -157,7 +194,11 @@ impl Network {
     /// Width of a lane of a road, meters.
     pub(crate) fn width_of(&self, lane: LaneId) -> f64 {
         let owner = self.roads.iter().find(|road| road.forward.contains(&lane) || road.backward.contains(&lane));
-        owner.map_or(3.5, |road| road.plan.lane_width)
+        owner.map_or(3.5, |road| {
+            let along = road.forward.iter().position(|&one| one == lane);
+            let against = road.backward.iter().position(|&one| one == lane);
+            road.plan.lane_width + ExtraWidths::of(road.plan.extra, along.is_some(), along.or(against).unwrap_or(0))
+        })
     }
 
     /// Adds a connector along `line` from the end of one lane to the start of another.

@@ -20,7 +20,7 @@ pub(crate) enum RoadsError {
     JunctionsOverlap(usize, usize),
 }
 
-/// Cross-section of a finished road.
+/// A lane of a finished road, and the strips beside the road.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct RoadFacts {
     /// Meters.
@@ -50,13 +50,13 @@ impl Roads {
         check_overlaps(&network.roads, &network.parts.intersections, &network.touching)?;
         let mut facts = vec![None; network.parts.lanes.len()];
         for road in &network.roads {
-            let here = RoadFacts { lane_width: road.plan.lane_width, shoulder: road.plan.shoulder };
-            for lane in &road.forward {
-                facts[lane.index()] = Some(here);
+            let shoulder = road.plan.shoulder;
+            for &lane in &road.forward {
+                facts[lane.index()] = Some(RoadFacts { lane_width: network.width_of(lane), shoulder });
             }
-            let turned = RoadFacts { shoulder: [here.shoulder[1], here.shoulder[0]], ..here };
-            for lane in &road.backward {
-                facts[lane.index()] = Some(turned);
+            let shoulder = [shoulder[1], shoulder[0]];
+            for &lane in &road.backward {
+                facts[lane.index()] = Some(RoadFacts { lane_width: network.width_of(lane), shoulder });
             }
         }
         let route_lanes = route.iter().map(|&road| network.roads[road].forward.clone()).collect();

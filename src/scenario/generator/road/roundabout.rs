@@ -63,6 +63,7 @@ impl Network {
                 forward: ring.lanes,
                 backward: 0,
                 lane_width: ring.lane_width,
+                extra: None,
                 speed_limit: ring.speed_limit,
                 shoulder: APRON,
             })?);

@@ -1,6 +1,7 @@
 //! Puts vehicles, objects and pedestrians on the roads.
 
 use super::setting::{LEAD_IN, LanePick, LightTiming, Setting};
+use super::wide;
 use crate::geometry::{OrientedBox, Polygon, Pose};
 use crate::scenario::generator::expert::{EXPERT, ExpertTask};
 use crate::scenario::generator::rng::SeededRng;
@@ -128,6 +129,9 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
 
     /// Length and width of a vehicle, meters.
     fn size(&mut self, kind: VehicleKind) -> (f64, f64) {
+        if self.rng.is_wide() {
+            return wide::size(self.rng, kind);
+        }
         match kind {
             VehicleKind::Car => (self.rng.uniform(4.2, 5.3), self.rng.uniform(1.8, 2.1)),
             VehicleKind::Long => (self.rng.uniform(8.5, 13.0), self.rng.uniform(2.4, 2.6)),
@@ -162,6 +166,7 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
         if s < length / 2.0 + 1.0 || s + length / 2.0 + 3.0 > track.length() {
             return None;
         }
+        let sideways = self.rng.is_wide().then(|| wide::sideways(self.rng, kind, width, self.lane_width_at(&track, s)));
         let mover = Mover {
             token: TrackToken(0),
             kind: if kind == VehicleKind::Bicycle { ObjectKind::Bicycle } else { ObjectKind::Vehicle },
@@ -172,7 +177,8 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
             s,
             speed: speed.max(0.0),
             accel: 0.0,
-            shift: Shift::constant(lateral),
+            shift: Shift::constant(lateral + sideways.map_or(0.0, |(aside, _)| aside)),
+            sway: sideways.and_then(|(_, sway)| sway),
             profile,
             speed_cap: f64::INFINITY,
             stop_s: None,
@@ -248,13 +254,17 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
     /// Fills all lanes with vehicles, on average `density` per hundred meters of lane. In the ego's lane, none is nearer than
     /// `clear` meters ahead and behind.
     pub(crate) fn fill_lanes_to(&mut self, density: f64, clear: [f64; 2]) {
-        const MAX_MOVERS: usize = 34;
+        let max_movers = if self.rng.is_wide() { wide::MAX_MOVERS } else { 34 };
+        let density = if self.rng.is_wide() { wide::density(self.rng, density) } else { density };
+        if self.rng.is_wide() {
+            self.queue_at_lines();
+        }
         let lanes: Vec<LaneId> = self.roads().road_lanes().collect();
         let ego = self.ego().clone();
         for lane in lanes {
             let length = self.roads().map[lane].centerline.length();
             let mut s = self.rng.uniform(4.0, 30.0 + 40.0 / density.max(0.2));
-            while s < length - 4.0 && self.traffic.movers.len() < MAX_MOVERS {
+            while s < length - 4.0 && self.traffic.movers.len() < max_movers {
                 let spacing = 9.0 + self.rng.uniform(0.2, 1.8) * (100.0 / density.max(0.05) - 9.0).max(0.0);
                 let at = self.roads().map[lane].centerline.point_at(s);
                 let (along, lateral) = ego.track.project(at, ego.s - 80.0, ego.s + 120.0);
@@ -262,13 +272,22 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
                 let in_own_lane = lateral.abs() < 2.0 && near < 3.0;
                 let ahead = along - ego.s;
                 if !(in_own_lane && ahead > -clear[1] && ahead < clear[0]) {
-                    let kind = if self.rng.bool(0.1) { VehicleKind::Long } else { VehicleKind::Car };
+                    let kind = if self.rng.bool(if self.rng.is_wide() { wide::LONG } else { 0.1 }) {
+                        VehicleKind::Long
+                    } else {
+                        VehicleKind::Car
+                    };
                     let chain = self.wander(lane);
                     self.put_settled(kind, chain, s);
                 }
                 s += spacing;
             }
         }
+    }
+
+    /// Width of the lane of a track at `s`, meters.
+    fn lane_width_at(&self, track: &Track, s: f64) -> f64 {
+        self.roads().facts[track.span_at(s).lane.index()].map_or(3.2, |facts| facts.lane_width)
     }
 
     /// Puts a vehicle with a speed that suits the road ahead of it.

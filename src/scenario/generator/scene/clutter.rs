@@ -2,6 +2,7 @@
 
 use super::builder::{TrafficBuilder, VehicleKind};
 use super::setting::LEAD_IN;
+use super::wide;
 use crate::geometry::{OrientedBox, Point, Polygon, Pose, wrap_angle};
 use crate::scenario::generator::traffic::{Departure, Walker};
 use crate::world::{LaneId, ObjectKind, TrackToken};
@@ -14,7 +15,7 @@ const BICYCLES: f64 = 1.4;
 
 impl TrafficBuilder<'_, '_> {
     /// The rightmost lanes of all roads, with lane width and width of the strip at the curb.
-    fn curb_lanes(&self) -> Vec<(LaneId, f64, f64)> {
+    pub(super) fn curb_lanes(&self) -> Vec<(LaneId, f64, f64)> {
         let roads = self.roads();
         let at_curb = |lane: &LaneId| roads.map[*lane].right.is_empty();
         roads
@@ -26,6 +27,10 @@ impl TrafficBuilder<'_, '_> {
 
     /// Adds random clutter: parked cars, cyclists, pedestrians, cones.
     pub fn add_clutter(&mut self) {
+        if self.rng.is_wide() {
+            self.add_wide_clutter();
+            return;
+        }
         let (parked, cyclists, strollers) = (self.rng.uniform(0.2, 0.8), self.rng.bool(0.5), self.rng.range(0, 4));
         for (lane, lane_width, strip) in self.curb_lanes() {
             if strip >= PARKING {
@@ -55,13 +60,18 @@ impl TrafficBuilder<'_, '_> {
     }
 
     /// Parks cars in a row beside a lane, `offset` meters to the right of its centerline.
-    fn park_along(&mut self, lane: LaneId, offset: f64, share: f64) {
+    pub(super) fn park_along(&mut self, lane: LaneId, offset: f64, share: f64) {
         let line = self.roads().map[lane].centerline.clone();
+        let max_parked = if self.rng.is_wide() { wide::MAX_PARKED } else { 40 };
         let mut s = 9.0;
-        while s < line.length() - 9.0 && self.traffic.fixtures.len() < 40 {
+        while s < line.length() - 9.0 && self.traffic.fixtures.len() < max_parked {
             if self.rng.bool(share) {
                 let pose = line.pose_at(s).translated(0.0, -offset);
-                let (length, width) = (self.rng.uniform(4.2, 5.0), self.rng.uniform(1.75, 1.95));
+                let (length, width) = if self.rng.is_wide() {
+                    wide::size(self.rng, VehicleKind::Car)
+                } else {
+                    (self.rng.uniform(4.2, 5.0), self.rng.uniform(1.75, 1.95))
+                };
                 self.put_fixture(ObjectKind::Vehicle, pose, length, width);
             }
             s += 6.6;
@@ -69,7 +79,7 @@ impl TrafficBuilder<'_, '_> {
     }
 
     /// Adds a cyclist along a lane, `lateral` meters to the left of its centerline.
-    fn cycle_along(&mut self, lane: LaneId, lateral: f64) {
+    pub(super) fn cycle_along(&mut self, lane: LaneId, lateral: f64) {
         let length = self.roads().map[lane].centerline.length();
         let (s, pace) = (self.rng.uniform(3.0, (length - 6.0).max(4.0)), self.rng.uniform(3.0, 6.0));
         let chain = self.roads().straight_chain(lane);
@@ -79,7 +89,7 @@ impl TrafficBuilder<'_, '_> {
     }
 
     /// Adds a pedestrian who walks along the sidewalk.
-    fn stroll(&mut self) {
+    pub(super) fn stroll(&mut self) {
         let curbs = self.curb_lanes();
         let (lane, lane_width, strip) = self.rng.choose(&curbs);
         let line = &self.roads().map[lane].centerline;
@@ -156,7 +166,7 @@ impl TrafficBuilder<'_, '_> {
     }
 
     /// Adds cones and a sign on the strip beside a road.
-    fn road_works_beside(&mut self) {
+    pub(super) fn road_works_beside(&mut self) {
         let curbs = self.curb_lanes();
         let (lane, lane_width, strip) = self.rng.choose(&curbs);
         let line = self.roads().map[lane].centerline.clone();

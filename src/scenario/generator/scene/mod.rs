@@ -10,3 +10,4 @@ pub(crate) mod crossing;
 pub(crate) mod obstacles;
 pub mod setting;
 pub(crate) mod stream;
+pub(crate) mod wide;

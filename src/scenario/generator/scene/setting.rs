@@ -1,5 +1,6 @@
 //! Roads, where the ego starts on them, and what its traffic light shows.
 
+use super::wide;
 use crate::geometry::{GeometryError, Pose};
 use crate::scenario::generator::expert::ExpertTask;
 use crate::scenario::generator::rng::{EarlyDraw, SeededRng};
@@ -69,6 +70,9 @@ pub(crate) fn anywhere(rng: &mut SeededRng) -> Pose {
 
 /// A random cross-section: numbers of lanes in both directions within bounds, and one of the limits.
 pub fn style(rng: &mut SeededRng, own: [usize; 2], oncoming: [usize; 2], limits: &[f64]) -> RoadStyle {
+    if rng.is_wide() {
+        return wide::style(rng, own, oncoming, limits);
+    }
     // A curb margin, a strip wide enough for bicycles, or a parking strip.
     let shoulder = |rng: &mut SeededRng| {
         let kind = rng.unit();
@@ -86,6 +90,7 @@ pub fn style(rng: &mut SeededRng, own: [usize; 2], oncoming: [usize; 2], limits:
         own,
         oncoming,
         lane_width: rng.uniform(3.2, 3.8),
+        extra: None,
         speed_limit: rng.choose(limits),
         shoulder: [shoulder(rng), left],
     }
@@ -159,7 +164,9 @@ pub(crate) fn crossing(rng: &mut SeededRng, style: &RoadStyle, turn: Turn) -> Cr
     }
     let width = rng.range(1, 2);
     let mut side = self::style(rng, [width, width], [width, width], &LIMITS[..3]);
-    side.lane_width = style.lane_width;
+    if !rng.is_wide() {
+        side.lane_width = style.lane_width;
+    }
     let kind = rng.unit();
     let control = if kind < 0.6 {
         Control::Signals { protected_left: rng.bool(0.4) }

@@ -21,6 +21,32 @@ fn names_read_back() {
     assert_eq!(types::nuplan14().count(), 14);
 }
 
+#[test]
+fn wide_scenarios_have_names_of_their_own() {
+    let spec = Spec::new(types::changing_lane::TYPE, 3);
+    let wide = spec.widened().with_traffic_seed(12);
+    assert_eq!(wide.to_string(), "generated/wide/changing_lane/3.12");
+    assert_eq!("generated/wide/changing_lane/3.12".parse(), Ok(wide));
+    assert_eq!((spec.log_name().as_str(), wide.log_name().as_str()), ("generated-3", "generated-wide-3"));
+    for id in ["generated/wide", "generated/wide/3", "generated/wide/wide/changing_lane/3", "wide/changing_lane/3"] {
+        assert!(id.parse::<Spec>().is_err(), "{id}");
+    }
+}
+
+#[test]
+fn wide_scenarios_differ_from_the_others_and_repeat() {
+    let specs: Vec<Spec> = types::in_suites().map(|kind| Spec::new(kind, 1).widened()).collect();
+    let scenarios: Vec<Scenario> = specs.par_iter().map(|spec| generate(spec).unwrap()).collect();
+    let lanes = || scenarios.iter().flat_map(|scenario| scenario.map.lanes());
+    assert!(lanes().any(|lane| !lane.is_connector() && lane.speed_limit.is_none()), "all limits are known");
+    assert!(scenarios.iter().any(|scenario| scenario.map.lanes().iter().any(|lane| lane.speed_limit.is_some())));
+    for scenario in &scenarios {
+        let other: Spec = scenario.id.replace("wide/", "").parse().unwrap();
+        assert!(!same_map(&scenario.map, &generate(&other).unwrap().map), "{}", scenario.id);
+    }
+    assert!(same(&scenarios[0], &generate(&specs[0]).unwrap()));
+}
+
 /// Two types with overlapping seeds would share draws.
 #[test]
 fn seeds_of_types_lie_apart() {

@@ -10,7 +10,7 @@ mod track;
 mod walker;
 
 pub(crate) use lane_change::LaneCommand;
-pub(crate) use mover::{Act, DriverProfile, Mover, Shift, Steering};
+pub(crate) use mover::{Act, DriverProfile, Mover, Shift, Steering, Sway};
 pub(crate) use state::Traffic;
 pub(crate) use track::Track;
 pub(crate) use walker::{Departure, Walker};

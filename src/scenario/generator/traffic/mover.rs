@@ -92,6 +92,25 @@ impl Shift {
     }
 }
 
+/// How a driver sways about its path: a sine along the track.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sway {
+    /// Meters.
+    pub(crate) amplitude: f64,
+    /// Radians per meter of the track.
+    pub(crate) frequency: f64,
+    /// Radians.
+    pub(crate) phase: f64,
+}
+
+impl Sway {
+    /// Offset to the left at `s`, and its slope.
+    fn at(&self, s: f64) -> (f64, f64) {
+        let angle = self.frequency * s + self.phase;
+        (self.amplitude * angle.sin(), self.amplitude * self.frequency * angle.cos())
+    }
+}
+
 /// A scripted action at a given time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Act {
@@ -130,6 +149,8 @@ pub(crate) struct Mover {
     pub(crate) accel: f64,
     /// Offset from the track.
     pub(crate) shift: Shift,
+    /// `None` for drivers who keep their path exactly.
+    pub(crate) sway: Option<Sway>,
     pub(crate) profile: DriverProfile,
     /// Maximum speed beside the road's limit, m/s.
     pub(crate) speed_cap: f64,
@@ -162,7 +183,10 @@ impl Mover {
     /// Pose of the reference point.
     pub(crate) fn pose(&self) -> Pose {
         let base = self.track.pose_at(self.s);
-        let (lateral, slope) = self.shift.at(self.s);
+        let (mut lateral, mut slope) = self.shift.at(self.s);
+        if let Some((aside, turned)) = self.sway.map(|sway| sway.at(self.s)) {
+            (lateral, slope) = (lateral + aside, slope + turned);
+        }
         let along = 1.0 - self.track.curvature_at(self.s) * lateral;
         let moved = base.translated(0.0, lateral);
         Pose::new(moved.x, moved.y, wrap_angle(base.heading + slope.atan2(along)))
@@ -246,6 +270,7 @@ impl Mover {
             speed,
             accel: 0.0,
             shift: Shift::constant(0.0),
+            sway: None,
             profile,
             speed_cap: f64::INFINITY,
             stop_s: None,
