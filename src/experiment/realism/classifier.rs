@@ -27,9 +27,9 @@ pub struct Accuracy {
     /// Ends of the 95 % interval of a bootstrap over recordings. The folds are fixed.
     pub low: f64,
     pub high: f64,
-    /// Share of the scenes of A that are told to be A.
+    /// Share of the scenes of A that are recognized.
     pub of_a: f64,
-    /// Share of the scenes of B that are told to be B.
+    /// Share of the scenes of B that are recognized.
     pub of_b: f64,
     /// True if a constant would do as well: the interval holds 0.5.
     pub chance: bool,

@@ -36,7 +36,7 @@ pub fn realism_figure(comparison: &SceneComparison, names: [&str; 2]) -> String 
             continue;
         }
         let scale = Scale::of(ends(), [LEFT, RIGHT]);
-        let decimals = if high.abs().max(low.abs()) >= 20.0 { 0 } else { 1 };
+        let decimals = usize::from(high.abs().max(low.abs()) < 20.0);
         picture.text([LEFT - 8.0, y + 4.0], Anchor::End, "faint", &fixed(scale.low(), decimals.max(scale.decimals())));
         picture.text(
             [RIGHT + 8.0, y + 4.0],
