@@ -30,6 +30,8 @@ fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts
     let compact = text::write(&description, TextForm::Compact);
     assert_eq!(compact.split_whitespace().count(), COMPACT_WORDS);
     assert_eq!(parse(&compact, TextForm::Compact), Ok(description.reduced()), "{place}: {compact}");
+    let second = text::write(&description, TextForm::Compact2);
+    assert_eq!(parse(&second, TextForm::Compact2), Ok(description.reduced_with_estimate()), "{place}: {second}");
     for agent in &graph.agents {
         assert!(paper.contains(&agent.name.to_string()), "{place}: {} is missing in {paper}", agent.name);
     }

@@ -3,7 +3,7 @@
 use super::code::{FUNCTION, NO_LEAD_AGENT, Names, PlannerCode};
 use super::instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason};
 use super::prompt_set::{InstructionForm, UnderstandingForm};
-use crate::environment::facts::{Light, Question, SideLane};
+use crate::environment::facts::{Light, SideLane};
 use crate::mllm::Constraint;
 use std::ops::RangeInclusive;
 
@@ -33,8 +33,8 @@ pub(super) fn text(text: impl AsRef<str>) -> Constraint {
 pub(super) fn understanding(form: UnderstandingForm) -> Constraint {
     match form {
         UnderstandingForm::Free => Constraint::Free,
-        UnderstandingForm::Choices => {
-            let answers = Question::ALL.iter().enumerate().flat_map(|(i, question)| {
+        UnderstandingForm::Choices | UnderstandingForm::Choices2 => {
+            let answers = form.questions().iter().enumerate().flat_map(|(i, question)| {
                 let space = if i == 0 { "" } else { " " };
                 [text(format!("{space}{}=", question.as_str())), any_of(question.choices())]
             });

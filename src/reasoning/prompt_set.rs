@@ -4,6 +4,7 @@ use super::error::PromptError;
 use super::prompt_source::{PromptFiles, PromptPlace};
 use super::round::Round;
 use super::templates::Templates;
+use crate::environment::facts::Question;
 use crate::environment::text::TextForm;
 use minijinja::Value;
 use serde::Deserialize;
@@ -26,8 +27,22 @@ pub enum UnderstandingForm {
     Free,
     /// Four words after fixed keys, and a short note, under a grammar.
     Short,
-    /// `key=value` for each question, under a grammar.
+    /// `key=value` for each question of the first version, under a grammar.
     Choices,
+    /// `key=value` for each question, under a grammar.
+    #[serde(rename = "choices-2")]
+    Choices2,
+}
+
+impl UnderstandingForm {
+    /// The questions that are answered by `key=value`.
+    pub fn questions(self) -> &'static [Question] {
+        match self {
+            Self::Free | Self::Short => &[],
+            Self::Choices => Question::first_version(),
+            Self::Choices2 => Question::ALL,
+        }
+    }
 }
 
 /// The form of answers in round 2.
@@ -169,7 +184,7 @@ mod tests {
 
     #[test]
     fn built_in_sets_compile() {
-        for name in ["paper", "brief", "compact"] {
+        for name in ["paper", "brief", "compact", "compact-2"] {
             let set = PromptSet::open(name).unwrap();
             assert_eq!((set.name(), set.is_built_in()), (name, true));
         }

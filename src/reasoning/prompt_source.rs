@@ -47,10 +47,11 @@ macro_rules! built_in {
     };
 }
 
-const BUILT_IN: [BuiltIn; 6] = [
+const BUILT_IN: [BuiltIn; 7] = [
     built_in!("paper": "set.toml", "system.jinja", "understanding.jinja", "instruction.jinja", "code.jinja", "feedback.jinja"),
     built_in!("brief": "set.toml", "system.jinja", "understanding.jinja", "instruction.jinja", "code.jinja", "feedback.jinja"),
     built_in!("compact": "set.toml", "system.jinja", "understanding.jinja", "instruction.jinja", "code.jinja", "feedback.jinja"),
+    built_in!("compact-2": "set.toml", "system.jinja", "understanding.jinja", "instruction.jinja", "code.jinja", "feedback.jinja"),
     built_in!("llm_assist_unc": "system.jinja", "question.jinja"),
     built_in!("llm_assist_par": "system.jinja", "question.jinja"),
     built_in!("ask": "system.jinja", "question.jinja"),

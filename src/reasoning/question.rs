@@ -3,7 +3,6 @@
 use super::error::PromptError;
 use super::prompt_set::PromptSet;
 use super::variables;
-use crate::environment::TextForm;
 
 /// The set of its templates.
 pub(super) const ASK: &str = "ask";
@@ -22,7 +21,7 @@ pub struct FreeQuestion<'a> {
 /// The system prompt and the prompt of a question, for a model that is asked with a prompt set.
 pub fn question_prompt(prompts: &PromptSet, question: &FreeQuestion<'_>) -> Result<(String, String), PromptError> {
     let templates = prompts.question_set(ASK)?;
-    let context = variables::ask(question, prompts.forms().scene_text == TextForm::Compact);
+    let context = variables::ask(question, prompts.forms().scene_text.is_for_small_models());
     Ok((templates.render("system", context.clone())?, templates.render("question", context)?))
 }
 

@@ -4,8 +4,9 @@
 use super::call_record::CallRecord;
 use crate::environment::TextForm;
 use crate::environment::facts::{
-    Ahead, CORRIDOR_MARGIN, EgoSpeed, ONCOMING_REACH, Question, SAME_SPEED, SIDE_GAP, STOPPED,
+    Ahead, CORRIDOR_MARGIN, EgoSpeed, ONCOMING_ASIDE, ONCOMING_REACH, Question, SAME_SPEED, SIDE_GAP, STOPPED,
 };
+use crate::environment::lane_graph::CROSSING_SECONDS;
 use crate::environment::text::MAX_NUMBER;
 use crate::planner::PlanningCall;
 use crate::reasoning::{
@@ -21,22 +22,23 @@ const LATERAL_KEY: &str = "lat=";
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct CompactParts {
     scene: bool,
-    understanding: bool,
+    /// The form of the answers to round 1.
+    understanding: Option<UnderstandingForm>,
     instruction: bool,
 }
 
 impl CompactParts {
     #[cfg(test)]
-    const ALL: Self = Self { scene: true, understanding: true, instruction: true };
+    const ALL: Self = Self { scene: true, understanding: Some(UnderstandingForm::Choices), instruction: true };
 
     /// Those of the planning calls of a simulation.
     pub(super) fn of(calls: &[PlanningCall]) -> Self {
         let forms = calls.iter().find_map(|call| call.forms);
         let asked = calls.iter().any(|call| call.attempts.iter().any(|attempt| attempt.rounds.len() > 1));
         Self {
-            scene: forms.is_some_and(|forms| forms.scene_text == TextForm::Compact)
+            scene: forms.is_some_and(|forms| forms.scene_text.is_for_small_models())
                 && calls.iter().any(|call| call.scene_text.is_some()),
-            understanding: asked && forms.is_some_and(|forms| forms.understanding == UnderstandingForm::Choices),
+            understanding: forms.map(|forms| forms.understanding).filter(|form| asked && !form.questions().is_empty()),
             instruction: asked && forms.is_some_and(|forms| forms.instruction == InstructionForm::Choices),
         }
     }
@@ -48,19 +50,27 @@ impl CompactParts {
             rounds.filter(move |one| one.round == round).map(|one| one.answer.as_str())
         };
         let is_choice = |answer: &str| Question::ALL.iter().any(|question| answer.starts_with(&format!("{question}=")));
+        let second = format!(" {}=", Question::CrossingVehicle);
+        let form = |answer: &str| match (is_choice(answer), answer.contains(&second)) {
+            (true, true) => Some(UnderstandingForm::Choices2),
+            (true, false) => Some(UnderstandingForm::Choices),
+            (false, _) => None,
+        };
         Self {
             scene: calls.iter().filter_map(|call| call.scene_text.as_deref()).any(TextForm::is_compact),
-            understanding: answers(Round::Understanding).any(is_choice),
+            understanding: answers(Round::Understanding).find_map(form),
             instruction: answers(Round::Instruction).any(|answer| answer.contains(LATERAL_KEY)),
         }
     }
 
     /// The tables of the key; none without compact texts.
     pub(super) fn tables(self) -> Vec<KeyTable> {
-        let understanding = || Question::ALL.iter().map(|&question| understanding(question)).collect();
+        let questions = self.understanding.map_or(&[][..], UnderstandingForm::questions);
+        let understanding = || questions.iter().map(|&question| understanding(question)).collect();
+        let estimates = self.understanding == Some(UnderstandingForm::Choices2);
         let tables = [
-            (self.scene, "scene text", scene()),
-            (self.understanding, "answers of `understanding`", understanding()),
+            (self.scene, "scene text", scene(estimates)),
+            (self.understanding.is_some(), "answers of `understanding`", understanding()),
             (self.instruction, "answers of `instruction`", instruction()),
             (self.scene, "prompts", prompts()),
         ];
@@ -96,8 +106,9 @@ fn row(words: &str, meaning: impl Into<String>) -> (String, String) {
 }
 
 /// Numbers and names as `environment::text` writes them.
-fn scene() -> Vec<(String, String)> {
-    vec![
+fn scene(estimates: bool) -> Vec<(String, String)> {
+    let estimate = estimates.then(|| row("`limit ~11`", "the map has no limit; an estimate by lanes and traffic"));
+    let mut rows = vec![
         row("`speed 7`", format!("speed of the ego, m/s; all numbers are whole and at most {MAX_NUMBER}")),
         row("`limit 11`", "speed limit, m/s; `-` where it is unknown"),
         row(
@@ -121,7 +132,9 @@ fn scene() -> Vec<(String, String)> {
         row("`front free - -`", "nobody is on that part"),
         row("`left none - -`", "there is no such lane"),
         row("`rest 0`", "number of agents on these parts that the text does not name"),
-    ]
+    ];
+    rows.extend(estimate);
+    rows
 }
 
 fn understanding(question: Question) -> (String, String) {
@@ -162,6 +175,13 @@ fn understanding(question: Question) -> (String, String) {
             EgoSpeed::MEDIUM
         ),
         Question::Turn => listed("where the route goes at the next intersection"),
+        Question::CrossingVehicle => format!("nearest vehicle or bicycle that moves across the path: {distance}"),
+        Question::OncomingVehicle => {
+            format!("nearest oncoming vehicle or bicycle within {ONCOMING_ASIDE} m beside the path: {distance}")
+        }
+        Question::PersonOnPath => {
+            format!("nearest pedestrian on the ego's path, or there within {CROSSING_SECONDS} s: {distance}")
+        }
     };
     (format!("`{question}=`"), meaning)
 }
@@ -266,8 +286,10 @@ mod tests {
         for scene in ["crossing", "narrow", "road"] {
             used.extend(words(&std::fs::read_to_string(golden.join(format!("{scene}.compact.txt"))).unwrap()));
         }
-        used.extend(Question::ALL.iter().flat_map(|question| question.choices()).flat_map(|choice| words(choice)));
-        used.extend(Question::ALL.iter().flat_map(|question| words(question.as_str())));
+        used.extend(
+            Question::first_version().iter().flat_map(|question| question.choices()).flat_map(|choice| words(choice)),
+        );
+        used.extend(Question::first_version().iter().flat_map(|question| words(question.as_str())));
         for texts in [Lateral::TEXTS, LateralReason::TEXTS, Longitudinal::TEXTS, LongitudinalReason::TEXTS] {
             used.extend(texts.iter().flat_map(|text| words(text)));
         }

@@ -8,17 +8,23 @@ use super::paper::status;
 /// Stands where there is nothing to say.
 const NOTHING: &str = "-";
 
-pub(super) fn parse(text: &str) -> Result<Description, Vec<TextError>> {
+/// With `estimates`, the second version.
+pub(super) fn parse(text: &str, estimates: bool) -> Result<Description, Vec<TextError>> {
     let mut reader = Reader::new(text);
-    let description = read(&mut reader).ok();
+    let description = read(&mut reader, estimates).ok();
     reader.finish(description)
 }
 
-fn read(reader: &mut Reader<'_>) -> Result<Description, Failed> {
+fn read(reader: &mut Reader<'_>, estimates: bool) -> Result<Description, Failed> {
     reader.expect(&["speed"])?;
     let speed = reader.number("the ego's speed")?;
     reader.expect(&["limit"])?;
-    let limit = if reader.accept(NOTHING) { None } else { Some(reader.number("the speed limit")?) };
+    let (mut limit, mut limit_estimate) = (None, None);
+    if estimates && reader.accept("~") {
+        limit_estimate = Some(reader.number("the estimated limit")?);
+    } else if !reader.accept(NOTHING) {
+        limit = Some(reader.number("the speed limit")?);
+    }
     reader.expect(&["light"])?;
     let light = if reader.accept("none") {
         reader.expect(&[NOTHING])?;
@@ -39,7 +45,7 @@ fn read(reader: &mut Reader<'_>) -> Result<Description, Failed> {
     }
     reader.expect(&["rest"])?;
     let rest = reader.number("the number of other agents")?;
-    Ok(Description { speed, limit, lights: [light, None, None], turn, nodes, rest })
+    Ok(Description { speed, limit, limit_estimate, lights: [light, None, None], turn, nodes, rest })
 }
 
 fn read_node(reader: &mut Reader<'_>) -> Result<Option<NodeDescription>, Failed> {

@@ -23,7 +23,7 @@ struct Word<'a> {
 }
 
 /// Marks that are tokens of their own; a slash belongs to its word (`m/s`).
-const MARKS: [char; 6] = [',', ';', ':', '.', '(', ')'];
+const MARKS: [char; 7] = [',', ';', ':', '.', '(', ')', '~'];
 
 fn words(text: &str) -> Vec<Word<'_>> {
     let mut words = vec![];

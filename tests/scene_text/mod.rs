@@ -19,6 +19,7 @@ pub(crate) fn parse(text: &str, set: TextForm) -> Result<Description, Vec<TextEr
     match set {
         TextForm::Paper => paper::parse(text),
         TextForm::Brief => paper::parse(text).map(|description| description.nearest()),
-        TextForm::Compact => compact::parse(text),
+        TextForm::Compact => compact::parse(text, false),
+        TextForm::Compact2 => compact::parse(text, true),
     }
 }

@@ -30,14 +30,18 @@ fn ego_line(reader: &mut Reader<'_>) -> Result<Description, Failed> {
     reader.expect(&["Ego", ":"])?;
     let speed = reader.number("the ego's speed")?;
     reader.expect(&["m/s", ",", "limit"])?;
-    let limit = if reader.accept("unknown") {
-        None
+    let (mut limit, mut limit_estimate) = (None, None);
+    if reader.accept("unknown") {
+        reader.expect(&[","])?;
+        if reader.accept("about") {
+            limit_estimate = Some(reader.number("the estimated limit")?);
+            reader.expect(&["m/s", ","])?;
+        }
     } else {
-        let limit = reader.number("the speed limit")?;
-        reader.expect(&["m/s"])?;
-        Some(limit)
-    };
-    reader.expect(&[",", "route"])?;
+        limit = Some(reader.number("the speed limit")?);
+        reader.expect(&["m/s", ","])?;
+    }
+    reader.expect(&["route"])?;
     let turn = reader.take("the turn of the route")?;
     reader.expect(&[",", "light"])?;
     let own = if reader.accept("none") { None } else { Some(light(reader)?) };
@@ -49,7 +53,7 @@ fn ego_line(reader: &mut Reader<'_>) -> Result<Description, Failed> {
         0
     };
     reader.expect(&["."])?;
-    Ok(Description { speed, limit, lights: [own, None, None], turn, nodes: Nodes::default(), rest })
+    Ok(Description { speed, limit, limit_estimate, lights: [own, None, None], turn, nodes: Nodes::default(), rest })
 }
 
 fn light(reader: &mut Reader<'_>) -> Result<LightDescription, Failed> {

@@ -7,7 +7,7 @@ use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
 use crate::environment::bev::{Palette, render};
 use crate::environment::text::write;
-use crate::environment::{BevView, Description, LaneGraph, TextForm};
+use crate::environment::{BevView, Description, LaneGraph};
 use crate::mllm::{Answer, Constraint, Deadline, FinishReason, Mllm, PromptPrefix, Request, TokenCounts};
 use crate::reasoning::{FreeQuestion, PromptSet, question_prompt};
 use crate::report::fixed;
@@ -58,7 +58,7 @@ pub(in crate::cli) fn run(flags: &AskArguments, config: &Config, printer: Printe
     if let Some(file) = &flags.image {
         file.save(&image)?;
     }
-    if prompts.forms().scene_text == TextForm::Compact {
+    if prompts.forms().scene_text.is_for_small_models() {
         let name = model.name();
         printer.note(format!(
             "{name} was trained on the prompts of its own set alone: expect no sensible answer to a free question"

@@ -29,10 +29,24 @@ choice! {
         EgoSpeed = "ego_speed",
         /// Turn of the route.
         Turn = "turn",
+        /// Vehicle that crosses the path.
+        CrossingVehicle = "crossing_vehicle",
+        /// Vehicle in the lanes of the other direction.
+        OncomingVehicle = "oncoming_vehicle",
+        /// Pedestrian on the path, or about to be.
+        PersonOnPath = "person_on_path",
     }
 }
 
 impl Question {
+    /// Number of questions of the first version, which come first: nano answers these.
+    const FIRST: usize = 15;
+
+    /// The questions of the first version.
+    pub fn first_version() -> &'static [Self] {
+        &Self::ALL[..Self::FIRST]
+    }
+
     /// The texts of the possible answers.
     pub const fn choices(self) -> &'static [&'static str] {
         match self {
@@ -40,7 +54,13 @@ impl Question {
             Self::Light => Light::TEXTS,
             Self::LaneCount => LaneCount::TEXTS,
             Self::LaneIndex => LaneIndex::TEXTS,
-            Self::Crosswalk | Self::LeadDistance | Self::Pedestrian | Self::Blocked => Ahead::TEXTS,
+            Self::Crosswalk
+            | Self::LeadDistance
+            | Self::Pedestrian
+            | Self::Blocked
+            | Self::CrossingVehicle
+            | Self::OncomingVehicle
+            | Self::PersonOnPath => Ahead::TEXTS,
             Self::LeadSpeed => LeadSpeed::TEXTS,
             Self::LeftLane | Self::RightLane => SideLane::TEXTS,
             Self::VehicleCount => VehicleCount::TEXTS,

@@ -15,7 +15,7 @@ pub use answers::{
 };
 pub use road::{CURVE, ONCOMING_REACH};
 pub use roundabout::{ROUNDABOUT_LENGTH, ROUNDNESS};
-pub use traffic::{CORRIDOR_MARGIN, SAME_SPEED, SIDE_GAP, STOPPED};
+pub use traffic::{CORRIDOR_MARGIN, ONCOMING_ASIDE, SAME_SPEED, SIDE_GAP, STOPPED};
 
 use super::bev::BevView;
 use super::lane_graph::{LaneGraph, Turn};
@@ -57,6 +57,12 @@ pub struct SceneFacts {
     pub ego_speed: EgoSpeed,
     /// Turn of the route at the next intersection, as in the scene text.
     pub turn: Turn,
+    /// The nearest vehicle or bicycle that moves across the path, on it or toward it.
+    pub crossing_vehicle: Ahead,
+    /// The nearest vehicle or bicycle that moves against the path within [`ONCOMING_ASIDE`] of it.
+    pub oncoming_vehicle: Ahead,
+    /// The nearest pedestrian who is on the strip that the ego sweeps, or will be within two seconds.
+    pub person_on_path: Ahead,
 }
 
 impl SceneFacts {
@@ -87,6 +93,9 @@ impl SceneFacts {
             oncoming: road::oncoming(scene, graph),
             ego_speed: EgoSpeed::of(scene.ego.speed()),
             turn: graph.ego_lane().turn,
+            crossing_vehicle: traffic.crossing_vehicle,
+            oncoming_vehicle: traffic.oncoming_vehicle,
+            person_on_path: traffic.person_on_path,
         }
     }
 
@@ -108,6 +117,9 @@ impl SceneFacts {
             Question::Oncoming => self.oncoming.as_str(),
             Question::EgoSpeed => self.ego_speed.as_str(),
             Question::Turn => self.turn.as_str(),
+            Question::CrossingVehicle => self.crossing_vehicle.as_str(),
+            Question::OncomingVehicle => self.oncoming_vehicle.as_str(),
+            Question::PersonOnPath => self.person_on_path.as_str(),
         }
     }
 }

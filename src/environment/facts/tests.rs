@@ -134,6 +134,19 @@ fn what_stands_in_the_way_blocks() {
 }
 
 #[test]
+fn vehicles_across_and_against_and_persons_on_the_path_are_told() {
+    // From the right toward the path, and away from it.
+    let crossing = |left: f64, speed: f64| facts(&road().put(Vehicle, 18.0, left, FRAC_PI_2, speed)).crossing_vehicle;
+    assert_eq!((crossing(-8.0, 5.0), crossing(8.0, 5.0), crossing(-8.0, 0.0)), (Ahead::Mid, Ahead::None, Ahead::None));
+    assert_eq!(crossing(0.0, 5.0), Ahead::Mid, "on the path");
+    let oncoming = |left: f64, heading: f64| facts(&road().put(Vehicle, 13.0, left, heading, 5.0)).oncoming_vehicle;
+    assert_eq!((oncoming(6.5, PI), oncoming(6.5, 0.0), oncoming(12.0, PI)), (Ahead::Near, Ahead::None, Ahead::None));
+    // Two meters beside the strip: standing, and walking onto it.
+    let person = |speed: f64| facts(&road().put(Pedestrian, 20.0, -3.0, FRAC_PI_2, speed)).person_on_path;
+    assert_eq!((person(0.0), person(1.5)), (Ahead::None, Ahead::Mid));
+}
+
+#[test]
 fn side_lanes_are_free_or_occupied() {
     use SideLane::{Free, None, Occupied};
     let sides = |drawn: Drawn| (facts(&drawn).left_lane, facts(&drawn).right_lane);

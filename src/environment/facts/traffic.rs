@@ -2,6 +2,7 @@
 
 use super::{Ahead, LeadSpeed, SideLane, VehicleCount, View};
 use crate::environment::lane_graph::{CenterlineName, Heading, LaneGraph, LaneRelation, Window};
+use crate::geometry::Pose;
 use crate::world::{ObjectKind, PACIFICA, SceneView, TrackedObject};
 
 /// Slower is stopped, m/s.
@@ -12,6 +13,8 @@ pub const SAME_SPEED: f64 = 1.0;
 pub const CORRIDOR_MARGIN: f64 = 2.0;
 /// A lane beside is occupied by an object nearer than this to the ego's bumpers, meters.
 pub const SIDE_GAP: f64 = 8.0;
+/// An oncoming vehicle farther beside the path than this does not count, meters: two lanes.
+pub const ONCOMING_ASIDE: f64 = 7.0;
 /// Centers are searched this far beyond the last distance that counts, meters: half a long vehicle.
 const LONG_VEHICLE: f64 = 12.0;
 
@@ -23,6 +26,9 @@ pub(super) struct Traffic {
     pub(super) left_lane: SideLane,
     pub(super) right_lane: SideLane,
     pub(super) vehicle_count: VehicleCount,
+    pub(super) crossing_vehicle: Ahead,
+    pub(super) oncoming_vehicle: Ahead,
+    pub(super) person_on_path: Ahead,
 }
 
 pub(super) fn seen(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> Traffic {
@@ -50,6 +56,15 @@ pub(super) fn seen(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> Traf
         let stands = !object.kind.is_agent() || (object.kind == ObjectKind::Vehicle && object.speed() < STOPPED);
         stands && relation.blocks_path
     });
+    let drives = |object: &TrackedObject| matches!(object.kind, ObjectKind::Vehicle | ObjectKind::Bicycle);
+    let crossing = nearest(&|object, relation| {
+        let approaches = || window.as_ref().is_some_and(|window| approaches(window, object, relation));
+        drives(object) && relation.heading == Heading::Crossing && (relation.blocks_path || approaches())
+    });
+    let oncoming = nearest(&|object, relation| {
+        drives(object) && relation.heading == Heading::Oncoming && relation.lateral.abs() <= ONCOMING_ASIDE
+    });
+    let person = nearest(&|object, relation| object.kind == ObjectKind::Pedestrian && relation.blocks_path);
     let vehicles = scene.objects.iter().filter(|object| object.kind == ObjectKind::Vehicle);
     let side_lane = |name| side_lane(graph, name, &objects);
     Traffic {
@@ -60,7 +75,22 @@ pub(super) fn seen(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> Traf
         left_lane: side_lane(CenterlineName::LeftLane),
         right_lane: side_lane(CenterlineName::RightLane),
         vehicle_count: VehicleCount::of(vehicles.filter(|v| view.holds(v.shape.center.position())).count()),
+        crossing_vehicle: Ahead::of(crossing.map(|relation| relation.gap)),
+        oncoming_vehicle: Ahead::of(oncoming.map(|relation| relation.gap)),
+        person_on_path: Ahead::of(person.map(|relation| relation.gap)),
     }
+}
+
+/// Whether an object comes nearer to the line, or passes over it, in the next instant.
+fn approaches(window: &Window, object: &TrackedObject, relation: &LaneRelation) -> bool {
+    /// Seconds.
+    const SOON: f64 = 0.2;
+    let center = object.shape.center;
+    let moved = Pose::at(center.position() + object.velocity * SOON, center.heading);
+    let later = window.project(&TrackedObject { shape: object.shape.moved_to(moved), ..*object });
+    later.is_some_and(|later| {
+        later.lateral.abs() < relation.lateral.abs() || later.lateral.signum() != relation.lateral.signum()
+    })
 }
 
 fn side_lane(graph: &LaneGraph, name: CenterlineName, objects: &[&TrackedObject]) -> SideLane {

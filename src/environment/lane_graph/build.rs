@@ -35,7 +35,9 @@ pub(super) fn build(scene: &SceneView<'_>, node_length: f64) -> Result<LaneGraph
     for (place, centerline) in centerlines.iter_mut().enumerate() {
         centerline.lead_agent = lead_agent(&on_nodes, &agents, place);
     }
-    Ok(LaneGraph { node_length, ego_speed: scene.ego.speed(), nodes, centerlines, agents })
+    let ego_speed = scene.ego.speed();
+    let limit_estimate = super::limit::estimate(scene.map, &centerlines[0], ego_speed, &agents);
+    Ok(LaneGraph { node_length, ego_speed, nodes, centerlines, agents, limit_estimate })
 }
 
 /// The best-fitting lane of the route under the ego, else the best-fitting lane of the map.

@@ -21,6 +21,7 @@ mod agent;
 mod build;
 mod centerline;
 mod lane_relation;
+mod limit;
 
 pub use agent::{AgentClass, AgentName, GraphAgent, Heading, UnknownAgent};
 pub use centerline::{Centerline, CenterlineName, LIGHT_REACH, LightAhead, Turn};
@@ -133,6 +134,8 @@ pub struct LaneGraph {
     /// The agents on the nodes by centerline; on each those ahead, nearest first, then those behind, nearest first.
     /// Names are numbered in this order.
     pub agents: Vec<GraphAgent>,
+    /// What the speed limit may be where the map has none, m/s.
+    pub limit_estimate: f64,
 }
 
 impl LaneGraph {

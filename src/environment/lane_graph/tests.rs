@@ -14,6 +14,16 @@ fn places(graph: &LaneGraph) -> Vec<&'static str> {
 }
 
 #[test]
+fn an_unknown_limit_is_estimated_by_lanes_and_traffic() {
+    let estimate = |drawn: Drawn| format!("{:.1}", graph(&drawn).limit_estimate);
+    let road = |lanes, speed| sketch::straight(lanes, 1, 0, speed);
+    assert_eq!([estimate(road(1, 5.0)), estimate(road(2, 5.0)), estimate(road(4, 5.0))], ["11.2", "13.4", "15.6"]);
+    assert_eq!(estimate(road(1, 17.0)), "15.6", "the ego is faster");
+    assert_eq!(estimate(road(1, 5.0).put(Vehicle, 15.0, 0.0, 0.0, 18.0)), "17.9");
+    assert_eq!(estimate(road(1, 5.0).put(Vehicle, 15.0, 3.5, PI, 18.0)), "11.2", "the other direction");
+}
+
+#[test]
 fn a_three_lane_road_has_nine_nodes_of_one_length() {
     let graph = graph(&sketch::straight(3, 2, 1, 9.0));
     assert_eq!(places(&graph), NodePlace::TEXTS);

@@ -8,9 +8,24 @@ const NOTHING: &str = "-";
 /// First word of a text.
 pub(super) const SPEED: &str = "speed";
 
+/// Before a limit that the map does not know.
+const ABOUT: &str = "~";
+
 pub(super) fn write(description: &Description) -> String {
-    let reduced = description.reduced();
-    let limit = reduced.limit.map_or_else(|| NOTHING.to_owned(), |limit| limit.to_string());
+    write_reduced(&description.reduced())
+}
+
+/// The same with `~11` for a limit that is unknown and may be 11 m/s.
+pub(super) fn write_with_estimate(description: &Description) -> String {
+    write_reduced(&description.reduced_with_estimate())
+}
+
+fn write_reduced(reduced: &Description) -> String {
+    let limit = match (reduced.limit, reduced.limit_estimate) {
+        (Some(limit), _) => limit.to_string(),
+        (None, Some(estimate)) => format!("{ABOUT}{estimate}"),
+        (None, None) => NOTHING.to_owned(),
+    };
     let light = reduced.lights[0]
         .map_or_else(|| format!("none {NOTHING}"), |light| format!("{} {}", light.status, light.distance));
     let nodes = NodePlace::ALL.iter().map(|&place| format!("{place} {}", node(reduced.node(place))));

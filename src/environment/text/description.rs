@@ -44,6 +44,8 @@ pub struct Description {
     pub speed: u8,
     /// Speed limit, whole m/s.
     pub limit: Option<u8>,
+    /// What the limit may be where it is unknown, whole m/s.
+    pub limit_estimate: Option<u8>,
     /// The next light on the way of each lane, in order of [`CenterlineName::ALL`]; none on a lane without nodes.
     pub lights: [Option<LightDescription>; 3],
     /// Which way the route goes at the next intersection.
@@ -71,6 +73,7 @@ impl Description {
         Self {
             speed: whole(graph.ego_speed),
             limit: ego_lane.speed_limit.map(whole),
+            limit_estimate: ego_lane.speed_limit.is_none().then(|| whole(graph.limit_estimate)),
             lights,
             turn: ego_lane.turn,
             nodes,
@@ -102,6 +105,11 @@ impl Description {
     /// What the compact text says: the nearest agents, without the speed of one that does not move along the lane; without
     /// what lies apart and without the lights of the lanes beside.
     pub fn reduced(&self) -> Self {
+        Self { limit_estimate: None, ..self.reduced_with_estimate() }
+    }
+
+    /// What the second compact text says: the same, and what an unknown limit may be.
+    pub fn reduced_with_estimate(&self) -> Self {
         let nearest = self.nearest();
         let nodes = nearest.nodes.map(|node| {
             let agents = node?.agents.into_iter().map(|agent| match agent.heading {

@@ -14,7 +14,7 @@
 //! right_lane: none.
 //! ```
 //!
-//! `free`: nobody on the node; `none`: no such node; `(apart)` before what is on it: its lane goes another way there;
+//! `limit unknown, about 13 m/s`: the map has none; the number is an estimate by lanes and traffic. `free`: nobody on the node; `none`: no such node; `(apart)` before what is on it: its lane goes another way there;
 //! `crossing` or `oncoming` after a speed: the agent moves across or against the lane.
 //!
 //! **Brief set**: the same lines with the nearest agent of each node ([`Description::nearest`]); `2 more` after the light
@@ -23,7 +23,7 @@
 //! **Compact set**, one line of 47 words, whatever the scene: ego speed, limit (`-` if unknown), light and
 //! distance to its stop line (`none -`), turn of the route; for each of the nine nodes its name and the nearest agent on it,
 //! its distance, its speed (`crossing` or `oncoming` instead when it moves so), or `free - -`, or `none - -`; the number of
-//! agents left out. So at most the nearest on the ego's node and the nearest on the one ahead are named in the ego's lane.
+//! agents left out. The second version writes `~11` where the limit is unknown and may be 11 m/s. So at most the nearest on the ego's node and the nearest on the one ahead are named in the ego's lane.
 
 mod compact;
 mod description;
@@ -42,10 +42,17 @@ choice! {
         Brief = "brief",
         /// Few words at fixed places, for a small model of our own.
         Compact = "compact",
+        /// The same with an estimate of an unknown limit, for the next training.
+        Compact2 = "compact-2",
     }
 }
 
 impl TextForm {
+    /// Whether it is one of the forms for small models.
+    pub fn is_for_small_models(self) -> bool {
+        matches!(self, Self::Compact | Self::Compact2)
+    }
+
     /// Whether a text is a compact one: only these begin with the word `speed` and its number.
     pub fn is_compact(text: &str) -> bool {
         let mut words = text.split(' ');
@@ -59,6 +66,7 @@ pub fn write(description: &Description, set: TextForm) -> String {
         TextForm::Paper => paper::write(description),
         TextForm::Brief => paper::write(&description.nearest()),
         TextForm::Compact => compact::write(description),
+        TextForm::Compact2 => compact::write_with_estimate(description),
     }
 }
 

@@ -4,7 +4,11 @@ use super::description::{AgentDescription, Description, LightDescription, NodeDe
 use crate::environment::lane_graph::{CenterlineName, Heading, NodePlace};
 
 pub(super) fn write(description: &Description) -> String {
-    let limit = description.limit.map_or_else(|| "limit unknown".to_owned(), |limit| format!("limit {limit} m/s"));
+    let limit = match (description.limit, description.limit_estimate) {
+        (Some(limit), _) => format!("limit {limit} m/s"),
+        (None, Some(estimate)) => format!("limit unknown, about {estimate} m/s"),
+        (None, None) => "limit unknown".to_owned(),
+    };
     let light = description.light(CenterlineName::EgoLane).map_or_else(|| "light none".to_owned(), light_words);
     let rest = if description.rest > 0 { format!(", {} more", description.rest) } else { String::new() };
     let ego = format!("Ego: {} m/s, {limit}, route {}, {light}{rest}.", description.speed, description.turn);

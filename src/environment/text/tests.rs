@@ -136,9 +136,15 @@ fn description() -> impl Strategy<Value = Description> {
     let lights = prop::array::uniform3(prop::option::of(light));
     let nodes = (node(), prop::collection::vec(prop::option::of(node()), 8));
     let turn = prop::sample::select(Turn::ALL);
-    (number.clone(), prop::option::of(number.clone()), lights, turn, nodes, number).prop_map(
+    let limit = prop_oneof![
+        number.clone().prop_map(|limit| (Some(limit), None)),
+        prop::option::of(number.clone()).prop_map(|estimate| (None, estimate)),
+    ];
+    (number.clone(), limit, lights, turn, nodes, number).prop_map(
         |(speed, limit, mut lights, turn, (ego, others), rest)| {
             let mut nodes: [Option<NodeDescription>; 9] = std::array::from_fn(|_| None);
+            // An estimate stands where there is no limit.
+            let (limit, limit_estimate) = limit;
             nodes[0] = Some(ego);
             nodes[1..].clone_from_slice(&others);
             for (light, &centerline) in lights.iter_mut().zip(CenterlineName::ALL) {
@@ -146,7 +152,7 @@ fn description() -> impl Strategy<Value = Description> {
                     *light = None;
                 }
             }
-            Description { speed, limit, lights, turn, nodes, rest }
+            Description { speed, limit, limit_estimate, lights, turn, nodes, rest }
         },
     )
 }
@@ -174,6 +180,19 @@ proptest! {
         let back = parse(&text, TextForm::Compact);
         prop_assert_eq!(back.as_ref(), Ok(&description.reduced()));
         prop_assert_eq!(write(&back.unwrap(), TextForm::Compact), text);
+    }
+
+    #[test]
+    fn the_second_compact_text_adds_the_estimate(description in description()) {
+        let (first, second) = (write(&description, TextForm::Compact), write(&description, TextForm::Compact2));
+        prop_assert_eq!(second.split_whitespace().count(), COMPACT_WORDS);
+        let back = parse(&second, TextForm::Compact2);
+        prop_assert_eq!(back, Ok(description.reduced_with_estimate()));
+        if description.limit_estimate.is_none() {
+            prop_assert_eq!(first, second);
+        } else {
+            prop_assert!(first.contains(" limit - ") && second.contains(" limit ~"));
+        }
     }
 
     #[test]

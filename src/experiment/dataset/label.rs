@@ -3,7 +3,7 @@
 use super::label_weights::DecisionWeights;
 use super::search::{Candidate, NEAR_LIMIT};
 use crate::environment::facts::{Ahead, Light, Question};
-use crate::environment::text::{self, Description};
+use crate::environment::text::{self, Description, TextForm};
 use crate::environment::{CenterlineName, LaneGraph, SceneFacts};
 use crate::reasoning::{
     Lateral, LateralReason, Longitudinal, LongitudinalReason, Names, PromptError, PromptSet, Round, round_prompt,
@@ -101,7 +101,9 @@ pub(super) fn label(
     feedback: Option<&str>,
 ) -> Result<LabeledState, PromptError> {
     let scene_text = text::write(&Description::of(graph), prompts.forms().scene_text);
-    let instruction = instruction(graph, facts, best);
+    let instruction = instruction(graph, facts, best, limit(graph, prompts));
+    let asked = prompts.forms().understanding.questions();
+    let questions = if asked.is_empty() { Question::first_version() } else { asked };
     let names = Names::of(graph);
     let mut conversation =
         vec![Message { role: "system", content: system_prompt(prompts, "")?, learn: vec![], weights: vec![] }];
@@ -112,22 +114,22 @@ pub(super) fn label(
         let content = if first { format!("<image>\n{prompt}") } else { prompt };
         conversation.push(Message { role: "user", content, learn: vec![], weights: vec![] });
         conversation.push(match round {
-            Round::Understanding => understanding_answer(facts),
+            Round::Understanding => understanding_answer(facts, questions),
             Round::Instruction => instruction_answer(instruction, weights),
             Round::Code => code_answer(best, weights),
         });
     }
     let mut answers: BTreeMap<String, String> =
-        Question::ALL.iter().map(|&q| (q.to_string(), facts.answer(q).to_owned())).collect();
+        questions.iter().map(|&q| (q.to_string(), facts.answer(q).to_owned())).collect();
     answers.insert("lateral".to_owned(), instruction.lateral.to_string());
     answers.insert("longitudinal".to_owned(), instruction.longitudinal.to_string());
     answers.insert("code".to_owned(), best.code.to_string());
     Ok(LabeledState { state, image: 0, conversation, facts: answers, score: best.score })
 }
 
-fn understanding_answer(facts: &SceneFacts) -> Message {
+fn understanding_answer(facts: &SceneFacts, questions: &[Question]) -> Message {
     let mut answer = Answer::default();
-    for (i, &question) in Question::ALL.iter().enumerate() {
+    for (i, &question) in questions.iter().enumerate() {
         let space = if i == 0 { "" } else { " " };
         answer = answer.fixed(&format!("{space}{question}=")).chosen(facts.answer(question));
     }
@@ -165,7 +167,13 @@ fn code_answer(best: &Candidate, weights: DecisionWeights) -> Message {
         .message()
 }
 
-fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate) -> Instruction {
+/// The limit that the text of a prompt set gives, m/s: the map's, or its estimate.
+fn limit(graph: &LaneGraph, prompts: &PromptSet) -> f64 {
+    let unknown = if prompts.forms().scene_text == TextForm::Compact { f64::INFINITY } else { graph.limit_estimate };
+    graph.ego_lane().speed_limit.unwrap_or(unknown)
+}
+
+fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f64) -> Instruction {
     let lateral = match best.code.centerline {
         CenterlineName::EgoLane => Lateral::Keep,
         CenterlineName::LeftLane => Lateral::ChangeLeft,
@@ -185,12 +193,11 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate) -> Instr
     } else {
         Longitudinal::Maintain
     };
-    Instruction { lateral, why_lateral, longitudinal, why_longitudinal: why_longitudinal(graph, facts, best, lateral) }
+    Instruction { lateral, why_lateral, longitudinal, why_longitudinal: why_longitudinal(facts, best, lateral, limit) }
 }
 
 /// The visible reason that limits the speed most.
-fn why_longitudinal(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, lateral: Lateral) -> LongitudinalReason {
-    let limit = graph.ego_lane().speed_limit.unwrap_or(f64::INFINITY);
+fn why_longitudinal(facts: &SceneFacts, best: &Candidate, lateral: Lateral, limit: f64) -> LongitudinalReason {
     if best.speed_later > NEAR_LIMIT * limit {
         return LongitudinalReason::SpeedLimit;
     }

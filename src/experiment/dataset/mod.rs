@@ -14,7 +14,7 @@ pub use label::LabeledState;
 pub use shard::{FORMAT, Meta, ShardError};
 
 use super::run::AgentParts;
-use crate::environment::{BevError, BevView, LaneGraph, SceneFacts, bev};
+use crate::environment::{BevError, BevView, LaneGraph, SceneFacts, TextForm, bev};
 use crate::pdm::PdmMemory;
 use crate::planner::{AgentLayer, Attempt, Planner, PlannerInput};
 use crate::reasoning::{Feedback, PromptError, PromptSet, feedback_text};
@@ -108,7 +108,14 @@ impl Split {
         if first.saturating_add(SCENARIOS_PER_SHARD) > end {
             return Err(DatasetError::NoScenarioLeft { split: self.as_str(), seed: settings.seed });
         }
-        Ok((first..first + SCENARIOS_PER_SHARD).map(|seed| Spec::new(MIX[seed as usize % MIX.len()], seed)).collect())
+        let has_wide = settings.prompts.forms().scene_text == TextForm::Compact2;
+        let spec = |seed: u64| {
+            let (round, kind) = (seed as usize / MIX.len(), seed as usize % MIX.len());
+            let spec = Spec::new(MIX[kind], seed);
+            // Limits are unknown in wide scenarios alone, and the second compact text says what they may be.
+            if has_wide && round % 2 == 1 { spec.widened() } else { spec }
+        };
+        Ok((first..first + SCENARIOS_PER_SHARD).map(spec).collect())
     }
 }
 

@@ -112,7 +112,7 @@ impl LlmAssist {
     fn question(&self, scene: &SceneView<'_>, graph: &LaneGraph, rules: &PdmPlan) -> AssistQuestion {
         let scene_text = match self.prompts.forms().scene_text {
             TextForm::Paper | TextForm::Brief => llm_assist_text(scene, graph),
-            TextForm::Compact => text::write(&Description::of(graph), TextForm::Compact),
+            form @ (TextForm::Compact | TextForm::Compact2) => text::write(&Description::of(graph), form),
         };
         let speed_limit = Names::of(graph).speed_limit;
         AssistQuestion { scene_text, score: rules.scores[rules.best].total, speed_limit }

@@ -2,7 +2,6 @@
 
 use super::AssistVariant;
 use super::answer::signature;
-use crate::environment::TextForm;
 use crate::reasoning::error::PromptError;
 use crate::reasoning::prompt_set::PromptSet;
 use crate::reasoning::templates::Templates;
@@ -23,7 +22,7 @@ impl<'a> AssistPrompts<'a> {
             AssistVariant::Unconstrained => "llm_assist_unc",
             AssistVariant::Parameters => "llm_assist_par",
         })?;
-        Ok(Self { templates, variant, compact: prompts.forms().scene_text == TextForm::Compact })
+        Ok(Self { templates, variant, compact: prompts.forms().scene_text.is_for_small_models() })
     }
 
     pub(super) fn system(&self) -> Result<String, PromptError> {
