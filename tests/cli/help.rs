@@ -3,7 +3,7 @@
 use super::{planagent, run};
 
 /// Every command with its own help.
-pub(super) const COMMANDS: [&str; 26] = [
+pub(super) const COMMANDS: [&str; 27] = [
     "",
     "simulate",
     "plan",

@@ -146,9 +146,9 @@ mod tests {
         let mut random = Pcg64Mcg::seed_from_u64(7);
         let mut even = || f64::from(random.next_u32()) / f64::from(u32::MAX) * 12f64.sqrt();
         let sample = |place: usize| {
-            let is_a = place % 3 == 0;
+            let is_a = place.is_multiple_of(3);
             let first = even() + if is_a { shift } else { 0.0 };
-            let values = vec![Some(first), Some(even()), (place % 4 > 0).then(&mut even)];
+            let values = vec![Some(first), Some(even()), (!place.is_multiple_of(4)).then(&mut even)];
             Sample { group: place.to_string(), values, is_a }
         };
         (0..count).map(sample).collect()
