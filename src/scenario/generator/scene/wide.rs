@@ -14,6 +14,8 @@ use std::f64::consts::PI;
 pub(super) const MAX_MOVERS: usize = 60;
 /// Most objects that stand for the whole scenario.
 pub(super) const MAX_PARKED: usize = 90;
+/// Minimum distance between two vertices of a centerline, but for the last ones, meters.
+const MIN_SPACING: f64 = 0.47;
 /// Share of roads with a parking strip.
 const PARKING: f64 = 0.5;
 /// How much wider a lane is than the narrowest one, at most, meters.
@@ -79,13 +81,13 @@ pub(super) fn sideways(rng: &mut SeededRng, kind: VehicleKind, width: f64, lane_
 
 /// The map as a recording would have it: even vertices, and limits that are mostly unknown.
 pub(crate) fn as_recorded(map: &LaneMap, rng: &mut SeededRng) -> Result<LaneMap, MapError> {
-    let all = rng.unit();
+    let (all, spacing) = (rng.unit(), rng.uniform(MIN_SPACING, BASELINE_SPACING));
     let mut parts = map.parts().clone();
     for lane in &mut parts.lanes {
-        let unknown = all < 0.8 || (all > 0.92 && rng.bool(0.5));
+        let unknown = all < 0.85 || (all > 0.94 && rng.bool(0.5));
         lane.speed_limit = lane.speed_limit.filter(|_| !unknown);
         let before = lane.centerline.length();
-        lane.centerline = lane.centerline.resampled(BASELINE_SPACING);
+        lane.centerline = lane.centerline.resampled(spacing);
         let whole = lane.centerline.length();
         for neighbor in lane.left.iter_mut().chain(&mut lane.right).filter(|neighbor| neighbor.to_s >= before) {
             neighbor.to_s = whole;
