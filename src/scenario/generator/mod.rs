@@ -81,8 +81,8 @@ const TRAFFIC: u64 = 1;
 
 /// Added to the seed of a type for draws from wider ranges.
 const WIDE: u64 = 1_000_000;
-/// Purpose of the random numbers that say what a wide map leaves out.
-const MAP: u64 = 2;
+/// Added to the seed of a type for what a wide map leaves out.
+const MAP: u64 = 2 * WIDE;
 
 fn rng_of(spec: &Spec, seed: u64, draw: u64) -> SeededRng {
     let purpose = spec.scenario_type.definition().seed + draw + if spec.wide { WIDE } else { 0 };
@@ -125,7 +125,8 @@ fn draw(spec: &Spec, rng: &mut SeededRng) -> Result<Scenario, Discard> {
     let goal = log.frames.last().map(|frame| frame.ego.center());
     // The traffic ran on the lines as they were drawn: their vertices must not move its last bits.
     let map = if spec.wide {
-        scene::wide::as_recorded(&roads.map, &mut SeededRng::new(spec.seed, MAP)).map_err(|_| Discard::Roads)?
+        let mut random = SeededRng::new(spec.seed, kind.seed + MAP);
+        scene::wide::as_recorded(&roads.map, &mut random).map_err(|_| Discard::Roads)?
     } else {
         (*roads.map).clone().with_dense_baselines()
     };

@@ -36,17 +36,27 @@ pub(super) fn run(arguments: &StatisticsArguments, printer: Printer) -> anyhow::
         printer.note(note);
     }
     let comparison = SceneComparison::of(a_scenes, b_scenes);
+    let names = [a, b].map(|words| shown(words));
+    let names = names.each_ref().map(String::as_str);
     if let Some(file) = figure {
-        std::fs::write(file, realism_figure(&comparison, [a, b]))
+        std::fs::write(file, realism_figure(&comparison, names))
             .with_context(|| format!("cannot write {}", file.display()))?;
         printer.note(format!("figure in {}", file.display()));
     }
-    printer.line(realism_table(&comparison, [a, b]));
+    printer.line(realism_table(&comparison, names));
     if printer.is_json() {
         let SceneComparison { features, classifier, scenes } = &comparison;
         printer.json(&json!({"a": a, "b": b, "features": features, "classifier": classifier, "scenes": scenes}))?;
     }
     Ok(Exit::Success)
+}
+
+/// The words of a set; of a long list the first one.
+fn shown(words: &str) -> String {
+    match words.split_once(',') {
+        Some((first, rest)) if rest.contains(',') => format!("{first} and {} more", rest.split(',').count()),
+        _ => words.to_owned(),
+    }
 }
 
 fn check_figure(file: &Path) -> anyhow::Result<()> {
