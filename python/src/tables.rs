@@ -195,6 +195,7 @@ pub(crate) fn scenario_of_tables(
         }
         let (id, scenario_type) = names;
         let opened = Opened {
+            interaction: None,
             log_name: id.clone(),
             id,
             scenario_type,
