@@ -12,6 +12,8 @@ def test_the_examples_of_the_page_run(capsys):
     pytest.importorskip("pandas")
     pytest.importorskip("gymnasium")
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
+    # The example with Ray needs a cluster and nuPlan's data; test_ray.py has others.
+    blocks = [block for block in blocks if "planagent.ray" not in block]
     assert len(blocks) >= 4
     names = {}
     for block in blocks:
