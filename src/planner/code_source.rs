@@ -64,30 +64,14 @@ impl HandedCode {
 impl CodeSource {
     /// Side of the image that the model takes, pixels; `None` if it takes none.
     pub(super) fn image_size(&self) -> Option<u32> {
-        match self {
-            Self::Model { model, .. } => model.describe().image_size,
-            Self::Random
-            | Self::RandomFour
-            | Self::Fixed
-            | Self::Grid
-            | Self::GridFour
-            | Self::Written(_)
-            | Self::Handed(_) => None,
-        }
+        let Self::Model { model, .. } = self else { return None };
+        model.describe().image_size
     }
 
     /// The prompts of a model.
     pub(super) fn prompts(&self) -> Option<&PromptSet> {
-        match self {
-            Self::Model { prompts, .. } => Some(prompts),
-            Self::Random
-            | Self::RandomFour
-            | Self::Fixed
-            | Self::Grid
-            | Self::GridFour
-            | Self::Written(_)
-            | Self::Handed(_) => None,
-        }
+        let Self::Model { prompts, .. } = self else { return None };
+        Some(prompts)
     }
 
     /// Whether all of its codes are tried out and the best one is taken.

@@ -7,6 +7,9 @@ use crate::world::{HISTORY_SAMPLES, MICROS_PER_SECOND, SceneView, Trajectory, Tr
 
 use super::past;
 
+/// Time between the poses of most networks, µs.
+pub(super) const HALF_SECOND_US: i64 = 500_000;
+
 /// Window and order of the filter that gives velocities and accelerations.
 const WINDOW: usize = 5;
 const ORDER: usize = 2;

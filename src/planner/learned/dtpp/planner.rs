@@ -7,13 +7,11 @@ use crate::planner::learned::gameformer::ActorFeatures;
 use crate::planner::learned::slot::{Slot, learned_entry};
 use crate::planner::learned::{network_failed, prediction};
 use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
-use crate::world::Trajectory;
+use crate::world::{STEP_US, Trajectory};
 use std::sync::Arc;
 
 /// Half side of the square of the map, meters.
 const RADIUS: f64 = 80.0;
-/// Time between the poses of the plan, µs.
-const STEP_US: i64 = 100_000;
 const NAME: &str = "dtpp";
 
 /// The planner `dtpp`.

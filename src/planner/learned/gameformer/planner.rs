@@ -10,15 +10,12 @@ use crate::planner::learned::lattice::ROW;
 use crate::planner::learned::slot::{Slot, learned_entry};
 use crate::planner::learned::{network_failed, prediction};
 use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
-use crate::world::Trajectory;
+use crate::world::{STEP_S, STEP_US, Trajectory};
 use candle_core::{IndexOp, Result};
 use std::sync::Arc;
 
 /// Half side of the square of the map, meters.
 const RADIUS: f64 = 60.0;
-/// Time between the poses of the plan, µs and seconds.
-const STEP_US: i64 = 100_000;
-const STEP_S: f64 = 0.1;
 /// Columns of the ego's speed and acceleration forward.
 const SPEED: usize = 3;
 const ACCELERATION: usize = 5;

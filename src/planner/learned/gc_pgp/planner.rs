@@ -15,8 +15,6 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use std::sync::Arc;
 
-/// Time between the poses of the plan, µs.
-const STEP_US: i64 = 500_000;
 /// Walks and latent samples of a plan.
 const SAMPLES: usize = 1000;
 /// Clusters of trajectories, and the poses that they are formed by: one in as many.
@@ -53,7 +51,7 @@ impl Planner for GcPgpPlanner {
         let plans =
             features.inputs().and_then(|inputs| self.network.plans(&features, &inputs)).map_err(network_failed)?;
         let best = plans.first().map(|(_, places)| places.as_slice()).unwrap_or_default();
-        prediction::trajectory(&poses(best, features.start_speed()), STEP_US, &input.scene)
+        prediction::trajectory(&poses(best, features.start_speed()), prediction::HALF_SECOND_US, &input.scene)
     }
 }
 

@@ -14,8 +14,6 @@ use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization,
 use crate::world::{Trajectory, TrajectoryError};
 use std::sync::Arc;
 
-/// Time between the poses of the correction, µs.
-const STEP_US: i64 = 500_000;
 /// Until then PDM-Closed's trajectory is executed as it is, µs from now.
 const UNCORRECTED_US: i64 = 2_000_000;
 const NAME: &str = "pdm-hybrid";
@@ -55,8 +53,11 @@ impl Planner for PdmHybrid {
         let sampled = sampled(&closed, scene.ego.rear_axle, scene.ego.time_us)?;
         let inputs = features.inputs_with(&sampled).map_err(network_failed)?;
         let corrected = self.network.forward(&inputs, &mut Probe::off()).map_err(network_failed)?;
-        let corrected =
-            prediction::trajectory(&prediction::poses(&corrected).map_err(network_failed)?, STEP_US, scene)?;
+        let corrected = prediction::trajectory(
+            &prediction::poses(&corrected).map_err(network_failed)?,
+            prediction::HALF_SECOND_US,
+            scene,
+        )?;
         Ok(fused(&closed, &corrected, scene.ego.time_us)?)
     }
 
@@ -71,7 +72,7 @@ impl Planner for PdmHybrid {
 /// When it is shorter than eight seconds.
 pub fn sampled(closed: &Trajectory, here: Pose, now_us: i64) -> Result<[[f32; 3]; POSES], TrajectoryError> {
     let mut poses = [[0.0; 3]; POSES];
-    for (time_us, pose) in (1..).map(|i| now_us + i * STEP_US).zip(&mut poses) {
+    for (time_us, pose) in (1..).map(|i| now_us + i * prediction::HALF_SECOND_US).zip(&mut poses) {
         *pose = relative(here, closed.at(time_us)?.rear_axle);
     }
     Ok(poses)

@@ -10,8 +10,6 @@ use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization,
 use crate::world::Trajectory;
 use std::sync::Arc;
 
-/// Time between the poses of the plan, µs.
-const STEP_US: i64 = 500_000;
 const NAME: &str = "pdm-open";
 
 /// The planner `pdm-open`.
@@ -45,6 +43,10 @@ impl Planner for PdmOpen {
             .map_err(|source| PlannerError::Failed { doing: "filtering the history", source: Box::new(source) })?;
         let inputs = features.inputs().map_err(network_failed)?;
         let plan = self.network.forward(&inputs, &mut Probe::off()).map_err(network_failed)?;
-        prediction::trajectory(&prediction::poses(&plan).map_err(network_failed)?, STEP_US, &input.scene)
+        prediction::trajectory(
+            &prediction::poses(&plan).map_err(network_failed)?,
+            prediction::HALF_SECOND_US,
+            &input.scene,
+        )
     }
 }

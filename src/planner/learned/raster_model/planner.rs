@@ -9,8 +9,6 @@ use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization,
 use crate::world::Trajectory;
 use std::sync::Arc;
 
-/// Time between the poses of the plan, µs.
-const STEP_US: i64 = 500_000;
 const NAME: &str = "raster-model";
 
 /// The planner `raster-model`.
@@ -37,6 +35,10 @@ impl Planner for RasterModelPlanner {
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let raster = Raster::of(&input.scene).inputs().map_err(network_failed)?;
         let plan = self.network.forward(&raster, &mut Probe::off()).map_err(network_failed)?;
-        prediction::trajectory(&prediction::poses(&plan).map_err(network_failed)?, STEP_US, &input.scene)
+        prediction::trajectory(
+            &prediction::poses(&plan).map_err(network_failed)?,
+            prediction::HALF_SECOND_US,
+            &input.scene,
+        )
     }
 }

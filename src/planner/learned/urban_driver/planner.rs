@@ -9,8 +9,6 @@ use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization,
 use crate::world::Trajectory;
 use std::sync::Arc;
 
-/// Time between the poses of the plan, µs.
-const STEP_US: i64 = 500_000;
 const NAME: &str = "urban-driver";
 
 /// The planner `urban-driver`.
@@ -38,6 +36,10 @@ impl Planner for UrbanDriverPlanner {
         let features = UrbanDriverFeatures::of(&input.scene);
         let elements = Elements::of(&[features], ElementLimits::PUBLISHED).map_err(network_failed)?;
         let plan = self.network.forward(&elements, &mut Probe::off()).map_err(network_failed)?;
-        prediction::trajectory(&prediction::poses(&plan).map_err(network_failed)?, STEP_US, &input.scene)
+        prediction::trajectory(
+            &prediction::poses(&plan).map_err(network_failed)?,
+            prediction::HALF_SECOND_US,
+            &input.scene,
+        )
     }
 }
