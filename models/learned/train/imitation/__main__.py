@@ -25,6 +25,7 @@ def main():
     parser.add_argument("--epochs", type=int, help="default: those of the authors")
     parser.add_argument("--batch", type=int, help="default: that of the authors")
     parser.add_argument("--minutes", type=float, help="end after the epoch in which so many minutes have passed")
+    parser.add_argument("--resume", action="store_true", help="go on after the last whole epoch of an interrupted training")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--half", action="store_true", help="write f16")

@@ -301,7 +301,7 @@ def run(folder=None):
         if name in ("gameformer", "dtpp"):
             samples.tensors["futures"] = samples.tensors["futures"][:, :4]
         rate, planner.optimizer = planner.optimizer, faster(planner.optimizer)
-        options = argparse.Namespace(seed=0, device="cpu", epochs=epochs, batch=16, minutes=None)
+        options = argparse.Namespace(out=None, resume=False, seed=0, device="cpu", epochs=epochs, batch=16, minutes=None)
         model, log = train(planner, samples, samples, options, model)
         planner.optimizer = rate
         assert log[-1]["loss"] < 0.8 * log[0]["loss"] or log[-1]["loss"] < log[0]["loss"] - 0.5, f"{name}: {log}"

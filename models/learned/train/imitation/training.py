@@ -1,5 +1,6 @@
 """The loop over epochs, the same for all planners."""
 
+import os
 import sys
 import time
 
@@ -29,8 +30,9 @@ def train(planner, training, validation, options, model=None):
     model = (model or planner.Model()).to(options.device)
     optimizer = planner.optimizer(model)
     rates = [group["lr"] for group in optimizer.param_groups]
-    started, log = time.monotonic(), []
-    for epoch in range(options.epochs):
+    log = resume(options.out, model, optimizer, generator) if options.resume else []
+    started = time.monotonic() - 60 * (log[-1]["minutes"] if log else 0)
+    for epoch in range(len(log), options.epochs):
         if hasattr(planner, "begin_epoch"):
             planner.begin_epoch(model, epoch, options.epochs)
         factor = planner.learning_rate(epoch, options.epochs)
@@ -57,9 +59,41 @@ def train(planner, training, validation, options, model=None):
             f"(constant velocity {straight:.3f} m), {minutes:.1f} minutes",
             file=sys.stderr,
         )
+        keep(options.out, model, optimizer, generator, log)
         if options.minutes and minutes >= options.minutes:
             break
     return model, log
+
+
+def progress_file(path):
+    return f"{path}.progress"
+
+
+def keep(path, model, optimizer, generator, log):
+    """Writes what `--resume` goes on from: whole or not at all."""
+    if not path:
+        return
+    state = {
+        "model": model.state_dict(),
+        "optimizer": optimizer.state_dict(),
+        "random": torch.get_rng_state(),
+        "order": generator.get_state(),
+        "log": log,
+    }
+    torch.save(state, f"{progress_file(path)}.new")
+    os.replace(f"{progress_file(path)}.new", progress_file(path))
+
+
+def resume(path, model, optimizer, generator):
+    """The epochs done before, with the model, the optimizer and the random numbers as they were after them."""
+    if not os.path.exists(progress_file(path)):
+        return []
+    state = torch.load(progress_file(path), weights_only=True)
+    model.load_state_dict(state["model"])
+    optimizer.load_state_dict(state["optimizer"])
+    torch.set_rng_state(state["random"])
+    generator.set_state(state["order"])
+    return state["log"]
 
 
 def save(model, path, half=False):
