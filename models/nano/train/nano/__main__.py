@@ -13,6 +13,20 @@ from . import synthetic, train
 from .shapes import SHAPES
 
 
+#: Training steps that make the model use its picture; 0 leaves one out.
+STEPS = {
+    "text_drop": "share of samples without the scene text",
+    "picture_drop": "share of samples with a picture of one color",
+    "picture_questions": "share of samples that are questions on the picture alone",
+    "contradict": "share of samples with a wrong neighbor in the text",
+    "neighbor_mask": "share of neighbors of which the text says nothing",
+    "twin_weight": "weight of the hinge between twins",
+    "twin_margin": "by how many nats a twin's own answers must be more probable",
+    "occupancy_weight": "weight of the occupancy head's loss",
+    "occupancy_positive": "weight of an occupied cell",
+}
+
+
 def arguments() -> argparse.ArgumentParser:
     """All commands and their options."""
     parser = argparse.ArgumentParser(prog="nano", description=__doc__)
@@ -40,6 +54,9 @@ def arguments() -> argparse.ArgumentParser:
         command.add_argument("--rate", type=float)
         command.add_argument("--start", help="folder of a trained nano to go on from; its tokenizer and colours are kept")
         command.add_argument("--image-only", type=float, help="share of the budget without the scene text")
+        for name in STEPS:
+            command.add_argument(f"--{name.replace('_', '-')}", type=float, help=STEPS[name])
+        command.add_argument("--twin-over", choices=["answers", "code"], help="what the hinge between twins compares")
         command.add_argument("--template-weight", type=float)
         command.add_argument("--precision", choices=["float32", "bfloat16"])
         command.add_argument("--compile", action=argparse.BooleanOptionalAction)
@@ -85,7 +102,7 @@ def arguments() -> argparse.ArgumentParser:
 def start_training(options: argparse.Namespace) -> None:
     """Prepares the data and trains a leg as the options say."""
     recipe = train.best_recipe(options.shape, options.device)
-    names = ("minutes", "steps", "batch", "micro", "rate", "start", "image_only", "template_weight", "precision", "compile", "seed", "check_every")
+    names = (*STEPS, "twin_over", "minutes", "steps", "batch", "micro", "rate", "start", "image_only", "template_weight", "precision", "compile", "seed", "check_every")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     train.prepare(options.data, options.out, options.limit, options.start or "")
     train.run(replace(recipe, **given), options.out, options.device, options.workers, options.leg_minutes, options.resume)

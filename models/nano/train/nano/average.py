@@ -10,8 +10,10 @@ from pathlib import Path
 
 import torch
 
+from . import tokenizer as tokenizers
 from .shapes import Shape
-from .weights import from_stock
+from .vocabulary import moved
+from .weights import WORD_TABLES, from_stock
 
 #: What the run had trained, kept beside the checkpoint.
 TRAINED = "trained.pt"
@@ -26,10 +28,13 @@ def run(out: Path, start: Path, share: float) -> None:
     checkpoint, trained = out / "checkpoint.pt", out / TRAINED
     if trained.exists():
         raise FileExistsError(f"{trained} exists: the run has been averaged already; to start again, put it back as {checkpoint.name}")
-    if (start / "tokenizer.json").read_bytes() != (out / "tokenizer.json").read_bytes():
-        raise ValueError(f"{start} has another tokenizer than {out}: their weights have no mean")
+    old, new = (tokenizers.load(folder / "tokenizer.json") for folder in (start, out))
+    lost = {word for word in set(old.get_vocab()) - set(new.get_vocab()) if not word.startswith("<unused")}
+    if lost:
+        raise ValueError(f"{out} has no token for {len(lost)} words of {start}, for example {min(lost)!r}: their weights have no mean")
     state = torch.load(checkpoint, map_location="cpu", weights_only=True)
     stock = LlavaForConditionalGeneration.from_pretrained(start).state_dict()
+    stock |= {name: moved(stock[name].float(), old, new) for name in WORD_TABLES}
     former = from_stock(stock, state["model"], Shape(**state["shape"]))
     state["model"] = {name: torch.lerp(weight, former[name], share) for name, weight in state["model"].items()}
     # What was trained is the last to be put aside, so that an interrupted call can be made again.

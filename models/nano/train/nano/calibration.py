@@ -11,7 +11,7 @@ import numpy as np
 from tokenizers import Tokenizer
 
 from .corpus import Corpus
-from .decode import Script, slots_of
+from .decode import Script
 from .statistics import wilson
 
 #: The question that decides, the instruction that follows from it, and the instruction that keeps the lane.
@@ -25,7 +25,7 @@ def calibrate(corpus: Corpus, rows: list[int], scripts: list[Script], tokenizer:
     if not {REASON, INSTRUCTION} <= set(corpus.questions):
         return []
     reason, instruction = corpus.questions.index(REASON), corpus.questions.index(INSTRUCTION)
-    slots = [{question: (start, count) for _, question, start, count in slots_of(corpus, row)} for row in rows]
+    slots = [{question: (start, count) for _, question, start, count in corpus.slots_of(row).tolist()} for row in rows]
     asked = [i for i, slot in enumerate(slots) if reason in slot and instruction in slot]
     first, kept, weights = [], [], []
     for i in asked:

@@ -16,12 +16,20 @@ from tokenizers import Tokenizer
 
 from . import shards
 from .chat import ASSISTANT, EOS, IMAGE, Piece, pieces
+from .occupancy import BYTES, parse
 
 #: Roles of a token in the loss.
 PROMPT, TEMPLATE, INFORMATIVE = 0, 1, 2
+#: What the scene text says of a place beside the ego: there is no lane, nobody is there, or an agent.
+NO_LANE, FREE, AGENT = 0, 1, 2
+_SAID = {"none": NO_LANE, "free": FREE}
 
 _KEY = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)\s*[=:]\s*$")
 _CALL = re.compile(r"[A-Za-z_]\w*\(")
+#: Of a compact scene text, the nine places with three words each.
+_PLACES = re.compile(r" ego \S+ \S+ \S+(?: \S+ \S+ \S+ \S+)*(?= rest )")
+_PLACE = re.compile(r" \S+( (\S+) \S+ \S+)")
+_LEAD = re.compile(r", la=(\w+)")
 
 
 @dataclass(frozen=True)
@@ -33,8 +41,15 @@ class Corpus:
     #: Weight of each token in the loss where it is informative.
     weights: np.ndarray
     starts: np.ndarray
-    #: (rows, 2): the scene text within the row, for the image-only stage.
+    #: (rows, 2): the scene text within the row.
     scene: np.ndarray
+    #: (facts, 5): row, first token within the row, number of tokens, what is said, whether the code follows this agent.
+    neighbors: np.ndarray
+    #: (rows): the state with the same text and another picture and code, or -1.
+    twins: np.ndarray
+    #: (rows, 96): the occupancy grids in bits, and (rows) whether the dataset has them.
+    occupancy: np.ndarray
+    has_occupancy: np.ndarray
     #: (slots, 4): row, question, first token within the row, number of tokens.
     slots: np.ndarray
     images: np.ndarray
@@ -47,6 +62,20 @@ class Corpus:
     def row(self, i: int) -> np.ndarray:
         """Token ids of a row."""
         return self.ids[self.starts[i] : self.starts[i + 1]]
+
+    def slots_of(self, row: int) -> np.ndarray:
+        """A row's slots; the array is sorted by row."""
+        return of_row(self.slots, row)
+
+    def neighbors_of(self, row: int) -> np.ndarray:
+        """A row's facts of places beside the ego."""
+        return of_row(self.neighbors, row)
+
+
+def of_row(table: np.ndarray, row: int) -> np.ndarray:
+    """The part of a table that belongs to a row, by its first column."""
+    low, high = table[:, 0].searchsorted([row, row + 1])
+    return table[low:high]
 
 
 def question_names(content: str, spans: tuple[tuple[int, int], ...], answer: int) -> list[str]:
@@ -83,11 +112,14 @@ class Row:
     slots: list[tuple[str, int, int]] = field(default_factory=list)
     #: Tokens of the scene text.
     scene: tuple[int, int] = (0, 0)
+    #: First token, number of tokens, what is said, whether the code follows this agent.
+    neighbors: list[tuple[int, int, int, int]] = field(default_factory=list)
 
 
 def tokenise(tokenizer: Tokenizer, conversation: list[dict]) -> Row:
     """A conversation in tokens."""
     row = Row()
+    lead = next((match.group(1) for message in conversation if (match := _LEAD.search(message["content"]))), None)
     for piece in pieces(conversation):
         first = len(row.ids)
         if piece.special:
@@ -99,7 +131,10 @@ def tokenise(tokenizer: Tokenizer, conversation: list[dict]) -> Row:
         row.ids += encoded.ids
         row.weights += [1.0] * len(encoded.ids)
         if piece.scene:
-            row.scene = (first, len(row.ids))
+            # The question stands on a line of its own.
+            end = piece.text.find("\n", 1)
+            row.scene = (first, first + sum(1 for _, b in encoded.offsets if b <= end))
+            row.neighbors = [(first + a, n, said, follows) for a, n, said, follows in neighbors_of(piece.text, encoded.offsets, lead)]
         if piece.answer < 0:
             row.roles += [PROMPT] * len(encoded.ids)
             continue
@@ -110,6 +145,18 @@ def tokenise(tokenizer: Tokenizer, conversation: list[dict]) -> Row:
         names = question_names(piece.text, piece.learn, piece.answer)
         row.slots += [(name, first + a, b - a) for name, (a, b) in zip(names, informative, strict=True)]
     return row
+
+
+def neighbors_of(text: str, offsets: list[tuple[int, int]], lead: str | None) -> list[tuple[int, int, int, int]]:
+    """What a compact scene text says of each place: its tokens, the kind of fact, and whether its agent is the code's lead."""
+    places = _PLACES.search(text)
+    out = []
+    for match in _PLACE.finditer(places.group()) if places else ():
+        start, end = (places.start() + place for place in match.span(1))
+        touched = [t for t, (a, b) in enumerate(offsets) if a < end and b > start]
+        name = match.group(2)
+        out.append((touched[0], len(touched), _SAID.get(name, AGENT), int(name == lead)))
+    return out
 
 
 def spans_of_tokens(piece: Piece, offsets: list[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -131,7 +178,10 @@ def build(folder: Path, split: str, tokenizer: Tokenizer, cache: Path, limit: in
     ids: list[np.ndarray] = []
     roles: list[np.ndarray] = []
     weights: list[np.ndarray] = []
-    lengths, scenes, slots, names = [], [], [], []
+    lengths, scenes, neighbors, slots, names = [], [], [], [], []
+    grids: list[np.ndarray] = []
+    known: list[bool] = []
+    pairs: dict[str, list[int]] = {}
     with (cache / "images.u8").open("wb") as out:
         for shard in shards.shards(folder, split):
             if limit is not None and len(names) >= limit:
@@ -147,6 +197,11 @@ def build(folder: Path, split: str, tokenizer: Tokenizer, cache: Path, limit: in
                 weights.append(np.array(row.weights, np.float32))
                 lengths.append(len(row.ids))
                 scenes.append(row.scene)
+                neighbors += [(len(names), *fact) for fact in row.neighbors]
+                if state.twin is not None:
+                    pairs.setdefault(state.twin, []).append(len(names))
+                grids.append(parse(state.occupancy) if state.occupancy else np.zeros(BYTES, np.uint8))
+                known.append(bool(state.occupancy))
                 names.append(state.name)
                 out.write(picture[state.image].tobytes())
     np.save(cache / "ids.npy", np.concatenate(ids))
@@ -154,16 +209,36 @@ def build(folder: Path, split: str, tokenizer: Tokenizer, cache: Path, limit: in
     np.save(cache / "weights.npy", np.concatenate(weights))
     np.save(cache / "starts.npy", np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64))
     np.save(cache / "scene.npy", np.array(scenes, np.int32))
+    np.save(cache / "neighbors.npy", np.array(neighbors, np.int32).reshape(-1, 5))
+    np.save(cache / "twins.npy", twins_of(pairs, len(names)))
+    np.save(cache / "occupancy.npy", np.stack(grids))
+    np.save(cache / "has_occupancy.npy", np.array(known))
     np.save(cache / "slots.npy", np.array(slots, np.int32).reshape(-1, 4))
     (cache / "index.json").write_text(json.dumps({"questions": list(questions), "names": names, "pixels": pixels}))
     return load(cache)
+
+
+def twins_of(pairs: dict[str, list[int]], rows: int) -> np.ndarray:
+    """Each row's twin; a limit on the states may have cut a pair apart."""
+    twins = np.full(rows, -1, np.int32)
+    for name, members in pairs.items():
+        if len(members) > 2:
+            raise ValueError(f"twin {name!r} has {len(members)} states; a pair has two")
+        if len(members) == 2:
+            twins[members] = members[::-1]
+    return twins
+
+
+#: The arrays of a cache folder.
+ARRAYS = ("ids", "roles", "weights", "starts", "scene", "neighbors", "twins", "occupancy", "has_occupancy", "slots")
 
 
 def load(cache: Path) -> Corpus:
     """Opens a cache folder, memory-mapped."""
     index = json.loads((cache / "index.json").read_text())
     pixels = index["pixels"]
-    arrays = {name: np.load(cache / f"{name}.npy", mmap_mode="r") for name in ("ids", "roles", "weights", "starts", "scene", "slots")}
+    # The same memory without the cost of a memmap's every access.
+    arrays = {name: np.asarray(np.load(cache / f"{name}.npy", mmap_mode="r")) for name in ARRAYS}
     images = np.memmap(cache / "images.u8", np.uint8, "r", shape=(len(index["names"]), pixels, pixels, 3))
     return Corpus(images=images, questions=index["questions"], names=index["names"], **arrays)
 

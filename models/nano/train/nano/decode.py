@@ -17,6 +17,7 @@ from torch import Tensor
 from .batches import Collator
 from .corpus import Corpus
 from .model import NanoLlava, linear, norm
+from .samples import Sample, plain
 
 #: A value's tokens.
 Value = tuple[int, ...]
@@ -36,7 +37,7 @@ class Decoder:
     def prefill(self, ids: Tensor, images: Tensor, image_places: Tensor, lengths: Tensor) -> Tensor:
         """Logits (rows, vocabulary) after each row's last prompt token; the prompt is padded on the right."""
         model, n = self.model, ids.shape[1]
-        x = model.embeddings(ids, images, image_places, torch.float32)
+        x = model.embeddings(ids, model.image_features(images, torch.float32), image_places)
         cos, sin = model.cos[:n], model.sin[:n]
         for layer, block in enumerate(model.blocks):
             q, k, v = block.project(x, cos, sin)
@@ -116,18 +117,12 @@ def scripts(corpus: Corpus, row: int, choices: dict[int, list[Value]], first: in
     ids = corpus.row(row).tolist()
     parts: list[list[int] | tuple[int, Sequence[Value]]] = []
     at = first
-    for _, question, start, count in sorted(slots_of(corpus, row), key=lambda slot: slot[2]):
+    for _, question, start, count in sorted(corpus.slots_of(row).tolist(), key=lambda slot: slot[2]):
         parts.append(ids[at:start])
         parts.append((question, choices[question]))
         at = start + count
     parts.append(ids[at:])
     return Script(parts)
-
-
-def slots_of(corpus: Corpus, row: int) -> list[tuple[int, int, int, int]]:
-    """A row's slots; the array is sorted by row."""
-    low, high = corpus.slots[:, 0].searchsorted([row, row + 1])
-    return [(int(r), int(q), int(a), int(n)) for r, q, a, n in corpus.slots[low:high]]
 
 
 def values_of(corpus: Corpus, limit: int = 20_000) -> dict[str, list[Value]]:
@@ -142,25 +137,30 @@ def values_of(corpus: Corpus, limit: int = 20_000) -> dict[str, list[Value]]:
 
 
 @torch.no_grad()
-def prefill_rows(model: NanoLlava, collator: Collator, rows: list[int], firsts: list[int], images_of: list[int], room: int) -> tuple[Decoder, Tensor]:
-    """Prefills each row's tokens before `firsts`, with the images of `images_of`."""
-    batch = collator.collate(np.array(rows), images_of=np.array(images_of))
-    extra = collator.image_tokens - 1
-    lengths = torch.tensor([first + extra for first in firsts])
+def prefill_rows(model: NanoLlava, collator: Collator, samples: list[Sample], assistant: int, room: int) -> tuple[Decoder, Tensor]:
+    """Prefills each sample's tokens up to its first answer."""
+    batch = collator.collate(samples)
+    lengths = torch.tensor([first_answer(sample.ids, assistant) + collator.image_tokens - 1 for sample in samples])
     longest = int(lengths.max())
-    decoder = Decoder(model, len(rows), batch.ids.shape[1] + room)
+    decoder = Decoder(model, len(samples), batch.ids.shape[1] + room)
     full = batch.ids.shape[1]
     places = batch.image_places // full * longest + batch.image_places % full
     return decoder, decoder.prefill(batch.ids[:, :longest], batch.images, places, lengths)
 
 
+def first_answer(ids: np.ndarray, assistant: int) -> int:
+    """Place of the first token that the model says."""
+    return ids.tolist().index(assistant) + 1
+
+
 @torch.no_grad()
 def answer(
-    model: NanoLlava, corpus: Corpus, collator: Collator, rows: list[int], images_of: list[int], choices: dict[int, list[Value]], assistant: int
+    model: NanoLlava, corpus: Corpus, collator: Collator, samples: list[Sample], choices: dict[int, list[Value]], assistant: int
 ) -> list[Script]:
-    """Each row's script with its answers, decided in order and read back by the model."""
-    firsts = [corpus.row(row).tolist().index(assistant) + 1 for row in rows]
-    decoder, logits = prefill_rows(model, collator, rows, firsts, images_of, room=32)
+    """Each sample's script with its answers, decided in order and read back by the model."""
+    decoder, logits = prefill_rows(model, collator, samples, assistant, room=32)
+    rows = [sample.row for sample in samples]
+    firsts = [first_answer(corpus.row(row), assistant) for row in rows]
     running = [scripts(corpus, row, choices, first) for row, first in zip(rows, firsts, strict=True)]
     while True:
         tokens = [script.next(logits[i]) for i, script in enumerate(running)]
@@ -175,11 +175,10 @@ def speak(
     model: NanoLlava, corpus: Corpus, collator: Collator, rows: list[int], assistant: int, end: int, longest_answer: int = 64
 ) -> list[list[list[int]]]:
     """Each row's answers by unconstrained greedy decoding, the user's turns given: tokens of every round, without the end mark."""
-    firsts = [corpus.row(row).tolist().index(assistant) + 1 for row in rows]
     turns = [user_turns(corpus.row(row).tolist(), assistant, end) for row in rows]
     rounds = max(len(t) for t in turns) + 1
     room = rounds * longest_answer + sum(len(t) for t in turns[0]) + 64
-    decoder, logits = prefill_rows(model, collator, rows, firsts, rows, room)
+    decoder, logits = prefill_rows(model, collator, [plain(corpus, row) for row in rows], assistant, room)
     said: list[list[list[int]]] = [[[]] for _ in rows]
     given: list[list[int]] = [[] for _ in rows]
     finished = [False] * len(rows)

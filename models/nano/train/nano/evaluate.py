@@ -2,7 +2,7 @@
 
 Free-running: what the model answered stands in its context, not the truth. Each answer is the most probable of the question's values, as under
 the grammar at inference. Beside it: the best constant answer (the majority, taken on the validation states themselves), and the same model with the image of
-another drive. The probability of keeping the lane is held against what the labels do (`calibration.py`). A last pass decodes without any
+another drive, with a picture of one color and the text alone, and with the picture alone. Twins, where the dataset has them, are right when both are. The probability of keeping the lane is held against what the labels do (`calibration.py`). A last pass decodes without any
 constraint and counts valid code.
 """
 
@@ -25,12 +25,15 @@ from .batches import Collator
 from .calibration import calibrate, table_of
 from .chat import ASSISTANT, EOS, IMAGE
 from .corpus import Corpus
-from .decode import Script, Value, answer, slots_of, speak, values_of
+from .decode import Script, Value, answer, speak, values_of
 from .loop import load_model
 from .model import NanoLlava
+from .samples import Sample, plain, with_picture_of, without_picture, without_text
 from .statistics import by_groups, wilson
 
 ROWS = 128
+#: What a state is shown with, and the report's name of how often the answers are right then.
+COLUMNS = {"both": "accuracy", "shuffled": "shuffled_image", "text": "text_only", "picture": "picture_only"}
 _NUMBER = r"-?\d+(?:\.\d+)?"
 CODE = re.compile(rf"Generate_IDM_Planner\(c=(\w+), la=(\w+), v0=({_NUMBER}), acc=({_NUMBER}), dec=({_NUMBER})\)")
 
@@ -51,17 +54,16 @@ def other_images(names: list[str], seed: int = 1) -> list[int]:
 def truths(corpus: Corpus, row: int) -> dict[int, Value]:
     """The labelled answers of a row."""
     ids = corpus.row(row).tolist()
-    return {question: tuple(ids[start : start + count]) for _, question, start, count in slots_of(corpus, row)}
+    return {question: tuple(ids[start : start + count]) for _, question, start, count in corpus.slots_of(row).tolist()}
 
 
 def free_running(
-    model: NanoLlava, corpus: Corpus, collator: Collator, rows: list[int], images_of: list[int], choices: dict[int, list[Value]], assistant: int
+    model: NanoLlava, corpus: Corpus, collator: Collator, samples: list[Sample], choices: dict[int, list[Value]], assistant: int
 ) -> list[Script]:
-    """Answers of many rows, in groups."""
+    """Answers of many samples, in groups."""
     out = []
-    for start in range(0, len(rows), ROWS):
-        part = slice(start, start + ROWS)
-        out += answer(model, corpus, collator, rows[part], images_of[part], choices, assistant)
+    for start in range(0, len(samples), ROWS):
+        out += answer(model, corpus, collator, samples[start : start + ROWS], choices, assistant)
     return out
 
 
@@ -89,51 +91,83 @@ def labelled_rounds(ids: list[int], assistant: int, end: int) -> list[list[int]]
     return out
 
 
-def score(
-    corpus: Corpus, rows: list[int], found: list[Script], shuffled: list[Script], tokenizer: Tokenizer
-) -> list[dict]:
-    """A row of the table per question."""
+def code_of(corpus: Corpus) -> tuple[int, ...]:
+    """The questions of the planner code."""
+    return tuple(i for i, name in enumerate(corpus.questions) if name.startswith("code."))
+
+
+def score(corpus: Corpus, rows: list[int], found: dict[str, list[Script]], tokenizer: Tokenizer) -> list[dict]:
+    """A row of the table per question, from the answers to the states as they stand (`both`) and under each control."""
     drives = np.array([corpus.names[row].rpartition("@")[0] for row in rows])
     labels = [truths(corpus, row) for row in rows]
     table = []
-    code = tuple(i for i, name in enumerate(corpus.questions) if name.startswith("code."))
+    code = code_of(corpus)
     # Beside the questions one by one, the code as a whole.
     asked_for = [(name, (i,)) for i, name in enumerate(corpus.questions)] + ([("code, all arguments", code)] if code else [])
     for name, parts in asked_for:
         asked = [i for i in range(len(rows)) if all(part in labels[i] for part in parts)]
         if not asked:
             continue
-        hits = np.array([all(found[i].answers.get(p) == labels[i][p] for p in parts) for i in asked], float)
-        without = np.array([all(shuffled[i].answers.get(p) == labels[i][p] for p in parts) for i in asked], float)
+        hits = {
+            how: np.array([all(scripts[i].answers.get(p) == labels[i][p] for p in parts) for i in asked], float) for how, scripts in found.items()
+        }
         counts = Counter(tuple(labels[i][p] for p in parts) for i in asked)
         common, times = counts.most_common(1)[0]
-        value = " ".join(tokenizer.decode(list(tokens)) for tokens in common)
-        low = min(wilson(int(hits.sum()), len(asked))[0], by_groups(hits, drives[asked])[0])
-        high = max(wilson(int(hits.sum()), len(asked))[1], by_groups(hits, drives[asked])[1])
-        table.append(
-            {
-                "question": name, "states": len(asked), "accuracy": round(float(hits.mean()), 4), "low95": round(low, 4), "high95": round(high, 4),
-                "majority": round(times / len(asked), 4), "majority_value": value, "values": len(counts),
-                "shuffled_image": round(float(without.mean()), 4), "above_both": bool(low > max(times / len(asked), without.mean())),
-            }
-        )  # fmt: skip
+        row = {
+            "question": name, "states": len(asked), "majority": round(times / len(asked), 4),
+            "majority_value": " ".join(tokenizer.decode(list(tokens)) for tokens in common), "values": len(counts),
+        }  # fmt: skip
+        for how, right in hits.items():
+            low, high = (pick(a, b) for pick, a, b in zip((min, max), wilson(int(right.sum()), len(asked)), by_groups(right, drives[asked]), strict=True))
+            row |= {COLUMNS[how]: round(float(right.mean()), 4), f"{COLUMNS[how]}_95": [round(low, 4), round(high, 4)]}
+        row["above_both"] = bool(row["accuracy_95"][0] > max(times / len(asked), row["shuffled_image"]))
+        table.append(row)
     return table
+
+
+def twins_of(corpus: Corpus, limit: int) -> list[tuple[int, int]]:
+    """Pairs of states with the same text, at most so many states."""
+    return [(row, int(twin)) for row, twin in enumerate(corpus.twins) if row < twin][: limit // 2]
+
+
+def score_twins(corpus: Corpus, pairs: list[tuple[int, int]], scripts: list[Script]) -> dict:
+    """Pairs of which both codes are right, in all arguments and in those that differ; two guesses are both right in a quarter."""
+    of = dict(zip((row for pair in pairs for row in pair), scripts, strict=True))
+    right = {"all_arguments": 0, "differing_arguments": 0}
+    for pair in pairs:
+        labels = [truths(corpus, row) for row in pair]
+        code = code_of(corpus)
+        differing = [q for q in code if labels[0].get(q) != labels[1].get(q)]
+        for name, questions in (("all_arguments", code), ("differing_arguments", differing)):
+            right[name] += all(of[row].answers.get(q) == label.get(q) for row, label in zip(pair, labels, strict=True) for q in questions)
+    share = {name: {"right": round(hits / len(pairs), 4), "95": [round(v, 4) for v in wilson(hits, len(pairs))]} for name, hits in right.items()}
+    return {"pairs": len(pairs), **share}
+
+
+def between(interval: list[float]) -> str:
+    """An interval in percent."""
+    return f"{interval[0] * 100:.1f}-{interval[1] * 100:.1f}"
 
 
 def markdown(report: dict) -> str:
     """The model card's table."""
     lines = [
         f"{report['states']} validation states of {report['drives']} drives, free-running, constrained to each question's values.",
-        "The interval is the wider of Wilson's and a bootstrap over drives (95 %).",
+        "The intervals are the wider of Wilson's and a bootstrap over drives (95 %).",
         "",
-        "| question | accuracy % | 95 % | majority % | shuffled image % | above both |",
-        "|---|---|---|---|---|---|",
+        "| question | accuracy % | 95 % | majority % | shuffled image % | text only % (95 %) | picture only % (95 %) | above majority and shuffled |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for row in report["questions"]:
+        blind = " | ".join(f"{row[name] * 100:.1f} ({between(row[f'{name}_95'])})" for name in ("text_only", "picture_only"))
         lines.append(
-            f"| {row['question']} | {row['accuracy'] * 100:.1f} | {row['low95'] * 100:.1f}-{row['high95'] * 100:.1f} | "
-            f"{row['majority'] * 100:.1f} ({row['majority_value']}) | {row['shuffled_image'] * 100:.1f} | {'yes' if row['above_both'] else 'no'} |"
+            f"| {row['question']} | {row['accuracy'] * 100:.1f} | {between(row['accuracy_95'])} | {row['majority'] * 100:.1f} ({row['majority_value']}) | "
+            f"{row['shuffled_image'] * 100:.1f} | {blind} | {'yes' if row['above_both'] else 'no'} |"
         )
+    if twins := report["twins"]:
+        lines += ["", "| both codes of a pair of twins right | pairs | % | 95 % |", "|---|---|---|---|"]
+        for how in ("all_arguments", "differing_arguments"):
+            lines.append(f"| {how.replace('_', ' ')} | {twins['pairs']} | {twins[how]['right'] * 100:.1f} | {between(twins[how]['95'])} |")
     if report["keep_lane"]:
         lines += ["", *table_of(report["keep_lane"])]
     free = report["without_grammar"]
@@ -157,14 +191,24 @@ def run(out: Path, states: int) -> dict:
         raise ValueError(f"questions that training never asked: {', '.join(unknown)}")
     assistant = tokenizer.token_to_id(ASSISTANT)
     others = [rows[i] for i in other_images([corpus.names[row] for row in rows])]
+    states_as_they_are = [plain(corpus, row) for row in rows]
+    blank = tuple(round(255 * value) for value in model.image_mean.tolist())
+    shown = {
+        "both": states_as_they_are,
+        "shuffled": [with_picture_of(sample, other) for sample, other in zip(states_as_they_are, others, strict=True)],
+        "text": [without_picture(sample, blank) for sample in states_as_they_are],
+        "picture": [without_text(corpus, sample) for sample in states_as_they_are],
+    }
+    pairs = twins_of(corpus, states)
     with torch.inference_mode():
-        found = free_running(model, corpus, collator, rows, rows, choices, assistant)
-        shuffled = free_running(model, corpus, collator, rows, others, choices, assistant)
+        found = {how: free_running(model, corpus, collator, samples, choices, assistant) for how, samples in shown.items()}
+        twins = free_running(model, corpus, collator, [plain(corpus, row) for pair in pairs for row in pair], choices, assistant)
         free = unconstrained(model, corpus, collator, rows[:512], tokenizer)
-    table = score(corpus, rows, found, shuffled, tokenizer)
+    table = score(corpus, rows, found, tokenizer)
     report = {
         "states": len(rows), "drives": len({corpus.names[row].rpartition("@")[0] for row in rows}), "questions": table,
-        "keep_lane": calibrate(corpus, rows, found, tokenizer), "without_grammar": free, "progress": state["progress"], "recipe": state["recipe"],
+        "twins": score_twins(corpus, pairs, twins) if pairs else None, "keep_lane": calibrate(corpus, rows, found["both"], tokenizer),
+        "without_grammar": free, "progress": state["progress"], "recipe": state["recipe"],
     }  # fmt: skip
     (out / "evaluation.json").write_text(json.dumps(report, indent=1) + "\n")
     (out / "evaluation.md").write_text(markdown(report))

@@ -22,13 +22,14 @@ from .batches import Collator
 from .chat import ASSISTANT, BOS, EOS, IMAGE, PAD, TEMPLATE
 from .loop import load_model
 from .model import NanoLlava
+from .samples import plain
 from .shapes import Shape
 from .train import PROMPTS
 from .weights import to_stock
 
 #: Largest difference of logits between this code and transformers, as a share of the largest logit.
 TOLERANCE = 1e-5
-#: Longest answers of the compact prompt set, tokens a round, with room.
+#: Longest answers of the compact prompt sets, tokens a round, with room.
 LONGEST_ANSWERS = {"scene": 96, "motion": 32, "code": 48}
 #: Largest file that may ship, bytes.
 LARGEST_FILE = 95 * 1024 * 1024
@@ -92,7 +93,7 @@ def write_asking(out: Path, folder: Path) -> None:
     if name is None:
         return
     asking = {"prompt_set": name}
-    if name == "compact":
+    if name in ("compact", "compact-2"):
         asking["generation"] = {"max_new_tokens": LONGEST_ANSWERS, "sampling": "greedy"}
     (folder / "planagent.json").write_text(json.dumps(asking, indent=2) + "\n")
 
@@ -138,10 +139,10 @@ def check(out: Path, folder: Path, model: NanoLlava, tokenizer: Tokenizer, store
         text = tokenizer.decode(corpus.row(row).tolist(), skip_special_tokens=False)
         picture = Image.fromarray(corpus.images[row])
         given = processor(images=picture, text=text, return_tensors="pt")
-        batch = collator.collate(torch.tensor([row]).numpy())
+        batch = collator.collate([plain(corpus, row)])
         assert given["input_ids"].tolist() == batch.ids.tolist(), "transformers' processor gives other tokens"
         theirs = stock(**given).logits[0]
-        mine = model(batch.ids, batch.images, batch.image_places, torch.arange(batch.ids.shape[1]))
+        mine, _ = model(batch.ids, batch.images, batch.image_places, torch.arange(batch.ids.shape[1]))
         worst = max(worst, float((theirs - mine).abs().max() / theirs.abs().max()))
         if reference is not None and row == 0:
             write_reference(reference, picture, given["input_ids"][0], given["pixel_values"], theirs, tokenizer)

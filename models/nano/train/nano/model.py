@@ -147,29 +147,29 @@ class NanoLlava(nn.Module):
         nn.init.normal_(self.project1.weight, std=1 / math.sqrt(self.project1.in_features))
 
     def image_features(self, images: Tensor, dtype: torch.dtype) -> Tensor:
-        """uint8 images (B, pixels, pixels, 3) to decoder inputs (B, P, W)."""
-        features = self.tower(patchify(images, self.shape, self.image_mean, self.image_std, dtype))
-        return linear(F.gelu(linear(features, self.project1)), self.project2)
+        """uint8 images (B, pixels, pixels, 3) to the tower's outputs (B, P, V)."""
+        return self.tower(patchify(images, self.shape, self.image_mean, self.image_std, dtype))
 
-    def embeddings(self, ids: Tensor, images: Tensor, image_places: Tensor, dtype: torch.dtype) -> Tensor:
-        """Token embeddings (B, L, W) with the image's features at `image_places` (flat indices into B * L, row by row)."""
+    def embeddings(self, ids: Tensor, features: Tensor, image_places: Tensor) -> Tensor:
+        """Token embeddings (B, L, W) with the projected image features at `image_places` (flat indices into B * L, row by row)."""
         b, n = ids.shape
-        text = self.embed(ids).to(dtype).view(b * n, -1)
-        features = self.image_features(images, dtype).reshape(-1, self.shape.width)
-        return text.index_copy(0, image_places, features).view(b, n, -1)
+        text = self.embed(ids).to(features.dtype).view(b * n, -1)
+        projected = linear(F.gelu(linear(features, self.project1)), self.project2)
+        return text.index_copy(0, image_places, projected.reshape(-1, self.shape.width)).view(b, n, -1)
 
     def forward(
         self, ids: Tensor, images: Tensor, image_places: Tensor, wanted: Tensor, dtype: torch.dtype = torch.float32
-    ) -> Tensor:
-        """Logits (wanted, vocabulary) in f32 at the flat positions `wanted` of B * L."""
-        x = self.embeddings(ids, images, image_places, dtype)
+    ) -> tuple[Tensor, Tensor]:
+        """Logits (wanted, vocabulary) in f32 at the flat positions `wanted` of B * L, and the tower's outputs (B, P, V)."""
+        features = self.image_features(images, dtype)
+        x = self.embeddings(ids, features, image_places)
         cos, sin = self.cos[: ids.shape[1]].to(dtype), self.sin[: ids.shape[1]].to(dtype)
         for block in self.blocks[:-1]:
             x = block(x, cos, sin)
         last = self.blocks[-1]
         seen = last.attend(x, cos, sin).view(-1, self.shape.width)[wanted]
         x = last.finish(x.view(-1, self.shape.width)[wanted], seen)
-        return linear(norm(x, self.norm), self.head).float()
+        return linear(norm(x, self.norm), self.head).float(), features
 
 
 def grid_positions(shape: Shape) -> Tensor:

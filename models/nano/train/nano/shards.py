@@ -2,7 +2,8 @@
 
 `meta.json`, and per shard `<split>-NNNNN.jsonl` (a labelled state a line) beside `<split>-NNNNN.png` (the shard's images one
 below the other). A line: `state` ("<scenario>@<time>"), `image` (row number in the PNG), `conversation`, `facts`. An answer of the
-conversation has in `learn` the spans of characters that the model chooses, and in `weights`, if any, theirs in the loss.
+conversation has in `learn` the spans of characters that the model chooses, and in `weights`, if any, theirs in the loss. `twin` names a pair of states with the same text,
+other pictures and other codes. `occupancy` are three grids of where objects are, now and in one and two seconds (`occupancy.py`).
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ class State:
     name: str
     image: int
     conversation: list[dict]
+    twin: str | None = None
+    occupancy: list[str] | None = None
 
     @property
     def scenario(self) -> str:
@@ -57,7 +60,7 @@ def states(shard: Path) -> Iterator[State]:
         for number, line in enumerate(lines, 1):
             try:
                 row = json.loads(line)
-                yield State(row["state"], int(row["image"]), row["conversation"])
+                yield State(row["state"], int(row["image"]), row["conversation"], row.get("twin"), row.get("occupancy"))
             except (ValueError, KeyError, TypeError) as error:
                 raise ValueError(f"{shard}:{number}: {error!r}") from error
 

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
+
+from .occupancy import CELLS, TIMES, hexadecimal
 
 PIXELS = 128
 #: Metres per pixel of a 64 m view.
@@ -22,6 +24,8 @@ EGO = (64.0, 96.0)
 LANE = 3.5 / SCALE
 #: Drawn larger and made smaller again for smooth edges.
 OVERSAMPLE = 2
+#: Of so many states, the first two are twins.
+TWINS_EVERY = 10
 
 SYSTEM, ASK_SCENE, ASK_MOTION, ASK_CODE = "drive", "scene?", "motion?", "code?"
 NODES = ("ego", "front", "front_left", "front_right", "left", "right", "rear", "rear_left", "rear_right")
@@ -67,9 +71,16 @@ def draw_scene(rng: np.random.Generator) -> Scene:
     )
 
 
-def paint(scene: Scene, rng: np.random.Generator) -> np.ndarray:
-    """The scene's image, uint8 (128, 128, 3)."""
+def twin(scene: Scene, second: bool) -> Scene:
+    """A pair that the text does not tell apart: a free road, and a standing vehicle with room beside it."""
+    scene = replace(scene, light="none", limit=20, speed=min(scene.speed, 15), lanes=max(scene.lanes, 2), lane=max(scene.lane, 2), pedestrian="none")
+    return replace(scene, lead="near" if second else "none", lead_speed="stopped" if second else "none", left="free")
+
+
+def paint(scene: Scene, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """The scene's image, uint8 (128, 128, 3), and where its objects are now, in one and in two seconds, (3, 16, 16)."""
     k = OVERSAMPLE
+    grids = np.zeros((TIMES, CELLS, CELLS), bool)
     picture = Image.new("RGB", (PIXELS * k, PIXELS * k), BACKGROUND)
     pen = ImageDraw.Draw(picture)
     bend = {"curve_left": -1.0, "curve_right": 1.0}.get(scene.shape, 0.0) * rng.uniform(0.003, 0.006)
@@ -83,6 +94,12 @@ def paint(scene: Scene, rng: np.random.Generator) -> np.ndarray:
     def box(lateral: float, ahead: float, width: float, length: float, colour: tuple[int, int, int]) -> None:
         x, y = at(lateral, ahead)
         pen.rectangle([x - width * k / 2, y - length * k / 2, x + width * k / 2, y + length * k / 2], fill=colour)
+
+    def occupy(lateral: float, ahead: float, width: float, length: float, speed: float = 0.0) -> None:
+        for time in range(TIMES):
+            x, y = (place / k for place in at(lateral, ahead + speed * time))
+            cells = (slice(max(0, int(low * CELLS / PIXELS)), max(0, int(high * CELLS / PIXELS) + 1)) for low, high in spans(x, y, width, length))
+            grids[time][tuple(cells)] = True
 
     left_edge = -(scene.lane - 0.5) * LANE
     right_edge = left_edge + scene.lanes * LANE
@@ -104,14 +121,23 @@ def paint(scene: Scene, rng: np.random.Generator) -> np.ndarray:
         box(0.0, ahead, 4, 9, VEHICLE)
         reach = {"stopped": 0.0, "slow": 7.0, "fast": 16.0}[scene.lead_speed]
         pen.line([at(0.0, ahead), at(0.0, ahead + reach)], fill=ARROW, width=2 * k)
+        occupy(0.0, ahead, 4, 9, reach)
     if scene.left == "occupied":
-        box(-LANE, rng.uniform(-12, 6), 4, 9, VEHICLE)
-    if scene.pedestrian == "ahead":
-        box(rng.uniform(-2, 2), rng.uniform(10, 28), 3, 3, PEDESTRIAN)
-    elif rng.random() < 0.5:
-        box(right_edge + rng.uniform(6, 16), rng.uniform(10, 60), 3, 3, PEDESTRIAN)
+        place = (-LANE, rng.uniform(-12, 6), 4, 9)
+        box(*place, VEHICLE)
+        occupy(*place)
+    if scene.pedestrian == "ahead" or rng.random() < 0.5:
+        beside = scene.pedestrian != "ahead"
+        place = (right_edge + rng.uniform(6, 16), rng.uniform(10, 60), 3, 3) if beside else (rng.uniform(-2, 2), rng.uniform(10, 28), 3, 3)
+        box(*place, PEDESTRIAN)
+        occupy(*place)
     box(0.0, 0.0, 4, 9, EGO_COLOUR)
-    return np.asarray(picture.resize((PIXELS, PIXELS), Image.Resampling.BOX))
+    return np.asarray(picture.resize((PIXELS, PIXELS), Image.Resampling.BOX)), grids
+
+
+def spans(x: float, y: float, width: float, length: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Pixels down and across of a box, a little inside."""
+    return (y - length / 2 + 2, y + length / 2 - 2), (x - width / 2 + 1, x + width / 2 - 1)
 
 
 def text(scene: Scene, rng: np.random.Generator) -> str:
@@ -184,11 +210,18 @@ def write(folder: Path, train: int, validation: int, seed: int, shard: int = 100
             count = min(shard, size - start)
             rows, pictures = [], []
             for i in range(count):
-                rng = np.random.default_rng((seed, offset, start + i))
+                place = i % TWINS_EVERY
+                # The twins of a pair have the same draws, so the same text, up to their pictures.
+                paired = place < 2 and i - place + 1 < count
+                rng = np.random.default_rng((seed, offset, start + i - place if paired else start + i))
                 scene = draw_scene(rng)
+                if paired:
+                    scene = twin(scene, place == 1)
                 talk = conversation(scene, rng)
-                pictures.append(paint(scene, rng))
-                rows.append({"state": f"standin-{split}-{start + i}@0.0", "image": i, "conversation": talk, "facts": {}})
+                picture, grids = paint(scene, rng)
+                pictures.append(picture)
+                row = {"state": f"standin-{split}-{start + i}@0.0", "image": i, "conversation": talk, "facts": {}, "occupancy": hexadecimal(grids)}
+                rows.append(row | ({"twin": f"{split}-{start + i - place}"} if paired else {}))
             base = folder / f"{split}-{index:05}"
             base.with_suffix(".jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
             Image.fromarray(np.concatenate(pictures)).save(base.with_suffix(".png"))

@@ -54,8 +54,8 @@ def count(texts: Iterable[str], pattern: str) -> Counter[str]:
     return out
 
 
-def build(prompts: Iterable[str], answers: Iterable[str]) -> Tokenizer:
-    """Makes the tokenizer from the corpus; the same corpus gives the same ids."""
+def build(prompts: Iterable[str], answers: Iterable[str], more: Iterable[str]) -> Tokenizer:
+    """Makes the tokenizer from the corpus and `more` words in the byte-level alphabet; the same corpus gives the same ids."""
     prompts, answers = list(prompts), list(answers)
     pattern = _WHOLE
     in_answers = count(answers, pattern)
@@ -69,7 +69,7 @@ def build(prompts: Iterable[str], answers: Iterable[str]) -> Tokenizer:
     words = [str(number) for number in range(100)]
     if any(piece.startswith("Ġ") and piece[1:].isdigit() for piece in in_all):
         words += [f"Ġ{number}" for number in range(100)]
-    words += sorted(in_answers)
+    words += [*sorted(in_answers), *more]
     words += [w for w, n in sorted(in_all.items(), key=lambda item: (-item[1], item[0])) if n >= RARE]
     room = VOCABULARY - len(SPECIAL) - len(alphabet)
     # dict keeps the first occurrence: an answer's word never loses its place to a frequent prompt word.

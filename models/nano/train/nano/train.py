@@ -7,7 +7,8 @@ for the slowest; workers meet once a step.
 from __future__ import annotations
 
 import json
-import shutil
+import os
+import signal
 import sys
 import tempfile
 import time
@@ -19,30 +20,33 @@ import torch.distributed as dist
 import torch.multiprocessing as mp
 
 from . import corpus as corpora
-from . import shards, tokenizer as tokenizers
+from . import shards, vocabulary, tokenizer as tokenizers
 from .batches import Collator
 from .chat import IMAGE
 from .corpus import Corpus
-from .loop import Recipe, Trainer
+from .loop import Leg, Recipe, Trainer
 from .shapes import SHAPES
 
+#: Exit status of a leg that was asked to end, as of a process that SIGTERM ends.
+ENDED = 128 + signal.SIGTERM
+#: How many of a dataset's shards show its words.
+SHARDS_OF_WORDS = 200
 #: File of a run that names the dataset's prompt set.
 PROMPTS = "prompts.json"
 
 
 def prepare(data: Path, out: Path, limit: int | None = None, start: str = "") -> None:
-    """Builds tokenizer and arrays in `out` unless they are there; the tokenizer is that of the model to start from, if any."""
+    """Builds tokenizer and arrays in `out` unless they are there; the tokenizer has the words of the model to start from, if any, first."""
     out.mkdir(parents=True, exist_ok=True)
     path = out / "tokenizer.json"
-    if start and not path.exists():
-        shutil.copyfile(Path(start) / "tokenizer.json", path)
     if not path.exists():
         prompts, answers = [], []
-        for shard in shards.shards(data, "train")[:20]:
+        for shard in shards.shards(data, "train")[:SHARDS_OF_WORDS]:
             for state in shards.states(shard):
                 for message in state.conversation:
                     (answers if message["role"] == "assistant" else prompts).append(message["content"].replace(IMAGE, ""))
-        built = tokenizers.build(prompts, answers)
+        old = tokenizers.load(Path(start) / "tokenizer.json") if start else None
+        built = vocabulary.extend(old, prompts, answers) if old else tokenizers.build(prompts, answers, vocabulary.needed())
         outside = tokenizers.pieces_outside(built, [*prompts, *answers])
         print(f"vocabulary {built.get_vocab_size()}, pre-tokens spelt in bytes {sum(outside.values())}: {outside.most_common(8)}", file=sys.stderr)
         built.save(str(path))
@@ -55,12 +59,14 @@ def prepare(data: Path, out: Path, limit: int | None = None, start: str = "") ->
         cache = out / "cache" / split
         if (cache / "index.json").exists():
             continue
-        start = time.monotonic()
+        began = time.monotonic()
         built_corpus = corpora.build(data, split, tokenizer, cache, limit)
+        facts, twins = len(built_corpus.neighbors) / len(built_corpus), int((built_corpus.twins >= 0).sum()) // 2
         lengths = built_corpus.starts[1:] - built_corpus.starts[:-1]
         print(
             f"{split}: {len(built_corpus)} states, {lengths.min()}..{lengths.max()} tokens (image as one), "
-            f"{len(built_corpus.slots) / len(built_corpus):.1f} questions a state, {time.monotonic() - start:.0f} s",
+            f"{len(built_corpus.slots) / len(built_corpus):.1f} questions and {facts:.1f} neighbors a state, "
+            f"{twins} pairs of twins, {int(built_corpus.has_occupancy.sum())} with occupancy, {time.monotonic() - began:.0f} s",
             file=sys.stderr,
         )
 
@@ -79,29 +85,33 @@ def colours_of(folder: Path) -> tuple[list[float], list[float]]:
 
 def worker(rank: int, world: int, meeting: str, recipe: Recipe, out: Path, device: str, leg_minutes: float, threads: int) -> None:
     """One worker process."""
+    leg = Leg(leg_minutes)
     torch.set_num_threads(threads)
     if world > 1:
         dist.init_process_group("gloo", init_method=f"file://{meeting}", rank=rank, world_size=world)
     path = out / "tokenizer.json"
     train, check = corpora.load(out / "cache" / "train"), corpora.load(out / "cache" / "validation")
-    vocabulary = tokenizers.load(path).get_vocab_size()
+    tokenizer = tokenizers.load(path)
     colours = colours_of(Path(recipe.start)) if recipe.start else corpora.colours(train)
-    trainer = Trainer(recipe, SHAPES[recipe.shape], vocabulary, colours, rank, world, torch.device(device))
+    trainer = Trainer(recipe, SHAPES[recipe.shape], tokenizer.get_vocab_size(), colours, rank, world, torch.device(device))
     if recipe.start:
         # transformers knows under which names it saved what.
         from transformers import LlavaForConditionalGeneration
 
-        trainer.start_from(LlavaForConditionalGeneration.from_pretrained(recipe.start).state_dict())
+        stock = LlavaForConditionalGeneration.from_pretrained(recipe.start).state_dict()
+        trainer.start_from(stock, tokenizers.load(Path(recipe.start) / "tokenizer.json"), tokenizer)
     if (out / "checkpoint.pt").exists():
         trainer.restore(out / "checkpoint.pt")
     pair = (collator_of(recipe, train, path), collator_of(recipe, check, path))
-    finished = trainer.train(train, check, pair, out, leg_minutes)
+    finished = trainer.train((train, check), pair, tokenizer, out, leg)
     if rank == 0:
         p = trainer.progress
         print(f"{'done' if finished else 'leg ended'}: {p.step} steps, {p.states} states, {p.seconds / 60:.1f} min", file=sys.stderr)
     if world > 1:
         dist.barrier()
         dist.destroy_process_group()
+    elif leg.asked:
+        raise SystemExit(ENDED)
 
 
 def run(recipe: Recipe, out: Path, device: str, workers: int, leg_minutes: float, resume: bool, threads: int = 1) -> None:
@@ -124,7 +134,22 @@ def run(recipe: Recipe, out: Path, device: str, workers: int, leg_minutes: float
         worker(0, 1, "", recipe, out, device, leg_minutes, threads)
         return
     with tempfile.TemporaryDirectory() as folder:
-        mp.spawn(worker, (workers, f"{folder}/meeting", recipe, out, device, leg_minutes, threads), nprocs=workers)
+        spawned = mp.spawn(worker, (workers, f"{folder}/meeting", recipe, out, device, leg_minutes, threads), nprocs=workers, join=False)
+        asked = []
+
+        def pass_on(number: int, _: object) -> None:
+            asked.append(number)
+            for process in spawned.processes:
+                if process.is_alive():
+                    os.kill(process.pid, signal.SIGTERM)
+
+        before = {number: signal.signal(number, pass_on) for number in (signal.SIGTERM, signal.SIGINT)}
+        while not spawned.join():
+            pass
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if asked:
+        raise SystemExit(ENDED)
 
 
 def best_recipe(shape: str, device: str) -> Recipe:

@@ -8,6 +8,8 @@ from torch import Tensor
 from .shapes import Shape
 
 TOWER = "model.vision_tower."
+#: Stock tensors with a row for each token.
+WORD_TABLES = ("model.language_model.embed_tokens.weight", "lm_head.weight")
 
 
 def names(shape: Shape) -> list[tuple[str, list[str]]]:
