@@ -122,6 +122,10 @@ class Leg:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self.ask)
 
+    def begin(self) -> None:
+        """Counts from now on: what came before was no training."""
+        self.start = time.monotonic()
+
     def ask(self, *_: object) -> None:
         """Lets the step end, then the leg."""
         self.asked = True
@@ -172,6 +176,7 @@ class Trainer:
         shares = Variation(recipe.text_drop, recipe.picture_drop, recipe.neighbor_mask, recipe.contradict, recipe.picture_questions)
         usual = Sampler(corpus, tokenizer, shares, recipe.seed, recipe.twin_over if recipe.twin_weight else "")
         no_text = replace(usual, variation=Variation(text_drop=1.0))
+        leg.begin()
         while True:
             self.progress.seconds = seconds_before + leg.elapsed
             done, stop = self.agree(share_done(recipe, self.progress), leg.over)

@@ -35,11 +35,11 @@ def run(folder: Path | None, steps: int) -> None:
             run(Path(temporary), steps)
         return
     data, out = folder / "data", folder / "run"
-    synthetic.write(data, train=4_000, validation=500, seed=1)
+    synthetic.write(data, train=3_000, validation=300, seed=1)
     train.prepare(data, out)
     check_text(data, out)
     check_samples(out)
-    recipe = Recipe(shape="tiny-ci", steps=steps, batch=64, check_every=100)
+    recipe = Recipe(shape="tiny-ci", steps=steps, batch=64, micro=32, check_every=80)
     # Two legs: the second goes on where the first ended.
     train.run(recipe, out, "cpu", workers=1, leg_minutes=FIRST_LEG, resume=False)
     train.run(recipe, out, "cpu", workers=1, leg_minutes=1e9, resume=True)
@@ -53,7 +53,7 @@ def run(folder: Path | None, steps: int) -> None:
         assert rows[name]["accuracy_95"][0] > rows[name]["majority"], f"{name} is not read from the text: {rows[name]}"
     assert rows["scene"]["picture_only_95"][0] > rows["scene"]["majority"], f"scene is not read from the picture alone: {rows['scene']}"
     assert rows["light"]["text_only_95"][0] > rows["light"]["majority"], f"light is not read from the text alone: {rows['light']}"
-    assert report["twins"]["pairs"] > 50, "the validation states have twins"
+    assert report["twins"]["pairs"] > 30, "the validation states have twins"
     assert sum(group["states"] for group in report["keep_lane"]) == report["states"], "each state has a probability of keeping the lane"
     before = load_model(out / "checkpoint.pt")[0].state_dict()
     check_vocabulary(out, folder / "model")

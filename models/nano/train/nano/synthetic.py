@@ -25,7 +25,7 @@ LANE = 3.5 / SCALE
 #: Drawn larger and made smaller again for smooth edges.
 OVERSAMPLE = 2
 #: Of so many states, the first two are twins.
-TWINS_EVERY = 10
+TWINS_EVERY = 8
 
 SYSTEM, ASK_SCENE, ASK_MOTION, ASK_CODE = "drive", "scene?", "motion?", "code?"
 NODES = ("ego", "front", "front_left", "front_right", "left", "right", "rear", "rear_left", "rear_right")
