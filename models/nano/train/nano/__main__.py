@@ -85,7 +85,7 @@ def arguments() -> argparse.ArgumentParser:
 
     selftest = commands.add_parser("selftest", help="the whole pipeline on stand-in scenes; fails unless it learns")
     selftest.add_argument("--folder", type=Path, help="keep the files here")
-    selftest.add_argument("--steps", type=int, default=280)
+    selftest.add_argument("--steps", type=int, default=250)
 
     bench = commands.add_parser("bench", help="states per second of a training step")
     bench.add_argument("--shape", choices=SHAPES, default="smallest")

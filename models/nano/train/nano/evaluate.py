@@ -2,8 +2,9 @@
 
 Free-running: what the model answered stands in its context, not the truth. Each answer is the most probable of the question's values, as under
 the grammar at inference. Beside it: the best constant answer (the majority, taken on the validation states themselves), and the same model with the image of
-another drive, with a picture of one color and the text alone, and with the picture alone. Twins, where the dataset has them, are right when both are. The probability of keeping the lane is held against what the labels do (`calibration.py`). A last pass decodes without any
-constraint and counts valid code.
+another drive, with a picture of one color (the text alone), and without the scene text (the picture alone). Twins, where the dataset has them,
+are right when both are. The probability of keeping the lane is held against what the labels do (`calibration.py`). A last pass decodes without
+any constraint and counts valid code.
 """
 
 from __future__ import annotations

@@ -144,8 +144,13 @@ def run(recipe: Recipe, out: Path, device: str, workers: int, leg_minutes: float
                     os.kill(process.pid, signal.SIGTERM)
 
         before = {number: signal.signal(number, pass_on) for number in (signal.SIGTERM, signal.SIGINT)}
-        while not spawned.join():
-            pass
+        try:
+            while not spawned.join():
+                pass
+        except mp.ProcessExitedException:
+            # A worker that has not begun yet ends at once.
+            if not asked:
+                raise
         for number, handler in before.items():
             signal.signal(number, handler)
     if asked:
