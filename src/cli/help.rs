@@ -5,7 +5,7 @@ use crate::experiment::interactive::NAMES as INTERACTIVE;
 use crate::experiment::study;
 use crate::experiment::suite::Suite;
 use crate::planner::{PlannerName, PlannerRegistry};
-use crate::runner::{TOKENS, build_commit};
+use crate::runner::{TOKENS, TWINS, build_commit};
 use crate::scenario::{DataRoots, Readers};
 use std::sync::LazyLock;
 
@@ -47,11 +47,11 @@ pub(super) fn splits() -> String {
 }
 
 pub(super) fn experiments_short() -> String {
-    format!("A study, {TOKENS}, {ALL_EXPERIMENTS}, or the path of a study FILE.toml")
+    format!("A study, {TOKENS}, {TWINS}, {ALL_EXPERIMENTS}, or the path of a study FILE.toml")
 }
 
 pub(super) fn experiments() -> String {
-    let names: Vec<&str> = study::names().chain([TOKENS]).collect();
+    let names: Vec<&str> = study::names().chain([TOKENS, TWINS]).collect();
     format!("{}; {ALL_EXPERIMENTS} for all of these; or the path of a study FILE.toml", names.join(", "))
 }
 
@@ -175,6 +175,10 @@ pub(super) const SCENARIOS_INTERACTIVE: &str = "\
 Examples:
   planagent scenarios interactive --count 2
   planagent scenarios interactive --recordings folder/of/data";
+
+pub(super) const SCENARIOS_TWINS: &str = "\
+Example:
+  planagent scenarios twins --count 2";
 
 pub(super) const SCENARIOS_STATISTICS: &str = "\
 Examples:

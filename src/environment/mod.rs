@@ -6,6 +6,7 @@
 //! - [`lane_graph`]: the node under the ego, its eight neighbors, who is on them, and the centerlines to follow.
 //! - [`text`]: the lane graph in words, in two prompt sets.
 //! - [`facts`]: what is true of the scene, as choices.
+//! - [`occupancy`]: which cells of the image's area objects touch.
 //! - [`coordinates`]: the texts of other language-model planners, to compare with.
 
 pub(crate) mod choice;
@@ -14,6 +15,7 @@ pub mod bev;
 pub mod coordinates;
 pub mod facts;
 pub mod lane_graph;
+pub mod occupancy;
 pub mod text;
 
 #[cfg(test)]
@@ -23,4 +25,5 @@ pub use bev::{BevError, BevView};
 pub use choice::UnknownChoice;
 pub use facts::SceneFacts;
 pub use lane_graph::{AgentName, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, LaneGraphError, NodePlace};
+pub use occupancy::OccupancyGrid;
 pub use text::{Description, TextForm};

@@ -15,5 +15,6 @@ mod stoppable;
 pub mod study;
 pub mod suite;
 pub mod tokens;
+pub mod twins;
 
 pub use stoppable::StopSwitch;

@@ -20,6 +20,19 @@ impl Default for Bootstrap {
     }
 }
 
+/// Wilson's interval of a share, 95 %: of so many trials, so many were successes. The whole range without trials.
+pub fn wilson(successes: usize, trials: usize) -> [f64; 2] {
+    /// Of the normal distribution, 95 % within.
+    const Z: f64 = 1.959_963_984_540_054;
+    if trials == 0 {
+        return [0.0, 1.0];
+    }
+    let (n, share) = (trials as f64, successes as f64 / trials as f64);
+    let middle = share + Z * Z / (2.0 * n);
+    let half = Z * (share * (1.0 - share) / n + Z * Z / (4.0 * n * n)).sqrt();
+    [middle - half, middle + half].map(|bound| (bound / (1.0 + Z * Z / n)).clamp(0.0, 1.0))
+}
+
 /// Mean of paired differences with its interval, in the unit of the differences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PairedDifference {

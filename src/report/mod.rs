@@ -33,6 +33,7 @@ mod table;
 mod times;
 mod timing;
 mod transcript;
+mod twins;
 mod visible;
 mod writable;
 
@@ -58,10 +59,11 @@ pub use study::{
 pub use summary::{Aggregate, ScenarioSummary, Summary};
 pub use table::{
     bench_markdown, bench_table, comparison_table, failures, fill, main_table, realism_table, study_markdown,
-    study_table, token_markdown, token_table,
+    study_table, token_markdown, token_table, twin_markdown, twin_table,
 };
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};
 pub use transcript::{attempt_markdown, transcript};
+pub use twins::TwinRecords;
 pub use visible::{visible, visible_line};
 pub use writable::check_writable;

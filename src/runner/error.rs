@@ -4,6 +4,7 @@ use super::commands::CommandError;
 use super::config::ConfigError;
 use super::sample::NoSuchType;
 use crate::experiment::split::SplitError;
+use crate::experiment::twins::TwinError;
 use crate::experiment::study::StudyError;
 use crate::mllm::MllmError;
 use crate::planner::{ExecError, PlannerError, PlannerName, UnknownPlanner};
@@ -110,6 +111,10 @@ pub enum RunnerError {
     Unrecorded { missing: usize, total: usize, folder: PathBuf },
     #[error("suite {name}")]
     Suite { name: String, source: Box<Self> },
+    #[error(transparent)]
+    Twins(#[from] TwinError),
+    #[error("unknown list of text twins '{name}'; there are {known}")]
+    UnknownPairs { name: String, known: String },
     #[error("no recordings: name some by --scenario, or name a folder that holds {folders} by ${variable}")]
     NoRecordings { folders: String, variable: &'static str },
     #[error("the run in {} was stopped; resume it to simulate the rest", folder.display())]

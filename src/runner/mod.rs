@@ -23,7 +23,7 @@ pub use commands::CommandError;
 pub use config::{Config, ConfigError, MllmConfig};
 pub use error::{MergeError, RunnerError};
 pub use event::{Event, Listener, silent};
-pub use experiments::{Experiments, ExperimentsRequest, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE};
+pub use experiments::{Experiments, ExperimentsRequest, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
 pub use machine::{build_commit, cpu, memory};
 pub use merge::merge;
 pub use model::{LoadedModel, load_model, model_registry};

@@ -95,16 +95,20 @@ impl FromStr for DriverBehavior {
     }
 }
 
-/// A person who waits for the ego, unseen, then crosses the road in a straight line.
+/// A person who waits for the ego, unseen, then crosses the road in a straight line; or a vehicle that does so.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Jaywalker {
     /// The track.
     pub token: TrackToken,
+    /// A pedestrian, unless it is a vehicle.
+    pub kind: ObjectKind,
+    /// Length and width, meters.
+    pub size: (f64, f64),
     /// Where the person steps onto the road.
     pub from: Point,
     /// Where the person stops and stays.
     pub to: Point,
-    /// m/s.
+    /// m/s; 0 for one that only looks towards `to`.
     pub speed: f64,
     /// The line along which the ego's progress counts.
     pub along: Arc<Polyline>,
@@ -115,7 +119,7 @@ pub struct Jaywalker {
 }
 
 /// Size of a walking person along and across the heading, meters (interPlan `agents_modifier.py`).
-const WALKER_SIZE: (f64, f64) = (0.900_003, 0.791_390);
+pub const WALKER_SIZE: (f64, f64) = (0.900_003, 0.791_390);
 
 impl Jaywalker {
     /// Whether the center of an ego makes the person start.
@@ -131,8 +135,8 @@ impl Jaywalker {
         let direction = if length > 0.0 { way / length } else { Vector::zeros() };
         let center = Pose::at(self.from + direction * walked, direction.y.atan2(direction.x));
         let velocity = if walked < length { direction * self.speed } else { Vector::zeros() };
-        let shape = OrientedBox::new(center, WALKER_SIZE.0, WALKER_SIZE.1);
-        TrackedObject { token: self.token, kind: ObjectKind::Pedestrian, shape, velocity }
+        let shape = OrientedBox::new(center, self.size.0, self.size.1);
+        TrackedObject { token: self.token, kind: self.kind, shape, velocity }
     }
 }
 

@@ -16,7 +16,7 @@ pub(super) use models::{ModelsCommand, QuantizeArguments};
 pub(super) use results::{CompareArguments, MergeArguments, RenderArguments, ReportArguments, ServeArguments};
 pub(super) use scenarios::{
     ExportArguments, ExportFormat, GenerateArguments, InteractiveArguments, ListArguments, ScenariosCommand,
-    ShowArguments, StatisticsArguments,
+    ShowArguments, StatisticsArguments, TwinArguments,
 };
 pub(super) use simulate::{PlanArguments, SimulateArguments};
 pub(super) use studies::{

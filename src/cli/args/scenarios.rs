@@ -29,6 +29,9 @@ pub(in crate::cli) enum ScenariosCommand {
     /// Draw the scenarios of an interactive suite, which simulates none.
     #[command(after_long_help = help::SCENARIOS_INTERACTIVE)]
     Interactive(InteractiveArguments),
+    /// Draw text twins, by the search and without a model.
+    #[command(after_long_help = help::SCENARIOS_TWINS)]
+    Twins(TwinArguments),
     /// Select the scenes of generated-test14-hard from a run of PDM-Closed on generated-test14-candidates.
     #[command(after_long_help = help::SCENARIOS_HARD)]
     Hard {
@@ -49,6 +52,20 @@ pub(in crate::cli) struct InteractiveArguments {
     /// A folder with recordings in place of generated scenarios.
     #[arg(long, value_name = "FOLDER", conflicts_with = "seeds")]
     pub(in crate::cli) recordings: Option<PathBuf>,
+}
+
+/// Arguments of `scenarios twins`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct TwinArguments {
+    /// Seeds of generated scenarios: train, validation or test.
+    #[arg(long, value_name = "SPLIT", default_value = "validation", value_parser = ["train", "validation", "test"])]
+    pub(in crate::cli) seeds: String,
+    /// Pairs of each kind [default: those of the list].
+    #[arg(long, value_name = "N")]
+    pub(in crate::cli) count: Option<usize>,
+    /// Draw from so many candidates alone.
+    #[arg(long, value_name = "N")]
+    pub(in crate::cli) candidates: Option<u64>,
 }
 
 /// Arguments of `scenarios list`.

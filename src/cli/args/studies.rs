@@ -50,6 +50,17 @@ pub(in crate::cli) struct DatasetArguments {
     /// Labeled states for validation, from seeds of their own.
     #[arg(long, default_value_t = 2_000)]
     pub(in crate::cli) validation: usize,
+    /// Share of the scenarios that are modified, from 0 to 1: interPlan's kinds, as far as one fits.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share, hide_short_help = true)]
+    pub(in crate::cli) modified: f64,
+    /// Pairs of text twins for training: two states with the same prompts, other pictures and other best codes.
+    ///
+    /// Their shards lie beside the others. The two states of a pair follow each other and have its name in `twin`.
+    #[arg(long, value_name = "PAIRS", default_value_t = 0, conflicts_with = "driven", hide_short_help = true)]
+    pub(in crate::cli) twins: usize,
+    /// Pairs of text twins for validation.
+    #[arg(long, value_name = "PAIRS", default_value_t = 0, conflicts_with = "driven", hide_short_help = true)]
+    pub(in crate::cli) validation_twins: usize,
     /// Label the states that PlanAgent reaches with the model in control.
     ///
     /// For training only. These shards may lie in the same folder as others.
@@ -57,6 +68,12 @@ pub(in crate::cli) struct DatasetArguments {
     pub(in crate::cli) driven: bool,
     #[command(flatten)]
     pub(super) model: ModelArguments,
+}
+
+/// A share from 0 to 1.
+fn share(text: &str) -> Result<f64, String> {
+    let share: f64 = text.parse().map_err(|_| format!("'{text}' is not a number"))?;
+    if (0.0..=1.0).contains(&share) { Ok(share) } else { Err(format!("{share} must be from 0 to 1")) }
 }
 
 /// What a dataset is for.

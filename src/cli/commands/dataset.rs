@@ -6,7 +6,7 @@ use crate::cli::{Exit, Printer};
 use crate::environment::BevView;
 #[cfg(feature = "learned")]
 use crate::experiment::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
-use crate::experiment::dataset::{Settings, Split, check_folder, write_split};
+use crate::experiment::dataset::{Counts, Settings, Split, check_folder, write_split, write_twins};
 use crate::reasoning::PromptSet;
 use crate::report::check_writable;
 use crate::runner::{Config, load_model};
@@ -29,7 +29,7 @@ pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Pr
     }
     let prompts = PromptSet::open(config.reasoning.prompt_set.as_deref().unwrap_or(PROMPT_SET))?;
     let view = BevView::new(BevView::default().pixels(), config.environment.view_m)?;
-    let settings = Settings { seed: config.seed, prompts: &prompts, view, driver: None };
+    let settings = Settings { seed: config.seed, prompts: &prompts, view, driver: None, modified: flags.modified };
     check_folder(&flags.out, &settings)?;
     let loaded = if flags.driven { Some(load_model(config, &listener(printer))?) } else { None };
     let driver = loaded.as_ref().map(|loaded| loaded.agent_parts(config));
@@ -41,8 +41,22 @@ pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Pr
         let written = write_split(&flags.out, split, states, &settings, &|states| bar.inc(states as u64))?;
         bar.finish_and_clear();
         printer.note(format!("{}: {written} states", split.as_str()));
+    }
+    for (split, pairs) in [(Split::Train, flags.twins), (Split::Validation, flags.validation_twins)] {
+        let bar = printer.progress(pairs as u64, "pairs");
+        bar.set_message(format!("{} twins", split.as_str()));
+        let written = write_twins(&flags.out, split, pairs, &settings, &|pairs| bar.inc(pairs as u64))?;
+        bar.finish_and_clear();
+        if pairs > 0 {
+            printer.note(format!("{}: {written} pairs of text twins", split.as_str()));
+        }
+    }
+    for split in [Split::Train, Split::Validation] {
+        let counts = Counts::read(&flags.out, split.as_str())?;
         if printer.is_json() {
-            printer.json(&serde_json::json!({"split": split.as_str(), "states": written}))?;
+            printer.json(&serde_json::json!({"split": split.as_str(), "states": counts.states, "counts": counts}))?;
+        } else if counts.states > 0 {
+            printer.note(format!("{}: {counts}", split.as_str()));
         }
     }
     Ok(Exit::Success)

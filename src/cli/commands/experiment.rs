@@ -4,8 +4,9 @@ use crate::cli::args::{ALL_EXPERIMENTS, ExperimentArguments};
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
 use crate::experiment::study::{self, StudyError};
-use crate::report::{ChallengeResults, StudyResults, failures, study_table, token_table};
-use crate::runner::{Config, Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE};
+use crate::experiment::twins::TwinResults;
+use crate::report::{ChallengeResults, StudyResults, failures, study_table, token_table, twin_table};
+use crate::runner::{Config, Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
 use anyhow::anyhow;
 use serde::Serialize;
 use std::path::Path;
@@ -20,7 +21,12 @@ pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer:
         let (counted, folder) = experiments.count_tokens()?;
         exit = show_tokens(&counted, &folder, printer)?;
     }
-    if flags.name != TOKENS {
+    // Their lists are no suites of simulations.
+    if flags.name == TWINS || (flags.name == ALL_EXPERIMENTS && flags.suites.is_empty()) {
+        let (results, folder) = experiments.ask_twins()?;
+        exit = exit.max(show_twins(&results, &folder, printer)?);
+    }
+    if ![TOKENS, TWINS].contains(&flags.name.as_str()) {
         let all = flags.name == ALL_EXPERIMENTS;
         let words = if all { study::names().collect() } else { vec![flags.name.as_str()] };
         exit = exit.max(show(&experiments.simulate(words)?, flags.csv, printer)?);
@@ -30,12 +36,12 @@ pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer:
 
 /// Refuses the name of no experiment. The list of a study lacks those that are no study.
 fn check_name(name: &str) -> anyhow::Result<()> {
-    if [ALL_EXPERIMENTS, TOKENS].contains(&name) {
+    if [ALL_EXPERIMENTS, TOKENS, TWINS].contains(&name) {
         return Ok(());
     }
     match study::find(name) {
         Err(StudyError::Unknown { word, known }) => {
-            Err(StudyError::Unknown { word, known: format!("{known}, {TOKENS}, {ALL_EXPERIMENTS}") }.into())
+            Err(StudyError::Unknown { word, known: format!("{known}, {TOKENS}, {TWINS}, {ALL_EXPERIMENTS}") }.into())
         }
         other => Ok(other.map(|_| ())?),
     }
@@ -110,4 +116,16 @@ fn show_tokens(counted: &[SuiteTokens], folder: &Path, printer: Printer) -> anyh
     let failed = || counted.iter().flat_map(|suite| &suite.failed);
     failed().for_each(|line| printer.note(format!("failed: {line}")));
     Ok(if failed().next().is_none() { Exit::Success } else { Exit::SomeFailed })
+}
+
+fn show_twins(results: &[TwinResults], folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
+    if printer.is_json() {
+        printer.json(&results)?;
+    } else {
+        for list in results {
+            printer.line(format!("{}\n{}", list.list, twin_table(list)));
+        }
+    }
+    printer.note(format!("results in {}", folder.display()));
+    Ok(Exit::Success)
 }

@@ -42,7 +42,7 @@ choice! {
         Brief = "brief",
         /// Few words at fixed places, for a small model of our own.
         Compact = "compact",
-        /// The same with an estimate of an unknown limit, for the next training.
+        /// The same with an estimate of an unknown limit.
         Compact2 = "compact-2",
     }
 }

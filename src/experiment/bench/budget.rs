@@ -139,6 +139,14 @@ impl CallBudget {
                 rethinks: 1,
                 accepted,
             },
+            // The words of the lane graph stay 47, and there are three more questions.
+            PromptSet::Compact2 => {
+                let mut budget = Self::of(PromptSet::Compact);
+                if let Some(first) = budget.rounds.first_mut() {
+                    first.answer = [(1, 1); 18].map(part).into();
+                }
+                budget
+            }
         }
     }
 
@@ -251,7 +259,7 @@ mod tests {
             steps(&[(1, 1), (1, 1), (1, 1)], 1),
             [Step::FastForwarded(1), Step::Sampled(1), Step::FastForwarded(1), verified(2, 1), Step::Sampled(1)]
         );
-        for prompts in [PromptSet::Paper, PromptSet::Brief, PromptSet::Compact] {
+        for prompts in [PromptSet::Paper, PromptSet::Brief, PromptSet::Compact, PromptSet::Compact2] {
             let budget = CallBudget::of(prompts);
             for accepted in 0..=DRAFTED {
                 let drafted = budget.clone().with_drafts(accepted).call_steps(Layout::PrefixFirst, 16);
@@ -275,6 +283,7 @@ mod tests {
             CallBudget::of(PromptSet::Paper),
             CallBudget::of(PromptSet::Brief),
             CallBudget::of(PromptSet::Compact),
+            CallBudget::of(PromptSet::Compact2),
         ] {
             let (mut length, mut longest, mut prompt) = (0, 0, 0);
             let steps = [budget.prefix_steps(Layout::PrefixFirst), budget.call_steps(Layout::PrefixFirst, 0)];

@@ -46,6 +46,11 @@ pub struct LabeledState {
     pub facts: BTreeMap<String, String>,
     /// nuPlan's score of the labeled planner over the search's horizon.
     pub score: f64,
+    /// Occupancy grids now, 1 s and 2 s later, as 64 hexadecimal digits each (see [`OccupancyGrid`](crate::environment::OccupancyGrid)).
+    pub occupancy: [String; 3],
+    /// Name of the pair with the same prompts, of which this state is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub twin: Option<String>,
 }
 
 /// An answer in pieces, some of which are learned.
@@ -91,7 +96,7 @@ struct Instruction {
     why_longitudinal: LongitudinalReason,
 }
 
-/// The label of a state. The first prompt contains `feedback` on a rejected planner, if any.
+/// The label of a state, without its occupancy grids. The first prompt contains `feedback` on a rejected planner, if any.
 pub(super) fn label(
     state: String,
     graph: &LaneGraph,
@@ -124,7 +129,8 @@ pub(super) fn label(
     answers.insert("lateral".to_owned(), instruction.lateral.to_string());
     answers.insert("longitudinal".to_owned(), instruction.longitudinal.to_string());
     answers.insert("code".to_owned(), best.code.to_string());
-    Ok(LabeledState { state, image: 0, conversation, facts: answers, score: best.score })
+    let occupancy = Default::default();
+    Ok(LabeledState { state, image: 0, conversation, facts: answers, score: best.score, occupancy, twin: None })
 }
 
 fn understanding_answer(facts: &SceneFacts, questions: &[Question]) -> Message {

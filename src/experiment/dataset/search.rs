@@ -113,6 +113,15 @@ pub fn search_ahead(simulation: &ClosedLoop<'_>, graph: &LaneGraph, horizon: usi
     tried
 }
 
+/// Simulates one planner code from the present state over [`HORIZON`]. None if it gives no plan, or fails as in [`search`].
+pub fn attempt(simulation: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode) -> Option<Candidate> {
+    let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
+    let scene = simulation.scene();
+    let mut memory = PdmMemory::default();
+    let judge = Judge::new(&scene, graph, ROLLOUT_S, &mut memory).ok()?;
+    Present { simulation, graph, judge: &judge, memory: &memory, limit, horizon: HORIZON }.attempt(code)
+}
+
 /// True if a centerline stays on the route for [`ON_ROUTE_AHEAD`], or to the route's end.
 fn stays_on_route(simulation: &ClosedLoop<'_>, centerline: &Centerline) -> bool {
     let scenario = simulation.scenario();

@@ -1,4 +1,9 @@
 //! Shards on disk: a JSONL file of labeled states and a PNG with their images, one below the other.
+//!
+//! Beside its conversation, a state has `occupancy`: three grids of 16 x 16 cells over the area of the picture, now, 1 s and 2 s
+//! later, all in the picture of now. Each is 64 hexadecimal digits, row by row and four digits a row. Row 0 is the top of the
+//! picture, and the highest bit of a row is its left column. A bit is set where the box of a vehicle, bicycle, pedestrian or static
+//! object touches the cell. Two consecutive states with the same `twin` have the same prompts, other pictures and other best codes.
 
 use super::label::LabeledState;
 use image::{ImageError, RgbImage};
@@ -15,7 +20,9 @@ pub enum ShardError {
     Write { path: PathBuf, source: io::Error },
     #[error("cannot write {}: {source}", path.display())]
     Image { path: PathBuf, source: ImageError },
-    #[error("cannot serialize a labeled state: {0}")]
+    #[error("cannot read {}: {source}", path.display())]
+    Read { path: PathBuf, source: io::Error },
+    #[error("not a labeled state: {0}")]
     Json(#[from] serde_json::Error),
     #[error("{} holds other files, or a dataset with other settings; name a new folder", .0.display())]
     OtherSettings(PathBuf),
@@ -30,6 +37,10 @@ pub struct Meta {
     /// Side of the area that an image shows, meters.
     pub view_m: f64,
     pub prompt_set: String,
+    /// Share of modified scenarios.
+    pub modified: f64,
+    /// Times of the occupancy grids after the state, seconds.
+    pub occupancy_s: [f64; 3],
     pub seed: u64,
     pub planagent: String,
 }
@@ -76,14 +87,32 @@ pub(super) fn complete(folder: &Path, split: &str, shard: usize) -> Option<usize
     fs::read_to_string(paths(folder, split, shard).0).ok().map(|text| text.lines().count())
 }
 
-/// Writes a shard: each file under a temporary name first, the PNG before the JSONL.
+/// The lines of all complete shards of a split, in the order of their names.
+pub(super) fn lines(folder: &Path, split: &str) -> Result<Vec<String>, ShardError> {
+    let failed = |source| ShardError::Read { path: folder.to_owned(), source };
+    let is_of_split = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        name.starts_with(&format!("{split}-")) && name.ends_with(".jsonl") && !name.contains(".unfinished")
+    };
+    let entries = fs::read_dir(folder).map_err(failed)?.collect::<Result<Vec<_>, _>>().map_err(failed)?;
+    let mut paths: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).filter(is_of_split).collect();
+    paths.sort();
+    let texts = paths.iter().map(|path| {
+        fs::read_to_string(path).map_err(|source| ShardError::Read { path: path.clone(), source })
+    });
+    let texts = texts.collect::<Result<Vec<_>, _>>()?;
+    Ok(texts.iter().flat_map(|text| text.lines().map(str::to_owned)).collect())
+}
+
+/// Writes a shard, and gives the number of its states: each file under a temporary name first, the PNG before the JSONL.
 pub(super) fn write(
     folder: &Path,
     split: &str,
     shard: usize,
     states: Vec<(LabeledState, RgbImage)>,
     pixels: u32,
-) -> Result<(), ShardError> {
+) -> Result<usize, ShardError> {
+    let count = states.len();
     let (jsonl, png) = paths(folder, split, shard);
     let mut stack = RgbImage::new(pixels, pixels * (states.len() as u32).max(1));
     let mut lines = String::new();
@@ -98,7 +127,8 @@ pub(super) fn write(
     rename(&unfinished, &png)?;
     let unfinished = jsonl.with_extension("unfinished.jsonl");
     fs::write(&unfinished, lines).map_err(|source| ShardError::Write { path: unfinished.clone(), source })?;
-    rename(&unfinished, &jsonl)
+    rename(&unfinished, &jsonl)?;
+    Ok(count)
 }
 
 fn rename(from: &Path, to: &Path) -> Result<(), ShardError> {

@@ -126,18 +126,22 @@ pub enum PromptSet {
     Brief,
     /// Few tokens, for models trained on them.
     Compact,
+    /// The same with estimates of unknown limits and three more questions.
+    #[serde(rename = "compact-2")]
+    Compact2,
     /// The paper's wording, for general models.
     Paper,
 }
 
 impl PromptSet {
-    const ALL: [Self; 3] = [Self::Brief, Self::Compact, Self::Paper];
+    const ALL: [Self; 4] = [Self::Brief, Self::Compact, Self::Compact2, Self::Paper];
 
     /// Its name in `prompts/`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Brief => "brief",
             Self::Compact => "compact",
+            Self::Compact2 => "compact-2",
             Self::Paper => "paper",
         }
     }
@@ -217,7 +221,7 @@ impl ModelSpec {
             return Err(broken("name is empty".into()));
         }
         if spec.prompt_set.is_none() {
-            return Err(broken("prompt_set is missing; choose brief, compact or paper".into()));
+            return Err(broken("prompt_set is missing; choose brief, compact, compact-2 or paper".into()));
         }
         let tokens = spec.generation.max_new_tokens;
         if [tokens.scene, tokens.motion, tokens.code].contains(&0) {

@@ -11,6 +11,7 @@ mod simulations;
 mod study;
 mod terminal;
 mod tokens;
+mod twins;
 
 use super::number::fixed;
 use super::simulation_row::SimulationRow;
@@ -27,6 +28,7 @@ pub use simulations::failures;
 pub use study::{study_markdown, study_table};
 pub use terminal::fill;
 pub use tokens::{token_markdown, token_table};
+pub use twins::{twin_markdown, twin_table};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Table {

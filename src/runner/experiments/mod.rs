@@ -4,6 +4,7 @@ mod request;
 mod runs;
 mod suites;
 mod tokens;
+mod twins;
 
 pub use request::ExperimentsRequest;
 pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
@@ -11,6 +12,7 @@ pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
 use super::config::Config;
 use super::error::RunnerError;
 use super::event::{Event, Listener};
+use crate::experiment::twins::TwinResults;
 use crate::experiment::study::{Quick, Study, find};
 use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, SimulationRow, StudyFolder, StudyResults, SuiteSimulations,
@@ -26,6 +28,8 @@ use suites::{SelectedSuite, Suites};
 
 /// Name of the experiment that counts tokens and simulates nothing.
 pub const TOKENS: &str = "tokens";
+/// Name of the experiment that asks the model in text twins.
+pub const TWINS: &str = "twins";
 /// Folder of the runs, beside those of the results.
 const RUNS: &str = "runs";
 
@@ -74,6 +78,18 @@ impl<'a> Experiments<'a> {
         let folder = StudyFolder::new(self.folder(TOKENS));
         tokens::write(&folder, &counted, &self.command(TOKENS))?;
         Ok((counted, folder.path().to_owned()))
+    }
+
+    /// Asks the model in the text twins that are left, and writes the results; gives the folder of these.
+    pub fn ask_twins(&mut self) -> Result<(Vec<TwinResults>, PathBuf), RunnerError> {
+        let (runs, folder) = (self.request.out.join(RUNS), StudyFolder::new(self.folder(TWINS)));
+        check_writable(&runs)?;
+        check_writable(folder.path())?;
+        let lists = twins::lists(self.request)?;
+        let results = lists.iter().map(|list| twins::judge(list, self.config, &runs, self.listener));
+        let results = results.collect::<Result<Vec<_>, _>>()?;
+        twins::write(&folder, &results, &self.command(TWINS))?;
+        Ok((results, folder.path().to_owned()))
     }
 
     /// Simulates what is left of the studies' runs, and writes the results. A word is the name of a study or the path of its

@@ -21,7 +21,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// Characters of the digest in a run's name.
-const DIGEST: usize = 12;
+pub(super) const DIGEST: usize = 12;
 /// The cell of a model whose weights are not on this machine.
 const NO_WEIGHTS: &str = "no weights";
 
@@ -195,7 +195,7 @@ impl OpenRuns<'_> {
 }
 
 /// The part of a configuration that a planner's simulations depend on.
-fn relevant(mut config: Config, needs: PlannerNeeds) -> Config {
+pub(super) fn relevant(mut config: Config, needs: PlannerNeeds) -> Config {
     match needs {
         PlannerNeeds::Model => (config.mllm.offline, config.mllm.ignore_memory) = (false, false),
         PlannerNeeds::Settings | PlannerNeeds::Simulation => config.mllm = MllmConfig::default(),

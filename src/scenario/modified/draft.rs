@@ -59,7 +59,7 @@ impl Draft {
         let first = scenario.frame(0).ok_or_else(|| unfit("the scenario has no frames"))?;
         let lanes = EgoLanes::of(&scenario.map, &scenario.route, &first.ego)
             .ok_or_else(|| unfit("the ego starts on no lane, and places are relative to its lane"))?;
-        let draws = Draws::new(&scenario.id, &modification.name, [modification.seed, seed]);
+        let draws = Draws::new(&scenario.id, &modification.drawn_by, [modification.seed, seed]);
         let tokens = scenario.frames.iter().flat_map(|frame| frame.objects.iter().map(|object| object.token.0));
         let next_token = tokens.max().map_or(0, |token| token.saturating_add(1));
         Ok(Self {

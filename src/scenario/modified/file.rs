@@ -15,6 +15,8 @@ pub(super) struct Modification {
     pub(super) place: String,
     /// What ids of its scenarios end in.
     pub(super) name: String,
+    /// What numbers are drawn by, beside scenario and seeds: the name, unless two scenes share their draws.
+    pub(super) drawn_by: String,
     /// interPlan's kind, which gives scenario type and score.
     pub(super) kind: Option<InteractionKind>,
     pub(super) seed: u64,
@@ -55,7 +57,8 @@ impl Modification {
         let refused = |fault| ModifyError::Head { place: place.clone(), fault };
         name.check().map_err(refused)?;
         let change = PlacedChange { key: "interplan", line: 1, change: Box::new(name.clone()) };
-        Ok(Self { place, name: name.to_string(), kind: name.kind(), seed: 0, changes: vec![change] })
+        let (name, kind) = (name.to_string(), name.kind());
+        Ok(Self { place, drawn_by: name.clone(), name, kind, seed: 0, changes: vec![change] })
     }
 
     /// Parses the text of a file.
@@ -82,6 +85,6 @@ impl Modification {
         for PlacedChange { key, line, change } in &changes {
             change.check().map_err(|fault| ModifyError::Value { place: place.to_owned(), line: *line, key, fault })?;
         }
-        Ok(Self { place: place.to_owned(), name, kind, seed: head.seed, changes })
+        Ok(Self { place: place.to_owned(), drawn_by: name.clone(), name, kind, seed: head.seed, changes })
     }
 }

@@ -17,10 +17,12 @@ mod named;
 mod number;
 #[cfg(test)]
 mod tests;
+mod twin;
 mod word;
 
 pub use error::ModifyError;
 pub use kinds::kind_texts;
+pub use twin::{Twin, TwinKind, TwinPart, TwinSide};
 pub use word::{MARK, ModifiedName, ReadModification};
 
 use super::Scenario;

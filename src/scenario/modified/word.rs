@@ -2,6 +2,7 @@
 
 use super::error::ModifyError;
 use super::file::Modification;
+use super::twin::Twin;
 use super::{kinds, modified};
 use crate::files::path_of;
 use crate::scenario::interplan::InterPlanName;
@@ -28,6 +29,8 @@ enum Source {
     Kind(InteractionKind),
     /// A scene of interPlan's.
     InterPlan(InterPlanName),
+    /// A part of a pair with one text.
+    Twin(Twin),
     /// The word of a path.
     File(String),
 }
@@ -36,6 +39,11 @@ impl ModifiedName {
     /// A built-in kind.
     pub fn of(kind: InteractionKind) -> Self {
         Self { source: Source::Kind(kind), seed: 0 }
+    }
+
+    /// A part of a pair.
+    pub fn of_twin(twin: Twin) -> Self {
+        Self { source: Source::Twin(twin), seed: 0 }
     }
 
     /// `KIND`, `KIND.SEED`, `FILE.toml`, `FILE.toml.SEED`, or letters of interPlan's as `dhgloa`; `None` for other words.
@@ -52,8 +60,9 @@ impl ModifiedName {
             return Some(Self { source, seed: 0 });
         }
         let kind = InteractionKind::named(name).map(Source::Kind);
+        let twin = || Twin::named(name).map(Source::Twin);
         let file = || (name.len() > ENDING.len() && name.ends_with(ENDING)).then(|| Source::File(name.to_owned()));
-        Some(Self { source: kind.or_else(file)?, seed })
+        Some(Self { source: kind.or_else(twin).or_else(file)?, seed })
     }
 
     /// The word before the mark and the modification behind it, unless the whole is the name of a file.
@@ -68,7 +77,7 @@ impl ModifiedName {
     pub fn absolute(self) -> Self {
         match self.source {
             Source::File(word) => Self { source: Source::File(absolute_path(&word)), ..self },
-            Source::Kind(_) | Source::InterPlan(_) => self,
+            Source::Kind(_) | Source::InterPlan(_) | Source::Twin(_) => self,
         }
     }
 
@@ -78,6 +87,7 @@ impl ModifiedName {
         match &self.source {
             Source::Kind(kind) => format!("{base}{MARK}{kind}{seed}"),
             Source::InterPlan(name) => format!("{base}{MARK}{name}"),
+            Source::Twin(twin) => format!("{base}{MARK}{twin}{seed}"),
             Source::File(word) => format!("{base}{MARK}{word}{seed}"),
         }
     }
@@ -90,10 +100,11 @@ impl ModifiedName {
         let modification = match &self.source {
             Source::Kind(kind) => kinds::modification(*kind)?,
             Source::InterPlan(name) => Arc::new(Modification::of_scene(name)?),
+            Source::Twin(twin) => Arc::new(twin.modification()?),
             Source::File(word) => Arc::new(Modification::read(&path_of(word))?),
         };
         let file = match &self.source {
-            Source::Kind(_) | Source::InterPlan(_) => None,
+            Source::Kind(_) | Source::InterPlan(_) | Source::Twin(_) => None,
             Source::File(word) => Some(path_of(word)),
         };
         Ok(ReadModification { name: self.clone(), modification, file })

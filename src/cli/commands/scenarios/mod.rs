@@ -7,6 +7,7 @@ mod interactive;
 mod list;
 mod show;
 mod statistics;
+mod twins;
 
 use crate::cli::args::ScenariosCommand;
 use crate::cli::{Exit, Printer};
@@ -22,6 +23,7 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
         ScenariosCommand::Generate(arguments) => generate::run(arguments, printer),
         ScenariosCommand::Export(arguments) => export::run(arguments, printer),
         ScenariosCommand::Interactive(arguments) => interactive::run(arguments, printer),
+        ScenariosCommand::Twins(arguments) => twins::run(arguments, printer),
         ScenariosCommand::Hard { run } => hard::run(run, printer),
     }
 }

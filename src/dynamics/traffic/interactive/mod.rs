@@ -93,7 +93,8 @@ impl InteractiveTraffic {
         let walkers = Jaywalkers::new(&interaction.jaywalkers, ego);
         let standing = interaction.standing.clone();
         let others = others(objects, &standing, &walkers);
-        let moving: Vec<TrackedObject> = objects.iter().filter(|o| !standing.contains(&o.token)).copied().collect();
+        let drives = |o: &&TrackedObject| !standing.contains(&o.token) && !walkers.has(o.token);
+        let moving: Vec<TrackedObject> = objects.iter().filter(drives).copied().collect();
         let agents = build::agents(map, &moving, &others, ego, IDM_AGENT);
         let behavior =
             |token: TrackToken| match interaction.behaviors.get(&token).copied().unwrap_or(interaction.behavior) {

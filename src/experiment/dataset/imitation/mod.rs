@@ -11,7 +11,8 @@ mod tensors;
 mod urban_driver;
 
 use super::shard::ShardError;
-use super::{MIX, SCENARIOS_PER_SEED, Split};
+use super::Split;
+use super::scenes::{MIX, SCENARIOS_PER_SEED};
 use crate::scenario::generator::Spec;
 use crate::scenario::{Frame, Scenario, ScenarioRef};
 use crate::world::{EgoState, HISTORY_SAMPLES, History, HistorySample, SceneView};

@@ -2,8 +2,9 @@
 
 use crate::scenario::modified::change::{Change, Fault};
 use crate::scenario::modified::draft::Draft;
+use crate::scenario::modified::lanes::LanePlace;
 use crate::scenario::modified::number::Number;
-use crate::world::Jaywalker;
+use crate::world::{Jaywalker, ObjectKind, WALKER_SIZE};
 use serde::Deserialize;
 use std::sync::Arc;
 
@@ -13,6 +14,8 @@ use std::sync::Arc;
 pub(in crate::scenario::modified) struct CrossingPerson {
     /// The crossing ahead of the ego's center, meters.
     ahead_m: Number,
+    #[serde(default)]
+    lane: LanePlace,
     /// Where the person starts, left of the centerline, meters.
     from_left_m: Number,
     /// Where the person stops.
@@ -41,9 +44,11 @@ impl Change for CrossingPerson {
         let [ahead, from, to, trigger_m, speed] =
             [self.ahead_m, self.from_left_m, self.to_left_m, self.trigger_m, self.speed]
                 .map(|number| number.draw(&mut draft.draws));
-        let pose = draft.lanes.ahead(ahead)?;
+        let pose = draft.lanes.place(&draft.scenario.map, ahead, self.lane)?.pose;
         let walker = Jaywalker {
             token: draft.token(),
+            kind: ObjectKind::Pedestrian,
+            size: WALKER_SIZE,
             from: pose.translated(0.0, from).position(),
             to: pose.translated(0.0, to).position(),
             speed,

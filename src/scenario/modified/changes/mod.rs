@@ -3,6 +3,7 @@
 
 mod cones;
 mod crash;
+mod crossing;
 mod drivers;
 mod goal;
 mod jaywalker;
@@ -64,5 +65,6 @@ changes! {
     vehicle: vehicle::Vehicle,
     traffic: traffic::Traffic,
     jaywalker: jaywalker::CrossingPerson,
+    crossing: crossing::CrossingVehicle,
     drivers: drivers::Drivers,
 }

@@ -1,0 +1,62 @@
+//! `crossing`: a vehicle that drives straight across the ego's road from the start on.
+
+use crate::scenario::modified::change::{Change, Fault};
+use crate::scenario::modified::draft::Draft;
+use crate::scenario::modified::lanes::LanePlace;
+use crate::scenario::modified::number::Number;
+use crate::world::{Jaywalker, ObjectKind};
+use serde::Deserialize;
+use std::sync::Arc;
+
+/// A vehicle beside the road that drives across it and stops there. It follows no lane and yields to nobody.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::scenario::modified) struct CrossingVehicle {
+    /// Its way ahead of the ego's center, meters.
+    ahead_m: Number,
+    #[serde(default)]
+    lane: LanePlace,
+    /// Its center at the start, left of the centerline, meters.
+    from_left_m: Number,
+    /// Its center where it stops.
+    to_left_m: Number,
+    /// m/s.
+    speed: Number,
+    /// Whether it stays where it is.
+    #[serde(default)]
+    waits: bool,
+}
+
+/// Length and width, meters: a car.
+const SIZE: (f64, f64) = (4.5, 1.9);
+/// Nearer than everything: it drives at once.
+const AT_ONCE: f64 = f64::INFINITY;
+
+impl Change for CrossingVehicle {
+    fn check(&self) -> Result<(), Fault> {
+        self.ahead_m.check("ahead_m", 5.0..=300.0)?;
+        self.from_left_m.check("from_left_m", -50.0..=50.0)?;
+        self.to_left_m.check("to_left_m", -50.0..=50.0)?;
+        self.speed.check("speed", 0.1..=20.0)
+    }
+
+    fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
+        let [ahead, from, to, speed] =
+            [self.ahead_m, self.from_left_m, self.to_left_m, self.speed].map(|number| number.draw(&mut draft.draws));
+        let pose = draft.lanes.place(&draft.scenario.map, ahead, self.lane)?.pose;
+        let vehicle = Jaywalker {
+            token: draft.token(),
+            kind: ObjectKind::Vehicle,
+            size: SIZE,
+            from: pose.translated(0.0, from).position(),
+            to: pose.translated(0.0, to).position(),
+            // The speed is drawn in any case, so that one that waits changes no other draw.
+            speed: if self.waits { 0.0 } else { speed },
+            along: Arc::new(draft.lanes.path.centerline.clone()),
+            at_s: draft.lanes.start_s + ahead,
+            trigger_m: AT_ONCE,
+        };
+        draft.jaywalkers.push(vehicle);
+        Ok(())
+    }
+}
