@@ -23,7 +23,7 @@ pub const VALIDATION: &str = "twins-validation";
 pub const NAMES: [&str; 2] = [TEST, VALIDATION];
 
 /// Pairs of each kind in [`TEST`].
-pub const TEST_PAIRS: usize = 126;
+pub const TEST_PAIRS: usize = 130;
 /// Pairs of each kind in [`VALIDATION`].
 pub const VALIDATION_PAIRS: usize = 25;
 /// First seed of a split that candidates may have: those before belong to other suites.
@@ -75,11 +75,11 @@ pub fn draw(
     let mut next = 0;
     let end = candidates.map_or(split.seeds().end, |count| first.saturating_add(count));
     while TwinKind::ALL.into_iter().any(|kind| count(&drawn, kind) < per_kind) && first + next < end {
-        let wanted = |name: &PairName| count(&drawn, name.kind) < per_kind;
-        let candidates = (next..(next + BATCH).min(end - first)).map(|number| PairName::candidate(first + number, number, true));
-        let candidates: Vec<PairName> = candidates.filter(wanted).collect();
-        let tried = candidates.par_iter().map(|name| {
-            twins::open(name, &sets, &BevView::default()).map(|opened| (*name, opened.err()))
+        let wanted = |names: &[PairName; 2]| count(&drawn, names[0].kind) < per_kind;
+        let candidates = (next..(next + BATCH).min(end - first)).map(|number| PairName::candidates(first + number, number, true));
+        let candidates: Vec<[PairName; 2]> = candidates.filter(wanted).collect();
+        let tried = candidates.par_iter().map(|names| {
+            twins::open_first(names, &sets, &BevView::default()).map(|(name, opened)| (name, opened.err()))
         });
         for (name, refused) in tried.collect::<Result<Vec<_>, _>>()? {
             match refused {

@@ -243,6 +243,35 @@ fn a_dataset_is_written_and_resumed() {
 }
 
 #[test]
+fn a_dataset_has_modified_scenarios_and_pairs_with_one_text() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("data");
+    let counts = ["--states", "1", "--validation", "0", "--modified", "1", "--twins", "1", "--prompt-set", "compact-2"];
+    let (code, stdout, stderr) = run(&[&["dataset", "--json", "--out", out.to_str().unwrap()], &counts[..]].concat());
+    assert_eq!(code, 0, "{stderr}");
+    let rows = |name: &str| -> Vec<Value> {
+        let text = fs::read_to_string(out.join(name)).unwrap();
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    };
+    let (states, twins) = (rows("train-00000.jsonl"), rows("train-twins-00000.jsonl"));
+    let counted: Value = serde_json::from_str(stdout.lines().next().unwrap()).unwrap();
+    assert_eq!(counted["counts"]["twins"], twins.len());
+    let modified = states.iter().filter(|row| row["state"].as_str().unwrap().contains('~')).count();
+    assert!(modified > states.len() / 2 && counted["counts"]["modified"] == modified, "{counted}");
+    for row in states.iter().chain(&twins) {
+        let grids: Vec<&str> = row["occupancy"].as_array().unwrap().iter().map(|grid| grid.as_str().unwrap()).collect();
+        assert!(grids.len() == 3 && grids.iter().all(|grid| grid.len() == 64 && u128::from_str_radix(&grid[..32], 16).is_ok()));
+    }
+    assert!(states.iter().any(|row| row["occupancy"][0] != row["occupancy"][2]), "things move");
+    assert!(!twins.is_empty() && twins.len() % 2 == 0);
+    for pair in twins.chunks(2) {
+        let prompts = |row: &Value| [0, 1, 3, 5].map(|turn| row["conversation"][turn]["content"].clone());
+        assert_eq!((&pair[0]["twin"], prompts(&pair[0])), (&pair[1]["twin"], prompts(&pair[1])));
+        assert_ne!(pair[0]["facts"]["code"], pair[1]["facts"]["code"]);
+    }
+}
+
+#[test]
 fn bad_input_is_refused_with_what_and_where() {
     let folder = TempDir::new().unwrap();
     let config = folder.path().join("wrong.toml");

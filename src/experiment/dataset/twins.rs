@@ -9,7 +9,7 @@ use super::label_weights::DecisionWeights;
 use super::scenes::SCENARIOS_PER_SEED;
 use super::search::{self, Candidate};
 use super::{DatasetError, Settings, Split, states};
-use crate::environment::{BevView, DEFAULT_NODE_LENGTH, LaneGraph, SceneFacts, TextForm, bev};
+use crate::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, SceneFacts, TextForm, bev};
 use crate::environment::text::{self, Description};
 use crate::reasoning::{Names, PlannerCode, PromptError, PromptSet, Round, round_prompt, system_prompt};
 use crate::scenario::generator::{self, ScenarioType, Spec, types};
@@ -29,10 +29,9 @@ pub const RIGHT_WITHIN: f64 = 0.05;
 /// Candidates of a shard, most of which are no pairs.
 const CANDIDATES_PER_SHARD: u64 = 80;
 /// Types of the scenarios: roads with two lanes on which the ego drives.
-const TYPES: [ScenarioType; 5] = [
+const TYPES: [ScenarioType; 4] = [
     types::near_multiple_vehicles::TYPE,
     types::following_lane_with_lead::TYPE,
-    types::low_magnitude_speed::TYPE,
     types::changing_lane::TYPE,
     types::traversing_pickup_dropoff::TYPE,
 ];
@@ -49,13 +48,14 @@ pub struct PairName {
 }
 
 impl PairName {
-    /// The candidate of a seed; its kind, side and type depend on `number` alone.
-    pub fn candidate(seed: u64, number: u64, may_be_wide: bool) -> Self {
+    /// The candidates of a seed, of which the first that fits counts; their kind and type depend on `number` alone.
+    pub fn candidates(seed: u64, number: u64, may_be_wide: bool) -> [Self; 2] {
         let kind = TwinKind::ALL[(number % 4) as usize];
-        let side = if number / 4 % 2 == 0 { TwinSide::Left } else { TwinSide::Right };
-        let base = Spec::new(TYPES[(number / 8 % 5) as usize], seed);
-        let base = if may_be_wide && number / 40 % 2 == 1 { base.widened() } else { base };
-        Self { kind, side, base }
+        let base = Spec::new(TYPES[(number / 8 % 4) as usize], seed);
+        let base = if may_be_wide && number / 32 % 2 == 1 { base.widened() } else { base };
+        let of_side = |side| Self { kind, side, base };
+        let sides = [TwinSide::Left, TwinSide::Right].map(of_side);
+        if number / 4 % 2 == 0 { sides } else { [sides[1], sides[0]] }
     }
 
     fn twin(&self, part: TwinPart) -> Twin {
@@ -131,6 +131,8 @@ pub enum NoPair {
     SamePicture,
     #[error("the search finds no code")]
     NoCode,
+    #[error("the best code stays in the closed lane")]
+    StaysInLane,
     #[error("a best code gains too little over that of the other scene")]
     SmallGain,
     #[error("one code is right in both scenes")]
@@ -159,9 +161,37 @@ pub fn open(
     prompts: &[PromptSet],
     view: &BevView,
 ) -> Result<Result<[TwinScene; 2], NoPair>, PromptError> {
-    let Ok(base) = generator::generate(&name.base) else { return Ok(Err(NoPair::NoScene)) };
-    let scenes = TwinPart::ALL.map(|part| scene(&base, name.twin(part)));
-    let [Some(own), Some(beside)] = scenes else { return Ok(Err(NoPair::NoScene)) };
+    match generator::generate(&name.base) {
+        Ok(base) => open_on(&base, name, prompts, view),
+        Err(_) => Ok(Err(NoPair::NoScene)),
+    }
+}
+
+/// As [`open`], for the first of names on one scenario that fits it.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_first(
+    names: &[PairName; 2],
+    prompts: &[PromptSet],
+    view: &BevView,
+) -> Result<(PairName, Result<[TwinScene; 2], NoPair>), PromptError> {
+    let [first, second] = names;
+    let Ok(base) = generator::generate(&first.base) else { return Ok((*first, Err(NoPair::NoScene))) };
+    match open_on(&base, first, prompts, view)? {
+        Err(NoPair::NoScene) => Ok((*second, open_on(&base, second, prompts, view)?)),
+        opened => Ok((*first, opened)),
+    }
+}
+
+fn open_on(
+    base: &Scenario,
+    name: &PairName,
+    prompts: &[PromptSet],
+    view: &BevView,
+) -> Result<Result<[TwinScene; 2], NoPair>, PromptError> {
+    let Some(own) = scene(base, name.twin(TwinPart::OwnClosed)) else { return Ok(Err(NoPair::NoScene)) };
+    let Some(beside) = scene(base, name.twin(TwinPart::BesideClosed)) else { return Ok(Err(NoPair::NoScene)) };
     for set in prompts {
         if asked(&own.1, set)? != asked(&beside.1, set)? {
             return Ok(Err(NoPair::TextDiffers));
@@ -189,7 +219,11 @@ fn searched(own: Prepared, beside: Prepared) -> Result<[TwinScene; 2], NoPair> {
         let best = search::best(&tried)?.clone();
         Some(TwinScene { simulation, graph, tried, best })
     };
-    let (own, beside) = (search(own).ok_or(NoPair::NoCode)?, search(beside).ok_or(NoPair::NoCode)?);
+    let own = search(own).ok_or(NoPair::NoCode)?;
+    if own.best.code.centerline == CenterlineName::EgoLane {
+        return Err(NoPair::StaysInLane);
+    }
+    let beside = search(beside).ok_or(NoPair::NoCode)?;
     if own.gain_over(beside.best.code) < MIN_GAIN || beside.gain_over(own.best.code) < MIN_GAIN {
         return Err(NoPair::SmallGain);
     }
@@ -205,7 +239,7 @@ pub(super) fn candidates(
     split: Split,
     shard: usize,
     settings: &Settings<'_>,
-) -> Result<Vec<PairName>, DatasetError> {
+) -> Result<Vec<[PairName; 2]>, DatasetError> {
     let first = (shard as u64).saturating_mul(CANDIDATES_PER_SHARD);
     let last = first.saturating_add(CANDIDATES_PER_SHARD);
     let own = split.seeds().start.saturating_add(settings.seed.saturating_mul(SCENARIOS_PER_SEED));
@@ -213,15 +247,16 @@ pub(super) fn candidates(
         return Err(DatasetError::NoScenarioLeft { split: split.as_str(), seed: settings.seed });
     }
     let may_be_wide = settings.prompts.forms().scene_text == TextForm::Compact2;
-    Ok((first..last).map(|number| PairName::candidate(own + number, number, may_be_wide)).collect())
+    Ok((first..last).map(|number| PairName::candidates(own + number, number, may_be_wide)).collect())
 }
 
-/// The two labeled states of a pair; none if the name is no pair.
+/// The two labeled states of a pair; none if neither name is one.
 pub(super) fn labeled(
-    name: &PairName,
+    names: &[PairName; 2],
     settings: &Settings<'_>,
 ) -> Result<Option<[(LabeledState, RgbImage); 2]>, PromptError> {
-    let Ok(pair) = open(name, std::slice::from_ref(settings.prompts), &settings.view)? else { return Ok(None) };
+    let (name, opened) = open_first(names, std::slice::from_ref(settings.prompts), &settings.view)?;
+    let Ok(pair) = opened else { return Ok(None) };
     let state = |one: &TwinScene| -> Result<Option<(LabeledState, RgbImage)>, PromptError> {
         let TwinScene { simulation, graph, tried, best } = one;
         let Some(occupancy) = states::occupancy(simulation, graph, best, &settings.view) else { return Ok(None) };

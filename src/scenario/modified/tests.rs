@@ -139,3 +139,39 @@ fn interplans_letters_draw_its_traffic() {
     let special = readers().find("generated/changing_lane/2~s3").unwrap_err().to_string();
     assert!(special.contains("special scene s3"), "{special}");
 }
+
+#[test]
+fn twins_differ_in_one_lane_and_are_drawn_alike() {
+    let centers = |word: &str, kind: ObjectKind| {
+        let scenario = opened(word);
+        let first = scenario.frame(0).unwrap();
+        let ego = first.ego.center();
+        let of_kind = first.objects.iter().filter(|object| object.kind == kind);
+        of_kind.map(|object| ego.to_local(object.shape.center.position())).collect::<Vec<_>>()
+    };
+    let base = "generated/near_multiple_vehicles/0";
+    let [own, beside] = ["a", "b"].map(|part| centers(&format!("{base}~twin_hidden_left_{part}"), ObjectKind::Vehicle));
+    let ([own], [beside]) = (own.as_slice(), beside.as_slice()) else { panic!("{own:?} {beside:?}") };
+    assert!((own.x - beside.x).abs() < 0.5, "at the same distance: {own} {beside}");
+    assert!(beside.y - own.y > 2.0, "in the lane beside: {own} {beside}");
+    let cones = |part: &str| centers(&format!("{base}~twin_hidden_left_{part}"), ObjectKind::TrafficCone);
+    assert_eq!(cones("a"), cones("b"));
+    assert!(ModifiedName::parse("twin_hidden_left_c").is_none());
+}
+
+#[test]
+fn a_crossing_vehicle_drives_at_once_unless_it_waits() {
+    let moved = |waits: bool| {
+        let (_folder, path) = file(&format!(
+            "[[remove]]\nvehicles = true\n\n[[crossing]]\nahead_m = 25\nfrom_left_m = -9\nto_left_m = 0\nspeed = 4\nwaits = {waits}\n"
+        ));
+        let scenario = opened(&format!("generated/changing_lane/2~{path}"));
+        let of = |iteration: usize| {
+            let objects = &scenario.frame(iteration).unwrap().objects;
+            objects.iter().find(|object| object.kind == ObjectKind::Vehicle).map(|object| object.shape.center.position())
+        };
+        (of(30).unwrap() - of(0).unwrap()).norm()
+    };
+    assert!((moved(false) - 9.0).abs() < 1e-6, "{}", moved(false));
+    assert!(moved(true) < 1e-9, "{}", moved(true));
+}

@@ -160,8 +160,8 @@ fn taper(lane: i32, outer: f64, is_closed: bool) -> String {
     const ACROSS: f64 = -0.3;
     let (from, to) = (outer * EDGE, outer * if is_closed { ACROSS } else { EDGE });
     format!(
-        "[[cones]]\nlane = {lane}\nahead_m = [21, 26]\nfrom_left_m = {from}\nto_left_m = {to}\ntaper_m = 5\nlength_m = 4\n\
-        spacing_m = 1.5\n\n"
+        "[[cones]]\nlane = {lane}\nahead_m = [19, 24]\nfrom_left_m = {from}\nto_left_m = {to}\ntaper_m = 6\nlength_m = 0\n\
+        spacing_m = 2\n\n"
     )
 }
 
