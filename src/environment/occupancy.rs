@@ -88,6 +88,6 @@ mod tests {
             cells.filter(|&(row, column)| grid.is_occupied(row, column)).collect::<Vec<_>>()
         };
         assert_eq!(touched(car(4.0, 4.0, 0.0)), [(6, 6), (6, 7), (7, 6), (7, 7)]);
-        assert_eq!(touched(car(40.0, 0.0, 0.0)), []);
+        assert!(touched(car(40.0, 0.0, 0.0)).is_empty());
     }
 }

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_torn_line_is_written_anew() {
+    fn the_first_part_of_a_line_is_dropped() {
         let folder = tempfile::tempdir().unwrap();
         let record = |pair: &str| PairRecord {
             pair: pair.to_owned(),

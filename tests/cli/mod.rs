@@ -247,7 +247,7 @@ fn a_dataset_has_modified_scenarios_and_pairs_with_one_text() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("data");
     let counts = ["--states", "1", "--validation", "0", "--modified", "1", "--twins", "1", "--prompt-set", "compact-2"];
-    let (code, stdout, stderr) = run(&[&["dataset", "--json", "--out", out.to_str().unwrap()], &counts[..]].concat());
+    let (code, stdout, stderr) = run(&[&["dataset", "--json", "--out", out.to_str().unwrap()][..], &counts].concat());
     assert_eq!(code, 0, "{stderr}");
     let rows = |name: &str| -> Vec<Value> {
         let text = fs::read_to_string(out.join(name)).unwrap();

@@ -152,7 +152,7 @@ fn twins_differ_in_one_lane_and_are_drawn_alike() {
     let base = "generated/near_multiple_vehicles/0";
     let [own, beside] = ["a", "b"].map(|part| centers(&format!("{base}~twin_hidden_left_{part}"), ObjectKind::Vehicle));
     let ([own], [beside]) = (own.as_slice(), beside.as_slice()) else { panic!("{own:?} {beside:?}") };
-    assert!((own.x - beside.x).abs() < 0.5, "at the same distance: {own} {beside}");
+    assert!((own.x - beside.x).abs() < 2.0, "at the same distance: {own} {beside}");
     assert!(beside.y - own.y > 2.0, "in the lane beside: {own} {beside}");
     let cones = |part: &str| centers(&format!("{base}~twin_hidden_left_{part}"), ObjectKind::TrafficCone);
     assert_eq!(cones("a"), cones("b"));
