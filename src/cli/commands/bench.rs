@@ -140,7 +140,9 @@ fn prompt_sets(
     };
     let set = |name: &String| {
         PromptSet::named(name).with_context(|| {
-            format!("bench knows the lengths of the prompt sets brief, compact, compact-2 and paper, and not of '{name}'")
+            format!(
+                "bench knows the lengths of the prompt sets brief, compact, compact-2 and paper, and not of '{name}'"
+            )
         })
     };
     names.iter().map(set).collect()

@@ -8,8 +8,13 @@ use std::fmt;
 use std::path::Path;
 
 /// Questions whose other answers than `none` are rare.
-const RARE: [Question; 5] =
-    [Question::Blocked, Question::Pedestrian, Question::CrossingVehicle, Question::OncomingVehicle, Question::PersonOnPath];
+const RARE: [Question; 5] = [
+    Question::Blocked,
+    Question::Pedestrian,
+    Question::CrossingVehicle,
+    Question::OncomingVehicle,
+    Question::PersonOnPath,
+];
 
 /// What is counted of a state.
 #[derive(Deserialize)]

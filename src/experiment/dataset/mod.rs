@@ -3,9 +3,9 @@
 //!
 //! The seeds of training, validation and test are disjoint (see [`Split`]).
 
+mod count;
 #[cfg(feature = "learned")]
 pub mod imitation;
-mod count;
 mod label;
 mod label_weights;
 mod scenes;

@@ -117,7 +117,13 @@ mod tests {
         let prompts = crate::reasoning::PromptSet::open("compact").unwrap();
         let last = (FIRST_OF_MODEL / SCENARIOS_PER_SHARD) as usize - 1;
         let scenes = |seed, shard| {
-            let settings = Settings { seed, prompts: &prompts, view: crate::environment::BevView::default(), driver: None, modified: 0.0 };
+            let settings = Settings {
+                seed,
+                prompts: &prompts,
+                view: crate::environment::BevView::default(),
+                driver: None,
+                modified: 0.0,
+            };
             Split::Train.scenarios(shard, &settings)
         };
         let ends = |scenes: Vec<Spec>| (scenes[0].seed, scenes.last().unwrap().seed);

@@ -97,9 +97,9 @@ pub(super) fn lines(folder: &Path, split: &str) -> Result<Vec<String>, ShardErro
     let entries = fs::read_dir(folder).map_err(failed)?.collect::<Result<Vec<_>, _>>().map_err(failed)?;
     let mut paths: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).filter(is_of_split).collect();
     paths.sort();
-    let texts = paths.iter().map(|path| {
-        fs::read_to_string(path).map_err(|source| ShardError::Read { path: path.clone(), source })
-    });
+    let texts = paths
+        .iter()
+        .map(|path| fs::read_to_string(path).map_err(|source| ShardError::Read { path: path.clone(), source }));
     let texts = texts.collect::<Result<Vec<_>, _>>()?;
     Ok(texts.iter().flat_map(|text| text.lines().map(str::to_owned)).collect())
 }

@@ -26,7 +26,10 @@ const RETHINK: f64 = 0.4;
 const LATER: [usize; 2] = [10, 20];
 
 /// Labeled states of one scenario; none if the generator discards all its draws.
-pub(super) fn label_scenario(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabeledState, RgbImage)>, PromptError> {
+pub(super) fn label_scenario(
+    spec: &Spec,
+    settings: &Settings<'_>,
+) -> Result<Vec<(LabeledState, RgbImage)>, PromptError> {
     let mut random = Pcg64Mcg::seed_from_u64(settings.seed ^ spec.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));
     let Some(scenario) = scenes::scenario(spec, settings) else { return Ok(Vec::new()) };
     let challenge = Challenge::CLOSED_LOOP[usize::from(random.random_bool(0.5))];

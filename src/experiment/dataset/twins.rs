@@ -9,12 +9,12 @@ use super::label_weights::DecisionWeights;
 use super::scenes::SCENARIOS_PER_SEED;
 use super::search::{self, Candidate};
 use super::{DatasetError, Settings, Split, states};
-use crate::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, SceneFacts, TextForm, bev};
 use crate::environment::text::{self, Description};
+use crate::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, SceneFacts, TextForm, bev};
 use crate::reasoning::{Names, PlannerCode, PromptError, PromptSet, Round, round_prompt, system_prompt};
+use crate::scenario::Scenario;
 use crate::scenario::generator::{self, ScenarioType, Spec, types};
 use crate::scenario::modified::{MARK, ModifiedName, Twin, TwinKind, TwinPart, TwinSide};
-use crate::scenario::Scenario;
 use crate::simulation::{Challenge, ClosedLoop};
 use image::RgbImage;
 use std::collections::BTreeSet;
@@ -76,7 +76,9 @@ impl fmt::Display for PairName {
 
 /// A text that names no pair.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{0}' names no text twins: expected SCENARIO{MARK}twin_KIND_SIDE, as generated/changing_lane/20000003{MARK}twin_taper_left")]
+#[error(
+    "'{0}' names no text twins: expected SCENARIO{MARK}twin_KIND_SIDE, as generated/changing_lane/20000003{MARK}twin_taper_left"
+)]
 pub struct UnknownPair(String);
 
 impl FromStr for PairName {

@@ -12,8 +12,8 @@ pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
 use super::config::Config;
 use super::error::RunnerError;
 use super::event::{Event, Listener};
-use crate::experiment::twins::TwinResults;
 use crate::experiment::study::{Quick, Study, find};
+use crate::experiment::twins::TwinResults;
 use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, SimulationRow, StudyFolder, StudyResults, SuiteSimulations,
     VariantSimulations, check_writable,

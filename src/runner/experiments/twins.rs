@@ -49,10 +49,12 @@ pub(super) fn judge(
     let loaded = OpenModel::open(config, listener)?.with_prompts(config)?;
     let words: Vec<String> = pairs.iter().map(ToString::to_string).collect();
     let blake3 = ScenarioList::digest(&words);
-    let list = ScenarioList { count: words.len(), blake3: blake3.clone(), words: words.clone(), ..ScenarioList::default() };
+    let list =
+        ScenarioList { count: words.len(), blake3: blake3.clone(), words: words.clone(), ..ScenarioList::default() };
     let settings = relevant(config.clone(), PlannerNeeds::Model);
     let planners = vec![PlannerName::PLAN_AGENT.to_string()];
-    let manifest = manifest((planners, &Commands::default()), Vec::new(), (list, BTreeMap::new()), Some(&loaded), &settings)?;
+    let manifest =
+        manifest((planners, &Commands::default()), Vec::new(), (list, BTreeMap::new()), Some(&loaded), &settings)?;
     let inputs = manifest.inputs.as_ref().map(|inputs| format!("{inputs:?}")).unwrap_or_default();
     let digest = ScenarioList::digest([manifest.digest(), inputs]);
     let folder = runs.join(format!("{name}-{}", digest.get(..DIGEST).unwrap_or(&digest)));
@@ -61,7 +63,11 @@ pub(super) fn judge(
         completed.into_iter().map(|record| (record.pair.clone(), record)).collect();
     let left: Vec<&PairName> = pairs.iter().filter(|pair| !known.contains_key(&pair.to_string())).collect();
     let (total, done) = (pairs.len(), AtomicUsize::new(pairs.len() - left.len()));
-    listener(Event::Note(format!("{name}: {total} pairs; {} are answered, {} are left", total - left.len(), left.len())));
+    listener(Event::Note(format!(
+        "{name}: {total} pairs; {} are answered, {} are left",
+        total - left.len(),
+        left.len()
+    )));
     let registry = crate::planner::PlannerRegistry::default();
     let parts = agent_parts(config, registry, Some(&loaded));
     let answer = |pair: &&PairName| -> Result<PairRecord, RunnerError> {

@@ -168,7 +168,10 @@ fn a_crossing_vehicle_drives_at_once_unless_it_waits() {
         let scenario = opened(&format!("generated/changing_lane/2~{path}"));
         let of = |iteration: usize| {
             let objects = &scenario.frame(iteration).unwrap().objects;
-            objects.iter().find(|object| object.kind == ObjectKind::Vehicle).map(|object| object.shape.center.position())
+            objects
+                .iter()
+                .find(|object| object.kind == ObjectKind::Vehicle)
+                .map(|object| object.shape.center.position())
         };
         (of(30).unwrap() - of(0).unwrap()).norm()
     };

@@ -10,9 +10,9 @@ mod raster_model;
 mod tensors;
 mod urban_driver;
 
-use super::shard::ShardError;
 use super::Split;
 use super::scenes::{MIX, SCENARIOS_PER_SEED};
+use super::shard::ShardError;
 use crate::scenario::generator::Spec;
 use crate::scenario::{Frame, Scenario, ScenarioRef};
 use crate::world::{EgoState, HISTORY_SAMPLES, History, HistorySample, SceneView};
