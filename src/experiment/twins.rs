@@ -58,7 +58,8 @@ pub struct Drawn {
     pub refused: BTreeMap<(TwinKind, NoPair, ScenarioType), usize>,
 }
 
-/// Draws the first so many pairs of each kind among the seeds of a split, or of its first candidates. `on_pairs` gets the number of those found.
+/// Draws the first so many pairs of each kind among the seeds of a split, or of its first candidates. `on_pairs` gets the number of
+/// those found.
 ///
 /// # Errors
 /// When a prompt set cannot be used.

@@ -1,8 +1,8 @@
 //! Text twins: pairs of scenes with byte-identical prompts, other pictures and other best codes.
 //!
 //! A pair is one generated scenario with two modifications ([`Twin`]). It counts if in each of its scenes the best code gains at
-//! least [`MIN_GAIN`] over that of the other, and no code of the search is right in both. So whoever reads the text alone is right
-//! in one scene at most.
+//! least [`MIN_GAIN`] over that of the other, and no code of the search is right in both. So a model that reads the text alone is
+//! right in one scene at most.
 
 use super::label::{self, LabeledState};
 use super::label_weights::DecisionWeights;
