@@ -61,6 +61,15 @@ impl ProposalScore {
     pub fn multiplier(&self) -> f64 {
         self.no_at_fault_collisions * self.drivable_area * self.driving_direction
     }
+
+    /// The same score with another relative progress, in [0, 1].
+    #[must_use]
+    pub fn with_progress(self, progress: f64) -> Self {
+        let weighted =
+            WEIGHT_PROGRESS * progress + WEIGHT_TTC * self.time_to_collision + WEIGHT_COMFORT * self.comfort;
+        let total = self.multiplier() * weighted / (WEIGHT_PROGRESS + WEIGHT_TTC + WEIGHT_COMFORT);
+        Self { progress, total, ..self }
+    }
 }
 
 /// Scores proposals: each a sequence of simulated states 0.1 s apart, the present one first. The horizon is their
@@ -79,14 +88,11 @@ pub fn score_proposals(
     let mut scores = judged.collect::<Result<Vec<_>, _>>()?;
     let best = scores.iter().map(|s| s.progress_m * s.multiplier()).chain([scene.rival_progress]).fold(0.0, f64::max);
     for score in &mut scores {
-        score.progress = if best > PROGRESS_THRESHOLD {
+        *score = score.with_progress(if best > PROGRESS_THRESHOLD {
             score.progress_m * score.multiplier() / best
         } else {
             f64::from(u8::from(score.multiplier() > 0.0))
-        };
-        let weighted =
-            WEIGHT_PROGRESS * score.progress + WEIGHT_TTC * score.time_to_collision + WEIGHT_COMFORT * score.comfort;
-        score.total = score.multiplier() * weighted / (WEIGHT_PROGRESS + WEIGHT_TTC + WEIGHT_COMFORT);
+        });
     }
     Ok(scores)
 }

@@ -1,10 +1,11 @@
 //! Scores plans by PDM's measure over a short horizon.
 
+use super::reach::{MIN_REACH, best_reach, is_compared, reach_of, reach_of_lanes};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use super::rollout::{IdmPlan, Rollout};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::LaneGraph;
-use crate::geometry::Polyline;
+use crate::geometry::{GeometryError, Polyline};
 use crate::metrics::MetricError;
 use crate::pdm::{
     self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PdmInstant, PdmMemory, ProposalScore, ReferencePath,
@@ -61,6 +62,8 @@ pub enum ReflectionError {
     Score(#[from] MetricError),
     #[error("the states of the plan make no trajectory")]
     Trajectory(#[from] TrajectoryError),
+    #[error("the plan has no path")]
+    Path(#[from] GeometryError),
 }
 
 /// Scores the plans of one planning call, all against the same view of the scene.
@@ -71,12 +74,14 @@ pub struct Judge<'a> {
     centerline: Polyline,
     steps: usize,
     rival_progress: f64,
+    /// What PDM-Closed's proposals reach and, where it is compared with, what any plan could, meters.
+    reach_m: f64,
     reference: ProgressReference,
 }
 
 impl<'a> Judge<'a> {
     /// Observes the scene: forecast, areas, and the progress of PDM-Closed's proposals, all along the reference path that PDM-Closed
-    /// chooses now. It is kept in `memory`, with what the ego has touched. Where PDM-Closed finds none, there are no proposals, and
+    /// chooses now. Where the ego's lane is blocked, or all proposals stand, also what a plan could reach beyond the horizon. It is kept in `memory`, with what the ego has touched. Where PDM-Closed finds none, there are no proposals, and
     /// progress is measured along the ego's own centerline.
     ///
     /// # Errors
@@ -89,11 +94,20 @@ impl<'a> Judge<'a> {
     ) -> Result<Self, ReflectionError> {
         memory.choose_reference_path(scene);
         if let PdmMemory { reference_path: Some(reference_path), collided } = memory {
-            return Self::along(scene, reference_path, horizon_s, collided);
+            let mut judge = Self::along(scene, reference_path, horizon_s, collided)?;
+            if is_compared(graph, judge.rival_progress) {
+                let lanes = reach_of_lanes(scene, graph, &judge.scoring(), judge.steps, horizon_s)?;
+                judge.reach_m = judge.reach_m.max(lanes);
+                if judge.reach_m >= MIN_REACH {
+                    judge.reference = ProgressReference::Reach;
+                }
+            }
+            return Ok(judge);
         }
         let (instant, steps) = (observe(scene, memory), steps_of(horizon_s));
         let centerline = graph.ego_lane().path.centerline.clone();
-        Ok(Self { scene, instant, centerline, steps, rival_progress: 0.0, reference: ProgressReference::OwnProgress })
+        let reference = ProgressReference::OwnProgress;
+        Ok(Self { scene, instant, centerline, steps, rival_progress: 0.0, reach_m: 0.0, reference })
     }
 
     /// As [`Self::new`], along a given reference path. What the ego touches now is added to `collided`.
@@ -113,8 +127,8 @@ impl<'a> Judge<'a> {
         let scores = score_proposals(&instant.scoring(&centerline, 0.0), &simulated)?;
         let rival_progress = scores.iter().map(|s| s.progress_m * s.multiplier()).fold(0.0, f64::max);
         drop(proposals);
-        let reference = ProgressReference::PdmProposals;
-        Ok(Self { scene, instant, centerline, steps, rival_progress, reference })
+        let (reach_m, reference) = (best_reach(&scores, &simulated), ProgressReference::PdmProposals);
+        Ok(Self { scene, instant, centerline, steps, rival_progress, reach_m, reference })
     }
 
     fn simulate(&self, plan: &IdmPlan) -> Vec<EgoState> {
@@ -143,7 +157,11 @@ impl<'a> Judge<'a> {
         let scores = score_proposals(&self.scoring(), &batch)?;
         let [states] = batch;
         // One proposal in, one score out.
-        let score = scores.first().copied().ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
+        let mut score = scores.first().copied().ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
+        if self.reference == ProgressReference::Reach {
+            let own = reach_of(&score, &states);
+            score = score.with_progress(score.progress.min(own / self.reach_m.max(own)));
+        }
         let verdict = if score.total >= threshold { Verdict::Execute } else { Verdict::Rethink };
         Ok(ReflectionReport {
             score: score.total,

@@ -5,6 +5,7 @@ mod judge;
 mod monitor;
 mod path;
 mod plan_builder;
+mod reach;
 mod report;
 mod rollout;
 mod shift;

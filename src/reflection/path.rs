@@ -11,6 +11,8 @@ const SETTLE_S: f64 = 1.2;
 const LANE_WIDTH: f64 = 3.5;
 /// Minimum length of the decay, meters, so that a slow ego does not have to turn on the spot.
 const MIN_DECAY: f64 = 8.0;
+/// The same for a large offset, as a multiple of it: a whole lane in 8 m is a curve of 3 m radius, which the tracker cannot follow.
+const MIN_DECAY_OF_OFFSET: f64 = 3.5;
 /// Distance between the vertices of the path, meters.
 const SPACING: f64 = 1.0;
 /// Maximum slope (tangent of the heading error) at the start of the path: beyond it the ego does not follow the lane.
@@ -35,7 +37,7 @@ pub fn onto_centerline(
     let offset = foot.lateral - beside;
     let slope = wrap_angle(rear.heading - centerline.smooth_pose_at(foot.s).heading).tan().clamp(-MAX_SLOPE, MAX_SLOPE);
     let seconds = SETTLE_S + (LANE_CHANGE_S - SETTLE_S) * (offset.abs() / LANE_WIDTH).min(1.0);
-    let decay = (ego.speed() * seconds).max(MIN_DECAY);
+    let decay = (ego.speed() * seconds).max(MIN_DECAY).max(MIN_DECAY_OF_OFFSET * offset.abs());
     let lateral = quintic(offset, slope, decay);
     let end = (foot.s + length).min(centerline.length());
     let count = ((end - foot.s) / SPACING).ceil().max(1.0) as usize;

@@ -79,6 +79,11 @@ fn metrics(report: &ReflectionReport) -> Vec<JudgedMetric> {
         ProgressReference::PdmProposals => {
             format!("{} m, {} % of the best proposal", fixed(report.progress_m, 1), fixed(100.0 * parts.progress, 0))
         }
+        ProgressReference::Reach => format!(
+            "{} m; {} % of what could be reached in this way or past what blocks the lane",
+            fixed(report.progress_m, 1),
+            fixed(100.0 * parts.progress, 0)
+        ),
         ProgressReference::OwnProgress => {
             format!("{} m; there are no proposals to compare with", fixed(report.progress_m, 1))
         }

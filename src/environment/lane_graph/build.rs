@@ -37,7 +37,8 @@ pub(super) fn build(scene: &SceneView<'_>, node_length: f64) -> Result<LaneGraph
     }
     let ego_speed = scene.ego.speed();
     let limit_estimate = super::limit::estimate(scene.map, &centerlines[0], ego_speed, &agents);
-    Ok(LaneGraph { node_length, ego_speed, nodes, centerlines, agents, limit_estimate })
+    let blocked = super::standing::blocked_stretch(scene, &centerlines[0]);
+    Ok(LaneGraph { node_length, ego_speed, nodes, centerlines, agents, limit_estimate, blocked })
 }
 
 /// The best-fitting lane of the route under the ego, else the best-fitting lane of the map.

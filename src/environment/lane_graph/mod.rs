@@ -22,11 +22,13 @@ mod build;
 mod centerline;
 mod lane_relation;
 mod limit;
+mod standing;
 
 pub use agent::{AgentClass, AgentName, GraphAgent, Heading, UnknownAgent};
 pub use centerline::{Centerline, CenterlineName, LIGHT_REACH, LightAhead, Turn};
 pub use lane_relation::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
 pub(in crate::environment) use lane_relation::{LaneRelation, Window};
+pub use standing::BlockedStretch;
 
 use super::choice::choice;
 use crate::world::{LaneId, SceneView};
@@ -136,6 +138,8 @@ pub struct LaneGraph {
     pub agents: Vec<GraphAgent>,
     /// What the speed limit may be where the map has none, m/s.
     pub limit_estimate: f64,
+    /// Where something that stands for good blocks the ego's lane; arc lengths on its centerline.
+    pub blocked: Option<BlockedStretch>,
 }
 
 impl LaneGraph {

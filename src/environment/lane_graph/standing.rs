@@ -1,0 +1,161 @@
+//! What stands on a lane for good: a broken-down or crashed car, cones, a barrier. What waits does not.
+
+use super::Centerline;
+use crate::geometry::{Corridor, Point, wrap_angle};
+use crate::world::{LanePath, ObjectKind, PACIFICA, SceneView, TrackedObject};
+use std::collections::BTreeMap;
+
+/// Objects slower than this stand, m/s.
+const STANDING: f64 = 0.2;
+/// An object that was this much farther away within the two seconds of history has only just stopped, meters.
+const MOVED: f64 = 0.3;
+/// Distance ahead of the ego's center in which a blocked lane matters, meters.
+const REACH: f64 = 60.0;
+/// Distance behind the ego's center, meters: beside what it passes, the ego is not yet past it.
+const BEHIND: f64 = 20.0;
+/// A vehicle this near to an intersection ahead of it waits there, meters.
+const JUNCTION: f64 = 15.0;
+/// A vehicle this near behind traffic waits for it, meters.
+const QUEUE_GAP: f64 = 12.0;
+/// A person this near beside the lane's middle makes a vehicle wait, meters.
+const PERSON_ASIDE: f64 = 4.0;
+/// A vehicle that stands straight in the middle of the lane: maximum angle (10 degrees) and distance from the middle, meters.
+const ALIGNED: (f64, f64) = (0.17, 0.6);
+/// Gap between two obstacles that is too short to go back between them, meters.
+const TOO_SHORT: f64 = 20.0;
+/// Space that the ego needs beside an obstacle, beyond its width, meters.
+const MARGIN: f64 = 0.1;
+/// Steps in which the edge of a lane is looked for, and how far from its middle at most, meters.
+const EDGE_STEP: f64 = 0.1;
+const MAX_HALF_WIDTH: f64 = 4.0;
+
+/// The stretch of a lane that something blocks which stands for good. Arc lengths on the lane's centerline, meters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BlockedStretch {
+    /// Where the first obstacle begins.
+    pub from_s: f64,
+    /// Where the last one ends.
+    pub to_s: f64,
+    /// How far the obstacles reach to the right and to the left of the middle of the lane, positive to the left, meters.
+    pub across: (f64, f64),
+}
+
+/// An object in the strip that the ego would sweep.
+struct InStrip<'a> {
+    object: &'a TrackedObject,
+    from_s: f64,
+    to_s: f64,
+    across: (f64, f64),
+    waits: bool,
+}
+
+impl InStrip<'_> {
+    fn moves(&self) -> bool {
+        self.object.speed() >= STANDING
+    }
+}
+
+/// The first stretch of a lane that is blocked ahead of the ego or beside it, with nothing before it that moves or waits.
+/// People and bicycles never block in this sense, nor does a vehicle that may be waiting: at an intersection, for a
+/// light, a person or the traffic before it. What leaves room for the ego in its lane does not block either.
+pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Option<BlockedStretch> {
+    let line = &lane.path.centerline;
+    let (from, to) = ((lane.ego_s - BEHIND).max(0.0), (lane.ego_s + REACH).min(line.length()));
+    let strip = Corridor::new(line.slice(from, to)?, PACIFICA.width / 2.0);
+    let footprint = scene.ego.footprint();
+    let met = scene.objects.iter().filter(|object| strip.meets_box(&object.shape) && !object.shape.overlaps(&footprint));
+    let mut found: Vec<InStrip<'_>> = met.map(|object| in_strip(&lane.path, object)).collect();
+    found.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+    let before = first_seen(scene);
+    for place in (0..found.len()).rev() {
+        let (this, ahead) = found.split_at(place + 1);
+        let Some(one) = this.last() else { continue };
+        let waits = waits(scene, &lane.path, one, ahead) || has_just_stopped(one.object, &before);
+        if let Some(one) = found.get_mut(place) {
+            one.waits = waits;
+        }
+    }
+    // What lies behind the ego's rear bumper is passed.
+    let rear = lane.ego_s - PACIFICA.length() / 2.0;
+    let mut ahead = found.iter().filter(|one| one.to_s > rear && !leaves_room(scene, &lane.path, one));
+    let first = ahead.next().filter(|one| !one.waits && !one.moves())?;
+    let mut stretch = BlockedStretch { from_s: first.from_s, to_s: first.to_s, across: first.across };
+    for next in ahead.take_while(|one| !one.waits && !one.moves()) {
+        if next.from_s - stretch.to_s > TOO_SHORT {
+            break;
+        }
+        stretch.to_s = stretch.to_s.max(next.to_s);
+        stretch.across = (stretch.across.0.min(next.across.0), stretch.across.1.max(next.across.1));
+    }
+    Some(stretch)
+}
+
+fn in_strip<'a>(path: &LanePath, object: &'a TrackedObject) -> InStrip<'a> {
+    let corners = object.shape.corners().map(|corner| path.centerline.project(corner));
+    let bounds = |values: [f64; 4]| {
+        (values.into_iter().fold(f64::INFINITY, f64::min), values.into_iter().fold(f64::NEG_INFINITY, f64::max))
+    };
+    let (from_s, to_s) = bounds(corners.map(|corner| corner.s));
+    InStrip { object, from_s, to_s, across: bounds(corners.map(|corner| corner.lateral)), waits: false }
+}
+
+/// Where each object was in the oldest sample of the history.
+fn first_seen(scene: &SceneView<'_>) -> BTreeMap<u32, Point> {
+    let oldest = scene.history.samples().next();
+    let objects = oldest.into_iter().flat_map(|sample| sample.objects.iter());
+    objects.map(|object| (object.token.0, object.shape.center.position())).collect()
+}
+
+fn has_just_stopped(object: &TrackedObject, before: &BTreeMap<u32, Point>) -> bool {
+    before.get(&object.token.0).is_some_and(|from| (object.shape.center.position() - from).norm() > MOVED)
+}
+
+/// Whether an object that stands may go on soon.
+fn waits(scene: &SceneView<'_>, path: &LanePath, one: &InStrip<'_>, ahead: &[InStrip<'_>]) -> bool {
+    if one.moves() || one.object.kind.is_vulnerable() {
+        return true;
+    }
+    if one.object.kind != ObjectKind::Vehicle {
+        return false;
+    }
+    let within = |from_s: f64, reach: f64| from_s > one.from_s && from_s - one.to_s <= reach;
+    let at_junction = path.lanes.iter().zip(&path.starts).any(|(&lane, &start)| {
+        let is_junction = scene.map[lane].is_connector() || scene.lights.status(lane).is_some();
+        is_junction && within(start, JUNCTION)
+    });
+    let behind_traffic = ahead.iter().any(|next| {
+        let is_queue = next.waits || (is_aligned(path, one) && is_aligned(path, next));
+        within(next.from_s, QUEUE_GAP) && is_queue
+    });
+    let for_person = scene.objects.iter().filter(|object| object.kind.is_vulnerable()).any(|person| {
+        let foot = path.centerline.project(person.shape.center.position());
+        foot.lateral.abs() <= PERSON_ASIDE && within(foot.s, QUEUE_GAP)
+    });
+    at_junction || behind_traffic || for_person
+}
+
+/// Whether a vehicle stands as one in a queue does.
+fn is_aligned(path: &LanePath, one: &InStrip<'_>) -> bool {
+    let foot = path.centerline.project(one.object.shape.center.position());
+    let turn = wrap_angle(foot.heading - one.object.shape.center.heading).abs();
+    one.object.kind == ObjectKind::Vehicle && turn <= ALIGNED.0 && foot.lateral.abs() <= ALIGNED.1
+}
+
+/// Whether the ego fits between an object and an edge of the lane.
+fn leaves_room(scene: &SceneView<'_>, path: &LanePath, one: &InStrip<'_>) -> bool {
+    let s = f64::midpoint(one.from_s, one.to_s);
+    let (right, left) = edges(scene, path, s);
+    let needed = PACIFICA.width + MARGIN;
+    left - one.across.1 >= needed || one.across.0 - right >= needed
+}
+
+/// The edges of the lane at an arc length of its centerline, to the right and to the left, positive to the left, meters.
+pub(super) fn edges(scene: &SceneView<'_>, path: &LanePath, s: f64) -> (f64, f64) {
+    let polygon = &scene.map[path.lane_at(s)].polygon;
+    let edge = |side: f64| {
+        let steps = 1..=(MAX_HALF_WIDTH / EDGE_STEP) as u32;
+        let beyond = |&lateral: &f64| !polygon.contains(path.centerline.frenet_to_map(s, lateral));
+        steps.map(|step| side * f64::from(step) * EDGE_STEP).find(beyond).unwrap_or(side * MAX_HALF_WIDTH)
+    };
+    (edge(-1.0), edge(1.0))
+}

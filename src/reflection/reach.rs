@@ -1,0 +1,128 @@
+//! What could be reached beyond the horizon of a roll-out, where something stands in the ego's way.
+
+use super::judge::ReflectionError;
+use super::plan_builder::PlanBuilder;
+use super::rollout::LeadPolicy;
+use crate::dynamics::{JerkPenalty, simulate_proposal};
+use crate::environment::{CenterlineName, LaneGraph};
+use crate::pdm::{FALLBACK_LIMIT, ProposalScore, ScoringScene, score_proposals};
+use crate::reasoning::PlannerCode;
+use crate::world::{EgoState, SceneView};
+
+/// Time beyond the horizon for which an ego is taken to keep its final speed, seconds.
+const BEYOND_S: f64 = 4.0;
+/// Acceleration and deceleration of the plans that show what can be reached, m/s²: PDM-Closed's.
+const ACCELERATIONS: (f64, f64) = (1.5, 3.0);
+/// A way that reaches less is none, meters: an ego that waits may creep so far. About the length of the ego.
+pub(super) const MIN_REACH: f64 = 5.0;
+/// Below this progress of PDM-Closed's proposals standing still is as good as any, meters (PDM's scorer).
+const STANDS: f64 = 0.1;
+
+/// How far the ego is when it has kept its final speed for [`BEYOND_S`], meters along the line of progress. Nothing where a
+/// multiplier of the score is 0.
+pub(super) fn reach_of(score: &ProposalScore, states: &[EgoState]) -> f64 {
+    let beyond = states.last().map_or(0.0, EgoState::speed) * BEYOND_S;
+    (score.progress_m + beyond) * score.multiplier()
+}
+
+/// The largest reach of roll-outs that come near no collision.
+pub(super) fn best_reach(scores: &[ProposalScore], simulated: &[Vec<EgoState>]) -> f64 {
+    let safe = scores.iter().zip(simulated).filter(|(score, _)| score.time_to_collision >= 1.0);
+    safe.map(|(score, states)| reach_of(score, states)).fold(0.0, f64::max)
+}
+
+/// Whether progress is compared with what can be reached: the ego's lane is blocked by what stands for good, or PDM-Closed's best
+/// proposal stands.
+pub(super) fn is_compared(graph: &LaneGraph, rival_progress: f64) -> bool {
+    graph.blocked.is_some() || rival_progress <= STANDS
+}
+
+/// The largest reach of a plan at the limit: on the ego's lane, and on those beside where the ego's is blocked. A red light, a
+/// queue and a person hold these plans as they hold any other.
+pub(super) fn reach_of_lanes(
+    scene: &SceneView<'_>,
+    graph: &LaneGraph,
+    scoring: &ScoringScene<'_>,
+    steps: usize,
+    horizon_s: f64,
+) -> Result<f64, ReflectionError> {
+    let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s };
+    let (accel_max, decel_max) = ACCELERATIONS;
+    let target_speed = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT).round();
+    let mut simulated = Vec::new();
+    for lane in &graph.centerlines {
+        if lane.name != CenterlineName::EgoLane && graph.blocked.is_none() {
+            continue;
+        }
+        let code = PlannerCode { centerline: lane.name, lead_agent: None, target_speed, accel_max, decel_max };
+        if let Some(plan) = builder.build(scene, graph, code)? {
+            let rollout = plan.roll_out(scene, steps);
+            simulated.push(simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed));
+        }
+    }
+    Ok(best_reach(&score_proposals(scoring, &simulated)?, &simulated))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::DEFAULT_NODE_LENGTH;
+    use crate::pdm::PdmMemory;
+    use crate::reflection::{Judge, ProgressReference, ReflectionReport};
+    use crate::world::{ObjectKind, Scene, SceneBuilder, SignalStatus};
+
+    /// Two lanes to the east, the left one along y = 0, and behind them an intersection from x = 150 on.
+    fn road() -> SceneBuilder {
+        Scene::builder().lanes(2, [[-50.0, 0.0], [150.0, 0.0]])
+    }
+
+    /// The report on a code at the limit on a lane.
+    fn judged(scene: SceneBuilder, centerline: CenterlineName) -> ReflectionReport {
+        let scene = scene.build().unwrap();
+        let view = scene.view();
+        let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
+        let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: 4.0 };
+        let (accel_max, decel_max) = ACCELERATIONS;
+        let code = PlannerCode { centerline, lead_agent: None, target_speed: 13.0, accel_max, decel_max };
+        let plan = builder.build(&view, &graph, code).unwrap().unwrap();
+        Judge::new(&view, &graph, 4.0, &mut PdmMemory::default()).unwrap().reflect(&plan, 0.75).unwrap()
+    }
+
+    #[test]
+    fn an_ego_that_stands_behind_a_broken_down_car_has_little_progress_where_there_is_room_beside() {
+        for (gap, speed) in [(14.0, 0.0), (20.0, 4.0), (30.0, 7.0)] {
+            let scene = || road().ego([0.0, -3.5], 0.0, speed).vehicle([5.0 + gap, -3.5], 0.0, 0.0);
+            let (own, left) = (judged(scene(), CenterlineName::EgoLane), judged(scene(), CenterlineName::LeftLane));
+            assert_eq!(own.progress_reference, ProgressReference::Reach);
+            let parts = (own.parts, left.parts);
+            assert!(own.parts.progress < 0.7 && own.score < left.score, "{gap}: {parts:?}");
+            assert!(left.parts.progress > 0.95, "{gap}: {parts:?}");
+        }
+    }
+
+    #[test]
+    fn an_ego_has_full_progress_where_it_waits() {
+        let waiting: [(&str, SceneBuilder); 6] = [
+            ("no way past", road().vehicle([6.0, -3.5], 0.0, 0.0).vehicle([4.0, 0.0], 0.0, 0.0)),
+            ("a queue", road().vehicle([6.0, -3.5], 0.0, 0.0).vehicle([12.0, -3.5], 0.0, 0.0)),
+            ("a person before it", road().vehicle([6.0, -3.5], 0.0, 0.0).object(ObjectKind::Pedestrian, [11.0, -5.0], 1.6, 1.0)),
+            ("a person", road().object(ObjectKind::Pedestrian, [4.0, -3.5], 1.6, 0.0)),
+            ("slow traffic", road().vehicle([6.0, -3.5], 0.0, 0.0).vehicle([12.0, -3.5], 0.0, 0.5)),
+            (
+                "a red light",
+                Scene::builder()
+                    .lanes(2, [[-50.0, 0.0], [11.0, 0.0]])
+                    .connector([[11.0, 0.0], [30.0, 0.0]])
+                    .connector([[11.0, -3.5], [30.0, -3.5]])
+                    .light(2, SignalStatus::Red)
+                    .light(3, SignalStatus::Red)
+                    .vehicle([6.0, -3.5], 0.0, 0.0),
+            ),
+        ];
+        for (why, scene) in waiting {
+            let report = judged(scene.ego([0.0, -3.5], 0.0, 0.0), CenterlineName::EgoLane);
+            assert!(report.parts.progress >= 1.0, "{why}: {:?}", report.parts);
+            assert!(report.progress_m < 0.5, "{why}: it stands");
+        }
+    }
+}
