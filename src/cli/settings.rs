@@ -16,11 +16,12 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Keys without a default value; the others are those of [`Config::default`].
-pub(super) const OPTIONAL: [&str; 15] = [
+pub(super) const OPTIONAL: [&str; 16] = [
     "mllm.quantize",
     "mllm.context",
     "agent.deadline_ms",
     "agent.gate",
+    "environment.oncoming_lane",
     "reasoning.prompt_set",
     "reasoning.proposals",
     "reasoning.speculation",

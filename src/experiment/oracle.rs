@@ -16,21 +16,25 @@ pub(super) struct OracleAgent<'a> {
     shadow: ClosedLoop<'a>,
     agent: Box<dyn AgentLayer>,
     code: HandedCode,
+    /// Whether codes may name the oncoming lane.
+    oncoming_lane: bool,
 }
 
 impl<'a> OracleAgent<'a> {
     /// An agent in a simulation that has not begun.
     pub(super) fn new(name: PlannerName, settings: PlanAgentSettings, simulation: ClosedLoop<'a>) -> Self {
-        let code = HandedCode::default();
+        let (code, oncoming_lane) = (HandedCode::default(), settings.environment.oncoming_lane == Some(true));
         let agent = PlanAgent::new(name, CodeSource::Handed(code.clone()), settings).layered();
-        Self { shadow: simulation, agent, code }
+        Self { shadow: simulation, agent, code, oncoming_lane }
     }
 
     /// Hands the best code over. Near the end of the recording the search looks no further than that; where it finds nothing, the
     /// agent takes the fixed code.
     fn search(&self) {
         let left = self.shadow.scenario().iterations() - 1 - self.shadow.iteration();
-        let graph = LaneGraph::build(&self.shadow.scene(), DEFAULT_NODE_LENGTH).ok();
+        let scene = self.shadow.scene();
+        let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).ok();
+        let graph = graph.map(|graph| if self.oncoming_lane { graph.with_oncoming_lane(&scene) } else { graph });
         let tried = graph.map(|graph| search_ahead(&self.shadow, &graph, HORIZON.min(left))).unwrap_or_default();
         self.code.hand(best(&tried).map(|best| best.code));
     }

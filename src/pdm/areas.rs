@@ -155,6 +155,16 @@ impl<'a> DrivableMap<'a> {
         }
     }
 
+    /// The same with some lanes counted as lanes of the route: those on which the ego may pass something.
+    #[must_use]
+    pub fn allowing(&self, lanes: &[LaneId]) -> Self {
+        let is_allowed =
+            |area: &Area<'a>| lanes.iter().any(|&lane| std::ptr::eq(area.polygon, &self.map[lane].polygon));
+        let areas = self.areas.iter();
+        let areas = areas.map(|area| Area { polygon: area.polygon, on_route: area.on_route || is_allowed(area) });
+        Self { map: self.map, areas: areas.collect(), layers: self.layers, tolerance: self.tolerance }
+    }
+
     /// The layers that count as drivable.
     pub fn layers(&self) -> DrivableLayers {
         self.layers

@@ -170,18 +170,20 @@ pub fn plan_tuned(
 }
 
 /// One step of PDM-Closed along several reference paths at once: the best of all proposals is executed. Progress is measured along the
-/// first path, and the collisions and areas are those of its route.
+/// first path, and the collisions and areas are those of its route; lanes of `passed` count as lanes of the route.
 ///
 /// # Errors
 /// As [`plan_along`].
 pub fn plan_among(
     own: &ReferencePath,
     others: &[ReferencePath],
+    passed: &[LaneId],
     scene: &SceneView<'_>,
     collided: &mut Collided,
 ) -> Result<PdmPlan, PdmError> {
     let (ego, parameters) = (scene.ego, PdmParameters::default());
-    let instant = PdmInstant::along(own, scene, collided);
+    let PdmInstant { drivable, forecast } = PdmInstant::along(own, scene, collided);
+    let instant = PdmInstant { drivable: drivable.allowing(passed), forecast };
     let mut sets: Vec<Proposals<'_>> =
         std::iter::once(own).chain(others).map(|path| instant.proposals(path, ego, PROPOSAL_STEPS)).collect();
     let all = sets.iter().flat_map(|set| simulate_proposals(ego, set.all()));

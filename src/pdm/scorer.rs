@@ -62,11 +62,16 @@ impl ProposalScore {
         self.no_at_fault_collisions * self.drivable_area * self.driving_direction
     }
 
+    /// The same score of an ego that drives against traffic.
+    #[must_use]
+    pub fn against_traffic(self) -> Self {
+        Self { driving_direction: 0.0, ..self }.with_progress(0.0)
+    }
+
     /// The same score with another relative progress, in [0, 1].
     #[must_use]
     pub fn with_progress(self, progress: f64) -> Self {
-        let weighted =
-            WEIGHT_PROGRESS * progress + WEIGHT_TTC * self.time_to_collision + WEIGHT_COMFORT * self.comfort;
+        let weighted = WEIGHT_PROGRESS * progress + WEIGHT_TTC * self.time_to_collision + WEIGHT_COMFORT * self.comfort;
         let total = self.multiplier() * weighted / (WEIGHT_PROGRESS + WEIGHT_TTC + WEIGHT_COMFORT);
         Self { progress, total, ..self }
     }

@@ -39,6 +39,8 @@ pub struct AgentState {
     pub(super) builder: PlanBuilder,
     pub(super) plan_interval_s: f64,
     node_length_m: f64,
+    /// Whether its codes may name the oncoming lane.
+    oncoming_lane: bool,
 }
 
 impl AgentState {
@@ -53,7 +55,12 @@ impl AgentState {
             builder: PlanBuilder { lead_policy: settings.reflection.lead_policy, horizon_s },
             plan_interval_s: settings.plan_interval_s,
             node_length_m: settings.environment.node_length_m,
+            oncoming_lane: false,
         }
+    }
+
+    pub(super) fn naming_oncoming_lane(self, oncoming_lane: bool) -> Self {
+        Self { oncoming_lane, ..self }
     }
 
     pub(super) fn reset(&mut self) {
@@ -80,7 +87,8 @@ impl AgentState {
     }
 
     pub(super) fn lane_graph(&self, scene: &SceneView<'_>) -> Result<LaneGraph, LaneGraphError> {
-        LaneGraph::build(scene, self.node_length_m)
+        let graph = LaneGraph::build(scene, self.node_length_m)?;
+        Ok(if self.oncoming_lane { graph.with_oncoming_lane(scene) } else { graph })
     }
 
     /// Extends the path of the active plan from the ego's present place, if there is a lane graph.

@@ -40,6 +40,9 @@ impl Question for CodeQuestion<'_> {
 
 /// Whether a plan is bound for another lane than the ego's and the active plan's.
 pub(super) fn begins_lane_change(plan: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph, state: &AgentState) -> bool {
+    if plan.oncoming().is_some() {
+        return state.active_plan().is_none_or(|active| active.oncoming().is_none());
+    }
     let bound_for = plan.lane_now(scene);
     !graph.ego_lane().path.lanes.contains(&bound_for)
         && state.active_plan().is_none_or(|active| active.lane_now(scene) != bound_for)

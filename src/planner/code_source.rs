@@ -79,6 +79,15 @@ impl CodeSource {
         matches!(self, Self::Grid | Self::GridFour | Self::RandomFour)
     }
 
+    /// Whether its codes may name the oncoming lane: as a model's prompt set says, unless the settings forbid it; without a model as
+    /// the settings say.
+    pub(super) fn names_oncoming_lane(&self, setting: Option<bool>) -> bool {
+        match self.prompts() {
+            Some(prompts) => prompts.forms().scene_text.names_oncoming_lane() && setting != Some(false),
+            None => setting == Some(true),
+        }
+    }
+
     /// Begins a planning call of at most `attempts` attempts; a grid gives all of its codes. `history` has the answers of the
     /// simulation so far.
     pub(super) fn open<'a>(
@@ -147,7 +156,7 @@ fn fixed_code(graph: &LaneGraph) -> Vec<PlannerCode> {
 }
 
 fn grid(graph: &LaneGraph) -> Vec<PlannerCode> {
-    let mut centerlines: Vec<CenterlineName> = graph.centerlines.iter().map(|centerline| centerline.name).collect();
+    let mut centerlines: Vec<CenterlineName> = graph.named().map(|centerline| centerline.name).collect();
     centerlines.sort_by_key(|&name| name != CenterlineName::EgoLane);
     let mut codes = Vec::new();
     for centerline in centerlines {
@@ -163,7 +172,7 @@ fn grid(graph: &LaneGraph) -> Vec<PlannerCode> {
 
 /// Each lane at the limit, then the ego's lane more slowly: the first four.
 fn grid_of_four(graph: &LaneGraph) -> Vec<PlannerCode> {
-    let lanes = graph.centerlines.iter().map(|centerline| (centerline.name, 1.0));
+    let lanes = graph.named().map(|centerline| (centerline.name, 1.0));
     let slower = GRID_SPEEDS[1..].iter().step_by(2).map(|&fraction| (CenterlineName::EgoLane, fraction));
     let code = |(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS);
     lanes.chain(slower).map(code).take(FOUR).collect()

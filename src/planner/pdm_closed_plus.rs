@@ -4,7 +4,8 @@ use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
 use crate::geometry::Pose;
 use crate::pdm::{DrivableLayers, PdmError, PdmMemory, ReferencePath, plan_among};
-use crate::world::{PACIFICA, RoadblockId, SceneView, Trajectory};
+use crate::reflection::allowed_pass;
+use crate::world::{LaneId, PACIFICA, RoadblockId, SceneView, Trajectory};
 
 /// PDM-Closed that scores its proposals along every centerline that a planner code could name, each with its lateral offsets, beside
 /// those along its own reference path. All are scored together at every step, so that a better one takes over as monitoring lets it.
@@ -37,8 +38,8 @@ impl Planner for PdmClosedPlus {
             Some(own) => &*own,
             none => none.insert(ReferencePath::find(scene.map, scene.route, scene.ego).map_err(PdmError::from)?),
         };
-        let others = centerlines(scene, own);
-        let plan = plan_among(own, &others, scene, collided)?;
+        let (others, passed) = centerlines(scene, own);
+        let plan = plan_among(own, &others, &passed, scene, collided)?;
         Ok(plan.trajectory)
     }
 
@@ -47,9 +48,11 @@ impl Planner for PdmClosedPlus {
     }
 }
 
-/// Reference paths along the centerlines of the lane graph, on the route of the own one. Where there is no lane graph, none.
-fn centerlines(scene: &SceneView<'_>, own: &ReferencePath) -> Vec<ReferencePath> {
-    let Ok(graph) = LaneGraph::build(scene, DEFAULT_NODE_LENGTH) else { return Vec::new() };
+/// Reference paths along the centerlines of the lane graph, on the route of the own one, and the lanes against traffic on which the
+/// ego may pass now what blocks its lane. Where there is no lane graph, none.
+fn centerlines(scene: &SceneView<'_>, own: &ReferencePath) -> (Vec<ReferencePath>, Vec<LaneId>) {
+    let Ok(graph) = LaneGraph::build(scene, DEFAULT_NODE_LENGTH) else { return (Vec::new(), Vec::new()) };
+    let graph = graph.with_oncoming_lane(scene);
     let mut blocks: Vec<RoadblockId> = own.lanes().iter().map(|&lane| scene.map[lane].roadblock).collect();
     blocks.dedup();
     let along = |poses: Vec<Pose>| ReferencePath::along(scene.map, &blocks, &poses, scene.ego).ok();
@@ -58,5 +61,8 @@ fn centerlines(scene: &SceneView<'_>, own: &ReferencePath) -> Vec<ReferencePath>
         let from = line.project(scene.ego.rear_axle.position()).s - PACIFICA.length();
         line.slice(from, line.length()).map(|line| line.vertex_poses())
     };
-    graph.centerlines.iter().filter_map(|one| along(ahead(&one.path.centerline)?)).collect()
+    let pass = allowed_pass(scene, &graph);
+    let lines = graph.centerlines.iter().chain(pass.map(|pass| &pass.centerline));
+    let paths = lines.filter_map(|one| along(ahead(&one.path.centerline)?)).collect();
+    (paths, pass.map(|pass| pass.lanes.clone()).unwrap_or_default())
 }

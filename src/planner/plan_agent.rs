@@ -33,7 +33,8 @@ impl PlanAgent {
     /// The paper's loop. Gate, latency and monitoring are layers around it: [`Self::layered`].
     pub fn new(name: PlannerName, source: CodeSource, settings: PlanAgentSettings) -> Self {
         Self {
-            state: AgentState::new(name, &settings),
+            state: AgentState::new(name, &settings)
+                .naming_oncoming_lane(source.names_oncoming_lane(settings.environment.oncoming_lane)),
             source,
             settings,
             shuffled_bev: None,

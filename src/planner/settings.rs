@@ -47,11 +47,15 @@ pub struct EnvironmentSettings {
     pub view_m: f64,
     /// Length of a lane-graph node, meters.
     pub node_length_m: f64,
+    /// Whether codes may name the oncoming lane to pass what blocks the ego's; `None` as the prompt set says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub oncoming_lane: Option<bool>,
 }
 
 impl Default for EnvironmentSettings {
     fn default() -> Self {
-        Self { bev: true, shuffled_bev: false, lane_graph: true, view_m: 64.0, node_length_m: DEFAULT_NODE_LENGTH }
+        let (view_m, node_length_m) = (64.0, DEFAULT_NODE_LENGTH);
+        Self { bev: true, shuffled_bev: false, lane_graph: true, view_m, node_length_m, oncoming_lane: None }
     }
 }
 

@@ -79,7 +79,7 @@ impl Names {
     /// The names of a scene's lane graph.
     pub fn of(graph: &LaneGraph) -> Self {
         Self {
-            centerlines: graph.centerlines.iter().map(|centerline| centerline.name).collect(),
+            centerlines: graph.named().map(|centerline| centerline.name).collect(),
             lead_agents: graph.agents.iter().map(|agent| agent.name).collect(),
             speed_limit: graph.ego_lane().speed_limit.map(|limit| limit.round() as u32),
         }

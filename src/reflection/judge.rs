@@ -1,6 +1,7 @@
 //! Scores plans by PDM's measure over a short horizon.
 
-use super::reach::{MIN_REACH, best_reach, is_compared, reach_of, reach_of_lanes};
+use super::pass::PassVerdict;
+use super::reach::{MIN_REACH, Reach, is_compared, reach_of_lanes};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use super::rollout::{IdmPlan, Rollout};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
@@ -11,7 +12,7 @@ use crate::pdm::{
     self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PdmInstant, PdmMemory, ProposalScore, ReferencePath,
     ScoringScene, no_at_fault_collisions, score_proposals, simulate_proposals,
 };
-use crate::world::{EgoState, STEP_S, SceneView, TrajectoryError};
+use crate::world::{EgoState, PACIFICA, STEP_S, SceneView, TrajectoryError};
 
 /// Whether PDM-Closed's emergency brake would overrule this roll-out: the ego is slow and would be at fault for a collision
 /// within two seconds. What the ego touches is added to `memory`; areas are those of its reference path, which is chosen now if
@@ -73,9 +74,10 @@ pub struct Judge<'a> {
     /// The line along which progress is measured.
     centerline: Polyline,
     steps: usize,
-    rival_progress: f64,
-    /// What PDM-Closed's proposals reach and, where it is compared with, what any plan could, meters.
-    reach_m: f64,
+    /// The reach of each of PDM-Closed's proposals.
+    proposals: Vec<Reach>,
+    /// What a plan is compared with.
+    rivals: Reach,
     reference: ProgressReference,
 }
 
@@ -95,19 +97,16 @@ impl<'a> Judge<'a> {
         memory.choose_reference_path(scene);
         if let PdmMemory { reference_path: Some(reference_path), collided } = memory {
             let mut judge = Self::along(scene, reference_path, horizon_s, collided)?;
-            if is_compared(graph, judge.rival_progress) {
-                let lanes = reach_of_lanes(scene, graph, &judge.scoring(), judge.steps, horizon_s)?;
-                judge.reach_m = judge.reach_m.max(lanes);
-                if judge.reach_m >= MIN_REACH {
-                    judge.reference = ProgressReference::Reach;
-                }
+            if is_compared(graph, judge.rivals.progress_m) {
+                judge.compare_with_lanes(graph, horizon_s)?;
             }
             return Ok(judge);
         }
         let (instant, steps) = (observe(scene, memory), steps_of(horizon_s));
         let centerline = graph.ego_lane().path.centerline.clone();
         let reference = ProgressReference::OwnProgress;
-        Ok(Self { scene, instant, centerline, steps, rival_progress: 0.0, reach_m: 0.0, reference })
+        let (proposals, rivals) = (Vec::new(), Reach::default());
+        Ok(Self { scene, instant, centerline, steps, proposals, rivals, reference })
     }
 
     /// As [`Self::new`], along a given reference path. What the ego touches now is added to `collided`.
@@ -125,10 +124,28 @@ impl<'a> Judge<'a> {
         let proposals = instant.proposals(reference_path, scene.ego, steps);
         let simulated = simulate_proposals(scene.ego, proposals.all());
         let scores = score_proposals(&instant.scoring(&centerline, 0.0), &simulated)?;
-        let rival_progress = scores.iter().map(|s| s.progress_m * s.multiplier()).fold(0.0, f64::max);
         drop(proposals);
-        let (reach_m, reference) = (best_reach(&scores, &simulated), ProgressReference::PdmProposals);
-        Ok(Self { scene, instant, centerline, steps, rival_progress, reach_m, reference })
+        let reaches = scores.iter().zip(&simulated).map(|(score, states)| Reach::of_rival(score, states));
+        let proposals: Vec<Reach> = reaches.collect();
+        let (rivals, reference) = (Reach::best(proposals.iter().copied()), ProgressReference::PdmProposals);
+        Ok(Self { scene, instant, centerline, steps, proposals, rivals, reference })
+    }
+
+    /// Compares progress with what plans at the limit could reach, too. Where a plan stops early because something leads past
+    /// what blocks the lane, so do the rivals that do not pass it.
+    fn compare_with_lanes(&mut self, graph: &LaneGraph, horizon_s: f64) -> Result<(), ReflectionError> {
+        let lanes = reach_of_lanes(self.scene, graph, &self.scoring(), self.steps, horizon_s)?;
+        if let (Some(blocked), Some(_)) = (graph.blocked, graph.stop_point()) {
+            let front = self.centerline.project(PACIFICA.front_of(self.scene.ego.rear_axle)).s;
+            let obstacle = self.centerline.project(graph.ego_lane().path.centerline.point_at(blocked.from_s)).s;
+            self.proposals.retain(|one| one.progress_m > obstacle - front);
+            self.rivals = Reach::best(self.proposals.iter().copied().chain([lanes.own]));
+        }
+        self.rivals.reach_m = self.rivals.reach_m.max(lanes.best_m);
+        if self.rivals.reach_m >= MIN_REACH {
+            self.reference = ProgressReference::Reach;
+        }
+        Ok(())
     }
 
     fn simulate(&self, plan: &IdmPlan) -> Vec<EgoState> {
@@ -137,7 +154,7 @@ impl<'a> Judge<'a> {
     }
 
     fn scoring(&self) -> ScoringScene<'_> {
-        self.instant.scoring(&self.centerline, self.rival_progress)
+        self.instant.scoring(&self.centerline, self.rivals.progress_m)
     }
 
     /// Rolls a plan out, scores it, and compares the score with λ.
@@ -145,7 +162,7 @@ impl<'a> Judge<'a> {
     /// # Errors
     /// When the horizon is too short to be scored.
     pub fn reflect(&self, plan: &IdmPlan, threshold: f64) -> Result<ReflectionReport, ReflectionError> {
-        self.assess(self.simulate(plan), threshold)
+        self.assess_along(self.simulate(plan), Some(plan), threshold)
     }
 
     /// Scores the ego's states, one every 0.1 s over the horizon, the present one first, and compares the score with λ.
@@ -153,14 +170,26 @@ impl<'a> Judge<'a> {
     /// # Errors
     /// When the horizon is too short to be scored.
     pub fn assess(&self, states: Vec<EgoState>, threshold: f64) -> Result<ReflectionReport, ReflectionError> {
+        self.assess_along(states, None, threshold)
+    }
+
+    fn assess_along(
+        &self,
+        states: Vec<EgoState>,
+        plan: Option<&IdmPlan>,
+        threshold: f64,
+    ) -> Result<ReflectionReport, ReflectionError> {
         let batch = [states];
-        let scores = score_proposals(&self.scoring(), &batch)?;
+        let scores = match plan {
+            Some(plan) => score_plan(self.scene, plan, &self.scoring(), &batch)?,
+            None => score_proposals(&self.scoring(), &batch)?,
+        };
         let [states] = batch;
         // One proposal in, one score out.
         let mut score = scores.first().copied().ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
         if self.reference == ProgressReference::Reach {
-            let own = reach_of(&score, &states);
-            score = score.with_progress(score.progress.min(own / self.reach_m.max(own)));
+            let own = Reach::of(&score, &states).reach_m;
+            score = score.with_progress(score.progress.min(own / self.rivals.reach_m.max(own)));
         }
         let verdict = if score.total >= threshold { Verdict::Execute } else { Verdict::Rethink };
         Ok(ReflectionReport {
@@ -176,6 +205,23 @@ impl<'a> Judge<'a> {
             states,
         })
     }
+}
+
+/// Scores roll-outs of a plan. One that passes something over the oncoming lane is on its route there while it keeps the rules, and
+/// has 0 for the driving direction otherwise.
+pub(super) fn score_plan(
+    scene: &SceneView<'_>,
+    plan: &IdmPlan,
+    scoring: &ScoringScene<'_>,
+    batch: &[Vec<EgoState>],
+) -> Result<Vec<ProposalScore>, MetricError> {
+    let Some(way) = plan.oncoming() else { return score_proposals(scoring, batch) };
+    if PassVerdict::of(plan, scene) == PassVerdict::Refused {
+        let scores = score_proposals(scoring, batch)?;
+        return Ok(scores.into_iter().map(ProposalScore::against_traffic).collect());
+    }
+    let drivable = scoring.drivable.allowing(&way.lanes);
+    score_proposals(&ScoringScene { drivable: &drivable, ..*scoring }, batch)
 }
 
 fn parts(score: &ProposalScore) -> SubScores {

@@ -1,10 +1,10 @@
 //! Runtime monitoring: scores the active plan and its versions at every step and chooses one.
 
-use super::judge::{ReflectionError, observe};
+use super::judge::{ReflectionError, observe, score_plan};
 use super::rollout::{IdmPlan, Version};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::metrics::MetricError;
-use crate::pdm::{PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake, score_proposals};
+use crate::pdm::{PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake};
 use crate::world::{EgoState, SceneView, Trajectory};
 
 /// How a plan is monitored.
@@ -79,6 +79,8 @@ impl PlanMonitor {
     /// Of equals the first is chosen. Where nothing avoids the collision, a slow ego brakes by PDM-Closed's rule, and a fast one
     /// executes the plan: such forecasts are often wrong.
     ///
+    /// A pass over the oncoming lane that breaks a rule has the score 0, until the ego is beside what it passes.
+    ///
     /// Areas and progress are those of the reference path in `memory`, which is chosen now if there is none. Where PDM-Closed finds
     /// none, progress is measured along the plan's own path. What the ego touches is added to `memory`.
     ///
@@ -98,7 +100,7 @@ impl PlanMonitor {
             .into_iter()
             .map(|(version, rollout)| (version, simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed)))
             .unzip();
-        let scores = score_proposals(&instant.scoring(centerline, 0.0), &batch)?;
+        let scores = score_plan(scene, plan, &instant.scoring(centerline, 0.0), &batch)?;
         let scored: Vec<(Version, ProposalScore)> = versions.into_iter().zip(scores).collect();
         self.best(&scored, scene.ego).ok_or(ReflectionError::Score(MetricError::TooFewSamples { needed: 1, got: 0 }))
     }

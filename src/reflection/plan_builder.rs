@@ -3,11 +3,15 @@
 use super::rollout::{IdmPlan, LeadPolicy};
 use crate::environment::{AgentName, CenterlineName, LaneGraph};
 use crate::geometry::GeometryError;
+use crate::pdm::FALLBACK_LIMIT;
 use crate::reasoning::PlannerCode;
 use crate::world::SceneView;
 
 /// Maximum acceleration and deceleration of an ego that keeps its lane and speed, m/s².
 const KEEP_LANE_ACCELERATIONS: (f64, f64) = (1.0, 3.0);
+
+/// The same of a plan at the limit, which shows what can be reached: PDM-Closed's.
+const LIMIT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
 
 /// What all plans of an agent have in common. Its functions fail where the ego's pose is not finite.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,14 +36,31 @@ impl PlanBuilder {
             LeadPolicy::Nearest => centerline.lead_agent,
         };
         let lead_agent = name.and_then(|name| graph.agent(name)).map(|agent| agent.token);
-        IdmPlan::new(scene, code, centerline.path.clone(), lead_agent, self.lead_policy, self.horizon_s).map(Some)
+        let path = centerline.path.clone();
+        let plan = IdmPlan::new(scene, code, path, lead_agent, self.lead_policy, self.horizon_s)?;
+        Ok(Some(plan.at_blocked_lane(graph, centerline.name)))
+    }
+
+    /// The plan at the speed limit along a centerline.
+    pub(super) fn at_limit(
+        &self,
+        scene: &SceneView<'_>,
+        graph: &LaneGraph,
+        centerline: CenterlineName,
+    ) -> Result<Option<IdmPlan>, GeometryError> {
+        let (accel_max, decel_max) = LIMIT_ACCELERATIONS;
+        let target_speed = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT).round();
+        self.build(scene, graph, PlannerCode { centerline, lead_agent: None, target_speed, accel_max, decel_max })
     }
 
     /// A plan that stays active: its path begins at the ego's present place, on the centerline that it is bound for.
     pub fn extend(&self, plan: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph) -> Result<IdmPlan, GeometryError> {
         let lane = plan.lane_now(scene);
-        let bound_for = graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));
-        plan.extended(scene, bound_for.unwrap_or(graph.ego_lane()).path.clone(), self.horizon_s)
+        let passes = graph.oncoming.as_ref().map(|oncoming| &oncoming.centerline).filter(|_| plan.oncoming().is_some());
+        let beside = || graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));
+        let bound_for = passes.or_else(beside).unwrap_or(graph.ego_lane());
+        let plan = plan.extended(scene, bound_for.path.clone(), self.horizon_s)?;
+        Ok(plan.at_blocked_lane(graph, bound_for.name))
     }
 
     /// The plan of the same code in the ego's present lane; `None` when the plan is bound for that lane already.
@@ -49,7 +70,7 @@ impl PlanBuilder {
         scene: &SceneView<'_>,
         graph: &LaneGraph,
     ) -> Result<Option<IdmPlan>, GeometryError> {
-        if graph.ego_lane().path.lanes.contains(&plan.lane_now(scene)) {
+        if plan.oncoming().is_none() && graph.ego_lane().path.lanes.contains(&plan.lane_now(scene)) {
             return Ok(None);
         }
         let (centerline, lead_agent) = ego_lane(graph);

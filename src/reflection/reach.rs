@@ -1,43 +1,67 @@
 //! What could be reached beyond the horizon of a roll-out, where something stands in the ego's way.
 
-use super::judge::ReflectionError;
+use super::judge::{ReflectionError, score_plan};
 use super::plan_builder::PlanBuilder;
 use super::rollout::LeadPolicy;
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::{CenterlineName, LaneGraph};
-use crate::pdm::{FALLBACK_LIMIT, ProposalScore, ScoringScene, score_proposals};
-use crate::reasoning::PlannerCode;
+use crate::pdm::{ProposalScore, ScoringScene};
 use crate::world::{EgoState, SceneView};
 
 /// Time beyond the horizon for which an ego is taken to keep its final speed, seconds.
 const BEYOND_S: f64 = 4.0;
-/// Acceleration and deceleration of the plans that show what can be reached, m/s²: PDM-Closed's.
-const ACCELERATIONS: (f64, f64) = (1.5, 3.0);
 /// A way that reaches less is none, meters: an ego that waits may creep so far. About the length of the ego.
 pub(super) const MIN_REACH: f64 = 5.0;
 /// Below this progress of PDM-Closed's proposals standing still is as good as any, meters (PDM's scorer).
 const STANDS: f64 = 0.1;
 
-/// How far the ego is when it has kept its final speed for [`BEYOND_S`], meters along the line of progress. Nothing where a
-/// multiplier of the score is 0.
-pub(super) fn reach_of(score: &ProposalScore, states: &[EgoState]) -> f64 {
-    let beyond = states.last().map_or(0.0, EgoState::speed) * BEYOND_S;
-    (score.progress_m + beyond) * score.multiplier()
+/// How far a roll-out comes along the line of progress, meters, times its multipliers.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Reach {
+    /// Within the horizon.
+    pub(super) progress_m: f64,
+    /// Within [`BEYOND_S`] more, at its final speed.
+    pub(super) reach_m: f64,
 }
 
-/// The largest reach of roll-outs that come near no collision.
-pub(super) fn best_reach(scores: &[ProposalScore], simulated: &[Vec<EgoState>]) -> f64 {
-    let safe = scores.iter().zip(simulated).filter(|(score, _)| score.time_to_collision >= 1.0);
-    safe.map(|(score, states)| reach_of(score, states)).fold(0.0, f64::max)
+impl Reach {
+    pub(super) fn of(score: &ProposalScore, states: &[EgoState]) -> Self {
+        let progress_m = score.progress_m * score.multiplier();
+        let beyond = states.last().map_or(0.0, EgoState::speed) * BEYOND_S;
+        Self { progress_m, reach_m: (score.progress_m + beyond) * score.multiplier() }
+    }
+
+    /// That of a rival: one that comes near a collision reaches nothing.
+    pub(super) fn of_rival(score: &ProposalScore, states: &[EgoState]) -> Self {
+        let reach = Self::of(score, states);
+        if score.time_to_collision < 1.0 { Self { reach_m: 0.0, ..reach } } else { reach }
+    }
+
+    /// The largest progress and the largest reach of some rivals.
+    pub(super) fn best(rivals: impl IntoIterator<Item = Self>) -> Self {
+        rivals.into_iter().fold(Self::default(), |best, one| Self {
+            progress_m: best.progress_m.max(one.progress_m),
+            reach_m: best.reach_m.max(one.reach_m),
+        })
+    }
 }
 
-/// Whether progress is compared with what can be reached: the ego's lane is blocked by what stands for good, or PDM-Closed's best
+/// What plans at the limit reach.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct LaneReach {
+    /// In the ego's lane.
+    pub(super) own: Reach,
+    /// On all lanes, meters.
+    pub(super) best_m: f64,
+}
+
+/// Whether progress is compared with what can be reached: the ego's lane is blocked by what stands permanently, or PDM-Closed's best
 /// proposal stands.
 pub(super) fn is_compared(graph: &LaneGraph, rival_progress: f64) -> bool {
     graph.blocked.is_some() || rival_progress <= STANDS
 }
 
-/// The largest reach of a plan at the limit: on the ego's lane, and on those beside where the ego's is blocked. A red light, a
+/// The reach of plans at the limit: on the ego's lane, and on those that lead past where the ego's is blocked. A red light, a
 /// queue and a person hold these plans as they hold any other.
 pub(super) fn reach_of_lanes(
     scene: &SceneView<'_>,
@@ -45,22 +69,23 @@ pub(super) fn reach_of_lanes(
     scoring: &ScoringScene<'_>,
     steps: usize,
     horizon_s: f64,
-) -> Result<f64, ReflectionError> {
+) -> Result<LaneReach, ReflectionError> {
     let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s };
-    let (accel_max, decel_max) = ACCELERATIONS;
-    let target_speed = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT).round();
-    let mut simulated = Vec::new();
-    for lane in &graph.centerlines {
+    let mut lanes = LaneReach::default();
+    for lane in graph.named() {
         if lane.name != CenterlineName::EgoLane && graph.blocked.is_none() {
             continue;
         }
-        let code = PlannerCode { centerline: lane.name, lead_agent: None, target_speed, accel_max, decel_max };
-        if let Some(plan) = builder.build(scene, graph, code)? {
-            let rollout = plan.roll_out(scene, steps);
-            simulated.push(simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed));
+        let Some(plan) = builder.at_limit(scene, graph, lane.name)? else { continue };
+        let simulated = [simulate_proposal(scene.ego, &plan.roll_out(scene, steps).poses, JerkPenalty::PdmClosed)];
+        let scores = score_plan(scene, &plan, scoring, &simulated)?;
+        let reach = Reach::best(scores.iter().zip(&simulated).map(|(score, states)| Reach::of_rival(score, states)));
+        lanes.best_m = lanes.best_m.max(reach.reach_m);
+        if lane.name == CenterlineName::EgoLane {
+            lanes.own = reach;
         }
     }
-    Ok(best_reach(&score_proposals(scoring, &simulated)?, &simulated))
+    Ok(lanes)
 }
 
 #[cfg(test)]
@@ -82,15 +107,13 @@ mod tests {
         let view = scene.view();
         let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
         let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: 4.0 };
-        let (accel_max, decel_max) = ACCELERATIONS;
-        let code = PlannerCode { centerline, lead_agent: None, target_speed: 13.0, accel_max, decel_max };
-        let plan = builder.build(&view, &graph, code).unwrap().unwrap();
+        let plan = builder.at_limit(&view, &graph, centerline).unwrap().unwrap();
         Judge::new(&view, &graph, 4.0, &mut PdmMemory::default()).unwrap().reflect(&plan, 0.75).unwrap()
     }
 
     #[test]
     fn an_ego_that_stands_behind_a_broken_down_car_has_little_progress_where_there_is_room_beside() {
-        for (gap, speed) in [(14.0, 0.0), (20.0, 4.0), (30.0, 7.0)] {
+        for (gap, speed) in [(14.0, 0.0), (30.0, 7.0)] {
             let scene = || road().ego([0.0, -3.5], 0.0, speed).vehicle([5.0 + gap, -3.5], 0.0, 0.0);
             let (own, left) = (judged(scene(), CenterlineName::EgoLane), judged(scene(), CenterlineName::LeftLane));
             assert_eq!(own.progress_reference, ProgressReference::Reach);
@@ -105,7 +128,10 @@ mod tests {
         let waiting: [(&str, SceneBuilder); 6] = [
             ("no way past", road().vehicle([6.0, -3.5], 0.0, 0.0).vehicle([4.0, 0.0], 0.0, 0.0)),
             ("a queue", road().vehicle([6.0, -3.5], 0.0, 0.0).vehicle([12.0, -3.5], 0.0, 0.0)),
-            ("a person before it", road().vehicle([6.0, -3.5], 0.0, 0.0).object(ObjectKind::Pedestrian, [11.0, -5.0], 1.6, 1.0)),
+            (
+                "a person before it",
+                road().vehicle([6.0, -3.5], 0.0, 0.0).object(ObjectKind::Pedestrian, [11.0, -5.0], 1.6, 1.0),
+            ),
             ("a person", road().object(ObjectKind::Pedestrian, [4.0, -3.5], 1.6, 0.0)),
             ("slow traffic", road().vehicle([6.0, -3.5], 0.0, 0.0).vehicle([12.0, -3.5], 0.0, 0.5)),
             (

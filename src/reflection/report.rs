@@ -20,7 +20,7 @@ pub enum ProgressReference {
     /// The best progress among this plan and PDM-Closed's 15 proposals of the same instant.
     PdmProposals,
     /// What could be reached beyond the horizon by these and by plans at the limit, on the ego's lane and those beside: something that
-    /// stands for good blocks the ego's lane, or all proposals stand. A plan that reaches less than it made of its 4 s has less
+    /// stands permanently blocks the ego's lane, or all proposals stand. A plan that reaches less than it made of its 4 s has less
     /// progress.
     Reach,
     /// The plan's own progress: PDM-Closed found no reference path (a route without lanes), so there are no proposals to compare

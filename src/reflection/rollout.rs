@@ -3,7 +3,9 @@
 use super::path::onto_centerline;
 use super::shift::shift;
 use crate::dynamics::{IdmParameters, Lead};
-use crate::geometry::{Corridor, GeometryError, OrientedBox, Polyline, Pose, Vector};
+use crate::environment::lane_graph::OncomingLane;
+use crate::environment::{CenterlineName, LaneGraph};
+use crate::geometry::{Corridor, GeometryError, OrientedBox, Point, Polyline, Pose, Vector};
 use crate::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
 use crate::reasoning::{DECELERATIONS, PlannerCode};
 use crate::world::{
@@ -19,6 +21,8 @@ const MIN_GAP: f64 = 1.0;
 const HEADWAY: f64 = 1.5;
 /// A desired speed below this means: stand still, m/s.
 const STANDSTILL: f64 = 0.05;
+/// Objects slower than this stand, m/s.
+const STANDING: f64 = 0.2;
 /// Steps between two searches for the lead object, as in PDM-Closed.
 const LEAD_REFRESH: usize = 2;
 /// Deceleration of the stop, m/s²: the highest that a code may contain.
@@ -50,6 +54,10 @@ pub struct IdmPlan {
     pub lead_agent: Option<TrackToken>,
     /// Which objects are followed.
     pub lead_policy: LeadPolicy,
+    /// The way past what blocks the ego's lane, where the plan takes it.
+    oncoming: Option<Box<OncomingLane>>,
+    /// Where the ego stops in its lane before what it may pass.
+    stop_point: Option<Point>,
     /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline; the first is the code's, which keeps a
     /// distance from what stands at the edge of the lane.
     paths: [Polyline; LATERAL_OFFSETS.len()],
@@ -100,7 +108,23 @@ impl IdmPlan {
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
         let paths = lay_paths(scene, &code, &lanes, horizon_s)?;
-        Ok(Self { code, lanes, lead_agent, lead_policy, paths })
+        Ok(Self { code, lanes, lead_agent, lead_policy, oncoming: None, stop_point: None, paths })
+    }
+
+    /// The same where something may block the ego's lane: a plan over the oncoming lane passes it, one in the ego's lane stops so far
+    /// before it that the ego can still leave the lane.
+    pub(super) fn at_blocked_lane(mut self, graph: &LaneGraph, follows: CenterlineName) -> Self {
+        (self.oncoming, self.stop_point) = match follows {
+            CenterlineName::OncomingLane => (graph.oncoming.clone().map(Box::new), None),
+            CenterlineName::EgoLane => (None, graph.stop_point()),
+            CenterlineName::LeftLane | CenterlineName::RightLane => (None, None),
+        };
+        self
+    }
+
+    /// The way past what blocks the ego's lane, where the plan takes it.
+    pub fn oncoming(&self) -> Option<&OncomingLane> {
+        self.oncoming.as_deref()
     }
 
     /// The lane of the plan beside the ego's present place.
@@ -251,14 +275,27 @@ impl<'a> Road<'a> {
             let sweep = object.shape.bounds().joined(later.bounds());
             corridor.bounds().overlaps(&sweep) && !object.shape.overlaps(&footprint)
         };
-        let objects = match plan.lead_policy {
-            LeadPolicy::Named => Vec::new(),
-            LeadPolicy::Nearest => scene.objects.iter().filter(may_come).copied().collect(),
+        // Beside what stands there is nothing to follow: whether the ego touches it, the score says.
+        let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
+        let is_beside = |object: &TrackedObject| {
+            let rear_s =
+                object.shape.corners().map(|corner| path.project(corner).s).into_iter().fold(f64::INFINITY, f64::min);
+            object.speed() < STANDING && rear_s < front
         };
         let named = plan.lead_agent.and_then(|token| scene.objects.iter().find(|o| o.token == token).copied());
+        let (objects, named) = match plan.lead_policy {
+            LeadPolicy::Named => (Vec::new(), named),
+            LeadPolicy::Nearest => {
+                let ahead = scene.objects.iter().filter(may_come).filter(|object| !is_beside(object));
+                (ahead.copied().collect(), named.filter(|object| !is_beside(object)))
+            }
+        };
         let stop_s = match plan.lead_policy {
             LeadPolicy::Named => path.length(),
-            LeadPolicy::Nearest => red_light(plan, path, scene).unwrap_or(f64::INFINITY).min(path.length()),
+            LeadPolicy::Nearest => {
+                let stops = red_light(plan, path, scene).into_iter().chain(before_obstacle(plan, path, scene));
+                stops.fold(path.length(), f64::min)
+            }
         };
         Self { path, corridor, objects, named, stop_s }
     }
@@ -294,6 +331,13 @@ impl<'a> Road<'a> {
 fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
     let at = object.shape.center.position() + object.velocity * seconds;
     object.shape.moved_to(Pose::at(at, object.shape.center.heading))
+}
+
+/// Arc length on the path of the place before an obstacle at which the ego can still leave its lane, if that lies ahead.
+fn before_obstacle(plan: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f64> {
+    let stop_s = path.project(plan.stop_point?).s;
+    let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
+    (stop_s > front - MIN_GAP).then_some(stop_s)
 }
 
 /// Arc length on the path of the first red light ahead: the start of its connector.

@@ -108,6 +108,11 @@ fn row(words: &str, meaning: impl Into<String>) -> (String, String) {
 /// Numbers and names as `environment::text` writes them.
 fn scene(estimates: bool) -> Vec<(String, String)> {
     let estimate = estimates.then(|| row("`limit ~11`", "the map has no limit; an estimate by lanes and traffic"));
+    let way = estimates.then(|| {
+        let meaning = "the oncoming lane leads past what blocks the ego's lane: meters from the front bumper to the blocked part and to \
+                       its end, then meters and m/s of the next oncoming vehicle (`- -` without one)";
+        row("`oncoming 12 17 46 8`", meaning)
+    });
     let mut rows = vec![
         row("`speed 7`", format!("speed of the ego, m/s; all numbers are whole and at most {MAX_NUMBER}")),
         row("`limit 11`", "speed limit, m/s; `-` where it is unknown"),
@@ -134,6 +139,7 @@ fn scene(estimates: bool) -> Vec<(String, String)> {
         row("`rest 0`", "number of agents on these parts that the text does not name"),
     ];
     rows.extend(estimate);
+    rows.extend(way);
     rows
 }
 

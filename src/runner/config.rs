@@ -5,7 +5,7 @@ use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use crate::files;
 use crate::mllm::{Trust, WeightFormat};
 use crate::planner::{CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings};
-use crate::reasoning::{ReasoningConfig, Round};
+use crate::reasoning::{PromptSet, ReasoningConfig, Round};
 use crate::world::STEP_S;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -135,12 +135,19 @@ impl Config {
     pub fn agent_settings(&self) -> PlanAgentSettings {
         PlanAgentSettings {
             agent: self.agent.clone(),
-            environment: self.environment.clone(),
+            environment: EnvironmentSettings { oncoming_lane: self.names_oncoming_lane(), ..self.environment.clone() },
             reflection: self.reflection.clone(),
             learned: self.learned.clone(),
             plan_interval_s: self.reasoning.interval as f64 * STEP_S,
             seed: self.seed,
         }
+    }
+
+    /// Whether codes may name the oncoming lane: as the key says, else as the prompt set that is named. `None` leaves it to the prompt
+    /// set of the model.
+    fn names_oncoming_lane(&self) -> Option<bool> {
+        let set = || PromptSet::open(self.reasoning.prompt_set.as_deref()?).ok();
+        self.environment.oncoming_lane.or_else(|| Some(set()?.forms().scene_text.names_oncoming_lane()))
     }
 
     /// Refuses values of the right type that make no sense; names the key, its value and its range.

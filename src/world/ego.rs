@@ -1,6 +1,6 @@
 //! The ego vehicle and its state.
 
-use crate::geometry::{OrientedBox, Pose, Vector};
+use crate::geometry::{OrientedBox, Point, Pose, Vector};
 
 /// Dimensions of the ego vehicle, meters (devkit `vehicle_parameters.py`).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,6 +33,11 @@ impl VehicleParameters {
     /// Footprint of a vehicle whose rear axle is at `rear_axle`.
     pub fn footprint(&self, rear_axle: Pose) -> OrientedBox {
         OrientedBox::new(rear_axle.translated(self.rear_axle_to_center(), 0.0), self.length(), self.width)
+    }
+
+    /// The middle of the front bumper of a vehicle whose rear axle is at `rear_axle`.
+    pub(crate) fn front_of(&self, rear_axle: Pose) -> Point {
+        rear_axle.translated(self.front_length, 0.0).position()
     }
 
     /// Rear-axle pose of a vehicle whose box is centered at `center`.

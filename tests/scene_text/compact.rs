@@ -1,7 +1,7 @@
 //! Reads the compact text.
 
 use super::environment::lane_graph::{AgentName, Heading, NodePlace};
-use super::environment::text::{AgentDescription, Description, LightDescription, NodeDescription};
+use super::environment::text::{AgentDescription, Description, LightDescription, NodeDescription, OncomingDescription};
 use super::lexer::{Failed, Reader, TextError};
 use super::paper::status;
 
@@ -45,7 +45,17 @@ fn read(reader: &mut Reader<'_>, estimates: bool) -> Result<Description, Failed>
     }
     reader.expect(&["rest"])?;
     let rest = reader.number("the number of other agents")?;
-    Ok(Description { speed, limit, limit_estimate, lights: [light, None, None], turn, nodes, rest })
+    let oncoming = if estimates && reader.accept("oncoming") { Some(read_oncoming(reader)?) } else { None };
+    Ok(Description { speed, limit, limit_estimate, lights: [light, None, None], turn, nodes, rest, oncoming })
+}
+
+fn read_oncoming(reader: &mut Reader<'_>) -> Result<OncomingDescription, Failed> {
+    let blocked = (reader.number("the start of what blocks the lane")?, reader.number("its end")?);
+    if reader.accept(NOTHING) {
+        reader.expect(&[NOTHING])?;
+        return Ok(OncomingDescription { blocked, next: None });
+    }
+    Ok(OncomingDescription { blocked, next: Some((reader.number("a distance")?, reader.number("a speed")?)) })
 }
 
 fn read_node(reader: &mut Reader<'_>) -> Result<Option<NodeDescription>, Failed> {

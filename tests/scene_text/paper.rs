@@ -1,7 +1,7 @@
 //! Reads the readable text.
 
 use super::environment::lane_graph::{AgentName, CenterlineName, Heading, NodePlace};
-use super::environment::text::{AgentDescription, Description, LightDescription, NodeDescription};
+use super::environment::text::{AgentDescription, Description, LightDescription, NodeDescription, OncomingDescription};
 use super::lexer::{Failed, Reader, TextError};
 use super::world::SignalStatus;
 
@@ -14,14 +14,23 @@ pub(super) fn parse(text: &str) -> Result<Description, Vec<TextError>> {
     let mut beside = [None; 3];
     let ego = ego_line(&mut reader);
     let mut whole = ego.is_ok();
+    let mut oncoming = None;
     for (line, &centerline) in (2..).zip(CenterlineName::ALL) {
         if !whole {
             reader.seek_line(line);
         }
+        if centerline == CenterlineName::OncomingLane {
+            if reader.accept(centerline.as_str()) {
+                let read = oncoming_line(&mut reader);
+                whole &= read.is_ok();
+                oncoming = read.ok();
+            }
+            continue;
+        }
         whole &= lane_line(&mut reader, centerline, &mut beside[centerline as usize], &mut nodes).is_ok();
     }
     let [_, left, right] = beside;
-    let description = ego.ok().map(|ego| Description { nodes, lights: [ego.lights[0], left, right], ..ego });
+    let description = ego.ok().map(|ego| Description { nodes, lights: [ego.lights[0], left, right], oncoming, ..ego });
     reader.finish(description.filter(|_| whole))
 }
 
@@ -53,7 +62,29 @@ fn ego_line(reader: &mut Reader<'_>) -> Result<Description, Failed> {
         0
     };
     reader.expect(&["."])?;
-    Ok(Description { speed, limit, limit_estimate, lights: [own, None, None], turn, nodes: Nodes::default(), rest })
+    let (nodes, lights) = (Nodes::default(), [own, None, None]);
+    Ok(Description { speed, limit, limit_estimate, lights, turn, nodes, rest, oncoming: None })
+}
+
+/// The way over the oncoming lane, behind its name.
+fn oncoming_line(reader: &mut Reader<'_>) -> Result<OncomingDescription, Failed> {
+    reader.expect(&[":", "past"])?;
+    let from = reader.number("the start of what blocks the lane")?;
+    reader.expect(&["m", "to"])?;
+    let to = reader.number("its end")?;
+    reader.expect(&["m", ";"])?;
+    let next = if reader.accept("free") {
+        None
+    } else {
+        reader.expect(&["next", "vehicle"])?;
+        let gap = reader.number("its distance")?;
+        reader.expect(&["m"])?;
+        let speed = reader.number("its speed")?;
+        reader.expect(&["m/s"])?;
+        Some((gap, speed))
+    };
+    reader.expect(&["."])?;
+    Ok(OncomingDescription { blocked: (from, to), next })
 }
 
 fn light(reader: &mut Reader<'_>) -> Result<LightDescription, Failed> {
@@ -90,7 +121,7 @@ fn lane_line(
         *beside = Some(light(reader)?);
         reader.expect(&[";"])?;
     }
-    for (i, place) in NodePlace::on(centerline).into_iter().enumerate() {
+    for (i, place) in NodePlace::on(centerline).into_iter().flatten().enumerate() {
         if i > 0 {
             reader.expect(&[";"])?;
         }

@@ -8,7 +8,7 @@ use super::{
 use crate::geometry::wrap_angle;
 use crate::world::{LaneId, LaneMap, PACIFICA, SceneView, TrackedObject};
 use std::collections::BTreeMap;
-use std::f64::consts::FRAC_PI_3;
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_3};
 
 /// A route lane that turns away from the ego's heading by more than this does not hold the ego, radians.
 const ROUTE_LANE_TURN: f64 = FRAC_PI_3;
@@ -38,22 +38,24 @@ pub(super) fn build(scene: &SceneView<'_>, node_length: f64) -> Result<LaneGraph
     let ego_speed = scene.ego.speed();
     let limit_estimate = super::limit::estimate(scene.map, &centerlines[0], ego_speed, &agents);
     let blocked = super::standing::blocked_stretch(scene, &centerlines[0]);
-    Ok(LaneGraph { node_length, ego_speed, nodes, centerlines, agents, limit_estimate, blocked })
+    Ok(LaneGraph { node_length, ego_speed, nodes, centerlines, agents, limit_estimate, blocked, oncoming: None })
 }
 
 /// The best-fitting lane of the route under the ego, else the best-fitting lane of the map.
 fn ego_lane(scene: &SceneView<'_>) -> Option<LaneId> {
     let (map, pose) = (scene.map, scene.ego.center());
-    let on_route: Vec<LaneId> = map
-        .lanes_at(pose.position())
-        .into_iter()
-        .filter(|&lane| scene.route.contains(map[lane].roadblock))
-        .filter(|&lane| {
-            let heading = map[lane].centerline.project(pose.position()).heading;
-            wrap_angle(heading - pose.heading).abs() <= ROUTE_LANE_TURN
-        })
-        .collect();
-    map.best_fit(&on_route, pose).or_else(|| map.lane_of(pose, OFF_ROAD_REACH))
+    let turn = |lane: LaneId| wrap_angle(map[lane].centerline.project(pose.position()).heading - pose.heading).abs();
+    let fits = |&lane: &LaneId| scene.route.contains(map[lane].roadblock) && turn(lane) <= ROUTE_LANE_TURN;
+    let on_route: Vec<LaneId> = map.lanes_at(pose.position()).into_iter().filter(fits).collect();
+    let found = map.best_fit(&on_route, pose).or_else(|| map.lane_of(pose, OFF_ROAD_REACH))?;
+    if turn(found) <= FRAC_PI_2 {
+        return Some(found);
+    }
+    // An ego that passes something on a lane against traffic belongs to the lane that it left.
+    let near = map.lanes_near(pose.position(), OFF_ROAD_REACH).into_iter().filter(fits);
+    let left: Vec<LaneId> =
+        near.filter(|&lane| map[lane].polygon.distance_to(pose.position()) <= OFF_ROAD_REACH).collect();
+    map.best_fit(&left, pose).or(Some(found))
 }
 
 fn centerlines(scene: &SceneView<'_>, lane: LaneId, behind: f64) -> Vec<Centerline> {
@@ -76,7 +78,8 @@ fn nodes(map: &LaneMap, centerlines: &[Centerline], node_length: f64) -> Vec<Lan
     let mut nodes: Vec<LaneNode> = vec![];
     for centerline in centerlines {
         let length = centerline.path.centerline.length();
-        for (place, start) in NodePlace::on(centerline.name).into_iter().zip(node_starts(node_length)) {
+        let places = NodePlace::on(centerline.name).into_iter().flatten();
+        for (place, start) in places.zip(node_starts(node_length)) {
             let from_s = centerline.ego_s + start;
             let middle = from_s + node_length / 2.0;
             // The node under the ego exists because the ego does.
@@ -144,7 +147,7 @@ fn objects_on_nodes<'a>(
             let relations: Vec<Option<LaneRelation>> =
                 windows.iter().map(|window| window.as_ref().and_then(|window| window.project(object))).collect();
             let home = home(&relations)?;
-            let place = place(centerlines[home].name, relations[home].as_ref()?.offset, node_length);
+            let place = place(centerlines[home].name, relations[home].as_ref()?.offset, node_length)?;
             nodes.iter().any(|node| node.place == place).then_some(NodeObject { object, relations, home, place })
         })
         .collect();
@@ -162,16 +165,16 @@ fn home(relations: &[Option<LaneRelation>]) -> Option<usize> {
     near.min_by(|a, b| a.1.abs().total_cmp(&b.1.abs())).map(|(i, _)| i)
 }
 
-fn place(centerline: CenterlineName, offset: f64, node_length: f64) -> NodePlace {
-    let [beside, ahead, behind] = NodePlace::on(centerline);
+fn place(centerline: CenterlineName, offset: f64, node_length: f64) -> Option<NodePlace> {
+    let [beside, ahead, behind] = NodePlace::on(centerline)?;
     let [start, end, _] = node_starts(node_length);
-    if offset < start {
+    Some(if offset < start {
         behind
     } else if offset < end {
         beside
     } else {
         ahead
-    }
+    })
 }
 
 /// By centerline; those ahead before those behind; the nearest first; by track where all is equal.

@@ -29,6 +29,8 @@ choice! {
         LeftLane = "left_lane",
         /// The lane to its right.
         RightLane = "right_lane",
+        /// Past what blocks the ego's lane, over the lane against traffic, and back.
+        OncomingLane = "oncoming_lane",
     }
 }
 

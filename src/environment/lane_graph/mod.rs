@@ -2,7 +2,8 @@
 //! centerlines that planner code may follow.
 //!
 //! **Centerlines.** `ego_lane`, and where there is a lane of the same direction beside the ego, `left_lane` and
-//! `right_lane`. Each is a [`crate::world::LanePath`] that prefers the route.
+//! `right_lane`. Each is a [`crate::world::LanePath`] that prefers the route. Where something that stands permanently blocks the ego's
+//! lane and a lane against traffic is beside it, `oncoming_lane` leads past and back; it has no nodes.
 //!
 //! **Nodes.** All have the same length. They are cut so that a node begins at the ego's rear bumper: the node under the ego
 //! reaches from there one node length ahead, `front` is the next one, `back` the one before; the nodes of the lanes beside
@@ -22,17 +23,22 @@ mod build;
 mod centerline;
 mod lane_relation;
 mod limit;
+mod oncoming;
 mod standing;
 
 pub use agent::{AgentClass, AgentName, GraphAgent, Heading, UnknownAgent};
 pub use centerline::{Centerline, CenterlineName, LIGHT_REACH, LightAhead, Turn};
 pub use lane_relation::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
 pub(in crate::environment) use lane_relation::{LaneRelation, Window};
+pub use oncoming::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
 pub use standing::BlockedStretch;
 
 use super::choice::choice;
+use crate::geometry::Point;
 use crate::world::{LaneId, SceneView};
 
+/// Distance before what blocks the lane at which an ego that stands can still leave it, meters.
+const PULL_OUT: f64 = 10.0;
 /// Meters.
 pub const DEFAULT_NODE_LENGTH: f64 = 20.0;
 /// An ego this near to a lane counts as on it, meters.
@@ -67,12 +73,13 @@ impl NodePlace {
         }
     }
 
-    /// The nodes of a centerline: beside (or under) the ego, ahead, behind.
-    pub fn on(centerline: CenterlineName) -> [Self; 3] {
+    /// The nodes of a centerline: beside (or under) the ego, ahead, behind. The oncoming lane has none.
+    pub fn on(centerline: CenterlineName) -> Option<[Self; 3]> {
         match centerline {
-            CenterlineName::EgoLane => [Self::Ego, Self::Front, Self::Back],
-            CenterlineName::LeftLane => [Self::Left, Self::FrontLeft, Self::BackLeft],
-            CenterlineName::RightLane => [Self::Right, Self::FrontRight, Self::BackRight],
+            CenterlineName::EgoLane => Some([Self::Ego, Self::Front, Self::Back]),
+            CenterlineName::LeftLane => Some([Self::Left, Self::FrontLeft, Self::BackLeft]),
+            CenterlineName::RightLane => Some([Self::Right, Self::FrontRight, Self::BackRight]),
+            CenterlineName::OncomingLane => None,
         }
     }
 }
@@ -131,15 +138,17 @@ pub struct LaneGraph {
     pub ego_speed: f64,
     /// The nodes that exist, in order of [`NodePlace::ALL`]; the first is the ego's.
     pub nodes: Vec<LaneNode>,
-    /// The centerlines, in order of [`CenterlineName::ALL`]; the first is the ego's.
+    /// The centerlines of the ego's direction, in order of [`CenterlineName::ALL`]; the first is the ego's.
     pub centerlines: Vec<Centerline>,
     /// The agents on the nodes by centerline; on each those ahead, nearest first, then those behind, nearest first.
     /// Names are numbered in this order.
     pub agents: Vec<GraphAgent>,
     /// What the speed limit may be where the map has none, m/s.
     pub limit_estimate: f64,
-    /// Where something that stands for good blocks the ego's lane; arc lengths on its centerline.
+    /// Where something that stands permanently blocks the ego's lane; arc lengths on its centerline.
     pub blocked: Option<BlockedStretch>,
+    /// The way past what blocks the ego's lane, where it was asked for and there is one ([`Self::with_oncoming_lane`]).
+    pub oncoming: Option<OncomingLane>,
 }
 
 impl LaneGraph {
@@ -148,13 +157,33 @@ impl LaneGraph {
         build::build(scene, node_length)
     }
 
+    /// The same with the way past what blocks the ego's lane, where a lane against traffic is beside it.
+    #[must_use]
+    pub fn with_oncoming_lane(self, scene: &SceneView<'_>) -> Self {
+        let oncoming = self.blocked.and_then(|blocked| OncomingLane::find(scene, self.ego_lane(), blocked));
+        Self { oncoming, ..self }
+    }
+
+    /// Where an ego that stays in its lane stops before what blocks it: where it can still leave the lane. `None` where the lane is
+    /// free, or nothing leads past.
+    pub fn stop_point(&self) -> Option<Point> {
+        let leads_past = self.centerlines.len() > 1 || self.oncoming.is_some();
+        let blocked = self.blocked.filter(|_| leads_past)?;
+        Some(self.ego_lane().path.centerline.point_at(blocked.from_s - PULL_OUT))
+    }
+
+    /// The centerlines that a planner code may name.
+    pub fn named(&self) -> impl Iterator<Item = &Centerline> {
+        self.centerlines.iter().chain(self.oncoming.as_ref().map(|oncoming| &oncoming.centerline))
+    }
+
     pub fn node(&self, place: NodePlace) -> Option<&LaneNode> {
         self.nodes.iter().find(|node| node.place == place)
     }
 
     /// The centerline of this name, if it can be followed.
     pub fn centerline(&self, name: CenterlineName) -> Option<&Centerline> {
-        self.centerlines.iter().find(|centerline| centerline.name == name)
+        self.named().find(|centerline| centerline.name == name)
     }
 
     pub fn ego_lane(&self) -> &Centerline {

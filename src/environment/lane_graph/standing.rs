@@ -1,4 +1,4 @@
-//! What stands on a lane for good: a broken-down or crashed car, cones, a barrier. What waits does not.
+//! What stands on a lane permanently: a broken-down or crashed car, cones, a barrier. What waits does not.
 
 use super::Centerline;
 use crate::geometry::{Corridor, Point, wrap_angle};
@@ -12,7 +12,9 @@ const MOVED: f64 = 0.3;
 /// Distance ahead of the ego's center in which a blocked lane matters, meters.
 const REACH: f64 = 60.0;
 /// Distance behind the ego's center, meters: beside what it passes, the ego is not yet past it.
-const BEHIND: f64 = 20.0;
+const BEHIND: f64 = 40.0;
+/// Distance of the ego from the middle of its lane up to which it is back in it, meters.
+const BACK_IN_LANE: f64 = 1.0;
 /// A vehicle this near to an intersection ahead of it waits there, meters.
 const JUNCTION: f64 = 15.0;
 /// A vehicle this near behind traffic waits for it, meters.
@@ -29,7 +31,7 @@ const MARGIN: f64 = 0.1;
 const EDGE_STEP: f64 = 0.1;
 const MAX_HALF_WIDTH: f64 = 4.0;
 
-/// The stretch of a lane that something blocks which stands for good. Arc lengths on the lane's centerline, meters.
+/// The stretch of a lane that something blocks which stands permanently. Arc lengths on the lane's centerline, meters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlockedStretch {
     /// Where the first obstacle begins.
@@ -63,7 +65,8 @@ pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Optio
     let (from, to) = ((lane.ego_s - BEHIND).max(0.0), (lane.ego_s + REACH).min(line.length()));
     let strip = Corridor::new(line.slice(from, to)?, PACIFICA.width / 2.0);
     let footprint = scene.ego.footprint();
-    let met = scene.objects.iter().filter(|object| strip.meets_box(&object.shape) && !object.shape.overlaps(&footprint));
+    let met =
+        scene.objects.iter().filter(|object| strip.meets_box(&object.shape) && !object.shape.overlaps(&footprint));
     let mut found: Vec<InStrip<'_>> = met.map(|object| in_strip(&lane.path, object)).collect();
     found.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
     let before = first_seen(scene);
@@ -75,8 +78,9 @@ pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Optio
             one.waits = waits;
         }
     }
-    // What lies behind the ego's rear bumper is passed.
-    let rear = lane.ego_s - PACIFICA.length() / 2.0;
+    // What lies behind the rear bumper of an ego that is back in its lane is passed.
+    let is_back = line.project(scene.ego.center().position()).lateral.abs() <= BACK_IN_LANE;
+    let rear = lane.ego_s - if is_back { PACIFICA.length() / 2.0 } else { BEHIND };
     let mut ahead = found.iter().filter(|one| one.to_s > rear && !leaves_room(scene, &lane.path, one));
     let first = ahead.next().filter(|one| !one.waits && !one.moves())?;
     let mut stretch = BlockedStretch { from_s: first.from_s, to_s: first.to_s, across: first.across };

@@ -1,7 +1,8 @@
 use super::*;
 use crate::environment::sketch::{self, Drawn};
+use crate::geometry::Vector;
 use crate::world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
-use crate::world::SignalStatus;
+use crate::world::{EgoState, ObjectKind, SignalStatus};
 use proptest::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -213,4 +214,53 @@ proptest! {
             prop_assert_eq!(graph.nodes[0].place, NodePlace::Ego);
         }
     }
+}
+
+/// The lane graph of a road with one lane a direction, with the way over the oncoming one.
+fn with_way(drawn: &Drawn) -> LaneGraph {
+    graph(drawn).with_oncoming_lane(&drawn.scene())
+}
+
+#[test]
+fn the_oncoming_lane_is_named_only_where_it_leads_past_what_stands_for_good() {
+    use ObjectKind::{Pedestrian, TrafficCone, Vehicle};
+    let road = || sketch::straight(1, 1, 0, 8.0);
+    let is_named = |drawn: Drawn| with_way(&drawn).centerline(CenterlineName::OncomingLane).is_some();
+    assert!(!is_named(road()), "nothing stands there");
+    assert!(is_named(road().put(Vehicle, 25.0, 0.0, 0.0, 0.0)));
+    assert!(is_named(road().put(TrafficCone, 25.0, 0.0, 0.0, 0.0)));
+    assert!(!is_named(road().put(Vehicle, 25.0, 0.0, 0.0, 3.0)), "it moves");
+    assert!(!is_named(road().put(Pedestrian, 25.0, 0.0, 0.0, 0.0)), "nobody passes people so");
+    assert!(!is_named(road().put(Vehicle, 25.0, 0.0, 0.0, 0.0).put(Vehicle, 32.0, 0.0, 0.0, 0.0)), "a queue");
+    assert!(!is_named(road().put(Vehicle, 25.0, -2.6, 0.0, 0.0)), "the ego fits past it");
+    let car = |drawn: Drawn| drawn.put(Vehicle, 25.0, 0.0, 0.0, 0.0);
+    assert!(!is_named(car(sketch::straight(1, 0, 0, 8.0))), "no lane is beside it");
+    assert!(!is_named(car(sketch::straight(2, 1, 1, 8.0))), "the lane beside has the ego's direction");
+    assert_eq!(graph(&car(road())).centerline(CenterlineName::OncomingLane), None, "it was not asked for");
+}
+
+#[test]
+fn the_way_over_the_oncoming_lane_leads_past_and_back() {
+    let drawn = sketch::straight(1, 1, 0, 8.0).put(ObjectKind::Vehicle, 25.0, 0.0, 0.0, 0.0);
+    let graph = with_way(&drawn);
+    let way = graph.oncoming.as_ref().unwrap();
+    let line = &way.centerline.path.centerline;
+    let left = |x: f64| line.project(Point::new(x, 0.0)).point.y;
+    assert!(left(0.0).abs() < 0.1 && left(60.0).abs() < 0.1, "{} {}", left(0.0), left(60.0));
+    // Beside the car, half the ego and half the car and a distance apart.
+    let beside = line.vertices().iter().filter(|p| (22.0..28.0).contains(&p.x)).map(|p| p.y);
+    assert!(beside.into_iter().all(|y| y > 2.4 && y < 3.5), "{:?}", line.vertices());
+    assert!((way.border - 1.8).abs() < 0.11 && way.traffic.length() > 60.0);
+    assert_eq!(graph.centerlines.len(), 1, "it is no lane of the ego's direction");
+}
+
+#[test]
+fn an_ego_on_the_oncoming_lane_belongs_to_the_lane_that_it_left() {
+    let mut drawn = sketch::straight(1, 1, 0, 8.0).put(ObjectKind::Vehicle, 5.0, 0.0, 0.0, 0.0);
+    let (own, route) = (graph(&drawn).nodes[0].lane, graph(&drawn).ego_lane().path.lanes.clone());
+    drawn = drawn.route_through(&route);
+    drawn.ego = EgoState::from_log(0, drawn.ego.rear_axle.translated(0.0, 3.2), drawn.ego.velocity, Vector::zeros());
+    let graph = with_way(&drawn);
+    assert_eq!(graph.nodes[0].lane, own);
+    assert!(graph.oncoming.is_some(), "the ego is still beside what it passes");
 }

@@ -1,6 +1,6 @@
 //! The text for a small model: the same words at the same places for every scene.
 
-use super::description::{Description, NodeDescription};
+use super::description::{Description, NodeDescription, OncomingDescription};
 use crate::environment::lane_graph::{Heading, NodePlace};
 
 /// Stands where there is nothing to say.
@@ -8,6 +8,8 @@ const NOTHING: &str = "-";
 /// First word of a text.
 pub(super) const SPEED: &str = "speed";
 
+/// Before the way over the oncoming lane.
+const ONCOMING: &str = "oncoming";
 /// Before a limit that the map does not know.
 const ABOUT: &str = "~";
 
@@ -29,12 +31,17 @@ fn write_reduced(reduced: &Description) -> String {
     let light = reduced.lights[0]
         .map_or_else(|| format!("none {NOTHING}"), |light| format!("{} {}", light.status, light.distance));
     let nodes = NodePlace::ALL.iter().map(|&place| format!("{place} {}", node(reduced.node(place))));
+    let oncoming = reduced.oncoming.map(|OncomingDescription { blocked: (from, to), next }| {
+        let next = next.map_or_else(|| format!("{NOTHING} {NOTHING}"), |(gap, speed)| format!("{gap} {speed}"));
+        format!(" {ONCOMING} {from} {to} {next}")
+    });
     format!(
-        "{SPEED} {} limit {limit} light {light} turn {} {} rest {}",
+        "{SPEED} {} limit {limit} light {light} turn {} {} rest {}{}",
         reduced.speed,
         reduced.turn,
         nodes.collect::<Vec<_>>().join(" "),
-        reduced.rest
+        reduced.rest,
+        oncoming.unwrap_or_default()
     )
 }
 

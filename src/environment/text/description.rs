@@ -3,7 +3,7 @@
 use crate::environment::lane_graph::{
     AgentName, CenterlineName, Connection, GraphAgent, Heading, LaneGraph, NodePlace, Turn,
 };
-use crate::world::SignalStatus;
+use crate::world::{PACIFICA, SignalStatus};
 
 /// Larger numbers are written as this one: meters and meters per second beyond it make no difference to the next seconds.
 pub const MAX_NUMBER: u8 = 60;
@@ -37,6 +37,15 @@ pub struct NodeDescription {
     pub agents: Vec<AgentDescription>,
 }
 
+/// The way past what blocks the ego's lane.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct OncomingDescription {
+    /// From the ego's front bumper to where the blocked part of its lane begins, and to where it ends, whole meters.
+    pub blocked: (u8, u8),
+    /// Distance and speed of the next vehicle or bicycle on the oncoming lane, whole meters and m/s.
+    pub next: Option<(u8, u8)>,
+}
+
 /// The facts that scene text states.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Description {
@@ -54,6 +63,8 @@ pub struct Description {
     pub nodes: [Option<NodeDescription>; 9],
     /// How many agents on the nodes are not named; 0 unless reduced.
     pub rest: u8,
+    /// The way over the oncoming lane, where there is one.
+    pub oncoming: Option<OncomingDescription>,
 }
 
 impl Description {
@@ -78,6 +89,11 @@ impl Description {
             turn: ego_lane.turn,
             nodes,
             rest: 0,
+            oncoming: graph.oncoming.as_ref().map(|way| {
+                let front = ego_lane.ego_s + PACIFICA.length() / 2.0;
+                let blocked = (whole(way.blocked.from_s - front), whole(way.blocked.to_s - front));
+                OncomingDescription { blocked, next: way.next.map(|(gap, speed)| (whole(gap), whole(speed))) }
+            }),
         }
     }
 
@@ -87,7 +103,7 @@ impl Description {
 
     /// The next light on the way of a lane.
     pub fn light(&self, centerline: CenterlineName) -> Option<LightDescription> {
-        self.lights[centerline as usize]
+        self.lights.get(centerline as usize).copied().flatten()
     }
 
     /// What the brief text says: of each node the nearest agent, and the number of the others.
@@ -105,7 +121,7 @@ impl Description {
     /// What the compact text says: the nearest agents, without the speed of one that does not move along the lane; without
     /// what lies apart and without the lights of the lanes beside.
     pub fn reduced(&self) -> Self {
-        Self { limit_estimate: None, ..self.reduced_with_estimate() }
+        Self { limit_estimate: None, oncoming: None, ..self.reduced_with_estimate() }
     }
 
     /// What the second compact text says: the same, and what an unknown limit may be.

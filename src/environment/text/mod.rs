@@ -14,6 +14,9 @@
 //! right_lane: none.
 //! ```
 //!
+//! A fifth line stands where something that stands permanently blocks the ego's lane and the oncoming one leads past it:
+//! `oncoming_lane: past 12 m to 17 m; next vehicle 46 m 8 m/s.` or `oncoming_lane: past 12 m to 17 m; free.`
+//!
 //! `limit unknown, about 13 m/s`: the map has none; the number is an estimate by lanes and traffic. `free`: nobody on the node; `none`: no such node; `(apart)` before what is on it: its lane goes another way there;
 //! `crossing` or `oncoming` after a speed: the agent moves across or against the lane.
 //!
@@ -23,13 +26,16 @@
 //! **Compact set**, one line of 47 words, whatever the scene: ego speed, limit (`-` if unknown), light and
 //! distance to its stop line (`none -`), turn of the route; for each of the nine nodes its name and the nearest agent on it,
 //! its distance, its speed (`crossing` or `oncoming` instead when it moves so), or `free - -`, or `none - -`; the number of
-//! agents left out. The second version writes `~11` where the limit is unknown and may be 11 m/s. So at most the nearest on the ego's node and the nearest on the one ahead are named in the ego's lane.
+//! agents left out. The second version writes `~11` where the limit is unknown and may be 11 m/s, and ends in `oncoming 12 17 46 8`
+//! where the oncoming lane leads past what blocks the ego's. So at most the nearest on the ego's node and the nearest on the one ahead are named in the ego's lane.
 
 mod compact;
 mod description;
 mod paper;
 
-pub use description::{AgentDescription, Description, LightDescription, MAX_NUMBER, NodeDescription};
+pub use description::{
+    AgentDescription, Description, LightDescription, MAX_NUMBER, NodeDescription, OncomingDescription,
+};
 
 use super::choice::choice;
 
@@ -48,6 +54,12 @@ choice! {
 }
 
 impl TextForm {
+    /// Whether it names the oncoming lane where that leads past what blocks the ego's. The first compact text is that of a trained
+    /// model and stays as it is.
+    pub fn names_oncoming_lane(self) -> bool {
+        self != Self::Compact
+    }
+
     /// Whether it is one of the forms for small models.
     pub fn is_for_small_models(self) -> bool {
         matches!(self, Self::Compact | Self::Compact2)

@@ -1,6 +1,6 @@
 //! The readable text for general models.
 
-use super::description::{AgentDescription, Description, LightDescription, NodeDescription};
+use super::description::{AgentDescription, Description, LightDescription, NodeDescription, OncomingDescription};
 use crate::environment::lane_graph::{CenterlineName, Heading, NodePlace};
 
 pub(super) fn write(description: &Description) -> String {
@@ -12,19 +12,24 @@ pub(super) fn write(description: &Description) -> String {
     let light = description.light(CenterlineName::EgoLane).map_or_else(|| "light none".to_owned(), light_words);
     let rest = if description.rest > 0 { format!(", {} more", description.rest) } else { String::new() };
     let ego = format!("Ego: {} m/s, {limit}, route {}, {light}{rest}.", description.speed, description.turn);
-    let lanes = CenterlineName::ALL.iter().map(|&centerline| lane(description, centerline));
+    let lanes = CenterlineName::ALL.iter().filter_map(|&centerline| lane(description, centerline));
     std::iter::once(ego).chain(lanes).collect::<Vec<_>>().join("\n")
 }
 
-fn lane(description: &Description, centerline: CenterlineName) -> String {
-    let places = NodePlace::on(centerline);
+fn oncoming(OncomingDescription { blocked: (from, to), next }: OncomingDescription) -> String {
+    let next = next.map_or_else(|| "free".to_owned(), |(gap, speed)| format!("next vehicle {gap} m {speed} m/s"));
+    format!("{}: past {from} m to {to} m; {next}.", CenterlineName::OncomingLane)
+}
+
+fn lane(description: &Description, centerline: CenterlineName) -> Option<String> {
+    let Some(places) = NodePlace::on(centerline) else { return description.oncoming.map(oncoming) };
     if places.iter().all(|&place| description.node(place).is_none()) {
-        return format!("{centerline}: none.");
+        return Some(format!("{centerline}: none."));
     }
     let beside = centerline != CenterlineName::EgoLane;
     let light = description.light(centerline).filter(|_| beside).map(light_words);
     let nodes = places.map(|place| format!("{place} {}", node(description.node(place))));
-    format!("{centerline}: {}.", light.into_iter().chain(nodes).collect::<Vec<_>>().join("; "))
+    Some(format!("{centerline}: {}.", light.into_iter().chain(nodes).collect::<Vec<_>>().join("; ")))
 }
 
 fn light_words(light: LightDescription) -> String {

@@ -90,6 +90,44 @@ fn the_paper_text_holds_the_lights_of_all_lanes() {
     assert_eq!(description.reduced().lights, [description.lights[0], None, None]);
 }
 
+/// A broken-down car on the only lane, and a car that comes towards it.
+fn blocked() -> Drawn {
+    sketch::straight(1, 1, 0, 8.0).put(ObjectKind::Vehicle, 24.0, 0.0, 0.0, 0.0).put(
+        ObjectKind::Vehicle,
+        48.0,
+        3.5,
+        std::f64::consts::PI,
+        9.0,
+    )
+}
+
+#[test]
+fn the_way_over_the_oncoming_lane_stands_in_the_texts_that_may_name_it() {
+    let drawn = blocked();
+    let graph = LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap();
+    let (plain, way) = (Description::of(&graph), Description::of(&graph.with_oncoming_lane(&drawn.scene())));
+    assert_eq!(way.oncoming, Some(OncomingDescription { blocked: (19, 24), next: Some((43, 9)) }));
+    for &form in TextForm::ALL {
+        let (without, with) = (write(&plain, form), write(&way, form));
+        let more = with.strip_prefix(&without).unwrap();
+        match form {
+            TextForm::Compact => assert_eq!(more, ""),
+            TextForm::Compact2 => assert_eq!(more, " oncoming 19 24 43 9"),
+            TextForm::Paper | TextForm::Brief => {
+                assert_eq!(more, "\noncoming_lane: past 19 m to 24 m; next vehicle 43 m 9 m/s.");
+            }
+        }
+        assert_eq!(form.names_oncoming_lane(), !more.is_empty());
+        let expected = match form {
+            TextForm::Paper => way.clone(),
+            TextForm::Brief => way.nearest(),
+            TextForm::Compact => way.reduced(),
+            TextForm::Compact2 => way.reduced_with_estimate(),
+        };
+        assert_eq!(parse(&with, form), Ok(expected));
+    }
+}
+
 fn error_at(text: &str, set: TextForm) -> (usize, usize) {
     let errors = parse(text, set).unwrap_err();
     (errors[0].line, errors[0].column)
@@ -140,19 +178,22 @@ fn description() -> impl Strategy<Value = Description> {
         number.clone().prop_map(|limit| (Some(limit), None)),
         prop::option::of(number.clone()).prop_map(|estimate| (None, estimate)),
     ];
-    (number.clone(), limit, lights, turn, nodes, number).prop_map(
-        |(speed, limit, mut lights, turn, (ego, others), rest)| {
+    let blocked = (number.clone(), number.clone());
+    let oncoming = (blocked, prop::option::of((number.clone(), number.clone())));
+    let oncoming = prop::option::of(oncoming.prop_map(|(blocked, next)| OncomingDescription { blocked, next }));
+    (number.clone(), limit, lights, turn, nodes, number, oncoming).prop_map(
+        |(speed, limit, mut lights, turn, (ego, others), rest, oncoming)| {
             let mut nodes: [Option<NodeDescription>; 9] = std::array::from_fn(|_| None);
             // An estimate stands where there is no limit.
             let (limit, limit_estimate) = limit;
             nodes[0] = Some(ego);
             nodes[1..].clone_from_slice(&others);
             for (light, &centerline) in lights.iter_mut().zip(CenterlineName::ALL) {
-                if NodePlace::on(centerline).iter().all(|&place| nodes[place as usize].is_none()) {
+                if NodePlace::on(centerline).iter().flatten().all(|&place| nodes[place as usize].is_none()) {
                     *light = None;
                 }
             }
-            Description { speed, limit, limit_estimate, lights, turn, nodes, rest }
+            Description { speed, limit, limit_estimate, lights, turn, nodes, rest, oncoming }
         },
     )
 }
@@ -185,11 +226,12 @@ proptest! {
     #[test]
     fn the_second_compact_text_adds_the_estimate(description in description()) {
         let (first, second) = (write(&description, TextForm::Compact), write(&description, TextForm::Compact2));
-        prop_assert_eq!(second.split_whitespace().count(), COMPACT_WORDS);
+        let more = if description.oncoming.is_some() { 5 } else { 0 };
+        prop_assert_eq!(second.split_whitespace().count(), COMPACT_WORDS + more);
         let back = parse(&second, TextForm::Compact2);
         prop_assert_eq!(back, Ok(description.reduced_with_estimate()));
         if description.limit_estimate.is_none() {
-            prop_assert_eq!(first, second);
+            prop_assert!(second.starts_with(&first) && (second == first) == (more == 0));
         } else {
             prop_assert!(first.contains(" limit - ") && second.contains(" limit ~"));
         }

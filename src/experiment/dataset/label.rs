@@ -184,6 +184,10 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f
         CenterlineName::EgoLane => Lateral::Keep,
         CenterlineName::LeftLane => Lateral::ChangeLeft,
         CenterlineName::RightLane => Lateral::ChangeRight,
+        CenterlineName::OncomingLane if graph.oncoming.as_ref().is_some_and(|way| way.border < 0.0) => {
+            Lateral::ChangeRight
+        }
+        CenterlineName::OncomingLane => Lateral::ChangeLeft,
     };
     let why_lateral = match lateral {
         Lateral::Keep => LateralReason::LaneServes,

@@ -87,7 +87,7 @@ pub fn search_ahead(simulation: &ClosedLoop<'_>, graph: &LaneGraph, horizon: usi
     let mut memory = PdmMemory::default();
     let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else { return tried };
     let present = Present { simulation, graph, judge: &judge, memory: &memory, limit, horizon };
-    for centerline in &graph.centerlines {
+    for centerline in graph.named() {
         let fractions: &[f64] = match centerline.name {
             CenterlineName::EgoLane => &SPEED_FRACTIONS,
             _ if stays_on_route(simulation, centerline) => &LANE_CHANGE_FRACTIONS,

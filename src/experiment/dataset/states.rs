@@ -38,7 +38,10 @@ pub(super) fn label_scenario(
     let mut states = Vec::new();
     loop {
         let scene = simulation.scene();
-        let Ok(graph) = LaneGraph::build(&scene, crate::environment::DEFAULT_NODE_LENGTH) else { break };
+        let Ok(mut graph) = LaneGraph::build(&scene, crate::environment::DEFAULT_NODE_LENGTH) else { break };
+        if settings.prompts.forms().scene_text.names_oncoming_lane() {
+            graph = graph.with_oncoming_lane(&scene);
+        }
         let tried = search::search(&simulation, &graph);
         let Some(best) = search::best(&tried) else { break };
         let facts = SceneFacts::of(&scene, &graph);

@@ -97,6 +97,8 @@ fn settings(config: &Config) -> PlanAgentSettings {
     let mut settings = config.agent_settings();
     settings.agent = CallSettings::default();
     settings.reflection.max_exec = 1;
+    // A person may name whatever there is.
+    settings.environment.oncoming_lane.get_or_insert(true);
     settings
 }
 
@@ -113,7 +115,8 @@ fn names(
     let history = history(scenario, iteration);
     let scene = scenario.scene(frame, &history);
     let graph = LaneGraph::build(&scene, settings.environment.node_length_m);
-    Ok(SceneNames(graph.context("the code cannot be judged: the scene has no lane graph")?))
+    let graph = graph.context("the code cannot be judged: the scene has no lane graph")?;
+    Ok(SceneNames(graph.with_oncoming_lane(&scene)))
 }
 
 impl SceneNames {
