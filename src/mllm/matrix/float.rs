@@ -51,7 +51,9 @@ impl Format for F16 {
     ) {
         let mut totals = [[simd.floats(0.0); TILES]; ROWS];
         for (totals, sums) in totals.iter_mut().zip(&*sums) {
-            *totals = sums.each_ref().map(|sum| simd.load(sum));
+            for (total, sum) in totals.iter_mut().zip(sums) {
+                *total = simd.load(sum);
+            }
         }
         for ((activations, first), second) in words.as_chunks::<ROWS>().0.iter().zip(&blocks[0]).zip(&blocks[1]) {
             let weights = [simd.load(first), simd.load(second)];
@@ -73,15 +75,15 @@ impl Format for F16 {
     fn multiply_row<S: Simd>(
         simd: S,
         tiles: [&[CacheLine]; TILES],
-        ahead: [&[CacheLine]; TILES],
+        ahead: [*const CacheLine; TILES],
         _: &mut [Self::Block; TILES],
         words: &[i32],
         sums: &mut TileSums,
     ) {
-        let mut totals = sums.each_ref().map(|sum| simd.load(sum));
+        let mut totals = [simd.load(&sums[0]), simd.load(&sums[1])];
         let pairs = words.as_chunks::<2>().0.iter().zip(tiles[0]).zip(tiles[1]);
         for (index, ((activations, first), second)) in pairs.enumerate() {
-            prefetch_part(simd, ahead, index, Self::LINES);
+            prefetch_part(simd, ahead, Self::LINES, index, Self::LINES);
             for (half, activation) in activations.iter().enumerate() {
                 let activation = simd.floats(f32::from_bits(activation.cast_unsigned()));
                 for (total, line) in totals.iter_mut().zip([first, second]) {

@@ -41,24 +41,31 @@ pub(super) trait Format {
     );
 
     /// Adds the products of a span with one row to its sums, straight from the packed lines: decoding reads every weight once, so
-    /// that unpacked weights would only be copies. `tiles` has whole spans; `ahead` has the lines to prefetch, as far as they exist.
+    /// that unpacked weights would only be copies. `tiles` has whole spans; the lines from `ahead` on are prefetched.
     fn multiply_row<S: Simd>(
         simd: S,
         tiles: [&[CacheLine]; TILES],
-        ahead: [&[CacheLine]; TILES],
+        ahead: [*const CacheLine; TILES],
         blocks: &mut [Self::Block; TILES],
         words: &[i32],
         sums: &mut TileSums,
     );
 }
 
-/// Prefetches part `part` of `parts` of the lines of both tiles. Requests in small groups overlap with products; the memory system
-/// holds only some dozens at a time.
+/// Prefetches part `part` of `parts` of the `lines` from `ahead` on. Requests in small groups overlap with products; the memory
+/// system holds only some dozens at a time.
 #[inline(always)]
-pub(super) fn prefetch_part<S: Simd>(simd: S, ahead: [&[CacheLine]; TILES], part: usize, parts: usize) {
-    for lines in ahead {
-        for line in &lines[lines.len() * part / parts..lines.len() * (part + 1) / parts] {
-            simd.prefetch(line);
+pub(super) fn prefetch_part<S: Simd>(
+    simd: S,
+    ahead: [*const CacheLine; TILES],
+    lines: usize,
+    part: usize,
+    parts: usize,
+) {
+    for ahead in ahead {
+        // A constant number of lines in each part, so that the loop is unrolled; parts may overlap.
+        for line in 0..lines.div_ceil(parts) {
+            simd.prefetch_once(ahead.wrapping_add(lines * part / parts + line));
         }
     }
 }

@@ -121,11 +121,13 @@ impl<Q: Quantized> Format for Q {
     fn multiply_row<S: Simd>(
         simd: S,
         tiles: [&[CacheLine]; TILES],
-        ahead: [&[CacheLine]; TILES],
+        ahead: [*const CacheLine; TILES],
         blocks: &mut [Block; TILES],
         words: &[i32],
         sums: &mut TileSums,
     ) {
+        // The compiler then knows the lengths, and tests no bounds below.
+        let tiles = [&tiles[0][..Self::LINES], &tiles[1][..Self::LINES]];
         for (lines, block) in tiles.into_iter().zip(&mut *blocks) {
             Q::unpack_scales(simd, lines, block);
         }
@@ -134,7 +136,7 @@ impl<Q: Quantized> Format for Q {
 }
 
 /// Where the numbers of a span come from. A trait and not closures: a closure that is not inlined is compiled without the vector
-/// instructions of its caller, which made decoding five times slower.
+/// instructions of its caller, which made decoding five times slower. For the same reason vectors are never mapped as arrays.
 trait Numbers<Q: Quantized> {
     /// Called before each run of numbers that share a scale.
     fn begin<S: Simd>(&self, simd: S, run: usize);
@@ -162,13 +164,13 @@ impl<Q: Quantized> Numbers<Q> for Unpacked<'_> {
 /// The lines as they are stored, for one row, and the lines that come next.
 struct Packed<'a> {
     tiles: [&'a [CacheLine]; TILES],
-    ahead: [&'a [CacheLine]; TILES],
+    ahead: [*const CacheLine; TILES],
 }
 
 impl<Q: Quantized> Numbers<Q> for Packed<'_> {
     #[inline(always)]
     fn begin<S: Simd>(&self, simd: S, run: usize) {
-        prefetch_part(simd, self.ahead, run, SPAN / Q::RUN);
+        prefetch_part(simd, self.ahead, Q::LINES, run, SPAN / Q::RUN);
     }
 
     #[inline(always)]
@@ -211,7 +213,10 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
                 }
             }
         }
-        let weight_scales = blocks.each_ref().map(|block| simd.load(&block.scales[run]));
+        let mut weight_scales = [simd.floats(0.0); TILES];
+        for (scale, block) in weight_scales.iter_mut().zip(blocks) {
+            *scale = simd.load(&block.scales[run]);
+        }
         for (row, (span, products)) in spans.iter_mut().zip(products).enumerate() {
             for ((span, product), weight_scale) in span.iter_mut().zip(products).zip(weight_scales) {
                 let product = simd.to_floats(product);
@@ -227,14 +232,20 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
     if Q::MINIMA {
         let mut products = [[simd.ints(0); TILES]; ROWS];
         for (pair, sums) in run_sums.iter().enumerate() {
-            let minima = blocks.each_ref().map(|block| simd.load_ints(&block.minima[pair]));
+            let mut minima = [simd.ints(0); TILES];
+            for (minima, block) in minima.iter_mut().zip(blocks) {
+                *minima = simd.load_ints(&block.minima[pair]);
+            }
             for (products, sum) in products.iter_mut().zip(sums) {
                 for (product, minima) in products.iter_mut().zip(minima) {
                     *product = simd.dot_pairs(*product, minima, *sum);
                 }
             }
         }
-        let scales = blocks.each_ref().map(|block| simd.load(&block.minimum_scale));
+        let mut scales = [simd.floats(0.0); TILES];
+        for (scale, block) in scales.iter_mut().zip(blocks) {
+            *scale = simd.load(&block.minimum_scale);
+        }
         for (span, products) in spans.iter_mut().zip(products) {
             for ((span, product), scale) in span.iter_mut().zip(products).zip(scales) {
                 *span = simd.mul_sub_from(simd.to_floats(product), scale, *span);
@@ -259,21 +270,25 @@ fn float(word: i32) -> f32 {
 /// infinity makes the scale NaN, so that the result shows it.
 #[inline(always)]
 fn quantize_activations(values: &[f32], numbers: &mut [i8]) -> f32 {
-    let mut largest = [0f32; LANES];
-    let mut strange = [0f32; LANES];
+    // The bits of magnitudes are in the order of the magnitudes, with infinity and NaN on top.
+    const INFINITY: u32 = f32::INFINITY.to_bits();
+    // Added to a small number, it leaves the nearest integer, ties to even, in the lowest bits.
+    const ROUNDING: f32 = 1.5 * (1 << 23) as f32;
+    let mut largest = [0; LANES];
     for values in values.as_chunks::<LANES>().0 {
-        for lane in 0..LANES {
-            largest[lane] = largest[lane].max(values[lane].abs());
-            strange[lane] += values[lane] * 0.0;
+        for (largest, value) in largest.iter_mut().zip(values) {
+            *largest = value.abs().to_bits().max(*largest);
         }
     }
-    let largest = largest.into_iter().fold(0.0, f32::max);
-    let strange: f32 = strange.into_iter().sum();
-    let inverse = if largest > 0.0 { MAX_MAGNITUDE / largest } else { 0.0 };
-    for (number, value) in numbers.iter_mut().zip(values) {
-        *number = (value * inverse).round_ties_even() as i8;
+    let largest = largest.into_iter().fold(0, u32::max);
+    let scale = if largest < INFINITY { f32::from_bits(largest) / MAX_MAGNITUDE } else { f32::NAN };
+    let inverse = if largest > 0 { MAX_MAGNITUDE / f32::from_bits(largest) } else { 0.0 };
+    for (numbers, values) in numbers.as_chunks_mut::<LANES>().0.iter_mut().zip(values.as_chunks::<LANES>().0) {
+        for (number, value) in numbers.iter_mut().zip(values) {
+            *number = (value * inverse + ROUNDING).to_bits() as i8;
+        }
     }
-    largest / MAX_MAGNITUDE + strange
+    scale
 }
 
 /// ggml's `q8_0`: w = scale · number, with a scale for every 32.

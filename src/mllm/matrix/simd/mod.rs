@@ -1,10 +1,10 @@
 //! Vectors of sixteen lanes in each instruction set that the kernels are compiled for.
 //!
-//! A kernel is generic over [`Simd`]. [`Instructions::run`] picks the instruction set at run time. Only x86-64 has vector
-//! code of its own; other processors run [`portable`], which the compiler vectorizes as far as it can.
+//! A kernel is generic over [`Simd`]. [`Instructions::run`] picks the instruction set at run time. x86-64 and Arm have vector
+//! code of their own; other processors run [`portable`], which the compiler vectorizes as far as it can.
 
 /// Writes methods of [`Simd`] that are one expression of intrinsics. The CPU has them where `self` exists.
-#[cfg(target_arch = "x86_64")]
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
 macro_rules! operations {
     ($($name:ident($($argument:ident: $type:ty),*) $(-> $result:ty)? = $value:expr;)*) => {$(
         #[inline(always)]
@@ -19,6 +19,8 @@ macro_rules! operations {
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+#[cfg(target_arch = "aarch64")]
+mod neon;
 mod portable;
 
 use super::line::{CacheLine, LANES};
@@ -41,7 +43,10 @@ pub(crate) trait Simd: Copy + Send + Sync {
     /// Runs a kernel in a function that enables the instructions.
     fn run<K: Kernel>(self, kernel: K);
 
-    fn prefetch(self, line: &CacheLine);
+    /// Starts to load a line into the caches. An address that does not exist is ignored.
+    fn prefetch(self, line: *const CacheLine);
+    /// Starts to load a line that is read once and soon: it takes no place in the second-level cache.
+    fn prefetch_once(self, line: *const CacheLine);
     fn bytes(self, line: &CacheLine) -> Self::Bytes;
     fn store_bytes(self, bytes: Self::Bytes, line: &mut CacheLine);
     /// The low four bits of each byte.
@@ -147,6 +152,9 @@ pub(crate) enum Instructions {
     /// AVX2 with FMA and F16C.
     #[cfg(target_arch = "x86_64")]
     Avx2,
+    /// NEON with dot products.
+    #[cfg(target_arch = "aarch64")]
+    Neon,
     Portable,
 }
 
@@ -155,7 +163,9 @@ impl Instructions {
     pub(crate) fn available() -> impl Iterator<Item = Self> {
         #[cfg(target_arch = "x86_64")]
         let vectors = [avx512::Avx512::detect().map(|_| Self::Avx512), avx2::Avx2::detect().map(|_| Self::Avx2)];
-        #[cfg(not(target_arch = "x86_64"))]
+        #[cfg(target_arch = "aarch64")]
+        let vectors = [neon::Neon::detect().map(|_| Self::Neon)];
+        #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
         let vectors = [None];
         vectors.into_iter().flatten().chain([Self::Portable])
     }
@@ -180,6 +190,12 @@ impl Instructions {
                 }
             }
             Self::Portable => {}
+        }
+        #[cfg(target_arch = "aarch64")]
+        if self == Self::Neon
+            && let Some(simd) = neon::Neon::detect()
+        {
+            return simd.run(kernel);
         }
         portable::Portable.run(kernel);
     }

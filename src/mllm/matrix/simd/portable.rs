@@ -34,7 +34,9 @@ impl Simd for Portable {
         kernel.run(self);
     }
 
-    fn prefetch(self, _: &CacheLine) {}
+    fn prefetch(self, _: *const CacheLine) {}
+
+    fn prefetch_once(self, _: *const CacheLine) {}
 
     fn bytes(self, line: &CacheLine) -> [u8; 64] {
         line.0
