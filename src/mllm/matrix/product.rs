@@ -25,8 +25,8 @@ const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 /// Cache lines between the one that is unpacked and the one that is prefetched.
 const PREFETCH_LINES: usize = 64;
 
-/// Bytes of weights between those that a single row is multiplied with and those that are prefetched. With half of it decoding
-/// waits for memory; with twice of it the lines are gone again from the first-level cache (measured on Zen 5).
+/// Bytes of weights between those that a single row is multiplied with and those that are prefetched. Half and twice of it were
+/// slower on Zen 5.
 const PREFETCH_BYTES: usize = 8 << 10;
 
 /// Pieces of work for each thread; a slower core takes fewer of them.
