@@ -14,6 +14,9 @@ use crate::metrics::MetricError;
 use crate::world::{EgoState, LaneId, STEP_US, SceneView, Trajectory, TrajectoryError};
 use std::collections::BTreeSet;
 
+/// Scores that differ by less are equal. UTM coordinates in `f64` round at 1e-10 m, and the progress of 0.1 m divides that.
+const EQUAL_SCORES: f64 = 1e-8;
+
 /// Why PDM-Closed gives no plan.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
@@ -220,7 +223,34 @@ pub fn plan(memory: &mut PdmMemory, scene: &SceneView<'_>) -> Result<PdmPlan, Pd
 }
 
 /// Index of the best score, the first of equals; `None` without scores.
+///
+/// `tuplan_garage` takes the maximum, so rounding chooses where proposals are equally far along. Beside the centerline and on it they
+/// often are, where the ego has almost stopped.
 pub fn best_of(scores: &[ProposalScore]) -> Option<usize> {
-    let numbered = scores.iter().enumerate().rev();
-    numbered.max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total)).map(|(index, _)| index)
+    let highest = scores.iter().map(|score| score.total).max_by(f64::total_cmp)?;
+    scores.iter().position(|score| score.total >= highest - EQUAL_SCORES)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounding_does_not_choose_between_equal_scores() {
+        let score = |total| ProposalScore {
+            total,
+            no_at_fault_collisions: 1.0,
+            drivable_area: 1.0,
+            driving_direction: 1.0,
+            progress: 1.0,
+            time_to_collision: 1.0,
+            comfort: 1.0,
+            progress_m: 0.1,
+            first_at_fault_s: None,
+            first_ttc_s: None,
+        };
+        assert_eq!(best_of(&[]), None);
+        assert_eq!(best_of(&[0.5, 1.0 - 1e-13, 1.0].map(score)), Some(1));
+        assert_eq!(best_of(&[0.5, 1.0 - 1e-6, 1.0].map(score)), Some(2));
+    }
 }
