@@ -300,7 +300,9 @@ mod tests {
 
     #[test]
     fn the_lists_have_their_pairs_of_seeds_of_their_own() {
-        for (name, split, per_kind) in [(VALIDATION, Split::Validation, VALIDATION_PAIRS)] {
+        for (name, split, per_kind) in
+            [(TEST, Split::Test, TEST_PAIRS), (VALIDATION, Split::Validation, VALIDATION_PAIRS)]
+        {
             let pairs = list(name).unwrap();
             let seeds: BTreeSet<u64> = pairs.iter().map(|pair| pair.base.seed).collect();
             assert_eq!((pairs.len(), seeds.len()), (4 * per_kind, 4 * per_kind));

@@ -159,7 +159,7 @@ impl<'a> DrivableMap<'a> {
     #[must_use]
     pub fn allowing(&self, lanes: &[LaneId]) -> Self {
         let is_allowed =
-            |area: &Area<'a>| lanes.iter().any(|&lane| std::ptr::eq(area.polygon, &self.map[lane].polygon));
+            |area: &Area<'a>| lanes.iter().any(|&lane| std::ptr::eq(area.polygon, &raw const self.map[lane].polygon));
         let areas = self.areas.iter();
         let areas = areas.map(|area| Area { polygon: area.polygon, on_route: area.on_route || is_allowed(area) });
         Self { map: self.map, areas: areas.collect(), layers: self.layers, tolerance: self.tolerance }

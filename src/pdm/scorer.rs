@@ -73,7 +73,7 @@ impl ProposalScore {
     pub fn with_progress(self, progress: f64) -> Self {
         let weighted = WEIGHT_PROGRESS * progress + WEIGHT_TTC * self.time_to_collision + WEIGHT_COMFORT * self.comfort;
         let total = self.multiplier() * weighted / (WEIGHT_PROGRESS + WEIGHT_TTC + WEIGHT_COMFORT);
-        Self { progress, total, ..self }
+        Self { total, progress, ..self }
     }
 }
 

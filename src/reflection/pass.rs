@@ -96,7 +96,7 @@ fn is_clear(
     let limit = way.speed_limit.unwrap_or(FALLBACK_LIMIT);
     // Whatever may come from beyond the sight. Nothing comes from before the start of a lane.
     let unseen =
-        (here > ONCOMING_SIGHT).then(|| OncomingAgent { front_s: here - ONCOMING_SIGHT, length: 0.0, speed: limit });
+        (here > ONCOMING_SIGHT).then_some(OncomingAgent { front_s: here - ONCOMING_SIGHT, length: 0.0, speed: limit });
     let keeps = |agent: OncomingAgent, headway: f64| {
         let has_passed = agent.front_s - agent.length + agent.speed * leaves >= out + MIN_GAP;
         has_passed || agent.front_s + agent.speed * (returns + headway) + MIN_GAP <= back

@@ -5,7 +5,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 /// A time at which the ego's lane is free, seconds.
-const AT: &str = "3";
+const AT: &str = "10";
 
 /// Runs `plan --code` with a model that does not exist: none may be loaded.
 fn judged(code: &str, more: &[&str]) -> (i32, String, String) {
@@ -57,7 +57,7 @@ fn a_code_of_the_agent_gets_the_score_that_the_agent_got() {
 
 #[test]
 fn a_lane_change_needs_the_higher_score() {
-    let change = json("Generate_IDM_Planner(left_lane, None, 8, 1, 3)", &[]);
+    let change = json("Generate_IDM_Planner(right_lane, None, 8, 1, 3)", &[]);
     assert_eq!((change["threshold"].as_f64(), change["lane_change_threshold"].as_bool()), (Some(0.98), Some(true)));
 }
 

@@ -182,12 +182,11 @@ fn limit(graph: &LaneGraph, prompts: &PromptSet) -> f64 {
 fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f64) -> Instruction {
     let lateral = match best.code.centerline {
         CenterlineName::EgoLane => Lateral::Keep,
-        CenterlineName::LeftLane => Lateral::ChangeLeft,
         CenterlineName::RightLane => Lateral::ChangeRight,
         CenterlineName::OncomingLane if graph.oncoming.as_ref().is_some_and(|way| way.border < 0.0) => {
             Lateral::ChangeRight
         }
-        CenterlineName::OncomingLane => Lateral::ChangeLeft,
+        CenterlineName::LeftLane | CenterlineName::OncomingLane => Lateral::ChangeLeft,
     };
     let why_lateral = match lateral {
         Lateral::Keep => LateralReason::LaneServes,

@@ -103,9 +103,9 @@ pub(super) fn scenario(spec: &Spec, settings: &Settings<'_>) -> Option<Scenario>
     }
     let kinds = InteractionKind::ALL;
     let first = random.random_range(0..kinds.len());
-    let in_turn = kinds.iter().cycle().skip(first).take(kinds.len());
+    let mut in_turn = kinds.iter().cycle().skip(first).take(kinds.len());
     let modified = |kind: &InteractionKind| ModifiedName::of(*kind).read().ok()?.apply(base.clone()).ok();
-    Some(in_turn.filter_map(modified).next().unwrap_or(base))
+    Some(in_turn.find_map(modified).unwrap_or(base))
 }
 
 #[cfg(test)]

@@ -55,7 +55,7 @@ impl PairName {
         let base = if may_be_wide && number / 32 % 2 == 1 { base.widened() } else { base };
         let of_side = |side| Self { kind, side, base };
         let sides = [TwinSide::Left, TwinSide::Right].map(of_side);
-        if number / 4 % 2 == 0 { sides } else { [sides[1], sides[0]] }
+        if (number / 4).is_multiple_of(2) { sides } else { [sides[1], sides[0]] }
     }
 
     fn twin(&self, part: TwinPart) -> Twin {
