@@ -16,5 +16,5 @@ pub use idm::{IdmParameters, Lead};
 pub use lqr::{TrackingError, track};
 pub use profile::{JerkPenalty, MotionProfile};
 pub use progress_path::ProgressPath;
-pub use traffic::{IDM_AGENT, IdmTraffic, InteractiveTraffic, Jaywalkers};
+pub use traffic::{CrossingActors, IDM_AGENT, IdmTraffic, InteractiveTraffic};
 pub use two_stage::{follow, simulate_proposal};

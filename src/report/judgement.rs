@@ -109,8 +109,14 @@ fn metrics(report: &ReflectionReport) -> Vec<JudgedMetric> {
     ]
 }
 
+/// Two numbers with two decimals, or as many more as tell them apart.
+fn told_apart(a: f64, b: f64) -> (String, String) {
+    let written = |decimals| (fixed(a, decimals), fixed(b, decimals));
+    (2..=9).map(written).find(|(a, b)| a != b).unwrap_or_else(|| written(2))
+}
+
 fn reason(report: &ReflectionReport, metrics: &[JudgedMetric], lane_change: bool) -> String {
-    let (score, threshold) = (fixed(report.score, 2), fixed(report.threshold, 2));
+    let (score, threshold) = told_apart(report.score, report.threshold);
     let needed = if lane_change { "the threshold of a plan that begins a lane change" } else { "the threshold" };
     if report.verdict == Verdict::Execute {
         return format!("{score} is not below {threshold}, {needed}");
@@ -189,5 +195,7 @@ mod tests {
         let good = Judgement::of(&report(GOOD, 1.0), false);
         assert_eq!((good.executed, good.reason.as_str()), (true, "1.00 is not below 0.75, the threshold"));
         assert_eq!(good.metrics.len(), GOOD.named().len());
+        let scarcely = Judgement::of(&report(slow, 0.7496), false);
+        assert!(scarcely.reason.starts_with("0.7496 is below 0.7500, the threshold"), "{}", scarcely.reason);
     }
 }

@@ -1,6 +1,6 @@
 //! The policies that control the agents around the ego.
 
-use crate::dynamics::{IdmTraffic, InteractiveTraffic, Jaywalkers};
+use crate::dynamics::{CrossingActors, IdmTraffic, InteractiveTraffic};
 use crate::scenario::{Frame, Scenario};
 use crate::world::{EgoState, TrackedObject};
 use std::error::Error;
@@ -54,8 +54,8 @@ pub struct AgentPolicySpec {
 /// All objects replay the log.
 pub(super) const LOG_REPLAY: AgentPolicySpec = AgentPolicySpec {
     name: "box_observation",
-    new: |scenario, first| match scenario.interaction.as_deref().filter(|added| !added.jaywalkers.is_empty()) {
-        Some(added) => Box::new(LoggedAndJaywalkers(Jaywalkers::new(&added.jaywalkers, &first.ego))),
+    new: |scenario, first| match scenario.interaction.as_deref().filter(|added| !added.crossing.is_empty()) {
+        Some(added) => Box::new(LoggedAndCrossing(CrossingActors::new(&added.crossing, &first.ego))),
         None => Box::new(LoggedAgents),
     },
 };
@@ -111,11 +111,11 @@ impl AgentPolicy for LoggedAgents {
     }
 }
 
-/// The log, and people whom the ego triggers in place of their logged tracks.
+/// The log, and actors whose crossing the ego triggers, in place of their logged tracks.
 #[derive(Debug, Clone)]
-struct LoggedAndJaywalkers(Jaywalkers);
+struct LoggedAndCrossing(CrossingActors);
 
-impl AgentPolicy for LoggedAndJaywalkers {
+impl AgentPolicy for LoggedAndCrossing {
     fn objects(&self, logged: &Frame) -> Arc<[TrackedObject]> {
         let others = logged.objects.iter().filter(|object| !self.0.has(object.token)).copied();
         others.chain(self.0.objects()).collect()

@@ -95,18 +95,18 @@ impl FromStr for DriverBehavior {
     }
 }
 
-/// A person who waits for the ego, unseen, then crosses the road in a straight line; or a vehicle that does so.
+/// A person or a vehicle that waits for the ego, unseen, then crosses the road in a straight line.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Jaywalker {
+pub struct CrossingActor {
     /// The track.
     pub token: TrackToken,
     /// A pedestrian, unless it is a vehicle.
     pub kind: ObjectKind,
     /// Length and width, meters.
     pub size: (f64, f64),
-    /// Where the person steps onto the road.
+    /// Where it starts.
     pub from: Point,
-    /// Where the person stops and stays.
+    /// Where it stops and stays.
     pub to: Point,
     /// m/s; 0 for one that only looks towards `to`.
     pub speed: f64,
@@ -114,20 +114,20 @@ pub struct Jaywalker {
     pub along: Arc<Polyline>,
     /// Progress of the crossing on that line, meters.
     pub at_s: f64,
-    /// The person starts when the ego is at most this far before the crossing, meters.
+    /// It starts when the ego is at most this far before the crossing, meters.
     pub trigger_m: f64,
 }
 
 /// Size of a walking person along and across the heading, meters (interPlan `agents_modifier.py`).
 pub const WALKER_SIZE: (f64, f64) = (0.900_003, 0.791_390);
 
-impl Jaywalker {
-    /// Whether the center of an ego makes the person start.
+impl CrossingActor {
+    /// Whether the center of an ego makes it start.
     pub fn starts_for(&self, ego: Point) -> bool {
         self.at_s - self.along.project(ego).s <= self.trigger_m
     }
 
-    /// The person so many seconds after the start.
+    /// Its box so many seconds after the start.
     pub fn after(&self, seconds: f64) -> TrackedObject {
         let way = self.to - self.from;
         let length = way.norm();
@@ -166,8 +166,8 @@ pub struct Interaction {
     pub kind: Option<InteractionKind>,
     /// Vehicles that never move.
     pub standing: BTreeSet<TrackToken>,
-    /// People who start as the ego comes near.
-    pub jaywalkers: Vec<Jaywalker>,
+    /// Who crosses the road as the ego comes near.
+    pub crossing: Vec<CrossingActor>,
     /// Behavior of the reactive vehicles that [`Self::behaviors`] does not name.
     pub behavior: DriverBehavior,
     /// Behavior of single vehicles.

@@ -18,7 +18,7 @@ mod trajectory;
 
 pub use ego::{EgoState, PACIFICA, VehicleParameters};
 pub use history::{HISTORY_SAMPLES, History, HistorySample};
-pub use interaction::{DriverBehavior, Goal, Interaction, InteractionKind, Jaywalker, WALKER_SIZE};
+pub use interaction::{CrossingActor, DriverBehavior, Goal, Interaction, InteractionKind, WALKER_SIZE};
 pub use map::{
     BASELINE_SPACING, Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, Neighbor, Roadblock, RoadblockId,
     StopLine, StopLineId,

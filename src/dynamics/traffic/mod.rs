@@ -14,7 +14,7 @@ mod interactive;
 #[cfg(test)]
 mod tests;
 
-pub use interactive::{InteractiveTraffic, Jaywalkers};
+pub use interactive::{CrossingActors, InteractiveTraffic};
 
 use super::idm::{IdmParameters, Lead};
 use crate::geometry::wrap_angle;

@@ -1,13 +1,33 @@
 //! A scenario while its changes are made.
 
+use super::change::Fault;
 use super::draws::Draws;
 use super::error::ModifyError;
 use super::file::Modification;
-use super::lanes::EgoLanes;
+use super::lanes::{EgoLanes, LanePlace};
 use crate::geometry::{OrientedBox, Pose, Vector};
 use crate::scenario::Scenario;
-use crate::world::{DriverBehavior, EgoState, Jaywalker, LaneId, ObjectKind, RoadblockId, TrackToken, TrackedObject};
+use crate::world::{
+    CrossingActor, DriverBehavior, EgoState, LaneId, ObjectKind, RoadblockId, TrackToken, TrackedObject,
+};
 use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// The straight way of an actor across a lane.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CrossingWay {
+    /// Where it meets the lane, meters ahead of the ego's center.
+    pub(super) ahead_m: f64,
+    pub(super) lane: LanePlace,
+    /// Its start, meters left of the centerline.
+    pub(super) from_left_m: f64,
+    /// Its end, meters left of the centerline.
+    pub(super) to_left_m: f64,
+    /// m/s; 0 for an actor that stays at its start.
+    pub(super) speed: f64,
+    /// The actor starts when the ego's center is so far before the crossing, meters.
+    pub(super) trigger_m: f64,
+}
 
 /// A vehicle that drives from iteration 0 on.
 #[derive(Debug, Clone, Copy)]
@@ -40,7 +60,7 @@ pub(super) struct Draft {
     /// What never moves.
     pub(super) standing: Vec<TrackedObject>,
     pub(super) moving: Vec<MovingVehicle>,
-    pub(super) jaywalkers: Vec<Jaywalker>,
+    pub(super) crossing: Vec<CrossingActor>,
     /// Speed of the ego at the start, m/s; without it, the logged one.
     pub(super) ego_speed: Option<f64>,
     pub(super) goal: Option<GoalPath>,
@@ -69,7 +89,7 @@ impl Draft {
             removed: BTreeSet::new(),
             standing: Vec::new(),
             moving: Vec::new(),
-            jaywalkers: Vec::new(),
+            crossing: Vec::new(),
             ego_speed: None,
             goal: None,
             behavior: DriverBehavior::Default,
@@ -110,6 +130,25 @@ impl Draft {
         let velocity = center.direction() * speed;
         let object = TrackedObject { token, kind: ObjectKind::Vehicle, shape, velocity };
         self.moving.push(MovingVehicle { object, behavior });
+    }
+
+    /// Adds an actor that crosses a lane.
+    pub(super) fn cross(&mut self, kind: ObjectKind, size: (f64, f64), way: CrossingWay) -> Result<(), Fault> {
+        let pose = self.lanes.place(&self.scenario.map, way.ahead_m, way.lane)?.pose;
+        let beside = |left_m: f64| pose.translated(0.0, left_m).position();
+        let actor = CrossingActor {
+            token: self.token(),
+            kind,
+            size,
+            from: beside(way.from_left_m),
+            to: beside(way.to_left_m),
+            speed: way.speed,
+            along: Arc::new(self.lanes.path.centerline.clone()),
+            at_s: self.lanes.start_s + way.ahead_m,
+            trigger_m: way.trigger_m,
+        };
+        self.crossing.push(actor);
+        Ok(())
     }
 
     /// How far the recorded driver gets along the ego's path, meters from the start.

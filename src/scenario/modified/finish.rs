@@ -3,7 +3,7 @@
 use super::draft::{Draft, GoalPath, MovingVehicle};
 use super::error::ModifyError;
 use super::file::Modification;
-use crate::dynamics::{InteractiveTraffic, Jaywalkers};
+use crate::dynamics::{CrossingActors, InteractiveTraffic};
 use crate::geometry::{OrientedBox, Pose, Vector};
 use crate::scenario::{Frame, Scenario};
 use crate::world::{
@@ -49,7 +49,7 @@ pub(super) fn finish(draft: Draft, modification: &Modification) -> Result<Scenar
     let interaction = Arc::new(Interaction {
         kind: modification.kind,
         standing: draft.standing.iter().map(|object| object.token).collect(),
-        jaywalkers: std::mem::take(&mut draft.jaywalkers),
+        crossing: std::mem::take(&mut draft.crossing),
         behavior: draft.behavior,
         behaviors,
         halting: BTreeSet::new(),
@@ -86,7 +86,7 @@ fn obstacles(draft: &Draft, kind: Option<InteractionKind>) -> Vec<crate::geometr
             of(ObjectKind::Vehicle)
         }
         Some(Kind::ApproachingConstructionZone) => of(ObjectKind::TrafficCone),
-        Some(Kind::JaywalkingPedestrian) => draft.jaywalkers.iter().map(|walker| walker.to).collect(),
+        Some(Kind::JaywalkingPedestrian) => draft.crossing.iter().map(|walker| walker.to).collect(),
         _ => Vec::new(),
     }
 }
@@ -165,18 +165,18 @@ fn frames(draft: &Draft, moving: &[MovingVehicle], interaction: &Interaction) ->
         fixed(&base[start]).into_iter().chain(moving.iter().map(|one| one.object)).collect();
     let ego = &base[start].ego;
     let mut traffic = InteractiveTraffic::new(&draft.scenario.map, &first, ego, interaction);
-    let mut walkers = Jaywalkers::new(&interaction.jaywalkers, ego);
+    let mut crossing = CrossingActors::new(&interaction.crossing, ego);
     let own: BTreeSet<TrackToken> = moving.iter().map(|one| one.object.token).collect();
-    frames.push(Frame { objects: first.into_iter().chain(walkers.objects()).collect(), ..base[start].clone() });
+    frames.push(Frame { objects: first.into_iter().chain(crossing.objects()).collect(), ..base[start].clone() });
     for pair in base[start..].windows(2) {
         let [before, frame] = pair else { continue };
         let dt_s = (frame.ego.time_us - before.ego.time_us) as f64 / MICROS_PER_SECOND;
         let logged = fixed(frame);
         traffic.step(&before.ego, &logged, &frame.lights, dt_s);
-        walkers.step(&before.ego, dt_s);
+        crossing.step(&before.ego, dt_s);
         let driving: BTreeMap<TrackToken, TrackedObject> =
             traffic.objects().iter().filter(|o| own.contains(&o.token)).map(|o| (o.token, *o)).collect();
-        let objects = logged.into_iter().chain(driving.into_values()).chain(walkers.objects()).collect();
+        let objects = logged.into_iter().chain(driving.into_values()).chain(crossing.objects()).collect();
         frames.push(Frame { objects, ..frame.clone() });
     }
     frames

@@ -55,8 +55,8 @@ class OccupancyHead(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         """Tower outputs (B, P, V) to logits (B, 3, 16, 16)."""
         x = F.layer_norm(features.float(), features.shape[-1:])
-        x = self.linear(x).view(-1, self.side, self.side, TIMES, self.cells, self.cells)
-        return x.permute(0, 3, 1, 4, 2, 5).reshape(-1, TIMES, CELLS, CELLS)
+        x = self.linear(x).view(len(features), self.side, self.side, TIMES, self.cells, self.cells)
+        return x.permute(0, 3, 1, 4, 2, 5).reshape(len(features), TIMES, CELLS, CELLS)
 
     def loss(self, logits: Tensor, grids: Tensor) -> Tensor:
         """Each state's mean cross-entropy; occupied cells, which are few, weigh more."""

@@ -83,13 +83,16 @@ def with_picture_of(sample: Sample, row: int) -> Sample:
 
 
 def weighted(corpus: Corpus, sample: Sample, without: frozenset[str] | None = None, only: frozenset[str] | None = None) -> Sample:
-    """No weight for some questions, or for all but some; the tokens are still those of the row."""
+    """No weight for some questions, or for all but some, and no contrast to a twin; the tokens are still those of the row."""
     weights = np.array(sample.weights)
+    contrast = None if sample.contrast is None else np.array(sample.contrast)
     for _, question, start, count in corpus.slots_of(sample.row):
         name = corpus.questions[question]
         if (without is not None and name in without) or (only is not None and name not in only):
             weights[start : start + count] = 0.0
-    return replace(sample, weights=weights)
+            if contrast is not None:
+                contrast[start : start + count] = False
+    return replace(sample, weights=weights, contrast=contrast)
 
 
 @dataclass

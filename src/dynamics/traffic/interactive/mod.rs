@@ -1,5 +1,5 @@
-//! Reactive traffic of modified scenarios: vehicles with a behavior towards the ego, vehicles that never move, and people whom
-//! the ego's progress triggers (interPlan `idm_modified_agent_manager.py`, `agents_modifier.py`).
+//! Reactive traffic of modified scenarios: vehicles with a behavior towards the ego, vehicles that never move, and actors
+//! whose crossing the ego's progress triggers (interPlan `idm_modified_agent_manager.py`, `agents_modifier.py`).
 
 mod lane_change;
 mod way;
@@ -10,7 +10,7 @@ use super::{IDM_AGENT, Obstacle, RADIUS, Seen, build, is_open_loop, nearest_in_w
 use crate::dynamics::idm::Lead;
 use crate::geometry::{Point, wrap_angle};
 use crate::world::{
-    DriverBehavior, EgoState, Interaction, Jaywalker, LaneMap, TrackToken, TrackedObject, TrafficLights,
+    CrossingActor, DriverBehavior, EgoState, Interaction, LaneMap, TrackToken, TrackedObject, TrafficLights,
 };
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -20,47 +20,47 @@ mod tests;
 
 use way::EgoWay;
 
-/// The people of a scene whom the ego triggers, each with the time since then.
+/// The actors of a scene that cross when the ego triggers them, each with the time since then.
 #[derive(Debug, Clone, Default)]
-pub struct Jaywalkers {
-    all: Arc<[Jaywalker]>,
-    /// Seconds since the start of each; `None` before.
-    walked_s: Vec<Option<f64>>,
+pub struct CrossingActors {
+    all: Arc<[CrossingActor]>,
+    /// Seconds since the start of each; `None` before it.
+    since_s: Vec<Option<f64>>,
 }
 
-impl Jaywalkers {
+impl CrossingActors {
     /// All of them, unseen; the ego at its start triggers those that are near.
-    pub fn new(all: &[Jaywalker], ego: &EgoState) -> Self {
-        let mut walkers = Self { all: all.into(), walked_s: vec![None; all.len()] };
-        walkers.trigger(ego);
-        walkers
+    pub fn new(all: &[CrossingActor], ego: &EgoState) -> Self {
+        let mut crossing = Self { all: all.into(), since_s: vec![None; all.len()] };
+        crossing.trigger(ego);
+        crossing
     }
 
     fn trigger(&mut self, ego: &EgoState) {
         let center = ego.center().position();
-        for (walker, walked) in self.all.iter().zip(&mut self.walked_s) {
-            if walked.is_none() && walker.starts_for(center) {
-                *walked = Some(0.0);
+        for (actor, since) in self.all.iter().zip(&mut self.since_s) {
+            if since.is_none() && actor.starts_for(center) {
+                *since = Some(0.0);
             }
         }
     }
 
     /// Moves on by `dt_s`; `ego` is the state before the step.
     pub fn step(&mut self, ego: &EgoState, dt_s: f64) {
-        for walked in self.walked_s.iter_mut().flatten() {
-            *walked += dt_s;
+        for since in self.since_s.iter_mut().flatten() {
+            *since += dt_s;
         }
         self.trigger(ego);
     }
 
     /// Those on the road now.
     pub fn objects(&self) -> impl Iterator<Item = TrackedObject> + '_ {
-        self.all.iter().zip(&self.walked_s).filter_map(|(walker, walked)| Some(walker.after((*walked)?)))
+        self.all.iter().zip(&self.since_s).filter_map(|(actor, since)| Some(actor.after((*since)?)))
     }
 
     /// Whether a track is one of them, seen or not.
     pub fn has(&self, token: TrackToken) -> bool {
-        self.all.iter().any(|walker| walker.token == token)
+        self.all.iter().any(|actor| actor.token == token)
     }
 }
 
@@ -84,16 +84,16 @@ pub struct InteractiveTraffic {
     lane_changes: bool,
     /// Standing vehicles and logged objects.
     others: Vec<TrackedObject>,
-    walkers: Jaywalkers,
+    crossing: CrossingActors,
 }
 
 impl InteractiveTraffic {
     /// The traffic at iteration 0, from the objects and the ego of that instant.
     pub fn new(map: &Arc<LaneMap>, objects: &[TrackedObject], ego: &EgoState, interaction: &Interaction) -> Self {
-        let walkers = Jaywalkers::new(&interaction.jaywalkers, ego);
+        let crossing = CrossingActors::new(&interaction.crossing, ego);
         let standing = interaction.standing.clone();
-        let others = others(objects, &standing, &walkers);
-        let drives = |o: &&TrackedObject| !standing.contains(&o.token) && !walkers.has(o.token);
+        let others = others(objects, &standing, &crossing);
+        let drives = |o: &&TrackedObject| !standing.contains(&o.token) && !crossing.has(o.token);
         let moving: Vec<TrackedObject> = objects.iter().filter(drives).copied().collect();
         let agents = build::agents(map, &moving, &others, ego, IDM_AGENT);
         let behavior =
@@ -108,24 +108,24 @@ impl InteractiveTraffic {
         };
         let drivers = agents.into_iter().map(driver).collect();
         let lane_changes = interaction.lane_changes;
-        Self { map: Arc::clone(map), drivers, standing, lane_changes, others, walkers }
+        Self { map: Arc::clone(map), drivers, standing, lane_changes, others, crossing }
     }
 
-    /// The objects now: the reactive vehicles, what stands, the logged objects, the people.
+    /// The objects now: the reactive vehicles, what stands, the logged objects, those that cross.
     pub fn objects(&self) -> Arc<[TrackedObject]> {
         let drivers = self.drivers.iter().map(|driver| driver.agent.object());
-        drivers.chain(self.others.iter().copied()).chain(self.walkers.objects()).collect()
+        drivers.chain(self.others.iter().copied()).chain(self.crossing.objects()).collect()
     }
 
     /// Moves from iteration k to k+1, `dt` seconds later, with the ego at k and the logged objects and lights of k+1, as nuPlan's
     /// agents do.
     pub fn step(&mut self, ego: &EgoState, logged: &[TrackedObject], lights: &TrafficLights, dt: f64) {
-        self.others = others(logged, &self.standing, &self.walkers);
-        self.walkers.step(ego, dt);
+        self.others = others(logged, &self.standing, &self.crossing);
+        self.crossing.step(ego, dt);
         let center = ego.center().position();
         self.drivers.retain(|driver| (driver.agent.pose().position() - center).norm() <= RADIUS);
         let way = EgoWay::new(ego);
-        let things = self.others.iter().copied().chain(self.walkers.objects());
+        let things = self.others.iter().copied().chain(self.crossing.objects());
         let things: Vec<Obstacle> = things.map(|o| Obstacle::standing(Footprint::of_box(o.shape))).collect();
         for index in 0..self.drivers.len() {
             self.drivers[index].agent.extend_route(&self.map, lights);
@@ -165,8 +165,8 @@ impl InteractiveTraffic {
 }
 
 /// What stands, and the logged objects of open-loop kinds.
-fn others(objects: &[TrackedObject], standing: &BTreeSet<TrackToken>, walkers: &Jaywalkers) -> Vec<TrackedObject> {
-    let is_other = |o: &&TrackedObject| (standing.contains(&o.token) || is_open_loop(o.kind)) && !walkers.has(o.token);
+fn others(objects: &[TrackedObject], standing: &BTreeSet<TrackToken>, crossing: &CrossingActors) -> Vec<TrackedObject> {
+    let is_other = |o: &&TrackedObject| (standing.contains(&o.token) || is_open_loop(o.kind)) && !crossing.has(o.token);
     objects.iter().filter(is_other).copied().collect()
 }
 

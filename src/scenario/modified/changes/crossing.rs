@@ -1,12 +1,11 @@
 //! `crossing`: a vehicle that drives straight across the ego's road from the start on.
 
 use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::Draft;
+use crate::scenario::modified::draft::{CrossingWay, Draft};
 use crate::scenario::modified::lanes::LanePlace;
 use crate::scenario::modified::number::Number;
-use crate::world::{Jaywalker, ObjectKind};
+use crate::world::ObjectKind;
 use serde::Deserialize;
-use std::sync::Arc;
 
 /// A vehicle beside the road that drives across it and stops there. It follows no lane and yields to nobody.
 #[derive(Debug, Deserialize)]
@@ -41,22 +40,12 @@ impl Change for CrossingVehicle {
     }
 
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
-        let [ahead, from, to, speed] =
+        let [ahead_m, from_left_m, to_left_m, speed] =
             [self.ahead_m, self.from_left_m, self.to_left_m, self.speed].map(|number| number.draw(&mut draft.draws));
-        let pose = draft.lanes.place(&draft.scenario.map, ahead, self.lane)?.pose;
-        let vehicle = Jaywalker {
-            token: draft.token(),
-            kind: ObjectKind::Vehicle,
-            size: SIZE,
-            from: pose.translated(0.0, from).position(),
-            to: pose.translated(0.0, to).position(),
-            // The speed is drawn in any case, so that one that waits changes no other draw.
-            speed: if self.waits { 0.0 } else { speed },
-            along: Arc::new(draft.lanes.path.centerline.clone()),
-            at_s: draft.lanes.start_s + ahead,
-            trigger_m: AT_ONCE,
-        };
-        draft.jaywalkers.push(vehicle);
-        Ok(())
+        // The speed is drawn in any case, so that one that waits changes no other draw.
+        let speed = if self.waits { 0.0 } else { speed };
+        let lane = self.lane;
+        let way = CrossingWay { ahead_m, lane, from_left_m, to_left_m, speed, trigger_m: AT_ONCE };
+        draft.cross(ObjectKind::Vehicle, SIZE, way)
     }
 }

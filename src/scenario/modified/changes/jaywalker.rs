@@ -1,12 +1,11 @@
 //! `jaywalker`: a person who crosses as the ego comes near.
 
 use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::Draft;
+use crate::scenario::modified::draft::{CrossingWay, Draft};
 use crate::scenario::modified::lanes::LanePlace;
 use crate::scenario::modified::number::Number;
-use crate::world::{Jaywalker, ObjectKind, WALKER_SIZE};
+use crate::world::{ObjectKind, WALKER_SIZE};
 use serde::Deserialize;
-use std::sync::Arc;
 
 /// A person beside the ego's path.
 #[derive(Debug, Deserialize)]
@@ -41,22 +40,10 @@ impl Change for CrossingPerson {
     }
 
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
-        let [ahead, from, to, trigger_m, speed] =
+        let [ahead_m, from_left_m, to_left_m, trigger_m, speed] =
             [self.ahead_m, self.from_left_m, self.to_left_m, self.trigger_m, self.speed]
                 .map(|number| number.draw(&mut draft.draws));
-        let pose = draft.lanes.place(&draft.scenario.map, ahead, self.lane)?.pose;
-        let walker = Jaywalker {
-            token: draft.token(),
-            kind: ObjectKind::Pedestrian,
-            size: WALKER_SIZE,
-            from: pose.translated(0.0, from).position(),
-            to: pose.translated(0.0, to).position(),
-            speed,
-            along: Arc::new(draft.lanes.path.centerline.clone()),
-            at_s: draft.lanes.start_s + ahead,
-            trigger_m,
-        };
-        draft.jaywalkers.push(walker);
-        Ok(())
+        let way = CrossingWay { ahead_m, lane: self.lane, from_left_m, to_left_m, speed, trigger_m };
+        draft.cross(ObjectKind::Pedestrian, WALKER_SIZE, way)
     }
 }
