@@ -23,7 +23,7 @@ pub fn is_comfortable(states: &[EgoState]) -> Result<bool, MetricError> {
     Filters::new(states.len()).map(|filters| filters.is_comfortable(states))
 }
 
-/// The filters of all quantities for so many states.
+/// The filters of all quantities for a number of states.
 struct Filters {
     smooth: Filter,
     short: Filter,

@@ -79,8 +79,8 @@ impl CodeSource {
         matches!(self, Self::Grid | Self::GridFour | Self::RandomFour)
     }
 
-    /// Whether its codes may name the oncoming lane: as a model's prompt set says, unless the settings forbid it; without a model as
-    /// the settings say.
+    /// Whether its codes may name the oncoming lane. A model's prompt set says so, unless the settings forbid it; without a model
+    /// the settings decide.
     pub(super) fn names_oncoming_lane(&self, setting: Option<bool>) -> bool {
         match self.prompts() {
             Some(prompts) => prompts.forms().scene_text.names_oncoming_lane() && setting != Some(false),

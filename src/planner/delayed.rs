@@ -28,7 +28,7 @@ struct Pending {
 }
 
 impl<A> Delayed<A> {
-    /// An agent whose planning calls last so long.
+    /// An agent whose planning calls have this latency.
     pub fn new(inner: A, latency: Latency) -> Self {
         Self { inner, latency, pending: None }
     }

@@ -21,8 +21,8 @@ const MAX_SLOPE: f64 = 0.7;
 /// The path of the rear axle from the ego's present pose to `beside` meters to the left of `centerline`, then along it for
 /// `length` meters.
 ///
-/// In the centerline's frame the distance d(s) from that line is the quintic with the ego's distance and slope and no curvature
-/// at the start, and d = d' = d'' = 0 at the end of the decay.
+/// In the centerline's frame the distance d(s) from that line is a quintic. It starts with the ego's distance and slope and
+/// without curvature, and has d = d' = d'' = 0 at the end of the decay.
 ///
 /// # Errors
 /// When the ego's pose is not finite.

@@ -79,7 +79,7 @@ pub fn search(simulation: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Candidate> 
     search_ahead(simulation, graph, HORIZON)
 }
 
-/// As [`search`], over so many iterations.
+/// As [`search`], over a number of iterations.
 pub fn search_ahead(simulation: &ClosedLoop<'_>, graph: &LaneGraph, horizon: usize) -> Vec<Candidate> {
     let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
     let mut tried: Vec<Candidate> = Vec::new();

@@ -27,7 +27,7 @@ pub struct MeasuredScene {
 }
 
 impl MeasuredScene {
-    /// Measures a scene in its first seven seconds: so long are the shortest recordings.
+    /// Measures a scene in its first seven seconds, the length of the shortest recordings.
     pub fn of(scenario: &Scenario) -> Self {
         let (roads, agents) = (roads::figures(scenario), agents::figures(scenario));
         let values = FEATURES.iter().map(|(_, value)| value(&roads, &agents).filter(|value| value.is_finite()));

@@ -134,7 +134,7 @@ fn limited(mut by_type: ByType, limit: Limit, rng: Option<&mut Pcg64Mcg>) -> ByT
     kept
 }
 
-/// In order of time, the scenarios that start at least so long after the previously kept one.
+/// In order of time, the scenarios that start at least a threshold after the previously kept one.
 fn apart(mut scenarios: Vec<LogScenario>, seconds: f64, scope: ThresholdScope) -> Vec<LogScenario> {
     scenarios.sort_by_key(|one| one.timestamp_us);
     let mut next: BTreeMap<Option<Arc<Log>>, f64> = BTreeMap::new();

@@ -9,7 +9,7 @@ use std::rc::Rc;
 
 /// Longest name of a tensor, bytes; longer ones are no PyTorch names.
 const MAX_NAME_BYTES: usize = 512;
-/// Most tensors of a file, and most dimensions of one.
+/// Maximum number of tensors of a file, and of dimensions of one.
 const MAX_TENSORS: usize = 1 << 16;
 const MAX_RANK: usize = 8;
 
