@@ -7,7 +7,7 @@ use super::{PlannerError, PlannerInput};
 use crate::world::Trajectory;
 use std::time::Instant;
 
-/// Recorded steps are some microseconds longer or shorter than 0.1 s; a plan that is late by less than this is not delayed by a
+/// Recorded steps are some microseconds longer or shorter than 0.1 s. A plan that is late by less than this is not delayed by a
 /// whole step, µs. Latencies are whole milliseconds.
 const TOLERANCE_US: i64 = 500;
 

@@ -11,7 +11,8 @@ const SETTLE_S: f64 = 1.2;
 const LANE_WIDTH: f64 = 3.5;
 /// Minimum length of the decay, meters, so that a slow ego does not have to turn on the spot.
 const MIN_DECAY: f64 = 8.0;
-/// The same for a large offset, as a multiple of it: a whole lane in 8 m is a curve of 3 m radius, which the tracker cannot follow.
+/// The same for a large offset, as a multiple of it. A whole lane in 8 m is a curve of 3 m radius, which the tracker cannot
+/// follow.
 const MIN_DECAY_OF_OFFSET: f64 = 3.5;
 /// Distance between the vertices of the path, meters.
 const SPACING: f64 = 1.0;

@@ -6,7 +6,7 @@ use crate::geometry::{Polyline, Vector, wrap_angle};
 use crate::world::{LaneId, LanePath, PACIFICA, SceneView};
 use std::f64::consts::PI;
 
-/// Time in which the ego moves over at its speed, and back at the limit, seconds, and bounds of the lengths that this takes, meters.
+/// Time in which the ego moves over at its speed, and back at the limit, seconds. Bounds of the lengths of both, meters.
 const MOVE_OVER_S: f64 = 2.4;
 const MOVE_BACK_S: f64 = 2.0;
 const MIN_MOVE_OVER: f64 = 12.0;

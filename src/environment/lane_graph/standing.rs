@@ -14,7 +14,7 @@ const MOVED: f64 = 0.3;
 const REACH: f64 = 60.0;
 /// Distance behind the ego's center, meters: beside what it passes, the ego is not yet past it.
 const BEHIND: f64 = 40.0;
-/// Distance of the ego from the middle of its lane up to which it is back in it, meters.
+/// Maximum distance from the middle of its lane at which the ego is back in it, meters.
 const BACK_IN_LANE: f64 = 1.0;
 /// A vehicle this near to an intersection ahead of it waits there, meters.
 const JUNCTION: f64 = 15.0;
@@ -32,7 +32,8 @@ const MARGIN: f64 = 0.1;
 const EDGE_STEP: f64 = 0.1;
 const MAX_HALF_WIDTH: f64 = 4.0;
 
-/// The stretch of a lane that something blocks which stands permanently. Arc lengths on the lane's centerline, meters.
+/// The stretch of a lane that is blocked by something that stands permanently. Arc lengths on the lane's centerline,
+/// meters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlockedStretch {
     /// Where the first obstacle begins.

@@ -119,7 +119,7 @@ fn distribution(values: &[f64]) -> Option<Distribution> {
     Some(Distribution { scenes: sorted.len(), mean, deviation, percentiles })
 }
 
-/// Mean of what there is.
+/// Mean of the values that exist.
 fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.into_iter().fold((0.0, 0_usize), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / count as f64)

@@ -77,7 +77,7 @@ impl Reported {
     }
 }
 
-/// Of scores with non-reactive and with reactive agents, that of a challenge.
+/// The score of a challenge, from those with non-reactive and with reactive agents.
 fn of_challenge([nonreactive, reactive]: [f64; 2], challenge: Challenge) -> Option<f64> {
     match challenge {
         Challenge::NonReactive => Some(nonreactive),

@@ -42,7 +42,7 @@ enum Taking {
     Invent(rand_pcg::Pcg64Mcg),
 }
 
-/// Tensors of a model: beyond it a configuration is taken for broken.
+/// Maximum number of tensors of a model: beyond it a configuration is taken for broken.
 const MAX_LISTED: usize = 1 << 17;
 /// Errors after which a check gives up.
 const MAX_PROBLEMS: usize = 1000;

@@ -20,7 +20,7 @@ pub enum Step {
     /// Samples this number of tokens, one after the other; the last one is appended and not computed yet.
     Sampled(usize),
     /// Computes the appended tokens with `drafted` ones in one pass, keeps those of them that are accepted, and samples the token
-    /// after these; it is appended and not computed yet.
+    /// after these. That token is appended and not computed yet.
     Verified { drafted: usize, accepted: usize },
     /// Computes the appended tokens and samples nothing.
     Compute,

@@ -1,5 +1,5 @@
-//! Drafts of an answer: tokens that may come next, guessed from texts that are known, for one pass to compute ahead of the
-//! model's choice (prompt lookup: A. Saxena, 2023; verification of drafts: Leviathan et al., arXiv:2211.17192).
+//! Drafts of an answer: tokens that may come next, guessed from known texts. One pass computes them ahead of the model's
+//! choice (prompt lookup: A. Saxena, 2023; verification of drafts: Leviathan et al., arXiv:2211.17192).
 
 use std::ops::RangeInclusive;
 

@@ -1,5 +1,5 @@
-//! The filters that follow nuPlan's scenario query, in the devkit's order: number per type, number in all, time between scenarios,
-//! motion of the ego, token set, route; then the order of the scenarios.
+//! The filters that follow nuPlan's scenario query, in the devkit's order: number per type, number in all, time between
+//! scenarios, motion of the ego, token set, route. The order of the scenarios comes last.
 //!
 //! The scenarios of a type are in order of log and time, until the filter of time sorts those of all logs by time alone (devkit
 //! `_filter_scenarios_by_timestamp`).
