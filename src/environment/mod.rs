@@ -1,6 +1,6 @@
 //! Stage 2, the paper's Environment Transformation: a [`crate::world::SceneView`] becomes the two prompts of the paper, the
-//! BEV map (global) and the lane-graph text (local), and, for training and evaluation, the true answers to what the
-//! first round asks about them.
+//! BEV map (global) and the lane-graph text (local). For training and evaluation it also becomes the true answers to what
+//! the first round asks about them.
 //!
 //! - [`bev`]: the image, ego-centered, heading up.
 //! - [`lane_graph`]: the node under the ego, its eight neighbors, who is on them, and the centerlines to follow.

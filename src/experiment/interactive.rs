@@ -19,7 +19,7 @@ pub const NAMES: [&str; 2] = [GENERATED, RECORDED];
 
 /// Scenarios of each kind in [`GENERATED`].
 pub const SCENARIOS: usize = 100;
-/// First test seed of [`GENERATED`]: those before belong to other suites. Each kind has so many seeds of its own.
+/// First test seed of [`GENERATED`]: those before belong to other suites. Each kind has a block of seeds of its own.
 const FIRST_SEED: u64 = 600;
 const SEEDS_OF_KIND: u64 = 100;
 /// Scenarios that are tried out at once; the order of the list does not depend on it.

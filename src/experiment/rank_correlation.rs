@@ -15,8 +15,8 @@ pub struct RankCorrelation {
     pub scenes: usize,
 }
 
-/// Tau-b of two lists of equal length: 1 for the same order, -1 for the opposite one; pairs that are equal in a list count in neither
-/// direction. `None` where all are equal in a list (Kendall, *The treatment of ties in ranking problems*, 1945).
+/// Tau-b of two lists of equal length: 1 for the same order, -1 for the opposite one. Pairs that are equal in a list count in
+/// neither direction. `None` where all are equal in a list (Kendall, *The treatment of ties in ranking problems*, 1945).
 pub fn tau_b(a: &[f64], b: &[f64]) -> Option<f64> {
     let sign = |x: f64, y: f64| if x > y { 1.0 } else { f64::from(-i8::from(x < y)) };
     let (mut agreed, mut of_a, mut of_b) = (0.0, 0.0, 0.0);

@@ -20,7 +20,7 @@ impl Default for Bootstrap {
     }
 }
 
-/// Wilson's interval of a share, 95 %: of so many trials, so many were successes. The whole range without trials.
+/// Wilson's 95 % interval of the share of successes among trials. The whole range without trials.
 pub fn wilson(successes: usize, trials: usize) -> [f64; 2] {
     /// Of the normal distribution, 95 % within.
     const Z: f64 = 1.959_963_984_540_054;

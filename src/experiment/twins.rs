@@ -1,6 +1,6 @@
 //! Text twins as a test of a model: whether its first code is right in both scenes of a pair, with Reflection off.
 //!
-//! The lists are drawn by the privileged search, before any model answered.
+//! The privileged search drew the lists before any model answered.
 
 use super::dataset::Split;
 use super::dataset::twins::{self, NoPair, PairName, TwinScene};
@@ -58,8 +58,8 @@ pub struct Drawn {
     pub refused: BTreeMap<(TwinKind, NoPair, ScenarioType), usize>,
 }
 
-/// Draws the first so many pairs of each kind among the seeds of a split, or of its first candidates. `on_pairs` gets the number of
-/// those found.
+/// Draws the first `per_kind` pairs of each kind among the seeds of a split, or among its first `candidates`. `on_pairs` gets
+/// the number of pairs found.
 ///
 /// # Errors
 /// When a prompt set cannot be used.

@@ -4,7 +4,7 @@ use std::fs::{self, File, FileType};
 use std::io::{self, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-/// Most links that lead to a file, as in Linux.
+/// Maximum number of links that lead to a file, as in Linux.
 const MAX_LINKS: usize = 40;
 
 /// Opens a regular file, also through links.

@@ -80,7 +80,7 @@ pub(crate) fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> 
     seen
 }
 
-/// The weighting of a row: interPlan's for the modified scenarios of its kinds, which alone have that metric.
+/// The weighting of a row. Modified scenarios of interPlan's kinds have interPlan's; they alone have that metric.
 fn weighting_of<'a>(row: &ScenarioRow, weighting: &'a Weighting) -> Cow<'a, Weighting> {
     let is_scored = row.metrics.iter().any(|(name, score)| name == "lane_changes_to_goal" && score.is_some());
     match InteractionKind::named(&row.scenario_type).filter(|_| is_scored) {

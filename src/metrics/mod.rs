@@ -2,7 +2,7 @@
 //!
 //! [`METRICS`] is the table of all metrics: name, role in the score, category, unit, and the function that computes each.
 //! [`evaluate`] computes the metrics of one [`MetricList`] for an [`EvaluatedSimulation`] (the simulated samples and the
-//! expert) and joins them to a [`Score`]; a [`MetricRegistry`] does so with metrics of your own. Statistics, names,
+//! expert) and joins them to a [`Score`]. A [`MetricRegistry`] does so with metrics of your own. Statistics, names,
 //! categories and units are those of nuPlan's devkit. [`aggregate`] joins the scores of many scenarios.
 //!
 //! To add a metric, write one file with a `SPEC` and add it to [`METRICS`].

@@ -30,10 +30,10 @@ const TILING_WIDTH_STEP: f64 = 0.25;
 const TILING_SHARE: f64 = 0.99;
 
 impl DrivableLayers {
-    /// The layers for a map: [`Self::Lanes`] where the source draws the areas of lanes (nuPlan's maps). Where they are derived, how
-    /// they lie on a route and within [`MAP_RADIUS`] of the ego decides: [`Self::Lanes`] if they tile the road. The tested points
-    /// lie every 10 m along each lane, from its baseline across to that of its neighbors, and from its end into its
-    /// successors; at least 99 % must lie on some lane.
+    /// The layers for a map: [`Self::Lanes`] where the source draws the areas of lanes (nuPlan's maps). Where they are derived,
+    /// how they lie on a route and within [`MAP_RADIUS`] of the ego decides: [`Self::Lanes`] if they tile the road. The tested
+    /// points lie every 10 m along each lane, from its baseline across to that of its neighbors, and from its end into its
+    /// successors. At least 99 % must lie on some lane.
     pub fn of(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
         if map.lane_areas() == LaneAreas::Drawn {
             return Self::Lanes;
@@ -143,8 +143,8 @@ impl<'a> DrivableMap<'a> {
         Self { map, areas, layers, tolerance: 0.0 }
     }
 
-    /// As nuPlan's metric of the drivable area judges, where the areas of lanes are derived: all of nuPlan's drivable area counts,
-    /// and a corner may be outside by its tolerance. Areas that the source draws stay as they are.
+    /// Judges as nuPlan's metric of the drivable area does, where the areas of lanes are derived. All of nuPlan's drivable area
+    /// counts, and a corner may be outside by its tolerance. Areas that the source draws stay as they are.
     #[must_use]
     pub fn judged_as_by_the_metric(self) -> Self {
         match self.map.lane_areas() {

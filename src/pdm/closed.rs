@@ -172,8 +172,8 @@ pub fn plan_tuned(
     Ok(PdmPlan { proposals, simulated, scores, best, emergency_brake: brake, trajectory })
 }
 
-/// One step of PDM-Closed along several reference paths at once: the best of all proposals is executed. Progress is measured along the
-/// first path, and the collisions and areas are those of its route; lanes of `passed` count as lanes of the route.
+/// One step of PDM-Closed along several reference paths at once: the best of all proposals is executed. Progress is measured
+/// along the first path, and the collisions and areas are those of its route. Lanes of `passed` count as lanes of the route.
 ///
 /// # Errors
 /// As [`plan_along`].

@@ -11,7 +11,7 @@ use std::sync::LazyLock;
 static PDM_FILTERS: LazyLock<Result<Filters, MetricError>> = LazyLock::new(|| Filters::new(PROPOSAL_STEPS + 1));
 
 /// Whether the six bounded quantities stay strictly within nuPlan's bounds. Accelerations are those of the rear axle,
-/// smoothed by a single quadratic over all states; jerks are the derivative of a single quadratic over the acceleration
+/// smoothed by a single quadratic over all states. Jerks are the derivative of a single quadratic over the acceleration
 /// smoothed with nuPlan's window.
 ///
 /// # Errors
@@ -23,7 +23,7 @@ pub fn is_comfortable(states: &[EgoState]) -> Result<bool, MetricError> {
     Filters::new(states.len()).map(|filters| filters.is_comfortable(states))
 }
 
-/// The filters of all quantities for so many states.
+/// The filters of all quantities for a number of states.
 struct Filters {
     smooth: Filter,
     short: Filter,

@@ -65,19 +65,19 @@ impl ForecastObject {
         Self { track: *track, velocity: if backwards { -along } else { along }, radius: track.shape.diagonal() / 2.0 }
     }
 
-    /// The center after so many steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
+    /// The center after a number of steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
     #[inline]
     pub(super) fn center_at(&self, step: usize) -> Point {
         let seconds = (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S;
         self.track.shape.center.position() + self.velocity * seconds
     }
 
-    /// The box after so many steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
+    /// The box after a number of steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
     pub fn shape_at(&self, step: usize) -> OrientedBox {
         self.track.shape.moved_to(Pose::at(self.center_at(step), self.track.shape.center.heading))
     }
 
-    /// The object after so many steps; its velocity is the observed one.
+    /// The object after a number of steps; its velocity is the observed one.
     pub fn track_at(&self, step: usize) -> TrackedObject {
         TrackedObject { shape: self.shape_at(step), ..self.track }
     }

@@ -99,7 +99,7 @@ impl<'a> PathTraffic<'a> {
         })
     }
 
-    /// The objects in the corridor after so many steps of 0.1 s.
+    /// The objects in the corridor after a number of steps of 0.1 s.
     pub(super) fn blocking(&self, step: usize) -> Vec<Blocking<'a>> {
         let objects = self.objects.iter().filter_map(|object| match object {
             Nearby::Standing(blocking) => Some(*blocking),

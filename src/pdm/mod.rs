@@ -1,13 +1,13 @@
 //! PDM-Closed, the rule-based planner whose scorer is Reflection's (`autonomousvision/tuplan_garage` at `b51d5d0`,
-//! `pdm_planner/`). A step of it, in order: a constant-velocity [`Forecast`] of all objects; [`Proposals`], fifteen IDM
-//! roll-outs along the centerline of the [`ReferencePath`] and beside it; their simulation by a tracker; [`score_proposals`]; the
-//! emergency brake. [`plan`] ties them together.
+//! `pdm_planner/`). [`plan`] does a step of it. First comes a constant-velocity [`Forecast`] of all objects. Then come
+//! [`Proposals`], fifteen IDM roll-outs along the centerline of the [`ReferencePath`] and beside it, and their simulation by a
+//! tracker. [`score_proposals`] and the emergency brake are last.
 //!
-//! The score is a second aggregation of the primitives of nuPlan's metrics. It differs from them in these points: other
-//! agents come from a forecast; a corner outside the drivable polygons counts without tolerance; movement against the
-//! direction is summed over whole segments off the route; progress is relative to the best proposal; times to
-//! collision are tested at 0, 0.3, 0.6 and 0.9 s; comfort uses the rear-axle acceleration and wider filters; there is
-//! no speed-limit and no making-progress term.
+//! The score is a second aggregation of the primitives of nuPlan's metrics. It differs from them in these points. Other
+//! agents come from a forecast. A corner outside the drivable polygons counts without tolerance. Movement against the
+//! direction is summed over whole segments off the route. Progress is relative to the best proposal. Times to collision
+//! are tested at 0, 0.3, 0.6 and 0.9 s. Comfort uses the rear-axle acceleration and wider filters. There is no
+//! speed-limit and no making-progress term.
 
 mod areas;
 mod centerline;

@@ -148,8 +148,8 @@ impl<P> Attempts<P> {
     }
 }
 
-/// Tries out the answer of an attempt. Where it proposes others, each is tried out, and the best, of equals the likeliest, becomes
-/// its answer.
+/// Tries out the answer of an attempt. Where it proposes others, each is tried out. The best becomes its answer, among equals the
+/// likeliest.
 #[allow(clippy::type_complexity, reason = "a trial and a record")]
 fn best_trial<Q: Question>(
     question: &mut Q,

@@ -19,7 +19,7 @@ impl Clock {
         self.due.is_none_or(|due| now_us + step_us / 2 >= due)
     }
 
-    /// The next planning call is due so many seconds from now.
+    /// Sets the next planning call to this time from now, seconds.
     pub(super) fn set(&mut self, now_us: i64, seconds: f64) {
         self.due = Some(now_us + (seconds * MICROS_PER_SECOND).round() as i64);
     }

@@ -17,7 +17,7 @@ pub const DEFAULT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
 const GRID_SPEEDS: [f64; 7] = [1.0, 0.85, 0.7, 0.55, 0.4, 0.2, 0.0];
 /// Pairs of acc and dec of the grid, m/s²: default, gentle, firm, emergency.
 const GRID_ACCELERATIONS: [(f64, f64); 4] = [DEFAULT_ACCELERATIONS, (1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
-/// As many codes as a model proposes at most.
+/// Maximum number of codes that a model proposes.
 const FOUR: usize = 4;
 /// Limit where the map has none, m/s.
 const FALLBACK_LIMIT: f64 = 15.0;
@@ -79,8 +79,8 @@ impl CodeSource {
         matches!(self, Self::Grid | Self::GridFour | Self::RandomFour)
     }
 
-    /// Whether its codes may name the oncoming lane: as a model's prompt set says, unless the settings forbid it; without a model as
-    /// the settings say.
+    /// Whether its codes may name the oncoming lane. A model's prompt set says so, unless the settings forbid it; without a model
+    /// the settings decide.
     pub(super) fn names_oncoming_lane(&self, setting: Option<bool>) -> bool {
         match self.prompts() {
             Some(prompts) => prompts.forms().scene_text.names_oncoming_lane() && setting != Some(false),

@@ -7,7 +7,7 @@ use super::{PlannerError, PlannerInput};
 use crate::world::Trajectory;
 use std::time::Instant;
 
-/// Recorded steps are some microseconds longer or shorter than 0.1 s; a plan that is late by less than this is not delayed by a
+/// Recorded steps are some microseconds longer or shorter than 0.1 s. A plan that is late by less than this is not delayed by a
 /// whole step, µs. Latencies are whole milliseconds.
 const TOLERANCE_US: i64 = 500;
 
@@ -28,7 +28,7 @@ struct Pending {
 }
 
 impl<A> Delayed<A> {
-    /// An agent whose planning calls last so long.
+    /// An agent whose planning calls have this latency.
     pub fn new(inner: A, latency: Latency) -> Self {
         Self { inner, latency, pending: None }
     }

@@ -7,15 +7,16 @@ use crate::pdm::{DrivableLayers, PdmError, PdmMemory, ReferencePath, plan_among}
 use crate::reflection::allowed_pass;
 use crate::world::{LaneId, PACIFICA, RoadblockId, SceneView, Trajectory};
 
-/// PDM-Closed that scores its proposals along every centerline that a planner code could name, each with its lateral offsets, beside
-/// those along its own reference path. All are scored together at every step, so that a better one takes over as monitoring lets it.
+/// PDM-Closed with more proposals. Besides those along its own reference path, it has proposals with lateral offsets along
+/// every centerline that a planner code could name. All are scored together at every step, so that a better one takes over,
+/// as under monitoring.
 #[derive(Debug, Clone, Default)]
 pub struct PdmClosedPlus {
     memory: PdmMemory,
 }
 
 impl PdmClosedPlus {
-    /// A planner that has not been initialised yet.
+    /// A planner that has not been initialized yet.
     pub fn new() -> Self {
         Self::default()
     }
@@ -48,8 +49,8 @@ impl Planner for PdmClosedPlus {
     }
 }
 
-/// Reference paths along the centerlines of the lane graph, on the route of the own one, and the lanes against traffic on which the
-/// ego may pass now what blocks its lane. Where there is no lane graph, none.
+/// Reference paths along the centerlines of the lane graph, on the route of `own`; none without a lane graph. Then the lanes
+/// against traffic on which the ego may now pass what blocks its lane.
 fn centerlines(scene: &SceneView<'_>, own: &ReferencePath) -> (Vec<ReferencePath>, Vec<LaneId>) {
     let Ok(graph) = LaneGraph::build(scene, DEFAULT_NODE_LENGTH) else { return (Vec::new(), Vec::new()) };
     let graph = graph.with_oncoming_lane(scene);

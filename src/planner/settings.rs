@@ -67,8 +67,8 @@ pub struct ReflectionSettings {
     pub enabled: bool,
     /// λ: a plan that scores this becomes active (the paper: 0.75).
     pub threshold: f64,
-    /// λ of a plan that begins a lane change, where it is higher. 0.98: of the lane changes in 350 validation scenes that scored
-    /// less, most lowered the score of the simulation.
+    /// λ of a plan that begins a lane change, where it is higher. In 350 validation scenes, most lane changes that scored less
+    /// than 0.98 lowered the score of the simulation.
     pub lane_change_threshold: f64,
     /// Maximum number of attempts of a planning call (the paper: 3).
     pub max_exec: usize,
@@ -78,9 +78,9 @@ pub struct ReflectionSettings {
     pub after_max_exec: AfterMaxExec,
     /// Which objects a plan follows.
     pub lead_policy: LeadPolicy,
-    /// Whether the active plan is monitored between planning calls: at every step it is scored with its slower and lateral versions
-    /// and a stop, one of them is executed, and a lane change whose score falls is aborted. Without, the plan is executed as the
-    /// model wrote it (the paper).
+    /// Whether the active plan is monitored between planning calls. At every step it is scored with its slower and lateral
+    /// versions and a stop, and one of them is executed. A lane change whose score falls is aborted. Without monitoring the plan
+    /// is executed as the model wrote it (the paper).
     pub monitoring: bool,
     /// Whether the ego may brake hard against the active plan: by PDM-Closed's emergency brake, and under monitoring by the stop.
     pub emergency_brake: bool,

@@ -5,7 +5,7 @@ use crate::world::{EgoState, STEP_S, STEP_US, Trajectory, TrajectoryError, Traje
 /// Deceleration of a stop that no plan asks for, m/s²: within nuPlan's comfort bound of 4.05.
 const DECELERATION: f64 = 4.0;
 
-/// Straight ahead, braking to a stop, so many steps of 0.1 s long.
+/// Straight ahead, braking to a stop, over `steps` steps of 0.1 s.
 ///
 /// # Errors
 /// When the ego's state is not finite.

@@ -207,8 +207,8 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Scores roll-outs of a plan. One that passes something over the oncoming lane is on its route there while it keeps the rules, and
-/// has 0 for the driving direction otherwise.
+/// Scores roll-outs of a plan. A plan that passes something over the oncoming lane is on its route there while it keeps the
+/// rules. Otherwise it has 0 for the driving direction.
 pub(super) fn score_plan(
     scene: &SceneView<'_>,
     plan: &IdmPlan,

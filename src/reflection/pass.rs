@@ -49,8 +49,8 @@ pub fn allowed_pass<'g>(scene: &SceneView<'_>, graph: &'g LaneGraph) -> Option<&
     (PassVerdict::of(&plan, scene) != PassVerdict::Refused).then_some(way)
 }
 
-/// Way back, gap and view: the ego is back in its lane, before what is next there and with a distance from all that comes, seen or
-/// beyond the sight, at constant speeds.
+/// The rules way back, gap and sight, at constant speeds of all others. The ego must be back in its lane and before what is
+/// next there. It must keep a distance to all that comes, seen or from beyond the sight.
 fn keeps_rules(plan: &IdmPlan, way: &OncomingLane, scene: &SceneView<'_>) -> bool {
     let poses = plan.roll_out(scene, STEPS).poses;
     let is_out = |pose: &Pose| is_over_border(way, &PACIFICA.footprint(*pose));

@@ -11,7 +11,8 @@ const SETTLE_S: f64 = 1.2;
 const LANE_WIDTH: f64 = 3.5;
 /// Minimum length of the decay, meters, so that a slow ego does not have to turn on the spot.
 const MIN_DECAY: f64 = 8.0;
-/// The same for a large offset, as a multiple of it: a whole lane in 8 m is a curve of 3 m radius, which the tracker cannot follow.
+/// The same for a large offset, as a multiple of it. A whole lane in 8 m is a curve of 3 m radius, which the tracker cannot
+/// follow.
 const MIN_DECAY_OF_OFFSET: f64 = 3.5;
 /// Distance between the vertices of the path, meters.
 const SPACING: f64 = 1.0;
@@ -21,8 +22,8 @@ const MAX_SLOPE: f64 = 0.7;
 /// The path of the rear axle from the ego's present pose to `beside` meters to the left of `centerline`, then along it for
 /// `length` meters.
 ///
-/// In the centerline's frame the distance d(s) from that line is the quintic with the ego's distance and slope and no curvature
-/// at the start, and d = d' = d'' = 0 at the end of the decay.
+/// In the centerline's frame the distance d(s) from that line is a quintic. It starts with the ego's distance and slope and
+/// without curvature, and has d = d' = d'' = 0 at the end of the decay.
 ///
 /// # Errors
 /// When the ego's pose is not finite.

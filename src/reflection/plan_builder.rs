@@ -10,7 +10,7 @@ use crate::world::SceneView;
 /// Maximum acceleration and deceleration of an ego that keeps its lane and speed, m/s².
 const KEEP_LANE_ACCELERATIONS: (f64, f64) = (1.0, 3.0);
 
-/// The same of a plan at the limit, which shows what can be reached: PDM-Closed's.
+/// The same for a plan at the limit, which shows what can be reached: PDM-Closed's.
 const LIMIT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
 
 /// What all plans of an agent have in common. Its functions fail where the ego's pose is not finite.

@@ -10,7 +10,7 @@ use crate::world::{EgoState, SceneView};
 
 /// Time beyond the horizon for which an ego is taken to keep its final speed, seconds.
 const BEYOND_S: f64 = 4.0;
-/// A way that reaches less is none, meters: an ego that waits may creep so far. About the length of the ego.
+/// A shorter reach does not count, meters: an ego that waits may creep that far. About the length of the ego.
 pub(super) const MIN_REACH: f64 = 5.0;
 /// Below this progress of PDM-Closed's proposals standing still is as good as any, meters (PDM's scorer).
 const STANDS: f64 = 0.1;
@@ -61,8 +61,8 @@ pub(super) fn is_compared(graph: &LaneGraph, rival_progress: f64) -> bool {
     graph.blocked.is_some() || rival_progress <= STANDS
 }
 
-/// The reach of plans at the limit: on the ego's lane, and on those that lead past where the ego's is blocked. A red light, a
-/// queue and a person hold these plans as they hold any other.
+/// The reach of plans at the limit: on the ego's lane and, where that is blocked, on those that lead past. A red light, a
+/// queue and a person stop these plans as they stop any other.
 pub(super) fn reach_of_lanes(
     scene: &SceneView<'_>,
     graph: &LaneGraph,

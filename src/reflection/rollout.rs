@@ -58,8 +58,8 @@ pub struct IdmPlan {
     oncoming: Option<Box<OncomingLane>>,
     /// Where the ego stops in its lane before what it may pass.
     stop_point: Option<Point>,
-    /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline; the first is the code's, which keeps a
-    /// distance from what stands at the edge of the lane.
+    /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline. The first is the code's, which keeps
+    /// a distance from what stands at the edge of the lane.
     paths: [Polyline; LATERAL_OFFSETS.len()],
 }
 
@@ -111,8 +111,8 @@ impl IdmPlan {
         Ok(Self { code, lanes, lead_agent, lead_policy, oncoming: None, stop_point: None, paths })
     }
 
-    /// The same where something may block the ego's lane: a plan over the oncoming lane passes it, one in the ego's lane stops so far
-    /// before it that the ego can still leave the lane.
+    /// The same where something may block the ego's lane. A plan over the oncoming lane passes it. A plan in the ego's lane stops
+    /// where the ego can still leave the lane.
     pub(super) fn at_blocked_lane(mut self, graph: &LaneGraph, follows: CenterlineName) -> Self {
         (self.oncoming, self.stop_point) = match follows {
             CenterlineName::OncomingLane => (graph.oncoming.clone().map(Box::new), None),

@@ -25,7 +25,7 @@ pub struct Request {
     pub types: Vec<String>,
     /// Whether the scenarios are taken in an order that the seed draws.
     pub shuffle: bool,
-    /// Only so many scenarios, evenly from the types.
+    /// Maximum number of scenarios, taken evenly from the types.
     pub limit: Option<usize>,
     /// Only one part of the scenarios; other processes simulate the others.
     pub shard: Option<Shard>,

@@ -10,7 +10,7 @@ pub(super) struct Sample {
     pub(super) types: Vec<String>,
     /// The seed of their order; without one, the order in which they are found.
     pub(super) shuffle: Option<u64>,
-    /// Only so many, evenly from the types.
+    /// Maximum number of scenarios, taken evenly from the types.
     pub(super) limit: Option<usize>,
 }
 

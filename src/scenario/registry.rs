@@ -56,9 +56,9 @@ impl Readers {
         first(Recognition::Certain).or_else(|| first(Recognition::Possible)).map(|reader| &**reader)
     }
 
-    /// All scenarios that a word of the command line names: those of the reader that takes it, else those that all readers
-    /// find in the folder of that name, else in its folders of [`RECORDINGS`]. Behind `@SECONDS` they start so much later.
-    /// Behind `~NAME` or `~FILE.toml` they are modified.
+    /// All scenarios that a word of the command line names. They are those of the reader that takes it, else those that
+    /// all readers find in the folder of that name, else in its folders of [`RECORDINGS`]. With `@SECONDS` at the end they
+    /// start that much later. With `~NAME` or `~FILE.toml` they are modified.
     pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
         if let Some((base, name)) = ModifiedName::in_word(word) {
             let modification = name.read().map_err(ReaderError::new)?;

@@ -8,7 +8,7 @@ use crate::planner::{Planner, PlannerInitialization, PlannerInput};
 use crate::scenario::{Frame, HeldScenario, Scenario};
 use crate::world::{EgoState, History, HistorySample, MICROS_PER_SECOND, SceneView, Trajectory};
 
-/// A simulation has at least so many iterations: the metrics' filters need them.
+/// Minimum number of iterations of a simulation: the metrics' filters need them.
 const MIN_ITERATIONS: usize = 10;
 
 /// A simulation in progress. In open loop the ego replays the log. Clone it at any iteration to try several planners from

@@ -103,7 +103,7 @@ impl EgoState {
     }
 
     /// Acceleration of the box center in the body frame, m/s². nuPlan adds d·(ω² + α) to the forward component and nothing
-    /// to the lateral one, which is not rigid-body kinematics; its metrics use this value, so it is kept.
+    /// to the lateral one, which is not rigid-body kinematics. Its metrics use this value, so it is kept.
     pub fn center_acceleration(&self) -> Vector {
         let d = PACIFICA.rear_axle_to_center();
         self.acceleration + Vector::new(d * (self.angular_velocity.powi(2) + self.angular_acceleration), 0.0)

@@ -7,13 +7,13 @@ use crate::world::{Lane, LaneMap};
 
 /// Width of a centerline, meters.
 const LINE_WIDTH_M: f64 = 0.2;
-/// Least width of a line, pixels.
+/// Minimum width of a line, pixels.
 const MIN_LINE_PX: f64 = 1.0;
 /// Distance between arrowheads, meters.
 const HEAD_SPACING_M: f64 = 10.0;
 /// Length and width of such an arrowhead, meters.
 const HEAD_M: f64 = 1.5;
-/// Least length and width of an arrowhead, pixels: enough to tell its point from its base.
+/// Minimum length and width of an arrowhead, pixels: enough to tell its point from its base.
 const MIN_HEAD_PX: f64 = 4.0;
 
 pub(super) fn draw(canvas: &mut Canvas, map: &LaneMap) {

@@ -9,13 +9,14 @@ use crate::world::{SceneView, TrackedObject};
 pub const ARROW_SECONDS: f64 = 0.8;
 /// Slower agents stand still and get no arrow, m/s.
 pub const MOVING_SPEED: f64 = 0.5;
-/// Least length and width of a drawn object, pixels: a pedestrian or a cone stays visible beside its arrow.
+/// Minimum length and width of a drawn object, pixels: a pedestrian or a cone stays visible beside its arrow.
 pub const MIN_SIZE_PX: f64 = 4.0;
-/// Least length and width of a drawn object as a share of the image's side: large images go to towers with large patches.
+/// Minimum length and width of a drawn object as a share of the image's side: large images go to towers with large
+/// patches.
 pub const MIN_SIZE_SHARE: f64 = 1.0 / 56.0;
 /// Width of an arrow's shaft, meters.
 const SHAFT_M: f64 = 0.35;
-/// Least width of an arrow's shaft, pixels.
+/// Minimum width of an arrow's shaft, pixels.
 const MIN_SHAFT_PX: f64 = 1.2;
 /// Width of an arrow's head in widths of its shaft.
 const HEAD_SHAFTS: f64 = 3.0;
@@ -54,7 +55,7 @@ fn may_show(canvas: &Canvas, object: &TrackedObject) -> bool {
     distance <= canvas.reach() + object.shape.diagonal() + ARROW_SECONDS * object.speed()
 }
 
-/// Least length and width of an object, meters.
+/// Minimum length and width of an object, meters.
 fn least_size(canvas: &Canvas) -> f64 {
     let view = canvas.view();
     MIN_SIZE_PX.max(MIN_SIZE_SHARE * f64::from(view.pixels())) / view.scale()

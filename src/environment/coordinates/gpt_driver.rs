@@ -65,7 +65,7 @@ fn objects(scene: &SceneView<'_>) -> String {
     text
 }
 
-/// Where the center of an object is after so many half seconds.
+/// Where the center of an object is after a number of half seconds.
 fn place_after(object: &TrackedObject, step: usize) -> Point {
     object.shape.center.position() + object.velocity * (step as f64 * HALF_SECOND)
 }

@@ -1,7 +1,7 @@
 //! The true answers to the questions of the first round, from map and objects alone. Training uses them as labels,
 //! evaluation as the truth.
 //!
-//! Only what the view of [`VIEW_METRES`] shows counts; the light and the turn of the route, which no image shows, are those
+//! Only what the view of [`VIEW_METRES`] shows counts. The light and the turn of the route, which no image shows, are those
 //! of the scene text. *The path* is the ego's centerline of the [`LaneGraph`] from the ego's box center on, as far as it is
 //! in view. Distances are along the path from the ego's front bumper, in three steps (see [`Ahead`]).
 

@@ -9,7 +9,7 @@ use crate::world::{LaneId, LaneMap, LanePath, PACIFICA, Route, SceneView, Signal
 pub const LIGHT_REACH: f64 = 60.0;
 /// A centerline covers this time at the speed limit, seconds.
 const AHEAD_SECONDS: f64 = 8.0;
-/// Least length of a centerline ahead of the ego, meters.
+/// Minimum length of a centerline ahead of the ego, meters.
 const MIN_AHEAD: f64 = 100.0;
 /// Limit assumed for that length where the map has none, m/s.
 const UNKNOWN_LIMIT: f64 = 20.0;

@@ -1,20 +1,20 @@
-//! The lane graph: the lanes of the ego and beside it as nodes of equal length, the agents on these nodes, and the
-//! centerlines that planner code may follow.
+//! The lane graph: the ego's lane and those beside it as nodes of equal length. It has the agents on these nodes, and
+//! the centerlines that planner code may follow.
 //!
-//! **Centerlines.** `ego_lane`, and where there is a lane of the same direction beside the ego, `left_lane` and
-//! `right_lane`. Each is a [`crate::world::LanePath`] that prefers the route. Where something that stands permanently blocks the ego's
-//! lane and a lane against traffic is beside it, `oncoming_lane` leads past and back; it has no nodes.
+//! **Centerlines.** `ego_lane`, and where there is a lane of the same direction beside the ego, `left_lane` and `right_lane`.
+//! Each is a [`crate::world::LanePath`] that prefers the route. Where something that stands permanently blocks the ego's lane and
+//! a lane against traffic is beside it, `oncoming_lane` leads past and back. It has no nodes.
 //!
-//! **Nodes.** All have the same length. They are cut so that a node begins at the ego's rear bumper: the node under the ego
-//! reaches from there one node length ahead, `front` is the next one, `back` the one before; the nodes of the lanes beside
+//! **Nodes.** All have the same length. They are cut so that a node begins at the ego's rear bumper. The node under the ego
+//! reaches from there one node length ahead; `front` is the next one, `back` the one before. The nodes of the lanes beside
 //! are cut at the same distances from the point beside the ego. A node exists when its middle lies on the centerline, and
 //! does not when the lane beside has merged into the ego's there.
 //!
 //! **Agents.** An agent or obstacle is on a centerline where its box meets the strip that the ego would sweep (its half
-//! width and [`SWEEP_MARGIN`]; pedestrians and cyclists also by where they will be within [`CROSSING_SECONDS`] at their
-//! present velocity), or where its center lies within half a lane width of the line (pedestrians: [`KERB_MARGIN`] more). On
-//! several, it counts for the ego's lane if it blocks the path there, else for the nearest line. Only agents on one
-//! of the nine nodes are part of the graph.
+//! width and [`SWEEP_MARGIN`]). Pedestrians and cyclists also count where they will be within [`CROSSING_SECONDS`] at their
+//! present velocity. An agent is also on the line where its center lies within half a lane width of it (pedestrians:
+//! [`KERB_MARGIN`] more). On several, it counts for the ego's lane if it blocks the path there, else for the nearest line.
+//! Only agents on one of the nine nodes are part of the graph.
 //!
 //! **Distances** are along the lane from bumper to bumper (0: side by side).
 

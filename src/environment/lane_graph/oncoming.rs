@@ -6,7 +6,7 @@ use crate::geometry::{Polyline, Vector, wrap_angle};
 use crate::world::{LaneId, LanePath, PACIFICA, SceneView};
 use std::f64::consts::PI;
 
-/// Time in which the ego moves over at its speed, and back at the limit, seconds, and bounds of the lengths that this takes, meters.
+/// Time in which the ego moves over at its speed, and back at the limit, seconds. Bounds of the lengths of both, meters.
 const MOVE_OVER_S: f64 = 2.4;
 const MOVE_BACK_S: f64 = 2.0;
 const MIN_MOVE_OVER: f64 = 12.0;
@@ -19,7 +19,7 @@ const BESIDE_BORDER: f64 = 1.0;
 const STATION_STEP: f64 = 4.0;
 /// A lane is against traffic when its direction differs from the opposite one by at most this, radians (36 degrees).
 const AGAINST: f64 = 0.2 * PI;
-/// Length of road ahead on which oncoming traffic is seen, meters. Less than this is too short for any pass at 50 km/h. The picture of
+/// Length of road ahead on which oncoming traffic is seen, meters. A shorter one would allow no pass at 50 km/h. The picture of
 /// the model shows 32 m; the planner knows all tracks.
 pub const ONCOMING_SIGHT: f64 = 150.0;
 /// Distance of the vertices of the way, meters.
@@ -125,7 +125,7 @@ fn smooth(share: f64) -> f64 {
     u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
 }
 
-/// The lanes of the other direction along a line, so far beside it; `None` where one is missing.
+/// The lanes of the other direction along a line, at a distance beside it; `None` where one is missing.
 fn lanes_against(scene: &SceneView<'_>, own: &Polyline, (from, to): (f64, f64), lateral: f64) -> Option<Vec<LaneId>> {
     let (map, from) = (scene.map, from.max(0.0));
     let count = ((to - from) / STATION_STEP).ceil().max(1.0) as u32;

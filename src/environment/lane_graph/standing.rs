@@ -1,4 +1,5 @@
-//! What stands on a lane permanently: a broken-down or crashed car, cones, a barrier. What waits does not.
+//! What stands on a lane permanently: a broken-down or crashed car, cones, a barrier. What waits does not stand
+//! permanently.
 
 use super::Centerline;
 use crate::geometry::{Corridor, Point, wrap_angle};
@@ -7,13 +8,13 @@ use std::collections::BTreeMap;
 
 /// Objects slower than this stand, m/s.
 const STANDING: f64 = 0.2;
-/// An object that was this much farther away within the two seconds of history has only just stopped, meters.
+/// An object that moved by more than this within the two seconds of history has only just stopped, meters.
 const MOVED: f64 = 0.3;
 /// Distance ahead of the ego's center in which a blocked lane matters, meters.
 const REACH: f64 = 60.0;
 /// Distance behind the ego's center, meters: beside what it passes, the ego is not yet past it.
 const BEHIND: f64 = 40.0;
-/// Distance of the ego from the middle of its lane up to which it is back in it, meters.
+/// Maximum distance from the middle of its lane at which the ego is back in it, meters.
 const BACK_IN_LANE: f64 = 1.0;
 /// A vehicle this near to an intersection ahead of it waits there, meters.
 const JUNCTION: f64 = 15.0;
@@ -31,7 +32,8 @@ const MARGIN: f64 = 0.1;
 const EDGE_STEP: f64 = 0.1;
 const MAX_HALF_WIDTH: f64 = 4.0;
 
-/// The stretch of a lane that something blocks which stands permanently. Arc lengths on the lane's centerline, meters.
+/// The stretch of a lane that is blocked by something that stands permanently. Arc lengths on the lane's centerline,
+/// meters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlockedStretch {
     /// Where the first obstacle begins.
@@ -58,7 +60,7 @@ impl InStrip<'_> {
 }
 
 /// The first stretch of a lane that is blocked ahead of the ego or beside it, with nothing before it that moves or waits.
-/// People and bicycles never block in this sense, nor does a vehicle that may be waiting: at an intersection, for a
+/// People and bicycles never block in this sense. Nor does a vehicle that may be waiting, at an intersection or for a
 /// light, a person or the traffic before it. What leaves room for the ego in its lane does not block either.
 pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Option<BlockedStretch> {
     let line = &lane.path.centerline;
@@ -114,7 +116,7 @@ fn has_just_stopped(object: &TrackedObject, before: &BTreeMap<u32, Point>) -> bo
     before.get(&object.token.0).is_some_and(|from| (object.shape.center.position() - from).norm() > MOVED)
 }
 
-/// Whether an object that stands may go on soon.
+/// Whether an object that stands may move on soon.
 fn waits(scene: &SceneView<'_>, path: &LanePath, one: &InStrip<'_>, ahead: &[InStrip<'_>]) -> bool {
     if one.moves() || one.object.kind.is_vulnerable() {
         return true;

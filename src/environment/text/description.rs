@@ -118,8 +118,8 @@ impl Description {
         Self { nodes, rest: u8::try_from(rest).unwrap_or(MAX_NUMBER).min(MAX_NUMBER), ..*self }
     }
 
-    /// What the compact text says: the nearest agents, without the speed of one that does not move along the lane; without
-    /// what lies apart and without the lights of the lanes beside.
+    /// What the compact text says: the nearest agents, without the speed of one that does not move along the lane. It has
+    /// neither what lies apart nor the lights of the lanes beside.
     pub fn reduced(&self) -> Self {
         Self { limit_estimate: None, oncoming: None, ..self.reduced_with_estimate() }
     }

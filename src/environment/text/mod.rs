@@ -1,9 +1,9 @@
 //! The lane graph in words.
 //!
-//! A [`Description`] holds the facts that are put into words, already rounded to what the words say: whole meters and
-//! whole meters per second, both at most [`MAX_NUMBER`]. [`TextForm::Paper`] puts all of it into short English lines for
-//! general models; [`TextForm::Compact`] says its [`Description::reduced`] part in words at fixed places for a small model.
-//! Tests read either text back (`tests/scene_text`).
+//! A [`Description`] holds the facts that are put into words, already rounded as the words have them. Numbers are whole
+//! meters and whole meters per second, both at most [`MAX_NUMBER`]. [`TextForm::Paper`] puts all of it into short English
+//! lines for general models; [`TextForm::Compact`] says its [`Description::reduced`] part in words at fixed places for a
+//! small model. Tests read either text back (`tests/scene_text`).
 //!
 //! **Paper set**, four lines; every agent on the nine nodes is named, and the next light of every lane:
 //!
@@ -14,20 +14,22 @@
 //! right_lane: none.
 //! ```
 //!
-//! A fifth line stands where something that stands permanently blocks the ego's lane and the oncoming one leads past it:
-//! `oncoming_lane: past 12 m to 17 m; next vehicle 46 m 8 m/s.` or `oncoming_lane: past 12 m to 17 m; free.`
+//! There is a fifth line where something that stands permanently blocks the ego's lane and the oncoming one leads past
+//! it: `oncoming_lane: past 12 m to 17 m; next vehicle 46 m 8 m/s.` or `oncoming_lane: past 12 m to 17 m; free.`
 //!
-//! `limit unknown, about 13 m/s`: the map has none; the number is an estimate by lanes and traffic. `free`: nobody on the node; `none`: no such node; `(apart)` before what is on it: its lane goes another way there;
-//! `crossing` or `oncoming` after a speed: the agent moves across or against the lane.
+//! `limit unknown, about 13 m/s`: the map has none; the number is an estimate by lanes and traffic. `free`: nobody is on the
+//! node. `none`: there is no such node. `(apart)` before what is on it: its lane goes another way there. `crossing` or `oncoming`
+//! after a speed: the agent moves across or against the lane.
 //!
 //! **Brief set**: the same lines with the nearest agent of each node ([`Description::nearest`]); `2 more` after the light
 //! counts the others.
 //!
-//! **Compact set**, one line of 47 words, whatever the scene: ego speed, limit (`-` if unknown), light and
-//! distance to its stop line (`none -`), turn of the route; for each of the nine nodes its name and the nearest agent on it,
-//! its distance, its speed (`crossing` or `oncoming` instead when it moves so), or `free - -`, or `none - -`; the number of
-//! agents left out. The second version writes `~11` where the limit is unknown and may be 11 m/s, and ends in `oncoming 12 17 46 8`
-//! where the oncoming lane leads past what blocks the ego's. So at most the nearest on the ego's node and the nearest on the one ahead are named in the ego's lane.
+//! **Compact set**, one line of 47 words, whatever the scene. It begins with ego speed, limit (`-` if unknown), light and
+//! distance to its stop line (`none -`), and the turn of the route. For each of the nine nodes follow its name, the nearest agent
+//! on it, its distance and its speed (or `crossing`, `oncoming`); or `free - -`, or `none - -`. The line ends with the number of
+//! agents left out. The second version writes `~11` where the limit is unknown and may be 11 m/s. It ends in
+//! `oncoming 12 17 46 8` where the oncoming lane leads past what blocks the ego's. So at most the nearest on the ego's node and
+//! the nearest on the one ahead are named in the ego's lane.
 
 mod compact;
 mod description;

@@ -18,12 +18,12 @@ pub struct CallBudget {
     pub rounds: Vec<RoundBudget>,
     /// Attempts after the first.
     pub rethinks: usize,
-    /// Of [`DRAFTED`] drafted tokens of an answer, so many are accepted; `None` for answers without drafts.
+    /// Number of accepted tokens among [`DRAFTED`] drafted ones; `None` for answers without drafts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accepted: Option<usize>,
 }
 
-/// Tokens of a draft, as far as the answer has so many.
+/// Tokens of a draft; fewer where the answer ends before.
 pub const DRAFTED: usize = 4;
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -37,7 +37,7 @@ pub struct Counts {
     pub twins: usize,
     /// States of each lateral instruction.
     pub lateral: BTreeMap<String, usize>,
-    /// States in which there is what a question asks for: another answer than `none`.
+    /// States that have what a question asks for: another answer than `none`.
     pub asked: BTreeMap<String, usize>,
 }
 

@@ -48,7 +48,7 @@ pub struct LabeledState {
     pub score: f64,
     /// Occupancy grids now, 1 s and 2 s later, as 64 hexadecimal digits each (see [`OccupancyGrid`](crate::environment::OccupancyGrid)).
     pub occupancy: [String; 3],
-    /// Name of the pair with the same prompts, of which this state is one.
+    /// Name of the text-twin pair that this state is one half of.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub twin: Option<String>,
 }

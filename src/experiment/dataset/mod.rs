@@ -105,7 +105,7 @@ type LabeledStates = Vec<(LabeledState, RgbImage)>;
 /// Makes the shard of a number, and gets the number of its states.
 type ShardMaker<'a> = (&'a dyn Fn(usize) -> Result<LabeledStates, DatasetError>, &'a dyn Fn(usize));
 
-/// Writes shards until there are so many states, and gives their number.
+/// Writes shards until there are at least `states` states, and returns their number.
 fn write_shards(
     folder: &Path,
     name: &str,

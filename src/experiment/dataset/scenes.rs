@@ -93,8 +93,8 @@ impl Split {
     }
 }
 
-/// The scenario of a spec: modified by one of interPlan's kinds for the share of scenarios that the settings name, as far as a kind
-/// fits it. None if the generator discards all its draws.
+/// The scenario of a spec. For the share of scenarios that the settings name, one of interPlan's kinds modifies it, if one fits.
+/// None if the generator discards all its draws.
 pub(super) fn scenario(spec: &Spec, settings: &Settings<'_>) -> Option<Scenario> {
     let base = generator::generate(spec).ok()?;
     let mut random = Pcg64Mcg::seed_from_u64(spec.seed.wrapping_mul(0xD6E8_FEB8_6659_FD93));

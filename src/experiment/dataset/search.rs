@@ -46,8 +46,8 @@ const REJECTED_CHANGE_COST: f64 = 2.0;
 /// Minimum gain of a rejected planner in the ego's lane. It is small, since the best rejected one is executed in the end,
 /// monitored as in the search.
 const REJECTED_COST: f64 = 0.05;
-/// Minimum gain of other accelerations, which are also picked in hindsight. In simulations they only scattered the scores: on 350
-/// validation scenarios with reactive agents by -0.5 to +0.2 of 100, depending on the weights, in few scenarios.
+/// Minimum gain of other accelerations, which are also picked in hindsight. In simulations they only scattered the scores. On 350
+/// validation scenarios with reactive agents it was by -0.5 to +0.2 of 100, depending on the weights, in few scenarios.
 const REFINEMENT_COST: f64 = 0.5;
 
 /// A simulated planner.
@@ -79,7 +79,7 @@ pub fn search(simulation: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Candidate> 
     search_ahead(simulation, graph, HORIZON)
 }
 
-/// As [`search`], over so many iterations.
+/// As [`search`], over a number of iterations.
 pub fn search_ahead(simulation: &ClosedLoop<'_>, graph: &LaneGraph, horizon: usize) -> Vec<Candidate> {
     let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
     let mut tried: Vec<Candidate> = Vec::new();

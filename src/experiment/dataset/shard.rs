@@ -1,9 +1,10 @@
 //! Shards on disk: a JSONL file of labeled states and a PNG with their images, one below the other.
 //!
-//! Beside its conversation, a state has `occupancy`: three grids of 16 x 16 cells over the area of the picture, now, 1 s and 2 s
-//! later, all in the picture of now. Each is 64 hexadecimal digits, row by row and four digits a row. Row 0 is the top of the
-//! picture, and the highest bit of a row is its left column. A bit is set where the box of a vehicle, bicycle, pedestrian or static
-//! object touches the cell. Two consecutive states with the same `twin` have the same prompts, other pictures and other best codes.
+//! Beside its conversation, a state has `occupancy`: three grids of 16 x 16 cells, for now, 1 s and 2 s later. All of them cover
+//! the area of the present picture. Each is 64 hexadecimal digits, row by row and four digits a row. Row 0 is the top of the
+//! picture, and the highest bit of a row is its left column. A bit is set where the box of a vehicle, bicycle, pedestrian or
+//! static object touches the cell. Two consecutive states with the same `twin` have the same prompts, other pictures and other
+//! best codes.
 
 use super::label::LabeledState;
 use image::{ImageError, RgbImage};

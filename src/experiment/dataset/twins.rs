@@ -1,8 +1,8 @@
 //! Text twins: pairs of scenes with byte-identical prompts, other pictures and other best codes.
 //!
-//! A pair is one generated scenario with two modifications ([`Twin`]). It counts if in each of its scenes the best code gains at
-//! least [`MIN_GAIN`] over that of the other, and no code of the search is right in both. So a model that reads the text alone is
-//! right in one scene at most.
+//! A pair is one generated scenario with two modifications ([`Twin`]). It counts if in each scene the best code gains at least
+//! [`MIN_GAIN`] over the best code of the other. No code of the search may be right in both. So a model that reads the text alone
+//! is right in one scene at most.
 
 use super::label::{self, LabeledState};
 use super::label_weights::DecisionWeights;
@@ -26,7 +26,7 @@ use std::sync::Arc;
 pub const MIN_GAIN: f64 = 0.1;
 /// A code is right if its value is within this of the best.
 pub const RIGHT_WITHIN: f64 = 0.05;
-/// Candidates of a shard, most of which are no pairs.
+/// Candidates of a shard. Most of them are no pairs.
 const CANDIDATES_PER_SHARD: u64 = 80;
 /// Types of the scenarios: roads with two lanes on which the ego drives.
 const TYPES: [ScenarioType; 4] = [
@@ -48,7 +48,7 @@ pub struct PairName {
 }
 
 impl PairName {
-    /// The candidates of a seed, of which the first that fits counts; their kind and type depend on `number` alone.
+    /// The candidates of a seed; the first that fits counts. Their kind and type depend on `number` alone.
     pub fn candidates(seed: u64, number: u64, may_be_wide: bool) -> [Self; 2] {
         let kind = TwinKind::ALL[(number % 4) as usize];
         let base = Spec::new(TYPES[(number / 8 % 4) as usize], seed);

@@ -1,4 +1,4 @@
-//! A logistic regression that tells scenes of two sets apart, and how often it is right about scenes that it has not seen.
+//! A logistic regression that tells scenes of two sets apart, and how often it is right about unseen scenes.
 
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use nalgebra::{DMatrix, DVector};

@@ -4,7 +4,7 @@ use super::agents::AgentFigures;
 use super::roads::RoadFigures;
 use serde::Serialize;
 
-/// A number that every scene has, or lacks.
+/// A number that a scene has or lacks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Feature {
     /// In JSON.

@@ -27,7 +27,7 @@ pub struct MeasuredScene {
 }
 
 impl MeasuredScene {
-    /// Measures a scene in its first seven seconds: so long are the shortest recordings.
+    /// Measures a scene in its first seven seconds, the length of the shortest recordings.
     pub fn of(scenario: &Scenario) -> Self {
         let (roads, agents) = (roads::figures(scenario), agents::figures(scenario));
         let values = FEATURES.iter().map(|(_, value)| value(&roads, &agents).filter(|value| value.is_finite()));
@@ -119,7 +119,7 @@ fn distribution(values: &[f64]) -> Option<Distribution> {
     Some(Distribution { scenes: sorted.len(), mean, deviation, percentiles })
 }
 
-/// Mean of what there is.
+/// Mean of the values that exist.
 fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.into_iter().fold((0.0, 0_usize), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / count as f64)

@@ -45,8 +45,8 @@ pub fn reported_benchmarks(suite: &str) -> &'static [Benchmark] {
     }
 }
 
-/// What READMEs of planners report, scores x 100 with non-reactive and with reactive agents: PlanTF's for both Test14, that of
-/// `tuplan_garage` for Val14, and `DiffusionPlanner`'s or the paper where they have none.
+/// What READMEs of planners report: scores x 100 with non-reactive and with reactive agents. PlanTF's has both Test14, that of
+/// `tuplan_garage` Val14; `DiffusionPlanner`'s or the paper has what these lack.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reported {
@@ -77,7 +77,7 @@ impl Reported {
     }
 }
 
-/// Of scores with non-reactive and with reactive agents, that of a challenge.
+/// The score of a challenge, from those with non-reactive and with reactive agents.
 fn of_challenge([nonreactive, reactive]: [f64; 2], challenge: Challenge) -> Option<f64> {
     match challenge {
         Challenge::NonReactive => Some(nonreactive),

@@ -19,8 +19,8 @@ pub(super) const STOPPED_VEHICLE: MetricSpec =
 pub(super) const JAYWALKING_PEDESTRIAN: MetricSpec =
     spec("ego_sorts_jaywalking_pedestrian", |input| Ok(result(&JAYWALKING_PEDESTRIAN, input)));
 
-/// The share of the expert's way at which all obstacles are passed: the largest projection on the line through its positions, over
-/// the length. 1 where the line has no length.
+/// The share of the expert's way at which all obstacles are passed. It is their largest projection on the line through its
+/// positions, over the length, and 1 where the line has no length.
 pub fn passing_ratio(expert: &[Point], obstacles: &[Point]) -> f64 {
     let Ok(line) = Polyline::new(expert.iter().copied()) else { return 1.0 };
     obstacles.iter().map(|&obstacle| line.project(obstacle).s / line.length()).fold(0.0, f64::max)

@@ -14,8 +14,8 @@ pub(super) const SPEC: MetricSpec = MetricSpec::new("lane_changes_to_goal", |inp
     .weight(4.0)
     .label("lanes");
 
-/// The score for so many changes at the start and at the end. A count at the end that is missing means an ego on no lane of the
-/// expert's: interPlan fails there, and the value here is 0.
+/// The score for the numbers of changes at the start and at the end. No number at the end means that the ego is on no lane of
+/// the expert's: interPlan fails there, and the value here is 0.
 pub fn lane_changes_score(at_start: Option<usize>, at_end: Option<usize>) -> f64 {
     match (at_start, at_end) {
         (None, _) => UNCOUNTED,

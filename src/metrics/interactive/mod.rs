@@ -1,8 +1,8 @@
 //! interPlan's metrics and scores, for modified scenarios of its kinds (interPlan `lane_changes_to_goal.py`,
 //! `ego_sorts_obstacle.py`, `interplan_weighted_average_metric_aggregator.py`).
 //!
-//! Where interPlan fails, the value here is defined: a goal that cannot be compared counts as not reached, and a line without length
-//! as passed never.
+//! Where interPlan fails, the value here is defined. A goal that cannot be compared counts as not reached, and a line without
+//! length as never passed.
 
 mod ego_sorts;
 mod lane_changes_to_goal;
@@ -39,8 +39,8 @@ pub(super) fn sorting(kind: InteractionKind) -> Option<&'static str> {
     }
 }
 
-/// How a metric enters the score of a kind: passing something replaces the driving direction among the multipliers, and that then
-/// weighs 1; who waits for a person has to keep the direction too.
+/// How a metric enters the score of a kind. Passing something replaces the driving direction among the multipliers, and the
+/// direction then weighs 1. Where a person crosses, both multiply.
 pub(super) fn role(kind: InteractionKind, spec: &MetricSpec) -> Role {
     let (sorting, direction) = (sorting(kind), super::driving_direction_compliance::SPEC.name);
     if sorting == Some(spec.name) {

@@ -5,7 +5,7 @@ use crate::world::{LaneAreas, LaneId, LaneKind, LaneMap, RoadblockId};
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, VecDeque};
 
-/// Two boundaries are one if their ends are at most so far apart, meters.
+/// Maximum distance between the ends of two boundaries that count as one, meters.
 const SAME_BOUNDARY: f64 = 0.1;
 
 /// What the count of lane changes needs of a map.

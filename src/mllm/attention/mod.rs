@@ -42,8 +42,8 @@ const UNIT_POSITIONS: usize = 8 * BLOCK_POSITIONS;
 /// Minimum multiplications for which other threads are worth waking: some 30 µs of one core.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 
-/// Most tokens whose results have the same bits as if each token attended alone: a unit takes all of them, and positions are cut
-/// as for one token.
+/// Maximum number of tokens whose results have the same bits as if each token attended alone. A unit takes all of them, and
+/// positions are cut as for one token.
 pub(crate) fn exact_tokens(shape: HeadShape) -> usize {
     (MAX_UNIT_ROWS / shape.group()).max(1)
 }

@@ -75,9 +75,9 @@ impl CandleDecoder {
         Ok(Live { model: Qwen3VLModel::new(&self.config, tensors)?, taken: Vec::new() })
     }
 
-    /// Lets the live model take the rows that it has not taken yet: text token by token, because passes of several have no
-    /// causal mask, and an image in one pass, as soon as all of it is there. Gives the logits after each pass by the index of
-    /// its last row.
+    /// Lets the live model take the rows that it has not taken yet. Text goes token by token, because passes of several have
+    /// no causal mask. An image goes in one pass, as soon as all of it is there. Gives the logits after each pass by the
+    /// index of its last row.
     fn catch_up(&self, live: &mut Option<Live>, rows: &[Tensor]) -> Result<BTreeMap<usize, Tensor>> {
         let agrees = |live: &Live| {
             live.taken.len() <= rows.len() && live.taken.iter().zip(rows).all(|(taken, row)| *taken == row.id())

@@ -1,7 +1,7 @@
 //! candle-transformers' Qwen3-VL, unchanged, behind the contract of a family.
 //!
-//! It is here for comparison, and as a pattern for models of that crate that this program has no code for: a family of about
-//! 400 lines. It is slow, holds f32 weights alone, and its answers are not those of the model (docs/models.md has the
+//! It is here for comparison, and as a pattern for models of that crate that this program has no code for. The family has
+//! about 400 lines. It is slow, holds f32 weights alone, and its answers are not those of the model (docs/models.md has the
 //! differences). A description names it: `architecture = "candle-qwen3-vl"`.
 
 mod decoder;

@@ -38,7 +38,7 @@ const MAX_TOKENIZER_BYTES: u64 = 128 << 20;
 const MAX_LIST_BYTES: u64 = 16 << 20;
 /// Largest configuration and chat template, bytes.
 const MAX_CONFIG_BYTES: u64 = 1 << 20;
-/// Most small files in a model's folder.
+/// Maximum number of small files in a model's folder.
 pub(crate) const MAX_SMALL_FILES: usize = 256;
 
 /// Largest small file of this name, bytes. Others are refused before they are read.

@@ -48,7 +48,7 @@ pub(crate) fn is_matrix(name: &str, shape: &[usize]) -> bool {
 }
 
 impl WeightFormatPlan {
-    /// The format in memory of a matrix with so many inputs that has `format` in its file.
+    /// The format in memory of a matrix with `inputs` columns that has `format` in its file.
     pub(crate) fn matrix(self, name: &str, format: impl Into<StoredFormat>, inputs: usize) -> PlannedFormat {
         let format = format.into();
         let (wanted, reason) = match self.quantize {
@@ -120,8 +120,8 @@ pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
 /// Why a file's format becomes another that holds its numbers.
 const SAME_NUMBERS: &str = "the same numbers in 8 bits; the file's format has no fast product";
 
-/// The format in memory for a file's format that has no equal, and why: 8 bits, which hold the numbers of most formats exactly
-/// and round those of the others little. bf16 needs f32, whose range f16 does not have.
+/// The format in memory for a file's format that has no equal, and why. It is 8 bits, which hold the numbers of most formats
+/// exactly and round those of the others little. bf16 needs f32, whose range f16 does not have.
 fn replacement(format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
     if format.is_within_q8_0() {
         (WeightFormat::Q8_0, Some(SAME_NUMBERS))

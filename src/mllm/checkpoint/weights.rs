@@ -15,7 +15,7 @@ use crate::mllm::MllmError;
 use crate::mllm::matrix::{Matrix, StoredFormat, WeightFormat};
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite, and converted
-/// as the [`WeightFormatPlan`] says, so that at most one tensor is in memory twice.
+/// as the [`WeightFormatPlan`] says. So at most one tensor is in memory twice.
 ///
 /// A family chooses its canonical names: those of its safetensors without layout prefixes. The output layer is
 /// `lm_head.weight`; names that begin with `vision` or `multi_modal_projector.` belong to the vision tower and projector.
@@ -42,11 +42,11 @@ enum Taking {
     Invent(rand_pcg::Pcg64Mcg),
 }
 
-/// Tensors of a model: beyond it a configuration is taken for broken.
+/// Maximum number of tensors of a model: beyond it a configuration is taken for broken.
 const MAX_LISTED: usize = 1 << 17;
 /// Errors after which a check gives up.
 const MAX_PROBLEMS: usize = 1000;
-/// A check gives up at a missing tensor of so many numbers, because the configuration is broken.
+/// A check gives up at a missing tensor with this many numbers or more, because the configuration is broken.
 const MAX_STAND_IN: usize = 1 << 30;
 
 /// A tensor that is not taken yet.

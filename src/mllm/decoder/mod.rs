@@ -74,8 +74,8 @@ pub trait LanguageModel {
     fn forward(&self, input: &DecoderInput, cache: &mut KvCache, wanted: Logits)
     -> candle_core::Result<Option<Tensor>>;
 
-    /// Most text tokens of a pass that gives, bit for bit, the keys, values and logits of passes of one token each. 1 where longer
-    /// passes round differently; then nothing is drafted.
+    /// Maximum number of text tokens in a pass with the same keys, values and logits, bit for bit, as passes of one token each. 1
+    /// where longer passes round differently; then nothing is drafted.
     fn exact_pass(&self) -> usize {
         1
     }

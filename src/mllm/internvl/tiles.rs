@@ -11,7 +11,7 @@ use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
 use crate::mllm::tiled::{Grid, Tiler};
 use crate::mllm::vision::{Filter, PixelScale, read_processor, resize};
 
-/// Most tiles of a configuration: a larger number means a broken one.
+/// Maximum number of tiles of a configuration: a larger number means a broken one.
 const MAX_TILES: u32 = 64;
 
 /// Cuts images into tiles of the tower's size.

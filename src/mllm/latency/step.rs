@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Step {
-    /// Keeps so many tokens of the sequence and drops the rest.
+    /// Keeps this number of tokens of the sequence and drops the rest.
     Keep(usize),
     /// Encodes a new image: preprocessing, vision tower, projector.
     Encode,
@@ -17,10 +17,10 @@ pub enum Step {
     Text(usize),
     /// Appends tokens of an answer that the grammar fast-forwards.
     FastForwarded(usize),
-    /// Samples so many tokens, one after the other; the last one is appended and not computed yet.
+    /// Samples this number of tokens, one after the other; the last one is appended and not computed yet.
     Sampled(usize),
-    /// Computes the appended tokens with so many drafted ones in one pass, keeps those of them that are accepted, and samples the
-    /// token after these; it is appended and not computed yet.
+    /// Computes the appended tokens with `drafted` ones in one pass, keeps those of them that are accepted, and samples the token
+    /// after these. That token is appended and not computed yet.
     Verified { drafted: usize, accepted: usize },
     /// Computes the appended tokens and samples nothing.
     Compute,

@@ -76,7 +76,7 @@ fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) {
     look_at_weights(checkpoint, loading, check);
 }
 
-/// Looks at the weights, then at the files of chats.
+/// Checks the weights, then the files that chats need.
 fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut ModelCheck) {
     let family = checkpoint.family;
     match (family.family().decoder_config)(&checkpoint.files) {
@@ -103,7 +103,7 @@ fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut Mo
     }
 }
 
-/// Looks at the small files of a model whose weights are not looked at.
+/// Checks the small files of a model whose weights are not checked.
 fn look_at_files(files: &ModelFiles, family: Architecture, loading: &Loading, check: &mut ModelCheck) {
     let mut weights = Weights::empty(files.place(), WeightFormatPlan::default());
     weights.only_list();
@@ -117,7 +117,7 @@ fn look_at_files(files: &ModelFiles, family: Architecture, loading: &Loading, ch
     }
 }
 
-/// Looks at what chats are written and ended with.
+/// Checks what writes a chat and what ends it.
 fn look_at_chats(
     mut model: Box<dyn VisionLanguageModel>,
     files: &ModelFiles,

@@ -1,5 +1,5 @@
-//! Drafts of an answer: tokens that may come next, guessed from texts that are known, for one pass to compute ahead of the
-//! model's choice (prompt lookup: A. Saxena, 2023; verification of drafts: Leviathan et al., arXiv:2211.17192).
+//! Drafts of an answer: tokens that may come next, guessed from known texts. One pass computes them ahead of the model's
+//! choice (prompt lookup: A. Saxena, 2023; verification of drafts: Leviathan et al., arXiv:2211.17192).
 
 use std::ops::RangeInclusive;
 
@@ -30,8 +30,8 @@ impl<'a> Drafter<'a> {
         Self { earlier, model, length: FIRST_DRAFT }
     }
 
-    /// At most `limit` tokens that may follow `answer`, the last tokens of `chat`: those behind the same words in the earlier
-    /// answer, else behind the same words in the chat, else those that the draft model writes. None of them is `image`.
+    /// At most `limit` tokens that may follow `answer`, the last tokens of `chat`. They are those after the same words in the
+    /// earlier answer, else in the chat, else those that the draft model writes. None of them is `image`.
     pub(super) fn draft(
         &mut self,
         chat: &[u32],

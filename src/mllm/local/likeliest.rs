@@ -1,7 +1,7 @@
 //! The likeliest answers to a prompt, by a search over the tokens that were not chosen.
 //!
 //! An answer is as likely as the product of its tokens' probabilities, and each of its beginnings is at least as likely. So the
-//! likeliest beginning that was left open is completed next, and the search ends when the answers found are likelier than every
+//! likeliest beginning that was left open is completed next. The search ends when the answers found are likelier than every
 //! beginning that is left: best-first search, as in A* with nothing to estimate.
 
 use toktrie::SimpleVob;

@@ -178,7 +178,7 @@ impl Tower {
         tower
     }
 
-    /// Multiplications and additions that encode an image to so many tokens.
+    /// Multiplications and additions that encode an image to `tokens` tokens.
     fn operations(self, tokens: usize) -> f64 {
         // A token is a block of patches side by side.
         let patches = tokens * (self.merged / self.hidden.max(1)).max(1);

@@ -79,8 +79,7 @@ impl<'a> LocalConversation<'a> {
     }
 }
 
-/// What several answers to a prompt cost together. The first one computes the prompt; what the later ones find of it cached is no
-/// cost.
+/// What several answers to a prompt cost together. The first one computes the prompt; the later ones find it cached, at no cost.
 #[derive(Default)]
 struct Cost {
     first: Option<(TokenCounts, RoundTime)>,

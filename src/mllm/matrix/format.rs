@@ -12,7 +12,7 @@ pub(super) const MAX_BATCH: usize = 6;
 /// Sums of one row of activations with the outputs of [`TILES`] tiles.
 pub(super) type TileSums = [[f32; LANES]; TILES];
 
-/// A weight format in a product. A product goes span by span along the inputs: it unpacks the weights of a span once for all
+/// A weight format in a product. A product goes span by span along the inputs. It unpacks the weights of a span once for all
 /// rows, and packs the activations once for all outputs.
 pub(super) trait Format {
     /// Inputs in a span.
@@ -40,8 +40,8 @@ pub(super) trait Format {
         sums: &mut [TileSums; ROWS],
     );
 
-    /// Adds the products of a span with one row to its sums, straight from the packed lines: decoding reads every weight once, so
-    /// that unpacked weights would only be copies. `tiles` has whole spans; the lines from `ahead` on are prefetched.
+    /// Adds the products of a span with one row to its sums, straight from the packed lines. Decoding reads every weight once, so
+    /// unpacked weights would only be copies. `tiles` has whole spans; the lines from `ahead` on are prefetched.
     fn multiply_row<S: Simd>(
         simd: S,
         tiles: [&[CacheLine]; TILES],

@@ -1,8 +1,8 @@
 //! The layout of packed weights: tiles of sixteen rows that the kernels load as vectors.
 //!
 //! A vector register holds one number, or four bytes, of each row of a tile. A tile is cut into groups along its inputs. A
-//! group holds the bytes of the rows' blocks in another order, so the original blocks can be written again bit for bit, and
-//! the packed weights take hardly more memory than the file.
+//! group holds the bytes of the rows' blocks in another order, so the original blocks can be written again bit for bit. The
+//! packed weights take hardly more memory than the file.
 
 use std::io::{self, Write};
 

@@ -135,7 +135,7 @@ impl<Q: Quantized> Format for Q {
     }
 }
 
-/// Where the numbers of a span come from. A trait and not closures: a closure that is not inlined is compiled without the vector
+/// Where the numbers of a span come from. A trait and not closures. A closure that is not inlined is compiled without the vector
 /// instructions of its caller, which made decoding five times slower. For the same reason vectors are never mapped as arrays.
 trait Numbers<Q: Quantized> {
     /// Called before each run of numbers that share a scale.

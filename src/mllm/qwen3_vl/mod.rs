@@ -1,5 +1,5 @@
 //! Qwen3-VL (Bai et al., arXiv:2511.21631): a tower for images of any size, whose early layers add to the first layers of a
-//! Qwen 3 decoder (`DeepStack`); image tokens have positions on three axes.
+//! Qwen 3 decoder (`DeepStack`). Image tokens have positions on three axes.
 
 mod config;
 mod gguf;

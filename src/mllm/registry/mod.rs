@@ -247,8 +247,9 @@ impl ModelRegistry {
     /// Opens a model, or a connection to the server that computes it.
     ///
     /// # Errors
-    /// When its files are missing or broken, have another architecture than its description, or need more memory than is
-    /// free; when nobody vouches for them, or they failed their trial; when a server's key is missing, or it is remote and the network is off.
+    /// When its files are missing or broken, have another architecture than its description, or need more memory than is free.
+    /// When nobody vouches for them, or they failed their trial. When a server's key is missing, or the server is remote and the
+    /// network is off.
     pub fn open(&self, spec: &ModelSpec) -> Result<Box<dyn Mllm>, MllmError> {
         if let ModelSource::Endpoint(settings) = &spec.source {
             if self.hub.offline && !settings.is_local() {

@@ -37,7 +37,7 @@ pub(super) struct BoundedText {
 }
 
 impl BoundedText {
-    /// For a chat whose texts have so many bytes.
+    /// For a chat whose texts have `bytes` bytes.
     pub(super) fn of_chat(bytes: usize) -> Self {
         let most = bytes.saturating_mul(MAX_COPIES).saturating_add(MAX_ADDED_BYTES);
         Self { bytes: Vec::new(), most, is_exceeded: false }

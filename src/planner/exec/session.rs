@@ -5,7 +5,7 @@ use super::process::{Process, ProcessError};
 use crate::planner::PlannerInitialization;
 use std::time::Duration;
 
-/// Least time for the answer to the first message: an interpreter and its packages start slowly.
+/// Minimum time for the answer to the first message: an interpreter and its packages start slowly.
 const START_TIMEOUT: Duration = Duration::from_secs(60);
 /// Characters of a wrong answer that an error shows.
 const MAX_SHOWN: usize = 200;

@@ -1,7 +1,8 @@
 //! Learned planners: each computes what its authors' program computes, from a checkpoint of theirs or ours, without Python.
 //!
-//! A model is a folder: its features, its network under the names of its checkpoint, its planner. The layers that networks
-//! share are in `blocks`; candidate paths that planners share in `lattice`; [`Checkpoint`] opens the files; `prediction` makes a trajectory of a network's poses.
+//! A model is a folder: its features, its network under the names of its checkpoint, its planner. The layers that networks share
+//! are in `blocks`; candidate paths that planners share are in `lattice`. [`Checkpoint`] opens the files, and `prediction` makes
+//! a trajectory of a network's poses.
 
 mod blocks;
 mod checkpoint;

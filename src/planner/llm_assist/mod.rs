@@ -1,10 +1,10 @@
-//! LLM-ASSIST (Sharan et al. 2024): PDM-Closed is executed until none of its proposals scores enough; then a language model is
-//! asked, for a plan (UNC) or for other parameters of PDM-Closed (PAR).
+//! LLM-ASSIST (Sharan et al. 2024): PDM-Closed is executed until none of its proposals scores enough. Then a language model is
+//! asked for a plan (UNC) or for other parameters of PDM-Closed (PAR).
 //!
-//! The paper says this much, and that the model may be asked several times. The rest is our reading: prompts and answers are those
-//! of [`crate::reasoning`]. An answer is executed for as long as PlanAgent's plans. Answers are scored as PDM-Closed's proposals are.
-//! One that reaches τ is taken at once; after the last attempt the best answer is taken if it scores more than PDM-Closed's own
-//! best proposal, else PDM-Closed is executed. The emergency brake does not overrule a plan.
+//! The paper says this much, and that the model may be asked several times. The rest is our reading: prompts and answers are
+//! those of [`crate::reasoning`]. An answer is executed for as long as PlanAgent's plans. Answers are scored as PDM-Closed's
+//! proposals are. One that reaches τ is taken at once. After the last attempt the best answer is taken if it scores more than
+//! PDM-Closed's own best proposal; else PDM-Closed is executed. The emergency brake does not overrule a plan.
 
 mod waypoints;
 

@@ -59,8 +59,8 @@ impl Table {
     }
 }
 
-/// The tables of a run: planners, scenario types if there are several, simulations, the multipliers that made scores 0, how many
-/// planning calls were refused whole, and one legend.
+/// The tables of a run: planners, scenario types if there are several, simulations, and the multipliers that made scores 0. Then
+/// come the planning calls whose attempts were all refused, and one legend.
 pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[SimulationRow], width: u16) -> String {
     let scored = |list| rows.iter().any(|row| row.score.is_some() && row.challenge.metric_list() == list);
     let lists = [MetricList::ClosedLoop, MetricList::OpenLoop].into_iter().filter(|&list| scored(list));

@@ -161,7 +161,7 @@ impl OpenRuns<'_> {
         (self.open.len() + self.ended.len(), total - left, left)
     }
 
-    /// Simulates the first scenario of those runs of which no time is known.
+    /// Simulates the first scenario of those runs whose time is not known.
     pub(super) fn simulate_first(&mut self) -> Result<(), RunnerError> {
         let unknown = |run: &&mut Run| run.seconds_per_simulation().is_none();
         let total = self.open.values_mut().filter(unknown).map(|run| run.first().len()).sum();

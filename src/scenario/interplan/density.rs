@@ -2,7 +2,7 @@
 
 use super::python_random::PythonRandom;
 
-/// How near vehicles drive.
+/// How close together vehicles drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Density {
     Low,

@@ -4,7 +4,7 @@ use super::density::Density;
 use crate::world::{DriverBehavior, InteractionKind};
 use std::fmt;
 
-/// What a name is wrong about. interPlan raises `IndexError`, `KeyError` and `ValueError`.
+/// What is wrong with a name. interPlan raises `IndexError`, `KeyError` and `ValueError`.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum NameFault {

@@ -8,11 +8,11 @@ use std::collections::BTreeSet;
 use std::f64::consts::FRAC_PI_2;
 use std::fmt;
 
-/// The ego's path is followed so far, meters.
+/// Length of the ego's path, meters.
 const PATH_LENGTH: f64 = 400.0;
-/// An ego beside all lanes belongs to one at most so far away, meters.
+/// Maximum distance to the lane of an ego that is beside all lanes, meters.
 const LANE_REACH: f64 = 3.0;
-/// Oncoming lanes are looked for up to so far to the left of the ego's lane, meters, in such steps.
+/// Oncoming lanes are looked for up to this distance to the left of the ego's lane, and in these steps, meters.
 const ONCOMING_REACH: f64 = 22.0;
 const ONCOMING_STEP: f64 = 0.5;
 
@@ -22,7 +22,7 @@ pub(super) enum LanePlace {
     /// The ego's lane.
     #[default]
     Own,
-    /// So many lanes to the left; negative: to the right.
+    /// This number of lanes to the left; negative: to the right.
     Beside(i32),
     /// The nearest lane of the other direction.
     Oncoming,
@@ -99,7 +99,7 @@ impl EgoLanes {
         Some(Self { path, start_s })
     }
 
-    /// The path's pose so far ahead of the ego's center.
+    /// The path's pose `ahead_m` ahead of the ego's center.
     pub(super) fn ahead(&self, ahead_m: f64) -> Result<Pose, Fault> {
         let (s, end) = (self.start_s + ahead_m, self.path.centerline.length());
         if (0.0..end).contains(&s) {
@@ -112,7 +112,7 @@ impl EgoLanes {
         ))
     }
 
-    /// The place on a lane so far ahead of the ego's center.
+    /// The place on a lane `ahead_m` ahead of the ego's center.
     pub(super) fn place(&self, map: &LaneMap, ahead_m: f64, lane: LanePlace) -> Result<OnLane, Fault> {
         let pose = self.ahead(ahead_m)?;
         let own = self.path.lane_at(self.start_s + ahead_m);
@@ -157,7 +157,7 @@ impl EgoLanes {
     }
 }
 
-/// The lane so many lanes to the left of one at a point.
+/// The lane that is `lanes` lanes to the left of one at a point.
 fn beside(map: &LaneMap, lane: LaneId, point: Point, lanes: i32) -> Option<OnLane> {
     let (mut lane, mut at) = (lane, point);
     for _ in 0..lanes.abs() {
@@ -169,8 +169,8 @@ fn beside(map: &LaneMap, lane: LaneId, point: Point, lanes: i32) -> Option<OnLan
     Some(OnLane { lane, pose: Pose::at(foot.point, foot.heading) })
 }
 
-/// A line of whole lanes from the one behind a point to the one ahead, each `reach` meters away or at the end of the road, with the
-/// progress of the point. A lane with a traffic light is none of them, nor what follows it.
+/// A line of whole lanes, and the progress of a point on it. It reaches `reach` meters behind and ahead of the point, or to the
+/// end of the road. It has no lane with a traffic light, and nothing beyond one.
 pub(super) fn whole_lanes(map: &LaneMap, lane: LaneId, point: Point, reach: f64) -> (Polyline, f64) {
     let bend = |lane: &LaneId| map[*lane].centerline.curvature_at(0.0).abs();
     let open = |lanes: &[LaneId]| -> Option<LaneId> {

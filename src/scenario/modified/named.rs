@@ -10,9 +10,9 @@ use crate::world::{LaneId, LaneMap, LanePath, ObjectKind, PACIFICA, RoadblockId,
 use std::collections::{BTreeMap, VecDeque};
 use std::f64::consts::FRAC_PI_2;
 
-/// A lane gets vehicles so far ahead of and behind the ego, meters, and on to the end of the lane there.
+/// A lane gets vehicles up to this distance ahead of and behind the ego, meters, and on to the end of the lane there.
 const REACH: f64 = 50.0;
-/// Limit of a lane without one, m/s, for the time that a way takes.
+/// Limit of a lane without one, m/s, to compute the time that a way takes.
 const UNKNOWN_LIMIT: f64 = 15.0;
 
 impl Change for InterPlanName {
@@ -83,7 +83,7 @@ fn fill(draft: &mut Draft, density: Density) {
     }
 }
 
-/// The way to the last lane of a route that turns as the command says, as many roadblocks long as the recorded one.
+/// The way to the last lane of a route that turns as the command says. It has as many roadblocks as the recorded one.
 fn goal(draft: &Draft, command: Command) -> Result<GoalPath, Fault> {
     let map = &*draft.scenario.map;
     let own = draft.lanes.path.lane_at(draft.lanes.start_s);

@@ -1,5 +1,5 @@
-//! Text twins: two scenes on one base with the same lane-graph text, of which one closes the ego's lane and the other the lane
-//! beside it. The text names the same things at the same distances; only the picture shows which lane is closed.
+//! Text twins: two scenes on one base with the same lane-graph text. One closes the ego's lane, the other the lane beside it.
+//! The text names the same things at the same distances; only the picture shows which lane is closed.
 
 use super::error::ModifyError;
 use super::file::Modification;

@@ -1,5 +1,5 @@
-//! The filters that follow nuPlan's scenario query, in the devkit's order: number per type, number in all, time between scenarios,
-//! motion of the ego, token set, route; then the order of the scenarios.
+//! The filters that follow nuPlan's scenario query, in the devkit's order: number per type, number in all, time between
+//! scenarios, motion of the ego, token set, route. The order of the scenarios comes last.
 //!
 //! The scenarios of a type are in order of log and time, until the filter of time sorts those of all logs by time alone (devkit
 //! `_filter_scenarios_by_timestamp`).
@@ -134,7 +134,7 @@ fn limited(mut by_type: ByType, limit: Limit, rng: Option<&mut Pcg64Mcg>) -> ByT
     kept
 }
 
-/// In order of time, the scenarios that start at least so long after the previously kept one.
+/// In order of time, the scenarios that start at least a threshold after the previously kept one.
 fn apart(mut scenarios: Vec<LogScenario>, seconds: f64, scope: ThresholdScope) -> Vec<LogScenario> {
     scenarios.sort_by_key(|one| one.timestamp_us);
     let mut next: BTreeMap<Option<Arc<Log>>, f64> = BTreeMap::new();

@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 const LOG_ENDING: &str = ".db";
 /// Separates a log from the token of one of its scenarios.
 const TOKEN_MARK: char = '#';
-/// Tagged scenarios of one type in one log begin at least so long after one another, s: as in nuPlan's challenge.
+/// Minimum time between the starts of tagged scenarios of one type in one log, s: as in nuPlan's challenge.
 const MIN_SPACING_S: f64 = 15.0;
 
 /// Takes words of the form `LOG.db` or `LOG.db#TOKEN`, folders of logs, published splits and filter files.

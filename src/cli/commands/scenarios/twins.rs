@@ -7,7 +7,7 @@ use crate::experiment::twins::{TEST_PAIRS, VALIDATION_PAIRS, draw, list_text};
 use serde_json::json;
 use std::collections::BTreeMap;
 
-/// Prints the list, a pair a line, and why candidates are none.
+/// Prints the list, a pair a line, and why the other candidates are no pairs.
 pub(super) fn run(arguments: &TwinArguments, printer: Printer) -> anyhow::Result<Exit> {
     let (split, usual) = match arguments.seeds.as_str() {
         "train" => (Split::Train, TEST_PAIRS),

@@ -5,13 +5,13 @@ use crate::dynamics::idm::{IdmParameters, Lead};
 use crate::geometry::Point;
 use crate::world::{EgoState, LaneId, PACIFICA};
 
-/// Weight of what others gain or lose.
+/// Politeness: the weight of what other vehicles gain or lose.
 const POLITENESS: f64 = 0.3;
-/// Least gain, m/s².
+/// Minimum gain of a change, m/s².
 const THRESHOLD: f64 = 0.2;
-/// The follower in the new lane brakes at most so hard, m/s².
+/// Maximum deceleration of the follower in the new lane, m/s².
 const MAX_BRAKING: f64 = 2.0;
-/// A vehicle thinks about a change so often, seconds; after a change, so much later.
+/// Time between two decisions of a vehicle, and from a change to the next decision, seconds.
 const EVERY_S: f64 = 1.0;
 const AFTER_CHANGE_S: f64 = 6.0;
 /// Vehicles farther along a lane do not count, meters.

@@ -33,7 +33,7 @@ impl EgoWay {
         &self.footprint
     }
 
-    /// Whether a vehicle takes it for an obstacle.
+    /// Whether the way is an obstacle for a vehicle.
     pub(super) fn counts_for(&self, map: &LaneMap, agent: &IdmAgent, behavior: DriverBehavior, ego: &EgoState) -> bool {
         let center = ego.center().position();
         // interPlan fails where the center of a vehicle lies in no lane of its route. Here such a vehicle sees the box alone.

@@ -1,4 +1,4 @@
-//! Samples of GC-PGP. Agents and nodes of all samples stand one behind the other; `agents` and `polygons` count those of each.
+//! Samples of GC-PGP. Agents and nodes of all samples are concatenated; `agents` and `polygons` count those of each.
 
 use super::tensors::Columns;
 use super::{Moment, futures};

@@ -1,5 +1,5 @@
-//! Samples for imitation: the features of a learned planner in a logged scene, by its own feature builder, and what the logged
-//! driver did in the eight seconds after it.
+//! Samples for imitation: the features of a logged scene by a learned planner's own feature builder, and the logged driver's
+//! next eight seconds.
 
 mod futures;
 mod gameformer;

@@ -1,4 +1,4 @@
-//! Samples of PlanTF. Agents and polygons of all samples stand one behind the other; `agents` and `polygons` count those of each.
+//! Samples of PlanTF. Agents and polygons of all samples are concatenated; `agents` and `polygons` count those of each.
 
 use super::futures::pose_in;
 use super::tensors::Columns;

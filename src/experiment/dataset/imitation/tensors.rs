@@ -1,4 +1,4 @@
-//! Samples as tensors: those of a shard one behind the other along the first dimension.
+//! Samples as tensors: those of a shard are concatenated along the first dimension.
 
 use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensorError, SafeTensors};

@@ -1,4 +1,4 @@
-//! Samples of UrbanDriver. Vehicles and map lines of all samples stand one behind the other; `agents` and `polygons` count those of each.
+//! Samples of UrbanDriver. Vehicles and map lines of all samples are concatenated; `agents` and `polygons` count those of each.
 
 use super::tensors::Columns;
 use super::{Moment, futures};

@@ -1,15 +1,15 @@
 //! Reads the structure of a PyTorch file. It is a program for Python's pickle machine; this machine knows dictionaries, lists and
 //! tensors. Everything else, classes and calls of functions among it, becomes [`Value::Opaque`] and is never run.
 //!
-//! Not candle's reader: that one indexes into the file's tuples without a check, copies what a file refers to several times, so
-//! that few bytes can fill the memory, and rejects protocol 4. Here, values lie in one list and refer to each other by number.
+//! Not candle's reader. That one indexes into the file's tuples without a check, and rejects protocol 4. It copies what a file
+//! refers to several times, so few bytes can fill the memory. Here, values lie in one list and refer to each other by number.
 
 use std::collections::HashMap;
 use std::rc::Rc;
 
 /// Longest name of a tensor, bytes; longer ones are no PyTorch names.
 const MAX_NAME_BYTES: usize = 512;
-/// Most tensors of a file, and most dimensions of one.
+/// Maximum number of tensors of a file, and of dimensions of one.
 const MAX_TENSORS: usize = 1 << 16;
 const MAX_RANK: usize = 8;
 

@@ -11,7 +11,7 @@ use zip::result::ZipError;
 
 /// Largest structure that is read, bytes; that of a Lightning checkpoint has less than one.
 const MAX_PICKLE_BYTES: u64 = 64 << 20;
-/// Most numbers in all tensors: ten times those of the largest model.
+/// Maximum number of elements in all tensors: ten times those of the largest model.
 const MAX_NUMBERS: usize = 1 << 28;
 /// Name of the structure below the archive's one folder.
 const PICKLE: &str = "/data.pkl";

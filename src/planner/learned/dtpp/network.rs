@@ -150,8 +150,9 @@ impl Dtpp {
         Ok(DtppOutputs { futures, scores, weights, regularization })
     }
 
-    /// Biases (B, heads, queries, keys) of the attention to the scene and to the branch itself. Upstream repeats its masks in another
-    /// order than PyTorch reads them, so that in a batch, heads use the masks of other samples; a batch of one is not affected.
+    /// Biases (B, heads, queries, keys) of the attention to the scene and to the branch itself. Upstream repeats its masks in
+    /// another order than PyTorch reads them. So in a batch, heads use the masks of other samples; a batch of one is not
+    /// affected.
     fn biases(&self, scene: &EncodedScene, tree: &Tensor) -> Result<(Tensor, Tensor)> {
         let batch = tree.dim(0)?;
         let tokens = self.config.branches * TOKENS;

@@ -26,8 +26,8 @@ const ON_PATH: f32 = 0.1;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NoTrajectory;
 
-/// The steps after the first instant, of a path, speed and acceleration now, the speed at the end and the length of the stage; `None`
-/// where the path is too short.
+/// The steps after the first instant along a path. They follow from the speed and acceleration now, the speed at the end and the
+/// duration of the stage. `None` where the path is too short.
 pub fn profile(
     path: &Course,
     [v0, a0, end]: [f32; 3],

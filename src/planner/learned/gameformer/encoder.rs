@@ -103,8 +103,8 @@ impl SceneEncoder {
     }
 }
 
-/// Which actors are seen (B, 1 + A): those whose state does not sum up to exactly 0, as upstream, which hides an ego that stands. Where
-/// none would be, the ego is: upstream's attention without keys is not a number.
+/// Which actors are seen (B, 1 + A): those whose state does not sum up to exactly 0, as upstream, which hides an ego that stands.
+/// Where none would be seen, the ego is: upstream's attention without keys is NaN.
 fn seen(current: &Tensor) -> Result<Tensor> {
     let actors = current.sum(2)?.ne(0.0)?;
     let nobody = actors.max_keepdim(1)?.eq(0u8)?;

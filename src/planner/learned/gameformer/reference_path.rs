@@ -28,7 +28,7 @@ const CURVATURE: f64 = 0.1;
 const TARGET: f64 = 5.0;
 /// Factor of the distance from the lane where the ego shall stay on its own.
 const STAY: f64 = 5.0;
-/// As many lanes side by side, and a speed up to this (m/s), keep the ego on its lane.
+/// This many lanes side by side, and a speed up to this one (m/s), keep the ego on its lane.
 const MANY_LANES: usize = 4;
 const SLOW: f64 = 3.0;
 /// Speed limit of a lane without one, and the bounds of all, m/s.
@@ -40,8 +40,8 @@ const SHARP: f64 = 0.1;
 const RED_VERTICES: usize = 80;
 const RED_DISTANCE: f64 = 0.5;
 
-/// Rows of a reference path, 0.1 m apart in the frame of the rear axle: x, y, heading, curvature, speed limit (m/s), 1 where a red
-/// light holds. The last row repeats up to 120 m.
+/// Rows of a reference path, 0.1 m apart, in the frame of the rear axle. A row is x, y, heading, curvature, speed limit (m/s),
+/// and 1 where a red light holds. The last row repeats up to 120 m.
 pub type ReferencePath = Vec<[f32; 6]>;
 
 /// The parts of a path's cost.

@@ -22,7 +22,7 @@ const LIMIT: f64 = 0.3;
 const SOFT: f64 = 10.0;
 const JERK: f64 = 1.0;
 const END: f64 = 3.0;
-/// Most iterations, share of a step that is taken, and changes of the objective that end the search.
+/// Maximum number of iterations, share of a step that is taken, and changes of the objective that end the search.
 const ITERATIONS: usize = 20;
 const DAMPING: f64 = 0.3;
 const RELATIVE_CHANGE: f64 = 1e-3;

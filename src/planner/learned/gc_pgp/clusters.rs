@@ -2,7 +2,7 @@
 
 use rand::{Rng, RngExt};
 
-/// Most rounds of the search.
+/// Maximum number of rounds of the search.
 const ROUNDS: usize = 100;
 /// The search ends when the centers move by less than this share of the mean variance.
 const TOLERANCE: f64 = 1e-4;
@@ -106,8 +106,8 @@ fn means(rows: &[Vec<f64>], labels: &[usize], centers: &[Vec<f64>]) -> Vec<Vec<f
     sums.iter().zip(centers).map(mean).collect()
 }
 
-/// The rank of each cluster, 1 for the best: again and again the two nearest by Ward's criterion are joined, and the smaller one
-/// gets the last rank.
+/// The rank of each cluster, 1 for the best. The two nearest by Ward's criterion are joined repeatedly, and the smaller one gets
+/// the last free rank.
 pub fn ranks(counts: &[usize], centers: &[Vec<f64>]) -> Vec<usize> {
     let mut left: Vec<(usize, f64, Vec<f64>)> =
         counts.iter().zip(centers).enumerate().map(|(i, (&count, center))| (i, count as f64, center.clone())).collect();

@@ -26,7 +26,8 @@ const START_TURN: f64 = std::f64::consts::FRAC_PI_4;
 pub struct Node {
     /// Its lane; `None` for the one node of an empty map.
     pub lane: Option<LaneId>,
-    /// x, y, heading relative to the rear axle; 1 on a stop line, on a crosswalk, in a car park, and at the end of the graph.
+    /// x, y, heading relative to the rear axle. Then 1 on a stop line, on a crosswalk, in a car park, and at the end of the
+    /// graph.
     pub poses: Vec<[f64; 7]>,
     /// Nodes that follow.
     pub successors: Vec<usize>,

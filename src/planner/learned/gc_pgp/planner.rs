@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 /// Walks and latent samples of a plan.
 const SAMPLES: usize = 1000;
-/// Clusters of trajectories, and the poses that they are formed by: one in as many.
+/// Number of clusters of trajectories, and which poses form them: one in this many.
 const CLUSTERS: usize = 10;
 const STRIDE: usize = 3;
 /// As upstream, all draws begin with the same seed in each plan.

@@ -7,8 +7,8 @@ const PIECES: usize = 100;
 /// A pose nearer than this to the one before repeats it, meters.
 const MIN_DISTANCE: f32 = 0.5;
 
-/// The poses of places half a second apart, in the frame of the ego, which has this speed, m/s. A cubic spline over the number of the
-/// step gives the headings; as upstream its first slope is the speed, although a step lasts half a second.
+/// The poses of places half a second apart, in the frame of the ego, which has this speed, m/s. A cubic spline over the number of
+/// the step gives the headings. As upstream, its first slope is the speed, although a step lasts half a second.
 pub fn poses(places: &[[f32; 2]], speed: f32) -> Vec<[f32; 3]> {
     let standing: Vec<bool> = places.iter().map(|[x, _]| *x < STATIONARY).collect();
     let kept = places.iter().zip(&standing).map(|(&place, &standing)| if standing { [0.0; 2] } else { place });

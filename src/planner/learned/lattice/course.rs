@@ -4,9 +4,9 @@ use crate::geometry::{Point, Pose, wrap_angle};
 
 /// Distance between two rows, meters.
 pub(in crate::planner::learned) const ROW: f64 = 0.1;
-/// Most rows.
+/// Maximum number of rows.
 pub(in crate::planner::learned) const MAX_ROWS: usize = 1200;
-/// One point in as many carries the spline.
+/// One point in this many carries the spline.
 const STRIDE: usize = 10;
 
 /// Rows of a path, 0.1 m apart: x, y (meters), heading (radians), curvature (1 per meter).

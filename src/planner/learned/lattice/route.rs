@@ -16,7 +16,7 @@ const MAX_DISTANCE: f64 = 4.0;
 const MIN_STEP: f64 = 0.1;
 /// Shortest candidate, vertices.
 const MIN_VERTICES: usize = 3;
-/// Most chains that are followed: a map of many short lanes has more than anyone can plan on.
+/// Maximum number of chains that are followed: a map of many short lanes has too many to plan on.
 const MAX_CHAINS: usize = 512;
 /// Distances below this count as 0, meters (numpy's `isclose`).
 const NOTHING: f64 = 1e-8;

@@ -8,7 +8,7 @@ use crate::world::{EgoState, HistorySample, PACIFICA, RoadblockId, STEP_S, Scene
 use candle_core::{Device, Result, Tensor};
 use std::collections::BTreeMap;
 
-/// Most agents beside the ego.
+/// Maximum number of agents beside the ego.
 const MAX_AGENTS: usize = 32;
 /// Below this speed, the steering angle and the yaw rate count as 0, m/s.
 const STANDING: f64 = 0.2;

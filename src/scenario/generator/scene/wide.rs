@@ -10,9 +10,9 @@ use crate::scenario::generator::traffic::{Departure, Sway};
 use crate::world::{BASELINE_SPACING, LaneMap, MapError, SignalStatus};
 use std::f64::consts::PI;
 
-/// Most vehicles and cyclists that move.
+/// Maximum number of vehicles and cyclists that move.
 pub(super) const MAX_MOVERS: usize = 60;
-/// Most objects that stand for the whole scenario.
+/// Maximum number of objects that stand for the whole scenario.
 pub(super) const MAX_PARKED: usize = 90;
 /// Minimum distance between two vertices of a centerline, but for the last ones, meters.
 const MIN_SPACING: f64 = 0.47;

@@ -12,10 +12,10 @@ pub(in crate::scenario::modified) struct Needs {
     own_lanes: Option<[usize; 2]>,
     /// Number of oncoming lanes, from and to.
     oncoming_lanes: Option<[usize; 2]>,
-    /// The recorded driver gets so far along the ego's path, meters.
+    /// Minimum distance that the recorded driver gets along the ego's path, meters.
     #[serde(default)]
     driven_m: f64,
-    /// The lanes are counted so far ahead of the ego, meters.
+    /// Where the lanes are counted: distance ahead of the ego, meters.
     #[serde(default)]
     ahead_m: f64,
 }

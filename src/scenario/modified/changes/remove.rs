@@ -19,7 +19,7 @@ pub(in crate::scenario::modified) struct Remove {
     /// Cones, barriers, signs and other things.
     #[serde(default)]
     things: bool,
-    /// Only those at most so far from the ego at the start, meters.
+    /// Only those within this distance of the ego at the start, meters.
     within_m: Option<f64>,
 }
 

@@ -17,7 +17,7 @@ pub(in crate::scenario::modified) struct Traffic {
     lanes: String,
     /// From front to front, meters.
     gap_m: Number,
-    /// The rows reach so far ahead of and behind the ego, meters.
+    /// How far the rows reach ahead of and behind the ego, meters.
     #[serde(default = "ahead")]
     ahead_m: Number,
     #[serde(default = "behind")]
@@ -47,7 +47,7 @@ fn yes() -> bool {
 const LANES: [&str; 4] = ["own", "beside", "oncoming", "all"];
 /// A row nearer than this to the ego takes it into its order, meters.
 const NEAR_EGO: f64 = 10.0;
-/// Reaction time: mean, deviation and least value, seconds; deviation of the speed, m/s (interPlan `agents_modifier.py`).
+/// Reaction time: mean, deviation and minimum, seconds; deviation of the speed, m/s (interPlan `agents_modifier.py`).
 const REACTION: (f64, f64, f64) = (0.25, 0.05, 0.1);
 const SPEED_DEVIATION: f64 = 1.0;
 
@@ -121,7 +121,7 @@ impl Traffic {
     }
 }
 
-/// The speed that a gap to a vehicle ahead allows, so that both can brake to a stop one behind the other.
+/// The speed that a gap to a vehicle ahead allows, so that both can brake to a stop without a collision.
 fn speed_behind(draft: &mut Draft, lead: Option<f64>, gap: f64, to_end: f64, limit: f64) -> f64 {
     let (accel, decel) = (IDM_AGENT.accel_max, IDM_AGENT.decel_max);
     let speed = match lead {

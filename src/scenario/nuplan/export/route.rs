@@ -5,7 +5,7 @@ use crate::geometry::wrap_angle;
 use crate::world::{LaneKind, LaneMap, RoadblockId};
 use std::collections::{BTreeMap, VecDeque};
 
-/// At most so many inserted roadblocks lie between two of the route: a connector, or a connector, a lane and a connector.
+/// Maximum number of inserted roadblocks between two of the route: a connector, or a connector, a lane and a connector.
 const MAX_GAP: usize = 3;
 
 /// Ids of the roadblocks and roadblock connectors of the route, with the inserted ones between them.
