@@ -74,7 +74,8 @@ pub fn draw(
     let mut drawn = Drawn::default();
     let count = |drawn: &Drawn, kind| drawn.pairs.iter().filter(|pair| pair.kind == kind).count();
     let mut next = 0;
-    let end = candidates.map_or(split.seeds().end, |count| first.saturating_add(count));
+    let last = split.seeds().end;
+    let end = candidates.map_or(last, |count| first.saturating_add(count).min(last));
     while TwinKind::ALL.into_iter().any(|kind| count(&drawn, kind) < per_kind) && first + next < end {
         let wanted = |names: &[PairName; 2]| count(&drawn, names[0].kind) < per_kind;
         let candidates =

@@ -5,11 +5,11 @@ use super::emergency_brake::{emergency_brake, needs_emergency_brake, standing};
 use super::parameters::TRAJECTORY_STEPS;
 use super::proposals::{PROPOSAL_STEPS, Proposals};
 use super::{
-    Collided, DrivableLayers, DrivableMap, Forecast, NoReferencePath, PdmParameters, Proposal, ProposalScore,
-    ReferencePath, ScoringScene, score_proposals,
+    Collided, DrivableLayers, DrivableMap, Forecast, NoReferencePath, PassVerdict, PdmParameters, Proposal,
+    ProposalScore, ReferencePath, ScoringScene, score_passing, score_proposals,
 };
 use crate::dynamics::{JerkPenalty, simulate_proposal};
-use crate::geometry::Polyline;
+use crate::geometry::{Polyline, Pose};
 use crate::metrics::MetricError;
 use crate::world::{EgoState, LaneId, STEP_US, SceneView, Trajectory, TrajectoryError};
 use std::collections::BTreeSet;
@@ -172,26 +172,39 @@ pub fn plan_tuned(
     Ok(PdmPlan { proposals, simulated, scores, best, emergency_brake: brake, trajectory })
 }
 
+/// A way past something over lanes against traffic.
+pub struct Pass<'a> {
+    /// The lanes against traffic.
+    pub lanes: &'a [LaneId],
+    /// Length of the roll-outs that are judged, steps of 0.1 s.
+    pub steps: usize,
+    /// The verdict on the poses of a roll-out.
+    pub verdict: &'a dyn Fn(&[Pose]) -> PassVerdict,
+}
+
 /// One step of PDM-Closed along several reference paths at once: the best of all proposals is executed. Progress is measured
-/// along the first path, and the collisions and areas are those of its route. Lanes of `passed` count as lanes of the route.
+/// along the first path, and the collisions and areas are those of its route. On the lanes of `pass`, a proposal needs its verdict.
 ///
 /// # Errors
 /// As [`plan_along`].
 pub fn plan_among(
     own: &ReferencePath,
     others: &[ReferencePath],
-    passed: &[LaneId],
+    pass: Option<&Pass<'_>>,
     scene: &SceneView<'_>,
     collided: &mut Collided,
 ) -> Result<PdmPlan, PdmError> {
     let (ego, parameters) = (scene.ego, PdmParameters::default());
-    let PdmInstant { drivable, forecast } = PdmInstant::along(own, scene, collided);
-    let instant = PdmInstant { drivable: drivable.allowing(passed), forecast };
+    let instant = PdmInstant::along(own, scene, collided);
     let mut sets: Vec<Proposals<'_>> =
         std::iter::once(own).chain(others).map(|path| instant.proposals(path, ego, PROPOSAL_STEPS)).collect();
     let all = sets.iter().flat_map(|set| simulate_proposals(ego, set.all()));
     let simulated: Vec<Vec<EgoState>> = all.collect();
-    let scores = score_proposals(&instant.scoring(own.centerline().line(), 0.0), &simulated)?;
+    let scoring = instant.scoring(own.centerline().line(), 0.0);
+    let scores = match pass {
+        None => score_proposals(&scoring, &simulated)?,
+        Some(pass) => score_passing(&scoring, pass.lanes, &verdicts(&mut sets, pass), &simulated)?,
+    };
     let best = best_of(&scores).ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
     let brake = parameters.emergency_brake && needs_emergency_brake(scores[best].first_at_fault_s, ego);
     let (mut set, mut place) = (0, best);
@@ -202,11 +215,19 @@ pub fn plan_among(
     let trajectory = if brake {
         emergency_brake(ego, TRAJECTORY_STEPS)?
     } else {
-        let poses = sets[set].continued(place, TRAJECTORY_STEPS).iter().enumerate();
+        let poses = sets[set].continued(place, TRAJECTORY_STEPS).iter().take(TRAJECTORY_STEPS + 1).enumerate();
         Trajectory::new(poses.map(|(step, &pose)| standing(ego.time_us + step as i64 * STEP_US, pose)).collect())?
     };
     let proposals = sets.into_iter().flat_map(Proposals::into_all).collect();
     Ok(PdmPlan { proposals, simulated, scores, best, emergency_brake: brake, trajectory })
+}
+
+/// The verdicts on all proposals, rolled out as far as they have to be.
+fn verdicts(sets: &mut [Proposals<'_>], pass: &Pass<'_>) -> Vec<PassVerdict> {
+    let of_set = |set: &mut Proposals<'_>| -> Vec<PassVerdict> {
+        (0..set.all().len()).map(|place| (pass.verdict)(set.continued(place, pass.steps))).collect()
+    };
+    sets.iter_mut().flat_map(of_set).collect()
 }
 
 /// One step of PDM-Closed; the reference path is chosen at the first one and kept in `memory`.
@@ -227,7 +248,7 @@ pub fn plan(memory: &mut PdmMemory, scene: &SceneView<'_>) -> Result<PdmPlan, Pd
 /// `tuplan_garage` takes the maximum, so rounding chooses where proposals are equally far along. Beside the centerline and on it they
 /// often are, where the ego has almost stopped.
 pub fn best_of(scores: &[ProposalScore]) -> Option<usize> {
-    let highest = scores.iter().map(|score| score.total).max_by(f64::total_cmp)?;
+    let highest = scores.iter().map(|score| score.total).filter(|total| !total.is_nan()).max_by(f64::total_cmp)?;
     scores.iter().position(|score| score.total >= highest - EQUAL_SCORES)
 }
 

@@ -6,7 +6,7 @@ use super::encounters::Encounters;
 use super::{DrivableMap, EgoAreas, Forecast, Placed, is_comfortable};
 use crate::geometry::{Bounds, Polyline};
 use crate::metrics::{MetricError, direction_score};
-use crate::world::{EgoState, STEP_S};
+use crate::world::{EgoState, LaneId, STEP_S};
 use serde::{Deserialize, Serialize};
 
 /// Weight of progress.
@@ -62,12 +62,6 @@ impl ProposalScore {
         self.no_at_fault_collisions * self.drivable_area * self.driving_direction
     }
 
-    /// The same score of an ego that drives against traffic.
-    #[must_use]
-    pub fn against_traffic(self) -> Self {
-        Self { driving_direction: 0.0, ..self }.with_progress(0.0)
-    }
-
     /// The same score with another relative progress, in [0, 1].
     #[must_use]
     pub fn with_progress(self, progress: f64) -> Self {
@@ -86,12 +80,52 @@ pub fn score_proposals(
     scene: &ScoringScene<'_>,
     proposals: &[Vec<EgoState>],
 ) -> Result<Vec<ProposalScore>, MetricError> {
+    Ok(compared(judge_all(scene, proposals)?, scene.rival_progress))
+}
+
+/// Whether a proposal may use lanes against traffic.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PassVerdict {
+    /// It does not leave the lanes of its direction: there is nothing to allow.
+    Stays,
+    /// It may.
+    Allowed,
+    /// It may not, and has 0 for the driving direction.
+    Refused,
+}
+
+/// As [`score_proposals`], where lanes against traffic count as the route's for each proposal that is allowed to use them.
+///
+/// # Errors
+/// As [`score_proposals`].
+pub fn score_passing(
+    scene: &ScoringScene<'_>,
+    against_traffic: &[LaneId],
+    verdicts: &[PassVerdict],
+    proposals: &[Vec<EgoState>],
+) -> Result<Vec<ProposalScore>, MetricError> {
+    let drivable = scene.drivable.allowing(against_traffic);
+    let allowed = judge_all(&ScoringScene { drivable: &drivable, ..*scene }, proposals)?;
+    let scores = judge_all(scene, proposals)?.into_iter().zip(allowed).zip(verdicts);
+    let of_verdict = scores.map(|((usual, allowed), verdict)| match verdict {
+        PassVerdict::Stays => usual,
+        PassVerdict::Allowed => allowed,
+        PassVerdict::Refused => ProposalScore { driving_direction: 0.0, ..usual },
+    });
+    Ok(compared(of_verdict.collect(), scene.rival_progress))
+}
+
+/// All terms of each proposal but its relative progress, which needs the whole batch.
+fn judge_all(scene: &ScoringScene<'_>, proposals: &[Vec<EgoState>]) -> Result<Vec<ProposalScore>, MetricError> {
     let batch: Vec<Vec<Placed>> = proposals.iter().map(|states| states.iter().map(Placed::of).collect()).collect();
     let reach = batch.iter().flatten().fold(Bounds::around(&[]), |reach, placed| reach.joined(placed.bounds()));
     let around = Around { areas: scene.drivable.near(&reach), encounters: Encounters::of(scene.forecast, &batch) };
-    let judged = proposals.iter().zip(&batch).map(|(states, placed)| judge(scene, &around, states, placed));
-    let mut scores = judged.collect::<Result<Vec<_>, _>>()?;
-    let best = scores.iter().map(|s| s.progress_m * s.multiplier()).chain([scene.rival_progress]).fold(0.0, f64::max);
+    proposals.iter().zip(&batch).map(|(states, placed)| judge(scene, &around, states, placed)).collect()
+}
+
+/// The scores with their progress relative to the best of them, or to rivals.
+fn compared(mut scores: Vec<ProposalScore>, rival_progress: f64) -> Vec<ProposalScore> {
+    let best = scores.iter().map(|s| s.progress_m * s.multiplier()).chain([rival_progress]).fold(0.0, f64::max);
     for score in &mut scores {
         *score = score.with_progress(if best > PROGRESS_THRESHOLD {
             score.progress_m * score.multiplier() / best
@@ -99,7 +133,7 @@ pub fn score_proposals(
             f64::from(u8::from(score.multiplier() > 0.0))
         });
     }
-    Ok(scores)
+    scores
 }
 
 /// The objects that a batch of proposals may touch.
@@ -108,7 +142,7 @@ struct Around<'a> {
     encounters: Encounters<'a>,
 }
 
-/// All terms of a proposal but its relative progress, which needs the whole batch.
+/// All terms of a proposal but its relative progress.
 fn judge(
     scene: &ScoringScene<'_>,
     around: &Around<'_>,

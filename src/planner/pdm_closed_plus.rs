@@ -1,11 +1,12 @@
 //! PDM-Closed with every means of the agent and no model: a control.
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use crate::environment::lane_graph::Centerline;
 use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
-use crate::geometry::Pose;
-use crate::pdm::{DrivableLayers, PdmError, PdmMemory, ReferencePath, plan_among};
-use crate::reflection::allowed_pass;
-use crate::world::{LaneId, PACIFICA, RoadblockId, SceneView, Trajectory};
+use crate::geometry::{OrientedBox, Polyline, Pose, Vector};
+use crate::pdm::{DrivableLayers, Pass, PdmError, PdmMemory, ReferencePath, plan_among};
+use crate::reflection::{PassRules, allowed_pass};
+use crate::world::{ObjectKind, PACIFICA, RoadblockId, SceneView, TrackToken, TrackedObject, Trajectory};
 
 /// PDM-Closed with more proposals. Besides those along its own reference path, it has proposals with lateral offsets along
 /// every centerline that a planner code could name. All are scored together at every step, so that a better one takes over,
@@ -39,8 +40,22 @@ impl Planner for PdmClosedPlus {
             Some(own) => &*own,
             none => none.insert(ReferencePath::find(scene.map, scene.route, scene.ego).map_err(PdmError::from)?),
         };
-        let (others, passed) = centerlines(scene, own);
-        let plan = plan_among(own, &others, &passed, scene, collided)?;
+        let Ok(graph) = LaneGraph::build(scene, DEFAULT_NODE_LENGTH) else {
+            return Ok(plan_among(own, &[], None, scene, collided)?.trajectory);
+        };
+        let graph = graph.with_oncoming_lane(scene);
+        let pass = allowed_pass(scene, &graph);
+        let others = paths_along(scene, own, graph.centerlines.iter().chain(pass.map(|pass| &pass.centerline)));
+        let plan = if let Some(way) = pass {
+            let rules = PassRules::new(way, scene);
+            let verdict = |poses: &[Pose]| rules.verdict(poses);
+            let pass = Pass { lanes: &way.lanes, steps: PassRules::STEPS, verdict: &verdict };
+            plan_among(own, &others, Some(&pass), scene, collided)?
+        } else {
+            let stop = stop_before(scene, &graph);
+            let objects: Vec<TrackedObject> = scene.objects.iter().copied().chain(stop).collect();
+            plan_among(own, &others, None, &SceneView { objects: &objects, ..*scene }, collided)?
+        };
         Ok(plan.trajectory)
     }
 
@@ -49,21 +64,33 @@ impl Planner for PdmClosedPlus {
     }
 }
 
-/// Reference paths along the centerlines of the lane graph, on the route of `own`; none without a lane graph. Then the lanes
-/// against traffic on which the ego may now pass what blocks its lane.
-fn centerlines(scene: &SceneView<'_>, own: &ReferencePath) -> (Vec<ReferencePath>, Vec<LaneId>) {
-    let Ok(graph) = LaneGraph::build(scene, DEFAULT_NODE_LENGTH) else { return (Vec::new(), Vec::new()) };
-    let graph = graph.with_oncoming_lane(scene);
+/// Reference paths along centerlines, on the route of `own`.
+fn paths_along<'g>(
+    scene: &SceneView<'_>,
+    own: &ReferencePath,
+    centerlines: impl Iterator<Item = &'g Centerline>,
+) -> Vec<ReferencePath> {
     let mut blocks: Vec<RoadblockId> = own.lanes().iter().map(|&lane| scene.map[lane].roadblock).collect();
     blocks.dedup();
     let along = |poses: Vec<Pose>| ReferencePath::along(scene.map, &blocks, &poses, scene.ego).ok();
-    let ahead = |line: &crate::geometry::Polyline| {
+    let ahead = |line: &Polyline| {
         // The path of the rear axle: from a little behind it to the end.
         let from = line.project(scene.ego.rear_axle.position()).s - PACIFICA.length();
         line.slice(from, line.length()).map(|line| line.vertex_poses())
     };
-    let pass = allowed_pass(scene, &graph);
-    let lines = graph.centerlines.iter().chain(pass.map(|pass| &pass.centerline));
-    let paths = lines.filter_map(|one| along(ahead(&one.path.centerline)?)).collect();
-    (paths, pass.map(|pass| pass.lanes.clone()).unwrap_or_default())
+    centerlines.filter_map(|one| along(ahead(&one.path.centerline)?)).collect()
+}
+
+/// Length and width of [`stop_before`], meters.
+const STOP_SIZE: (f64, f64) = (0.2, 1.0);
+
+/// What stands for the end of the way in a blocked lane: a barrier that makes the proposals stop where the ego can still leave the
+/// lane. None where the ego is beyond that place already.
+fn stop_before(scene: &SceneView<'_>, graph: &LaneGraph) -> Option<TrackedObject> {
+    let lane = &graph.ego_lane().path.centerline;
+    let foot = lane.project(graph.stop_point()?);
+    let is_ahead = foot.s > lane.project(PACIFICA.front_of(scene.ego.rear_axle)).s;
+    let shape = OrientedBox::new(Pose::at(foot.point, foot.heading), STOP_SIZE.0, STOP_SIZE.1);
+    let token = TrackToken(u32::MAX);
+    is_ahead.then_some(TrackedObject { token, kind: ObjectKind::Barrier, shape, velocity: Vector::zeros() })
 }

@@ -1,16 +1,16 @@
 //! Scores plans by PDM's measure over a short horizon.
 
-use super::pass::PassVerdict;
+use super::pass::PassRules;
 use super::reach::{MIN_REACH, Reach, is_compared, reach_of_lanes};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
-use super::rollout::{IdmPlan, Rollout};
+use super::rollout::{IdmPlan, Rollout, Version};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::LaneGraph;
 use crate::geometry::{GeometryError, Polyline};
 use crate::metrics::MetricError;
 use crate::pdm::{
-    self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PdmInstant, PdmMemory, ProposalScore, ReferencePath,
-    ScoringScene, no_at_fault_collisions, score_proposals, simulate_proposals,
+    self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PassVerdict, PdmInstant, PdmMemory, ProposalScore,
+    ReferencePath, ScoringScene, no_at_fault_collisions, score_passing, score_proposals, simulate_proposals,
 };
 use crate::world::{EgoState, PACIFICA, STEP_S, SceneView, TrajectoryError};
 
@@ -181,7 +181,7 @@ impl<'a> Judge<'a> {
     ) -> Result<ReflectionReport, ReflectionError> {
         let batch = [states];
         let scores = match plan {
-            Some(plan) => score_plan(self.scene, plan, &self.scoring(), &batch)?,
+            Some(plan) => score_versions(self.scene, plan, &[Version::PLAN], &self.scoring(), &batch)?,
             None => score_proposals(&self.scoring(), &batch)?,
         };
         let [states] = batch;
@@ -207,21 +207,20 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Scores roll-outs of a plan. A plan that passes something over the oncoming lane is on its route there while it keeps the
-/// rules. Otherwise it has 0 for the driving direction.
-pub(super) fn score_plan(
+/// Scores versions of a plan by their simulated states. One that passes something over the oncoming lane is on its route there
+/// while it keeps the rules. Otherwise it has 0 for the driving direction.
+pub(super) fn score_versions(
     scene: &SceneView<'_>,
     plan: &IdmPlan,
+    versions: &[Version],
     scoring: &ScoringScene<'_>,
-    batch: &[Vec<EgoState>],
+    simulated: &[Vec<EgoState>],
 ) -> Result<Vec<ProposalScore>, MetricError> {
-    let Some(way) = plan.oncoming() else { return score_proposals(scoring, batch) };
-    if PassVerdict::of(plan, scene) == PassVerdict::Refused {
-        let scores = score_proposals(scoring, batch)?;
-        return Ok(scores.into_iter().map(ProposalScore::against_traffic).collect());
-    }
-    let drivable = scoring.drivable.allowing(&way.lanes);
-    score_proposals(&ScoringScene { drivable: &drivable, ..*scoring }, batch)
+    let Some(way) = plan.oncoming() else { return score_proposals(scoring, simulated) };
+    let rules = PassRules::new(way, scene);
+    let verdict = |&version: &Version| rules.verdict(&plan.roll_out_version(version, scene, PassRules::STEPS).poses);
+    let verdicts: Vec<PassVerdict> = versions.iter().map(verdict).collect();
+    score_passing(scoring, &way.lanes, &verdicts, simulated)
 }
 
 fn parts(score: &ProposalScore) -> SubScores {

@@ -1,6 +1,6 @@
 //! Runtime monitoring: scores the active plan and its versions at every step and chooses one.
 
-use super::judge::{ReflectionError, observe, score_plan};
+use super::judge::{ReflectionError, observe, score_versions};
 use super::rollout::{IdmPlan, Version};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::metrics::MetricError;
@@ -27,6 +27,8 @@ pub struct Choice {
     pub score: f64,
     /// Whether PDM-Closed's emergency brake overrules it.
     pub emergency_brake: bool,
+    /// Whether it is a pass over the oncoming lane that breaks a rule.
+    pub is_refused: bool,
 }
 
 /// One monitored step.
@@ -38,13 +40,15 @@ pub struct MonitoredStep {
     pub score: f64,
     /// Whether the ego brakes hard: the version is the stop, or the emergency brake overrules it.
     pub brakes: bool,
+    /// Whether the version is a pass over the oncoming lane that breaks a rule.
+    pub is_refused: bool,
 }
 
 impl MonitoredStep {
-    /// Whether it avoids hard braking where `other` does not, or else has the higher score. Scores of hard braking say little:
-    /// their progress is relative to versions that all collide.
+    /// Whether it keeps the rules of a pass where `other` does not, or else avoids hard braking where `other` does not, or else
+    /// has the higher score. Scores of hard braking say little: their progress is relative to versions that all collide.
     pub fn is_better_than(&self, other: &Self) -> bool {
-        (!self.brakes, self.score) > (!other.brakes, other.score)
+        (!self.is_refused, !self.brakes, self.score) > (!other.is_refused, !other.brakes, other.score)
     }
 }
 
@@ -66,7 +70,7 @@ impl PlanMonitor {
             plan.roll_out_version(choice.version, scene, TRAJECTORY_STEPS).to_trajectory(scene.ego)?
         };
         let brakes = choice.emergency_brake || choice.version == Version::STOP;
-        Ok(MonitoredStep { trajectory, score: choice.score, brakes })
+        Ok(MonitoredStep { trajectory, score: choice.score, brakes, is_refused: choice.is_refused })
     }
 
     /// Chooses between the versions of a plan by PDM's measure, as PDM-Closed does between its proposals; progress is relative to
@@ -74,12 +78,14 @@ impl PlanMonitor {
     /// 1. The best version on the plan's own path, if it scores λ. A path beside the centerline is often a little shorter; without
     ///    this rule the ego drifts towards the next lane for a gain of centimeters.
     /// 2. The best of all versions but the stop.
-    /// 3. The stop, where that version would be at fault for a collision or come near one, and the stop scores more.
+    /// 3. The stop, where that version would be at fault for a collision or come near one, or is a refused pass, and the stop scores
+    ///    more.
     ///
     /// Of equals the first is chosen. Where nothing avoids the collision, a slow ego brakes by PDM-Closed's rule, and a fast one
     /// executes the plan: such forecasts are often wrong.
     ///
-    /// A pass over the oncoming lane that breaks a rule has the score 0, until the ego is beside what it passes.
+    /// A version that passes something over the oncoming lane and breaks a rule has the score 0, until the ego is beside what it
+    /// passes.
     ///
     /// Areas and progress are those of the reference path in `memory`, which is chosen now if there is none. Where PDM-Closed finds
     /// none, progress is measured along the plan's own path. What the ego touches is added to `memory`.
@@ -100,12 +106,14 @@ impl PlanMonitor {
             .into_iter()
             .map(|(version, rollout)| (version, simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed)))
             .unzip();
-        let scores = score_plan(scene, plan, &instant.scoring(centerline, 0.0), &batch)?;
+        let scores = score_versions(scene, plan, &versions, &instant.scoring(centerline, 0.0), &batch)?;
         let scored: Vec<(Version, ProposalScore)> = versions.into_iter().zip(scores).collect();
-        self.best(&scored, scene.ego).ok_or(ReflectionError::Score(MetricError::TooFewSamples { needed: 1, got: 0 }))
+        self.best(&scored, plan.oncoming().is_some(), scene.ego)
+            .ok_or(ReflectionError::Score(MetricError::TooFewSamples { needed: 1, got: 0 }))
     }
 
-    fn best(&self, scored: &[(Version, ProposalScore)], ego: &EgoState) -> Option<Choice> {
+    fn best(&self, scored: &[(Version, ProposalScore)], passes: bool, ego: &EgoState) -> Option<Choice> {
+        let is_refused = |score: &ProposalScore| passes && score.driving_direction <= 0.0;
         let best = |among: fn(Version) -> bool| {
             let among = scored.iter().filter(|&&(version, _)| among(version));
             among.rev().max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total))
@@ -114,11 +122,12 @@ impl PlanMonitor {
         let moving = own.or_else(|| best(|version| version != Version::STOP))?;
         let stop = scored.iter().find(|&&(version, _)| version == Version::STOP);
         let helps = |(_, stop): &&(Version, ProposalScore)| {
-            self.emergency_brake && is_in_danger(&moving.1) && stop.total > moving.1.total
+            let matters = is_in_danger(&moving.1) || is_refused(&moving.1);
+            self.emergency_brake && matters && stop.total > moving.1.total
         };
         let &(version, score) = stop.filter(helps).unwrap_or(moving);
         let emergency_brake = self.emergency_brake && needs_emergency_brake(score.first_at_fault_s, ego);
-        Some(Choice { version, score: score.total, emergency_brake })
+        Some(Choice { version, score: score.total, emergency_brake, is_refused: is_refused(&score) })
     }
 }
 

@@ -1,43 +1,106 @@
 //! The rules under which a plan may pass something over the oncoming lane.
 
 use super::plan_builder::PlanBuilder;
-use super::rollout::{IdmPlan, LeadPolicy};
+use super::rollout::LeadPolicy;
+use crate::dynamics::IDM_AGENT;
 use crate::environment::lane_graph::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::geometry::{OrientedBox, Point, Pose};
-use crate::pdm::FALLBACK_LIMIT;
+use crate::pdm::{FALLBACK_LIMIT, PassVerdict};
 use crate::world::{PACIFICA, STEP_S, SceneView};
 
 /// Time within which a pass has to be complete, steps of 0.1 s.
 const STEPS: usize = 120;
-/// Distance to an oncoming agent when the ego is back in its lane: at standstill, meters, and as a time of the agent's speed, seconds.
+/// Distance to an oncoming agent when the ego is back in its lane: at standstill, meters, and as a time at the agent's limit, seconds.
 const MIN_GAP: f64 = 2.0;
 const HEADWAY: f64 = 1.0;
 /// A corner of the ego this far over the border of its lane is on the oncoming one, meters.
 const OVER_BORDER: f64 = 0.1;
-/// From this distance between front bumper and obstacle on the ego has begun to pass, and does not turn back, meters.
+/// From this distance between front bumper and obstacle on, an ego over its border has begun to pass, and does not turn back, meters.
 const BEGUN: f64 = 2.0;
+/// Acceleration of oncoming traffic up to its limit, m/s²: that of nuPlan's IDM agents.
+const ACCELERATION: f64 = IDM_AGENT.accel_max;
 
-/// Whether a pass keeps its rules.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum PassVerdict {
-    /// The ego may leave its lane.
-    Allowed,
-    /// The ego is beside what it passes: it completes the pass.
-    Begun,
-    /// A rule is broken: the ego stays in its lane.
-    Refused,
+/// The rules of a pass at one instant.
+#[derive(Debug)]
+pub struct PassRules<'a> {
+    way: &'a OncomingLane,
+    scene: &'a SceneView<'a>,
+    oncoming: Vec<OncomingAgent>,
 }
 
-impl PassVerdict {
-    /// The verdict on a plan; a plan that stays on lanes of its direction needs none.
-    pub(super) fn of(plan: &IdmPlan, scene: &SceneView<'_>) -> Self {
-        let Some(way) = plan.oncoming() else { return Self::Allowed };
-        let front = way.own.project(PACIFICA.front_of(scene.ego.rear_axle)).s;
-        if front > way.blocked.from_s - BEGUN {
-            return Self::Begun;
+impl<'a> PassRules<'a> {
+    /// Length of the roll-outs that [`Self::verdict`] judges, steps of 0.1 s.
+    pub const STEPS: usize = STEPS;
+
+    /// The rules for a way past.
+    pub fn new(way: &'a OncomingLane, scene: &'a SceneView<'a>) -> Self {
+        Self { way, scene, oncoming: way.agents(scene).collect() }
+    }
+
+    /// Whether the ego is beside what it passes: it completes the pass, whatever comes.
+    pub fn has_begun(&self) -> bool {
+        let front = self.way.own.project(PACIFICA.front_of(self.scene.ego.rear_axle)).s;
+        is_over_border(self.way, &self.scene.ego.footprint()) && front > self.way.blocked.from_s - BEGUN
+    }
+
+    /// The verdict on a roll-out: poses of the rear axle every 0.1 s, the present one first.
+    pub fn verdict(&self, poses: &[Pose]) -> PassVerdict {
+        if self.has_begun() {
+            return PassVerdict::Allowed;
         }
-        if keeps_rules(plan, way, scene) { Self::Allowed } else { Self::Refused }
+        match self.are_kept(poses) {
+            None => PassVerdict::Stays,
+            Some(true) => PassVerdict::Allowed,
+            Some(false) => PassVerdict::Refused,
+        }
+    }
+
+    /// Whether the rules way back, gap and sight are kept; `None` where the ego stays in its lane. The ego must be back in its
+    /// lane and before what is next there. It must keep a distance to all that comes, seen or from beyond the sight.
+    fn are_kept(&self, poses: &[Pose]) -> Option<bool> {
+        let is_out = |pose: &Pose| is_over_border(self.way, &PACIFICA.footprint(*pose));
+        let first = poses.iter().position(is_out)?;
+        let last = poses.iter().rposition(is_out).unwrap_or(first);
+        let Some(back) = poses.get(last + 1) else { return Some(false) };
+        let (leaves, returns) = (at(first), at(last + 1));
+        let front = PACIFICA.front_of(*back);
+        let is_past = self.way.own.project(back.position()).s > self.way.blocked.to_s;
+        Some(is_past && self.has_gap(front, returns) && self.is_clear((poses[first], leaves), (front, returns)))
+    }
+
+    /// Whether there is room for the ego in its lane behind what it passes.
+    fn has_gap(&self, front: Point, returns: f64) -> bool {
+        let way = self.way;
+        let needed = way.own.project(front).s + MIN_GAP;
+        self.scene.objects.iter().all(|object| {
+            let foot = way.own.project(object.shape.center.position());
+            let half = object.shape.length / 2.0;
+            let is_beyond = foot.s - half > way.blocked.to_s && foot.lateral.abs() <= way.border.abs();
+            let along = object.velocity.x * foot.heading.cos() + object.velocity.y * foot.heading.sin();
+            !is_beyond || foot.s - half + along.max(0.0) * returns >= needed
+        })
+    }
+
+    /// Whether nothing that comes is near when the ego is back. `leaves` and `returns`: places and times of the ego. What comes
+    /// may accelerate until then; whether it has passed before, its present speed says.
+    fn is_clear(&self, (out, leaves): (Pose, f64), (front, returns): (Point, f64)) -> bool {
+        let line = &self.way.traffic;
+        let here = line.project(PACIFICA.front_of(self.scene.ego.rear_axle)).s;
+        let (out, back) = (line.project(PACIFICA.front_of(out)).s, line.project(front).s);
+        let limit = self.way.speed_limit.unwrap_or(FALLBACK_LIMIT);
+        // Whatever may come from beyond the sight. Nothing comes from before the start of a lane.
+        let unseen = (here > ONCOMING_SIGHT).then_some(OncomingAgent {
+            front_s: here - ONCOMING_SIGHT,
+            length: 0.0,
+            speed: limit,
+        });
+        let keeps = |agent: &OncomingAgent, headway: f64| {
+            let has_passed = agent.front_s - agent.length + agent.speed * leaves >= out + MIN_GAP;
+            let comes = driven(agent.speed, limit, returns) + headway * agent.speed.max(limit);
+            has_passed || agent.front_s + comes + MIN_GAP <= back
+        };
+        unseen.is_none_or(|unseen| keeps(&unseen, 0.0)) && self.oncoming.iter().all(|agent| keeps(agent, HEADWAY))
     }
 }
 
@@ -46,21 +109,16 @@ pub fn allowed_pass<'g>(scene: &SceneView<'_>, graph: &'g LaneGraph) -> Option<&
     let way = graph.oncoming.as_ref()?;
     let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: at(STEPS) };
     let plan = builder.at_limit(scene, graph, CenterlineName::OncomingLane).ok()??;
-    (PassVerdict::of(&plan, scene) != PassVerdict::Refused).then_some(way)
+    let verdict = PassRules::new(way, scene).verdict(&plan.roll_out(scene, STEPS).poses);
+    (verdict == PassVerdict::Allowed).then_some(way)
 }
 
-/// The rules way back, gap and sight, at constant speeds of all others. The ego must be back in its lane and before what is
-/// next there. It must keep a distance to all that comes, seen or from beyond the sight.
-fn keeps_rules(plan: &IdmPlan, way: &OncomingLane, scene: &SceneView<'_>) -> bool {
-    let poses = plan.roll_out(scene, STEPS).poses;
-    let is_out = |pose: &Pose| is_over_border(way, &PACIFICA.footprint(*pose));
-    let Some(first) = poses.iter().position(is_out) else { return true };
-    let last = poses.iter().rposition(is_out).unwrap_or(first);
-    let Some(back) = poses.get(last + 1) else { return false };
-    let (leaves, returns) = (at(first), at(last + 1));
-    let front = PACIFICA.front_of(*back);
-    let is_past = way.own.project(back.position()).s > way.blocked.to_s;
-    is_past && has_gap(way, scene, front, returns) && is_clear(way, scene, (poses[first], leaves), (front, returns))
+/// How far traffic comes in a time at most, meters: it accelerates up to the limit.
+fn driven(speed: f64, limit: f64, seconds: f64) -> f64 {
+    let fastest = limit.max(speed);
+    let accelerating = ((fastest - speed) / ACCELERATION).min(seconds);
+    let reached = speed + ACCELERATION * accelerating;
+    f64::midpoint(speed, reached) * accelerating + reached * (seconds - accelerating)
 }
 
 fn at(step: usize) -> f64 {
@@ -72,44 +130,12 @@ fn is_over_border(way: &OncomingLane, ego: &OrientedBox) -> bool {
     ego.corners().iter().any(|&corner| way.own.project(corner).lateral * side > way.border.abs() + OVER_BORDER)
 }
 
-/// Whether there is room for the ego in its lane behind what it passes.
-fn has_gap(way: &OncomingLane, scene: &SceneView<'_>, front: Point, returns: f64) -> bool {
-    let needed = way.own.project(front).s + MIN_GAP;
-    scene.objects.iter().all(|object| {
-        let foot = way.own.project(object.shape.center.position());
-        let half = object.shape.length / 2.0;
-        let is_beyond = foot.s - half > way.blocked.to_s && foot.lateral.abs() <= way.border.abs();
-        let along = object.velocity.x * foot.heading.cos() + object.velocity.y * foot.heading.sin();
-        !is_beyond || foot.s - half + along.max(0.0) * returns >= needed
-    })
-}
-
-/// Whether nothing that comes is near when the ego is back. `leaves` and `returns`: places and times of the ego.
-fn is_clear(
-    way: &OncomingLane,
-    scene: &SceneView<'_>,
-    (out, leaves): (Pose, f64),
-    (front, returns): (Point, f64),
-) -> bool {
-    let here = way.traffic.project(PACIFICA.front_of(scene.ego.rear_axle)).s;
-    let (out, back) = (way.traffic.project(PACIFICA.front_of(out)).s, way.traffic.project(front).s);
-    let limit = way.speed_limit.unwrap_or(FALLBACK_LIMIT);
-    // Whatever may come from beyond the sight. Nothing comes from before the start of a lane.
-    let unseen =
-        (here > ONCOMING_SIGHT).then_some(OncomingAgent { front_s: here - ONCOMING_SIGHT, length: 0.0, speed: limit });
-    let keeps = |agent: OncomingAgent, headway: f64| {
-        let has_passed = agent.front_s - agent.length + agent.speed * leaves >= out + MIN_GAP;
-        has_passed || agent.front_s + agent.speed * (returns + headway) + MIN_GAP <= back
-    };
-    unseen.is_none_or(|unseen| keeps(unseen, 0.0)) && way.agents(scene).all(|agent| keeps(agent, HEADWAY))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::environment::DEFAULT_NODE_LENGTH;
     use crate::pdm::PdmMemory;
-    use crate::reflection::{Judge, PlanMonitor, ReflectionReport};
+    use crate::reflection::{IdmPlan, Judge, MonitoredStep, PlanMonitor, ReflectionReport};
     use crate::world::{Scene, SceneBuilder};
     use std::f64::consts::PI;
 
@@ -130,7 +156,9 @@ mod tests {
 
     fn verdict(scene: SceneBuilder) -> PassVerdict {
         let scene = scene.build().unwrap();
-        PassVerdict::of(&plan(&scene, CenterlineName::OncomingLane).0, &scene.view())
+        let (view, (plan, graph)) = (scene.view(), plan(&scene, CenterlineName::OncomingLane));
+        let poses = plan.roll_out(&view, STEPS).poses;
+        PassRules::new(graph.oncoming.as_ref().unwrap(), &view).verdict(&poses)
     }
 
     fn judged(scene: &Scene, name: CenterlineName) -> ReflectionReport {
@@ -174,16 +202,49 @@ mod tests {
     #[test]
     fn monitoring_gives_a_pass_up_when_a_rule_breaks_and_completes_one_that_has_begun() {
         let monitor = PlanMonitor { steps: 40, threshold: 0.75, emergency_brake: true };
-        let score = |scene: SceneBuilder| {
+        let choice = |scene: SceneBuilder| {
             let scene = scene.build().unwrap();
             let (plan, _) = plan(&scene, CenterlineName::OncomingLane);
-            monitor.choose(&scene.view(), &plan, &mut PdmMemory::default()).unwrap().score
+            monitor.choose(&scene.view(), &plan, &mut PdmMemory::default()).unwrap()
         };
-        assert!(score(road(13.0, 8.0)) >= 0.75);
-        assert!(score(road(13.0, 8.0).vehicle([70.0, 3.5], PI, 8.0)) <= 0.0);
+        assert!(choice(road(13.0, 8.0)).score >= 0.75);
+        let refused = choice(road(13.0, 8.0).vehicle([70.0, 3.5], PI, 8.0));
+        assert!(refused.is_refused && refused.score <= 0.0, "{refused:?}");
         let lanes = Scene::builder().lane([[-100.0, 0.0], [300.0, 0.0]]).lane([[300.0, 3.5], [-100.0, 3.5]]);
-        let beside = lanes.ego([22.0, 2.9], 0.0, 8.0).vehicle([25.0, 0.0], 0.0, 0.0).route([0]);
-        assert_eq!(verdict(beside.clone().vehicle([90.0, 3.5], PI, 8.0)), PassVerdict::Begun);
-        assert!(score(beside) > 0.5);
+        let beside = |y: f64| lanes.clone().ego([22.0, y], 0.0, 8.0).vehicle([25.0, 0.0], 0.0, 0.0).route([0]);
+        assert_eq!(verdict(beside(2.9).vehicle([90.0, 3.5], PI, 8.0)), PassVerdict::Allowed, "it has begun");
+        assert!(choice(beside(2.9)).score > 0.5);
+    }
+
+    #[test]
+    fn the_ego_gives_a_refused_pass_up_also_where_that_needs_hard_braking() {
+        let monitor = PlanMonitor { steps: 40, threshold: 0.75, emergency_brake: true };
+        let scene = road(13.0, 8.0).vehicle([70.0, 3.5], PI, 8.0).build().unwrap();
+        let step = |name| monitor.step(&scene.view(), &plan(&scene, name).0, &mut PdmMemory::default()).unwrap();
+        let (pass, own) = (step(CenterlineName::OncomingLane), step(CenterlineName::EgoLane));
+        assert!(pass.is_refused && !pass.brakes && !own.is_refused);
+        assert!(own.is_better_than(&pass));
+        assert!(MonitoredStep { brakes: true, score: 0.0, ..own }.is_better_than(&pass));
+    }
+
+    #[test]
+    fn an_ego_that_waits_behind_the_obstacle_has_not_begun_to_pass_it() {
+        let waits = road(13.0, 0.0).ego([17.5, 0.0], 0.0, 0.0);
+        assert_ne!(verdict(waits.vehicle([60.0, 3.5], PI, 8.0)), PassVerdict::Allowed);
+    }
+
+    #[test]
+    fn a_plan_that_stays_behind_what_blocks_its_lane_needs_no_verdict() {
+        let scene = road(13.0, 0.0).build().unwrap();
+        let (view, (plan, graph)) = (scene.view(), plan(&scene, CenterlineName::EgoLane));
+        let rules = PassRules::new(graph.oncoming.as_ref().unwrap(), &view);
+        assert_eq!(rules.verdict(&plan.roll_out(&view, STEPS).poses), PassVerdict::Stays);
+    }
+
+    #[test]
+    fn traffic_accelerates_up_to_its_limit() {
+        assert_eq!(driven(8.0, 10.0, 1.0), 8.5);
+        assert_eq!(driven(8.0, 10.0, 4.0), 8.0 * 2.0 + 2.0 + 10.0 * 2.0);
+        assert_eq!(driven(12.0, 10.0, 2.0), 24.0);
     }
 }

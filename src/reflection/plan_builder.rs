@@ -1,5 +1,6 @@
 //! Builds plans from planner codes, and from plans that stay active.
 
+use super::pass::PassRules;
 use super::rollout::{IdmPlan, LeadPolicy};
 use crate::environment::{AgentName, CenterlineName, LaneGraph};
 use crate::geometry::GeometryError;
@@ -53,8 +54,14 @@ impl PlanBuilder {
         self.build(scene, graph, PlannerCode { centerline, lead_agent: None, target_speed, accel_max, decel_max })
     }
 
-    /// A plan that stays active: its path begins at the ego's present place, on the centerline that it is bound for.
+    /// A plan that stays active: its path begins at the ego's present place, on the centerline that it is bound for. A pass that
+    /// has begun is completed, also where the graph no longer has its way.
     pub fn extend(&self, plan: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph) -> Result<IdmPlan, GeometryError> {
+        let begun = plan.oncoming().filter(|pass| graph.oncoming.is_none() && PassRules::new(pass, scene).has_begun());
+        if let Some(pass) = begun {
+            let plan = plan.extended(scene, pass.centerline.path.clone(), self.horizon_s)?;
+            return Ok(plan.completing(pass));
+        }
         let lane = plan.lane_now(scene);
         let passes = graph.oncoming.as_ref().map(|oncoming| &oncoming.centerline).filter(|_| plan.oncoming().is_some());
         let beside = || graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));

@@ -1,8 +1,8 @@
 //! What could be reached beyond the horizon of a roll-out, where something stands in the ego's way.
 
-use super::judge::{ReflectionError, score_plan};
+use super::judge::{ReflectionError, score_versions};
 use super::plan_builder::PlanBuilder;
-use super::rollout::LeadPolicy;
+use super::rollout::{LeadPolicy, Version};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::pdm::{ProposalScore, ScoringScene};
@@ -78,7 +78,7 @@ pub(super) fn reach_of_lanes(
         }
         let Some(plan) = builder.at_limit(scene, graph, lane.name)? else { continue };
         let simulated = [simulate_proposal(scene.ego, &plan.roll_out(scene, steps).poses, JerkPenalty::PdmClosed)];
-        let scores = score_plan(scene, &plan, scoring, &simulated)?;
+        let scores = score_versions(scene, &plan, &[Version::PLAN], scoring, &simulated)?;
         let reach = Reach::best(scores.iter().zip(&simulated).map(|(score, states)| Reach::of_rival(score, states)));
         lanes.best_m = lanes.best_m.max(reach.reach_m);
         if lane.name == CenterlineName::EgoLane {

@@ -74,6 +74,8 @@ pub struct Version {
 }
 
 impl Version {
+    /// The plan itself.
+    pub const PLAN: Self = Self { path: 0, fraction: 1.0 };
     /// A stop on the plan's own path, at the highest deceleration that a code may contain.
     pub const STOP: Self = Self { path: 0, fraction: 0.0 };
 
@@ -122,6 +124,12 @@ impl IdmPlan {
         self
     }
 
+    /// The same over the oncoming lane, past what another plan has begun to pass.
+    pub(super) fn completing(mut self, pass: &OncomingLane) -> Self {
+        (self.oncoming, self.stop_point) = (Some(Box::new(pass.clone())), None);
+        self
+    }
+
     /// The way past what blocks the ego's lane, where the plan takes it.
     pub fn oncoming(&self) -> Option<&OncomingLane> {
         self.oncoming.as_deref()
@@ -148,7 +156,7 @@ impl IdmPlan {
 
     /// The roll-out from the present state, `steps` steps of 0.1 s long. Other objects keep their velocity.
     pub fn roll_out(&self, scene: &SceneView<'_>, steps: usize) -> Rollout {
-        self.roll_out_version(Version { path: 0, fraction: 1.0 }, scene, steps)
+        self.roll_out_version(Version::PLAN, scene, steps)
     }
 
     /// The roll-outs of every [`Version`], in order; the stop is the last.

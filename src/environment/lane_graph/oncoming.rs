@@ -3,7 +3,7 @@
 use super::standing::edges;
 use super::{BlockedStretch, Centerline, CenterlineName};
 use crate::geometry::{Polyline, Vector, wrap_angle};
-use crate::world::{LaneId, LanePath, PACIFICA, SceneView};
+use crate::world::{LaneId, LanePath, ObjectKind, PACIFICA, SceneView};
 use std::f64::consts::PI;
 
 /// Time in which the ego moves over at its speed, and back at the limit, seconds. Bounds of the lengths of both, meters.
@@ -26,6 +26,8 @@ pub const ONCOMING_SIGHT: f64 = 150.0;
 const SPACING: f64 = 1.0;
 /// An object beside the middle of a lane by at most this is on it, meters.
 const HALF_LANE: f64 = 1.9;
+/// A vehicle that stands beside the middle of its lane by at most this is not parked, meters.
+const IN_MIDDLE: f64 = 0.6;
 /// Objects slower than this stand, m/s.
 const STANDING: f64 = 0.2;
 
@@ -50,7 +52,7 @@ pub struct OncomingLane {
     pub next: Option<(f64, f64)>,
 }
 
-/// A vehicle or bicycle that moves on the oncoming lane.
+/// A vehicle or bicycle on the oncoming lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OncomingAgent {
     /// Arc length of its front on the line of its traffic, meters.
@@ -101,20 +103,26 @@ impl OncomingLane {
         Some(Self { next: way.next_agent(scene), ..way })
     }
 
-    /// The agents that move on the oncoming lane.
+    /// The agents that move on the oncoming lane, and the vehicles that stand in the middle of it: they may start again.
     pub fn agents(&self, scene: &SceneView<'_>) -> impl Iterator<Item = OncomingAgent> {
         scene.objects.iter().filter(|object| object.kind.is_agent()).filter_map(|object| {
             let foot = self.traffic.project(object.shape.center.position());
             let speed = Vector::new(foot.heading.cos(), foot.heading.sin()).dot(&object.velocity);
             let length = object.shape.length;
-            let is_on_lane = foot.distance <= HALF_LANE && speed >= STANDING;
-            is_on_lane.then_some(OncomingAgent { front_s: foot.s + length / 2.0, length, speed })
+            let waits = object.kind == ObjectKind::Vehicle
+                && speed.abs() < STANDING
+                && foot.distance <= IN_MIDDLE
+                && wrap_angle(object.shape.center.heading - foot.heading).abs() <= AGAINST;
+            let comes = speed >= STANDING || waits;
+            let is_on_lane = foot.distance <= HALF_LANE && comes;
+            is_on_lane.then_some(OncomingAgent { front_s: foot.s + length / 2.0, length, speed: speed.max(0.0) })
         })
     }
 
     fn next_agent(&self, scene: &SceneView<'_>) -> Option<(f64, f64)> {
         let here = self.traffic.project(PACIFICA.front_of(scene.ego.rear_axle)).s;
-        let ahead = self.agents(scene).map(|agent| (here - agent.front_s, agent.speed));
+        let moving = self.agents(scene).filter(|agent| agent.speed >= STANDING);
+        let ahead = moving.map(|agent| (here - agent.front_s, agent.speed));
         ahead.filter(|(gap, _)| (0.0..=ONCOMING_SIGHT).contains(gap)).min_by(|a, b| a.0.total_cmp(&b.0))
     }
 }

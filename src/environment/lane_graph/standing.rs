@@ -25,7 +25,7 @@ const PERSON_ASIDE: f64 = 4.0;
 /// A vehicle that stands straight in the middle of the lane: maximum angle (10 degrees) and distance from the middle, meters.
 const ALIGNED: (f64, f64) = (0.17, 0.6);
 /// Gap between two obstacles that is too short to go back between them, meters.
-const TOO_SHORT: f64 = 20.0;
+const TOO_SHORT: f64 = 30.0;
 /// Space that the ego needs beside an obstacle, beyond its width, meters.
 const MARGIN: f64 = 0.1;
 /// Steps in which the edge of a lane is looked for, and how far from its middle at most, meters.
@@ -83,7 +83,9 @@ pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Optio
     // What lies behind the rear bumper of an ego that is back in its lane is passed.
     let is_back = line.project(scene.ego.center().position()).lateral.abs() <= BACK_IN_LANE;
     let rear = lane.ego_s - if is_back { PACIFICA.length() / 2.0 } else { BEHIND };
-    let mut ahead = found.iter().filter(|one| one.to_s > rear && !leaves_room(scene, &lane.path, one));
+    let follows = |one: &InStrip<'_>| one.to_s <= lane.ego_s - PACIFICA.length() / 2.0 && (one.waits || one.moves());
+    let counts = |one: &&InStrip<'_>| one.to_s > rear && !follows(one) && !leaves_room(scene, &lane.path, one);
+    let mut ahead = found.iter().filter(counts);
     let first = ahead.next().filter(|one| !one.waits && !one.moves())?;
     let mut stretch = BlockedStretch { from_s: first.from_s, to_s: first.to_s, across: first.across };
     for next in ahead.take_while(|one| !one.waits && !one.moves()) {

@@ -263,4 +263,6 @@ fn an_ego_on_the_oncoming_lane_belongs_to_the_lane_that_it_left() {
     let graph = with_way(&drawn);
     assert_eq!(graph.nodes[0].lane, own);
     assert!(graph.oncoming.is_some(), "the ego is still beside what it passes");
+    let followed = drawn.put(ObjectKind::Vehicle, -12.0, -3.2, 0.0, 5.0);
+    assert!(with_way(&followed).oncoming.is_some(), "who follows in the lane that it left does not block it");
 }

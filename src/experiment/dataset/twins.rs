@@ -16,6 +16,7 @@ use crate::scenario::Scenario;
 use crate::scenario::generator::{self, ScenarioType, Spec, types};
 use crate::scenario::modified::{MARK, ModifiedName, Twin, TwinKind, TwinPart, TwinSide};
 use crate::simulation::{Challenge, ClosedLoop};
+use crate::world::SceneView;
 use image::RgbImage;
 use std::collections::BTreeSet;
 use std::fmt;
@@ -142,9 +143,15 @@ pub enum NoPair {
 }
 
 /// What a model is asked and may answer in a scene, but for the picture.
-fn asked(graph: &LaneGraph, prompts: &PromptSet) -> Result<(Vec<String>, BTreeSet<String>), PromptError> {
+fn asked(
+    scene: &SceneView<'_>,
+    graph: &LaneGraph,
+    prompts: &PromptSet,
+) -> Result<(Vec<String>, BTreeSet<String>), PromptError> {
+    let form = prompts.forms().scene_text;
+    let graph = if form.names_oncoming_lane() { &graph.clone().with_oncoming_lane(scene) } else { graph };
     let names = Names::of(graph);
-    let scene_text = text::write(&Description::of(graph), prompts.forms().scene_text);
+    let scene_text = text::write(&Description::of(graph), form);
     let mut texts = vec![system_prompt(prompts, "")?];
     for &round in Round::ALL {
         let first = round == Round::Understanding;
@@ -195,7 +202,8 @@ fn open_on(
     let Some(own) = scene(base, name.twin(TwinPart::OwnClosed)) else { return Ok(Err(NoPair::NoScene)) };
     let Some(beside) = scene(base, name.twin(TwinPart::BesideClosed)) else { return Ok(Err(NoPair::NoScene)) };
     for set in prompts {
-        if asked(&own.1, set)? != asked(&beside.1, set)? {
+        let [own, beside] = [&own, &beside].map(|(simulation, graph)| asked(&simulation.scene(), graph, set));
+        if own? != beside? {
             return Ok(Err(NoPair::TextDiffers));
         }
     }
