@@ -42,7 +42,7 @@ fn nano_as_gguf_and_as_a_folder_is_asked_as_it_was_trained() {
         let prompts = manifest(&work.path().join(out))["prompts"].as_table().unwrap().clone();
         assert_eq!(
             (prompts["set"].as_str(), prompts["place"].as_str()),
-            (Some("compact"), Some("built in")),
+            (Some("compact-2"), Some("built in")),
             "{model}"
         );
         let named_by = if model == "nano" { "the model's description" } else { "planagent.json of the model" };
@@ -54,7 +54,7 @@ fn nano_as_gguf_and_as_a_folder_is_asked_as_it_was_trained() {
     // f32 holds nano's weights exactly.
     assert!(answers.iter().all(|score| score == &answers[0]), "{answers:?}");
     let (code, stdout, _) = in_folder(work.path(), &["config", "--model", "nano.gguf"]);
-    assert!(code == 0 && stdout.contains("compact (planagent.json of the model): built in"), "{stdout}");
+    assert!(code == 0 && stdout.contains("compact-2 (planagent.json of the model): built in"), "{stdout}");
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn edited_prompts_are_used_and_shown() {
         assert_eq!(code, 0, "{stderr}");
         stdout
     };
-    assert!(text(&["config"]).contains("# compact (the model's description): built in"), "{}", text(&["config"]));
+    assert!(text(&["config"]).contains("# compact-2 (the model's description): built in"), "{}", text(&["config"]));
     let listed = text(&["models", "list", "--json"]);
     let mut models = listed.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
     let listed = models.find(|model| model["model"] == "nano").unwrap();
@@ -95,25 +95,25 @@ fn edited_prompts_are_used_and_shown() {
     assert_eq!((said("model"), said("source")), (Some("nano".into()), Some("built in".into())));
     assert_eq!((said("description"), said("prompts")), (Some("built in".into()), Some("built in".into())));
 
-    let prompts = work.path().join("prompts/compact");
-    copy_prompts("compact", &prompts);
+    let prompts = work.path().join("prompts/compact-2");
+    copy_prompts("compact-2", &prompts);
     fs::write(prompts.join("understanding.jinja"), "{{ scene_text }}\nEDITED scene?").unwrap();
     assert!(
-        text(&["config"]).contains("# compact (the model's description): prompts/compact"),
+        text(&["config"]).contains("# compact-2 (the model's description): prompts/compact-2"),
         "{}",
         text(&["config"])
     );
-    assert!(text(&["models", "list"]).contains("prompts in prompts/compact"));
+    assert!(text(&["models", "list"]).contains("prompts in prompts/compact-2"));
     let (code, stdout, stderr) = in_folder(work.path(), &["plan", "--scenario", SCENE]);
     assert!(code == 0 && stdout.contains("EDITED scene?"), "{stdout}");
     assert!(
-        stderr.contains("prompts compact (the model's description): prompts/compact")
-            || stderr.contains("/prompts/compact"),
+        stderr.contains("prompts compact-2 (the model's description): prompts/compact-2")
+            || stderr.contains("/prompts/compact-2"),
         "{stderr}"
     );
 
     // Half a set is no set.
     fs::remove_file(prompts.join("code.jinja")).unwrap();
     let (code, _, stderr) = in_folder(work.path(), &["plan", "--scenario", SCENE]);
-    assert!(code == 2 && stderr.contains("prompts/compact/code.jinja"), "{stderr}");
+    assert!(code == 2 && stderr.contains("prompts/compact-2/code.jinja"), "{stderr}");
 }

@@ -28,7 +28,7 @@ fn described_models_are_listed() {
     assert!(row("llava-1.5-7b")["problem"].as_str().unwrap().contains("planagent models fetch llava-1.5-7b"));
     assert_eq!(
         (row("nano")["prompt_set"].as_str(), row("openai")["prompt_set"].as_str()),
-        (Some("compact"), Some("paper"))
+        (Some("compact-2"), Some("paper"))
     );
     let text =
         String::from_utf8(planagent(&["models", "list"]).assert().success().get_output().stdout.clone()).unwrap();

@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 /// The table for a terminal.
 pub fn twin_table(results: &TwinResults) -> String {
-    rows(results).terminal() + &notes(results)
+    format!("{}\n{}", rows(results).terminal(), notes(results)).trim_end().to_owned()
 }
 
 /// The same as Markdown.
