@@ -243,8 +243,8 @@ mod tests {
 
     #[test]
     fn traffic_accelerates_up_to_its_limit() {
-        assert_eq!(driven(8.0, 10.0, 1.0), 8.5);
-        assert_eq!(driven(8.0, 10.0, 4.0), 8.0 * 2.0 + 2.0 + 10.0 * 2.0);
-        assert_eq!(driven(12.0, 10.0, 2.0), 24.0);
+        for (speed, seconds, meters) in [(8.0, 1.0, 8.5), (8.0, 4.0, 8.0 * 2.0 + 2.0 + 10.0 * 2.0), (12.0, 2.0, 24.0)] {
+            assert!((driven(speed, 10.0, seconds) - meters).abs() < 1e-12);
+        }
     }
 }

@@ -128,7 +128,7 @@ mod tests {
     #[test]
     fn shapes_have_the_weights_that_their_names_say() {
         for (name, billions) in [
-            ("nano", 0.004_02),
+            ("nano", 0.004_08),
             ("llava-1.1b", 1.41),
             ("llava-1.5-7b", 7.06),
             ("llava-1.5-13b", 13.35),
