@@ -217,8 +217,10 @@ pub(super) fn widened(name: &str) -> tempfile::TempDir {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (state >> 8) as f32 / (1 << 24) as f32 - 0.5
     };
-    let tensors: BTreeMap<String, (Vec<usize>, Vec<u8>)> = SafeTensors::deserialize(&bytes)
-        .unwrap()
+    // A file gives its tensors in another order each time.
+    let mut stored = SafeTensors::deserialize(&bytes).unwrap().tensors();
+    stored.sort_by(|(one, _), (other, _)| one.cmp(other));
+    let tensors: BTreeMap<String, (Vec<usize>, Vec<u8>)> = stored
         .iter()
         .map(|(name, view)| {
             let shape: Vec<usize> = match view.shape() {
