@@ -229,7 +229,7 @@ pub(super) fn widened(name: &str) -> tempfile::TempDir {
                 shape => shape.iter().map(|side| wide(*side)).collect(),
             };
             let values = (0..shape.iter().product::<usize>()).flat_map(|_| (random() * 0.2).to_le_bytes()).collect();
-            (name.to_string(), (shape, values))
+            (name.clone(), (shape, values))
         })
         .collect();
     let views = tensors
