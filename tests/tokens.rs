@@ -82,7 +82,8 @@ fn brief_prompts_take_few_tokens_in_every_generated_scene() {
     let (set, counter) = (PromptSet::open("brief").unwrap(), TokenCounter::new(None));
     let parts = ["collision", "area", "direction", "progress", "ttc", "comfort"].map(|part| (part.to_owned(), 0.25));
     let code = Some("Generate_IDM_Planner(c=right_lane, la=pedestrian12, v0=13, acc=1.5, dec=3)".to_owned());
-    let refused = Feedback { code, score: Some(0.41), threshold: 0.75, parts: parts.into(), errors: Vec::new() };
+    let refused =
+        Feedback { code, score: Some(0.41), threshold: 0.75, parts: parts.into(), is_slow: false, errors: Vec::new() };
     let (mut first, mut again, mut scenes) = (Vec::new(), Vec::new(), Vec::new());
     for kind in types::in_suites() {
         for seed in 1..=3 {

@@ -144,6 +144,7 @@ pub fn feedback(
         score: reflection.map(|report| report.score),
         threshold,
         parts: reflection.map(named).unwrap_or_default(),
+        is_slow: reflection.is_some_and(|report| report.parts.lacks_only_progress()),
         errors: errors.to_vec(),
     }
 }

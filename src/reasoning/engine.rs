@@ -5,7 +5,7 @@ use super::code::{Names, PlannerCode};
 use super::code_parser::{Parsed, parse};
 use super::config::Proposals;
 use super::error::{PromptError, ReasoningError};
-use super::grammar;
+use super::grammar::{self, Refused};
 use super::history::{AnswerHistory, Speculation};
 use super::instruction::MotionInstruction;
 use super::prompt_set::PromptSet;
@@ -42,6 +42,8 @@ pub struct Feedback {
     pub threshold: f64,
     /// The parts of the score by name.
     pub parts: Vec<(String, f64)>,
+    /// Whether the plan lacks nothing but progress.
+    pub is_slow: bool,
     /// The errors in the answer.
     pub errors: Vec<ParseError>,
 }
@@ -149,7 +151,9 @@ pub struct Reasoning<'a> {
     history: &'a mut AnswerHistory,
     attempts: usize,
     /// The codes of the earlier attempts, which were all refused.
-    refused: Vec<PlannerCode>,
+    refused: Refused,
+    /// The code of the last attempt.
+    last: Option<PlannerCode>,
 }
 
 impl<'a> Reasoning<'a> {
@@ -175,7 +179,8 @@ impl<'a> Reasoning<'a> {
             deadline,
             history,
             attempts: 0,
-            refused: Vec::new(),
+            refused: Refused::default(),
+            last: None,
         })
     }
 
@@ -186,6 +191,9 @@ impl<'a> Reasoning<'a> {
     pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace<PlannerCode>, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;
+        if feedback.is_some_and(|feedback| feedback.is_slow) {
+            self.refused.slow.extend(self.last);
+        }
         let mut feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
         let mut scene_text = self.scenario.text.as_deref();
         let mut rounds = Vec::with_capacity(self.settings.rounds.len());
@@ -217,7 +225,8 @@ impl<'a> Reasoning<'a> {
             .filter_map(|text| parse(text, names).answer)
             .filter(|code| parsed.answer != Some(*code))
             .collect();
-        self.refused.extend(parsed.answer.iter().chain(&proposals));
+        self.refused.codes.extend(parsed.answer.iter().chain(&proposals));
+        self.last = parsed.answer;
         Ok(ReasoningTrace { rounds, interruption: None, instruction, parsed, proposals })
     }
 

@@ -3,6 +3,7 @@
 use super::code::{FUNCTION, NO_LEAD_AGENT, Names, PlannerCode};
 use super::instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason};
 use super::prompt_set::{InstructionForm, UnderstandingForm};
+use crate::environment::CenterlineName;
 use crate::environment::facts::{Light, SideLane};
 use crate::mllm::Constraint;
 use std::ops::RangeInclusive;
@@ -99,23 +100,53 @@ pub fn target_speeds(names: &Names) -> RangeInclusive<u32> {
     0..=names.speed_limit.unwrap_or(FASTEST)
 }
 
-/// The grammar of round 3: one call with the names of this scene, other than those that were refused.
-pub(super) fn code(names: &Names, refused: &[PlannerCode]) -> Constraint {
-    let slots = [
-        names.centerlines.iter().map(ToString::to_string).collect(),
-        names.lead_agents.iter().map(ToString::to_string).chain([NO_LEAD_AGENT.to_owned()]).collect(),
-        target_speeds(names).map(|v| v.to_string()).collect(),
-        ACCELERATIONS.iter().map(ToString::to_string).collect(),
-        DECELERATIONS.iter().map(ToString::to_string).collect(),
-    ];
-    let refused: Vec<[String; SLOTS]> = refused.iter().map(filled).collect();
-    let refused: Vec<&[String]> = refused.iter().map(<[String; SLOTS]>::as_slice).collect();
-    let all = || Constraint::Sequence(call(&slots, 0).collect());
-    if refused.is_empty() {
-        return all();
+/// The codes that were refused in a planning call.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Refused {
+    /// All of them.
+    pub(super) codes: Vec<PlannerCode>,
+    /// Those whose plans lacked nothing but progress.
+    pub(super) slow: Vec<PlannerCode>,
+}
+
+impl Refused {
+    /// Whether a plan along a centerline at this target speed is as slow as one that was refused for it.
+    fn is_slow(&self, centerline: CenterlineName, target_speed: u32) -> bool {
+        self.slow.iter().any(|code| code.centerline == centerline && code.target_speed >= f64::from(target_speed))
     }
-    // Where every code was refused, one has to be repeated.
-    other_call(&slots, 0, &refused).map_or_else(all, Constraint::Sequence)
+}
+
+/// The grammar of round 3: one call with the names of this scene, other than those that were refused. After a plan that lacked
+/// nothing but progress, it names another centerline or a higher speed.
+pub(super) fn code(names: &Names, refused: &Refused) -> Constraint {
+    let slots = |centerlines: &[CenterlineName], speeds: Vec<u32>| {
+        [
+            centerlines.iter().map(ToString::to_string).collect(),
+            names.lead_agents.iter().map(ToString::to_string).chain([NO_LEAD_AGENT.to_owned()]).collect(),
+            speeds.iter().map(ToString::to_string).collect(),
+            ACCELERATIONS.iter().map(ToString::to_string).collect(),
+            DECELERATIONS.iter().map(ToString::to_string).collect(),
+        ]
+    };
+    let codes: Vec<[String; SLOTS]> = refused.codes.iter().map(filled).collect();
+    let codes: Vec<&[String]> = codes.iter().map(<[String; SLOTS]>::as_slice).collect();
+    let all = slots(&names.centerlines, target_speeds(names).collect());
+    let other = || other_call(&all, 0, &codes).map(Constraint::Sequence);
+    let faster = names.centerlines.iter().filter_map(|&centerline| {
+        let speeds: Vec<u32> = target_speeds(names).filter(|&speed| !refused.is_slow(centerline, speed)).collect();
+        if speeds.is_empty() {
+            return None;
+        }
+        let codes: Vec<&[String]> =
+            codes.iter().filter(|code| code.first() == Some(&centerline.to_string())).copied().collect();
+        other_call(&slots(&[centerline], speeds), 0, &codes).map(Constraint::Sequence)
+    });
+    let faster: Vec<Constraint> = if refused.slow.is_empty() { Vec::new() } else { faster.collect() };
+    if faster.is_empty() {
+        // Where every code was refused, one has to be repeated.
+        return other().unwrap_or_else(|| Constraint::Sequence(call(&all, 0).collect()));
+    }
+    Constraint::OneOf(faster)
 }
 
 /// Arguments of a code.
@@ -167,7 +198,6 @@ fn other_call(slots: &[Vec<String>], slot: usize, refused: &[&[String]]) -> Opti
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::environment::CenterlineName;
     use std::collections::BTreeSet;
 
     #[test]
@@ -177,7 +207,7 @@ mod tests {
             lead_agents: vec!["vehicle1".parse().unwrap()],
             speed_limit: Some(2),
         };
-        let Constraint::Sequence(parts) = code(&names, &[]) else { panic!("not a sequence") };
+        let Constraint::Sequence(parts) = code(&names, &Refused::default()) else { panic!("not a sequence") };
         for offered in [&["0", "1", "2"][..], &["ego_lane"], &["vehicle1", "None"]] {
             assert!(parts.contains(&any_of(offered)), "{offered:?}: {parts:?}");
         }
@@ -203,17 +233,39 @@ mod tests {
             lead_agents: vec!["vehicle1".parse().unwrap()],
             speed_limit: Some(3),
         };
-        let all = texts(&code(&names, &[]));
+        let all = texts(&code(&names, &Refused::default()));
         assert_eq!(all.len(), 2 * 2 * 4 * ACCELERATIONS.len() * DECELERATIONS.len());
         let of = |line: &str| super::super::parse(line, &names).answer.unwrap();
         let mut refused = Vec::new();
         for line in all.iter().step_by(7).chain(all.iter().take(9)) {
             refused.push(of(line));
-            let left = texts(&code(&names, &refused));
+            let left = texts(&code(&names, &Refused { codes: refused.clone(), slow: Vec::new() }));
             let expected: BTreeSet<String> = all.iter().filter(|line| !refused.contains(&of(line))).cloned().collect();
             assert_eq!(left, expected, "without {refused:?}");
         }
-        let every: Vec<PlannerCode> = all.iter().map(|line| of(line)).collect();
+        let every = Refused { codes: all.iter().map(|line| of(line)).collect(), slow: Vec::new() };
         assert_eq!(texts(&code(&names, &every)), all, "a refused code is repeated where there is no other");
+    }
+
+    #[test]
+    fn after_a_plan_that_lacked_only_progress_the_code_names_another_lane_or_a_higher_speed() {
+        let names = |centerlines| Names { centerlines, lead_agents: Vec::new(), speed_limit: Some(3) };
+        let both = names(vec![CenterlineName::EgoLane, CenterlineName::LeftLane]);
+        let of = |line: &str| super::super::parse(line, &both).answer.unwrap();
+        let all = texts(&code(&both, &Refused::default()));
+        let refused = |v0: u32| {
+            let slow = of(&format!("Generate_IDM_Planner(c=ego_lane, la=None, v0={v0}, acc=1.5, dec=3)"));
+            Refused { codes: vec![slow], slow: vec![slow] }
+        };
+        for v0 in 0..=3 {
+            let left = texts(&code(&both, &refused(v0)));
+            let is_faster =
+                |code: PlannerCode| code.centerline == CenterlineName::LeftLane || code.target_speed > f64::from(v0);
+            let expected: BTreeSet<String> = all.iter().filter(|line| is_faster(of(line))).cloned().collect();
+            assert_eq!(left, expected, "after v0={v0}");
+        }
+        let only = names(vec![CenterlineName::EgoLane]);
+        let (any, left) = (texts(&code(&only, &Refused::default())), texts(&code(&only, &refused(3))));
+        assert_eq!(left.len() + 1, any.len(), "no other lane is there: all but the refused code");
     }
 }

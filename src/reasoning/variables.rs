@@ -79,10 +79,18 @@ mod tests {
             score: Some(0.414),
             threshold: 0.75,
             parts: vec![("collision".to_owned(), 1.0), ("progress".to_owned(), 0.2)],
+            is_slow: true,
             errors: Vec::new(),
         };
         let error = ParseError { span: 0..4, message: "no call".to_owned(), hint: "write one line".to_owned() };
-        let unread = Feedback { code: None, score: None, threshold: 0.75, parts: Vec::new(), errors: vec![error] };
+        let unread = Feedback {
+            code: None,
+            score: None,
+            threshold: 0.75,
+            parts: Vec::new(),
+            is_slow: false,
+            errors: vec![error],
+        };
         let scene = "Ego: 9 m/s, limit 13 m/s, route straight, light red in 24 m.";
         let last = "Your last planner was refused.";
         let legend = Palette::legend();

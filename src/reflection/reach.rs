@@ -125,9 +125,8 @@ mod tests {
 
     #[test]
     fn an_ego_has_full_progress_where_it_waits() {
-        let waiting: [(&str, SceneBuilder); 6] = [
+        let waiting: [(&str, SceneBuilder); 5] = [
             ("no way past", road().vehicle([6.0, -3.5], 0.0, 0.0).vehicle([4.0, 0.0], 0.0, 0.0)),
-            ("a queue", road().vehicle([6.0, -3.5], 0.0, 0.0).vehicle([12.0, -3.5], 0.0, 0.0)),
             (
                 "a person before it",
                 road().vehicle([6.0, -3.5], 0.0, 0.0).object(ObjectKind::Pedestrian, [11.0, -5.0], 1.6, 1.0),

@@ -46,6 +46,19 @@ pub struct SubScores {
 }
 
 impl SubScores {
+    /// Whether nothing but progress is missing.
+    pub fn lacks_only_progress(&self) -> bool {
+        *self
+            == Self {
+                no_collision: 1.0,
+                drivable_area: 1.0,
+                driving_direction: 1.0,
+                time_to_collision: 1.0,
+                comfort: 1.0,
+                ..*self
+            }
+    }
+
     /// The parts by the short names that the model reads.
     pub fn named(&self) -> [(&'static str, f64); 6] {
         [

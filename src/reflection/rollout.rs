@@ -283,7 +283,8 @@ impl<'a> Road<'a> {
             let sweep = object.shape.bounds().joined(later.bounds());
             corridor.bounds().overlaps(&sweep) && !object.shape.overlaps(&footprint)
         };
-        // Beside what stands there is nothing to follow: whether the ego touches it, the score says.
+        // Beside what stands there is nothing to follow: whether the ego touches it, the score says. Nor is there behind what
+        // stands in the lane where the path leads past it.
         let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
         let is_beside = |object: &TrackedObject| {
             let rear_s =
@@ -295,7 +296,9 @@ impl<'a> Road<'a> {
             LeadPolicy::Named => (Vec::new(), named),
             LeadPolicy::Nearest => {
                 let ahead = scene.objects.iter().filter(may_come).filter(|object| !is_beside(object));
-                (ahead.copied().collect(), named.filter(|object| !is_beside(object)))
+                let is_passed =
+                    |object: &TrackedObject| object.speed() < STANDING && !corridor.meets_box(&object.shape);
+                (ahead.copied().collect(), named.filter(|object| !is_beside(object) && !is_passed(object)))
             }
         };
         let stop_s = match plan.lead_policy {
@@ -341,11 +344,13 @@ fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
     object.shape.moved_to(Pose::at(at, object.shape.center.heading))
 }
 
-/// Arc length on the path of the place before an obstacle at which the ego can still leave its lane, if that lies ahead.
+/// Arc length on the path of the place before an obstacle at which the ego can still leave its lane. Where the ego is beyond that
+/// place, it stops as soon as its code allows.
 fn before_obstacle(plan: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f64> {
     let stop_s = path.project(plan.stop_point?).s;
     let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
-    (stop_s > front - MIN_GAP).then_some(stop_s)
+    let soonest = front + MIN_GAP + scene.ego.velocity.x.max(0.0).powi(2) / (2.0 * plan.code.decel_max);
+    Some(stop_s.max(soonest))
 }
 
 /// Arc length on the path of the first red light ahead: the start of its connector.

@@ -1,6 +1,6 @@
 //! How far a plan keeps from the middle of its lane to pass what stands at the edge.
 
-use crate::geometry::Point;
+use crate::geometry::{Corridor, Point, Polyline, Pose};
 use crate::world::{LanePath, PACIFICA, SceneView, TrackedObject};
 
 /// Distance from what stands, meters.
@@ -19,6 +19,8 @@ const STATION_STEP: f64 = 1.0;
 const SHIFT_STEP: f64 = 0.05;
 /// Maximum shift, meters: the lateral offset of PDM-Closed's proposals.
 const MAX_SHIFT: f64 = 1.0;
+/// Steps of time in which agents beside the lane are followed, seconds.
+const TIME_STEP: f64 = 0.5;
 
 /// The place of an object in the frame of a centerline, meters; lateral positions are positive to the left.
 #[derive(Debug, Clone, Copy)]
@@ -32,7 +34,8 @@ struct Edge {
 }
 
 /// The lateral position of the path in its lane, meters, positive to the left: 0, or what leaves [`MARGIN`] beside the objects
-/// that stand at one edge of the lane, as far as the lane has room. 0 as well where the ego would touch them all the same.
+/// that stand at one edge of the lane, as far as the lane has room. Where the lane has too little, the ego may reach over its
+/// border, while nobody else needs that place. 0 where the ego would touch the objects all the same.
 pub(super) fn shift(scene: &SceneView<'_>, lanes: &LanePath) -> f64 {
     let half = PACIFICA.width / 2.0;
     let edges = edges(scene, lanes);
@@ -43,9 +46,15 @@ pub(super) fn shift(scene: &SceneView<'_>, lanes: &LanePath) -> f64 {
     let wanted = if least > most { f64::midpoint(least, most) } else { 0.0f64.clamp(least, most) };
     let steps = (wanted.abs() / SHIFT_STEP).ceil() as usize;
     let shifts = (1..=steps).rev().map(|step| wanted * step as f64 / steps as f64);
-    let Some(shift) = shifts.into_iter().find(|&shift| has_room(scene, lanes, &edges, shift)) else { return 0.0 };
-    let is_clear = |edge: &Edge| if edge.left { shift + half < edge.lateral } else { shift - half > edge.lateral };
-    if edges.iter().all(is_clear) { shift } else { 0.0 }
+    let is_clear = |&shift: &f64| {
+        edges.iter().all(|edge| if edge.left { shift + half < edge.lateral } else { shift - half > edge.lateral })
+    };
+    let in_lane = |point| lanes.lanes.iter().any(|&lane| scene.map[lane].polygon.contains(point));
+    let on_road = |point| scene.map.is_drivable(point);
+    let within = shifts.clone().find(|&shift| has_room(lanes, &edges, shift, in_lane)).filter(is_clear);
+    let beyond = || shifts.clone().find(|&shift| has_room(lanes, &edges, shift, on_road)).filter(is_clear);
+    let is_free = |&shift: &f64| !is_needed(scene, lanes, &edges, shift);
+    within.or_else(|| beyond().filter(is_free)).unwrap_or(0.0)
 }
 
 /// The objects that stand ahead within reach, without those under the ego.
@@ -78,10 +87,9 @@ impl Edge {
     }
 }
 
-/// Whether the shifted ego stays in its lane beside every object that it is shifted for.
-fn has_room(scene: &SceneView<'_>, lanes: &LanePath, edges: &[Edge], shift: f64) -> bool {
+/// Whether the outer side of the shifted ego stays `inside` beside every object that it is shifted for.
+fn has_room(lanes: &LanePath, edges: &[Edge], shift: f64, inside: impl Fn(Point) -> bool) -> bool {
     let outer = shift + shift.signum() * PACIFICA.width / 2.0;
-    let inside = |point: Point| lanes.lanes.iter().any(|&lane| scene.map[lane].polygon.contains(point));
     let is_near = |edge: &&Edge| edge.left != (shift > 0.0) && edge.lateral.abs() < PACIFICA.width / 2.0 + MARGIN;
     edges.iter().filter(is_near).all(|edge| {
         let count = ((edge.to_s - edge.from_s + 2.0 * AROUND) / STATION_STEP).ceil() as usize;
@@ -89,6 +97,33 @@ fn has_room(scene: &SceneView<'_>, lanes: &LanePath, edges: &[Edge], shift: f64)
         let within = stations.filter(|s| (0.0..=lanes.centerline.length()).contains(s));
         within.into_iter().all(|s| inside(lanes.centerline.frenet_to_map(s, outer)))
     })
+}
+
+/// Whether an agent of another lane comes into the way of the shifted ego within [`REACH_S`], at its present velocity. An ego that
+/// is beside the objects already goes on.
+fn is_needed(scene: &SceneView<'_>, lanes: &LanePath, edges: &[Edge], shift: f64) -> bool {
+    let line = &lanes.centerline;
+    let front = line.project(PACIFICA.front_of(scene.ego.rear_axle)).s;
+    let first = edges.iter().map(|edge| edge.from_s).fold(f64::INFINITY, f64::min);
+    let last = edges.iter().map(|edge| edge.to_s).fold(f64::NEG_INFINITY, f64::max);
+    if first <= front {
+        return false;
+    }
+    let (from, to) = (front - PACIFICA.length(), last + AROUND);
+    let stations = (0..=((to - from) / STATION_STEP).ceil() as usize).map(|i| from + i as f64 * STATION_STEP);
+    let Ok(way) = Polyline::new(stations.map(|s| line.frenet_to_map(s, shift))) else { return true };
+    let way = Corridor::new(way, PACIFICA.width / 2.0 + MARGIN);
+    let in_lane = |point: Point| lanes.lanes.iter().any(|&lane| scene.map[lane].polygon.contains(point));
+    let comes = |object: &TrackedObject| {
+        let mut times = (0..=(REACH_S / TIME_STEP) as usize).map(|i| i as f64 * TIME_STEP);
+        let center = object.shape.center;
+        times.any(|t| {
+            let pose = Pose::at(center.position() + object.velocity * t, center.heading);
+            way.meets_box(&object.shape.moved_to(pose))
+        })
+    };
+    let others = scene.objects.iter().filter(|object| object.kind.is_agent() && object.speed() >= STANDING);
+    others.filter(|object| !in_lane(object.shape.center.position())).any(comes)
 }
 
 #[cfg(test)]
@@ -133,6 +168,29 @@ mod tests {
         // The lane has 2 m beside the line: the ego may shift by 2 m less its half width.
         let tight = shift_past([car(30.0, -1.6)]);
         assert!(tight > 0.7 && tight <= 2.0 - half, "{tight}");
+    }
+
+    /// The same with a lane of 4 m against the ego's direction to the left.
+    fn beside_oncoming_lane(ego_y: f64, objects: impl IntoIterator<Item = TrackedObject>) -> f64 {
+        let road =
+            Scene::builder().lane_width(4.0).lane([[-20.0, 0.0], [200.0, 0.0]]).lane([[200.0, 4.0], [-20.0, 4.0]]);
+        let scene = road.ego([0.0, ego_y], 0.0, 10.0).objects(objects).build().unwrap();
+        let lanes = LanePath::of(&scene.map, vec![LaneId(0)]).unwrap();
+        shift(&scene.view(), &lanes)
+    }
+
+    #[test]
+    fn the_ego_reaches_over_the_border_of_a_lane_that_is_too_narrow_while_nobody_comes_there() {
+        // The car's left side is 0.2 m to the right of the line; inside the lane the ego would touch it.
+        let wide = PACIFICA.width / 2.0 + MARGIN - 0.2;
+        assert!(is(shift_past([car(30.0, -1.2)]), 0.0), "no road is there");
+        assert!(is(beside_oncoming_lane(0.0, [car(30.0, -1.2)]), wide));
+        let moving = |x: f64, y: f64, speed: f64| TrackedObject { velocity: Vector::new(speed, 0.0), ..car(x, y) };
+        assert!(is(beside_oncoming_lane(0.0, [car(30.0, -1.2), moving(60.0, 3.0, -10.0)]), 0.0), "one comes");
+        assert!(is(beside_oncoming_lane(0.0, [car(30.0, -1.2), moving(-20.0, 3.0, 15.0)]), 0.0), "one overtakes");
+        assert!(is(beside_oncoming_lane(0.0, [car(30.0, -1.2), moving(-10.0, 3.0, -10.0)]), wide), "one has passed");
+        assert!(is(beside_oncoming_lane(0.0, [car(30.0, -1.2), moving(25.0, 0.0, 8.0)]), wide), "one drives before it");
+        assert!(is(beside_oncoming_lane(wide, [car(2.0, -1.2), moving(30.0, 3.0, -10.0)]), wide), "it is beside it");
     }
 
     #[test]

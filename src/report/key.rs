@@ -313,7 +313,7 @@ mod tests {
         };
         for score in [None, Some(0.0)] {
             let parts = parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
-            let feedback = Feedback { code: None, score, threshold: 0.75, parts, errors: Vec::new() };
+            let feedback = Feedback { code: None, score, threshold: 0.75, parts, is_slow: false, errors: Vec::new() };
             used.extend(words(&feedback_text(&set, &feedback).unwrap()));
         }
         let missing: Vec<&String> = used.difference(&quoted).collect();

@@ -157,10 +157,12 @@ impl LaneGraph {
         build::build(scene, node_length)
     }
 
-    /// The same with the way past what blocks the ego's lane, where a lane against traffic is beside it.
+    /// The same with the way past what blocks the ego's lane, where a lane against traffic is beside it. There is none past what may
+    /// be a queue.
     #[must_use]
     pub fn with_oncoming_lane(self, scene: &SceneView<'_>) -> Self {
-        let oncoming = self.blocked.and_then(|blocked| OncomingLane::find(scene, self.ego_lane(), blocked));
+        let passable = self.blocked.filter(|blocked| !blocked.may_queue);
+        let oncoming = passable.and_then(|blocked| OncomingLane::find(scene, self.ego_lane(), blocked));
         Self { oncoming, ..self }
     }
 

@@ -42,6 +42,8 @@ pub struct BlockedStretch {
     pub to_s: f64,
     /// How far the obstacles reach to the right and to the left of the middle of the lane, positive to the left, meters.
     pub across: (f64, f64),
+    /// Whether vehicles stand in it as in a queue. The reason may be out of sight, so nobody passes them against traffic.
+    pub may_queue: bool,
 }
 
 /// An object in the strip that the ego would sweep.
@@ -87,11 +89,15 @@ pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Optio
     let counts = |one: &&InStrip<'_>| one.to_s > rear && !follows(one) && !leaves_room(scene, &lane.path, one);
     let mut ahead = found.iter().filter(counts);
     let first = ahead.next().filter(|one| !one.waits && !one.moves())?;
-    let mut stretch = BlockedStretch { from_s: first.from_s, to_s: first.to_s, across: first.across };
+    let mut stretch = BlockedStretch { from_s: first.from_s, to_s: first.to_s, across: first.across, may_queue: false };
+    let mut last = first;
     for next in ahead.take_while(|one| !one.waits && !one.moves()) {
         if next.from_s - stretch.to_s > TOO_SHORT {
             break;
         }
+        let is_close = next.from_s - last.to_s <= QUEUE_GAP;
+        stretch.may_queue |= is_close && is_aligned(&lane.path, last) && is_aligned(&lane.path, next);
+        last = next;
         stretch.to_s = stretch.to_s.max(next.to_s);
         stretch.across = (stretch.across.0.min(next.across.0), stretch.across.1.max(next.across.1));
     }
@@ -131,10 +137,7 @@ fn waits(scene: &SceneView<'_>, path: &LanePath, one: &InStrip<'_>, ahead: &[InS
         let is_junction = scene.map[lane].is_connector() || scene.lights.status(lane).is_some();
         is_junction && within(start, JUNCTION)
     });
-    let behind_traffic = ahead.iter().any(|next| {
-        let is_queue = next.waits || (is_aligned(path, one) && is_aligned(path, next));
-        within(next.from_s, QUEUE_GAP) && is_queue
-    });
+    let behind_traffic = ahead.iter().any(|next| next.waits && within(next.from_s, QUEUE_GAP));
     let for_person = scene.objects.iter().filter(|object| object.kind.is_vulnerable()).any(|person| {
         let foot = path.centerline.project(person.shape.center.position());
         foot.lateral.abs() <= PERSON_ASIDE && within(foot.s, QUEUE_GAP)

@@ -240,6 +240,20 @@ fn the_oncoming_lane_is_named_only_where_it_leads_past_what_stands_for_good() {
 }
 
 #[test]
+fn what_stands_as_in_a_queue_blocks_the_lane_and_is_not_passed_against_traffic() {
+    use ObjectKind::Vehicle;
+    let pair = |turn: f64| {
+        sketch::straight(1, 1, 0, 8.0).put(Vehicle, 25.0, 0.0, turn, 0.0).put(Vehicle, 32.0, 0.0, turn, 0.0)
+    };
+    let (queue, crash) = (with_way(&pair(0.0)), with_way(&pair(0.6)));
+    let may_queue = |graph: &LaneGraph| graph.blocked.map(|blocked| blocked.may_queue);
+    assert_eq!((may_queue(&queue), may_queue(&crash)), (Some(true), Some(false)));
+    assert!(queue.oncoming.is_none() && crash.oncoming.is_some());
+    let behind_traffic = pair(0.0).put(Vehicle, 40.0, 0.0, 0.0, 3.0);
+    assert_eq!(with_way(&behind_traffic).blocked, None, "the first waits for one that moves");
+}
+
+#[test]
 fn the_way_over_the_oncoming_lane_leads_past_and_back() {
     let drawn = sketch::straight(1, 1, 0, 8.0).put(ObjectKind::Vehicle, 25.0, 0.0, 0.0, 0.0);
     let graph = with_way(&drawn);
