@@ -313,7 +313,7 @@ class Observation:
         Parameters
         ----------
         form
-            `paper`, in short English lines, or `compact`, as `nano` reads it.
+            `paper`, in short English lines, or `compact-2`, as `nano` reads it.
         """
         return self._native.lane_graph(form)
 

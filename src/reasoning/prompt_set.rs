@@ -1,4 +1,4 @@
-//! Prompt sets: folders of templates with a `set.toml`. Three of them are built in.
+//! Prompt sets: folders of templates with a `set.toml`. Four of them are built in.
 
 use super::error::PromptError;
 use super::prompt_source::{PromptFiles, PromptPlace};

@@ -39,7 +39,7 @@ choice! {
 }
 
 impl Question {
-    /// Number of questions of the first version, which come first: nano answers these.
+    /// Number of questions of the first version, which come first: those of the prompt set `compact`.
     const FIRST: usize = 15;
 
     /// The questions of the first version.

@@ -50,7 +50,7 @@ choice! {
         Brief = "brief",
         /// Few words at fixed places, for a small model of our own.
         Compact = "compact",
-        /// The same with an estimate of an unknown limit.
+        /// The same with an estimate of an unknown limit, and with the oncoming lane.
         Compact2 = "compact-2",
     }
 }
