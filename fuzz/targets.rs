@@ -97,7 +97,14 @@ fn prompts(bytes: &[u8]) {
     for &round in Round::ALL {
         let _ = round_prompt(&set, round, &Names::default(), Some("speed 9"), Some("again"));
     }
-    let feedback = Feedback { code: None, score: Some(0.5), threshold: 0.75, parts: Vec::new(), errors: Vec::new() };
+    let feedback = Feedback {
+        code: None,
+        score: Some(0.5),
+        threshold: 0.75,
+        parts: Vec::new(),
+        is_slow: false,
+        errors: Vec::new(),
+    };
     let _ = feedback_text(&set, &feedback);
 }
 
