@@ -21,7 +21,13 @@ if DEVKIT is not None:
     sys.path[:0] = [DEVKIT, str(Path(__file__).parents[2] / "tests" / "devkit")]
 
 #: Simulations in which the two programs part: scene, planner, challenge. Reactive agents differ by millimeters (docs/devkit.md).
-PARTED = [("changing_lane", "plan-agent", "reactive"), ("changing_lane", "pdm-closed", "reactive")]
+PARTED = [
+    ("changing_lane", "plan-agent", "reactive"),
+    ("changing_lane", "pdm-closed", "reactive"),
+    ("starting_left_turn", "idm", "reactive"),
+    ("starting_left_turn", "pdm-closed", "reactive"),
+    ("starting_left_turn", "plan-agent", "reactive"),
+]
 
 SCENES = [
     "generated/changing_lane/3",
