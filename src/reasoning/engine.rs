@@ -152,8 +152,6 @@ pub struct Reasoning<'a> {
     attempts: usize,
     /// The codes of the earlier attempts, which were all refused.
     refused: Refused,
-    /// The code of the last attempt.
-    last: Option<PlannerCode>,
 }
 
 impl<'a> Reasoning<'a> {
@@ -180,7 +178,6 @@ impl<'a> Reasoning<'a> {
             history,
             attempts: 0,
             refused: Refused::default(),
-            last: None,
         })
     }
 
@@ -191,9 +188,9 @@ impl<'a> Reasoning<'a> {
     pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace<PlannerCode>, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;
-        if feedback.is_some_and(|feedback| feedback.is_slow) {
-            self.refused.slow.extend(self.last);
-        }
+        // Of several proposals the feedback is on the best, which need not be the likeliest.
+        let slow = feedback.filter(|feedback| feedback.is_slow).and_then(|feedback| feedback.code.as_deref());
+        self.refused.slow.extend(slow.and_then(|code| parse(code, &self.scenario.names).answer));
         let mut feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
         let mut scene_text = self.scenario.text.as_deref();
         let mut rounds = Vec::with_capacity(self.settings.rounds.len());
@@ -226,7 +223,6 @@ impl<'a> Reasoning<'a> {
             .filter(|code| parsed.answer != Some(*code))
             .collect();
         self.refused.codes.extend(parsed.answer.iter().chain(&proposals));
-        self.last = parsed.answer;
         Ok(ReasoningTrace { rounds, interruption: None, instruction, parsed, proposals })
     }
 
