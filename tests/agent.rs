@@ -379,7 +379,11 @@ fn a_lane_change_that_scores_too_little_does_not_begin() {
         let path = &graph.centerline(name).unwrap().path;
         path.lane_at(path.centerline.project(free.ego.center().position()).s)
     };
-    let call = |lane_change_threshold| {
+    let left = &graph.centerline(CenterlineName::LeftLane).unwrap();
+    let goal = left.path.centerline.pose_at(left.ego_s + 60.0);
+    let route = Route { goal: Some(goal), goal_lane: Some(left.path.lane_at(left.ego_s + 60.0)), ..free.route.clone() };
+    let with_goal = SceneView { route: &route, ..free };
+    let call = |free: SceneView<'_>, lane_change_threshold| {
         let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"; 3];
         let code_source = code_source(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
         let settings = settings_with(|settings| {
@@ -396,9 +400,11 @@ fn a_lane_change_that_scores_too_little_does_not_begin() {
             call.aborted_lane_change,
         )
     };
-    assert_eq!(call(0.0), (lane(CenterlineName::LeftLane), 1, Decision::Execute(0), None));
+    let changed = (lane(CenterlineName::LeftLane), 1, Decision::Execute(0), None);
+    assert_eq!(call(free, 0.0), changed);
     // No plan scores 1.1: the code is executed in the ego's own lane.
-    assert_eq!(call(1.1), (lane(CenterlineName::EgoLane), 3, Decision::Exhausted(0), Some(0)));
+    assert_eq!(call(free, 1.1), (lane(CenterlineName::EgoLane), 3, Decision::Exhausted(0), Some(0)));
+    assert_eq!(call(with_goal, 1.1), changed, "the goal is in that lane");
 }
 
 #[test]

@@ -133,7 +133,7 @@ fn route(map: &LaneMap, named: Option<&[usize]>, ego: &[EgoState]) -> Outcome<Ro
     if roadblocks.is_empty() {
         return Err(Failure::new("ScenarioError", "the ego is on no lane; name the route's lanes"));
     }
-    Ok(Route { roadblocks, goal: ego.last().map(EgoState::center) })
+    Ok(Route { roadblocks, goal: ego.last().map(EgoState::center), goal_lane: None })
 }
 
 pub(crate) fn object((token, number, values): &ObjectRow) -> Outcome<TrackedObject> {

@@ -75,7 +75,7 @@ pub(crate) fn straight_road(stretches: &[Stretch], speed_limit: Option<f64>) -> 
 
 /// The route along a whole straight road.
 pub(crate) fn whole_route(map: &LaneMap) -> Route {
-    Route { roadblocks: map.roadblocks().iter().map(|block| block.id).collect(), goal: None }
+    Route { roadblocks: map.roadblocks().iter().map(|block| block.id).collect(), goal: None, goal_lane: None }
 }
 
 /// An ego whose rear axle is at x on the road.

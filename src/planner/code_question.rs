@@ -16,7 +16,7 @@ pub(super) struct CodeQuestion<'a> {
     pub(super) graph: &'a LaneGraph,
     pub(super) judge: Option<&'a Judge<'a>>,
     pub(super) state: &'a AgentState,
-    /// λ of plans that keep the lane, and of those that begin a lane change.
+    /// λ of plans that keep the lane or change to the goal's, and of those that begin another lane change.
     pub(super) thresholds: (f64, f64),
 }
 
@@ -32,7 +32,8 @@ impl Question for CodeQuestion<'_> {
         let Some(plan) = self.state.builder.build(self.scene, self.graph, code)? else { return Ok(None) };
         let (lane_kept, lane_changed) = self.thresholds;
         let changes_lane = begins_lane_change(&plan, self.scene, self.graph, self.state);
-        let threshold = if changes_lane { lane_kept.max(lane_changed) } else { lane_kept };
+        let is_towards_goal = self.graph.goal.is_some_and(|goal| goal.is_towards(code.centerline.lane_changes()));
+        let threshold = if changes_lane && !is_towards_goal { lane_kept.max(lane_changed) } else { lane_kept };
         let reflection = self.judge.map(|judge| judge.reflect(&plan, threshold)).transpose()?;
         Ok(Some(Trial { path: plan.path().vertex_poses(), plan, reflection, threshold }))
     }

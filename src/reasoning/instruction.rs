@@ -55,6 +55,8 @@ choice! {
         SlowLead = "slow_lead",
         /// The other lane is faster.
         FasterLane = "faster_lane",
+        /// The goal is in the other lane.
+        GoalLane = "goal_lane",
     }
 }
 

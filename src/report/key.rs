@@ -113,6 +113,10 @@ fn scene(estimates: bool) -> Vec<(String, String)> {
                        its end, then meters and m/s of the next oncoming vehicle (`- -` without one)";
         row("`oncoming 12 17 46 8`", meaning)
     });
+    let goal = estimates.then(|| {
+        let meaning = "the goal: its side, lane changes to its lane, and meters along the lane; `goal ego 0 60` in the ego's lane";
+        row("`goal left 2 60`", meaning)
+    });
     let mut rows = vec![
         row("`speed 7`", format!("speed of the ego, m/s; all numbers are whole and at most {MAX_NUMBER}")),
         row("`limit 11`", "speed limit, m/s; `-` where it is unknown"),
@@ -140,6 +144,7 @@ fn scene(estimates: bool) -> Vec<(String, String)> {
     ];
     rows.extend(estimate);
     rows.extend(way);
+    rows.extend(goal);
     rows
 }
 
@@ -199,7 +204,8 @@ fn instruction() -> Vec<(String, String)> {
         row(
             "`why=` before it",
             format!(
-                "its reason: {} (the lane follows the route, is blocked, has a slow lead agent, or the other lane is faster)",
+                "its reason: {} (the lane follows the route, is blocked, has a slow lead agent, or the other lane is faster or the \
+                 goal's)",
                 words(LateralReason::TEXTS)
             ),
         ),

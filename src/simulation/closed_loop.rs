@@ -76,7 +76,8 @@ impl<'a> ClosedLoop<'a> {
         self.iteration + 1 >= self.scenario.iterations() || (self.iteration >= MIN_ITERATIONS && self.is_at_goal())
     }
 
-    fn is_at_goal(&self) -> bool {
+    /// Whether the ego has reached the goal of a modified scenario.
+    pub fn is_at_goal(&self) -> bool {
         let goal = self.scenario.interaction.as_ref().and_then(|added| added.goal.as_ref());
         goal.is_some_and(|goal| goal.is_reached(self.present.ego.center().position()))
     }

@@ -270,7 +270,7 @@ impl SceneBuilder {
         let objects: Arc<[TrackedObject]> = self.objects.into();
         let mut history = History::default();
         history.push(HistorySample { ego, objects: Arc::clone(&objects) });
-        let route = Route { roadblocks, goal: None };
+        let route = Route { roadblocks, goal: None, goal_lane: None };
         Ok(Scene { map, route, ego, objects, lights, history })
     }
 }

@@ -1,7 +1,9 @@
 //! Reads the compact text.
 
 use super::environment::lane_graph::{AgentName, Heading, NodePlace};
-use super::environment::text::{AgentDescription, Description, LightDescription, NodeDescription, OncomingDescription};
+use super::environment::text::{
+    AgentDescription, Description, GoalDescription, LightDescription, NodeDescription, OncomingDescription,
+};
 use super::lexer::{Failed, Reader, TextError};
 use super::paper::status;
 
@@ -46,7 +48,20 @@ fn read(reader: &mut Reader<'_>, estimates: bool) -> Result<Description, Failed>
     reader.expect(&["rest"])?;
     let rest = reader.number("the number of other agents")?;
     let oncoming = if estimates && reader.accept("oncoming") { Some(read_oncoming(reader)?) } else { None };
-    Ok(Description { speed, limit, limit_estimate, lights: [light, None, None], turn, nodes, rest, oncoming })
+    let goal = if estimates && reader.accept("goal") { Some(read_goal(reader)?) } else { None };
+    Ok(Description { speed, limit, limit_estimate, lights: [light, None, None], turn, nodes, rest, oncoming, goal })
+}
+
+fn read_goal(reader: &mut Reader<'_>) -> Result<GoalDescription, Failed> {
+    let side: NodePlace = reader.take("the side of the goal")?;
+    let changes = reader.number("the lane changes to the goal")? as i8;
+    let changes = match side {
+        NodePlace::Left if changes > 0 => changes,
+        NodePlace::Right if changes > 0 => -changes,
+        NodePlace::Ego if changes == 0 => 0,
+        _ => return reader.fail("the side of the goal contradicts its lane changes"),
+    };
+    Ok(GoalDescription { changes, distance: reader.number("the distance to the goal")?.into() })
 }
 
 fn read_oncoming(reader: &mut Reader<'_>) -> Result<OncomingDescription, Failed> {

@@ -1,7 +1,9 @@
 //! Reads the readable text.
 
 use super::environment::lane_graph::{AgentName, CenterlineName, Heading, NodePlace};
-use super::environment::text::{AgentDescription, Description, LightDescription, NodeDescription, OncomingDescription};
+use super::environment::text::{
+    AgentDescription, Description, GoalDescription, LightDescription, NodeDescription, OncomingDescription,
+};
 use super::lexer::{Failed, Reader, TextError};
 use super::world::SignalStatus;
 
@@ -62,8 +64,31 @@ fn ego_line(reader: &mut Reader<'_>) -> Result<Description, Failed> {
         0
     };
     reader.expect(&["."])?;
+    let goal = if reader.accept("Goal") { Some(read_goal(reader)?) } else { None };
     let (nodes, lights) = (Nodes::default(), [own, None, None]);
-    Ok(Description { speed, limit, limit_estimate, lights, turn, nodes, rest, oncoming: None })
+    Ok(Description { speed, limit, limit_estimate, lights, turn, nodes, rest, oncoming: None, goal })
+}
+
+/// The way to the goal's lane, behind its name.
+fn read_goal(reader: &mut Reader<'_>) -> Result<GoalDescription, Failed> {
+    reader.expect(&[":"])?;
+    let changes = if reader.accept("this") {
+        reader.expect(&["lane"])?;
+        0
+    } else {
+        let changes: i8 = reader.take("the lane changes to the goal")?;
+        reader.expect(&[if changes == 1 { "lane" } else { "lanes" }, "to", "the"])?;
+        if reader.accept("left") {
+            changes
+        } else {
+            reader.expect(&["right"])?;
+            -changes
+        }
+    };
+    reader.expect(&[",", "in"])?;
+    let distance = reader.take("the distance to the goal")?;
+    reader.expect(&["m", "."])?;
+    Ok(GoalDescription { changes, distance })
 }
 
 /// The way over the oncoming lane, behind its name.

@@ -2,8 +2,8 @@
 
 use super::lane_relation::{LaneRelation, Window};
 use super::{
-    AgentClass, AgentName, Centerline, CenterlineName, Connection, GraphAgent, LaneGraph, LaneGraphError, LaneNode,
-    MAX_NODE_LENGTH, MIN_NODE_LENGTH, NodePlace, OFF_ROAD_REACH,
+    AgentClass, AgentName, Centerline, CenterlineName, Connection, GoalLane, GraphAgent, LaneGraph, LaneGraphError,
+    LaneNode, MAX_NODE_LENGTH, MIN_NODE_LENGTH, NodePlace, OFF_ROAD_REACH,
 };
 use crate::geometry::wrap_angle;
 use crate::world::{LaneId, LaneMap, PACIFICA, SceneView, TrackedObject};
@@ -38,7 +38,8 @@ pub(super) fn build(scene: &SceneView<'_>, node_length: f64) -> Result<LaneGraph
     let ego_speed = scene.ego.speed();
     let limit_estimate = super::limit::estimate(scene.map, &centerlines[0], ego_speed, &agents);
     let blocked = super::standing::blocked_stretch(scene, &centerlines[0]);
-    Ok(LaneGraph { node_length, ego_speed, nodes, centerlines, agents, limit_estimate, blocked, oncoming: None })
+    let goal = GoalLane::find(scene, &centerlines[0]);
+    Ok(LaneGraph { node_length, ego_speed, nodes, centerlines, agents, limit_estimate, blocked, oncoming: None, goal })
 }
 
 /// The best-fitting lane of the route under the ego, else the best-fitting lane of the map.

@@ -34,6 +34,17 @@ choice! {
     }
 }
 
+impl CenterlineName {
+    /// Lane changes to it, positive to the left; 0 for the ego's lane, and for the oncoming one, from which the way leads back.
+    pub fn lane_changes(self) -> i32 {
+        match self {
+            Self::LeftLane => 1,
+            Self::RightLane => -1,
+            Self::EgoLane | Self::OncomingLane => 0,
+        }
+    }
+}
+
 choice! {
     /// Which way the path goes at the next intersection.
     pub enum Turn {

@@ -21,6 +21,7 @@
 mod agent;
 mod build;
 mod centerline;
+mod goal;
 mod lane_relation;
 mod limit;
 mod oncoming;
@@ -28,6 +29,7 @@ mod standing;
 
 pub use agent::{AgentClass, AgentName, GraphAgent, Heading, UnknownAgent};
 pub use centerline::{Centerline, CenterlineName, LIGHT_REACH, LightAhead, Turn};
+pub use goal::{GOAL_REACH, GoalLane};
 pub use lane_relation::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
 pub(in crate::environment) use lane_relation::{LaneRelation, Window};
 pub use oncoming::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
@@ -149,6 +151,8 @@ pub struct LaneGraph {
     pub blocked: Option<BlockedStretch>,
     /// The way past what blocks the ego's lane, where it was asked for and there is one ([`Self::with_oncoming_lane`]).
     pub oncoming: Option<OncomingLane>,
+    /// The way to the goal's lane, where the route has a goal to reach.
+    pub goal: Option<GoalLane>,
 }
 
 impl LaneGraph {

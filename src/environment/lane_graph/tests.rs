@@ -2,7 +2,7 @@ use super::*;
 use crate::environment::sketch::{self, Drawn};
 use crate::geometry::Vector;
 use crate::world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
-use crate::world::{EgoState, ObjectKind, SignalStatus};
+use crate::world::{EgoState, ObjectKind, RoadblockId, Route, SignalStatus};
 use proptest::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -279,4 +279,28 @@ fn an_ego_on_the_oncoming_lane_belongs_to_the_lane_that_it_left() {
     assert!(graph.oncoming.is_some(), "the ego is still beside what it passes");
     let followed = drawn.put(ObjectKind::Vehicle, -12.0, -3.2, 0.0, 5.0);
     assert!(with_way(&followed).oncoming.is_some(), "who follows in the lane that it left does not block it");
+}
+
+/// A road with three lanes and the ego on the middle one, with a goal so many lanes to the left and meters ahead.
+fn with_goal(to_the_left: i32, ahead: f64) -> Drawn {
+    let mut drawn = sketch::straight(3, 0, 1, 10.0);
+    let goal = drawn.ego.center().translated(ahead, f64::from(to_the_left) * sketch::WIDTH);
+    let blocks: Vec<RoadblockId> = drawn.map.roadblocks().iter().map(|block| block.id).collect();
+    drawn.route.goal_lane = Route::lane_of_goal(&drawn.map, &blocks, goal);
+    drawn.route.goal = Some(goal);
+    drawn
+}
+
+#[test]
+fn the_goal_is_counted_in_lane_changes_from_the_ego() {
+    let goal = |drawn: Drawn| graph(&drawn).goal;
+    assert_eq!(goal(sketch::straight(3, 0, 1, 10.0)), None, "the route has none");
+    for changes in [-1, 0, 1] {
+        let found = goal(with_goal(changes, 80.0)).unwrap();
+        assert!(found.changes == changes && (found.distance - 80.0).abs() < 0.1, "{found:?}");
+    }
+    assert_eq!(goal(with_goal(1, -5.0)), None, "it lies behind");
+    let mut recorded = with_goal(1, 80.0);
+    recorded.route.goal_lane = None;
+    assert_eq!(goal(recorded), None, "the end of a recording is no task");
 }

@@ -1,6 +1,6 @@
 //! The text for a small model: the same words at the same places for every scene.
 
-use super::description::{Description, NodeDescription, OncomingDescription};
+use super::description::{Description, GoalDescription, NodeDescription, OncomingDescription};
 use crate::environment::lane_graph::{Heading, NodePlace};
 
 /// Stands where there is nothing to say.
@@ -10,6 +10,8 @@ pub(super) const SPEED: &str = "speed";
 
 /// Before the way over the oncoming lane.
 const ONCOMING: &str = "oncoming";
+/// Before the way to the goal's lane.
+const GOAL: &str = "goal";
 /// Before a limit that the map does not know.
 const ABOUT: &str = "~";
 
@@ -35,13 +37,22 @@ fn write_reduced(reduced: &Description) -> String {
         let next = next.map_or_else(|| format!("{NOTHING} {NOTHING}"), |(gap, speed)| format!("{gap} {speed}"));
         format!(" {ONCOMING} {from} {to} {next}")
     });
+    let goal = reduced.goal.map(|GoalDescription { changes, distance }| {
+        let side = match changes {
+            1.. => NodePlace::Left,
+            0 => NodePlace::Ego,
+            _ => NodePlace::Right,
+        };
+        format!(" {GOAL} {side} {} {distance}", changes.unsigned_abs())
+    });
     format!(
-        "{SPEED} {} limit {limit} light {light} turn {} {} rest {}{}",
+        "{SPEED} {} limit {limit} light {light} turn {} {} rest {}{}{}",
         reduced.speed,
         reduced.turn,
         nodes.collect::<Vec<_>>().join(" "),
         reduced.rest,
-        oncoming.unwrap_or_default()
+        oncoming.unwrap_or_default(),
+        goal.unwrap_or_default()
     )
 }
 

@@ -46,6 +46,15 @@ pub struct OncomingDescription {
     pub next: Option<(u8, u8)>,
 }
 
+/// The way to the goal's lane.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GoalDescription {
+    /// Lane changes to it, positive to the left; 0 on it.
+    pub changes: i8,
+    /// Whole meters to the goal along the lane.
+    pub distance: u16,
+}
+
 /// The facts that scene text states.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Description {
@@ -65,6 +74,8 @@ pub struct Description {
     pub rest: u8,
     /// The way over the oncoming lane, where there is one.
     pub oncoming: Option<OncomingDescription>,
+    /// The way to the goal's lane, where there is a goal.
+    pub goal: Option<GoalDescription>,
 }
 
 impl Description {
@@ -94,6 +105,9 @@ impl Description {
                 let blocked = (whole(way.blocked.from_s - front), whole(way.blocked.to_s - front));
                 OncomingDescription { blocked, next: way.next.map(|(gap, speed)| (whole(gap), whole(speed))) }
             }),
+            goal: graph
+                .goal
+                .map(|goal| GoalDescription { changes: goal.changes as i8, distance: goal.distance.round() as u16 }),
         }
     }
 
@@ -121,10 +135,10 @@ impl Description {
     /// What the compact text says: the nearest agents, without the speed of one that does not move along the lane. It has
     /// neither what lies apart nor the lights of the lanes beside.
     pub fn reduced(&self) -> Self {
-        Self { limit_estimate: None, oncoming: None, ..self.reduced_with_estimate() }
+        Self { limit_estimate: None, oncoming: None, goal: None, ..self.reduced_with_estimate() }
     }
 
-    /// What the second compact text says: the same, and what an unknown limit may be.
+    /// What the second compact text says: the same, what an unknown limit may be, and the way to the goal's lane.
     pub fn reduced_with_estimate(&self) -> Self {
         let nearest = self.nearest();
         let nodes = nearest.nodes.map(|node| {
@@ -134,7 +148,9 @@ impl Description {
             });
             Some(NodeDescription { apart: false, agents: agents.collect() })
         });
-        Self { lights: [self.lights[0], None, None], nodes, rest: nearest.rest, ..*self }
+        let near = |goal: GoalDescription| GoalDescription { distance: goal.distance.min(MAX_NUMBER.into()), ..goal };
+        let goal = self.goal.map(near);
+        Self { lights: [self.lights[0], None, None], nodes, rest: nearest.rest, goal, ..*self }
     }
 }
 

@@ -16,6 +16,8 @@
 //!
 //! There is a fifth line where something that stands permanently blocks the ego's lane and the oncoming one leads past
 //! it: `oncoming_lane: past 12 m to 17 m; next vehicle 46 m 8 m/s.` or `oncoming_lane: past 12 m to 17 m; free.`
+//! Where the route has a goal to reach, the first line ends with it: `Goal: 2 lanes to the left, in 180 m.` or
+//! `Goal: this lane, in 180 m.`
 //!
 //! `limit unknown, about 13 m/s`: the map has none; the number is an estimate by lanes and traffic. `free`: nobody is on the
 //! node. `none`: there is no such node. `(apart)` before what is on it: its lane goes another way there. `crossing` or `oncoming`
@@ -28,7 +30,8 @@
 //! distance to its stop line (`none -`), and the turn of the route. For each of the nine nodes follow its name, the nearest agent
 //! on it, its distance and its speed (or `crossing`, `oncoming`); or `free - -`, or `none - -`. The line ends with the number of
 //! agents left out. The second version writes `~11` where the limit is unknown and may be 11 m/s. It ends in
-//! `oncoming 12 17 46 8` where the oncoming lane leads past what blocks the ego's. So at most the nearest on the ego's node and
+//! `oncoming 12 17 46 8` where the oncoming lane leads past what blocks the ego's, and in `goal left 2 60` where the goal is 2 lanes
+//! to the left (`goal ego 0 60` in this lane). So at most the nearest on the ego's node and
 //! the nearest on the one ahead are named in the ego's lane.
 
 mod compact;
@@ -36,7 +39,7 @@ mod description;
 mod paper;
 
 pub use description::{
-    AgentDescription, Description, LightDescription, MAX_NUMBER, NodeDescription, OncomingDescription,
+    AgentDescription, Description, GoalDescription, LightDescription, MAX_NUMBER, NodeDescription, OncomingDescription,
 };
 
 use super::choice::choice;
@@ -50,7 +53,7 @@ choice! {
         Brief = "brief",
         /// Few words at fixed places, for a small model of our own.
         Compact = "compact",
-        /// The same with an estimate of an unknown limit, and with the oncoming lane.
+        /// The same with an estimate of an unknown limit, the oncoming lane, and the goal's.
         Compact2 = "compact-2",
     }
 }

@@ -1,6 +1,8 @@
 //! The readable text for general models.
 
-use super::description::{AgentDescription, Description, LightDescription, NodeDescription, OncomingDescription};
+use super::description::{
+    AgentDescription, Description, GoalDescription, LightDescription, NodeDescription, OncomingDescription,
+};
 use crate::environment::lane_graph::{CenterlineName, Heading, NodePlace};
 
 pub(super) fn write(description: &Description) -> String {
@@ -11,9 +13,29 @@ pub(super) fn write(description: &Description) -> String {
     };
     let light = description.light(CenterlineName::EgoLane).map_or_else(|| "light none".to_owned(), light_words);
     let rest = if description.rest > 0 { format!(", {} more", description.rest) } else { String::new() };
-    let ego = format!("Ego: {} m/s, {limit}, route {}, {light}{rest}.", description.speed, description.turn);
+    let ego = format!(
+        "Ego: {} m/s, {limit}, route {}, {light}{rest}.{}",
+        description.speed,
+        description.turn,
+        goal(description)
+    );
     let lanes = CenterlineName::ALL.iter().filter_map(|&centerline| lane(description, centerline));
     std::iter::once(ego).chain(lanes).collect::<Vec<_>>().join("\n")
+}
+
+/// ` Goal: 1 lane to the left, in 180 m.`, or nothing.
+fn goal(description: &Description) -> String {
+    let Some(GoalDescription { changes, distance }) = description.goal else { return String::new() };
+    let lanes = match changes.unsigned_abs() {
+        0 => "this lane".to_owned(),
+        1 => format!("1 lane to the {}", side(changes)),
+        lanes => format!("{lanes} lanes to the {}", side(changes)),
+    };
+    format!(" Goal: {lanes}, in {distance} m.")
+}
+
+fn side(changes: i8) -> &'static str {
+    if changes > 0 { "left" } else { "right" }
 }
 
 fn oncoming(OncomingDescription { blocked: (from, to), next }: OncomingDescription) -> String {

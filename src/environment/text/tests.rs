@@ -128,6 +128,23 @@ fn the_way_over_the_oncoming_lane_stands_in_the_texts_that_may_name_it() {
     }
 }
 
+#[test]
+fn the_goal_stands_in_the_texts_that_name_its_lane() {
+    let plain = described(&road());
+    for (changes, distance, readable, compact) in [
+        (2, 180, " Goal: 2 lanes to the left, in 180 m.", " goal left 2 60"),
+        (0, 35, " Goal: this lane, in 35 m.", " goal ego 0 35"),
+        (-1, 60, " Goal: 1 lane to the right, in 60 m.", " goal right 1 60"),
+    ] {
+        let with = Description { goal: Some(GoalDescription { changes, distance }), ..plain.clone() };
+        let first_line = write(&plain, TextForm::Paper).lines().next().unwrap().to_owned();
+        assert_eq!(write(&with, TextForm::Paper).lines().next(), Some(format!("{first_line}{readable}").as_str()));
+        assert_eq!(write(&with, TextForm::Compact), write(&plain, TextForm::Compact));
+        assert_eq!(write(&with, TextForm::Compact2), write(&plain, TextForm::Compact2) + compact);
+        assert_eq!(parse(&write(&with, TextForm::Paper), TextForm::Paper), Ok(with.clone()));
+    }
+}
+
 fn error_at(text: &str, set: TextForm) -> (usize, usize) {
     let errors = parse(text, set).unwrap_err();
     (errors[0].line, errors[0].column)
@@ -181,8 +198,10 @@ fn description() -> impl Strategy<Value = Description> {
     let blocked = (number.clone(), number.clone());
     let oncoming = (blocked, prop::option::of((number.clone(), number.clone())));
     let oncoming = prop::option::of(oncoming.prop_map(|(blocked, next)| OncomingDescription { blocked, next }));
-    (number.clone(), limit, lights, turn, nodes, number, oncoming).prop_map(
-        |(speed, limit, mut lights, turn, (ego, others), rest, oncoming)| {
+    let goal = (-8..=8i8, 0..=400u16).prop_map(|(changes, distance)| GoalDescription { changes, distance });
+    let goal = prop::option::of(goal);
+    (number.clone(), limit, lights, turn, nodes, number, oncoming, goal).prop_map(
+        |(speed, limit, mut lights, turn, (ego, others), rest, oncoming, goal)| {
             let mut nodes: [Option<NodeDescription>; 9] = std::array::from_fn(|_| None);
             // An estimate stands where there is no limit.
             let (limit, limit_estimate) = limit;
@@ -193,7 +212,7 @@ fn description() -> impl Strategy<Value = Description> {
                     *light = None;
                 }
             }
-            Description { speed, limit, limit_estimate, lights, turn, nodes, rest, oncoming }
+            Description { speed, limit, limit_estimate, lights, turn, nodes, rest, oncoming, goal }
         },
     )
 }
@@ -226,7 +245,7 @@ proptest! {
     #[test]
     fn the_second_compact_text_adds_the_estimate(description in description()) {
         let (first, second) = (write(&description, TextForm::Compact), write(&description, TextForm::Compact2));
-        let more = if description.oncoming.is_some() { 5 } else { 0 };
+        let more = 5 * usize::from(description.oncoming.is_some()) + 4 * usize::from(description.goal.is_some());
         prop_assert_eq!(second.split_whitespace().count(), COMPACT_WORDS + more);
         let back = parse(&second, TextForm::Compact2);
         prop_assert_eq!(back, Ok(description.reduced_with_estimate()));

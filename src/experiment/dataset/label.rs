@@ -191,6 +191,9 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f
     let why_lateral = match lateral {
         Lateral::Keep => LateralReason::LaneServes,
         _ if facts.blocked != Ahead::None => LateralReason::Blocked,
+        _ if graph.goal.is_some_and(|goal| goal.is_towards(best.code.centerline.lane_changes())) => {
+            LateralReason::GoalLane
+        }
         _ if graph.lead_agent(CenterlineName::EgoLane).is_some() => LateralReason::SlowLead,
         _ => LateralReason::FasterLane,
     };

@@ -50,6 +50,10 @@ const REJECTED_COST: f64 = 0.05;
 /// validation scenarios with reactive agents it was by -0.5 to +0.2 of 100, depending on the weights, in few scenarios.
 const REFINEMENT_COST: f64 = 0.5;
 
+/// What each lane change costs that is left to the goal's lane after the horizon. `lane_changes_to_goal` has a fifth of the weight of a
+/// modified scene's score.
+const GOAL_COST: f64 = 0.2;
+
 /// A simulated planner.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Candidate {
@@ -170,7 +174,7 @@ impl Present<'_> {
         let score = metrics::evaluate(MetricList::ClosedLoop, &judged).ok()?.score.value;
         let driven: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
         let distance = driven + samples.last()?.ego.speed() * TERMINAL_S;
-        let possible = self.limit.max(1.0) * (self.horizon as f64 * STEP_S + TERMINAL_S);
+        let possible = self.limit.max(1.0) * (samples.len() as f64 * STEP_S + TERMINAL_S);
         let unusual = (planner.code.accel_max, planner.code.decel_max) != DEFAULT_ACCELERATIONS;
         let changes = planner.code.centerline != CenterlineName::EgoLane;
         let slow = planner.code.target_speed < NEAR_LIMIT * self.limit;
@@ -179,9 +183,17 @@ impl Present<'_> {
             - cost(changes, LANE_CHANGE_COST)
             - cost(slow, SLOW_COST)
             - cost(unusual, REFINEMENT_COST)
+            - GOAL_COST * f64::from(self.changes_left(&future, planner.code.centerline))
             - cost(reflection.verdict == Verdict::Rethink, if changes { REJECTED_CHANGE_COST } else { REJECTED_COST });
         let speed_later = samples.get(30).or(samples.last())?.ego.speed();
         Some(Candidate { code: planner.code, score, value, speed_later, reflection })
+    }
+
+    /// Lane changes to the goal's lane that a code leaves: those of its last state, else, behind the goal, those that it does not make.
+    fn changes_left(&self, future: &ClosedLoop<'_>, centerline: CenterlineName) -> u32 {
+        let Some(goal) = self.graph.goal else { return 0 };
+        let last = LaneGraph::build(&future.scene(), self.graph.node_length).ok().and_then(|graph| graph.goal);
+        last.map_or_else(|| goal.left_after(centerline.lane_changes()), |last| last.left_after(0))
     }
 }
 
@@ -191,8 +203,8 @@ pub fn planner(simulation: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode
     builder.build(&simulation.scene(), graph, code).ok().flatten()
 }
 
-/// Simulates a monitored plan for some iterations. The samples begin with the present. `None` if the simulation ends or fails
-/// before.
+/// Simulates a monitored plan for some iterations, or to the goal at which the scene ends. The samples begin with the present. `None` if
+/// the recording ends or the simulation fails before.
 pub fn follow(
     simulation: &mut ClosedLoop<'_>,
     planner: &IdmPlan,
@@ -204,7 +216,7 @@ pub fn follow(
     let mut trajectory = None;
     for i in 0..iterations {
         if simulation.is_over() {
-            return None;
+            return simulation.is_at_goal().then_some(samples);
         }
         if i % REPLAN == 0 {
             let scene = simulation.scene();

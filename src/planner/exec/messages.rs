@@ -117,6 +117,8 @@ pub struct ExecRoute {
     pub lanes: Vec<u32>,
     /// nuPlan's mission goal (x, y, heading); null where it is not known.
     pub goal: Option<[f64; 3]>,
+    /// The lane that holds the goal, where the goal is a task: of a modified scenario or a nuPlan log; else null.
+    pub goal_lane: Option<u32>,
 }
 
 /// An iteration.
@@ -253,6 +255,7 @@ impl ExecInitialization {
             roadblocks: route.roadblocks.iter().map(|id| id.0).collect(),
             lanes: route.lanes(map).into_iter().map(|id| id.0).collect(),
             goal: route.goal.map(|Pose { x, y, heading }| [x, y, heading]),
+            goal_lane: route.goal_lane.map(|id| id.0),
         };
         Self { version: VERSION, step_s: STEP_S, vehicle, map: ExecMap::of(map), route }
     }

@@ -127,7 +127,7 @@ mod tests {
         let lanes: Vec<Lane> = lanes.collect();
         let roadblocks = straight.roadblocks().to_vec();
         let map = LaneMap::new(MapParts { lanes, roadblocks, ..MapParts::default() }).unwrap();
-        let route = Route { roadblocks: [0, 1, 3, 5].map(RoadblockId).to_vec(), goal: None };
+        let route = Route { roadblocks: [0, 1, 3, 5].map(RoadblockId).to_vec(), goal: None, goal_lane: None };
         assert_eq!(road(map, route).route_plan(LaneId(0)), ids(&[0, 2, 3, 5]));
     }
 }

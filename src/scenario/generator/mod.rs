@@ -135,7 +135,7 @@ fn draw(spec: &Spec, rng: &mut SeededRng) -> Result<Scenario, Discard> {
         scenario_type: kind.name.to_owned(),
         log_name: spec.log_name(),
         map: Arc::new(map),
-        route: Route { roadblocks: roads.route(), goal },
+        route: Route { roadblocks: roads.route(), goal, goal_lane: None },
         frames: log.frames,
         start: PAST,
         future,

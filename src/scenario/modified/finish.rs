@@ -187,6 +187,7 @@ fn route(scenario: &Scenario, goal: &GoalPath) -> Route {
     let recorded = &scenario.route;
     let is_on = goal.roadblocks.iter().all(|block| recorded.contains(*block));
     let roadblocks = if is_on { recorded.roadblocks.clone() } else { goal.roadblocks.clone() };
-    let center = goal.path.centerline.pose_at(goal.from_s + goal.length);
-    Route { roadblocks, goal: Some(PACIFICA.rear_axle_of(center)) }
+    let at_s = goal.from_s + goal.length;
+    let center = goal.path.centerline.pose_at(at_s);
+    Route { roadblocks, goal: Some(PACIFICA.rear_axle_of(center)), goal_lane: Some(goal.path.lane_at(at_s)) }
 }

@@ -75,7 +75,11 @@ impl Recording {
         let times_us: Vec<i64> = self.egos.iter().map(|ego| ego.time_us).collect();
         let window = window(&times_us);
         let centers: Vec<Pose> = self.egos.iter().skip(window.start).map(EgoState::center).collect();
-        let route = Route { roadblocks: route(&self.map, &centers), goal: self.egos.last().map(|ego| ego.rear_axle) };
+        let route = Route {
+            roadblocks: route(&self.map, &centers),
+            goal: self.egos.last().map(|ego| ego.rear_axle),
+            goal_lane: None,
+        };
         let future = self.egos.iter().copied().skip(window.end).take(FUTURE_FRAMES).collect();
         let lights = self.lights.into_iter().chain(std::iter::repeat(Arc::default()));
         let frames = self.egos.into_iter().zip(self.objects).zip(lights).take(window.end);

@@ -19,6 +19,10 @@ from .picture_questions import conversation
 TEXT_ONLY = frozenset({"light", "turn", "limit", "code.la", "code.v0"})
 #: Answers that the scene text tells, in part beside the picture.
 TEXT_TELLS = frozenset({"light", "turn", "limit", "ego_speed", "lead_distance", "lead_speed", "left_lane", "right_lane"})
+#: Answers that depend on the goal's lane, which stands in the text only.
+GOAL_TELLS = frozenset({"lat_why", "lat", "code.c"})
+#: The word before the goal's lane, in the byte-level alphabet.
+GOAL = "Ġgoal"
 #: The name of the lead agent in a code stands in the text only.
 LEAD = "code.la"
 #: A neighbor of which the text says nothing, and a place without an agent.
@@ -128,7 +132,7 @@ class Sampler:
             sample = replace(sample, contrast=differing(corpus, row, twin, "code." if self.twins == "code" else ""))
         which = rng.random()
         if which < shares.text_drop:
-            return without_text(corpus, weighted(corpus, sample, without=TEXT_ONLY))
+            return without_text(corpus, weighted(corpus, sample, without=TEXT_ONLY | self.goal_tells(row)))
         which -= shares.text_drop
         # A twin without its picture has no label.
         if which < shares.picture_drop and twin < 0:
@@ -138,6 +142,12 @@ class Sampler:
         if which < shares.picture_questions and twin < 0 and corpus.has_occupancy[row]:
             return self.question(row, rng)
         return self.changed(sample, rng)
+
+    def goal_tells(self, row: int) -> frozenset[str]:
+        """The answers of a state that the goal's lane in its text tells."""
+        start, end = self.corpus.scene[row]
+        goal = self.tokenizer.token_to_id(GOAL)
+        return GOAL_TELLS if goal is not None and goal in self.corpus.row(row)[start:end] else frozenset()
 
     def question(self, row: int, rng: np.random.Generator) -> Sample:
         """The picture alone, with questions on it; half of the pictures are turned."""

@@ -20,7 +20,7 @@ from .tokenizer import RARE, VOCABULARY, count
 AGENTS = {"vehicle": 20, "bicycle": 4, "pedestrian": 6, "obstacle": 12}
 #: Further words of the prompt sets `compact` and `compact-2`, and of codes, that a small dataset may lack.
 RARE_WORDS = (
-    "Ġ~", "Ġoncoming", "Ġcrossing", "Ġyellow", "Ġunread", "4+", "roundabout", "oncoming_lane", "change_left", "change_right",
+    "Ġ~", "Ġoncoming", "Ġcrossing", "Ġyellow", "Ġunread", "4+", "roundabout", "oncoming_lane", "Ġgoal", "goal_lane", "change_left", "change_right",
     "Ġcrossing_vehicle=", "Ġoncoming_vehicle=", "Ġperson_on_path=",
 )  # fmt: skip
 
