@@ -54,8 +54,8 @@ def arguments() -> argparse.ArgumentParser:
         command.add_argument("--rate", type=float)
         command.add_argument("--start", help="folder of a trained nano to go on from; its tokenizer and colours are kept")
         command.add_argument("--image-only", type=float, help="share of the budget without the scene text")
-        for name in STEPS:
-            command.add_argument(f"--{name.replace('_', '-')}", type=float, help=STEPS[name])
+        for step, meaning in STEPS.items():
+            command.add_argument(f"--{step.replace('_', '-')}", type=float, help=meaning)
         command.add_argument("--twin-over", choices=["answers", "code"], help="what the hinge between twins compares")
         command.add_argument("--template-weight", type=float)
         command.add_argument("--precision", choices=["float32", "bfloat16"])
