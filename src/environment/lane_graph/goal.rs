@@ -1,12 +1,13 @@
 //! The lane in which the route's goal lies, seen from the ego's.
 
 use super::Centerline;
-use crate::world::{LaneId, LaneMap, LanePath, RoadblockId, SceneView};
+use crate::geometry::Pose;
+use crate::world::{LaneId, LaneMap, LanePath, SceneView};
 
 /// A goal further ahead is not reported, meters: there is time to change lanes later.
 pub const GOAL_REACH: f64 = 400.0;
 /// Lane changes to one side after which the goal's lane is not looked for any more.
-const MAX_CHANGES: usize = 8;
+const MAX_CHANGES: i32 = 8;
 
 /// The way to the goal's lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,18 +19,22 @@ pub struct GoalLane {
 }
 
 impl GoalLane {
-    /// Seen from the ego's centerline. `None` where the route has no lane of a goal, the goal lies behind or beyond
-    /// [`GOAL_REACH`], or the ego's lane leads past its roadblock.
+    /// Seen from the ego's centerline. Where its lane leads past the goal's roadblock, the changes are at least those to the nearest
+    /// lane beside that leads there. `None` where the route has no lane of a goal, no lane beside leads there, or the goal lies
+    /// behind or beyond [`GOAL_REACH`].
     pub(super) fn find(scene: &SceneView<'_>, ego: &Centerline) -> Option<Self> {
-        let (map, goal_lane) = (scene.map, scene.route.goal_lane?);
-        let goal = scene.route.goal?.position();
+        let (goal_lane, goal) = (scene.route.goal_lane?, scene.route.goal?);
         let lane = ego.path.lane_at(ego.ego_s);
-        let from = ego.ego_s - ego.path.starts.get(ego.path.lanes.iter().position(|&on| on == lane)?)?;
-        let onward = LanePath::along(map, scene.route, lane, from + GOAL_REACH);
-        let block = map[goal_lane].roadblock;
-        let (beside, start) = in_roadblock(map, &onward, block)?;
-        let distance = start + map[beside].centerline.project(goal).s - from;
-        let changes = changes(map, beside, goal_lane)?;
+        let found = nearest_first().find_map(|first| {
+            let (entered, distance) = way_to_goal(scene, beside(scene.map, lane, first)?, goal_lane, goal)?;
+            Some((first, changes(scene.map, entered, goal_lane)?, distance))
+        });
+        let (first, then, distance) = found?;
+        let changes = match first {
+            0 => then,
+            1.. => first.max(first + then),
+            _ => first.min(first + then),
+        };
         (0.0..=GOAL_REACH).contains(&distance).then_some(Self { changes, distance })
     }
 
@@ -44,19 +49,30 @@ impl GoalLane {
     }
 }
 
-/// The first lane of a path in a roadblock, and where it begins on the path.
-fn in_roadblock(map: &LaneMap, path: &LanePath, block: RoadblockId) -> Option<(LaneId, f64)> {
+/// Where the way along a lane enters the goal's roadblock, and the meters from beside the ego to the goal. `None` where it does not.
+fn way_to_goal(scene: &SceneView<'_>, lane: LaneId, goal_lane: LaneId, goal: Pose) -> Option<(LaneId, f64)> {
+    let map = scene.map;
+    let from = map[lane].centerline.project(scene.ego.center().position()).s;
+    let path = LanePath::along(map, scene.route, lane, from + GOAL_REACH);
     let mut lanes = path.lanes.iter().copied().zip(path.starts.iter().copied());
-    lanes.find(|&(lane, _)| map[lane].roadblock == block)
+    let (entered, start) = lanes.find(|&(on, _)| map[on].roadblock == map[goal_lane].roadblock)?;
+    Some((entered, start + map[entered].centerline.project(goal.position()).s - from))
+}
+
+/// The lane so many changes beside another, positive to the left.
+fn beside(map: &LaneMap, from: LaneId, changes: i32) -> Option<LaneId> {
+    (0..changes.abs()).try_fold(from, |lane, _| {
+        let side = if changes > 0 { &map[lane].left } else { &map[lane].right };
+        side.last().map(|neighbor| neighbor.lane)
+    })
 }
 
 /// Changes from a lane to another beside it, positive to the left.
 fn changes(map: &LaneMap, from: LaneId, to: LaneId) -> Option<i32> {
-    let left = |lane: LaneId| map[lane].left.last().map(|neighbor| neighbor.lane);
-    let right = |lane: LaneId| map[lane].right.last().map(|neighbor| neighbor.lane);
-    let steps = |next: &dyn Fn(LaneId) -> Option<LaneId>| {
-        let row = std::iter::successors(Some(from), |&lane| next(lane)).take(MAX_CHANGES + 1);
-        row.zip(0..).find(|&(lane, _)| lane == to).map(|(_, steps)| steps)
-    };
-    steps(&left).or_else(|| steps(&right).map(|steps: i32| -steps))
+    nearest_first().find(|&count| beside(map, from, count) == Some(to))
+}
+
+/// Numbers of changes that are tried.
+fn nearest_first() -> impl Iterator<Item = i32> {
+    std::iter::once(0).chain((1..=MAX_CHANGES).flat_map(|count| [count, -count]))
 }

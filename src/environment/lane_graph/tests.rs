@@ -304,3 +304,23 @@ fn the_goal_is_counted_in_lane_changes_from_the_ego() {
     recorded.route.goal_lane = None;
     assert_eq!(goal(recorded), None, "the end of a recording is no task");
 }
+
+#[test]
+fn a_goal_beyond_the_ego_s_lane_is_counted_where_the_way_enters_its_roadblock() {
+    let (mut drawn, arms) = sketch::crossing(2, 0, 30.0, 7.0);
+    let (ahead, right) = (&arms.outbound[0], &arms.outbound[3]);
+    let mut found = |from: LaneId, to: LaneId, goal: LaneId| {
+        let route = [from, drawn.between(from, to), to];
+        drawn.route.roadblocks = route.iter().map(|&lane| drawn.map[lane].roadblock).collect();
+        drawn.route.goal = Some(drawn.map[goal].centerline.pose_at(20.0));
+        drawn.route.goal_lane = Some(goal);
+        graph(&drawn).goal.unwrap()
+    };
+    let [left_lane, right_lane] = [arms.inbound[0][0], arms.inbound[0][1]];
+    let own = found(left_lane, ahead[0], ahead[0]);
+    let beside = found(left_lane, ahead[0], ahead[1]);
+    let turn = found(right_lane, right[1], right[1]);
+    assert_eq!((own.changes, beside.changes), (0, -1));
+    assert!((own.distance - beside.distance).abs() < 1.0 && own.distance > 70.0, "{own:?} {beside:?}");
+    assert_eq!(turn.changes, -1, "only the lane to the right turns there");
+}
