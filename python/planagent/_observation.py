@@ -267,6 +267,11 @@ class Observation:
         """x, y and heading of the mission goal."""
         return self._native.goal()
 
+    @property
+    def goal_lane(self) -> int | None:
+        """Number of the lane that holds the goal, where the score asks for it: in a modified scenario with a goal."""
+        return self._native.goal_lane()
+
     def lanes(self, within_m: float | None = 100.0) -> list[Lane]:
         """The lanes near the ego.
 

@@ -146,6 +146,11 @@ impl Observation {
         self.scene.route.goal.map(|Pose { x, y, heading }| (x, y, heading))
     }
 
+    /// The lane of the goal, where the score asks for it.
+    fn goal_lane(&self) -> Option<u32> {
+        self.scene.route.goal_lane.map(|lane| lane.0)
+    }
+
     /// The picture that a model sees.
     fn image<'py>(&self, py: Python<'py>, pixels: u32, meters: f64) -> PyResult<Picture<'py>> {
         let image = quick(py, || {

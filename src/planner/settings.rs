@@ -67,8 +67,8 @@ pub struct ReflectionSettings {
     pub enabled: bool,
     /// λ: a plan that scores this becomes active (the paper: 0.75).
     pub threshold: f64,
-    /// λ of a plan that begins a lane change, where it is higher, unless the change leads towards the goal's lane. In 350 validation scenes, most lane changes that scored less
-    /// than 0.98 lowered the score of the simulation.
+    /// λ of a plan that begins a lane change, where it is higher. In 350 validation scenes, most lane changes that scored less
+    /// than 0.98 lowered the score of the simulation. A change towards the goal's lane needs λ alone.
     pub lane_change_threshold: f64,
     /// Maximum number of attempts of a planning call (the paper: 3).
     pub max_exec: usize,

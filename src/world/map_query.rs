@@ -139,6 +139,18 @@ impl LaneMap {
         self.best_fit(&near, pose)
     }
 
+    /// The lane so many lanes to the left of one (negative: to the right) beside a point, and the nearest pose on its centerline.
+    pub fn beside(&self, lane: LaneId, point: Point, lanes: i32) -> Option<(LaneId, Pose)> {
+        let (mut lane, mut at) = (lane, point);
+        for _ in 0..lanes.abs() {
+            let s = self[lane].centerline.project(at).s;
+            lane = if lanes > 0 { self[lane].left_at(s) } else { self[lane].right_at(s) }?;
+            at = self[lane].centerline.project(at).point;
+        }
+        let foot = self[lane].centerline.project(at);
+        Some((lane, Pose::at(foot.point, foot.heading)))
+    }
+
     /// Of several lanes the one that fits a pose best.
     pub fn best_fit(&self, lanes: &[LaneId], pose: Pose) -> Option<LaneId> {
         let misfit = |&id: &LaneId| misfit(&self[id], pose);

@@ -11,7 +11,7 @@ pub struct Route {
     pub roadblocks: Vec<RoadblockId>,
     /// nuPlan's mission goal: the end of the recording; `None` when unknown.
     pub goal: Option<Pose>,
-    /// The lane that holds the goal, where the goal is a task: of a modified scenario or a nuPlan log. A recording's end is none.
+    /// The lane that holds the goal, where the score asks for it: in a modified scenario with a goal.
     pub goal_lane: Option<LaneId>,
 }
 
@@ -19,13 +19,6 @@ impl Route {
     /// All lanes and connectors of the route's roadblocks.
     pub fn lanes(&self, map: &LaneMap) -> BTreeSet<LaneId> {
         self.roadblocks.iter().flat_map(|&block| map[block].lanes.iter().copied()).collect()
-    }
-
-    /// The lane at a goal: of those of these roadblocks that hold it, the one that fits its heading best.
-    pub fn lane_of_goal(map: &LaneMap, roadblocks: &[RoadblockId], goal: Pose) -> Option<LaneId> {
-        let holding = map.lanes_at(goal.position());
-        let on_route: Vec<LaneId> = holding.into_iter().filter(|&id| roadblocks.contains(&map[id].roadblock)).collect();
-        map.best_fit(&on_route, goal)
     }
 
     /// Whether a roadblock belongs to the route.

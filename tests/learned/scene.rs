@@ -42,7 +42,7 @@ pub(super) fn scene(name: &str) -> Scene {
     let lights: TrafficLights = list(&file["traffic_lights"]).iter().map(light).collect();
     let roadblocks = list(&file["route_roadblock_ids"]).iter().map(|id| RoadblockId(block_ids[text(id)])).collect();
     let mut scene = Scene::builder().map(map).ego_state(*egos.last().unwrap()).build().unwrap();
-    scene.route = Route { roadblocks, goal: None };
+    scene.route = Route { roadblocks, goal: None, goal_lane: None };
     scene.objects = Arc::clone(frames.last().unwrap());
     scene.lights = lights;
     scene.history = history;

@@ -57,7 +57,7 @@ impl Case {
         }
         let on_route = case["on_route"].as_array().unwrap().iter().map(|name| name.as_str().unwrap());
         let block = |name| RoadblockId(numbers.iter().find(|(known, _)| *known == name).unwrap().1.0);
-        let route = Route { roadblocks: on_route.map(block).collect(), goal: None };
+        let route = Route { roadblocks: on_route.map(block).collect(), goal: None, goal_lane: None };
         let map = town.build();
         let red = map.lanes().iter().filter(|lane| lane.is_connector()).map(|lane| (lane.id, SignalStatus::Red));
         let ego = &case["ego"];

@@ -88,5 +88,5 @@ pub(super) fn blocks(lanes: &[LaneId]) -> Vec<RoadblockId> {
 }
 
 pub(super) fn route(lanes: &[LaneId]) -> Route {
-    Route { roadblocks: blocks(lanes), goal: None }
+    Route { roadblocks: blocks(lanes), goal: None, goal_lane: None }
 }

@@ -40,7 +40,11 @@ fn drive(times: &[i64], speed: f64, future: usize) -> Scenario {
         id: "loop".into(),
         scenario_type: "unknown".into(),
         log_name: "test".into(),
-        route: Route { roadblocks: map.roadblocks().iter().map(|block| block.id).collect(), goal: None },
+        route: Route {
+            roadblocks: map.roadblocks().iter().map(|block| block.id).collect(),
+            goal: None,
+            goal_lane: None,
+        },
         map,
         frames: times.iter().enumerate().map(frame).collect(),
         start: PAST,

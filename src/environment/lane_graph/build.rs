@@ -38,12 +38,12 @@ pub(super) fn build(scene: &SceneView<'_>, node_length: f64) -> Result<LaneGraph
     let ego_speed = scene.ego.speed();
     let limit_estimate = super::limit::estimate(scene.map, &centerlines[0], ego_speed, &agents);
     let blocked = super::standing::blocked_stretch(scene, &centerlines[0]);
-    let goal = GoalLane::find(scene, &centerlines[0]);
+    let goal = GoalLane::from_lane(scene, lane).filter(GoalLane::is_ahead);
     Ok(LaneGraph { node_length, ego_speed, nodes, centerlines, agents, limit_estimate, blocked, oncoming: None, goal })
 }
 
 /// The best-fitting lane of the route under the ego, else the best-fitting lane of the map.
-fn ego_lane(scene: &SceneView<'_>) -> Option<LaneId> {
+pub(super) fn ego_lane(scene: &SceneView<'_>) -> Option<LaneId> {
     let (map, pose) = (scene.map, scene.ego.center());
     let turn = |lane: LaneId| wrap_angle(map[lane].centerline.project(pose.position()).heading - pose.heading).abs();
     let fits = |&lane: &LaneId| scene.route.contains(map[lane].roadblock) && turn(lane) <= ROUTE_LANE_TURN;

@@ -16,6 +16,8 @@
 //! [`KERB_MARGIN`] more). On several, it counts for the ego's lane if it blocks the path there, else for the nearest line.
 //! Only agents on one of the nine nodes are part of the graph.
 //!
+//! **Goal.** Where the score asks for the lane of a goal, the graph counts the lane changes to it.
+//!
 //! **Distances** are along the lane from bumper to bumper (0: side by side).
 
 mod agent;

@@ -2,7 +2,7 @@ use super::*;
 use crate::environment::sketch::{self, Drawn};
 use crate::geometry::Vector;
 use crate::world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
-use crate::world::{EgoState, ObjectKind, RoadblockId, Route, SignalStatus};
+use crate::world::{EgoState, ObjectKind, PACIFICA, SignalStatus};
 use proptest::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -285,9 +285,8 @@ fn an_ego_on_the_oncoming_lane_belongs_to_the_lane_that_it_left() {
 fn with_goal(to_the_left: i32, ahead: f64) -> Drawn {
     let mut drawn = sketch::straight(3, 0, 1, 10.0);
     let goal = drawn.ego.center().translated(ahead, f64::from(to_the_left) * sketch::WIDTH);
-    let blocks: Vec<RoadblockId> = drawn.map.roadblocks().iter().map(|block| block.id).collect();
-    drawn.route.goal_lane = Route::lane_of_goal(&drawn.map, &blocks, goal);
-    drawn.route.goal = Some(goal);
+    drawn.route.goal_lane = drawn.map.lanes_at(goal.position()).first().copied();
+    drawn.route.goal = Some(PACIFICA.rear_axle_of(goal));
     drawn
 }
 
@@ -303,6 +302,8 @@ fn the_goal_is_counted_in_lane_changes_from_the_ego() {
     let mut recorded = with_goal(1, 80.0);
     recorded.route.goal_lane = None;
     assert_eq!(goal(recorded), None, "the end of a recording is no task");
+    let [near, behind] = [0.5, -0.5].map(|ahead| GoalLane::of(&with_goal(-1, ahead).scene()).unwrap());
+    assert!(near.changes == -1 && behind.changes == -1 && behind.distance < 0.0, "{near:?} {behind:?}");
 }
 
 #[test]

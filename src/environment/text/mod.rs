@@ -16,7 +16,7 @@
 //!
 //! There is a fifth line where something that stands permanently blocks the ego's lane and the oncoming one leads past
 //! it: `oncoming_lane: past 12 m to 17 m; next vehicle 46 m 8 m/s.` or `oncoming_lane: past 12 m to 17 m; free.`
-//! Where the route has a goal to reach, the first line ends with it: `Goal: 2 lanes to the left, in 180 m.` or
+//! Where the score asks for a goal's lane, the first line ends with it: `Goal: 2 lanes to the left, in 180 m.` or
 //! `Goal: this lane, in 180 m.`
 //!
 //! `limit unknown, about 13 m/s`: the map has none; the number is an estimate by lanes and traffic. `free`: nobody is on the
@@ -30,8 +30,8 @@
 //! distance to its stop line (`none -`), and the turn of the route. For each of the nine nodes follow its name, the nearest agent
 //! on it, its distance and its speed (or `crossing`, `oncoming`); or `free - -`, or `none - -`. The line ends with the number of
 //! agents left out. The second version writes `~11` where the limit is unknown and may be 11 m/s. It ends in
-//! `oncoming 12 17 46 8` where the oncoming lane leads past what blocks the ego's, and in `goal left 2 60` where the goal is 2 lanes
-//! to the left (`goal ego 0 60` in this lane). So at most the nearest on the ego's node and
+//! `oncoming 12 17 46 8` where the oncoming lane leads past what blocks the ego's. Then comes `goal left 2 60` where the goal is 2
+//! lanes to the left, or `goal ego 0 60` where it is in this lane. So at most the nearest on the ego's node and
 //! the nearest on the one ahead are named in the ego's lane.
 
 mod compact;
@@ -62,6 +62,11 @@ impl TextForm {
     /// Whether it names the oncoming lane where that leads past what blocks the ego's. The first compact text is that of a trained
     /// model and stays as it is.
     pub fn names_oncoming_lane(self) -> bool {
+        self != Self::Compact
+    }
+
+    /// Whether it names the goal's lane.
+    pub fn names_goal(self) -> bool {
         self != Self::Compact
     }
 

@@ -1,6 +1,6 @@
 //! Privileged search: simulates many planners from a state. The best one is the label.
 
-use crate::environment::lane_graph::Centerline;
+use crate::environment::lane_graph::{Centerline, GoalLane};
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::metrics::{self, EvaluatedSimulation, MetricList};
 use crate::pdm::PdmMemory;
@@ -50,8 +50,8 @@ const REJECTED_COST: f64 = 0.05;
 /// validation scenarios with reactive agents it was by -0.5 to +0.2 of 100, depending on the weights, in few scenarios.
 const REFINEMENT_COST: f64 = 0.5;
 
-/// What each lane change costs that is left to the goal's lane after the horizon. `lane_changes_to_goal` has a fifth of the weight of a
-/// modified scene's score.
+/// What each lane change costs that is left to the goal's lane after the horizon: what a modified scene's score loses where one was
+/// needed and none was made.
 const GOAL_COST: f64 = 0.2;
 
 /// A simulated planner.
@@ -189,11 +189,12 @@ impl Present<'_> {
         Some(Candidate { code: planner.code, score, value, speed_later, reflection })
     }
 
-    /// Lane changes to the goal's lane that a code leaves: those of its last state, else, behind the goal, those that it does not make.
+    /// Lane changes to the goal's lane that a code leaves in its last state; where no lane there leads to the goal, those that it does
+    /// not make.
     fn changes_left(&self, future: &ClosedLoop<'_>, centerline: CenterlineName) -> u32 {
         let Some(goal) = self.graph.goal else { return 0 };
-        let last = LaneGraph::build(&future.scene(), self.graph.node_length).ok().and_then(|graph| graph.goal);
-        last.map_or_else(|| goal.left_after(centerline.lane_changes()), |last| last.left_after(0))
+        let last = GoalLane::of(&future.scene());
+        last.map_or_else(|| goal.left_after(centerline.lane_changes()), |last| last.changes.unsigned_abs())
     }
 }
 

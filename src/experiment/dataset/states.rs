@@ -39,8 +39,12 @@ pub(super) fn label_scenario(
     loop {
         let scene = simulation.scene();
         let Ok(mut graph) = LaneGraph::build(&scene, crate::environment::DEFAULT_NODE_LENGTH) else { break };
-        if settings.prompts.forms().scene_text.names_oncoming_lane() {
+        let form = settings.prompts.forms().scene_text;
+        if form.names_oncoming_lane() {
             graph = graph.with_oncoming_lane(&scene);
+        }
+        if !form.names_goal() {
+            graph.goal = None;
         }
         let tried = search::search(&simulation, &graph);
         let Some(best) = search::best(&tried) else { break };
@@ -100,6 +104,9 @@ pub(super) fn occupancy(
     let mut future = simulation.clone();
     let [soon, late] = LATER;
     let samples = search::follow(&mut future, &planner, &mut PdmMemory::default(), late)?;
+    if samples.len() < late {
+        return None;
+    }
     let grid = |objects: &_| OccupancyGrid::of(objects, view, center).to_string();
     Some([grid(&samples.first()?.objects), grid(&samples.get(soon)?.objects), grid(&future.present().objects)])
 }

@@ -117,7 +117,7 @@ pub struct ExecRoute {
     pub lanes: Vec<u32>,
     /// nuPlan's mission goal (x, y, heading); null where it is not known.
     pub goal: Option<[f64; 3]>,
-    /// The lane that holds the goal, where the goal is a task: of a modified scenario or a nuPlan log; else null.
+    /// The lane that holds the goal, where the score asks for it: in a modified scenario with a goal; else null.
     pub goal_lane: Option<u32>,
 }
 

@@ -159,14 +159,7 @@ impl EgoLanes {
 
 /// The lane that is `lanes` lanes to the left of one at a point.
 fn beside(map: &LaneMap, lane: LaneId, point: Point, lanes: i32) -> Option<OnLane> {
-    let (mut lane, mut at) = (lane, point);
-    for _ in 0..lanes.abs() {
-        let s = map[lane].centerline.project(at).s;
-        lane = if lanes > 0 { map[lane].left_at(s) } else { map[lane].right_at(s) }?;
-        at = map[lane].centerline.project(at).point;
-    }
-    let foot = map[lane].centerline.project(at);
-    Some(OnLane { lane, pose: Pose::at(foot.point, foot.heading) })
+    map.beside(lane, point, lanes).map(|(lane, pose)| OnLane { lane, pose })
 }
 
 /// A line of whole lanes, and the progress of a point on it. It reaches `reach` meters behind and ahead of the point, or to the

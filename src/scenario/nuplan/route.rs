@@ -35,9 +35,7 @@ pub(super) fn read(database: &Database, found: &LogScenario, map: &NuPlanMap) ->
         Some(pose) => database.first(EGO_POSE, "WHERE token = ?1", [pose], pose_of)?,
         None => None,
     };
-    let goal = goal.map(|goal| map.to_local(goal));
-    let goal_lane = goal.and_then(|goal| Route::lane_of_goal(&map.lanes, &roadblocks, goal));
-    Ok(Route { roadblocks, goal, goal_lane })
+    Ok(Route { roadblocks, goal: goal.map(|goal| map.to_local(goal)), goal_lane: None })
 }
 
 /// The ids in a text, split at single spaces as in the devkit.
