@@ -4,7 +4,7 @@ use super::dataset;
 use super::split::SplitError;
 use crate::files::word_of;
 use crate::scenario::generator::{Spec, types};
-use crate::scenario::modified::{ModifiedName, ReadModification};
+use crate::scenario::modified::{ModifiedName, ReadModification, to_intersection};
 use crate::scenario::{MissingTokens, RECORDINGS, ReaderError, Readers, ScenarioRef, Split};
 use crate::world::InteractionKind;
 use rayon::prelude::*;
@@ -20,8 +20,20 @@ pub const NAMES: [&str; 2] = [GENERATED, RECORDED];
 /// Scenarios of each kind in [`GENERATED`].
 pub const SCENARIOS: usize = 100;
 /// First test seed of [`GENERATED`]: those before belong to other suites. Each kind has a block of seeds of its own.
-const FIRST_SEED: u64 = 600;
-const SEEDS_OF_KIND: u64 = 100;
+const FIRST_SEED: u64 = 10_000;
+const SEEDS_OF_KIND: u64 = 300;
+/// Road before the next intersection that the maneuver of a kind takes, meters: a change of lanes, or the way past what stands. In
+/// [`RECORDED`] the road is what it is.
+const fn road_m(kind: InteractionKind) -> f64 {
+    use InteractionKind as Kind;
+    match kind {
+        Kind::LowTrafficDensity | Kind::MediumTrafficDensity | Kind::HighTrafficDensity => 60.0,
+        Kind::AvoidCrashedCars => 75.0,
+        Kind::ApproachingConstructionZone => 80.0,
+        Kind::OvertakeParkedVehicle | Kind::NudgeAroundParkedVehicle | Kind::JaywalkingPedestrian => 0.0,
+    }
+}
+
 /// Scenarios that are tried out at once; the order of the list does not depend on it.
 const BATCH: usize = 28;
 
@@ -31,7 +43,8 @@ const DATA: &str = "PLANAGENT_DATA";
 const GENERATED_LIST: &str = include_str!("../../suites/interactive-generated.txt");
 const RECORDED_LIST: &str = include_str!("../../suites/interactive-recorded.txt");
 const GENERATED_HEADER: &str = "\
-# interactive-generated: of each of the eight kinds the first 100 scenarios that its modification fits, seed by seed and type by type.
+# interactive-generated: of each of the eight kinds the first 100 scenarios that it fits, with room for its maneuver before the next
+# intersection, seed by seed and type by type.
 # Drawn before any was simulated, by: planagent scenarios interactive --seeds test
 ";
 const RECORDED_HEADER: &str = "\
@@ -92,7 +105,7 @@ pub fn draw_generated(seeds: dataset::Split, per_kind: usize) -> Result<Vec<Stri
         let candidates: Vec<Spec> = (first..first + SEEDS_OF_KIND).flat_map(of_seed).collect();
         let mut own = Vec::new();
         for batch in candidates.chunks(BATCH) {
-            let fits = |spec: &Spec| fitting(&modification, (*spec).into());
+            let fits = |spec: &Spec| fitting(&modification, (*spec).into(), road_m(kind));
             own.extend(batch.par_iter().filter_map(fits).collect::<Vec<_>>());
             if own.len() >= per_kind {
                 break;
@@ -118,7 +131,7 @@ pub fn draw_recorded(data: &Path, readers: &Readers) -> Result<Vec<String>, Read
     let mut all = Vec::new();
     for kind in InteractionKind::ALL {
         let modification = modification(kind)?;
-        let fits = |recording: &ScenarioRef| fitting(&modification, recording.clone());
+        let fits = |recording: &ScenarioRef| fitting(&modification, recording.clone(), 0.0);
         let own: Vec<String> = recordings.par_iter().filter_map(fits).collect();
         all.extend(own.into_iter().map(|word| word.strip_prefix(&prefix).unwrap_or(&word).to_owned()));
     }
@@ -129,10 +142,11 @@ fn modification(kind: InteractionKind) -> Result<ReadModification, ReaderError> 
     ModifiedName::of(kind).read().map_err(ReaderError::new)
 }
 
-/// The word of a scenario that a modification fits.
-fn fitting(modification: &ReadModification, base: ScenarioRef) -> Option<String> {
+/// The word of a scenario that a modification fits, with so much road before the next intersection.
+fn fitting(modification: &ReadModification, base: ScenarioRef, road_m: f64) -> Option<String> {
     let modified = modification.of(base);
-    modified.open().ok().map(|_| modified.to_string())
+    let opened = modified.open().ok()?;
+    to_intersection(&opened).is_none_or(|road| road >= road_m).then(|| modified.to_string())
 }
 
 /// The text of `suites/interactive-generated.txt`.

@@ -1,17 +1,15 @@
 //! Building the graph: the lane under the ego, the lanes beside it, the nodes, the agents, their names.
 
+use super::ego_lane::ego_lane;
 use super::lane_relation::{LaneRelation, Window};
 use super::{
     AgentClass, AgentName, Centerline, CenterlineName, Connection, GoalLane, GraphAgent, LaneGraph, LaneGraphError,
-    LaneNode, MAX_NODE_LENGTH, MIN_NODE_LENGTH, NodePlace, OFF_ROAD_REACH,
+    LaneNode, MAX_NODE_LENGTH, MIN_NODE_LENGTH, NodePlace,
 };
 use crate::geometry::wrap_angle;
 use crate::world::{LaneId, LaneMap, PACIFICA, SceneView, TrackedObject};
 use std::collections::BTreeMap;
-use std::f64::consts::{FRAC_PI_2, FRAC_PI_3};
 
-/// A route lane that turns away from the ego's heading by more than this does not hold the ego, radians.
-const ROUTE_LANE_TURN: f64 = FRAC_PI_3;
 /// Lines no further apart than this, meters, and no more turned than [`PARALLEL_TURN`] run side by side.
 const BESIDE: f64 = 5.5;
 /// See [`BESIDE`], radians (20 degrees).
@@ -40,23 +38,6 @@ pub(super) fn build(scene: &SceneView<'_>, node_length: f64) -> Result<LaneGraph
     let blocked = super::standing::blocked_stretch(scene, &centerlines[0]);
     let goal = GoalLane::from_lane(scene, lane).filter(GoalLane::is_ahead);
     Ok(LaneGraph { node_length, ego_speed, nodes, centerlines, agents, limit_estimate, blocked, oncoming: None, goal })
-}
-
-/// The best-fitting lane of the route under the ego, else the best-fitting lane of the map.
-pub(super) fn ego_lane(scene: &SceneView<'_>) -> Option<LaneId> {
-    let (map, pose) = (scene.map, scene.ego.center());
-    let turn = |lane: LaneId| wrap_angle(map[lane].centerline.project(pose.position()).heading - pose.heading).abs();
-    let fits = |&lane: &LaneId| scene.route.contains(map[lane].roadblock) && turn(lane) <= ROUTE_LANE_TURN;
-    let on_route: Vec<LaneId> = map.lanes_at(pose.position()).into_iter().filter(fits).collect();
-    let found = map.best_fit(&on_route, pose).or_else(|| map.lane_of(pose, OFF_ROAD_REACH))?;
-    if turn(found) <= FRAC_PI_2 {
-        return Some(found);
-    }
-    // An ego that passes something on a lane against traffic belongs to the lane that it left.
-    let near = map.lanes_near(pose.position(), OFF_ROAD_REACH).into_iter().filter(fits);
-    let left: Vec<LaneId> =
-        near.filter(|&lane| map[lane].polygon.distance_to(pose.position()) <= OFF_ROAD_REACH).collect();
-    map.best_fit(&left, pose).or(Some(found))
 }
 
 fn centerlines(scene: &SceneView<'_>, lane: LaneId, behind: f64) -> Vec<Centerline> {

@@ -1,6 +1,6 @@
 //! The lane in which the route's goal lies, seen from the ego's.
 
-use super::build::ego_lane;
+use super::ego_lane::ego_lane;
 use crate::geometry::Pose;
 use crate::world::{LaneId, LanePath, SceneView};
 

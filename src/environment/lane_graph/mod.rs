@@ -23,6 +23,7 @@
 mod agent;
 mod build;
 mod centerline;
+mod ego_lane;
 mod goal;
 mod lane_relation;
 mod limit;
@@ -31,6 +32,7 @@ mod standing;
 
 pub use agent::{AgentClass, AgentName, GraphAgent, Heading, UnknownAgent};
 pub use centerline::{Centerline, CenterlineName, LIGHT_REACH, LightAhead, Turn};
+pub use ego_lane::OFF_ROAD_REACH;
 pub use goal::{GOAL_REACH, GoalLane};
 pub use lane_relation::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
 pub(in crate::environment) use lane_relation::{LaneRelation, Window};
@@ -45,8 +47,6 @@ use crate::world::{LaneId, SceneView};
 const PULL_OUT: f64 = 10.0;
 /// Meters.
 pub const DEFAULT_NODE_LENGTH: f64 = 20.0;
-/// An ego this near to a lane counts as on it, meters.
-pub const OFF_ROAD_REACH: f64 = 3.0;
 
 choice! {
     /// Position of a node relative to the ego, in the order of the text.

@@ -1,7 +1,7 @@
 //! What stands on a lane permanently: a broken-down or crashed car, cones, a barrier. What waits does not stand
 //! permanently.
 
-use super::Centerline;
+use super::{Centerline, PULL_OUT};
 use crate::geometry::{Corridor, Point, wrap_angle};
 use crate::world::{LanePath, ObjectKind, PACIFICA, SceneView, TrackedObject};
 use std::collections::BTreeMap;
@@ -100,6 +100,14 @@ pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Optio
         last = next;
         stretch.to_s = stretch.to_s.max(next.to_s);
         stretch.across = (stretch.across.0.min(next.across.0), stretch.across.1.max(next.across.1));
+    }
+    // Before a taper: an ego that stopped between its first cone and the one that closes the lane could not leave the lane.
+    let narrows = |one: &&InStrip<'_>| one.from_s < first.from_s && one.to_s > rear && !one.waits && !one.moves();
+    for one in found.iter().filter(narrows).rev() {
+        if stretch.from_s - one.to_s <= PULL_OUT {
+            stretch.from_s = stretch.from_s.min(one.from_s);
+            stretch.across = (stretch.across.0.min(one.across.0), stretch.across.1.max(one.across.1));
+        }
     }
     Some(stretch)
 }

@@ -112,6 +112,14 @@ impl EgoLanes {
         ))
     }
 
+    /// From the ego's center along its path to the next lane connector, meters; 0 on one. `None` where the path has none.
+    pub(super) fn to_intersection(&self, map: &LaneMap) -> Option<f64> {
+        let ends = self.path.starts.iter().skip(1).copied().chain([self.path.centerline.length()]);
+        let mut lanes = self.path.lanes.iter().zip(&self.path.starts).zip(ends);
+        let ((_, &start), _) = lanes.find(|&((&lane, _), end)| map[lane].is_connector() && end > self.start_s)?;
+        Some((start - self.start_s).max(0.0))
+    }
+
     /// The place on a lane `ahead_m` ahead of the ego's center.
     pub(super) fn place(&self, map: &LaneMap, ahead_m: f64, lane: LanePlace) -> Result<OnLane, Fault> {
         let pose = self.ahead(ahead_m)?;

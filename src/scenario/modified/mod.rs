@@ -28,6 +28,14 @@ pub use word::{MARK, ModifiedName, ReadModification};
 use super::Scenario;
 use draft::Draft;
 use file::Modification;
+use lanes::EgoLanes;
+
+/// From the ego's center at the start along its lane to the next lane connector, meters; 0 on one. `None` where there is none, or
+/// the ego is on no lane.
+pub fn to_intersection(scenario: &Scenario) -> Option<f64> {
+    let ego = scenario.expert().next()?;
+    EgoLanes::of(&scenario.map, &scenario.route, ego)?.to_intersection(&scenario.map)
+}
 
 /// The scenario with the changes of a modification; `seed` beside that of the file draws other numbers.
 ///

@@ -92,6 +92,7 @@ fn faults_name_file_field_and_line() {
         ("[[goal]]\nlane_changes = 8\n", "goal.lane_changes: there is no lane 8 lanes beside"),
         ("[[stopped]]\nahead_m = 1\n", "stands in the ego at the start"),
         ("[[remove]]\n", "nothing is removed"),
+        ("[[needs]]\nroad_m = 2000\n", "needs.road_m: an intersection begins"),
     ] {
         let (_folder, path) = file(text);
         let word = format!("generated/changing_lane/2~{path}");

@@ -15,6 +15,9 @@ pub(in crate::scenario::modified) struct Needs {
     /// Minimum distance that the recorded driver gets along the ego's path, meters.
     #[serde(default)]
     driven_m: f64,
+    /// Minimum distance from the ego along its path to the next intersection, meters.
+    #[serde(default)]
+    road_m: f64,
     /// Where the lanes are counted: distance ahead of the ego, meters.
     #[serde(default)]
     ahead_m: f64,
@@ -43,6 +46,9 @@ impl Change for Needs {
         let driven = draft.driven_m();
         if driven < self.driven_m {
             return Err(Fault::new("driven_m", format!("the recorded driver gets {driven:.1} m far")));
+        }
+        if let Some(road) = draft.lanes.to_intersection(map).filter(|&road| road < self.road_m) {
+            return Err(Fault::new("road_m", format!("an intersection begins {road:.1} m ahead of the ego")));
         }
         Ok(())
     }
