@@ -325,3 +325,16 @@ fn a_goal_beyond_the_ego_s_lane_is_counted_where_the_way_enters_its_roadblock() 
     assert!((own.distance - beside.distance).abs() < 1.0 && own.distance > 70.0, "{own:?} {beside:?}");
     assert_eq!(turn.changes, -1, "only the lane to the right turns there");
 }
+
+#[test]
+fn a_taper_belongs_to_the_stretch_that_it_blocks() {
+    let blocked = |cones: &[(f64, f64)]| {
+        let put = |road: Drawn, &(ahead, left): &(f64, f64)| road.put(TrafficCone, ahead, left, 0.0, 0.0);
+        graph(&cones.iter().fold(sketch::straight(1, 1, 0, 5.0), put)).blocked.map(|blocked| blocked.from_s)
+    };
+    let (far, near, closing) = ((20.0, -1.1), (30.0, -1.1), (36.0, 0.0));
+    assert_eq!(blocked(&[near]), None, "there is room beside it");
+    let alone = blocked(&[closing]).unwrap();
+    assert!((alone - blocked(&[near, closing]).unwrap() - 6.0).abs() < 1e-9, "the ego stops before the taper");
+    assert!((alone - blocked(&[far, closing]).unwrap()).abs() < 1e-9, "the ego can stop behind it");
+}
