@@ -8,7 +8,9 @@ use minijinja::value::Value;
 use minijinja::{Environment, Error, ErrorKind, context};
 use serde::Deserialize;
 
-use super::template_bounds::{BoundedText, MAX_CALLS, MAX_SOURCE_BYTES, MAX_STEPS, on_deep_stack};
+use super::template_bounds::{
+    BoundedText, MAX_CALLS, MAX_SOURCE_BYTES, MAX_STEPS, MAX_TAG_BYTES, longest_tag, on_deep_stack,
+};
 use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
 use crate::mllm::{MllmError, Turn};
 
@@ -139,6 +141,11 @@ impl ChatTemplate {
 fn compiled(source: &str) -> Result<Environment<'static>, Error> {
     if source.len() > MAX_SOURCE_BYTES {
         let problem = format!("it has {} bytes; at most {MAX_SOURCE_BYTES} are read", source.len());
+        return Err(Error::new(ErrorKind::InvalidOperation, problem));
+    }
+    let tag = longest_tag(source);
+    if tag > MAX_TAG_BYTES {
+        let problem = format!("a tag has {tag} bytes of code; at most {MAX_TAG_BYTES} are read");
         return Err(Error::new(ErrorKind::InvalidOperation, problem));
     }
     on_deep_stack(|| environment(source)).map_err(|error| no_thread(&error))?
@@ -320,6 +327,8 @@ mod tests {
                 other => panic!("{shown}: {other:?}"),
             }
         }
+        let tag = open(&nest("{{ x", "+1", " }}")).unwrap_err();
+        assert!(tag.to_string().contains("a tag has"), "{tag}");
         let steps = open("{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}").unwrap_err();
         assert!(steps.to_string().contains("more than 500000 steps"), "{steps}");
         let long = open("{% for a in range(99999) %}0123456789{% endfor %}").unwrap_err();

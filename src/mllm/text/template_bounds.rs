@@ -5,6 +5,9 @@ use std::thread;
 
 /// Longest template, bytes. Published ones have up to 30 KB. A template nests at most once a byte.
 pub(super) const MAX_SOURCE_BYTES: usize = 64 << 10;
+/// Longest code of a tag without its strings, bytes. Published templates have up to a few hundred. The engine folds constants in a
+/// time that grows with the square of an expression.
+pub(super) const MAX_TAG_BYTES: usize = 4 << 10;
 /// Instructions of one rendering. A chat of ten messages takes a few thousand.
 pub(super) const MAX_STEPS: u64 = 500_000;
 /// Calls of macros inside each other.
@@ -26,6 +29,44 @@ pub(super) fn on_deep_stack<T: Send>(work: impl FnOnce() -> T + Send) -> io::Res
         let builder = thread::Builder::new().name("chat template".to_owned()).stack_size(STACK_BYTES);
         builder.spawn_scoped(scope, work)?.join().map_err(|_| io::Error::other("the template engine panicked"))
     })
+}
+
+/// Bytes of code in the longest tag of a template, without its strings.
+pub(super) fn longest_tag(source: &str) -> usize {
+    let mut longest = 0;
+    let mut rest = source;
+    while let Some(at) = rest.find('{') {
+        rest = &rest[at + 1..];
+        if let Some(comment) = rest.strip_prefix('#') {
+            rest = comment.split_once("#}").map_or("", |(_, after)| after);
+        } else if let Some(tag) = rest.strip_prefix(['{', '%']) {
+            let (length, after) = tag_length(tag);
+            longest = longest.max(length);
+            rest = after;
+        }
+    }
+    longest
+}
+
+/// Bytes of code up to the end of a tag, without its strings, and what follows. Braces inside a tag are those of a map.
+fn tag_length(tag: &str) -> (usize, &str) {
+    let (mut length, mut braces) = (0, 0_usize);
+    let mut quote = None;
+    let mut escaped = false;
+    for (at, byte) in tag.bytes().enumerate() {
+        match (quote, byte) {
+            (Some(_), _) if escaped => escaped = false,
+            (Some(_), b'\\') => escaped = true,
+            (Some(open), _) if open == byte => quote = None,
+            (Some(_), _) => {}
+            (None, b'"' | b'\'') => quote = Some(byte),
+            (None, b'{') => braces += 1,
+            (None, b'}') if braces > 0 => braces -= 1,
+            (None, b'}') => return (length, tag.get(at + 1..).unwrap_or_default()),
+            (None, _) => length += 1,
+        }
+    }
+    (length, "")
 }
 
 /// A text of limited length.
@@ -65,5 +106,23 @@ impl Write for BoundedText {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_longest_tag_has_the_most_code() {
+        for (source, length) in [
+            ("no tag, {one brace}", 0),
+            ("{{ a }}{% if abc %}{# a long comment #}", 9),
+            ("{{ 'a string }} with \\' an end' }}{{ b }}", 3),
+            ("{{ {'a': {}} + bb }}", 9),
+            ("{{ never ends", 11),
+        ] {
+            assert_eq!(longest_tag(source), length, "{source}");
+        }
     }
 }

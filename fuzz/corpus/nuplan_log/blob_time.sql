@@ -1,0 +1,1 @@
+=UPDATE lidar_pc SET timestamp = x'00'

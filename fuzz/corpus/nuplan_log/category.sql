@@ -1,0 +1,1 @@
+=UPDATE category SET name = NULL; UPDATE log SET map_version = 'nowhere'

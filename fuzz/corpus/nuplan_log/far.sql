@@ -1,0 +1,1 @@
+=UPDATE ego_pose SET x = 1e300, qw = 0

@@ -1,0 +1,1 @@
+=UPDATE traffic_light_status SET status = 'blue', lane_connector_id = -1

@@ -1,0 +1,1 @@
+=DELETE FROM ego_pose WHERE rowid > 5

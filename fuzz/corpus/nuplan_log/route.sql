@@ -1,0 +1,1 @@
+=UPDATE scene SET roadblock_ids = '1 2 x 99999999999999999999'

@@ -1,0 +1,1 @@
+=UPDATE scene SET goal_ego_pose_token = NULL; UPDATE lidar_pc SET scene_token = NULL

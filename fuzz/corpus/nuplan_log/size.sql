@@ -1,0 +1,1 @@
+=UPDATE lidar_box SET width = -1, length = 1e18, yaw = 9e9

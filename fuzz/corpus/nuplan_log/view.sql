@@ -1,0 +1,1 @@
+=DROP TABLE ego_pose; CREATE VIEW ego_pose AS SELECT 1 AS token

@@ -1,0 +1,1 @@
+=UPDATE lidar_box SET vx = NULL, vy = NULL

@@ -1,0 +1,1 @@
+=UPDATE baseline_paths SET geom = substr(geom, 1, 60)

@@ -1,0 +1,1 @@
+=DELETE FROM lanes_polygons; DELETE FROM lane_groups_polygons

@@ -1,0 +1,1 @@
+=UPDATE baseline_paths SET geom = x'4750000300000000' || substr(geom, 9)

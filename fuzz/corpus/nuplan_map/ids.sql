@@ -1,0 +1,1 @@
+=UPDATE lane_connectors SET fid = -1, exit_lane_fid = 'x'

@@ -1,0 +1,1 @@
+=UPDATE lanes_polygons SET speed_limit_mps = 'fast'

@@ -1,0 +1,1 @@
+=UPDATE lane_connectors SET entry_lane_fid = exit_lane_fid

@@ -1,0 +1,1 @@
+=UPDATE lanes_polygons SET geom = NULL
