@@ -14,6 +14,11 @@ const MIN_DECAY: f64 = 8.0;
 /// The same for a large offset, as a multiple of it. A whole lane in 8 m is a curve of 3 m radius, which the tracker cannot
 /// follow.
 const MIN_DECAY_OF_OFFSET: f64 = 3.5;
+/// Maximum curvature that the decay of a slope may need, 1/m: that of one lane's offset in the shortest decay.
+const MAX_CURVATURE: f64 = OFFSET_BEND / (MIN_DECAY_OF_OFFSET * MIN_DECAY_OF_OFFSET * LANE_WIDTH);
+/// Largest |d''|·L²/d(0) of the quintic of an offset, and largest |d''|·L/d'(0) of that of a slope.
+const OFFSET_BEND: f64 = 5.77;
+const SLOPE_BEND: f64 = 3.94;
 /// Distance between the vertices of the path, meters.
 const SPACING: f64 = 1.0;
 /// Maximum slope (tangent of the heading error) at the start of the path: beyond it the ego does not follow the lane.
@@ -38,7 +43,10 @@ pub fn onto_centerline(
     let offset = foot.lateral - beside;
     let slope = wrap_angle(rear.heading - centerline.smooth_pose_at(foot.s).heading).tan().clamp(-MAX_SLOPE, MAX_SLOPE);
     let seconds = SETTLE_S + (LANE_CHANGE_S - SETTLE_S) * (offset.abs() / LANE_WIDTH).min(1.0);
-    let decay = (ego.speed() * seconds).max(MIN_DECAY).max(MIN_DECAY_OF_OFFSET * offset.abs());
+    let decay = (ego.speed() * seconds)
+        .max(MIN_DECAY)
+        .max(MIN_DECAY_OF_OFFSET * offset.abs())
+        .max(decay_of_slope(offset, slope));
     let lateral = quintic(offset, slope, decay);
     let end = (foot.s + length).min(centerline.length());
     let count = ((end - foot.s) / SPACING).ceil().max(1.0) as usize;
@@ -54,6 +62,14 @@ pub fn onto_centerline(
 /// A straight line from a pose.
 fn straight_ahead(from: Pose, length: f64) -> Result<Polyline, GeometryError> {
     Polyline::new([from.position(), from.translated(length.max(SPACING), 0.0).position()])
+}
+
+/// The shortest decay of a slope that needs no more than [`MAX_CURVATURE`]. A slope away from the line bends the path as its offset
+/// does, and their curvatures add up.
+fn decay_of_slope(offset: f64, slope: f64) -> f64 {
+    let bend = SLOPE_BEND * slope.abs();
+    let offset_bend = if offset * slope > 0.0 { OFFSET_BEND * offset.abs() } else { 0.0 };
+    (bend + (bend * bend + 4.0 * MAX_CURVATURE * offset_bend).sqrt()) / (2.0 * MAX_CURVATURE)
 }
 
 /// d(s) with d(0) = offset, d'(0) = slope, d''(0) = 0 and d = d' = d'' = 0 at `length`; 0 beyond.
@@ -111,6 +127,19 @@ mod tests {
         let path = onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), 0.0, 80.0).unwrap();
         let lateral_accel = (0..60).map(|i| path.curvature_at(f64::from(i)).abs() * speed * speed).fold(0.0, f64::max);
         assert!(lateral_accel < 2.5, "{lateral_accel}");
+    }
+
+    #[test]
+    fn a_slow_ego_that_drives_away_from_the_line_turns_no_sharper_than_in_a_lane_change() {
+        let sharpest = |heading: f64, y: f64| {
+            let path = onto_centerline(&ego(0.0, y, heading, 3.2), &road(), 0.0, 80.0).unwrap();
+            (0..80).map(|i| path.curvature_at(f64::from(i) * 0.5).abs()).fold(0.0, f64::max)
+        };
+        let lane_change = sharpest(0.0, -3.5);
+        for (heading, y) in [(-0.45, -3.5), (-0.45, -1.0), (0.45, 3.5), (0.45, -1.0), (-0.6, 0.0)] {
+            let turn = sharpest(heading, y);
+            assert!(turn < 1.3 * lane_change, "{heading} {y}: {turn} of {lane_change}");
+        }
     }
 
     #[test]
