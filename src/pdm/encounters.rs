@@ -27,8 +27,7 @@ impl<'a> Encounters<'a> {
                 reach.joined(Bounds::around(&ends).grown(radius))
             });
             let comes_near = |object: &&ForecastObject| {
-                let ends = [object.center_at(step), object.center_at(step + last)];
-                Bounds::around(&ends).grown(object.radius).overlaps(&reach)
+                object.bounds_between(step, step + last).grown(object.radius).overlaps(&reach)
             };
             forecast.objects().iter().filter(comes_near).collect()
         });

@@ -1,7 +1,7 @@
 //! The forecast of all objects at constant speed and direction (`tuplan_garage` `pdm_observation.py`,
 //! `pdm_object_manager.py`).
 
-use crate::geometry::{OrientedBox, Point, Pose, Vector, wrap_angle};
+use crate::geometry::{Bounds, OrientedBox, Point, Pose, Vector, wrap_angle};
 use crate::metrics::in_collision;
 use crate::world::{EgoState, LaneId, LaneMap, ObjectKind, STEP_S, TrackToken, TrackedObject, TrafficLights};
 use std::collections::BTreeSet;
@@ -12,6 +12,16 @@ pub const MAX_DISTANCE: f64 = 50.0;
 /// Steps of 0.1 s that share one occupancy map: its resolution is 0.2 s.
 pub const RESOLUTION_STEPS: usize = 2;
 
+/// A slower vehicle or bicycle keeps its direction, m/s.
+const MIN_LANE_SPEED: f64 = 2.0;
+/// Largest angle between an object's motion and the lane that it drives along, radians.
+const MAX_LANE_ANGLE: f64 = 0.35;
+/// Time over which the curvature of a lane is taken, seconds.
+const LANE_PREVIEW_S: f64 = 2.0;
+/// Distance between the headings of a lane, meters.
+const LANE_STEP: f64 = 2.0;
+/// Largest curvature of a forecast, 1/m.
+const MAX_LANE_CURVATURE: f64 = 0.2;
 /// How many of the nearest objects of each kind are kept, in the order of the occupancy map.
 const CAPS: [(Sort, usize); 4] = [(Sort::Static, 50), (Sort::Vehicle, 50), (Sort::Pedestrian, 25), (Sort::Bicycle, 10)];
 
@@ -45,13 +55,15 @@ pub struct Collided {
     pub red_lights: BTreeSet<LaneId>,
 }
 
-/// An object that keeps its speed and direction.
+/// An object that keeps its speed, and its direction or the curvature of its lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForecastObject {
     /// The object now.
     pub track: TrackedObject,
     /// Forecast velocity in the map frame, m/s: along the axis of the box; zero for static objects.
     pub velocity: Vector,
+    /// Curvature of its way, to the left of the velocity, 1/m; zero in PDM-Closed's forecast.
+    pub(super) curvature: f64,
     /// Half the diagonal of the box, meters.
     pub(super) radius: f64,
 }
@@ -62,19 +74,51 @@ impl ForecastObject {
         let heading = track.shape.center.heading;
         let backwards = wrap_angle(heading - track.velocity.y.atan2(track.velocity.x)).abs() >= FRAC_PI_2;
         let along = track.shape.center.direction() * speed;
-        Self { track: *track, velocity: if backwards { -along } else { along }, radius: track.shape.diagonal() / 2.0 }
+        let velocity = if backwards { -along } else { along };
+        Self { track: *track, velocity, curvature: 0.0, radius: track.shape.diagonal() / 2.0 }
     }
 
-    /// The center after a number of steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
+    /// Seconds after a number of steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
+    #[inline]
+    fn seconds(step: usize) -> f64 {
+        (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S
+    }
+
+    /// The angle by which the way has turned after a number of steps, radians.
+    #[inline]
+    fn turned(&self, step: usize) -> f64 {
+        if self.curvature == 0.0 { 0.0 } else { self.curvature * self.velocity.norm() * Self::seconds(step) }
+    }
+
+    /// The center after a number of steps of 0.1 s.
     #[inline]
     pub(super) fn center_at(&self, step: usize) -> Point {
-        let seconds = (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S;
-        self.track.shape.center.position() + self.velocity * seconds
+        let moved = self.velocity * Self::seconds(step);
+        let half = self.turned(step) / 2.0;
+        if half == 0.0 {
+            return self.track.shape.center.position() + moved;
+        }
+        // The chord of the arc.
+        let (sin, cos) = half.sin_cos();
+        let chord = moved * (sin / half);
+        self.track.shape.center.position() + Vector::new(chord.x * cos - chord.y * sin, chord.x * sin + chord.y * cos)
     }
 
-    /// The box after a number of steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
+    /// Bounds of the centers between two steps.
+    pub(super) fn bounds_between(&self, first: usize, last: usize) -> Bounds {
+        let ends = [self.center_at(first), self.center_at(last)];
+        if self.curvature == 0.0 {
+            return Bounds::around(&ends);
+        }
+        // An arc keeps within half its length of the middle of its chord.
+        let half_length = self.velocity.norm() * (last - first) as f64 * STEP_S / 2.0;
+        Bounds::square(Point::from((ends[0].coords + ends[1].coords) / 2.0), half_length)
+    }
+
+    /// The box after a number of steps of 0.1 s.
     pub fn shape_at(&self, step: usize) -> OrientedBox {
-        self.track.shape.moved_to(Pose::at(self.center_at(step), self.track.shape.center.heading))
+        let heading = wrap_angle(self.track.shape.center.heading + self.turned(step));
+        self.track.shape.moved_to(Pose::at(self.center_at(step), heading))
     }
 
     /// The object after a number of steps; its velocity is the observed one.
@@ -119,6 +163,15 @@ impl Forecast {
         Self { objects: kept, red_lights }
     }
 
+    /// The same, but vehicles and bicycles that drive along a lane keep its curvature.
+    #[must_use]
+    pub fn along_lanes(mut self, map: &LaneMap) -> Self {
+        for object in &mut self.objects {
+            object.curvature = lane_curvature(map, object).unwrap_or(0.0);
+        }
+        self
+    }
+
     /// The objects: static ones, vehicles, pedestrians, bicycles, each kind by distance.
     pub fn objects(&self) -> &[ForecastObject] {
         &self.objects
@@ -129,6 +182,40 @@ impl Forecast {
     pub fn red_lights(&self) -> &[LaneId] {
         &self.red_lights
     }
+}
+
+/// The mean curvature of the lane that an object drives along, over the next [`LANE_PREVIEW_S`].
+fn lane_curvature(map: &LaneMap, object: &ForecastObject) -> Option<f64> {
+    let speed = object.velocity.norm();
+    if speed < MIN_LANE_SPEED || !matches!(object.track.kind, ObjectKind::Vehicle | ObjectKind::Bicycle) {
+        return None;
+    }
+    let (center, heading) = (object.track.shape.center, object.velocity.y.atan2(object.velocity.x));
+    let along = |id: LaneId| {
+        let s = map[id].centerline.project(center.position()).s;
+        let off = wrap_angle(heading - map[id].centerline.smooth_pose_at(s).heading).abs();
+        (off <= MAX_LANE_ANGLE).then_some((id, s, off))
+    };
+    let lanes = map.lanes_at(center.position());
+    let (mut lane, from, _) = lanes.into_iter().filter_map(along).min_by(|a, b| a.2.total_cmp(&b.2))?;
+    let start = map[lane].centerline.smooth_pose_at(from).heading;
+    let (mut s, mut left, mut driven, mut turned, mut last) = (from, speed * LANE_PREVIEW_S, 0.0, 0.0, start);
+    loop {
+        let centerline = &map[lane].centerline;
+        // Headings between are followed, so that more than half a turn counts as such.
+        while left > 0.0 && s < centerline.length() {
+            let step = LANE_STEP.min(left).min(centerline.length() - s);
+            (s, left, driven) = (s + step, left - step, driven + step);
+            let heading = centerline.smooth_pose_at(s).heading;
+            (turned, last) = (turned + wrap_angle(heading - last), heading);
+        }
+        let [next] = map[lane].outgoing[..] else { break };
+        if left <= 0.0 {
+            break;
+        }
+        (lane, s) = (next, 0.0);
+    }
+    (driven > LANE_STEP).then(|| (turned / driven).clamp(-MAX_LANE_CURVATURE, MAX_LANE_CURVATURE))
 }
 
 /// The nearest objects within reach, by distance; equal distances keep their order.

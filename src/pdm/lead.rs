@@ -2,7 +2,7 @@
 
 use super::parameters::TRAJECTORY_STEPS;
 use super::{Forecast, ForecastObject, PdmPath};
-use crate::geometry::{Bounds, Corridor, OrientedBox, Point, Polygon, Pose, Vector};
+use crate::geometry::{Corridor, OrientedBox, Point, Polygon, Pose, Vector};
 use crate::world::{LaneMap, PACIFICA, TrackedObject};
 
 /// The lead object of a proposal.
@@ -86,8 +86,7 @@ impl<'a> PathTraffic<'a> {
         if object.velocity == Vector::zeros() {
             return self.in_corridor(object, 0).map(Nearby::Standing);
         }
-        let ends = [object.center_at(0), object.center_at(TRAJECTORY_STEPS)];
-        let sweep = Bounds::around(&ends).grown(object.radius);
+        let sweep = object.bounds_between(0, TRAJECTORY_STEPS).grown(object.radius);
         self.corridor.bounds().overlaps(&sweep).then_some(Nearby::Moving(object))
     }
 

@@ -44,15 +44,15 @@ pub(super) fn observe<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmI
     }
     let lanes = scene.route.lanes(scene.map);
     let layers = DrivableLayers::of(scene.map, &lanes, scene.ego.center().position());
-    judged(PdmInstant::new(scene, &lanes, layers, collided))
+    judged(scene, PdmInstant::new(scene, &lanes, layers, collided))
 }
 
 fn observe_along<'a>(reference_path: &ReferencePath, scene: &SceneView<'a>, collided: &mut Collided) -> PdmInstant<'a> {
-    judged(PdmInstant::along(reference_path, scene, collided))
+    judged(scene, PdmInstant::along(reference_path, scene, collided))
 }
 
-fn judged(PdmInstant { drivable, forecast }: PdmInstant<'_>) -> PdmInstant<'_> {
-    PdmInstant { drivable: drivable.judged_as_by_the_metric(), forecast }
+fn judged<'a>(scene: &SceneView<'a>, PdmInstant { drivable, forecast }: PdmInstant<'a>) -> PdmInstant<'a> {
+    PdmInstant { drivable: drivable.judged_as_by_the_metric(), forecast: forecast.along_lanes(scene.map) }
 }
 
 /// Why a plan cannot be scored or executed.

@@ -165,7 +165,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ("docs/reliability.md", "cargo install cargo-fuzz", NETWORK),
     (
         "docs/reliability.md",
-        "cargo +nightly fuzz run gguf -- -max_total_time=600 -rss_limit_mb=4096 -timeout=20",
+        "cargo +nightly fuzz run gguf -- -dict=fuzz/dictionaries/gguf.dict -max_total_time=600 -rss_limit_mb=4096 -timeout=20",
         CARGO,
     ),
     ("docs/reliability.md", "cargo +nightly fuzz tmin gguf fuzz/artifacts/gguf/crash-0123", CARGO),

@@ -1,12 +1,13 @@
 //! What the forecast keeps, and where it puts it.
 
 use crate::road::{Road, cruise, ego, object, rectangle, straight};
-use planagent::internals::geometry::{Pose, Vector};
+use planagent::internals::geometry::{Point, Pose, Vector};
 use planagent::internals::pdm::{Collided, DrivableLayers, DrivableMap, Forecast};
 use planagent::internals::world::{
-    EgoState, LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights,
+    EgoState, LaneId, LaneMap, MapBuilder, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights,
 };
 use std::collections::BTreeSet;
+use std::f64::consts::FRAC_PI_2;
 
 fn forecast(map: &LaneMap, ego: &EgoState, objects: &[TrackedObject], collided: &mut Collided) -> Forecast {
     Forecast::new(map, &BTreeSet::new(), ego, objects, &TrafficLights::default(), collided)
@@ -108,4 +109,45 @@ fn areas_tell_lanes_road_and_route_apart() {
     };
     assert!(areas(-2.9, DrivableLayers::DrivableArea).1);
     assert_eq!([-1.0, -2.9, -3.2].map(judged), [false, false, true]);
+}
+
+/// A bend to the left of 30 m radius, then a straight on.
+fn bend() -> LaneMap {
+    const RADIUS: f64 = 30.0;
+    let mut map = MapBuilder::default();
+    let arc = (0..=60).map(|i| f64::from(i) * FRAC_PI_2 / 60.0);
+    let bend = arc.map(|turned| Point::new(RADIUS * turned.sin(), RADIUS * (1.0 - turned.cos())));
+    map.lane(bend, 3.5, None).unwrap();
+    map.lane([Point::new(RADIUS, RADIUS), Point::new(RADIUS, 130.0)], 3.5, None).unwrap();
+    map.connect_touching();
+    map.finish().unwrap()
+}
+
+#[test]
+fn along_lanes_a_vehicle_stays_on_its_lane_and_what_crosses_it_does_not() {
+    let map = bend();
+    let me = ego(0, -10.0, 0.0, 0.0, 5.0);
+    let on_lane = object(1, ObjectKind::Vehicle, Pose::new(0.0, 0.0, 0.0), (4.0, 2.0), 10.0);
+    let across = object(2, ObjectKind::Vehicle, Pose::new(6.0, 0.6, 1.0), (4.0, 2.0), 10.0);
+    let against = object(3, ObjectKind::Vehicle, Pose::new(6.0, 0.6, 3.34), (4.0, 2.0), 10.0);
+    let walker = object(4, ObjectKind::Pedestrian, Pose::new(1.0, 0.0, 0.0), (0.6, 0.6), 1.5);
+    let objects = [on_lane, across, against, walker];
+    let straight = forecast(&map, &me, &objects, &mut Collided::default());
+    let curved = straight.clone().along_lanes(&map);
+    let at = |forecast: &Forecast, token: u32, step| {
+        let found = forecast.objects().iter().find(|object| object.track.token.0 == token);
+        found.unwrap().shape_at(step).center
+    };
+    for step in [10, 20, 30, 40] {
+        let place = at(&curved, 1, step);
+        let foot = map[LaneId(0)].centerline.project(place.position());
+        let beyond = map[LaneId(1)].centerline.project(place.position());
+        assert!(foot.distance.min(beyond.distance) < 0.4, "step {step}: {place:?}");
+        let driven = 10.0 * f64::from(u32::try_from(step).unwrap()) * 0.1;
+        assert!((place.heading - driven / 30.0).abs() < 0.02, "step {step}: {place:?}");
+        for token in [2, 3, 4] {
+            assert_eq!(at(&curved, token, step), at(&straight, token, step));
+        }
+    }
+    assert!(at(&straight, 1, 40).y.abs() < 1e-9, "PDM-Closed's forecast keeps the direction");
 }
