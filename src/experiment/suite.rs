@@ -12,6 +12,8 @@ const CANDIDATE_SEEDS: Range<u64> = 350..450;
 /// Test seeds of each type in [`Suite::TEST14`]. The first 350 test seeds belonged to suites before: they were simulated, with
 /// sparser lanes.
 const TEST14_SEEDS: Range<u64> = 450..600;
+/// Test seeds of each type in [`Suite::TEST14_WIDE`].
+const WIDE_SEEDS: Range<u64> = 600..620;
 /// Scenarios of each type in [`Suite::TEST14_HARD`].
 const HARD_SCENARIOS: usize = 20;
 /// Traffic seed of the candidates.
@@ -49,6 +51,11 @@ impl Suite {
         name: "generated-test14-hard",
         specs: || HARD_LIST.lines().filter_map(|line| line.parse().ok()).collect(),
     };
+    /// nuPlan's fourteen types with 20 test seeds each, drawn from the wider ranges of recordings.
+    pub const TEST14_WIDE: Self = Self {
+        name: "generated-test14-wide",
+        specs: || each(types::nuplan14(), test_seeds(WIDE_SEEDS)).into_iter().map(Spec::widened).collect(),
+    };
     /// nuPlan's fourteen types with 100 test seeds each, from which the hard scenarios are selected.
     pub const CANDIDATES: Self = Self {
         name: "generated-test14-candidates",
@@ -59,7 +66,8 @@ impl Suite {
     };
     /// Suites drawn before lanes had a vertex every half meter. Their scenes cannot be made any more.
     pub const RETIRED: [&str; 3] = ["generated-14", "generated-14-hard", "generated-14-candidates"];
-    pub const ALL: [Self; 4] = [Self::DEMONSTRATION, Self::TEST14, Self::TEST14_HARD, Self::CANDIDATES];
+    pub const ALL: [Self; 5] =
+        [Self::DEMONSTRATION, Self::TEST14, Self::TEST14_HARD, Self::TEST14_WIDE, Self::CANDIDATES];
 
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|suite| suite.name == name)
@@ -128,12 +136,14 @@ mod tests {
     #[test]
     fn suites_have_their_size_and_share_no_scenario() {
         let sizes = Suite::ALL.map(|suite| suite.specs().len());
-        assert_eq!(sizes, [160, 2100, 280, 1400]);
+        assert_eq!(sizes, [160, 2100, 280, 280, 1400]);
         let seeds = |suite: Suite| suite.specs().into_iter().map(|spec| spec.seed).collect::<BTreeSet<u64>>();
         let (common, hard) = (seeds(Suite::TEST14), seeds(Suite::TEST14_HARD));
         assert!(common.is_disjoint(&hard) && hard.is_subset(&seeds(Suite::CANDIDATES)));
+        let wide = seeds(Suite::TEST14_WIDE);
+        assert!(wide.is_disjoint(&common) && wide.is_disjoint(&seeds(Suite::CANDIDATES)));
         let test = dataset::Split::Test.seeds();
-        assert!(common.iter().chain(&hard).all(|seed| test.contains(seed)));
+        assert!(common.iter().chain(&hard).chain(&wide).all(|seed| test.contains(seed)));
     }
 
     #[test]

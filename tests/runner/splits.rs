@@ -76,6 +76,7 @@ fn suites_stay_as_they_are() {
         (Suite::TEST14, "a282d3b57337ccfc6577010da7b5841e83df57d235f9e2258f45b3b1c16142eb"),
         (Suite::CANDIDATES, "4c717b086fa5aafcbc262df4c87058fb7415a801138ab7b8bfab0168defedd19"),
         (Suite::TEST14_HARD, "f6c66a9381bfbd56e7c86d2dcbea82c0eb9c273b307adb927dd82490d7f37a1c"),
+        (Suite::TEST14_WIDE, "e9f2812d22dee6cfa1631ec4254454eee1f1227b199a9f5c5c56de8b5b3d33cf"),
     ] {
         let names = suite.specs().into_iter().map(|spec| spec.to_string());
         assert_eq!(ScenarioList::digest(names), blake3, "{}", suite.name);
