@@ -112,9 +112,9 @@ fn a_model_is_checked_quantised_and_checked_again() {
 fn what_cannot_be_done_says_why() {
     for (arguments, code, expected) in [
         (
-            &["models", "quantize", "nano", "--to", "q5_k", "--out", "x.gguf"][..],
+            &["models", "quantize", "nano", "--to", "q2_k", "--out", "x.gguf"][..],
             2,
-            "choose one of f32, f16, q8_0, q6_k, q4_k",
+            "choose one of f32, f16, q8_0, q6_k, q5_k, q4_k",
         ),
         (&["models", "quantize", "nano", "--to", "q4_k", "--out", "x.bin"], 2, "must end in .gguf"),
         (&["models", "fetch", "no-such-model"], 2, "unknown model 'no-such-model'"),

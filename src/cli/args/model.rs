@@ -58,7 +58,7 @@ pub(in crate::cli) struct TrustArgument {
 /// The format of weights in memory.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct FormatArgument {
-    /// Weight format in memory: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k`.
+    /// Weight format in memory: `f32`, `f16`, `q8_0`, `q6_k`, `q5_k` or `q4_k`.
     ///
     /// The default is that of the model's description, else of the files; bf16 becomes f32.
     #[arg(long, value_name = "KIND", help_heading = HEADING, hide_short_help = true)]

@@ -89,8 +89,10 @@ impl WeightFormatPlan {
 
 fn asked_for(asked: WeightFormat, role: Role, format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
     let (wanted, reason) = match role {
-        Role::Output if asked == WeightFormat::Q4K => (WeightFormat::Q6K, Some("the output layer gets more bits")),
-        Role::Vision if matches!(asked, WeightFormat::Q4K | WeightFormat::Q6K) => {
+        Role::Output if matches!(asked, WeightFormat::Q4K | WeightFormat::Q5K) => {
+            (WeightFormat::Q6K, Some("the output layer gets more bits"))
+        }
+        Role::Vision if matches!(asked, WeightFormat::Q4K | WeightFormat::Q5K | WeightFormat::Q6K) => {
             (WeightFormat::Q8_0, Some("vision tower and projector get at least 8 bits"))
         }
         _ => (asked, None),
@@ -112,6 +114,7 @@ pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
         GgmlDType::F16 => Some(WeightFormat::F16),
         GgmlDType::Q8_0 => Some(WeightFormat::Q8_0),
         GgmlDType::Q6K => Some(WeightFormat::Q6K),
+        GgmlDType::Q5K => Some(WeightFormat::Q5K),
         GgmlDType::Q4K => Some(WeightFormat::Q4K),
         _ => None,
     }
@@ -184,7 +187,8 @@ mod tests {
             (GgmlDType::F16, WeightFormat::F16, false),
             (GgmlDType::Q4_0, WeightFormat::Q8_0, true),
             (GgmlDType::Q3K, WeightFormat::Q8_0, true),
-            (GgmlDType::Q5K, WeightFormat::Q8_0, true),
+            (GgmlDType::Q5K, WeightFormat::Q5K, false),
+            (GgmlDType::Q5_1, WeightFormat::Q8_0, true),
             (GgmlDType::BF16, WeightFormat::F32, true),
         ] {
             let planned = plan.matrix(DECODER, format, 512);
@@ -194,6 +198,7 @@ mod tests {
         let again = |weight_format| WeightFormatPlan { quantize: Some(weight_format), ..plan };
         assert_eq!(again(WeightFormat::Q8_0).matrix(DECODER, GgmlDType::Q4K, 512).weight_format, WeightFormat::Q4K);
         assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q8_0, 512).weight_format, WeightFormat::Q4K);
+        assert_eq!(again(WeightFormat::Q8_0).matrix(DECODER, GgmlDType::Q5K, 512).weight_format, WeightFormat::Q5K);
         // Four bits are not rounded to four others; five bits are, where that is asked for.
         assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q4_0, 512).weight_format, WeightFormat::Q8_0);
         assert_eq!(again(WeightFormat::F32).matrix(DECODER, GgmlDType::Q4_0, 512).weight_format, WeightFormat::Q8_0);

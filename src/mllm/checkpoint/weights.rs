@@ -352,7 +352,7 @@ impl Weights {
         let block = bytes.chunks_exact(format.type_size()).enumerate();
         let worst = |block: &[u8]| match format {
             StoredFormat::Ggml(GgmlDType::F32) => block.first_chunk().map(|value| f32::from_le_bytes(*value)),
-            StoredFormat::Ggml(GgmlDType::Q4K) => {
+            StoredFormat::Ggml(GgmlDType::Q4K | GgmlDType::Q5K) => {
                 half_at(block, 0).filter(|scale| !scale.is_finite()).or_else(|| half_at(block, 2))
             }
             StoredFormat::Ggml(GgmlDType::Q6K) => half_at(block, block.len() - 2),

@@ -47,6 +47,7 @@ impl Layout {
             // Two blocks, so that their scales fill a cache line. The XOR adds 128 and makes the numbers unsigned.
             WeightFormat::Q8_0 => (64, &[(2, 4, 8, 0x80), (36, 4, 8, 0x80), (0, 2, 1, 0), (34, 2, 1, 0)]),
             WeightFormat::Q6K => (256, &[(0, 4, 48, 0), (192, 1, 16, 0), (208, 2, 1, 0)]),
+            WeightFormat::Q5K => (256, &[(48, 4, 32, 0), (16, 4, 8, 0), (0, 2, 2, 0), (4, 1, 12, 0)]),
             WeightFormat::Q4K => (256, &[(16, 4, 32, 0), (0, 2, 2, 0), (4, 1, 12, 0)]),
         };
         let (mut runs, mut end) = (Vec::new(), 0);

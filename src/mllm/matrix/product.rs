@@ -9,7 +9,7 @@ use super::float::F16;
 use super::format::{Format, MAX_BATCH, TILES, TileSums};
 use super::line::{CacheLine, LANES};
 use super::packed_tiles::PackedTiles;
-use super::quantized::{Q4K, Q6K, Q8_0};
+use super::quantized::{Q4K, Q5K, Q6K, Q8_0};
 use super::simd::{Instructions, Kernel, Simd};
 use super::weight_format::WeightFormat;
 
@@ -103,6 +103,7 @@ pub(super) fn multiply(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instru
         WeightFormat::F16 => multiply_as::<F16>(tiles, x, out, instructions),
         WeightFormat::Q8_0 => multiply_as::<Q8_0>(tiles, x, out, instructions),
         WeightFormat::Q6K => multiply_as::<Q6K>(tiles, x, out, instructions),
+        WeightFormat::Q5K => multiply_as::<Q5K>(tiles, x, out, instructions),
         WeightFormat::Q4K => multiply_as::<Q4K>(tiles, x, out, instructions),
     }
 }

@@ -356,10 +356,10 @@ impl Quantized for Q6K {
         let high = simd.bytes(&lines[32 + 8 * part + step]);
         let low = simd.bytes(&lines[16 * part + run % 2 * 8 + step]);
         match run {
-            0 => simd.with_two_bits::<0>(simd.low(low), high),
-            1 => simd.with_two_bits::<1>(simd.low(low), high),
-            2 => simd.with_two_bits::<2>(simd.high(low), high),
-            _ => simd.with_two_bits::<3>(simd.high(low), high),
+            0 => simd.with_high_bits::<0, 0x30>(simd.low(low), high),
+            1 => simd.with_high_bits::<2, 0x30>(simd.low(low), high),
+            2 => simd.with_high_bits::<4, 0x30>(simd.high(low), high),
+            _ => simd.with_high_bits::<6, 0x30>(simd.high(low), high),
         }
     }
 
@@ -370,6 +370,47 @@ impl Quantized for Q6K {
         for (run, scales) in block.scales.iter_mut().enumerate() {
             simd.store(simd.mul(scale, simd.load_signed(&lines[48 + run / 4].quarter(run % 4))), scales);
         }
+    }
+}
+
+/// ggml's `q5_k`: as [`Q4K`], with five bits.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Q5K;
+
+impl Quantized for Q5K {
+    /// Low bits, high bits, d and dmin, scales and minima of six bits.
+    const LINES: usize = 32 + 8 + 1 + 3;
+    const RUN: usize = 32;
+    const SUM_WORDS: usize = 4;
+    const MINIMA: bool = true;
+    const SCALED: usize = SPAN;
+
+    #[inline(always)]
+    fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {
+        Q4K::sum_word(sums, index)
+    }
+
+    #[inline(always)]
+    fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
+        let Some(lines) = lines.first_chunk::<44>() else { return simd.bytes(&CacheLine::ZERO) };
+        let both = simd.bytes(&lines[step / 16 * 8 + step % 8]);
+        let high = simd.bytes(&lines[32 + step % 8]);
+        match step / 8 {
+            0 => simd.with_high_bits::<0, 0x10>(simd.low(both), high),
+            1 => simd.with_high_bits::<1, 0x10>(simd.high(both), high),
+            2 => simd.with_high_bits::<2, 0x10>(simd.low(both), high),
+            3 => simd.with_high_bits::<3, 0x10>(simd.high(both), high),
+            4 => simd.with_high_bits::<4, 0x10>(simd.low(both), high),
+            5 => simd.with_high_bits::<5, 0x10>(simd.high(both), high),
+            6 => simd.with_high_bits::<6, 0x10>(simd.low(both), high),
+            _ => simd.with_high_bits::<7, 0x10>(simd.high(both), high),
+        }
+    }
+
+    #[inline(always)]
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+        let Some(lines) = lines.first_chunk::<44>() else { return };
+        unpack_six_bits(simd, [&lines[40], &lines[41], &lines[42], &lines[43]], block);
     }
 }
 
@@ -401,26 +442,32 @@ impl Quantized for Q4K {
     #[inline(always)]
     fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
         let Some(lines) = lines.first_chunk::<36>() else { return };
-        let packed: [[u8; LANES]; 12] = std::array::from_fn(|index| lines[33 + index / 4].quarter(index % 4));
-        let (mut scales, mut minima) = ([[0; LANES]; 8], [[0; LANES]; 8]);
-        for lane in 0..LANES {
-            for run in 0..4 {
-                let (first, second, third) = (packed[run][lane], packed[run + 4][lane], packed[run + 8][lane]);
-                scales[run][lane] = first & 63;
-                minima[run][lane] = second & 63;
-                scales[run + 4][lane] = third & 15 | first >> 6 << 4;
-                minima[run + 4][lane] = third >> 4 | second >> 6 << 4;
-            }
-        }
-        let scale = simd.load_half(&lines[32].halves(0));
-        for (out, scales) in block.scales.iter_mut().zip(&scales) {
-            simd.store(simd.mul(scale, simd.to_floats(simd.load_unsigned(scales))), out);
-        }
-        for (out, minima) in block.minima.iter_mut().zip(minima.as_chunks::<2>().0) {
-            for lane in 0..LANES {
-                out[lane] = i32::from(minima[0][lane]) | i32::from(minima[1][lane]) << 16;
-            }
-        }
-        simd.store(simd.load_half(&lines[32].halves(1)), &mut block.minimum_scale);
+        unpack_six_bits(simd, [&lines[32], &lines[33], &lines[34], &lines[35]], block);
     }
+}
+
+/// Unpacks d, dmin, and the eight scales and minima of six bits.
+#[inline(always)]
+fn unpack_six_bits<S: Simd>(simd: S, [halves, first, second, third]: [&CacheLine; 4], block: &mut Block) {
+    let packed = [first, second, third].map(|line| [0, 1, 2, 3].map(|index| line.quarter(index)));
+    let (mut scales, mut minima) = ([[0; LANES]; 8], [[0; LANES]; 8]);
+    for lane in 0..LANES {
+        for run in 0..4 {
+            let [first, second, third] = [packed[0][run][lane], packed[1][run][lane], packed[2][run][lane]];
+            scales[run][lane] = first & 63;
+            minima[run][lane] = second & 63;
+            scales[run + 4][lane] = third & 15 | first >> 6 << 4;
+            minima[run + 4][lane] = third >> 4 | second >> 6 << 4;
+        }
+    }
+    let scale = simd.load_half(&halves.halves(0));
+    for (out, scales) in block.scales.iter_mut().zip(&scales) {
+        simd.store(simd.mul(scale, simd.to_floats(simd.load_unsigned(scales))), out);
+    }
+    for (out, minima) in block.minima.iter_mut().zip(minima.as_chunks::<2>().0) {
+        for lane in 0..LANES {
+            out[lane] = i32::from(minima[0][lane]) | i32::from(minima[1][lane]) << 16;
+        }
+    }
+    simd.store(simd.load_half(&halves.halves(1)), &mut block.minimum_scale);
 }

@@ -8,7 +8,8 @@ use rand_pcg::Pcg64Mcg;
 use super::*;
 
 /// Weight formats with kernels of their own.
-const PACKED: [WeightFormat; 4] = [WeightFormat::F16, WeightFormat::Q8_0, WeightFormat::Q6K, WeightFormat::Q4K];
+const PACKED: [WeightFormat; 5] =
+    [WeightFormat::F16, WeightFormat::Q8_0, WeightFormat::Q6K, WeightFormat::Q5K, WeightFormat::Q4K];
 
 /// Random blocks with scales below `largest`.
 fn random_blocks(
@@ -25,7 +26,7 @@ fn random_blocks(
             WeightFormat::F32 => &[],
             WeightFormat::F16 | WeightFormat::Q8_0 => &[0],
             WeightFormat::Q6K => &[208],
-            WeightFormat::Q4K => &[0, 2],
+            WeightFormat::Q5K | WeightFormat::Q4K => &[0, 2],
         };
         for at in scales {
             let scale = f16::from_f32(random.random_range(-largest..largest));
@@ -69,7 +70,7 @@ fn plain(tiles: &PackedTiles, x: &[f32]) -> Vec<(f64, f64)> {
             let row = match tiles.weight_format() {
                 WeightFormat::F32 | WeightFormat::F16 => row.to_vec(),
                 WeightFormat::Q8_0 => rounded(row, 32),
-                WeightFormat::Q6K | WeightFormat::Q4K => rounded(row, 256),
+                WeightFormat::Q6K | WeightFormat::Q5K | WeightFormat::Q4K => rounded(row, 256),
             };
             for (weight, value) in weights.iter().zip(row) {
                 let term = f64::from(*weight) * f64::from(value);
@@ -227,6 +228,7 @@ fn each_format_has_the_error_of_its_bits() {
         (WeightFormat::F16, 1e-5, 1e-3),
         (WeightFormat::Q8_0, 1e-3, 2e-2),
         (WeightFormat::Q6K, 5e-3, 4e-2),
+        (WeightFormat::Q5K, 1e-2, 6e-2),
         (WeightFormat::Q4K, 2e-2, 1e-1),
     ] {
         let product = Matrix::quantize(&values, outputs, inputs, weight_format).unwrap().forward(&x).unwrap();

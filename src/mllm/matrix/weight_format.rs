@@ -20,6 +20,9 @@ pub enum WeightFormat {
     /// 6 bits a number and a scale for every 16, in blocks of 256 (6.56 bits).
     #[serde(rename = "q6_k")]
     Q6K,
+    /// 5 bits a number, a scale and a minimum for every 32, in blocks of 256 (5.5 bits).
+    #[serde(rename = "q5_k")]
+    Q5K,
     /// 4 bits a number, a scale and a minimum for every 32, in blocks of 256 (4.5 bits).
     #[serde(rename = "q4_k")]
     Q4K,
@@ -27,7 +30,7 @@ pub enum WeightFormat {
 
 impl WeightFormat {
     /// From largest to smallest.
-    pub const ALL: [Self; 5] = [Self::F32, Self::F16, Self::Q8_0, Self::Q6K, Self::Q4K];
+    pub const ALL: [Self; 6] = [Self::F32, Self::F16, Self::Q8_0, Self::Q6K, Self::Q5K, Self::Q4K];
 
     /// The name in configurations and on the command line.
     pub fn name(self) -> &'static str {
@@ -36,6 +39,7 @@ impl WeightFormat {
             Self::F16 => "f16",
             Self::Q8_0 => "q8_0",
             Self::Q6K => "q6_k",
+            Self::Q5K => "q5_k",
             Self::Q4K => "q4_k",
         }
     }
@@ -45,7 +49,7 @@ impl WeightFormat {
         match self {
             Self::F32 | Self::F16 => 1,
             Self::Q8_0 => 32,
-            Self::Q6K | Self::Q4K => 256,
+            Self::Q6K | Self::Q5K | Self::Q4K => 256,
         }
     }
 
@@ -56,6 +60,7 @@ impl WeightFormat {
             Self::F16 => 2,
             Self::Q8_0 => 34,
             Self::Q6K => 210,
+            Self::Q5K => 176,
             Self::Q4K => 144,
         }
     }
@@ -74,7 +79,7 @@ impl WeightFormat {
     /// This format if it can hold rows of `inputs` numbers, else the next finer one that can.
     pub(crate) fn or_finer(self, inputs: usize) -> Self {
         let finer = match self {
-            Self::Q4K | Self::Q6K => Self::Q8_0,
+            Self::Q4K | Self::Q5K | Self::Q6K => Self::Q8_0,
             Self::Q8_0 => Self::F16,
             Self::F16 | Self::F32 => return self,
         };
@@ -88,6 +93,7 @@ impl WeightFormat {
             Self::F16 => GgmlDType::F16,
             Self::Q8_0 => GgmlDType::Q8_0,
             Self::Q6K => GgmlDType::Q6K,
+            Self::Q5K => GgmlDType::Q5K,
             Self::Q4K => GgmlDType::Q4K,
         }
     }
@@ -130,7 +136,7 @@ mod tests {
             assert_eq!(weight_format.block_bytes(), weight_format.ggml().type_size());
             assert_eq!(weight_format.block(), weight_format.ggml().block_size());
         }
-        assert!("q5_k".parse::<WeightFormat>().unwrap_err().to_string().contains("q4_k"));
+        assert!("q2_k".parse::<WeightFormat>().unwrap_err().to_string().contains("q4_k"));
     }
 
     #[test]

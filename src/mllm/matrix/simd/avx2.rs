@@ -131,16 +131,20 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn with_two_bits<const RUN: u32>(self, low: Ints, high: Ints) -> Ints {
+    fn with_high_bits<const FROM: u32, const MASK: u8>(self, low: Ints, high: Ints) -> Ints {
         // SAFETY: as above.
         both_of_three(low, high, high, |low, high, _| unsafe {
-            let shifted = match RUN {
+            let shifted = match FROM {
                 0 => _mm256_slli_epi16::<4>(high),
-                1 => _mm256_slli_epi16::<2>(high),
-                2 => high,
-                _ => _mm256_srli_epi16::<2>(high),
+                1 => _mm256_slli_epi16::<3>(high),
+                2 => _mm256_slli_epi16::<2>(high),
+                3 => _mm256_slli_epi16::<1>(high),
+                4 => high,
+                5 => _mm256_srli_epi16::<1>(high),
+                6 => _mm256_srli_epi16::<2>(high),
+                _ => _mm256_srli_epi16::<3>(high),
             };
-            _mm256_or_si256(low, _mm256_and_si256(shifted, _mm256_set1_epi8(0x30)))
+            _mm256_or_si256(low, _mm256_and_si256(shifted, _mm256_set1_epi8(MASK.cast_signed())))
         })
     }
 }

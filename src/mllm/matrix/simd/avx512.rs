@@ -73,16 +73,20 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn with_two_bits<const RUN: u32>(self, low: __m512i, high: __m512i) -> __m512i {
+    fn with_high_bits<const FROM: u32, const MASK: u8>(self, low: __m512i, high: __m512i) -> __m512i {
         // SAFETY: as above.
         unsafe {
-            let shifted = match RUN {
+            let shifted = match FROM {
                 0 => _mm512_slli_epi16::<4>(high),
-                1 => _mm512_slli_epi16::<2>(high),
-                2 => high,
-                _ => _mm512_srli_epi16::<2>(high),
+                1 => _mm512_slli_epi16::<3>(high),
+                2 => _mm512_slli_epi16::<2>(high),
+                3 => _mm512_slli_epi16::<1>(high),
+                4 => high,
+                5 => _mm512_srli_epi16::<1>(high),
+                6 => _mm512_srli_epi16::<2>(high),
+                _ => _mm512_srli_epi16::<3>(high),
             };
-            _mm512_or_si512(low, _mm512_and_si512(shifted, _mm512_set1_epi8(0x30)))
+            _mm512_or_si512(low, _mm512_and_si512(shifted, _mm512_set1_epi8(MASK.cast_signed())))
         }
     }
 

@@ -53,8 +53,9 @@ pub(crate) trait Simd: Copy + Send + Sync {
     fn low(self, bytes: Self::Bytes) -> Self::Bytes;
     /// The high four bits of each byte.
     fn high(self, bytes: Self::Bytes) -> Self::Bytes;
-    /// Sets bits 4 and 5 of four-bit numbers to the two bits at bit 2 · RUN of `high`.
-    fn with_two_bits<const RUN: u32>(self, low: Self::Bytes, high: Self::Bytes) -> Self::Bytes;
+    /// Adds higher bits to four-bit numbers: those of `high` from bit FROM on, moved to bit 4, as far as MASK has them. MASK lies
+    /// within bits 4 and 5.
+    fn with_high_bits<const FROM: u32, const MASK: u8>(self, low: Self::Bytes, high: Self::Bytes) -> Self::Bytes;
 
     /// The same number in every lane.
     fn ints(self, value: i32) -> Self::Ints;

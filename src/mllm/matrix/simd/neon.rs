@@ -211,16 +211,20 @@ impl Simd for Neon {
     }
 
     #[inline(always)]
-    fn with_two_bits<const RUN: u32>(self, low: Bytes, high: Bytes) -> Bytes {
+    fn with_high_bits<const FROM: u32, const MASK: u8>(self, low: Bytes, high: Bytes) -> Bytes {
         // SAFETY: as above.
         each_of_two(low, high, |low, high| unsafe {
-            let shifted = match RUN {
+            let shifted = match FROM {
                 0 => vshlq_n_u8::<4>(high),
-                1 => vshlq_n_u8::<2>(high),
-                2 => high,
-                _ => vshrq_n_u8::<2>(high),
+                1 => vshlq_n_u8::<3>(high),
+                2 => vshlq_n_u8::<2>(high),
+                3 => vshlq_n_u8::<1>(high),
+                4 => high,
+                5 => vshrq_n_u8::<1>(high),
+                6 => vshrq_n_u8::<2>(high),
+                _ => vshrq_n_u8::<3>(high),
             };
-            vorrq_u8(low, vandq_u8(shifted, vdupq_n_u8(0x30)))
+            vorrq_u8(low, vandq_u8(shifted, vdupq_n_u8(MASK)))
         })
     }
 }

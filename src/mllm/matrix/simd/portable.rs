@@ -54,10 +54,10 @@ impl Simd for Portable {
         bytes.map(|byte| byte >> 4)
     }
 
-    fn with_two_bits<const RUN: u32>(self, low: [u8; 64], high: [u8; 64]) -> [u8; 64] {
+    fn with_high_bits<const FROM: u32, const MASK: u8>(self, low: [u8; 64], high: [u8; 64]) -> [u8; 64] {
         let mut both = low;
         for (both, high) in both.iter_mut().zip(high) {
-            *both |= (high >> (2 * RUN) & 3) << 4;
+            *both |= (u16::from(high) << 4 >> FROM) as u8 & MASK;
         }
         both
     }
