@@ -159,6 +159,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         NUPLAN,
     ),
     ("docs/results.md", "planagent experiment main --suite generated-test14-hard,recorded", HOURS),
+    ("docs/results.md", "planagent experiment main --suite generated-test14-wide", HOURS),
     ("docs/results.md", "planagent experiment controls", HOURS),
     ("docs/modified.md", "planagent experiment interactive --quick", HOURS),
     ("docs/reliability.md", "cargo test --release --test tests -- fuzz_corpus", CARGO),
@@ -170,7 +171,12 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     ("docs/reliability.md", "cargo +nightly fuzz tmin gguf fuzz/artifacts/gguf/crash-0123", CARGO),
     ("docs/latency.md", "planagent simulate --split generated-test14-hard --limit 140 --quantize q8_0", HOURS),
-    ("docs/recordings.md", "planagent experiment recorded", HOURS),
+    (
+        "docs/recordings.md",
+        "planagent experiment recorded --scenario $PLANAGENT_DATA/womd $PLANAGENT_DATA/argoverse2 $PLANAGENT_DATA/womd_validation \
+         $PLANAGENT_DATA/argoverse2_validation",
+        VALIDATION,
+    ),
     ("docs/report.md", "planagent serve runs/mine --open", ENDLESS),
     ("docs/report.md", "cd runs/mine", DEVKIT),
     (
