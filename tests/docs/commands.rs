@@ -160,7 +160,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     ("docs/results.md", "planagent experiment main --suite generated-test14-hard,recorded", HOURS),
     ("docs/results.md", "planagent experiment main --suite generated-test14-wide", HOURS),
-    ("docs/results.md", "planagent experiment controls", HOURS),
+    ("docs/results.md", "planagent experiment controls --suite generated-test14-hard", HOURS),
     ("docs/modified.md", "planagent experiment interactive --quick", HOURS),
     ("docs/reliability.md", "cargo test --release --test tests -- fuzz_corpus", CARGO),
     ("docs/reliability.md", "cargo install cargo-fuzz", NETWORK),

@@ -33,7 +33,7 @@ async function received(name) {
 /** Reads the index and gives each simulation its entrant: a planner of a run. */
 async function loadIndex() {
   INDEX = await unpack("index");
-  const several = INDEX.runs.length > 1;
+  const inSeveral = (planner) => INDEX.runs.filter((run) => run.planners.includes(planner)).length > 1;
   INDEX.entrants = [];
   // The order of the runs, so that colors stay while simulations finish in any order.
   const named = INDEX.runs.flatMap((run, i) => run.planners.map((planner) => `${i} ${planner}`));
@@ -41,8 +41,9 @@ async function loadIndex() {
   for (const simulation of INDEX.simulations) {
     let entrant = INDEX.entrants.find((known) => known.run === simulation.run && known.planner === simulation.planner);
     if (!entrant) {
-      const label = several ? `${simulation.planner} · ${INDEX.runs[simulation.run].name}` : simulation.planner;
-      entrant = { run: simulation.run, planner: simulation.planner, label, place: placeOf(simulation.run, simulation.planner) };
+      const { planner, run } = simulation;
+      const label = inSeveral(planner) ? `${planner} · ${INDEX.runs[run].name}` : planner;
+      entrant = { run, planner, label, place: placeOf(run, planner) };
       INDEX.entrants.push(entrant);
     }
     const { id, scenario_type: type, score = null, error = null } = simulation;
