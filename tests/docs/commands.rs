@@ -158,6 +158,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "planagent simulate --scenario $NUPLAN_DATA_ROOT/2021.06.09.17.23.18_veh-38_00773_01140.db#0123456789abcdef",
         NUPLAN,
     ),
+    ("docs/results.md", "planagent experiment interactive --suite interactive-generated", HOURS),
     ("docs/results.md", "planagent experiment main --suite generated-test14-hard,recorded", HOURS),
     ("docs/results.md", "planagent experiment main --suite generated-test14-wide", HOURS),
     ("docs/results.md", "planagent experiment controls --suite generated-test14-hard", HOURS),
