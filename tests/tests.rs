@@ -30,6 +30,7 @@ mod pdm;
 mod proposals;
 mod public_api;
 mod python_package;
+mod recordings;
 mod road;
 mod runner;
 mod simulation;

@@ -172,6 +172,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     ("docs/reliability.md", "cargo +nightly fuzz tmin gguf fuzz/artifacts/gguf/crash-0123", CARGO),
     ("docs/latency.md", "planagent simulate --split generated-test14-hard --limit 140 --quantize q8_0", HOURS),
+    ("docs/recordings.md", "cargo test --release --test tests -- routes_hold_the_recorded_ego", CARGO),
     (
         "docs/recordings.md",
         "planagent experiment recorded --scenario $PLANAGENT_DATA/womd $PLANAGENT_DATA/argoverse2 $PLANAGENT_DATA/womd_validation \

@@ -1,0 +1,29 @@
+//! What `docs/recordings.md` says of all recordings.
+
+use crate::outside::data;
+use planagent::internals::scenario::{DataRoots, Frame, Readers, Scenario};
+
+const FOLDERS: [&str; 4] = ["womd", "argoverse2", "womd_validation", "argoverse2_validation"];
+
+/// Whether the recorded ego never leaves the lanes of the route with its center.
+fn route_holds_the_ego(Scenario { map, route, frames, start, .. }: &Scenario) -> bool {
+    let held = |frame: &Frame| {
+        let center = frame.ego.center().position();
+        route.roadblocks.iter().any(|&block| map.roadblock_holds(block, center))
+    };
+    frames[*start..].iter().all(held)
+}
+
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn routes_hold_the_recorded_ego() {
+    let folders: Vec<_> = FOLDERS.into_iter().filter_map(data).collect();
+    if folders.len() < FOLDERS.len() {
+        return;
+    }
+    let readers = Readers::new(&DataRoots::default());
+    let found = folders.iter().flat_map(|folder| readers.find(folder.to_str().unwrap()).unwrap());
+    let held: Vec<bool> = found.map(|source| route_holds_the_ego(&source.open().unwrap())).collect();
+    let holding = held.iter().filter(|&&held| held).count();
+    assert_eq!((holding, held.len()), (37, 46));
+}
