@@ -31,6 +31,8 @@ pub enum ReportFault {
     OldRun { found: u32 },
     #[error("the folder holds no run: it has no {MANIFEST}")]
     NoRun,
+    #[error("there is no such folder; name the folder of a run")]
+    Absent,
     #[error(
         "{MANIFEST} is damaged, and the folder holds simulations; restore {MANIFEST} from a copy, or name a new folder"
     )]

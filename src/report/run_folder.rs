@@ -107,7 +107,8 @@ impl RunFolder {
     /// When the folder holds no run, one of another format version, or the manifest is damaged.
     pub fn manifest(path: &Path) -> Result<Manifest, ReportError> {
         if !path.join(MANIFEST).is_file() {
-            return Err(ReportError::at(path)(ReportFault::NoRun));
+            let fault = if path.is_dir() { ReportFault::NoRun } else { ReportFault::Absent };
+            return Err(ReportError::at(path)(fault));
         }
         match read_manifest(path) {
             Err(error) if error.fault.is_damage() && !has_simulations(path) => {

@@ -137,6 +137,13 @@ fn what_is_missing_is_named_with_what_to_do() {
         fs::copy(&moved, folder.path().join(name)).unwrap();
     }
     assert!(error(&model).contains("several vision towers (one.gguf, two.gguf)"), "{}", error(&model));
+    // What is no model beside a single one does not matter.
+    let [two, notes] = ["two.gguf", "notes.gguf"].map(|name| folder.path().join(name));
+    fs::remove_file(&two).unwrap();
+    fs::write(&notes, "no model").unwrap();
+    assert!(open(&model).is_ok());
+    fs::remove_file(&notes).unwrap();
+    fs::copy(&moved, &two).unwrap();
     fs::rename(&moved, &tower).unwrap();
     fs::write(folder.path().join("partial.gguf"), "GGUF").unwrap();
     assert!(open(&model).is_ok(), "the one that is named after it, whatever else lies there");

@@ -189,7 +189,10 @@ fn a_live_page_shows_simulations_as_they_finish() {
         thread::sleep(Duration::from_millis(50));
     }
     let version = served.json("/data/version");
-    assert!(version["problem"].as_str().unwrap().contains("holds no run") && version["simulations"] == 3, "{version}");
+    assert!(
+        version["problem"].as_str().unwrap().contains("there is no such folder") && version["simulations"] == 3,
+        "{version}"
+    );
 }
 
 /// The names of all files below a folder.

@@ -126,7 +126,7 @@ fn a_run_is_resumed_only_as_it_was_started() {
     let again = refused(&[&flags[..], &["--out", folder]].concat());
     assert!(again.contains("--resume"), "{again}");
     let nowhere = refused(&["simulate", "--resume", work.path().join("nowhere").to_str().unwrap()]);
-    assert!(nowhere.contains("holds no run"), "{nowhere}");
+    assert!(nowhere.contains("there is no such folder"), "{nowhere}");
 
     // A record of another simulation is refused.
     let record = simulations(&out)[0].join("record.toml");

@@ -85,7 +85,10 @@ pub(crate) fn files(model: &Path, mmproj: Option<&Path>) -> Result<Vec<PathBuf>,
 
 /// The decoder (or whole model) among a folder's GGUF files; none if it has no such file.
 pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>, MllmError> {
-    let models = files_of(folder, |architecture| architecture != TOWER)?;
+    let (models, unreadable) = files_of(folder, |architecture| architecture != TOWER)?;
+    if let Some(error) = unreadable {
+        return Err(error);
+    }
     match models.as_slice() {
         [] => Ok(None),
         [model] => Ok(Some(model.clone())),
@@ -104,18 +107,19 @@ pub(crate) fn tower_beside(model: &Path) -> Result<PathBuf, MllmError> {
     if named.is_file() {
         return Ok(named);
     }
-    let folder = model.parent().unwrap_or(Path::new(""));
-    let towers = files_of(folder, |architecture| architecture == TOWER)?;
+    let folder = model.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let (towers, unreadable) = files_of(folder, |architecture| architecture == TOWER)?;
     match towers.as_slice() {
-        [] => Err(MllmError::MissingFile {
+        [] => Err(unreadable.unwrap_or_else(|| MllmError::MissingFile {
             folder: folder.to_path_buf(),
             file: "vision tower (a GGUF file of architecture clip, 'mmproj'); put it beside the decoder, or name it under \
                    mmproj in the model's description"
                 .into(),
-        }),
+        })),
         [tower] => Ok(tower.clone()),
         several => {
-            Err(several_files(folder, "vision towers", several, "name one under mmproj in the model's description"))
+            let hint = format!("rename one to {}, or name it under mmproj in the model's description", named.display());
+            Err(several_files(folder, "vision towers", several, &hint))
         }
     }
 }
@@ -128,22 +132,23 @@ fn several_files(folder: &Path, what: &str, files: &[PathBuf], hint: &str) -> Ml
     }
 }
 
-/// The GGUF files of a folder whose architecture is wanted, sorted.
-fn files_of(folder: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<PathBuf>, MllmError> {
-    let listed = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let failed = |source| MllmError::Read { path: listed.to_path_buf(), source };
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(listed).map_err(failed)? {
-        let name = entry.map_err(failed)?.file_name();
-        let path = folder.join(&name);
-        if path.extension().is_some_and(|extension| extension == "gguf")
-            && wanted(open_header(&path)?.0.architecture()?)
-        {
-            found.push(path);
+/// The GGUF files of a folder whose architecture is wanted, sorted, and what is wrong with one that cannot be read.
+fn files_of(folder: &Path, wanted: impl Fn(&str) -> bool) -> Result<(Vec<PathBuf>, Option<MllmError>), MllmError> {
+    let failed = |source| MllmError::Read { path: folder.to_path_buf(), source };
+    let (mut found, mut unreadable) = (Vec::new(), None);
+    for entry in std::fs::read_dir(folder).map_err(failed)? {
+        let path = folder.join(entry.map_err(failed)?.file_name());
+        if path.extension().is_none_or(|extension| extension != "gguf") {
+            continue;
+        }
+        match open_header(&path).and_then(|(header, _)| Ok(wanted(header.architecture()?))) {
+            Ok(true) => found.push(path),
+            Ok(false) => {}
+            Err(error) => unreadable = Some(error),
         }
     }
     found.sort();
-    Ok(found)
+    Ok((found, unreadable))
 }
 
 /// The small files that the metadata holds, by name.

@@ -112,6 +112,9 @@ impl<'a> Experiments<'a> {
             }
             planned.push(Planned { study, suites });
         }
+        if planned.iter().all(|planned| planned.suites.is_empty()) {
+            return Err(suites::no_recordings());
+        }
         let parameters = runs.parameters();
         let mut open = runs.open(&self.request.out.join(RUNS), self.request.retry_failed)?;
         let (runs, completed, left) = open.counts();

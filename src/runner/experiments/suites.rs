@@ -60,7 +60,8 @@ impl<'a> Suites<'a> {
         for name in own {
             let name = name.as_ref();
             if name == RECORDED && self.recordings().is_empty() {
-                let text = format!("{experiment}: no recordings: neither --scenario nor ${DATA} names any");
+                let text =
+                    format!("{experiment}: no recordings: neither --scenario nor ${DATA} names a folder that is there");
                 (self.listener)(Event::Note(text));
             } else {
                 suites.push(self.named(name, starts)?);
@@ -84,7 +85,7 @@ impl<'a> Suites<'a> {
         let (mut words, splits) =
             if name == RECORDED { (self.recordings(), Vec::new()) } else { (Vec::new(), vec![name.to_owned()]) };
         if words.is_empty() && splits.is_empty() {
-            return Err(RunnerError::NoRecordings { folders: RECORDINGS.join(", "), variable: DATA });
+            return Err(no_recordings());
         }
         let Selected { mut sources, mut splits, missing } =
             select(&words, &splits, &Sample::default(), &self.readers, self.listener)?;
@@ -114,6 +115,10 @@ impl<'a> Suites<'a> {
         let words = folders.filter(|folder| folder.is_dir()).map(|folder| word_of(folder.as_os_str()));
         words.map(|word| absolute_path(&word)).collect()
     }
+}
+
+pub(super) fn no_recordings() -> RunnerError {
+    RunnerError::NoRecordings { folders: RECORDINGS.join(", "), variable: DATA }
 }
 
 /// A recording from each of its start times; a scenario whose length is not known before it is opened, from its own.

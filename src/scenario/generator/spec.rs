@@ -39,6 +39,10 @@ pub enum GeneratorError {
     UnknownType(String),
     #[error("the {which} '{seed}' of '{id}' is not an integer from 0 to 2^64 - 1")]
     Seed { which: &'static str, seed: String, id: String },
+    #[error(
+        "'{modification}' in '{id}' is no modification; name a kind of docs/modified.md, or a file whose name ends in .toml"
+    )]
+    Modification { modification: String, id: String },
     #[error("cannot generate {id}: all {draws} draws were discarded, the last one because {last}")]
     Exhausted { id: String, draws: usize, last: Discard },
 }
@@ -91,6 +95,9 @@ impl FromStr for Spec {
         let number = |which, seed: &str| {
             seed.parse().map_err(|_| GeneratorError::Seed { which, seed: seed.to_owned(), id: id.to_owned() })
         };
+        if let Some((_, modification)) = seed.split_once('~') {
+            return Err(GeneratorError::Modification { modification: modification.to_owned(), id: id.to_owned() });
+        }
         let (seed, traffic) = seed.split_once('.').unwrap_or((seed, "0"));
         let (seed, traffic_seed) = (number("seed", seed)?, number("traffic seed", traffic)?);
         Ok(Self { scenario_type, seed, traffic_seed, wide: wide.is_some() })
