@@ -65,7 +65,7 @@ pub(super) fn prefetch_part<S: Simd>(
     for ahead in ahead {
         // A constant number of lines in each part, so that the loop is unrolled; parts may overlap.
         for line in 0..lines.div_ceil(parts) {
-            simd.prefetch_once(ahead.wrapping_add(lines * part / parts + line));
+            simd.prefetch(ahead.wrapping_add(lines * part / parts + line));
         }
     }
 }

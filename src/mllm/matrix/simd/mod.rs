@@ -45,8 +45,6 @@ pub(crate) trait Simd: Copy + Send + Sync {
 
     /// Starts to load a line into the caches. An address that does not exist is ignored.
     fn prefetch(self, line: *const CacheLine);
-    /// Starts to load a line that is read once and soon: it takes no place in the second-level cache.
-    fn prefetch_once(self, line: *const CacheLine);
     fn bytes(self, line: &CacheLine) -> Self::Bytes;
     fn store_bytes(self, bytes: Self::Bytes, line: &mut CacheLine);
     /// The low four bits of each byte.

@@ -189,12 +189,6 @@ impl Simd for Neon {
     }
 
     #[inline(always)]
-    fn prefetch_once(self, line: *const CacheLine) {
-        // SAFETY: a prefetch changes nothing.
-        unsafe { asm!("prfm pldl1strm, [{}]", in(reg) line, options(readonly, nostack, preserves_flags)) };
-    }
-
-    #[inline(always)]
     fn store_bytes(self, bytes: Bytes, line: &mut CacheLine) {
         for (part, bytes) in line.0.as_chunks_mut::<16>().0.iter_mut().zip(bytes) {
             // SAFETY: as above.

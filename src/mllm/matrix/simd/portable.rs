@@ -36,8 +36,6 @@ impl Simd for Portable {
 
     fn prefetch(self, _: *const CacheLine) {}
 
-    fn prefetch_once(self, _: *const CacheLine) {}
-
     fn bytes(self, line: &CacheLine) -> [u8; 64] {
         line.0
     }
