@@ -11,7 +11,7 @@ use super::values::row_by_row;
 ///
 /// Computes the mean first, then the variance, both summed in f64. candle-nn computes the variance as E(x²) − E(x)² in f32,
 /// which loses digits where the mean is large.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct LayerNorm {
     weight: Vec<f32>,
     bias: Vec<f32>,
@@ -29,10 +29,15 @@ impl LayerNorm {
         let mut vector = |part: &str| -> std::result::Result<Vec<f32>, MllmError> {
             Ok(weights.take(&format!("{name}.{part}"), &[width])?.to_vec1()?)
         };
-        Ok(Self { weight: vector("weight")?, bias: vector("bias")?, eps })
+        Ok(Self::new(vector("weight")?, vector("bias")?, eps))
     }
 
-    /// Applies the norm to (rows, width).
+    /// Of a weight and a bias of the same length.
+    pub(crate) fn new(weight: Vec<f32>, bias: Vec<f32>, eps: f64) -> Self {
+        Self { weight, bias, eps }
+    }
+
+    /// Applies the norm to (…, width).
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let width = self.weight.len();
         row_by_row(x, width, width, |out, x| Instructions::best().run(Rows { norm: self, x, out }))

@@ -48,11 +48,6 @@ impl Linear {
         Self { weight, bias }
     }
 
-    /// Whether the result for a token has the same bits whatever tokens are computed with it.
-    pub(crate) fn is_exact_by_row(&self) -> bool {
-        self.weight.is_exact_by_row()
-    }
-
     /// Applies the layer to (tokens, inputs).
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         self.weight.forward_onto(x, self.bias.as_ref(), None)

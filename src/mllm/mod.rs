@@ -49,7 +49,7 @@ mod vision;
 
 #[cfg(feature = "internals")]
 pub use attention::AttentionProbe;
-pub(crate) use checkpoint::in_bytes;
+pub(crate) use checkpoint::{Activation, in_bytes};
 pub use checkpoint::{LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights};
 pub(crate) use conversation::milliseconds;
 pub use conversation::{
@@ -70,8 +70,10 @@ pub use family::{
 };
 pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
+pub(crate) use layer_norm::LayerNorm;
 pub use local::{FormatOutline, Loading, LocalModel, MatrixShare, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
+pub(crate) use pointwise::softmax;
 pub(crate) use registry::data_folder;
 pub use registry::{
     Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs, ModelRegistry, ModelSource,
@@ -80,3 +82,4 @@ pub use registry::{
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::ChatTokenizer;
 pub use trial::Trust;
+pub(crate) use values::with_values;

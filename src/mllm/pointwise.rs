@@ -1,4 +1,4 @@
-//! Elementwise activation functions, vectorized and parallel, in one pass over the numbers.
+//! Activation functions and softmax, vectorized and parallel, in few passes over the numbers.
 #![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
 
 use candle_core::{D, Result, Tensor, bail};
@@ -25,6 +25,31 @@ impl Activation {
         row_by_row(gate_up, both, width, |out, values| {
             Instructions::best().run(SwiGluKernel { width, values, out });
         })
+    }
+}
+
+/// Softmax over the last dimension.
+pub(crate) fn softmax(x: &Tensor) -> Result<Tensor> {
+    let width = x.dim(D::Minus1)?;
+    row_by_row(x, width, width, |out, values| Instructions::best().run(SoftmaxKernel { width, values, out }))
+}
+
+struct SoftmaxKernel<'a> {
+    width: usize,
+    values: &'a [f32],
+    out: &'a mut [f32],
+}
+
+impl Kernel for SoftmaxKernel<'_> {
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        for (out, row) in self.out.chunks_exact_mut(self.width).zip(self.values.chunks_exact(self.width)) {
+            let largest =
+                row.iter().fold(f32::NEG_INFINITY, |largest, value| if *value > largest { *value } else { largest });
+            map(row, out, |value| exp(value - largest));
+            let sum: f32 = out.iter().sum();
+            out.iter_mut().for_each(|value| *value /= sum);
+        }
     }
 }
 
@@ -148,6 +173,20 @@ mod tests {
                 assert!((found - expected).abs() <= allowed, "{activation:?}({x}) = {found}, not {expected}");
             }
         }
+    }
+
+    #[test]
+    fn softmax_is_what_candle_says_and_hides_what_is_minus_infinity() {
+        let row = (0..75).map(|index| if index % 7 == 3 { f32::NEG_INFINITY } else { (index * 31 % 40) as f32 * 0.5 });
+        let rows: Vec<f32> = row.collect::<Vec<_>>().repeat(3);
+        let x = Tensor::from_vec(rows, (3, 75), &Device::Cpu).unwrap();
+        let found = softmax(&x).unwrap().to_vec2::<f32>().unwrap();
+        let expected = candle_nn::ops::softmax_last_dim(&x).unwrap().to_vec2::<f32>().unwrap();
+        for (found, expected) in found.into_iter().flatten().zip(expected.into_iter().flatten()) {
+            assert!((found - expected).abs() <= 1e-6 * expected + 1e-30, "{found}, {expected}");
+        }
+        let hidden = Tensor::full(f32::NEG_INFINITY, (1, 4), &Device::Cpu).unwrap();
+        assert!(softmax(&hidden).unwrap().to_vec2::<f32>().unwrap()[0].iter().all(|value| value.is_nan()));
     }
 
     #[test]

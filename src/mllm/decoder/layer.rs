@@ -70,11 +70,6 @@ impl SwiGlu {
         Self::take(weights, name, shape)
     }
 
-    /// Whether the result for a token has the same bits whatever tokens are computed with it.
-    pub(crate) fn is_exact_by_row(&self) -> bool {
-        self.gate_up.is_exact_by_row() && self.down.is_exact_by_row()
-    }
-
     /// Maps (tokens, hidden) to the same shape.
     pub(crate) fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
         self.down.forward(&Activation::swiglu(&self.gate_up.forward(x)?)?)

@@ -132,9 +132,6 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
     }
 
     fn exact_pass(&self) -> usize {
-        if !self.head.is_exact_by_row() {
-            return 1;
-        }
         self.layers.iter().map(L::exact_pass).min().unwrap_or(1)
     }
 

@@ -1,4 +1,6 @@
-//! Products of f16 weights with f32 activations, summed in f32.
+//! Products of f16 and f32 weights with f32 activations, summed in f32.
+
+use std::marker::PhantomData;
 
 use super::format::{Format, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
@@ -7,13 +9,47 @@ use super::simd::Simd;
 /// Numbers in a span: the unpacked spans of two tiles fill half of a 32 KiB first-level cache.
 const SPAN: usize = 128;
 
-/// IEEE half precision; a cache line holds two numbers of each output.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct F16;
+/// The differences between the floating-point formats.
+pub(super) trait Width {
+    /// Numbers of each output in a cache line.
+    const NUMBERS: usize;
+    /// Number `index` of each output.
+    fn load<S: Simd>(simd: S, line: &CacheLine, index: usize) -> S::Floats;
+}
 
-impl Format for F16 {
+/// IEEE half precision.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Half;
+
+impl Width for Half {
+    const NUMBERS: usize = 2;
+
+    #[inline(always)]
+    fn load<S: Simd>(simd: S, line: &CacheLine, index: usize) -> S::Floats {
+        simd.load_half(&line.halves(index))
+    }
+}
+
+/// IEEE single precision.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Single;
+
+impl Width for Single {
+    const NUMBERS: usize = 1;
+
+    #[inline(always)]
+    fn load<S: Simd>(simd: S, line: &CacheLine, _: usize) -> S::Floats {
+        simd.load(&line.singles())
+    }
+}
+
+/// Floating-point weights of one width.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Float<W>(PhantomData<W>);
+
+impl<W: Width> Format for Float<W> {
     const SPAN: usize = SPAN;
-    const LINES: usize = SPAN / 2;
+    const LINES: usize = SPAN / W::NUMBERS;
     const WORDS: usize = SPAN;
     type Block = [[f32; LANES]; SPAN];
 
@@ -30,15 +66,14 @@ impl Format for F16 {
 
     #[inline(always)]
     fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Self::Block) {
-        let (pairs, _) = block.as_chunks_mut::<2>();
-        for (numbers, line) in pairs.iter_mut().zip(lines) {
-            for (half, numbers) in numbers.iter_mut().enumerate() {
-                simd.store(simd.load_half(&line.halves(half)), numbers);
+        for (numbers, line) in block.chunks_exact_mut(W::NUMBERS).zip(lines) {
+            for (index, numbers) in numbers.iter_mut().enumerate() {
+                simd.store(W::load(simd, line, index), numbers);
             }
         }
         // Past the end of a row the activations are zero, but values left from an earlier row may be infinite.
-        for numbers in &mut pairs[lines.len()..] {
-            *numbers = [[0.0; LANES]; 2];
+        for numbers in block.iter_mut().skip(lines.len() * W::NUMBERS) {
+            *numbers = [0.0; LANES];
         }
     }
 
@@ -81,13 +116,13 @@ impl Format for F16 {
         sums: &mut TileSums,
     ) {
         let mut totals = [simd.load(&sums[0]), simd.load(&sums[1])];
-        let pairs = words.as_chunks::<2>().0.iter().zip(tiles[0]).zip(tiles[1]);
-        for (index, ((activations, first), second)) in pairs.enumerate() {
-            prefetch_part(simd, ahead, Self::LINES, index, Self::LINES);
-            for (half, activation) in activations.iter().enumerate() {
+        let groups = words.chunks_exact(W::NUMBERS).zip(tiles[0]).zip(tiles[1]);
+        for (part, ((activations, first), second)) in groups.enumerate() {
+            prefetch_part(simd, ahead, Self::LINES, part, Self::LINES);
+            for (index, activation) in activations.iter().enumerate() {
                 let activation = simd.floats(f32::from_bits(activation.cast_unsigned()));
                 for (total, line) in totals.iter_mut().zip([first, second]) {
-                    *total = simd.mul_add(activation, simd.load_half(&line.halves(half)), *total);
+                    *total = simd.mul_add(activation, W::load(simd, line, index), *total);
                 }
             }
         }

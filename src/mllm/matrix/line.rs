@@ -21,6 +21,16 @@ impl CacheLine {
         values
     }
 
+    /// The line as 32-bit numbers.
+    #[inline(always)]
+    pub(crate) fn singles(&self) -> [f32; LANES] {
+        let mut values = [0.0; LANES];
+        for (value, bytes) in values.iter_mut().zip(self.0.as_chunks::<4>().0) {
+            *value = f32::from_le_bytes(*bytes);
+        }
+        values
+    }
+
     /// The bytes of a quarter, 0 to 3.
     #[inline(always)]
     pub(crate) fn quarter(&self, quarter: usize) -> [u8; LANES] {

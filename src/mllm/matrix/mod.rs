@@ -21,6 +21,7 @@ use candle_core::quantized::QTensor;
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
 
+#[cfg(test)]
 pub(crate) use blocks::widen;
 pub(crate) use line::LANES;
 use packed_tiles::PackedTiles;
@@ -36,17 +37,8 @@ use super::values::{PIECE, with_values};
 pub struct Matrix {
     inputs: usize,
     outputs: usize,
-    /// Their outputs are concatenated. A stack of matrices has more than one segment.
-    segments: Vec<Arc<Segment>>,
-}
-
-/// Consecutive rows of a matrix in one weight format.
-#[derive(Debug)]
-enum Segment {
-    /// f32 of shape (outputs, inputs), multiplied by candle.
-    Tensor(Tensor),
-    /// Any other weight format.
-    Tiles(PackedTiles),
+    /// Consecutive rows in one weight format. A stack of matrices may have more than one segment.
+    segments: Vec<Arc<PackedTiles>>,
 }
 
 impl Matrix {
@@ -60,10 +52,6 @@ impl Matrix {
         check_shape(weight_format, outputs, inputs)?;
         if outputs.checked_mul(inputs) != Some(values.len()) {
             bail!("{} values do not fill a matrix of {outputs} x {inputs}", values.len());
-        }
-        if weight_format == WeightFormat::F32 {
-            let tensor = Tensor::from_slice(values, (outputs, inputs), &Device::Cpu)?;
-            return Self::from_tensor(&tensor);
         }
         let mut blocks = vec![0; values.len() / weight_format.block() * weight_format.block_bytes()];
         let pieces = blocks.par_chunks_mut(PIECE / weight_format.block() * weight_format.block_bytes());
@@ -81,21 +69,15 @@ impl Matrix {
         if weight_format.matrix_bytes(outputs, inputs) != Some(bytes.len()) {
             bail!("{} bytes do not fill a {weight_format} matrix of {outputs} x {inputs}", bytes.len());
         }
-        if weight_format == WeightFormat::F32 {
-            let values = widen(weight_format.ggml(), bytes.to_vec())?;
-            return Self::from_tensor(&Tensor::from_vec(values, (outputs, inputs), &Device::Cpu)?);
-        }
-        Ok(Self {
-            inputs,
-            outputs,
-            segments: vec![Arc::new(Segment::Tiles(PackedTiles::pack(weight_format, outputs, inputs, bytes)))],
-        })
+        let tiles = PackedTiles::pack(weight_format, outputs, inputs, bytes);
+        Ok(Self { inputs, outputs, segments: vec![Arc::new(tiles)] })
     }
 
     /// Takes an f32 tensor of shape (outputs, inputs).
     pub fn from_tensor(tensor: &Tensor) -> Result<Self> {
         let (outputs, inputs) = tensor.dims2()?;
-        Ok(Self { inputs, outputs, segments: vec![Arc::new(Segment::Tensor(tensor.contiguous()?))] })
+        let bytes = |values: &[f32]| Ok(values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>());
+        Self::from_blocks(WeightFormat::F32, outputs, inputs, &with_values(tensor, bytes)?)
     }
 
     /// Concatenates the outputs of matrices with the same inputs, so that one product replaces several. Their weight
@@ -108,13 +90,12 @@ impl Matrix {
             bail!("cannot stack matrices of {inputs} and {} inputs", other.inputs);
         }
         let outputs = matrices.iter().map(|matrix| matrix.outputs).sum();
-        let mut segments: Vec<Arc<Segment>> = Vec::new();
+        let mut segments: Vec<Arc<PackedTiles>> = Vec::new();
         for segment in matrices.into_iter().flat_map(|matrix| matrix.segments) {
-            let apart = match segments.last_mut().and_then(Arc::get_mut) {
-                Some(last) => last.append(segment)?,
-                None => Some(segment),
-            };
-            segments.extend(apart);
+            let last = segments.last_mut().and_then(Arc::get_mut);
+            if !last.is_some_and(|last| last.append(&segment)) {
+                segments.push(segment);
+            }
         }
         Ok(Self { inputs, outputs, segments })
     }
@@ -130,12 +111,6 @@ impl Matrix {
     /// The weight format of the first segment.
     pub fn weight_format(&self) -> WeightFormat {
         self.segments.first().map_or_else(WeightFormat::default, |segment| segment.weight_format())
-    }
-
-    /// Whether the product of a row has the same bits whatever rows are multiplied with it. candle sums a single row in another
-    /// order than several.
-    pub(crate) fn is_exact_by_row(&self) -> bool {
-        self.segments.iter().all(|segment| matches!(**segment, Segment::Tiles(_)))
     }
 
     /// Size in memory, bytes.
@@ -179,13 +154,6 @@ impl Matrix {
         if width != self.inputs {
             bail!("cannot multiply rows of {width} numbers with a matrix of {} inputs", self.inputs);
         }
-        if let [segment] = self.segments.as_slice()
-            && let Segment::Tensor(weights) = &**segment
-        {
-            let product = x.matmul(&weights.t()?)?;
-            let product = bias.map_or(Ok(product.clone()), |bias| product.broadcast_add(bias))?;
-            return residual.map_or(Ok(product.clone()), |residual| residual + &product);
-        }
         let read = |tensor: &Tensor, shape: &[usize]| {
             if tensor.dims() == shape {
                 with_values(tensor, |values| Ok(values.to_vec()))
@@ -205,84 +173,12 @@ impl Matrix {
                 let columns = Columns::new(&mut result, self.outputs, first, segment.outputs(), bias);
                 first += segment.outputs();
                 if let Some(columns) = columns {
-                    segment.multiply(x, &columns)?;
+                    product::multiply(segment, x, &columns, Instructions::best());
                 }
             }
             Ok(())
         })?;
         Tensor::from_vec(result, (tokens, self.outputs), &Device::Cpu)
-    }
-}
-
-impl Segment {
-    fn weight_format(&self) -> WeightFormat {
-        match self {
-            Self::Tensor(_) => WeightFormat::F32,
-            Self::Tiles(tiles) => tiles.weight_format(),
-        }
-    }
-
-    fn outputs(&self) -> usize {
-        match self {
-            Self::Tensor(weights) => weights.dims().first().copied().unwrap_or(0),
-            Self::Tiles(tiles) => tiles.outputs(),
-        }
-    }
-
-    fn bytes(&self) -> usize {
-        match self {
-            Self::Tensor(weights) => weights.elem_count() * size_of::<f32>(),
-            Self::Tiles(tiles) => tiles.bytes(),
-        }
-    }
-
-    /// Appends another segment to this one, or returns it if their weight formats differ.
-    fn append(&mut self, other: Arc<Self>) -> Result<Option<Arc<Self>>> {
-        let appended = match (self, &*other) {
-            (Self::Tensor(weights), Self::Tensor(others)) => {
-                *weights = Tensor::cat(&[&*weights, others], 0)?;
-                true
-            }
-            (Self::Tiles(tiles), Self::Tiles(others)) => tiles.append(others),
-            _ => false,
-        };
-        Ok((!appended).then_some(other))
-    }
-
-    fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
-        match self {
-            Self::Tiles(tiles) => tiles.write_blocks(out),
-            Self::Tensor(weights) => with_values(weights, |values| {
-                Ok(values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes())))
-            })
-            .map_err(io::Error::other)?,
-        }
-    }
-
-    fn read_row(&self, index: usize, row: &mut [f32]) -> Result<()> {
-        match self {
-            Self::Tensor(weights) => with_values(&weights.get(index)?, |values| {
-                row.copy_from_slice(values);
-                Ok(())
-            }),
-            Self::Tiles(tiles) => tiles.read_row(index, row),
-        }
-    }
-
-    /// Adds the products with row-major activations to columns of a result.
-    fn multiply(&self, x: &[f32], columns: &Columns<'_>) -> Result<()> {
-        match self {
-            Self::Tiles(tiles) => product::multiply(tiles, x, columns, Instructions::best()),
-            Self::Tensor(weights) => {
-                let inputs = weights.dim(1)?;
-                let product = Tensor::from_slice(x, (x.len() / inputs, inputs), &Device::Cpu)?.matmul(&weights.t()?)?;
-                with_values(&product, |product| {
-                    columns.add_all(product);
-                    Ok(())
-                })?;
-            }
-        }
-        Ok(())
     }
 }
 

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 
 use rayon::prelude::*;
 
-use super::float::F16;
+use super::float::{Float, Half, Single};
 use super::format::{Format, MAX_BATCH, TILES, TileSums};
 use super::line::{CacheLine, LANES};
 use super::packed_tiles::PackedTiles;
@@ -65,14 +65,6 @@ impl<'a> Columns<'a> {
         Some(Self { start, stride, width, rows, bias, result: PhantomData })
     }
 
-    /// Adds a product that covers all these columns.
-    pub(super) fn add_all(&self, product: &[f32]) {
-        for (row, sums) in product.chunks_exact(self.width).take(self.rows).enumerate() {
-            // SAFETY: only this thread writes the columns here.
-            unsafe { self.add(row, 0, sums) };
-        }
-    }
-
     /// Adds the sums of a row from a column on, up to the last column.
     ///
     /// # Safety
@@ -96,11 +88,11 @@ impl<'a> Columns<'a> {
     }
 }
 
-/// Adds the products of row-major activations with tiles to columns. [`WeightFormat::F32`] has no kernel and adds nothing.
+/// Adds the products of row-major activations with tiles to columns.
 pub(super) fn multiply(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
     match tiles.weight_format() {
-        WeightFormat::F32 => {}
-        WeightFormat::F16 => multiply_as::<F16>(tiles, x, out, instructions),
+        WeightFormat::F32 => multiply_as::<Float<Single>>(tiles, x, out, instructions),
+        WeightFormat::F16 => multiply_as::<Float<Half>>(tiles, x, out, instructions),
         WeightFormat::Q8_0 => multiply_as::<Q8_0>(tiles, x, out, instructions),
         WeightFormat::Q6K => multiply_as::<Q6K>(tiles, x, out, instructions),
         WeightFormat::Q5K => multiply_as::<Q5K>(tiles, x, out, instructions),

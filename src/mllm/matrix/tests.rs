@@ -7,10 +7,6 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 
-/// Weight formats with kernels of their own.
-const PACKED: [WeightFormat; 5] =
-    [WeightFormat::F16, WeightFormat::Q8_0, WeightFormat::Q6K, WeightFormat::Q5K, WeightFormat::Q4K];
-
 /// Random blocks with scales below `largest`.
 fn random_blocks(
     weight_format: WeightFormat,
@@ -19,6 +15,9 @@ fn random_blocks(
     largest: f32,
     random: &mut Pcg64Mcg,
 ) -> Vec<u8> {
+    if weight_format == WeightFormat::F32 {
+        return (0..outputs * inputs).flat_map(|_| random.random_range(-largest..largest).to_le_bytes()).collect();
+    }
     let mut bytes = vec![0; weight_format.matrix_bytes(outputs, inputs).unwrap()];
     random.fill_bytes(&mut bytes);
     for block in bytes.chunks_exact_mut(weight_format.block_bytes()) {
@@ -91,8 +90,8 @@ proptest! {
         outputs in 1usize..70, blocks in 1usize..4, rows in 1usize..15, exponent in -24i32..16, seed: u64,
     ) {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
-        for weight_format in PACKED {
-            let inputs = blocks * if weight_format == WeightFormat::F16 { 75 } else { weight_format.block() };
+        for weight_format in WeightFormat::ALL {
+            let inputs = blocks * if weight_format.block() == 1 { 75 } else { weight_format.block() };
             let bytes = random_blocks(weight_format, outputs, inputs, 2f32.powi(exponent), &mut random);
             let tiles = PackedTiles::pack(weight_format, outputs, inputs, &bytes);
             let x = random_rows(rows, inputs, &mut random);
@@ -127,7 +126,7 @@ proptest! {
 fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
     let mut random = Pcg64Mcg::seed_from_u64(1);
     let (outputs, inputs, rows) = (300, 512, 21);
-    for weight_format in PACKED {
+    for weight_format in WeightFormat::ALL {
         let bytes = random_blocks(weight_format, outputs, inputs, 1.0, &mut random);
         let tiles = PackedTiles::pack(weight_format, outputs, inputs, &bytes);
         let x = random_rows(rows, inputs, &mut random);
@@ -147,7 +146,7 @@ fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
 #[test]
 fn nan_and_infinity_appear_in_the_result() {
     let mut random = Pcg64Mcg::seed_from_u64(2);
-    for weight_format in PACKED {
+    for weight_format in WeightFormat::ALL {
         let bytes = random_blocks(weight_format, 20, 512, 1.0, &mut random);
         let tiles = PackedTiles::pack(weight_format, 20, 512, &bytes);
         for strange in [f32::NAN, f32::INFINITY] {
@@ -170,7 +169,7 @@ fn a_stack_multiplies_and_reads_like_its_matrices() {
         (WeightFormat::Q4K, 32),
         (WeightFormat::Q4K, 20),
         (WeightFormat::Q6K, 17),
-        (WeightFormat::F32, 5),
+        (WeightFormat::F32, 16),
         (WeightFormat::F32, 3),
     ];
     let matrices: Vec<Matrix> = parts
@@ -185,23 +184,23 @@ fn a_stack_multiplies_and_reads_like_its_matrices() {
     let rows: Vec<Tensor> = matrices.iter().map(|matrix| matrix.rows(&[0, 2]).unwrap()).collect();
     let bytes: usize = matrices.iter().map(Matrix::bytes).sum();
     let stack = Matrix::stack(matrices).unwrap();
-    assert_eq!((stack.outputs(), stack.inputs(), stack.bytes()), (77, inputs, bytes));
+    assert_eq!((stack.outputs(), stack.inputs(), stack.bytes()), (88, inputs, bytes));
     assert_eq!(stack.segments.len(), 3, "matrices that are stored alike are one");
     let expected = Tensor::cat(&apart, 1).unwrap().to_vec2::<f32>().unwrap();
     assert_eq!(stack.forward(&x).unwrap().to_vec2::<f32>().unwrap(), expected);
     let (bias, residual) =
-        (stack.rows(&[3]).unwrap().narrow(1, 0, 77).unwrap(), (&x.narrow(1, 9, 77).unwrap() * 2.0).unwrap());
+        (stack.rows(&[3]).unwrap().narrow(1, 0, 88).unwrap(), (&x.narrow(1, 9, 88).unwrap() * 2.0).unwrap());
     let onto = stack.forward_onto(&x, Some(&bias.squeeze(0).unwrap()), Some(&residual)).unwrap();
     let sum = (stack.forward(&x).unwrap().broadcast_add(&bias).unwrap() + &residual).unwrap();
     let difference = (onto - sum).unwrap().abs().unwrap().max_all().unwrap().to_scalar::<f32>().unwrap();
     assert!(difference < 1e-3, "{difference}");
     assert!(stack.forward_onto(&x, None, Some(&x)).is_err());
-    let starts = [0, 32, 52, 69, 74];
+    let starts = [0, 32, 52, 69, 85];
     for (start, rows) in starts.into_iter().zip(rows) {
         let found = stack.rows(&[start, start + 2]).unwrap();
         assert_eq!(found.to_vec2::<f32>().unwrap(), rows.to_vec2::<f32>().unwrap());
     }
-    assert!(stack.rows(&[77]).is_err());
+    assert!(stack.rows(&[88]).is_err());
     assert!(stack.forward(&Tensor::zeros((2, 255), candle_core::DType::F32, &Device::Cpu).unwrap()).is_err());
 }
 

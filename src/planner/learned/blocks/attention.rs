@@ -35,21 +35,45 @@ impl MultiheadAttention {
         [query, key, value]: [&Tensor; 3],
         bias: Option<&Tensor>,
     ) -> Result<Tensor> {
+        self.hear(query, &self.memory(key, value)?, bias)
+    }
+
+    /// Keys and values (B, K, E) that several queries may hear.
+    pub(in crate::planner::learned) fn memory(&self, key: &Tensor, value: &Tensor) -> Result<Memory> {
+        Ok(Memory { keys: self.heads_of(key, 1)?, values: self.heads_of(value, 2)? })
+    }
+
+    /// As [`Self::forward`], of queries that hear a memory.
+    pub(in crate::planner::learned) fn hear(
+        &self,
+        query: &Tensor,
+        memory: &Memory,
+        bias: Option<&Tensor>,
+    ) -> Result<Tensor> {
         let (batch, queries, width) = query.dims3()?;
-        let head = width / self.heads;
-        let split = |x: &Tensor, layer: &Linear| -> Result<Tensor> {
-            let rows = x.dim(1)?;
-            layer.forward(x)?.reshape((batch, rows, self.heads, head))?.transpose(1, 2)?.contiguous()
-        };
-        let [q, k, v] = [(query, 0), (key, 1), (value, 2)].map(|(x, i)| split(x, &self.projections[i]));
-        let logits = (q? * (1.0 / (head as f64).sqrt()))?.matmul(&k?.transpose(2, 3)?.contiguous()?)?;
+        let scale = 1.0 / ((width / self.heads) as f64).sqrt();
+        let logits = (self.heads_of(query, 0)? * scale)?.matmul(&memory.keys.transpose(2, 3)?)?;
         let logits = match bias {
             Some(bias) => logits.broadcast_add(bias)?,
             None => logits,
         };
-        let mixed = softmax(&logits)?.matmul(&v?)?.transpose(1, 2)?.reshape((batch, queries, width))?;
+        let mixed = softmax(&logits)?.matmul(&memory.values)?.transpose(1, 2)?.reshape((batch, queries, width))?;
         self.output.forward(&mixed)
     }
+
+    /// A projection of rows (B, rows, E), split into heads (B, heads, rows, E / heads).
+    fn heads_of(&self, x: &Tensor, projection: usize) -> Result<Tensor> {
+        let (batch, rows, width) = x.dims3()?;
+        let projected = self.projections[projection].forward(x)?;
+        projected.reshape((batch, rows, self.heads, width / self.heads))?.transpose(1, 2)?.contiguous()
+    }
+}
+
+/// Projected keys and values (B, heads, K, E / heads).
+#[derive(Debug)]
+pub(in crate::planner::learned) struct Memory {
+    keys: Tensor,
+    values: Tensor,
 }
 
 impl MultiheadAttention {

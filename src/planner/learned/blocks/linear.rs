@@ -1,13 +1,13 @@
 //! Affine layers.
 
 use super::{Weights, relu};
+use crate::mllm::Matrix;
 use candle_core::{Result, Tensor};
 
 /// y = x Wᵀ + b over the last dimension.
 #[derive(Debug, Clone)]
 pub(in crate::planner::learned) struct Linear {
-    /// Wᵀ, (inputs, outputs).
-    transposed: Tensor,
+    weight: Matrix,
     bias: Option<Tensor>,
 }
 
@@ -34,24 +34,29 @@ impl Linear {
     }
 
     /// Of a weight (outputs, inputs) and a bias.
-    pub(super) fn of(weight: &Tensor, bias: Option<Tensor>) -> Result<Self> {
-        Ok(Self { transposed: weight.t()?.contiguous()?, bias })
+    pub(in crate::planner::learned) fn of(weight: &Tensor, bias: Option<Tensor>) -> Result<Self> {
+        Ok(Self { weight: Matrix::from_tensor(weight)?, bias })
     }
 
     /// Applies the layer to (…, inputs).
     pub(in crate::planner::learned) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let (inputs, outputs) = self.transposed.dims2()?;
+        self.sum(x, None)
+    }
+
+    /// residual (…, outputs) + layer(x).
+    pub(in crate::planner::learned) fn forward_onto(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
+        self.sum(x, Some(residual))
+    }
+
+    fn sum(&self, x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
         let mut shape = x.dims().to_vec();
-        let rows: usize = x.elem_count() / inputs;
-        let product = x.reshape((rows, inputs))?.matmul(&self.transposed)?;
-        let sum = match &self.bias {
-            Some(bias) => product.broadcast_add(bias)?,
-            None => product,
-        };
         if let Some(last) = shape.last_mut() {
-            *last = outputs;
+            *last = self.weight.outputs();
         }
-        sum.reshape(shape)
+        let rows = x.elem_count() / self.weight.inputs();
+        let x = x.reshape((rows, self.weight.inputs()))?;
+        let residual = residual.map(|residual| residual.reshape((rows, self.weight.outputs()))).transpose()?;
+        self.weight.forward_onto(&x, self.bias.as_ref(), residual.as_ref())?.reshape(shape)
     }
 }
 

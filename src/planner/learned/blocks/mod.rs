@@ -9,8 +9,8 @@ mod probe;
 mod recurrent;
 mod weights;
 
-pub(super) use activation::{leaky_relu, masked, relu, softmax};
-pub(super) use attention::{MultiheadAttention, key_bias};
+pub(super) use activation::{gelu, leaky_relu, masked, relu, softmax};
+pub(super) use attention::{Memory, MultiheadAttention, key_bias};
 pub(super) use conv::Conv1d;
 pub(super) use linear::{Linear, Mlp};
 pub(super) use norm::{BatchNorm, LayerNorm};

@@ -1,31 +1,26 @@
 //! Normalizations.
 
 use super::Weights;
-use candle_core::{D, Result, Tensor};
+use crate::mllm;
+use candle_core::{Result, Tensor};
 
 /// PyTorch's default ε of both.
 const EPSILON: f64 = 1e-5;
 
 /// Normalizes the last dimension.
 #[derive(Debug, Clone)]
-pub(in crate::planner::learned) struct LayerNorm {
-    weight: Tensor,
-    bias: Tensor,
-}
+pub(in crate::planner::learned) struct LayerNorm(mllm::LayerNorm);
 
 impl LayerNorm {
     /// Takes `NAME.weight` and `NAME.bias`.
     pub(in crate::planner::learned) fn take(weights: &mut Weights, name: &str, width: usize) -> Result<Self> {
-        let mut vector = |part: &str| weights.take(&format!("{name}.{part}"), &[width]);
-        Ok(Self { weight: vector("weight")?, bias: vector("bias")? })
+        let mut vector = |part: &str| weights.take(&format!("{name}.{part}"), &[width])?.to_vec1();
+        Ok(Self(mllm::LayerNorm::new(vector("weight")?, vector("bias")?, EPSILON)))
     }
 
     /// Applies the norm to (…, width).
     pub(in crate::planner::learned) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let centered = x.broadcast_sub(&x.mean_keepdim(D::Minus1)?)?;
-        let variance = centered.sqr()?.mean_keepdim(D::Minus1)?;
-        let scaled = centered.broadcast_div(&(variance + EPSILON)?.sqrt()?)?;
-        scaled.broadcast_mul(&self.weight)?.broadcast_add(&self.bias)
+        self.0.forward(x)
     }
 }
 

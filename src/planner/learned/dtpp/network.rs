@@ -131,10 +131,12 @@ impl Dtpp {
         let states = inputs.neighbors.narrow(1, 0, neighbors)?;
         let states = states.narrow(2, states.dim(2)? - 1, 1)?.squeeze(2)?;
         let mut futures = Vec::with_capacity(neighbors);
+        // All agents hear the same scene and the same branches.
+        let heard = [self.environment.memory(&scene.tokens)?, self.condition.memory(&pooled)?];
         for i in 0..neighbors {
             let query = scene.tokens.narrow(1, i + 1, 1)?.broadcast_add(&embedded)?;
-            let near = self.environment.cross(&query, &scene.tokens, &environment)?;
-            let own = self.condition.cross(&query, &pooled, &condition)?;
+            let near = self.environment.hear(&query, &heard[0], &environment)?;
+            let own = self.condition.hear(&query, &heard[1], &condition)?;
             probe.note("decoder.environment_decoder", &near);
             probe.note("decoder.ego_condition_decoder", &own);
             let [inner, outer] = &self.futures;

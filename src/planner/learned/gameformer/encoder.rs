@@ -1,6 +1,8 @@
 //! The encoder of GameFormer and DTPP: actors and pieces of map lines as tokens of one transformer.
 
-use crate::planner::learned::blocks::{LayerNorm, Linear, Lstm, Mlp, MultiheadAttention, Probe, Weights, key_bias};
+use crate::planner::learned::blocks::{
+    LayerNorm, Linear, Lstm, Memory, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias,
+};
 use candle_core::{D, Device, Result, Tensor};
 
 /// Heads of all attention layers.
@@ -178,7 +180,7 @@ impl Layer {
     fn forward(&self, x: &Tensor, hidden: &Tensor) -> Result<Tensor> {
         let ([first, second], [inner, outer]) = (&self.norms, &self.linear);
         let x = first.forward(&(x + self.attention.forward([x, x, x], Some(hidden))?)?)?;
-        second.forward(&(&x + outer.forward(&inner.forward(&x)?.gelu_erf()?)?)?)
+        second.forward(&outer.forward_onto(&gelu(&inner.forward(&x)?)?, &x)?)
     }
 }
 
@@ -212,7 +214,17 @@ impl Block {
 
     /// Queries that hear a memory, without a residual around the attention.
     pub(in crate::planner::learned) fn cross(&self, query: &Tensor, memory: &Tensor, bias: &Tensor) -> Result<Tensor> {
-        self.rest(&self.attention.forward([query, memory, memory], Some(bias))?)
+        self.hear(query, &self.memory(memory)?, bias)
+    }
+
+    /// A memory that several queries may hear.
+    pub(in crate::planner::learned) fn memory(&self, memory: &Tensor) -> Result<Memory> {
+        self.attention.memory(memory, memory)
+    }
+
+    /// As [`Self::cross`].
+    pub(in crate::planner::learned) fn hear(&self, query: &Tensor, memory: &Memory, bias: &Tensor) -> Result<Tensor> {
+        self.rest(&self.attention.hear(query, memory, Some(bias))?)
     }
 
     /// Tokens that hear each other.
@@ -223,6 +235,6 @@ impl Block {
     fn rest(&self, heard: &Tensor) -> Result<Tensor> {
         let ([first, second], [inner, outer]) = (&self.norms, &self.mlp);
         let x = first.forward(heard)?;
-        second.forward(&(outer.forward(&inner.forward(&x)?.gelu_erf()?)? + &x)?)
+        second.forward(&outer.forward_onto(&gelu(&inner.forward(&x)?)?, &x)?)
     }
 }

@@ -1,7 +1,7 @@
 //! PlanTF's encoder of an agent's history: neighborhood attention at three time scales, joined from coarse to fine.
 
 use super::network::{PlanTfInputs, names};
-use crate::planner::learned::blocks::{Conv1d, LayerNorm, Linear, Probe, Weights, softmax};
+use crate::planner::learned::blocks::{Conv1d, LayerNorm, Linear, Probe, Weights, gelu, softmax};
 use candle_core::{D, DType, Device, Result, Tensor};
 
 /// Columns of a step: Δposition, Δvelocity, cosine and sine of the turn, width, length, seen.
@@ -180,7 +180,7 @@ impl Block {
         probe.note(&format!("{name}.attn"), &mixed);
         let x = (x + mixed)?;
         let [inner, outer] = &self.mlp;
-        &x + outer.forward(&inner.forward(&second.forward(&x)?)?.gelu_erf()?)?
+        outer.forward_onto(&gelu(&inner.forward(&second.forward(&x)?)?)?, &x)
     }
 
     fn attention(&self, x: &Tensor) -> Result<Tensor> {

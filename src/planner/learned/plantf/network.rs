@@ -2,7 +2,9 @@
 
 use super::history_encoder::HistoryEncoder;
 use super::map_encoder::MapEncoder;
-use crate::planner::learned::blocks::{LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, key_bias, relu};
+use crate::planner::learned::blocks::{
+    LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias, relu,
+};
 use candle_core::{D, DType, Result, Tensor};
 
 /// Samples of the history, 0.1 s apart, the present included.
@@ -242,7 +244,7 @@ impl Layer {
         let normed = first.forward(x)?;
         let x = (x + self.attention.forward([&normed, &normed, &normed], Some(hidden))?)?;
         let [inner, outer] = &self.mlp;
-        &x + outer.forward(&inner.forward(&second.forward(&x)?)?.gelu_erf()?)?
+        outer.forward_onto(&gelu(&inner.forward(&second.forward(&x)?)?)?, &x)
     }
 }
 

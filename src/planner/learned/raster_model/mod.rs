@@ -1,5 +1,6 @@
 //! RasterModel: timm's `resnet50` on a raster of four channels (nuplan-devkit `raster_model.py`).
 
+mod convolution;
 mod drawing;
 mod features;
 mod network;

@@ -1,7 +1,8 @@
 //! A residual network of bottleneck blocks.
 
-use crate::planner::learned::blocks::{Linear, Probe, Weights};
-use candle_core::{D, Result, Tensor};
+use super::convolution::{Convolution, Shape, largest};
+use crate::planner::learned::blocks::{Linear, Probe, Weights, relu};
+use candle_core::{Result, Tensor};
 
 /// Poses of the plan, 0.5 s apart.
 const POSES: usize = 16;
@@ -12,8 +13,6 @@ const STEM: usize = 64;
 /// Blocks of the four stages, and how much wider a block's output is than its middle.
 const BLOCKS: [usize; 4] = [3, 4, 6, 3];
 const EXPANSION: usize = 4;
-/// ε of the batch normalization.
-const EPSILON: f64 = 1e-5;
 
 /// Widths of a RasterModel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,59 +62,21 @@ impl RasterModel {
     /// # Errors
     /// When an input has another shape.
     pub fn forward(&self, raster: &Tensor, probe: &mut Probe) -> Result<Tensor> {
-        let x = self.stem.forward(raster)?;
-        probe.note("_model.bn1", &x);
-        let x = x.relu()?;
-        // Values are not negative here, so that a border of zeros does not change a maximum.
-        let padded = x.pad_with_zeros(2, 1, 1)?.pad_with_zeros(3, 1, 1)?;
-        let mut x = padded.max_pool2d_with_stride(3, 2)?;
-        probe.note("_model.maxpool", &x);
+        // PyTorch's order of dimensions, for the probe.
+        let channels_first = |x: &Tensor| x.permute((0, 3, 1, 2));
+        let x = self.stem.forward(&raster.permute((0, 2, 3, 1))?)?;
+        probe.note("_model.bn1", &channels_first(&x)?);
+        let mut x = largest(&relu(&x)?)?;
+        probe.note("_model.maxpool", &channels_first(&x)?);
         for (i, stage) in self.stages.iter().enumerate() {
             for block in stage {
                 x = block.forward(&x)?;
             }
-            probe.note(&format!("_model.layer{}", i + 1), &x);
+            probe.note(&format!("_model.layer{}", i + 1), &channels_first(&x)?);
         }
-        let pooled = x.flatten_from(2)?.mean(D::Minus1)?;
+        let pooled = x.flatten(1, 2)?.mean(1)?;
         probe.note("_model.global_pool", &pooled);
         self.output.forward(&pooled)?.reshape(((), POSES, 3))
-    }
-}
-
-/// Channels, kernel and stride of a convolution.
-#[derive(Debug, Clone, Copy)]
-struct Shape {
-    inputs: usize,
-    outputs: usize,
-    kernel: usize,
-    stride: usize,
-}
-
-/// A convolution with the batch normalization behind it, as one convolution with a bias.
-#[derive(Debug, Clone)]
-struct Convolution {
-    weight: Tensor,
-    bias: Tensor,
-    stride: usize,
-    padding: usize,
-}
-
-impl Convolution {
-    fn take(weights: &mut Weights, [name, norm]: [&str; 2], shape: Shape) -> Result<Self> {
-        let Shape { inputs, outputs, kernel, stride } = shape;
-        let weight = weights.take(&format!("{name}.weight"), &[outputs, inputs, kernel, kernel])?;
-        let mut vector = |part: &str| weights.take(&format!("{norm}.{part}"), &[outputs]);
-        let (scale, shift) = (vector("weight")?, vector("bias")?);
-        let (mean, variance) = (vector("running_mean")?, vector("running_var")?);
-        weights.skip(&format!("{norm}.num_batches_tracked"), &[])?;
-        let factor = (scale / (variance + EPSILON)?.sqrt()?)?;
-        let bias = (shift - (mean * &factor)?)?.reshape((1, outputs, 1, 1))?;
-        let weight = weight.broadcast_mul(&factor.reshape((outputs, 1, 1, 1))?)?;
-        Ok(Self { weight, bias, stride, padding: kernel / 2 })
-    }
-
-    fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        x.conv2d(&self.weight, self.padding, self.stride, 1, 1)?.broadcast_add(&self.bias)
     }
 }
 
@@ -151,11 +112,11 @@ impl Bottleneck {
 
     fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let [first, second, third] = &self.layers;
-        let y = third.forward(&second.forward(&first.forward(x)?.relu()?)?.relu()?)?;
+        let y = relu(&second.forward(&relu(&first.forward(x)?)?)?)?;
         let x = match &self.shortcut {
             Some(shortcut) => shortcut.forward(x)?,
             None => x.clone(),
         };
-        (x + y)?.relu()
+        relu(&third.forward_onto(&y, &x)?)
     }
 }
