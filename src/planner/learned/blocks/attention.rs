@@ -40,7 +40,8 @@ impl MultiheadAttention {
 
     /// Keys and values (B, K, E) that several queries may hear.
     pub(in crate::planner::learned) fn memory(&self, key: &Tensor, value: &Tensor) -> Result<Memory> {
-        Ok(Memory { keys: self.heads_of(key, 1)?, values: self.heads_of(value, 2)? })
+        let keys = self.heads_of(key, 1)?.transpose(2, 3)?.contiguous()?;
+        Ok(Memory { keys, values: self.heads_of(value, 2)?.contiguous()? })
     }
 
     /// As [`Self::forward`], of queries that hear a memory.
@@ -52,7 +53,7 @@ impl MultiheadAttention {
     ) -> Result<Tensor> {
         let (batch, queries, width) = query.dims3()?;
         let scale = 1.0 / ((width / self.heads) as f64).sqrt();
-        let logits = (self.heads_of(query, 0)? * scale)?.matmul(&memory.keys.transpose(2, 3)?)?;
+        let logits = (self.heads_of(query, 0)? * scale)?.contiguous()?.matmul(&memory.keys)?;
         let logits = match bias {
             Some(bias) => logits.broadcast_add(bias)?,
             None => logits,
@@ -65,11 +66,11 @@ impl MultiheadAttention {
     fn heads_of(&self, x: &Tensor, projection: usize) -> Result<Tensor> {
         let (batch, rows, width) = x.dims3()?;
         let projected = self.projections[projection].forward(x)?;
-        projected.reshape((batch, rows, self.heads, width / self.heads))?.transpose(1, 2)?.contiguous()
+        projected.reshape((batch, rows, self.heads, width / self.heads))?.transpose(1, 2)
     }
 }
 
-/// Projected keys and values (B, heads, K, E / heads).
+/// Projected keys (B, heads, E / heads, K) and values (B, heads, K, E / heads).
 #[derive(Debug)]
 pub(in crate::planner::learned) struct Memory {
     keys: Tensor,
