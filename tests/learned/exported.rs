@@ -28,7 +28,7 @@ pub(crate) enum Shape {
 }
 
 /// A network with its inputs: its outputs by name.
-pub(crate) type Run = Box<dyn Fn() -> Vec<(String, Tensor)>>;
+pub(crate) type Run = Box<dyn Fn() -> Vec<(String, Tensor)> + Send + Sync>;
 
 /// Inputs and outputs by name.
 pub(crate) struct Exported(HashMap<String, Tensor>);
