@@ -5,8 +5,11 @@
 //! the same factor against aliasing. Coefficients are 22-bit fixed point (Pillow, `libImaging/Resample.c`).
 
 use image::RgbImage;
+use rayon::prelude::*;
 use serde::Deserialize;
 
+/// Bytes of a pixel.
+const CHANNELS: usize = 3;
 /// Bits after the point of the filter coefficients.
 const PRECISION_BITS: u32 = 32 - 8 - 2;
 
@@ -102,31 +105,52 @@ fn taps(source: usize, target: usize, filter: Filter) -> Vec<Taps> {
 pub(crate) fn resize(image: &RgbImage, width: u32, height: u32, filter: Filter) -> RgbImage {
     let mut current = image.clone();
     if width != image.width() {
-        let taps = taps(image.width() as usize, width as usize, filter);
-        let source = current;
-        current = RgbImage::from_fn(width, source.height(), |x, y| {
-            convolve(&taps[x as usize], |pixel| source.get_pixel(pixel as u32, y).0)
-        });
+        current = along_rows(&current, &taps(image.width() as usize, width as usize, filter));
     }
     if height != image.height() {
-        let taps = taps(image.height() as usize, height as usize, filter);
-        let source = current;
-        current = RgbImage::from_fn(width, height, |x, y| {
-            convolve(&taps[y as usize], |pixel| source.get_pixel(x, pixel as u32).0)
-        });
+        current = along_columns(&current, &taps(image.height() as usize, height as usize, filter));
     }
     current
 }
 
-fn convolve(taps: &Taps, pixel: impl Fn(usize) -> [u8; 3]) -> image::Rgb<u8> {
-    let mut sums = [1i32 << (PRECISION_BITS - 1); 3];
-    for (offset, weight) in taps.weights.iter().enumerate() {
-        let values = pixel(taps.first + offset);
-        for (sum, value) in sums.iter_mut().zip(values) {
-            *sum += i32::from(value) * weight;
+/// What a sum starts from, so that the shift rounds it.
+const HALF: i32 = 1 << (PRECISION_BITS - 1);
+
+fn rounded(sum: i32) -> u8 {
+    (sum >> PRECISION_BITS).clamp(0, 255) as u8
+}
+
+fn along_rows(source: &RgbImage, taps: &[Taps]) -> RgbImage {
+    let mut target = RgbImage::new(taps.len() as u32, source.height());
+    let from = source.par_chunks_exact(CHANNELS * (source.width() as usize).max(1));
+    target.par_chunks_exact_mut(CHANNELS * taps.len().max(1)).zip(from).for_each(|(row, source)| {
+        let pixels = source.as_chunks::<CHANNELS>().0;
+        for (target, taps) in row.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(taps) {
+            let mut sums = [HALF; CHANNELS];
+            for (weight, pixel) in taps.weights.iter().zip(pixels.iter().skip(taps.first)) {
+                for (sum, value) in sums.iter_mut().zip(pixel) {
+                    *sum += i32::from(*value) * weight;
+                }
+            }
+            *target = sums.map(rounded);
         }
-    }
-    image::Rgb(sums.map(|sum| (sum >> PRECISION_BITS).clamp(0, 255) as u8))
+    });
+    target
+}
+
+fn along_columns(source: &RgbImage, taps: &[Taps]) -> RgbImage {
+    let mut target = RgbImage::new(source.width(), taps.len() as u32);
+    let width = CHANNELS * (source.width() as usize).max(1);
+    target.par_chunks_exact_mut(width).zip(taps).for_each(|(row, taps)| {
+        let mut sums = vec![HALF; width];
+        for (weight, source) in taps.weights.iter().zip(source.chunks_exact(width).skip(taps.first)) {
+            for (sum, value) in sums.iter_mut().zip(source) {
+                *sum += i32::from(*value) * weight;
+            }
+        }
+        row.iter_mut().zip(sums).for_each(|(value, sum)| *value = rounded(sum));
+    });
+    target
 }
 
 #[cfg(test)]
