@@ -108,6 +108,12 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
+        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,qwen3-vl-2b,qwen3-vl-4b,llava-1.5-7b --quantize \
+         q4_k --calls brief --iterations 3",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
         "planagent bench --random-weights llava-1.1b,llava-1.5-7b --quantize q4_k --vs llama.cpp --llama-python venv/bin/python",
         HOURS,
     ),
@@ -171,7 +177,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         CARGO,
     ),
     ("docs/reliability.md", "cargo +nightly fuzz tmin gguf fuzz/artifacts/gguf/crash-0123", CARGO),
-    ("docs/latency.md", "planagent simulate --split generated-test14-hard --limit 140 --quantize q8_0", HOURS),
+    ("docs/latency.md", "planagent simulate --split generated-test14-hard --challenge both", HOURS),
     ("docs/recordings.md", "cargo test --release --test tests -- routes_hold_the_recorded_ego", CARGO),
     (
         "docs/recordings.md",
