@@ -54,7 +54,9 @@ impl Kernel for SoftmaxKernel<'_> {
                 if raised < NEGLIGIBLE { 0.0 } else { raised }
             });
             let sum = reduced(out, 0.0, |a, b| a + b);
-            out.iter_mut().for_each(|value| *value /= sum);
+            for value in out.iter_mut() {
+                *value /= sum;
+            }
         }
     }
 }
