@@ -6,7 +6,8 @@ use super::format::{Format, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
 
-/// Numbers in a span: the unpacked spans of two tiles fill half of a 32 KiB first-level cache.
+/// Numbers in a span: the unpacked spans of two tiles fill half of a 32 KiB first-level cache. Each span has sums of its own, so that
+/// long rows round less.
 const SPAN: usize = 128;
 
 /// The differences between the floating-point formats.
@@ -85,11 +86,6 @@ impl<W: Width> Format for Float<W> {
         sums: &mut [TileSums; ROWS],
     ) {
         let mut totals = [[simd.floats(0.0); TILES]; ROWS];
-        for (totals, sums) in totals.iter_mut().zip(&*sums) {
-            for (total, sum) in totals.iter_mut().zip(sums) {
-                *total = simd.load(sum);
-            }
-        }
         for ((activations, first), second) in words.as_chunks::<ROWS>().0.iter().zip(&blocks[0]).zip(&blocks[1]) {
             let weights = [simd.load(first), simd.load(second)];
             for (totals, activation) in totals.iter_mut().zip(activations) {
@@ -101,7 +97,7 @@ impl<W: Width> Format for Float<W> {
         }
         for (sums, totals) in sums.iter_mut().zip(totals) {
             for (sum, total) in sums.iter_mut().zip(totals) {
-                simd.store(total, sum);
+                simd.store(simd.add(simd.load(sum), total), sum);
             }
         }
     }
@@ -115,7 +111,7 @@ impl<W: Width> Format for Float<W> {
         words: &[i32],
         sums: &mut TileSums,
     ) {
-        let mut totals = [simd.load(&sums[0]), simd.load(&sums[1])];
+        let mut totals = [simd.floats(0.0); TILES];
         let groups = words.chunks_exact(W::NUMBERS).zip(tiles[0]).zip(tiles[1]);
         for (part, ((activations, first), second)) in groups.enumerate() {
             prefetch_part(simd, ahead, Self::LINES, part, Self::LINES);
@@ -127,7 +123,7 @@ impl<W: Width> Format for Float<W> {
             }
         }
         for (sum, total) in sums.iter_mut().zip(totals) {
-            simd.store(total, sum);
+            simd.store(simd.add(simd.load(sum), total), sum);
         }
     }
 }
