@@ -1,12 +1,10 @@
 //! Convolutions over images with their channels last, (images, rows, columns, channels), as products of windows and weights.
 
 use crate::mllm::with_values;
-use crate::planner::learned::blocks::{Linear, Weights};
+use crate::planner::learned::blocks::{BatchNorm, Linear, Weights};
 use candle_core::{Device, Result, Tensor};
 use rayon::prelude::*;
 
-/// ε of the batch normalization.
-const EPSILON: f64 = 1e-5;
 /// Kernel and stride of the pooling.
 const POOLING: [usize; 2] = [3, 2];
 
@@ -30,13 +28,7 @@ impl Convolution {
     pub(super) fn take(weights: &mut Weights, [name, norm]: [&str; 2], shape: Shape) -> Result<Self> {
         let Shape { inputs, outputs, kernel, .. } = shape;
         let weight = weights.take(&format!("{name}.weight"), &[outputs, inputs, kernel, kernel])?;
-        let mut vector = |part: &str| weights.take(&format!("{norm}.{part}"), &[outputs]);
-        let (scale, shift) = (vector("weight")?, vector("bias")?);
-        let (mean, variance) = (vector("running_mean")?, vector("running_var")?);
-        weights.skip(&format!("{norm}.num_batches_tracked"), &[])?;
-        let factor = (scale / (variance + EPSILON)?.sqrt()?)?;
-        let bias = (shift - (mean * &factor)?)?;
-        let weight = weight.broadcast_mul(&factor.reshape((outputs, 1, 1, 1))?)?;
+        let (weight, bias) = BatchNorm::take(weights, norm, outputs)?.folded(&weight)?;
         let weight = weight.permute((0, 2, 3, 1))?.reshape((outputs, kernel * kernel * inputs))?;
         Ok(Self { shape, weight: Linear::of(&weight, Some(bias))? })
     }
@@ -104,12 +96,19 @@ fn windows(x: &Tensor, kernel: usize, stride: usize) -> Result<Tensor> {
 mod tests {
     use super::*;
 
+    /// Numbers from -1 to 1 without a pattern.
+    fn numbers(shape: [usize; 4]) -> Tensor {
+        let count = shape.iter().product::<usize>();
+        let values = (0..count).map(|index| ((index * index) as f32).sin()).collect::<Vec<_>>();
+        Tensor::from_vec(values, shape.to_vec(), &Device::Cpu).unwrap()
+    }
+
     #[test]
     fn windows_times_weights_are_candles_convolution() {
         for (kernel, stride, rows, columns) in [(7, 2, 13, 10), (3, 1, 5, 4), (3, 2, 8, 9), (1, 2, 7, 6), (1, 1, 3, 2)]
         {
-            let image = Tensor::randn(0f32, 1.0, (2, 3, rows, columns), &Device::Cpu).unwrap();
-            let weight = Tensor::randn(0f32, 1.0, (5, 3, kernel, kernel), &Device::Cpu).unwrap();
+            let image = numbers([2, 3, rows, columns]);
+            let weight = numbers([5, 3, kernel, kernel]);
             let expected = image.conv2d(&weight, kernel / 2, stride, 1, 1).unwrap().permute((0, 2, 3, 1)).unwrap();
             let windows = windows(&image.permute((0, 2, 3, 1)).unwrap(), kernel, stride).unwrap();
             let flat = weight.permute((0, 2, 3, 1)).unwrap().reshape((5, ())).unwrap();
@@ -122,7 +121,7 @@ mod tests {
 
     #[test]
     fn the_largest_of_a_window_is_candles() {
-        let image = Tensor::rand(0f32, 1.0, (2, 3, 8, 11), &Device::Cpu).unwrap();
+        let image = numbers([2, 3, 8, 11]).abs().unwrap();
         let padded = image.pad_with_zeros(2, 1, 1).unwrap().pad_with_zeros(3, 1, 1).unwrap();
         let expected = padded.max_pool2d_with_stride(3, 2).unwrap().permute((0, 2, 3, 1)).unwrap();
         let found = largest(&image.permute((0, 2, 3, 1)).unwrap()).unwrap();
