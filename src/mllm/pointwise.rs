@@ -136,11 +136,18 @@ fn exp(x: f32) -> f32 {
     /// ln 2 in two parts (Cody and Waite): products of the first part with small integers are exact.
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
     const SERIES: [f32; 8] = [1.0 / 5040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0];
+    /// 1.5 · 2²³: a sum with it is rounded to a whole number, which its lowest bits hold. `round_ties_even` and a conversion, which
+    /// saturates, take three times as long.
+    const ROUND: f32 = 12_582_912.0;
+    const EXPONENT_BIAS: u32 = 127;
+    const MANTISSA_BITS: u32 = 23;
     let x = x.clamp(-87.0, 87.0);
-    let n = (x * std::f32::consts::LOG2_E).round_ties_even();
+    let rounded = x * std::f32::consts::LOG2_E + ROUND;
+    let n = rounded - ROUND;
     let r = x - n * LN_2[0] - n * LN_2[1];
     let series = SERIES.into_iter().fold(0.0, |sum, coefficient| sum * r + coefficient);
-    series * f32::from_bits((((n as i32) + 127) << 23).cast_unsigned())
+    let power = rounded.to_bits().wrapping_add(EXPONENT_BIAS) << MANTISSA_BITS;
+    series * f32::from_bits(power)
 }
 
 /// x Φ(x), Φ the normal distribution, by a Chebyshev fit of the complementary error function with a relative error of

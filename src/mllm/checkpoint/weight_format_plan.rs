@@ -89,17 +89,19 @@ impl WeightFormatPlan {
 
 fn asked_for(asked: WeightFormat, role: Role, format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
     let (wanted, reason) = match role {
-        Role::Output if matches!(asked, WeightFormat::Q4K | WeightFormat::Q5K) => {
+        Role::Output if asked.bits() < WeightFormat::Q6K.bits() => {
             (WeightFormat::Q6K, Some("the output layer gets more bits"))
         }
-        Role::Vision if matches!(asked, WeightFormat::Q4K | WeightFormat::Q5K | WeightFormat::Q6K) => {
+        Role::Vision if asked.bits() < WeightFormat::Q8_0.bits() => {
             (WeightFormat::Q8_0, Some("vision tower and projector get at least 8 bits"))
         }
         _ => (asked, None),
     };
     match held_as(format) {
-        // A matrix that was rounded to few bits gains nothing from more.
-        Some(held) if held.block() > 1 && held.bits() < wanted.bits() => (held, Some("the file has no more bits")),
+        // A matrix that was rounded to few bits gains nothing from more, and loses by as many in another format.
+        Some(held) if held.block() > 1 && held != wanted && held.bits() <= wanted.bits() => {
+            (held, Some("the file has no more bits"))
+        }
         // To round it again to as few bits would lose what 8 bits hold.
         None if format.is_within_q8_0() && format.bits() <= wanted.bits() => (WeightFormat::Q8_0, Some(SAME_NUMBERS)),
         _ => (wanted, reason),
@@ -114,8 +116,13 @@ pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
         GgmlDType::F16 => Some(WeightFormat::F16),
         GgmlDType::Q8_0 => Some(WeightFormat::Q8_0),
         GgmlDType::Q6K => Some(WeightFormat::Q6K),
+        GgmlDType::Q5_1 => Some(WeightFormat::Q5_1),
         GgmlDType::Q5K => Some(WeightFormat::Q5K),
+        GgmlDType::Q5_0 => Some(WeightFormat::Q5_0),
+        GgmlDType::Q4_1 => Some(WeightFormat::Q4_1),
         GgmlDType::Q4K => Some(WeightFormat::Q4K),
+        GgmlDType::Q4_0 => Some(WeightFormat::Q4_0),
+        GgmlDType::Q3K => Some(WeightFormat::Q3K),
         _ => None,
     }
 }
@@ -185,10 +192,11 @@ mod tests {
         for (format, expected, said) in [
             (GgmlDType::Q4K, WeightFormat::Q4K, false),
             (GgmlDType::F16, WeightFormat::F16, false),
-            (GgmlDType::Q4_0, WeightFormat::Q8_0, true),
-            (GgmlDType::Q3K, WeightFormat::Q8_0, true),
+            (GgmlDType::Q4_0, WeightFormat::Q4_0, false),
+            (GgmlDType::Q3K, WeightFormat::Q3K, false),
             (GgmlDType::Q5K, WeightFormat::Q5K, false),
-            (GgmlDType::Q5_1, WeightFormat::Q8_0, true),
+            (GgmlDType::Q5_1, WeightFormat::Q5_1, false),
+            (GgmlDType::Q2K, WeightFormat::Q8_0, true),
             (GgmlDType::BF16, WeightFormat::F32, true),
         ] {
             let planned = plan.matrix(DECODER, format, 512);
@@ -200,10 +208,10 @@ mod tests {
         assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q8_0, 512).weight_format, WeightFormat::Q4K);
         assert_eq!(again(WeightFormat::Q8_0).matrix(DECODER, GgmlDType::Q5K, 512).weight_format, WeightFormat::Q5K);
         // Four bits are not rounded to four others; five bits are, where that is asked for.
-        assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q4_0, 512).weight_format, WeightFormat::Q8_0);
-        assert_eq!(again(WeightFormat::F32).matrix(DECODER, GgmlDType::Q4_0, 512).weight_format, WeightFormat::Q8_0);
+        assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q4_0, 512).weight_format, WeightFormat::Q4_0);
+        assert_eq!(again(WeightFormat::F32).matrix(DECODER, GgmlDType::Q4_0, 512).weight_format, WeightFormat::Q4_0);
         assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q5_0, 512).weight_format, WeightFormat::Q4K);
-        assert_eq!(again(WeightFormat::F16).matrix(DECODER, GgmlDType::Q4_1, 512).weight_format, WeightFormat::F16);
+        assert_eq!(again(WeightFormat::F16).matrix(DECODER, GgmlDType::Q2K, 512).weight_format, WeightFormat::F16);
         let mxfp4 = again(WeightFormat::Q4K).matrix(DECODER, StoredFormat::Mxfp4, 512);
         assert_eq!((mxfp4.weight_format, mxfp4.reason), (WeightFormat::Q8_0, Some(SAME_NUMBERS)));
         let safetensors = |format: GgmlDType| WeightFormatPlan::default().matrix(DECODER, format, 512).weight_format;

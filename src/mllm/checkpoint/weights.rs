@@ -12,7 +12,7 @@ use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
 use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
 use crate::mllm::MllmError;
-use crate::mllm::matrix::{Matrix, StoredFormat, WeightFormat};
+use crate::mllm::matrix::{Matrix, WeightFormat};
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite, and converted
 /// as the [`WeightFormatPlan`] says. So at most one tensor is in memory twice.
@@ -292,11 +292,8 @@ impl Weights {
         let held = held_as(format) == Some(planned.weight_format);
         let matrix = if held || planned.weight_format == WeightFormat::Q8_0 && format.is_within_q8_0() {
             let bytes = self.bytes(&stored)?;
-            let (bytes, format) = match format.to_q8_0(&bytes) {
-                Some(blocks) => (blocks, GgmlDType::Q8_0.into()),
-                None => (bytes, format),
-            };
-            self.check_blocks(&stored, format, &bytes)?;
+            let bytes = format.to_q8_0(&bytes).unwrap_or(bytes);
+            self.check_blocks(&stored, planned.weight_format, &bytes)?;
             Matrix::from_blocks(planned.weight_format, outputs, inputs, &bytes)?
         } else {
             Matrix::quantize(&self.values(&stored)?, outputs, inputs, planned.weight_format)?
@@ -348,19 +345,14 @@ impl Weights {
     }
 
     /// Checks that the numbers of blocks are finite; of a quantized block the scale decides.
-    fn check_blocks(&self, stored: &StoredTensor, format: StoredFormat, bytes: &[u8]) -> Result<(), MllmError> {
-        let block = bytes.chunks_exact(format.type_size()).enumerate();
+    fn check_blocks(&self, stored: &StoredTensor, format: WeightFormat, bytes: &[u8]) -> Result<(), MllmError> {
         let worst = |block: &[u8]| match format {
-            StoredFormat::Ggml(GgmlDType::F32) => block.first_chunk().map(|value| f32::from_le_bytes(*value)),
-            StoredFormat::Ggml(GgmlDType::Q4K | GgmlDType::Q5K) => {
-                half_at(block, 0).filter(|scale| !scale.is_finite()).or_else(|| half_at(block, 2))
-            }
-            StoredFormat::Ggml(GgmlDType::Q6K) => half_at(block, block.len() - 2),
-            _ => half_at(block, 0),
+            WeightFormat::F32 => block.first_chunk().map(|value| f32::from_le_bytes(*value)),
+            _ => format.halves().iter().filter_map(|at| half_at(block, *at)).find(|half| !half.is_finite()),
         };
-        for (index, block) in block {
+        for (index, block) in bytes.chunks_exact(format.block_bytes()).enumerate() {
             if let Some(value) = worst(block).filter(|value| !value.is_finite()) {
-                return Err(self.not_finite(stored, index * format.block_size(), value));
+                return Err(self.not_finite(stored, index * format.block(), value));
             }
         }
         Ok(())

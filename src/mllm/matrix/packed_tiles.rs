@@ -33,27 +33,77 @@ struct Run {
     width: usize,
     /// Offset in the group for row 0; the other rows follow.
     to: usize,
-    /// XOR mask of each byte.
-    flip: u8,
+    change: Change,
+}
+
+/// What becomes of the bytes of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Change {
+    None,
+    /// 128 is added, which makes signed numbers unsigned.
+    Bias,
+    /// Four bytes with a bit of each of 32 numbers: byte k gets those of the numbers 4 n + k, so that a kernel adds them to four numbers
+    /// at once.
+    Spread,
+}
+
+impl Change {
+    fn apply(self, bytes: &mut [u8]) {
+        match (self, bytes) {
+            (Self::None, _) => {}
+            (Self::Bias, bytes) => bytes.iter_mut().for_each(|byte| *byte ^= 0x80),
+            (Self::Spread, bytes) => move_bits(bytes, |bit| (bit % 4 * 8) + bit / 4),
+        }
+    }
+
+    fn revert(self, bytes: &mut [u8]) {
+        match self {
+            Self::None | Self::Bias => self.apply(bytes),
+            Self::Spread => move_bits(bytes, |bit| (bit % 8 * 4) + bit / 8),
+        }
+    }
+}
+
+/// Moves each bit of four bytes to another place.
+fn move_bits(bytes: &mut [u8], place: impl Fn(u32) -> u32) {
+    if let Ok(four) = <&mut [u8; 4]>::try_from(bytes) {
+        let bits = u32::from_le_bytes(*four);
+        *four = (0..32).fold(0, |moved, bit| moved | (bits >> bit & 1) << place(bit)).to_le_bytes();
+    }
 }
 
 impl Layout {
     pub(super) fn of(weight_format: WeightFormat) -> Self {
+        use Change::{Bias, None, Spread};
         // Byte numbers come first, four of each row a cache line; then the scales of whole blocks. Each entry is the first
-        // byte, the width and the count of runs, and their XOR mask.
-        let (span, entries): (usize, &[(usize, usize, usize, u8)]) = match weight_format {
-            WeightFormat::F32 => (1, &[(0, 4, 1, 0)]),
-            WeightFormat::F16 => (2, &[(0, 2, 2, 0)]),
-            // Two blocks, so that their scales fill a cache line. The XOR adds 128 and makes the numbers unsigned.
-            WeightFormat::Q8_0 => (64, &[(2, 4, 8, 0x80), (36, 4, 8, 0x80), (0, 2, 1, 0), (34, 2, 1, 0)]),
-            WeightFormat::Q6K => (256, &[(0, 4, 48, 0), (192, 1, 16, 0), (208, 2, 1, 0)]),
-            WeightFormat::Q5K => (256, &[(48, 4, 32, 0), (16, 4, 8, 0), (0, 2, 2, 0), (4, 1, 12, 0)]),
-            WeightFormat::Q4K => (256, &[(16, 4, 32, 0), (0, 2, 2, 0), (4, 1, 12, 0)]),
+        // byte, the width and the count of runs, and their change. Two blocks of one scale each fill a cache line with scales.
+        let (span, entries): (usize, &[(usize, usize, usize, Change)]) = match weight_format {
+            WeightFormat::F32 => (1, &[(0, 4, 1, None)]),
+            WeightFormat::F16 => (2, &[(0, 2, 2, None)]),
+            WeightFormat::Q8_0 => (64, &[(2, 4, 8, Bias), (36, 4, 8, Bias), (0, 2, 1, None), (34, 2, 1, None)]),
+            WeightFormat::Q6K => (256, &[(0, 4, 48, None), (192, 1, 16, None), (208, 2, 1, None)]),
+            WeightFormat::Q5_1 => (32, &[(8, 4, 4, None), (4, 4, 1, Spread), (0, 2, 2, None)]),
+            WeightFormat::Q5_0 => (
+                64,
+                &[
+                    (6, 4, 4, None),
+                    (28, 4, 4, None),
+                    (2, 4, 1, Spread),
+                    (24, 4, 1, Spread),
+                    (0, 2, 1, None),
+                    (22, 2, 1, None),
+                ],
+            ),
+            WeightFormat::Q5K => (256, &[(48, 4, 32, None), (16, 4, 8, None), (0, 2, 2, None), (4, 1, 12, None)]),
+            WeightFormat::Q4_1 => (32, &[(4, 4, 4, None), (0, 2, 2, None)]),
+            WeightFormat::Q4K => (256, &[(16, 4, 32, None), (0, 2, 2, None), (4, 1, 12, None)]),
+            WeightFormat::Q4_0 => (64, &[(2, 4, 4, None), (20, 4, 4, None), (0, 2, 1, None), (18, 2, 1, None)]),
+            WeightFormat::Q3K => (256, &[(32, 4, 16, None), (0, 4, 8, None), (96, 1, 12, None), (108, 2, 1, None)]),
         };
         let (mut runs, mut end) = (Vec::new(), 0);
-        for &(from, width, count, flip) in entries {
+        for &(from, width, count, change) in entries {
             for index in 0..count {
-                runs.push(Run { from: from + index * width, width, to: end, flip });
+                runs.push(Run { from: from + index * width, width, to: end, change });
                 end += width * LANES;
             }
         }
@@ -66,10 +116,9 @@ impl Layout {
         for run in self.runs_within(bytes.len()) {
             let to = run.to + row * run.width;
             // No run crosses a cache line, because its width divides one.
-            let line = &mut group[to / LINE].0[to % LINE..];
-            for (to, from) in line.iter_mut().zip(&bytes[run.from..run.from + run.width]) {
-                *to = from ^ run.flip;
-            }
+            let to = &mut group[to / LINE].0[to % LINE..][..run.width];
+            to.copy_from_slice(&bytes[run.from..run.from + run.width]);
+            run.change.apply(to);
         }
     }
 
@@ -77,10 +126,9 @@ impl Layout {
     fn unpack(&self, row: usize, bytes: &mut [u8], group: &[CacheLine]) {
         for run in self.runs_within(bytes.len()) {
             let from = run.to + row * run.width;
-            let line = &group[from / LINE].0[from % LINE..];
-            for (to, from) in bytes[run.from..run.from + run.width].iter_mut().zip(line) {
-                *to = from ^ run.flip;
-            }
+            let to = &mut bytes[run.from..run.from + run.width];
+            to.copy_from_slice(&group[from / LINE].0[from % LINE..][..run.width]);
+            run.change.revert(to);
         }
     }
 

@@ -9,7 +9,7 @@ use super::float::{Float, Half, Single};
 use super::format::{Format, MAX_BATCH, TILES, TileSums};
 use super::line::{CacheLine, LANES};
 use super::packed_tiles::PackedTiles;
-use super::quantized::{Q4K, Q5K, Q6K, Q8_0};
+use super::quantized::{Q3K, Q4_0, Q4_1, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0};
 use super::simd::{Instructions, Kernel, Simd};
 use super::weight_format::WeightFormat;
 
@@ -95,8 +95,13 @@ pub(super) fn multiply(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instru
         WeightFormat::F16 => multiply_as::<Float<Half>>(tiles, x, out, instructions),
         WeightFormat::Q8_0 => multiply_as::<Q8_0>(tiles, x, out, instructions),
         WeightFormat::Q6K => multiply_as::<Q6K>(tiles, x, out, instructions),
+        WeightFormat::Q5_1 => multiply_as::<Q5_1>(tiles, x, out, instructions),
         WeightFormat::Q5K => multiply_as::<Q5K>(tiles, x, out, instructions),
+        WeightFormat::Q5_0 => multiply_as::<Q5_0>(tiles, x, out, instructions),
+        WeightFormat::Q4_1 => multiply_as::<Q4_1>(tiles, x, out, instructions),
         WeightFormat::Q4K => multiply_as::<Q4K>(tiles, x, out, instructions),
+        WeightFormat::Q4_0 => multiply_as::<Q4_0>(tiles, x, out, instructions),
+        WeightFormat::Q3K => multiply_as::<Q3K>(tiles, x, out, instructions),
     }
 }
 

@@ -76,10 +76,7 @@ impl StoredFormat {
 
     /// Whether `q8_0` holds its numbers: exactly, but for the rounding of `iq4_xs`'s scales to half precision.
     pub(crate) fn is_within_q8_0(self) -> bool {
-        match self {
-            Self::Ggml(format) => matches!(format, GgmlDType::Q4_0 | GgmlDType::Q5_0 | GgmlDType::Q3K),
-            Self::Iq4Nl | Self::Iq4Xs | Self::Mxfp4 => true,
-        }
+        !matches!(self, Self::Ggml(_))
     }
 
     /// The values of whole blocks.
@@ -95,9 +92,6 @@ impl StoredFormat {
     pub(crate) fn to_q8_0(self, bytes: &[u8]) -> Option<Vec<u8>> {
         let mut out = Vec::with_capacity(bytes.len() / self.type_size() * self.block_size() / BLOCK * (BLOCK + 2));
         match self {
-            Self::Ggml(GgmlDType::Q4_0) => each::<18>(bytes, |block| q4_0(block, &mut out)),
-            Self::Ggml(GgmlDType::Q5_0) => each::<22>(bytes, |block| q5_0(block, &mut out)),
-            Self::Ggml(GgmlDType::Q3K) => each::<110>(bytes, |block| q3_k(block, &mut out)),
             Self::Iq4Nl => each::<18>(bytes, |block| put(&mut out, half(block, 0), &nibbles(&block[2..], &IQ4))),
             Self::Iq4Xs => each::<136>(bytes, |block| iq4_xs(block, &mut out)),
             Self::Mxfp4 => each::<17>(bytes, |block| mxfp4(block, &mut out)),
@@ -131,41 +125,6 @@ fn nibbles(bytes: &[u8], table: &[i8; 16]) -> [i8; BLOCK] {
     numbers
 }
 
-fn q4_0(block: &[u8; 18], out: &mut Vec<u8>) {
-    let table = std::array::from_fn(|index| index as i8 - 8);
-    put(out, half(block, 0), &nibbles(&block[2..], &table));
-}
-
-fn q5_0(block: &[u8; 22], out: &mut Vec<u8>) {
-    let high = u32::from_le_bytes([block[2], block[3], block[4], block[5]]);
-    let low = nibbles(&block[6..], &std::array::from_fn(|index| index as i8));
-    let numbers = std::array::from_fn(|index| low[index] + ((high >> index & 1) as i8) * 16 - 16);
-    put(out, half(block, 0), &numbers);
-}
-
-/// w = d · scale · number with scales of 6 bits for every 16. The products of scale and number lie from -124 to 128; negated,
-/// with a negated d, they are bytes.
-fn q3_k(block: &[u8; 110], out: &mut Vec<u8>) {
-    let (mask, rest) = block.split_at(32);
-    let (low, rest) = rest.split_at(64);
-    let scale = |run: usize| {
-        let four = rest[run % 8] >> (run / 8 * 4) & 15;
-        let two = rest[8 + run % 4] >> (run / 4 * 2) & 3;
-        i16::from(four | two << 4) - 32
-    };
-    let d = -half(rest, 12);
-    for part in 0..8 {
-        // 128 numbers share 32 bytes, two bits of each for every 32 of them.
-        let (bytes, shift) = (&low[part / 4 * 32..part / 4 * 32 + 32], part % 4 * 2);
-        let numbers = std::array::from_fn(|index| {
-            let two = i16::from(bytes[index] >> shift & 3);
-            let number = two - if mask[index] >> part & 1 == 1 { 0 } else { 4 };
-            (-scale(2 * part + index / 16) * number) as i8
-        });
-        put(out, d, &numbers);
-    }
-}
-
 fn iq4_xs(block: &[u8; 136], out: &mut Vec<u8>) {
     let d = half(block, 0).to_f32();
     let high = u16::from_le_bytes([block[2], block[3]]);
@@ -188,30 +147,6 @@ fn mxfp4(block: &[u8; 17], out: &mut Vec<u8>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use candle_core::quantized::QTensor;
-    use candle_core::{Device, Tensor};
-
-    fn values(count: usize) -> Vec<f32> {
-        (0..count).map(|index| ((index * 7919 % 1009) as f32 / 504.5 - 1.0) * (1.0 + (index / 300) as f32)).collect()
-    }
-
-    #[test]
-    fn formats_of_few_bits_become_q8_0_without_loss() {
-        for format in [GgmlDType::Q4_0, GgmlDType::Q5_0, GgmlDType::Q3K] {
-            let tensor = Tensor::from_vec(values(2048), 2048, &Device::Cpu).unwrap();
-            let blocks = QTensor::quantize(&tensor, format).unwrap().data().unwrap().to_vec();
-            let stored = StoredFormat::Ggml(format);
-            let expected = widen(format, blocks.clone()).unwrap();
-            let found = widen(GgmlDType::Q8_0, stored.to_q8_0(&blocks).unwrap()).unwrap();
-            let largest = expected.iter().fold(0f32, |largest, value| largest.max(value.abs()));
-            for (found, expected) in found.iter().zip(&expected) {
-                // Two products of three numbers in f32, in another order.
-                assert!((found - expected).abs() <= 1e-6 * largest, "{format:?}: {found}, {expected}");
-            }
-            assert!(stored.is_within_q8_0());
-        }
-        assert!(StoredFormat::Ggml(GgmlDType::Q4_1).to_q8_0(&[0; 20]).is_none());
-    }
 
     #[test]
     fn tables_and_exponents_are_read_as_in_ggml() {

@@ -21,13 +21,7 @@ fn random_blocks(
     let mut bytes = vec![0; weight_format.matrix_bytes(outputs, inputs).unwrap()];
     random.fill_bytes(&mut bytes);
     for block in bytes.chunks_exact_mut(weight_format.block_bytes()) {
-        let scales: &[usize] = match weight_format {
-            WeightFormat::F32 => &[],
-            WeightFormat::F16 | WeightFormat::Q8_0 => &[0],
-            WeightFormat::Q6K => &[208],
-            WeightFormat::Q5K | WeightFormat::Q4K => &[0, 2],
-        };
-        for at in scales {
+        for at in weight_format.halves() {
             let scale = f16::from_f32(random.random_range(-largest..largest));
             block[*at..at + 2].copy_from_slice(&scale.to_le_bytes());
         }
@@ -68,8 +62,7 @@ fn plain(tiles: &PackedTiles, x: &[f32]) -> Vec<(f64, f64)> {
         for (row, results) in x.chunks_exact(tiles.inputs()).zip(result.chunks_exact_mut(tiles.outputs())) {
             let row = match tiles.weight_format() {
                 WeightFormat::F32 | WeightFormat::F16 => row.to_vec(),
-                WeightFormat::Q8_0 => rounded(row, 32),
-                WeightFormat::Q6K | WeightFormat::Q5K | WeightFormat::Q4K => rounded(row, 256),
+                format => rounded(row, format.block()),
             };
             for (weight, value) in weights.iter().zip(row) {
                 let term = f64::from(*weight) * f64::from(value);
@@ -227,8 +220,13 @@ fn each_format_has_the_error_of_its_bits() {
         (WeightFormat::F16, 1e-5, 1e-3),
         (WeightFormat::Q8_0, 1e-3, 2e-2),
         (WeightFormat::Q6K, 5e-3, 4e-2),
+        (WeightFormat::Q5_1, 1e-2, 6e-2),
         (WeightFormat::Q5K, 1e-2, 6e-2),
+        (WeightFormat::Q5_0, 1e-2, 6e-2),
+        (WeightFormat::Q4_1, 2e-2, 1e-1),
         (WeightFormat::Q4K, 2e-2, 1e-1),
+        (WeightFormat::Q4_0, 2e-2, 1e-1),
+        (WeightFormat::Q3K, 5e-2, 2e-1),
     ] {
         let product = Matrix::quantize(&values, outputs, inputs, weight_format).unwrap().forward(&x).unwrap();
         let error = (product - &exact).unwrap().sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap();

@@ -20,17 +20,40 @@ pub enum WeightFormat {
     /// 6 bits a number and a scale for every 16, in blocks of 256 (6.56 bits).
     #[serde(rename = "q6_k")]
     Q6K,
+    /// 5 bits a number, a scale and a minimum for every 32 (6 bits).
+    Q5_1,
     /// 5 bits a number, a scale and a minimum for every 32, in blocks of 256 (5.5 bits).
     #[serde(rename = "q5_k")]
     Q5K,
+    /// 5 bits a number and a scale for every 32 (5.5 bits).
+    Q5_0,
+    /// 4 bits a number, a scale and a minimum for every 32 (5 bits).
+    Q4_1,
     /// 4 bits a number, a scale and a minimum for every 32, in blocks of 256 (4.5 bits).
     #[serde(rename = "q4_k")]
     Q4K,
+    /// 4 bits a number and a scale for every 32 (4.5 bits).
+    Q4_0,
+    /// 3 bits a number and a scale for every 16, in blocks of 256 (3.44 bits).
+    #[serde(rename = "q3_k")]
+    Q3K,
 }
 
 impl WeightFormat {
     /// From largest to smallest.
-    pub const ALL: [Self; 6] = [Self::F32, Self::F16, Self::Q8_0, Self::Q6K, Self::Q5K, Self::Q4K];
+    pub const ALL: [Self; 11] = [
+        Self::F32,
+        Self::F16,
+        Self::Q8_0,
+        Self::Q6K,
+        Self::Q5_1,
+        Self::Q5K,
+        Self::Q5_0,
+        Self::Q4_1,
+        Self::Q4K,
+        Self::Q4_0,
+        Self::Q3K,
+    ];
 
     /// The name in configurations and on the command line.
     pub fn name(self) -> &'static str {
@@ -39,8 +62,13 @@ impl WeightFormat {
             Self::F16 => "f16",
             Self::Q8_0 => "q8_0",
             Self::Q6K => "q6_k",
+            Self::Q5_1 => "q5_1",
             Self::Q5K => "q5_k",
+            Self::Q5_0 => "q5_0",
+            Self::Q4_1 => "q4_1",
             Self::Q4K => "q4_k",
+            Self::Q4_0 => "q4_0",
+            Self::Q3K => "q3_k",
         }
     }
 
@@ -48,8 +76,8 @@ impl WeightFormat {
     pub(crate) fn block(self) -> usize {
         match self {
             Self::F32 | Self::F16 => 1,
-            Self::Q8_0 => 32,
-            Self::Q6K | Self::Q5K | Self::Q4K => 256,
+            Self::Q8_0 | Self::Q5_1 | Self::Q5_0 | Self::Q4_1 | Self::Q4_0 => 32,
+            Self::Q6K | Self::Q5K | Self::Q4K | Self::Q3K => 256,
         }
     }
 
@@ -60,8 +88,24 @@ impl WeightFormat {
             Self::F16 => 2,
             Self::Q8_0 => 34,
             Self::Q6K => 210,
+            Self::Q5_1 => 24,
             Self::Q5K => 176,
+            Self::Q5_0 => 22,
+            Self::Q4_1 => 20,
             Self::Q4K => 144,
+            Self::Q4_0 => 18,
+            Self::Q3K => 110,
+        }
+    }
+
+    /// Offsets of the half-precision numbers in a block: its scale, and its minimum or the scale of its minima.
+    pub(crate) fn halves(self) -> &'static [usize] {
+        match self {
+            Self::F32 => &[],
+            Self::F16 | Self::Q8_0 | Self::Q5_0 | Self::Q4_0 => &[0],
+            Self::Q5_1 | Self::Q5K | Self::Q4_1 | Self::Q4K => &[0, 2],
+            Self::Q6K => &[208],
+            Self::Q3K => &[108],
         }
     }
 
@@ -79,8 +123,8 @@ impl WeightFormat {
     /// This format if it can hold rows of `inputs` numbers, else the next finer one that can.
     pub(crate) fn or_finer(self, inputs: usize) -> Self {
         let finer = match self {
-            Self::Q4K | Self::Q5K | Self::Q6K => Self::Q8_0,
-            Self::Q8_0 => Self::F16,
+            Self::Q3K | Self::Q4K | Self::Q5K | Self::Q6K => Self::Q8_0,
+            Self::Q8_0 | Self::Q5_1 | Self::Q5_0 | Self::Q4_1 | Self::Q4_0 => Self::F16,
             Self::F16 | Self::F32 => return self,
         };
         if inputs.is_multiple_of(self.block()) { self } else { finer.or_finer(inputs) }
@@ -93,8 +137,13 @@ impl WeightFormat {
             Self::F16 => GgmlDType::F16,
             Self::Q8_0 => GgmlDType::Q8_0,
             Self::Q6K => GgmlDType::Q6K,
+            Self::Q5_1 => GgmlDType::Q5_1,
             Self::Q5K => GgmlDType::Q5K,
+            Self::Q5_0 => GgmlDType::Q5_0,
+            Self::Q4_1 => GgmlDType::Q4_1,
             Self::Q4K => GgmlDType::Q4K,
+            Self::Q4_0 => GgmlDType::Q4_0,
+            Self::Q3K => GgmlDType::Q3K,
         }
     }
 }
@@ -144,6 +193,10 @@ mod tests {
         assert_eq!(WeightFormat::Q4K.or_finer(512), WeightFormat::Q4K);
         assert_eq!(WeightFormat::Q4K.or_finer(96), WeightFormat::Q8_0);
         assert_eq!(WeightFormat::Q6K.or_finer(7), WeightFormat::F16);
+        assert_eq!(
+            [96, 100].map(|inputs| WeightFormat::Q4_0.or_finer(inputs)),
+            [WeightFormat::Q4_0, WeightFormat::F16]
+        );
         assert_eq!(WeightFormat::F32.or_finer(7), WeightFormat::F32);
     }
 }

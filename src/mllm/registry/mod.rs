@@ -75,6 +75,12 @@ fn is_gguf(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
 }
 
+/// Whether a word can be nothing but a path.
+fn is_path(path: &Path) -> bool {
+    let is_description = || path.extension().is_some_and(|extension| extension == "toml");
+    path.has_root() || path.starts_with(".") || path.starts_with("..") || is_gguf(path) || is_description()
+}
+
 impl ModelRegistry {
     /// A registry of the descriptions `models/*.toml`.
     pub fn new(models: impl Into<PathBuf>, hub: HubAccess) -> Self {
@@ -171,6 +177,8 @@ impl ModelRegistry {
                 file: file.map(ToString::to_string),
                 mmproj: None,
             }
+        } else if is_path(path) {
+            return Err(MllmError::AbsentModel { path: path.to_path_buf() });
         } else {
             return Err(self.unknown(name));
         };
@@ -451,8 +459,11 @@ mod tests {
             }
             other => panic!("{other:?}"),
         }
-        for name in ["", "../no-such-folder/nano", "a b", "a/b/c", "a/b/../c.gguf"] {
+        for name in ["", "a b", "a/b/c"] {
             assert!(matches!(registry.find(name), Err(MllmError::UnknownModel { .. })), "{name}");
+        }
+        for name in ["../no-such-folder/nano", "/nowhere/nano", "a/b/../c.gguf", "nowhere.gguf", "nowhere.toml"] {
+            assert!(matches!(registry.find(name), Err(MllmError::AbsentModel { .. })), "{name}");
         }
         assert!(matches!(registry.find("broken"), Err(MllmError::Description { .. })));
         let nano = registry.find("nano").unwrap();

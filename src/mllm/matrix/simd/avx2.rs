@@ -141,7 +141,8 @@ impl Simd for Avx2 {
                 4 => high,
                 5 => _mm256_srli_epi16::<1>(high),
                 6 => _mm256_srli_epi16::<2>(high),
-                _ => _mm256_srli_epi16::<3>(high),
+                7 => _mm256_srli_epi16::<3>(high),
+                _ => _mm256_srli_epi16::<4>(high),
             };
             _mm256_or_si256(low, _mm256_and_si256(shifted, _mm256_set1_epi8(MASK.cast_signed())))
         })

@@ -83,7 +83,8 @@ impl Simd for Avx512 {
                 4 => high,
                 5 => _mm512_srli_epi16::<1>(high),
                 6 => _mm512_srli_epi16::<2>(high),
-                _ => _mm512_srli_epi16::<3>(high),
+                7 => _mm512_srli_epi16::<3>(high),
+                _ => _mm512_srli_epi16::<4>(high),
             };
             _mm512_or_si512(low, _mm512_and_si512(shifted, _mm512_set1_epi8(MASK.cast_signed())))
         }

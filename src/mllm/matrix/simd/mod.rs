@@ -51,8 +51,8 @@ pub(crate) trait Simd: Copy + Send + Sync {
     fn low(self, bytes: Self::Bytes) -> Self::Bytes;
     /// The high four bits of each byte.
     fn high(self, bytes: Self::Bytes) -> Self::Bytes;
-    /// Adds higher bits to four-bit numbers: those of `high` from bit FROM on, moved to bit 4, as far as MASK has them. MASK lies
-    /// within bits 4 and 5.
+    /// Adds bits to numbers: those of `high`, moved so that bit FROM comes to bit 4, as far as MASK has them. FROM is at most 8; MASK
+    /// names only bits that come from the same byte.
     fn with_high_bits<const FROM: u32, const MASK: u8>(self, low: Self::Bytes, high: Self::Bytes) -> Self::Bytes;
 
     /// The same number in every lane.

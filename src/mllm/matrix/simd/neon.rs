@@ -216,7 +216,8 @@ impl Simd for Neon {
                 4 => high,
                 5 => vshrq_n_u8::<1>(high),
                 6 => vshrq_n_u8::<2>(high),
-                _ => vshrq_n_u8::<3>(high),
+                7 => vshrq_n_u8::<3>(high),
+                _ => vshrq_n_u8::<4>(high),
             };
             vorrq_u8(low, vandq_u8(shifted, vdupq_n_u8(MASK)))
         })

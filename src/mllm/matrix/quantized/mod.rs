@@ -1,7 +1,13 @@
 //! Products of quantized weights: byte products, summed in integers within a scale's range.
 //!
 //! Activations are quantized to eight bits as ggml does it: with one scale a span for k-quants (`block_q8_K`), with one
-//! scale a run for `q8_0` (`block_q8_0`).
+//! scale a run for the others (`block_q8_0`, `block_q8_1`).
+
+mod k_quants;
+mod runs_of_32;
+
+pub(super) use k_quants::{Q3K, Q4K, Q5K, Q6K};
+pub(super) use runs_of_32::{Q4_0, Q4_1, Q5_0, Q5_1, Q8_0};
 
 use super::format::{Format, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
@@ -23,10 +29,22 @@ pub(super) struct Block {
     numbers: [CacheLine; STEPS],
     /// Scale of each run.
     scales: [[f32; LANES]; SPAN / SUMMED],
-    /// The minimum of each run, two runs in an `i32`.
+    /// Minima of [`Minima::Scaled`]: that of each run, two runs in an `i32`.
     minima: [[i32; LANES]; 4],
-    /// Scale of the minima.
+    /// Their scale.
     minimum_scale: [f32; LANES],
+    /// Minima of [`Minima::Floats`].
+    float_minima: [[f32; LANES]; SPAN / 32],
+}
+
+/// What is added to the scaled numbers of a run.
+#[derive(PartialEq, Eq)]
+enum Minima {
+    None,
+    /// A whole number, times a scale of the span; it is subtracted. A word of activation sums has two runs.
+    Scaled,
+    /// A float. A word of activation sums is an f32, with the scale of its activations.
+    Floats,
 }
 
 /// The differences between the quantized formats.
@@ -35,15 +53,14 @@ trait Quantized {
     const LINES: usize;
     /// Numbers that share a scale.
     const RUN: usize;
-    /// Words of activation sums in a span: one for each run, or for two runs where they have minima.
+    /// Words of activation sums in a span: one for each run, or for two runs with [`Minima::Scaled`].
     const SUM_WORDS: usize;
-    /// Whether runs have minima beside scales.
-    const MINIMA: bool;
+    const MINIMA: Minima;
     /// Activations that share a scale: a run, or the span.
     const SCALED: usize;
 
-    /// Word `index` of the activation sums, from the sums of every [`SUMMED`] activations.
-    fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32;
+    /// Word `index` of the activation sums, from the sums of every [`SUMMED`] activations, and from the bits of their scales.
+    fn sum_word(sums: &[i32; SPAN / SUMMED], scales: &[i32], index: usize) -> i32;
     /// The numbers of a step: four of each output, unsigned bytes. `lines` may end early: then zeros.
     fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes;
     /// Unpacks scales and minima. `lines` may end early: then zeros.
@@ -75,6 +92,7 @@ impl<Q: Quantized> Format for Q {
             scales: [[0.0; LANES]; SPAN / SUMMED],
             minima: [[0; LANES]; 4],
             minimum_scale: [0.0; LANES],
+            float_minima: [[0.0; LANES]; SPAN / 32],
         }
     }
 
@@ -95,7 +113,7 @@ impl<Q: Quantized> Format for Q {
             *word = i32::from_le_bytes(bytes.map(i8::cast_unsigned));
         }
         for (index, word) in sum_words.iter_mut().enumerate() {
-            *word = Q::sum_word(&sums, index);
+            *word = Q::sum_word(&sums, scales, index);
         }
     }
 
@@ -200,7 +218,7 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
     for (run, activations) in activations.chunks_exact(steps).enumerate() {
         numbers.begin(simd, run);
         let mut products = [[simd.ints(0); TILES]; ROWS];
-        if !Q::MINIMA {
+        if Q::MINIMA == Minima::None {
             for (products, word) in products.iter_mut().zip(&run_sums[run]) {
                 *products = [Q::start(simd, *word); TILES];
             }
@@ -228,8 +246,20 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
                 };
             }
         }
+        if Q::MINIMA == Minima::Floats {
+            let mut minima = [simd.floats(0.0); TILES];
+            for (minimum, block) in minima.iter_mut().zip(blocks) {
+                *minimum = simd.load(&block.float_minima[run]);
+            }
+            for (span, sum) in spans.iter_mut().zip(&run_sums[run]) {
+                let sum = simd.floats(float(*sum));
+                for (span, minimum) in span.iter_mut().zip(minima) {
+                    *span = simd.mul_add(minimum, sum, *span);
+                }
+            }
+        }
     }
-    if Q::MINIMA {
+    if Q::MINIMA == Minima::Scaled {
         let mut products = [[simd.ints(0); TILES]; ROWS];
         for (pair, sums) in run_sums.iter().enumerate() {
             let mut minima = [simd.ints(0); TILES];
@@ -291,183 +321,17 @@ fn quantize_activations(values: &[f32], numbers: &mut [i8]) -> f32 {
     scale
 }
 
-/// ggml's `q8_0`: w = scale · number, with a scale for every 32.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Q8_0;
-
-impl Quantized for Q8_0 {
-    /// Four groups of two blocks of eight lines and one with their scales.
-    const LINES: usize = 4 * 17;
-    const RUN: usize = 32;
-    const SUM_WORDS: usize = 8;
-    const MINIMA: bool = false;
-    const SCALED: usize = 32;
-
-    #[inline(always)]
-    fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {
-        sums[2 * index] + sums[2 * index + 1]
-    }
-
-    #[inline(always)]
-    fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
-        simd.bytes(lines.get(step / 16 * 17 + step % 16).unwrap_or(&CacheLine::ZERO))
-    }
-
-    #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        for run in 0..8 {
-            let scales = lines.get(run / 2 * 17 + 16).unwrap_or(&CacheLine::ZERO);
-            simd.store(simd.load_half(&scales.halves(run % 2)), &mut block.scales[run]);
-        }
-    }
-
-    #[inline(always)]
-    fn start<S: Simd>(simd: S, word: i32) -> S::Ints {
-        simd.biased_start(word)
-    }
-
-    #[inline(always)]
-    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
-        simd.dot_biased(sum, weights, activations)
-    }
-}
-
-/// ggml's `q6_k`: w = d · scale · (number − 32), with a scale for every 16.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Q6K;
-
-impl Quantized for Q6K {
-    /// Low bits, high bits, scales, d.
-    const LINES: usize = 32 + 16 + 4 + 1;
-    const RUN: usize = 16;
-    const SUM_WORDS: usize = 16;
-    const MINIMA: bool = false;
-    const SCALED: usize = SPAN;
-
-    #[inline(always)]
-    fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {
-        -32 * sums[index]
-    }
-
-    #[inline(always)]
-    fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
-        let Some(lines) = lines.first_chunk::<53>() else { return simd.bytes(&CacheLine::ZERO) };
-        let (part, run, step) = (step / 32, step / 8 % 4, step % 8);
-        let high = simd.bytes(&lines[32 + 8 * part + step]);
-        let low = simd.bytes(&lines[16 * part + run % 2 * 8 + step]);
-        match run {
-            0 => simd.with_high_bits::<0, 0x30>(simd.low(low), high),
-            1 => simd.with_high_bits::<2, 0x30>(simd.low(low), high),
-            2 => simd.with_high_bits::<4, 0x30>(simd.high(low), high),
-            _ => simd.with_high_bits::<6, 0x30>(simd.high(low), high),
-        }
-    }
-
-    #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        let Some(lines) = lines.first_chunk::<53>() else { return };
-        let scale = simd.load_half(&lines[52].halves(0));
-        for (run, scales) in block.scales.iter_mut().enumerate() {
-            simd.store(simd.mul(scale, simd.load_signed(&lines[48 + run / 4].quarter(run % 4))), scales);
-        }
-    }
-}
-
-/// ggml's `q5_k`: as [`Q4K`], with five bits.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Q5K;
-
-impl Quantized for Q5K {
-    /// Low bits, high bits, d and dmin, scales and minima of six bits.
-    const LINES: usize = 32 + 8 + 1 + 3;
-    const RUN: usize = 32;
-    const SUM_WORDS: usize = 4;
-    const MINIMA: bool = true;
-    const SCALED: usize = SPAN;
-
-    #[inline(always)]
-    fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {
-        Q4K::sum_word(sums, index)
-    }
-
-    #[inline(always)]
-    fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
-        let Some(lines) = lines.first_chunk::<44>() else { return simd.bytes(&CacheLine::ZERO) };
-        let both = simd.bytes(&lines[step / 16 * 8 + step % 8]);
-        let high = simd.bytes(&lines[32 + step % 8]);
-        match step / 8 {
-            0 => simd.with_high_bits::<0, 0x10>(simd.low(both), high),
-            1 => simd.with_high_bits::<1, 0x10>(simd.high(both), high),
-            2 => simd.with_high_bits::<2, 0x10>(simd.low(both), high),
-            3 => simd.with_high_bits::<3, 0x10>(simd.high(both), high),
-            4 => simd.with_high_bits::<4, 0x10>(simd.low(both), high),
-            5 => simd.with_high_bits::<5, 0x10>(simd.high(both), high),
-            6 => simd.with_high_bits::<6, 0x10>(simd.low(both), high),
-            _ => simd.with_high_bits::<7, 0x10>(simd.high(both), high),
-        }
-    }
-
-    #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        let Some(lines) = lines.first_chunk::<44>() else { return };
-        unpack_six_bits(simd, [&lines[40], &lines[41], &lines[42], &lines[43]], block);
-    }
-}
-
-/// ggml's `q4_k`: w = d · scale · number − dmin · minimum, with a scale and a minimum for every 32.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Q4K;
-
-impl Quantized for Q4K {
-    /// Numbers, d and dmin, scales and minima of six bits.
-    const LINES: usize = 32 + 1 + 3;
-    const RUN: usize = 32;
-    const SUM_WORDS: usize = 4;
-    const MINIMA: bool = true;
-    const SCALED: usize = SPAN;
-
-    #[inline(always)]
-    fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {
-        let run = |run: usize| sums[2 * run] + sums[2 * run + 1];
-        run(2 * index) & 0xffff | run(2 * index + 1) << 16
-    }
-
-    #[inline(always)]
-    fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
-        let Some(lines) = lines.first_chunk::<36>() else { return simd.bytes(&CacheLine::ZERO) };
-        let both = simd.bytes(&lines[step / 16 * 8 + step % 8]);
-        if (step / 8).is_multiple_of(2) { simd.low(both) } else { simd.high(both) }
-    }
-
-    #[inline(always)]
-    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        let Some(lines) = lines.first_chunk::<36>() else { return };
-        unpack_six_bits(simd, [&lines[32], &lines[33], &lines[34], &lines[35]], block);
-    }
-}
-
-/// Unpacks d, dmin, and the eight scales and minima of six bits.
+/// Adds bit `bit` of the bytes of `high` to four-bit numbers.
 #[inline(always)]
-fn unpack_six_bits<S: Simd>(simd: S, [halves, first, second, third]: [&CacheLine; 4], block: &mut Block) {
-    let packed = [first, second, third].map(|line| [0, 1, 2, 3].map(|index| line.quarter(index)));
-    let (mut scales, mut minima) = ([[0; LANES]; 8], [[0; LANES]; 8]);
-    for lane in 0..LANES {
-        for run in 0..4 {
-            let [first, second, third] = [packed[0][run][lane], packed[1][run][lane], packed[2][run][lane]];
-            scales[run][lane] = first & 63;
-            minima[run][lane] = second & 63;
-            scales[run + 4][lane] = third & 15 | first >> 6 << 4;
-            minima[run + 4][lane] = third >> 4 | second >> 6 << 4;
-        }
+fn with_fifth_bit<S: Simd>(simd: S, four: S::Bytes, high: S::Bytes, bit: usize) -> S::Bytes {
+    match bit {
+        0 => simd.with_high_bits::<0, 0x10>(four, high),
+        1 => simd.with_high_bits::<1, 0x10>(four, high),
+        2 => simd.with_high_bits::<2, 0x10>(four, high),
+        3 => simd.with_high_bits::<3, 0x10>(four, high),
+        4 => simd.with_high_bits::<4, 0x10>(four, high),
+        5 => simd.with_high_bits::<5, 0x10>(four, high),
+        6 => simd.with_high_bits::<6, 0x10>(four, high),
+        _ => simd.with_high_bits::<7, 0x10>(four, high),
     }
-    let scale = simd.load_half(&halves.halves(0));
-    for (out, scales) in block.scales.iter_mut().zip(&scales) {
-        simd.store(simd.mul(scale, simd.to_floats(simd.load_unsigned(scales))), out);
-    }
-    for (out, minima) in block.minima.iter_mut().zip(minima.as_chunks::<2>().0) {
-        for lane in 0..LANES {
-            out[lane] = i32::from(minima[0][lane]) | i32::from(minima[1][lane]) << 16;
-        }
-    }
-    simd.store(simd.load_half(&halves.halves(1)), &mut block.minimum_scale);
 }
