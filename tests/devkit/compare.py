@@ -22,6 +22,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import comparison
+import our_rules
 import our_side
 from devkit_side import CHALLENGES, PLANNERS, Devkit
 
@@ -56,6 +57,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--limit", type=int, help="make so many simulations of the devkit, then compare")
     parser.add_argument("--export", action="append", default=[], metavar="FLAG", help="more flags for the export")
     parser.add_argument("--only-compare", action="store_true", help="take the results that are there")
+    parser.add_argument(
+        "--our-rules", action="store_true", help="then make what differs again with our rules in the devkit"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all compared values")
     parser.add_argument("--time", type=int, metavar="N", help="measure both programs N times instead")
     options = parser.parse_args()
@@ -84,13 +88,29 @@ def main() -> int:
     tasks = tasks_of(options, scenarios, planners, challenges)
     if not options.only_compare:
         simulate_missing(options, exported, tasks)
-    compared = []
-    for task in tasks:
-        if task.result.is_file():
-            devkit = json.loads(gzip.decompress(task.result.read_bytes()))
-            own = ours.get((task.scenario.token, task.planner, task.challenge))
-            compared.append(comparison.compare(task.scenario.name, task.planner, task.challenge, devkit, own))
-    return report(options, compared, len(tasks))
+    compared = {task: compared_with(task, ours) for task in tasks if task.result.is_file()}
+    code = report(options, list(compared.values()), len(tasks))
+    if options.our_rules:
+        again = with_our_rules(options, [task for task, one in compared.items() if one.differences or one.series])
+        if not options.only_compare:
+            simulate_missing(options, exported, again, ours=True)
+        say("what differed, with our rules in the devkit:")
+        print(f"\n{comparison.table([compared_with(task, ours) for task in again if task.result.is_file()])}")
+    return code
+
+
+def compared_with(task: Task, ours: dict) -> comparison.Compared:
+    """The result of a task beside ours."""
+    devkit = json.loads(gzip.decompress(task.result.read_bytes()))
+    own = ours.get((task.scenario.token, task.planner, task.challenge))
+    return comparison.compare(task.scenario.name, task.planner, task.challenge, devkit, own)
+
+
+def with_our_rules(options: argparse.Namespace, tasks: list[Task]) -> list[Task]:
+    """The same simulations with results of their own."""
+    folder = options.out / "devkit-our-rules"
+    folder.mkdir(exist_ok=True)
+    return [dataclasses.replace(task, result=folder / task.result.name) for task in tasks]
 
 
 def prepare(options: argparse.Namespace) -> None:
@@ -127,29 +147,30 @@ def tasks_of(options, scenarios, planners, challenges) -> list[Task]:
     ]
 
 
-def simulate_missing(options: argparse.Namespace, exported: Path, tasks: list[Task]) -> None:
+def simulate_missing(options: argparse.Namespace, exported: Path, tasks: list[Task], ours: bool = False) -> None:
     missing = [task for task in tasks if not task.result.is_file()][: options.limit]
     say(f"{len(tasks)} simulations, {len(missing)} to be made by the devkit")
     start = time.monotonic()
-    context = get_context("spawn")
-    pool = ProcessPoolExecutor(
-        options.workers,
-        context,
-        initializer=start_process,
-        initargs=(options.devkit, exported),
-        max_tasks_per_child=SIMULATIONS_PER_PROCESS,
-    )
-    with pool:
-        running = {pool.submit(simulate, task): task for task in missing}
-        for number, future in enumerate(as_completed(running), 1):
-            task, error = running[future], future.result()
-            name = f"{task.scenario.name} {task.planner} {task.challenge}"
-            say(f"{number}/{len(missing)} {time.monotonic() - start:.0f} s  {name}{f': {error}' if error else ''}")
+    done = 0
+    # A pool that replaces its processes (`max_tasks_per_child`) hangs now and then in Python 3.11.
+    for first in range(0, len(missing), SIMULATIONS_PER_PROCESS * options.workers):
+        batch = missing[first : first + SIMULATIONS_PER_PROCESS * options.workers]
+        with ProcessPoolExecutor(
+            options.workers, get_context("spawn"), initializer=start_process, initargs=(options.devkit, exported, ours)
+        ) as pool:
+            running = {pool.submit(simulate, task): task for task in batch}
+            for future in as_completed(running):
+                done += 1
+                task, error = running[future], future.result()
+                name = f"{task.scenario.name} {task.planner} {task.challenge}"
+                say(f"{done}/{len(missing)} {time.monotonic() - start:.0f} s  {name}{f': {error}' if error else ''}")
 
 
-def start_process(devkit: Path, exported: Path) -> None:
+def start_process(devkit: Path, exported: Path, ours: bool) -> None:
     global DEVKIT
     DEVKIT = Devkit(devkit, exported)
+    if ours:
+        our_rules.apply()
 
 
 def simulate(task: Task) -> str | None:

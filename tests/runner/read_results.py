@@ -24,6 +24,12 @@ REPORT = [
 CATEGORIES = {"Dynamics", "Planning", "Violations", "Scenario dependent"}
 
 
+def check_numbers(column):
+    """nuBoard takes NaN for a score and shows nothing, so a column without numbers must come back as None."""
+    assert types.is_float_dtype(column.dtype) or all(value is None for value in column), column
+    assert not (types.is_float_dtype(column.dtype) and column.isna().all()), column
+
+
 def check_metric(path, scores):
     """One metrics/METRIC.parquet."""
     frame = pd.read_parquet(path)
@@ -32,7 +38,7 @@ def check_metric(path, scores):
     assert columns[-len(METRIC_TAIL):] == METRIC_TAIL, columns
     assert (frame["metric_statistics_name"] == path.stem).all()
     assert set(frame["metric_category"]) <= CATEGORIES, set(frame["metric_category"])
-    assert types.is_float_dtype(frame["metric_score"].dtype)
+    check_numbers(frame["metric_score"])
     # nuBoard finds the statistics by the suffix of their columns.
     statistics = [column.split("_stat_type")[0] for column in columns if "_stat_type" in column]
     assert statistics, columns
@@ -62,6 +68,8 @@ def check_aggregator(path, scores, aggregates):
     frame = pd.read_parquet(path)
     assert list(frame.columns)[: len(AGGREGATOR_HEAD)] == AGGREGATOR_HEAD
     assert frame.columns[-1] == "score"
+    for name in frame.columns[len(AGGREGATOR_HEAD):]:
+        check_numbers(frame[name])
     assert types.is_float_dtype(frame["num_scenarios"].dtype)
     assert set(frame["aggregator_type"]) == {"weighted_average"}
     assert frame.iloc[-1]["scenario"] == "final_score"

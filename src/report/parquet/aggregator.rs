@@ -36,7 +36,7 @@ fn columns(rows: &[AggregateRow], list: MetricList) -> Columns {
     let names: BTreeSet<&str> = computed.chain(list.scored().map(|metric| metric.name)).collect();
     for name in names {
         let value = |row: &AggregateRow| row.metrics.iter().find(|(n, _)| n == name).and_then(|(_, value)| *value);
-        all.push((name.to_owned(), Column::Float(rows.iter().map(value).collect())));
+        all.push((name.to_owned(), Column::numbers(rows.iter().map(value).collect())));
     }
     all.push(("score".to_owned(), Column::Float(rows.iter().map(|row| Some(row.score)).collect())));
     all

@@ -23,9 +23,25 @@ impl From<&Statistic> for StatisticColumns {
     }
 }
 
-/// Statistics of a metric in the order of their first occurrence. Some occur in few simulations, such as the energies of
-/// collisions.
-type Schema = Vec<StatisticColumns>;
+/// What a metric has in any simulation.
+#[derive(Debug, Default)]
+struct Schema {
+    /// Whether it has a score.
+    scored: bool,
+    /// In the order of their first occurrence. Some occur in few simulations, such as the energies of collisions.
+    statistics: Vec<StatisticColumns>,
+}
+
+impl Schema {
+    fn add(&mut self, metric: &MetricResult) {
+        self.scored |= metric.score.is_some();
+        for statistic in &metric.statistics {
+            if !self.statistics.iter().any(|known| known.name == statistic.name) {
+                self.statistics.push(statistic.into());
+            }
+        }
+    }
+}
 
 /// A row: the simulation and its result.
 type Row<'a> = (&'a SimulationRow, MetricResult);
@@ -38,12 +54,7 @@ pub(in crate::report) fn write_metric_files<'a>(
     let mut schemas: BTreeMap<String, Schema> = BTreeMap::new();
     for simulation in simulations.clone() {
         for metric in simulation?.1 {
-            let schema = schemas.entry(metric.name).or_default();
-            for statistic in &metric.statistics {
-                if !schema.iter().any(|known| known.name == statistic.name) {
-                    schema.push(statistic.into());
-                }
-            }
+            schemas.entry(metric.name.clone()).or_default().add(&metric);
         }
     }
     let mut tables: BTreeMap<String, MetricTable<'a>> = schemas
@@ -100,6 +111,8 @@ fn columns(schema: &Schema, rows: &[Row<'_>]) -> Columns {
     let of_metric = |of: fn(&MetricResult) -> Option<&str>| {
         Column::Text(rows.iter().map(|(_, metric)| of(metric).map(str::to_owned)).collect())
     };
+    let scores = rows.iter().map(|(_, metric)| metric.score);
+    let scores = if schema.scored { Column::Float(scores.collect()) } else { Column::Nulls(rows.len()) };
     let mut all = vec![
         ("log_name".to_owned(), text(|row| &row.log_name)),
         ("scenario_name".to_owned(), text(|row| &row.scenario)),
@@ -107,11 +120,11 @@ fn columns(schema: &Schema, rows: &[Row<'_>]) -> Columns {
         ("planner_name".to_owned(), text(|row| &row.planner)),
         ("metric_computator".to_owned(), of_metric(|metric| Some(&metric.computator))),
         ("metric_statistics_name".to_owned(), of_metric(|metric| Some(&metric.name))),
-        ("metric_score".to_owned(), Column::Float(rows.iter().map(|(_, metric)| metric.score).collect())),
+        ("metric_score".to_owned(), scores),
         ("metric_score_unit".to_owned(), of_metric(|metric| metric.score_unit.map(ScoreUnit::as_str))),
         ("metric_category".to_owned(), of_metric(|metric| Some(metric.category.as_str()))),
     ];
-    for StatisticColumns { name, kind, unit } in schema {
+    for StatisticColumns { name, kind, unit } in &schema.statistics {
         let found: Vec<Option<&Statistic>> =
             rows.iter().map(|(_, metric)| metric.statistics.iter().find(|s| s.name == *name)).collect();
         // Type and unit stand in every row, because nuBoard takes the unit of a planner's first row for all of its rows.
@@ -177,13 +190,26 @@ mod tests {
         let count = "number_of_violations_of_speed_limit_compliance";
         let kept = Statistic::boolean(metric.name, true);
         let broken = vec![Statistic::count(count, 2), Statistic::boolean(metric.name, false)];
-        let schema: Schema = broken.iter().map(StatisticColumns::from).collect();
         let row = SimulationRow::example("changing_lane", 0, "idm", Challenge::NonReactive, Some(1.0));
-        let rows = [(&row, metric.scored(1.0, vec![kept])), (&row, metric.scored(0.5, broken))];
-        let columns: BTreeMap<String, Column> = columns(&schema, &rows).into_iter().collect();
-        assert_eq!(columns[&format!("{count}_stat_value")], Column::Integer(vec![None, Some(2)]));
+        let rows = [(&row, metric.scored(0.5, broken)), (&row, metric.scored(1.0, vec![kept]))];
+        let columns = columns_of(&rows);
+        assert_eq!(columns[&format!("{count}_stat_value")], Column::Integer(vec![Some(2), None]));
         assert_eq!(columns[&format!("{count}_stat_type")], Column::text(["COUNT"; 2]));
         assert_eq!(columns[&format!("{count}_stat_unit")], Column::text(["count"; 2]));
-        assert_eq!(columns["speed_limit_compliance_stat_value"], Column::Boolean(vec![Some(true), Some(false)]));
+        assert_eq!(columns["speed_limit_compliance_stat_value"], Column::Boolean(vec![Some(false), Some(true)]));
+    }
+
+    #[test]
+    fn a_metric_without_scores_has_nulls_that_pandas_reads_as_none() {
+        let metric = metric("ego_jerk").unwrap();
+        let row = SimulationRow::example("changing_lane", 0, "idm", Challenge::NonReactive, Some(1.0));
+        let columns = columns_of(&[(&row, metric.unscored(Vec::new())), (&row, metric.unscored(Vec::new()))]);
+        assert_eq!(columns["metric_score"], Column::Nulls(2));
+    }
+
+    fn columns_of(rows: &[Row<'_>]) -> BTreeMap<String, Column> {
+        let mut schema = Schema::default();
+        rows.iter().for_each(|(_, metric)| schema.add(metric));
+        columns(&schema, rows).into_iter().collect()
     }
 }

@@ -4,7 +4,8 @@ use crate::report::ReportError;
 use crate::report::atomic;
 use arrow_array::types::{Float64Type, Int64Type};
 use arrow_array::{
-    ArrayRef, ArrowPrimitiveType, BooleanArray, Float64Array, Int64Array, ListArray, RecordBatch, StringArray,
+    ArrayRef, ArrowPrimitiveType, BooleanArray, Float64Array, Int64Array, ListArray, NullArray, RecordBatch,
+    StringArray,
 };
 use arrow_schema::{Field, Schema};
 use parquet::arrow::ArrowWriter;
@@ -24,12 +25,19 @@ pub(super) enum Column {
     Boolean(Vec<Option<bool>>),
     Floats(Vec<Option<Vec<f64>>>),
     Integers(Vec<Option<Vec<i64>>>),
+    /// So many nulls, as pandas writes a column of `None`. It reads other nulls as NaN, which nuBoard takes for scores.
+    Nulls(usize),
 }
 
 impl Column {
     /// A text column without nulls.
     pub(super) fn text(values: impl IntoIterator<Item = impl Into<String>>) -> Self {
         Self::Text(values.into_iter().map(|value| Some(value.into())).collect())
+    }
+
+    /// A column of numbers, or of nulls if it has no number.
+    pub(super) fn numbers(values: Vec<Option<f64>>) -> Self {
+        if values.iter().all(Option::is_none) { Self::Nulls(values.len()) } else { Self::Float(values) }
     }
 
     fn array(self) -> ArrayRef {
@@ -40,6 +48,7 @@ impl Column {
             Self::Boolean(values) => Arc::new(BooleanArray::from(values)),
             Self::Floats(values) => lists::<Float64Type>(values),
             Self::Integers(values) => lists::<Int64Type>(values),
+            Self::Nulls(count) => Arc::new(NullArray::new(count)),
         }
     }
 }
