@@ -96,7 +96,7 @@ pub mod traffic {
 /// Sources of scenarios.
 pub mod sources {
     pub use crate::scenario::{
-        Contents, DataRoots, OpenScenario, ReaderError, Readers, Recognition, ScenarioReader, ScenarioRef, Split,
+        Contents, DataRoots, OpenScenario, ReaderError, Readers, ScenarioReader, ScenarioRef, Split,
     };
 }
 

@@ -157,7 +157,7 @@ fn a_benchmark_without_a_measurement_leaves_no_folder() {
 fn a_model_is_measured_by_the_configuration_that_is_named() {
     let folder = TempDir::new().unwrap();
     // The measuring process must not read this file.
-    fs::write(folder.path().join("planagent.toml"), "[mllm]\nquantize = \"q3_k\"\n").unwrap();
+    fs::write(folder.path().join("planagent.toml"), "[mllm]\nquantize = \"q2_k\"\n").unwrap();
     fs::write(folder.path().join("named.toml"), "[mllm]\nquantize = \"f16\"\n").unwrap();
     let arguments =
         ["bench", "nano", "--config", "named.toml", "--warm-up", "0", "--iterations", "1", "--out", "bench"];
@@ -173,7 +173,7 @@ fn unknown_values_are_refused_with_the_known_ones() {
     let out = folder.path().to_str().unwrap();
     for (arguments, expected) in [
         (&["--random-weights", "llava-9b"][..], "llava-1.5-7b"),
-        (&["nano", "--quantize", "q3_k"], "q4_k"),
+        (&["nano", "--quantize", "q2_k"], "q4_k"),
         (&["nano", "nano"], "two models are called nano"),
         (&["nano", "--iterations", "0"], "--iterations"),
         (&["nano", "--vs", "vllm"], "llama.cpp"),

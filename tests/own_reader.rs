@@ -3,9 +3,7 @@
 use planagent::internals::experiment::run::{self as runner, AgentParts, SimulationTask};
 use planagent::internals::planner::PlannerName;
 use planagent::internals::scenario::generator::{self, Spec};
-use planagent::internals::scenario::{
-    DataRoots, ReaderError, Readers, Recognition, Scenario, ScenarioReader, ScenarioRef,
-};
+use planagent::internals::scenario::{DataRoots, ReaderError, Readers, Scenario, ScenarioReader, ScenarioRef};
 use planagent::internals::simulation::Challenge;
 use std::sync::Mutex;
 
@@ -13,8 +11,8 @@ use std::sync::Mutex;
 struct MirrorReader;
 
 impl ScenarioReader for MirrorReader {
-    fn recognizes(&self, word: &str) -> Recognition {
-        if word.starts_with("mirror:") { Recognition::Certain } else { Recognition::No }
+    fn recognizes(&self, word: &str) -> bool {
+        word.starts_with("mirror:")
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {

@@ -2,10 +2,12 @@
 
 mod args;
 mod commands;
+mod completed;
 mod csv;
 mod exit;
 mod film;
 mod help;
+mod interrupt;
 mod picture;
 mod printer;
 mod progress;
@@ -16,7 +18,7 @@ mod words;
 use crate::experiment::panic_guard;
 use anyhow::bail;
 use args::{Arguments, Command};
-use clap::Parser;
+use clap::{CommandFactory, FromArgMatches};
 use settings::Settings;
 use std::process::ExitCode;
 
@@ -28,7 +30,8 @@ const MAX_THREADS: usize = 512;
 /// Runs the program with the arguments of the process.
 pub fn run() -> ExitCode {
     panic_guard::install_hook();
-    let arguments = match Arguments::try_parse() {
+    let matches = with_negative_numbers(Arguments::command()).try_get_matches();
+    let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
         Err(error) => {
             // Help and version are no errors; clap prints each where it belongs.
@@ -46,6 +49,15 @@ pub fn run() -> ExitCode {
             Exit::Error.into()
         }
     }
+}
+
+/// The same, whose options take `-1` as a value: then the error says which option does not.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let taking = |arg: clap::Arg| {
+        let takes_one = arg.get_action().takes_values() && !arg.is_positional();
+        if takes_one { arg.allow_negative_numbers(true) } else { arg }
+    };
+    command.mut_args(taking).mut_subcommands(with_negative_numbers)
 }
 
 fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {

@@ -1,6 +1,7 @@
 //! Progress of a run: bars on a terminal, a line now and then elsewhere.
 
-use super::Printer;
+use super::{Printer, interrupt};
+use crate::files::{quoted, word_of};
 use crate::runner::{Event, Listener};
 use console::Term;
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
@@ -42,6 +43,14 @@ impl Console {
             Event::LogsSearched { done, total } => self.bar("logs", done as u64, total as u64),
             Event::ScenesCounted { done, total } => self.bar("scenes", done as u64, total as u64),
             Event::Fetched(progress) => self.bar(BYTES, progress.bytes, progress.total),
+            Event::Opened { folder, has_commands } => {
+                let same = if has_commands { " with the same --planner and --agents" } else { "" };
+                let folder = quoted(&word_of(folder.as_os_str()));
+                let advice = format!("`planagent simulate --resume {folder}`{same} goes on");
+                if let Err(error) = interrupt::advise(advice, self.printer) {
+                    self.printer.error(&error);
+                }
+            }
             Event::Started { total } => self.replace(Some(SimulationProgress::new(self.printer, total))),
             Event::Stepped => self.of_simulations(SimulationProgress::step),
             Event::Ended { failed } => self.of_simulations(|progress| progress.ended(failed)),

@@ -121,6 +121,11 @@ impl Settings {
             let learned = &mut self.config.learned;
             let named = word.split_once('=').filter(|(planner, _)| learned.checkpoint_mut(planner).is_some());
             let (planner, file) = match named {
+                Some((planner, _))
+                    if flags.resume.is_none() && !planner_words(&flags.planner).iter().any(|one| one == planner) =>
+                {
+                    bail!("--checkpoint {word}: {planner} is not among the planners; add it to --planner")
+                }
                 Some((planner, file)) => (planner.to_owned(), file),
                 None => (the_learned(flags, learned, word)?, word.as_str()),
             };

@@ -36,6 +36,16 @@ pub(super) enum ShardWordError {
     NoEnvironment,
 }
 
+/// What is no count.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("expected a whole number from 1 on")]
+pub(super) struct NoCount;
+
+/// A number of things, at least one.
+pub(super) fn count(word: &str) -> Result<usize, NoCount> {
+    word.parse().ok().filter(|&count| count > 0).ok_or(NoCount)
+}
+
 /// The value of `--shard`.
 pub(super) fn shard_word(word: &str) -> Result<Shard, ShardWordError> {
     if word == "auto" {

@@ -154,6 +154,16 @@ pub fn generated_list(words: &[String]) -> String {
     listed(GENERATED_HEADER, words)
 }
 
+/// The text of a list of other seeds, or of another number of scenarios.
+pub fn other_list(words: &[String], seeds: dataset::Split, count: usize) -> String {
+    let header = format!(
+        "# Of each of the eight kinds the first {count} scenarios that it fits, seed by seed and type by type.\n\
+         # Drawn by: planagent scenarios interactive --seeds {seeds} --count {count}\n",
+        seeds = seeds.as_str()
+    );
+    listed(&header, words)
+}
+
 /// The text of `suites/interactive-recorded.txt`.
 pub fn recorded_list(words: &[String]) -> String {
     listed(RECORDED_HEADER, words)

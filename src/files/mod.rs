@@ -1,11 +1,13 @@
 //! Files that a user names: only regular ones are read, of limited size, and errors show little of them.
 
 mod cache;
+mod quoted;
 mod regular;
 mod shortened;
 mod word;
 
 pub use cache::cache_folder;
+pub use quoted::quoted;
 pub use regular::{open, read, read_text, target};
 pub use shortened::{MAX_SHOWN_BYTES, shortened};
 pub use word::{path_of, serde_path, word_of};

@@ -81,7 +81,8 @@ pub enum MllmError {
     #[error("request: {problem}")]
     Request { problem: String },
     #[error(
-        "the prompt has {tokens} tokens and the model's context {context}; choose a shorter prompt set (reasoning.prompt_set)"
+        "the prompt has {tokens} tokens and the model's context {context}; raise --context where it is lower than the \
+         model allows, or shorten the prompt (reasoning.prompt_set)"
     )]
     PromptTooLong { tokens: usize, context: usize },
     #[error("the logit of token {token} at position {position} is {value}")]
@@ -90,6 +91,8 @@ pub enum MllmError {
     Description { path: PathBuf, problem: String },
     #[error("unknown model '{name}': not a description in {models}, a folder or a hub id; described models: {known}")]
     UnknownModel { name: String, models: PathBuf, known: String },
+    #[error("there is no model file or folder {path}")]
+    AbsentModel { path: PathBuf },
     #[error("unknown model shape '{name}'; choose one of {known}")]
     UnknownShape { name: String, known: String },
     #[error(

@@ -7,9 +7,9 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum PromptError {
     #[error(
-        "prompt set '{0}' is neither built in (paper, compact), nor a folder of prompts/, nor a folder with a set.toml"
+        "prompt set '{name}' is neither built in ({}), nor a folder of prompts/, nor a folder of templates", known.join(", ")
     )]
-    Unknown(String),
+    Unknown { name: String, known: Vec<&'static str> },
     #[error("cannot read {path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{path}: {source}")]

@@ -153,7 +153,7 @@ impl PromptSet {
     /// The templates of a question outside the rounds.
     pub(super) fn question_set(&self, name: &'static str) -> Result<&Templates, PromptError> {
         let found = self.questions.iter().find(|templates| templates.set() == name);
-        found.ok_or_else(|| PromptError::Unknown(name.to_owned()))
+        found.ok_or_else(|| PromptError::Unknown { name: name.to_owned(), known: Vec::new() })
     }
 
     /// The name or folder that it was opened by.
@@ -202,7 +202,7 @@ mod tests {
 
     #[test]
     fn wrong_sets_say_what_is_wrong() {
-        assert!(matches!(PromptSet::open("nowhere"), Err(PromptError::Unknown(_))));
+        assert!(matches!(PromptSet::open("nowhere"), Err(PromptError::Unknown { .. })));
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(SETTINGS), "scene_text = 'compact'\nunderstandng = 'free'").unwrap();
         let missing = PromptSet::open(folder.path().to_str().unwrap()).unwrap_err().to_string();

@@ -74,20 +74,22 @@ impl PromptFiles {
         if !name.is_empty() && !name.contains(['/', '\\', '.']) && override_folder.is_dir() {
             return Self::read(name, &override_folder, names);
         }
-        if let Some(built_in) = Self::built_in(name) {
-            return Ok(built_in);
+        let first = names.first().copied().unwrap_or_default();
+        let fits = |(_, files): &&BuiltIn| files.iter().any(|(file, _)| *file == first);
+        if let Some(built_in) = BUILT_IN.iter().filter(fits).find(|(known, _)| *known == name) {
+            return Ok(Self::built_in(built_in));
         }
         let folder = Path::new(name);
-        if names.first().is_some_and(|first| folder.join(first).is_file()) {
+        if folder.join(first).is_file() {
             return Self::read(name, folder, names);
         }
-        Err(PromptError::Unknown(name.to_owned()))
+        let known = BUILT_IN.iter().filter(fits).map(|(known, _)| *known).collect();
+        Err(PromptError::Unknown { name: name.to_owned(), known })
     }
 
-    fn built_in(name: &str) -> Option<Self> {
-        let (_, files) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
+    fn built_in(&(name, files): &BuiltIn) -> Self {
         let texts = files.iter().map(|&(file, text)| (file, text.to_owned())).collect();
-        Some(Self { name: name.to_owned(), place: PromptPlace::BuiltIn, texts })
+        Self { name: name.to_owned(), place: PromptPlace::BuiltIn, texts }
     }
 
     fn read(name: &str, folder: &Path, names: &[&'static str]) -> Result<Self, PromptError> {
@@ -120,7 +122,8 @@ impl PromptFiles {
 
     /// Whether the texts are those of the program.
     pub(super) fn is_built_in(&self) -> bool {
-        Self::built_in(&self.name).is_some_and(|known| known.texts == self.texts)
+        let named = BUILT_IN.iter().find(|(name, _)| *name == self.name);
+        named.is_some_and(|known| Self::built_in(known).texts == self.texts)
     }
 
     /// BLAKE3 of each text, hexadecimal, by set and file.
@@ -163,7 +166,7 @@ mod tests {
         assert_eq!((&edited.place, edited.is_built_in()), (&PromptPlace::Folder(folder.clone()), false));
         std::fs::write(folder.join("system.jinja"), program.text("system.jinja")).unwrap();
         assert!(find("llm_assist_par").unwrap().is_built_in(), "the same texts are the same set, wherever they are");
-        assert!(matches!(find("nowhere"), Err(PromptError::Unknown(_))));
+        assert!(matches!(find("nowhere"), Err(PromptError::Unknown { .. })));
         assert_eq!(find(folder.to_str().unwrap()).unwrap().place, PromptPlace::Folder(folder));
     }
 }

@@ -82,6 +82,16 @@ pub enum ConfigError {
 }
 
 impl Config {
+    /// The settings that differ from the defaults, sorted by their dotted keys.
+    ///
+    /// # Errors
+    /// When the configuration cannot be serialized.
+    pub fn changes(&self) -> Result<Vec<(String, toml::Value)>, toml::ser::Error> {
+        let mut changes = Vec::new();
+        collect_changes("", &toml::Table::try_from(self)?, &toml::Table::try_from(Self::default())?, &mut changes);
+        Ok(changes)
+    }
+
     /// Reads a file. `None` reads `planagent.toml` in the working directory; without that file the defaults apply.
     pub fn load(path: Option<&Path>) -> Result<Self, ConfigError> {
         let found: Option<PathBuf> = match path {
@@ -194,6 +204,23 @@ fn overlay(below: &mut toml::Table, above: toml::Table) {
     }
 }
 
+/// Adds the values of `own` that are not those of `default`.
+fn collect_changes(prefix: &str, own: &toml::Table, default: &toml::Table, changes: &mut Vec<(String, toml::Value)>) {
+    for (name, value) in own {
+        let key = format!("{prefix}{name}");
+        match (value, default.get(name)) {
+            (toml::Value::Table(inner), Some(toml::Value::Table(default))) => {
+                collect_changes(&format!("{key}."), inner, default, changes);
+            }
+            (value, default) if default == Some(value) => {}
+            (toml::Value::Table(inner), None) => {
+                collect_changes(&format!("{key}."), inner, &toml::Table::new(), changes);
+            }
+            (value, _) => changes.push((key, value.clone())),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -210,6 +237,18 @@ mod tests {
         for wrong in ["environment.bov = false", "reasoning.interval = 'often'", "reasoning.interval = 0"] {
             assert!(overlaid(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn changes_make_the_configuration_again() {
+        assert_eq!(Config::default().changes().unwrap(), []);
+        let settings = "seed = 3\n[environment]\nbev = false\n[mllm]\nquantize = 'q8_0'\n[learned]\nplantf = 'a.ckpt'";
+        let changed = Config::default().overlaid(&settings.parse().unwrap()).unwrap();
+        let changes = changed.changes().unwrap();
+        let keys: Vec<&str> = changes.iter().map(|(key, _)| key.as_str()).collect();
+        assert_eq!(keys, ["environment.bev", "learned.plantf", "mllm.quantize", "seed"]);
+        let lines: Vec<String> = changes.iter().map(|(key, value)| format!("{key} = {value}")).collect();
+        assert_eq!(Config::default().overlaid(&lines.join("\n").parse().unwrap()).unwrap(), changed);
     }
 
     #[test]

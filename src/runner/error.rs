@@ -88,6 +88,10 @@ pub enum RunnerError {
     Json(#[from] serde_json::Error),
     #[error("the model of the run in {} is not what this program writes: {source}", folder.display())]
     ManifestModel { folder: PathBuf, source: toml::de::Error },
+    #[error(
+        "two scenarios have the id {id}: {first} and {second}; simulate them in two runs, or, of modifications, give one a key name"
+    )]
+    SameId { id: String, first: String, second: String },
     #[error("there is no scenario to simulate")]
     NoScenario,
     #[error(transparent)]

@@ -1,6 +1,7 @@
 //! What a run reports while it works.
 
 use crate::mllm::FetchProgress;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -27,6 +28,13 @@ pub enum Event {
         done: usize,
         /// Scenes of the suite.
         total: usize,
+    },
+    /// The folder of a run is open: what is completed stays in it.
+    Opened {
+        /// The folder.
+        folder: PathBuf,
+        /// Whether a command is a planner of the run, or controls its agents. A run that is resumed takes commands from its user alone.
+        has_commands: bool,
     },
     /// So many simulations start.
     Started {

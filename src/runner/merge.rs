@@ -2,6 +2,7 @@
 
 use super::error::{MergeError, RunnerError};
 use super::run::{self, RunResults};
+use crate::files::{quoted, word_of};
 use crate::report::{
     Inputs, Manifest, RunFolder, ScenarioList, ShardList, SimulationRow, SimulationTime, simulation_folders,
     simulation_metrics,
@@ -135,7 +136,8 @@ fn advice(parts: &[Part]) -> String {
     for part in parts {
         let rows = RunFolder::read_completed(&part.path).map(|completed| completed.rows.len()).unwrap_or_default();
         if rows < part.manifest.simulations() {
-            return format!("continue with `planagent simulate --resume {}`", part.path.display());
+            let folder = quoted(&word_of(part.path.as_os_str()));
+            return format!("continue with `planagent simulate --resume {folder}`");
         }
     }
     let shards: Vec<ShardList> = parts.iter().filter_map(|part| part.manifest.scenarios.shard).collect();

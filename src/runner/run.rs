@@ -120,6 +120,17 @@ impl Run {
         self.plan.numbers.len()
     }
 
+    /// Its folder.
+    pub(super) fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Whether a command is one of its planners, or controls its agents.
+    pub(super) fn has_commands(&self) -> bool {
+        let Manifest { commands, agents, .. } = &self.plan.manifest;
+        !commands.is_empty() || !agents.is_empty()
+    }
+
     /// The tasks of its first scenario that are left.
     pub(super) fn first(&self) -> Vec<usize> {
         let source = |number: &usize| self.plan.tasks.get(*number).map(|task| &task.source);

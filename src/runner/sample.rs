@@ -42,33 +42,53 @@ impl Sample {
         if self.types.is_empty() {
             return Ok(found);
         }
-        let known: BTreeSet<&str> = found.iter().map(type_of).collect();
+        let known: BTreeSet<&str> = found.iter().flat_map(types_of).collect();
         if let Some(name) = self.types.iter().find(|name| !known.contains(name.as_str())) {
             return Err(NoSuchType { name: name.clone(), known: known.into_iter().map(str::to_owned).collect() });
         }
-        Ok(found.into_iter().filter(|scenario| self.types.iter().any(|name| name == type_of(scenario))).collect())
+        let is_wanted =
+            |scenario: &ScenarioRef| types_of(scenario).any(|own| self.types.iter().any(|name| name == own));
+        Ok(found.into_iter().filter(is_wanted).collect())
     }
 }
 
-/// At most `limit` scenarios: of each type the first, then of each the second, and so on. They stay in their order.
+/// At most `limit` scenarios: of each type the first, then of each the second, and so on. Modified scenarios of one type are
+/// taken in the same way from the types that they had before. They stay in their order.
 fn evenly(scenarios: Vec<ScenarioRef>, limit: usize) -> Vec<ScenarioRef> {
-    let mut by_type: Vec<(&str, Vec<usize>)> = Vec::new();
-    for (place, scenario) in scenarios.iter().enumerate() {
-        let own = type_of(scenario);
-        match by_type.iter_mut().find(|(kind, _)| *kind == own) {
-            Some((_, places)) => places.push(place),
-            None => by_type.push((own, vec![place])),
-        }
-    }
-    let longest = by_type.iter().map(|(_, places)| places.len()).max().unwrap_or(0);
-    let in_turn = (0..longest).flat_map(|turn| by_type.iter().filter_map(move |(_, places)| places.get(turn)));
-    let taken: BTreeSet<usize> = in_turn.take(limit).copied().collect();
+    let by_type = groups(scenarios.iter().enumerate(), |(_, scenario)| type_of(scenario));
+    let by_type = by_type.into_iter().map(|group| in_turn(&groups(group, |(_, scenario)| scenario.unmodified_type())));
+    let taken: BTreeSet<usize> =
+        in_turn(&by_type.collect::<Vec<_>>()).into_iter().take(limit).map(|(place, _)| place).collect();
     let kept = scenarios.into_iter().enumerate().filter(|(place, _)| taken.contains(place));
     kept.map(|(_, scenario)| scenario).collect()
 }
 
+/// The items of each key, in the order in which the keys come.
+fn groups<T, K: PartialEq>(items: impl IntoIterator<Item = T>, key: impl Fn(&T) -> K) -> Vec<Vec<T>> {
+    let mut groups: Vec<(K, Vec<T>)> = Vec::new();
+    for item in items {
+        let own = key(&item);
+        match groups.iter_mut().find(|(key, _)| *key == own) {
+            Some((_, items)) => items.push(item),
+            None => groups.push((own, vec![item])),
+        }
+    }
+    groups.into_iter().map(|(_, items)| items).collect()
+}
+
+/// The first of each group, then the second of each, and so on.
+fn in_turn<T: Copy>(groups: &[Vec<T>]) -> Vec<T> {
+    let longest = groups.iter().map(Vec::len).max().unwrap_or(0);
+    (0..longest).flat_map(|turn| groups.iter().filter_map(move |items| items.get(turn).copied())).collect()
+}
+
 fn type_of(scenario: &ScenarioRef) -> &str {
     scenario.scenario_type().unwrap_or(UNKNOWN_TYPE)
+}
+
+/// Its type, and the one that it had before a modification.
+fn types_of(scenario: &ScenarioRef) -> impl Iterator<Item = &str> {
+    std::iter::once(type_of(scenario)).chain(scenario.unmodified_type())
 }
 
 /// A name of the scenario that does not depend on where its file lies.
@@ -87,6 +107,8 @@ pub(super) fn hash(salt: &[u8], text: &str) -> u64 {
 mod tests {
     use super::*;
     use crate::scenario::ReaderError;
+    use crate::scenario::modified::ModifiedName;
+    use crate::world::InteractionKind;
 
     fn scenario(kind: &str, seed: usize) -> ScenarioRef {
         let word = format!("generated/{kind}/{seed}");
@@ -120,6 +142,19 @@ mod tests {
         assert_eq!(names(&of("c").unwrap()), ["c/0", "c/1", "c/2"]);
         let error = of("d").unwrap_err();
         assert_eq!(error.to_string(), "no scenario is of type 'd'; there are a, b, c");
+    }
+
+    #[test]
+    fn modified_scenarios_are_found_by_both_types_and_taken_evenly_from_both() {
+        let modification = ModifiedName::of(InteractionKind::JaywalkingPedestrian).read().unwrap();
+        let modified: Vec<ScenarioRef> = scenarios().into_iter().map(|one| modification.of(one)).collect();
+        let taken = |sample: Sample| {
+            names(&sample.of(modified.clone()).unwrap()).join(" ").replace("~jaywalking_pedestrian", "")
+        };
+        assert_eq!(taken(Sample { limit: Some(3), ..Sample::default() }), "a/0 b/0 c/0");
+        let of = |kind: &str| Sample { types: vec![kind.to_owned()], limit: Some(2), ..Sample::default() };
+        assert_eq!(taken(of("c")), "c/0 c/1");
+        assert_eq!(taken(of("jaywalking_pedestrian")), "a/0 b/0");
     }
 
     #[test]

@@ -13,6 +13,7 @@ use crate::planner::{PlannerName, PlannerRegistry};
 use crate::report::{Manifest, ScenarioList};
 use crate::scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
 use crate::simulation::{AgentPolicyName, Challenge};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// The tasks of a run.
@@ -226,10 +227,25 @@ pub(super) fn select(
         note(format!("{count} scenarios are named more than once and simulated once, for example {first}"));
     }
     let sources = sample.of(sources)?;
+    check_ids(&sources)?;
     if sources.is_empty() {
         return Err(RunnerError::NoScenario);
     }
     Ok(Selected { sources, splits: lists, missing })
+}
+
+/// Refuses two scenarios with one id: results name scenarios by their ids.
+fn check_ids(sources: &[ScenarioRef]) -> Result<(), RunnerError> {
+    let mut by_id: BTreeMap<&str, &ScenarioRef> = BTreeMap::new();
+    for source in sources {
+        if let Some(id) = source.id()
+            && let Some(first) = by_id.insert(id, source)
+        {
+            let (id, first, second) = (id.to_owned(), first.to_string(), source.to_string());
+            return Err(RunnerError::SameId { id, first, second });
+        }
+    }
+    Ok(())
 }
 
 fn planners(registry: &PlannerRegistry, names: &[String]) -> Result<Vec<PlannerName>, RunnerError> {

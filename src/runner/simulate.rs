@@ -188,6 +188,7 @@ fn complete(
     listener: &Listener,
 ) -> Result<RunResults, RunnerError> {
     let left = run.left().to_vec();
+    listener(Event::Opened { folder: run.path().to_owned(), has_commands: run.has_commands() });
     listener(Event::Started { total: left.len() });
     let simulated = run.simulate(&left, listener);
     listener(Event::Finished);

@@ -22,9 +22,7 @@ pub mod womd;
 
 pub use held::HeldScenario;
 pub use later_start::without_start;
-pub use reader::{
-    DataRoots, OnProgress, OpenScenario, ReaderError, Recognition, ScenarioReader, ScenarioRef, absolute_path,
-};
+pub use reader::{DataRoots, OnProgress, OpenScenario, ReaderError, ScenarioReader, ScenarioRef, absolute_path};
 #[cfg(any(feature = "womd", feature = "argoverse2"))]
 pub use recording::error::{FileError, FilePlace, RecordingFault};
 pub use registry::{RECORDINGS, Readers};

@@ -15,7 +15,7 @@ pub type OnProgress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 /// One source of scenarios.
 pub trait ScenarioReader: Send + Sync {
     /// Whether this reader takes a word of the command line, judged without reading a file.
-    fn recognizes(&self, word: &str) -> Recognition;
+    fn recognizes(&self, word: &str) -> bool;
 
     /// All scenarios that a recognized word names. Of a folder, those that the reader finds in it, possibly none; a file
     /// among others that cannot be read is a [`ScenarioRef::unreadable`].
@@ -45,17 +45,6 @@ pub trait ScenarioReader: Send + Sync {
     fn take_notes(&self) -> Vec<String> {
         Vec::new()
     }
-}
-
-/// How surely a word is one of a reader's.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Recognition {
-    /// The word is not one of this reader's.
-    No,
-    /// Where no other reader is certain.
-    Possible,
-    /// The word is this reader's.
-    Certain,
 }
 
 /// How a reader opens one of its scenarios.
@@ -91,6 +80,8 @@ pub struct ScenarioRef {
     word: String,
     id: Option<String>,
     scenario_type: Option<String>,
+    /// The type before a modification that has one of its own.
+    unmodified_type: Option<String>,
     log_name: String,
     path: Option<PathBuf>,
     part: String,
@@ -108,6 +99,7 @@ impl ScenarioRef {
             word,
             id: None,
             scenario_type: None,
+            unmodified_type: None,
             path: None,
             fault: None,
             source: Arc::new(source),
@@ -133,6 +125,14 @@ impl ScenarioRef {
     #[must_use]
     pub fn with_type(mut self, scenario_type: impl Into<String>) -> Self {
         self.scenario_type = Some(scenario_type.into());
+        self
+    }
+
+    /// With the type of its modification in place of its own.
+    #[must_use]
+    pub(super) fn modified_to(mut self, scenario_type: &str) -> Self {
+        let own = self.scenario_type.replace(scenario_type.to_owned());
+        self.unmodified_type = self.unmodified_type.or(own);
         self
     }
 
@@ -170,6 +170,11 @@ impl ScenarioRef {
     /// nuPlan's scenario type, as far as it is known before opening.
     pub fn scenario_type(&self) -> Option<&str> {
         self.scenario_type.as_deref()
+    }
+
+    /// The type of the scenario that a modification changed into one of its own type.
+    pub fn unmodified_type(&self) -> Option<&str> {
+        self.unmodified_type.as_deref()
     }
 
     /// Name of its log.
@@ -255,7 +260,10 @@ pub enum ReaderError {
     #[error("there is no file or folder {}; a generated scenario is called generated/TYPE/SEED or \
         generated/TYPE/SEED.TRAFFIC", .0.display())]
     Missing(PathBuf),
-    #[error("no reader takes the file {}", .0.display())]
+    #[error(
+        "{}: no kind of recording has such a name; Waymo's files are named *.tfrecord*, nuPlan's logs *.db, and Argoverse 2's \
+         logs are folders", .0.display()
+    )]
     UnknownFile(PathBuf),
     #[error("cannot list the folder {}: {source}", path.display())]
     Folder { path: PathBuf, source: std::io::Error },

@@ -9,7 +9,7 @@ use super::later_start::LaterStart;
 use super::modified::ModifiedName;
 #[cfg(feature = "nuplan")]
 use super::nuplan;
-use super::reader::{DataRoots, OnProgress, ReaderError, Recognition, ScenarioReader, ScenarioRef, absolute_path};
+use super::reader::{DataRoots, OnProgress, ReaderError, ScenarioReader, ScenarioRef, absolute_path};
 use super::split::Split;
 #[cfg(feature = "womd")]
 use super::womd;
@@ -50,14 +50,13 @@ impl Readers {
         self
     }
 
-    /// The reader that takes a word: the first certain one, else the first possible one.
+    /// The first reader that takes a word.
     fn reader_of(&self, word: &str) -> Option<&dyn ScenarioReader> {
-        let first = |wanted| self.readers.iter().find(|reader| reader.recognizes(word) == wanted);
-        first(Recognition::Certain).or_else(|| first(Recognition::Possible)).map(|reader| &**reader)
+        self.readers.iter().find(|reader| reader.recognizes(word)).map(|reader| &**reader)
     }
 
-    /// All scenarios that a word of the command line names. They are those of the reader that takes it, else those that
-    /// all readers find in the folder of that name, else in its folders of [`RECORDINGS`]. With `@SECONDS` at the end they
+    /// All scenarios that a word of the command line names. They are those of the reader that takes it, else those in the folders of
+    /// [`RECORDINGS`] within the folder of that name, else those that all readers find in it. With `@SECONDS` at the end they
     /// start that much later. With `~NAME` or `~FILE.toml` they are modified.
     pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
         if let Some((base, name)) = ModifiedName::in_word(word) {
@@ -75,7 +74,15 @@ impl Readers {
             let path = path.to_owned();
             return Err(if path.exists() { ReaderError::UnknownFile(path) } else { ReaderError::Missing(path) });
         }
-        let (mut all, mut looked_for, mut faults) = (Vec::new(), Vec::new(), Vec::new());
+        let mut all = Vec::new();
+        let of_sources = RECORDINGS.map(|folder| path.join(folder)).into_iter().filter(|folder| folder.is_dir());
+        for folder in of_sources {
+            all.extend(self.find(&word_of(folder.as_os_str()))?);
+        }
+        if !all.is_empty() {
+            return Ok(all);
+        }
+        let (mut looked_for, mut faults) = (Vec::new(), Vec::new());
         for reader in &self.readers {
             if let Some(files) = reader.looks_for() {
                 match reader.list(word) {
@@ -90,10 +97,6 @@ impl Readers {
             all.extend(faults.iter().map(|fault| ScenarioRef::unreadable(path, fault.to_string())));
         } else if !faults.is_empty() {
             return Err(faults.swap_remove(0));
-        } else {
-            for folder in RECORDINGS.map(|folder| path.join(folder)).iter().filter(|folder| folder.is_dir()) {
-                all.extend(self.find(&word_of(folder.as_os_str()))?);
-            }
         }
         match all.first() {
             None => Err(ReaderError::Empty { path: path.to_owned(), looked_for }),

@@ -35,7 +35,13 @@ const WRONG: &[&[&str]] = &[
     &["simulate", "--scenario", "nowhere.tfrecord"],
     &["simulate", "--scenario", "generated/changing_lane/3~nudge"],
     &["simulate", "--type", "chaning_lane"],
+    &["simulate", "--scenario", "notes.txt"],
+    &["simulate", "--model", "nowhere.gguf"],
     &["simulate", "--limit", "0"],
+    &["simulate", "--limit", "-1"],
+    &["simulate", "--seed", "-1"],
+    &["simulate", "--planner", "idm", "--checkpoint", "plantf=nowhere.ckpt"],
+    &["simulate", "--scenario", "generated/changing_lane/2~a/k.toml", "generated/changing_lane/2~b/k.toml"],
     &["simulate", "--shard", "3/2"],
     &["simulate", "--challenge", "reactiv"],
     &["simulate", "--planner", "simple", "--exec-timeout", "0"],
@@ -44,13 +50,23 @@ const WRONG: &[&[&str]] = &[
     &["simulate", "--set", "reflection.threshold=high"],
     &["simulate", "--set", "reflection.threshold=7"],
     &["simulate", "--csv", "--json"],
+    &["plan", "--prompt-set", "nowhere"],
+    &["ask", "What is ahead?", "--set", "environment.bev=false"],
     &["scenarios", "generate", "--type", "chaning_lane"],
+    &["scenarios", "generate", "--from", "18446744073709551615", "--count", "2"],
+    &["scenarios", "list", "--modify", "low_traffic_density"],
+    &["scenarios", "statistics", "generated/changing_lane/0", "generated/changing_lane/1", "--modify", "nowhere.toml"],
+    &["dataset", "--out", "data", "--modify", "low_traffic_density"],
+    &["dataset", "--out", "data", "--for", "imitation", "--twins", "2"],
     &["experiment", "foo"],
     &["experiment", "scenario-type"],
     &["experiment", "recorded"],
     &["models", "fetch", "nnao"],
     &["report"],
+    &["report", "nowhere"],
+    &["render", "nowhere", "--png", "sheet.png"],
     &["render", "--gif", "film.mp4"],
+    &["render", "--gif", "film.gif", "--at", "3"],
     &["compare", "one", "two"],
     &["merge"],
     &["completions", "csh"],
@@ -59,6 +75,11 @@ const WRONG: &[&[&str]] = &[
 #[test]
 fn errors_are_as_reviewed() {
     let work = TempDir::new().unwrap();
+    fs::write(work.path().join("notes.txt"), "no recording").unwrap();
+    for folder in ["a", "b"] {
+        fs::create_dir(work.path().join(folder)).unwrap();
+        fs::write(work.path().join(folder).join("k.toml"), "[[cones]]\nahead_m = 30.0\n").unwrap();
+    }
     let mut text = String::new();
     for arguments in WRONG {
         let (code, error) = error(work.path(), arguments);

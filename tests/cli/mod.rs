@@ -7,6 +7,8 @@ mod columns;
 mod errors;
 mod exec;
 mod help;
+#[cfg(unix)]
+mod interrupt;
 mod modified;
 mod open_loop;
 mod outside_text;

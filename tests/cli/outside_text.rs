@@ -103,11 +103,16 @@ mod unix {
         pipe(&log.join("scenario_x.parquet"));
         fs::write(log.join("log_map_archive_x.json"), "{}").unwrap();
         let word = |name: &str| path(name).to_str().unwrap().to_owned();
-        for (name, what) in [("a.tfrecord", "a pipe (FIFO)"), ("b.db", "a pipe"), ("e.tfrecord", "a socket")] {
+        symlink("/dev/zero", path("f.tfrecord")).unwrap();
+        for (name, what) in [
+            ("a.tfrecord", "a pipe (FIFO)"),
+            ("b.db", "a pipe"),
+            ("e.tfrecord", "a socket"),
+            ("f.tfrecord", "a device"),
+        ] {
             let said = refused(&["scenarios", "list", &word(name)]);
             assert!(said.contains(what) && said.contains(name), "{said}");
         }
-        assert!(refused(&["scenarios", "list", "/dev/zero"]).contains("a device"));
         assert!(refused(&["simulate", "--split", &word("c.yaml")]).contains("a pipe"));
         assert!(refused(&["--config", &word("d.toml"), "simulate"]).contains("a pipe"));
         let (code, _, stderr) = run(&["scenarios", "list", &word("log")]);

@@ -152,3 +152,20 @@ fn outputs_that_cannot_be_written_are_found_before_a_model_is_loaded() {
     refused(&quantize);
     assert_eq!(fs::read(&weights).unwrap(), b"mine");
 }
+
+#[test]
+fn a_damaged_simulation_is_named_wherever_it_is_left_out() {
+    let work = TempDir::new().unwrap();
+    assert_eq!(run_in(work.path(), &SIMULATE).0, 0);
+    let damaged = "runs/0001/simulations/000001-generated_changing_lane_3-simple-reactive";
+    fs::write(work.path().join(damaged).join("metrics.toml"), "").unwrap();
+    for arguments in
+        [&["report"][..], &["compare", "runs/0001", "runs/0001"], &["render", "--png", "sheets", "--pixels", "160"]]
+    {
+        let (code, _, stderr) = run_in(work.path(), arguments);
+        assert!(code == 0 && stderr.contains(&format!("{damaged} is damaged and left out")), "{arguments:?}: {stderr}");
+    }
+    let (_, stdout, _) = run_in(work.path(), &["report", "--json"]);
+    let contents: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!((&contents["simulations"], &contents["damaged"][0]), (&3.into(), &damaged.into()));
+}

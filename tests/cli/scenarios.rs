@@ -172,3 +172,15 @@ fn no_zero_has_a_minus() {
         }
     }
 }
+
+#[test]
+fn a_log_below_a_folder_does_not_hide_its_folders_of_recordings() {
+    let work = TempDir::new().unwrap();
+    let womd = work.path().join("womd");
+    std::fs::create_dir_all(work.path().join("vectors/deep")).unwrap();
+    std::fs::create_dir(&womd).unwrap();
+    std::fs::write(work.path().join("vectors/deep/x.db"), "no log").unwrap();
+    std::fs::write(womd.join("validation.tfrecord-00000-of-00001"), "no recording").unwrap();
+    let said = refused(&["scenarios", "list", work.path().to_str().unwrap()]);
+    assert!(said.contains("validation.tfrecord-00000-of-00001") && !said.contains("x.db"), "{said}");
+}

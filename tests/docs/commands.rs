@@ -190,7 +190,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     (
         "docs/report.md",
         "NUPLAN_EXP_ROOT=$PWD python $DEVKIT/nuplan/planning/script/run_nuboard.py \
-         scenario_builder.map_root=$NUPLAN_MAPS_ROOT \
+         scenario_builder.data_root=$NUPLAN_DATA_ROOT scenario_builder.map_root=$NUPLAN_MAPS_ROOT \
          simulation_path=\"[$PWD/closed_loop_nonreactive_agents,$PWD/closed_loop_reactive_agents]\"",
         DEVKIT,
     ),

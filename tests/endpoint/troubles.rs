@@ -157,6 +157,9 @@ fn the_deadline_bounds_request_and_wait() {
     let asked = Instant::now();
     assert!(matches!(ask(&open(&busy), &within(5000)), Err(MllmError::Deadline)));
     assert!(asked.elapsed() < Duration::from_secs(5), "a wait beyond the deadline is not begun");
+    let absent = Endpoint::open("test", &settings("http://127.0.0.1:1")).unwrap();
+    let failed = ask(&absent, &within(20)).unwrap_err();
+    assert!(matches!(&failed, MllmError::Endpoint { failure: EndpointFailure::Connect(_), .. }), "{failed:?}");
     let passed = Request { deadline: Deadline::after(Instant::now(), Duration::ZERO), ..request(Constraint::Free) };
     assert!(matches!(ask(&open(&busy), &passed), Err(MllmError::Deadline)));
     assert_eq!(busy.received().len(), 1, "nothing is sent after the deadline");

@@ -114,12 +114,12 @@ fn what_cannot_be_done_says_why() {
         (
             &["models", "quantize", "nano", "--to", "q2_k", "--out", "x.gguf"][..],
             2,
-            "choose one of f32, f16, q8_0, q6_k, q5_k, q4_k",
+            "choose one of f32, f16, q8_0, q6_k, q5_1, q5_k, q5_0, q4_1, q4_k, q4_0, q3_k",
         ),
         (&["models", "quantize", "nano", "--to", "q4_k", "--out", "x.bin"], 2, "must end in .gguf"),
         (&["models", "fetch", "no-such-model"], 2, "unknown model 'no-such-model'"),
         (&["models", "fetch", "llava-1.5-7b", "--offline"], 2, "not in the cache"),
-        (&["plan", "--model", "nowhere.gguf"], 2, "unknown model 'nowhere.gguf'"),
+        (&["plan", "--model", "nowhere.gguf"], 2, "there is no model file or folder nowhere.gguf"),
     ] {
         let output = planagent(arguments).assert().code(code).get_output().stderr.clone();
         let text = String::from_utf8_lossy(&output).into_owned();

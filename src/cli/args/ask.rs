@@ -19,7 +19,7 @@ pub(in crate::cli) struct AskArguments {
     #[command(flatten)]
     pub(in crate::cli) data: DataArguments,
     /// Seconds after the start of the window.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub(in crate::cli) at: f64,
     /// Also give the model the text of the lane graph.
     #[arg(long)]

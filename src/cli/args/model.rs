@@ -28,9 +28,9 @@ pub(in crate::cli) struct ModelArguments {
     /// description FILE.toml. A description may name a server with OpenAI's chat completions.
     #[arg(long, value_name = "MODEL", help_heading = HEADING)]
     model: Option<String>,
-    /// Prompt set: paper, compact, or a folder [default: the model's own].
+    /// Prompt set: paper, brief, compact, compact-2, or a folder [default: the model's own].
     ///
-    /// paper, compact, a folder of prompts/, or the path of a folder of templates. By default, the description of the model
+    /// paper, brief, compact, compact-2, a folder of prompts/, or the path of a folder of templates. By default, the description of the model
     /// names it, or planagent.json among its files; else it is paper.
     #[arg(long, value_name = "SET", help_heading = HEADING, hide_short_help = true)]
     prompt_set: Option<String>,
@@ -58,7 +58,7 @@ pub(in crate::cli) struct TrustArgument {
 /// The format of weights in memory.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct FormatArgument {
-    /// Weight format in memory: `f32`, `f16`, `q8_0`, `q6_k`, `q5_k` or `q4_k`.
+    /// Weight format in memory: `f32`, `f16`, `q8_0`, `q6_k`, `q5_1`, `q5_k`, `q5_0`, `q4_1`, `q4_k`, `q4_0` or `q3_k`.
     ///
     /// The default is that of the model's description, else of the files; bf16 becomes f32.
     #[arg(long, value_name = "KIND", help_heading = HEADING, hide_short_help = true)]

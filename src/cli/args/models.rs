@@ -62,7 +62,7 @@ pub(in crate::cli) struct QuantizeArguments {
     /// The model, as `--model` takes it.
     #[arg(value_name = "MODEL")]
     pub(in crate::cli) source: String,
-    /// Weight format: `f32`, `f16`, `q8_0`, `q6_k`, `q5_k` or `q4_k`.
+    /// Weight format: `f32`, `f16`, `q8_0`, `q6_k`, `q5_1`, `q5_k`, `q5_0`, `q4_1`, `q4_k`, `q4_0` or `q3_k`.
     #[arg(long, value_name = "KIND")]
     pub(in crate::cli) to: WeightFormat,
     /// The file, NAME.gguf.

@@ -19,7 +19,7 @@ pub(in crate::cli) struct ReportArguments {
     /// Maximum size of the page, megabytes.
     ///
     /// Replays that do not fit are left out, by whole scenarios.
-    #[arg(long, value_name = "MB", default_value_t = 15.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "MB", default_value_t = 15.0)]
     pub(in crate::cli) max_mb: f64,
     /// Only replays of scenarios with this text in their name.
     ///
@@ -63,17 +63,17 @@ pub(in crate::cli) struct RenderArguments {
     #[command(flatten)]
     pub(in crate::cli) output: RenderOutput,
     /// With --png: the frame at this time, seconds [default: a sheet of eight frames].
-    #[arg(long, value_name = "SECONDS", requires = "png", allow_negative_numbers = true)]
+    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["gif", "mp4"])]
     pub(in crate::cli) at: Option<f64>,
     /// Side of the scene, pixels.
     #[arg(long, value_name = "N", default_value_t = 640, hide_short_help = true)]
     pub(in crate::cli) pixels: u32,
     /// Side of the scene, meters.
-    #[arg(long, value_name = "METERS", default_value_t = 64.0, allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "METERS", default_value_t = 64.0, hide_short_help = true)]
     pub(in crate::cli) view: f64,
-    /// Frames per second of a film; a simulation has 10.
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=10))]
-    pub(in crate::cli) fps: u32,
+    /// Frames per second of a film; a simulation has 10 [default: 5].
+    #[arg(long, value_name = "N", conflicts_with = "png", value_parser = clap::value_parser!(u32).range(1..=10))]
+    pub(in crate::cli) fps: Option<u32>,
 }
 
 /// Output of `render`: one of these.

@@ -91,7 +91,7 @@ pub(in crate::cli) struct GenerateArguments {
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     pub(in crate::cli) from: u64,
     /// Number of seeds of each type.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
     pub(in crate::cli) count: u64,
     /// Traffic seed.
     ///
@@ -109,13 +109,13 @@ pub(in crate::cli) struct ShowArguments {
     #[command(flatten)]
     pub(in crate::cli) data: DataArguments,
     /// Seconds after the start of the window.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub(in crate::cli) at: f64,
     /// Write a BEV picture to this file, a .png or .jpg.
     #[arg(long, value_name = "FILE", value_parser = picture_file())]
     pub(in crate::cli) image: Option<PictureFile>,
     /// Side of the picture, meters.
-    #[arg(long, value_name = "METERS", default_value_t = 128.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "METERS", default_value_t = 128.0)]
     pub(in crate::cli) view: f64,
 }
 
@@ -168,7 +168,7 @@ pub(in crate::cli) struct ExportArguments {
     #[arg(long, value_name = "CODE", default_value_t = 32_611, hide_short_help = true)]
     pub(in crate::cli) epsg: u32,
     /// Easting and northing of their origin, meters.
-    #[arg(long, value_name = "METERS", num_args = 2, default_values_t = [664_000.0, 3_998_000.0], allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "METERS", num_args = 2, default_values_t = [664_000.0, 3_998_000.0], hide_short_help = true)]
     pub(in crate::cli) origin: Vec<f64>,
 }
 

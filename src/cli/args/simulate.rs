@@ -4,7 +4,7 @@ use super::data::{DataArguments, SplitArguments};
 use super::model::ModelArguments;
 use crate::cli::help;
 use crate::cli::picture::{PictureFile, picture_file};
-use crate::cli::words::{path_word, planner_words, shard_word};
+use crate::cli::words::{count, path_word, planner_words, shard_word};
 use crate::experiment::suite::Suite;
 use crate::planner::DEFAULT_EXEC_TIMEOUT;
 use crate::runner::{Request, Shard};
@@ -85,7 +85,7 @@ pub(in crate::cli) struct SampleArguments {
     /// Only N scenarios, evenly from the types.
     ///
     /// The first of each type, then the second of each, and so on. With --shuffle, random ones.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = count)]
     limit: Option<usize>,
     /// Simulate one of N parts of the run, for example 2/8; `planagent merge` joins them.
     ///
@@ -144,7 +144,7 @@ pub(in crate::cli) struct PlanArguments {
     #[command(flatten)]
     pub(in crate::cli) data: DataArguments,
     /// Seconds after the start of the window.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub(in crate::cli) at: f64,
     /// Judge this planner code, quoted as one word, instead of asking a model.
     ///

@@ -28,10 +28,10 @@ pub(in crate::cli) struct DatasetArguments {
     /// logged driver did, a sample a second, as safetensors.
     #[arg(long = "for", value_name = "KIND", value_enum, default_value_t = DatasetKind::Labels)]
     pub(in crate::cli) kind: DatasetKind,
-    /// With --for imitation: the learned planner.
+    /// With --for imitation: the learned planner [default: plantf].
     #[cfg(feature = "learned")]
-    #[arg(long, value_name = "NAME", value_parser = imitation_planner(), default_value = "plantf", hide_short_help = true)]
-    pub(in crate::cli) planner: String,
+    #[arg(long, value_name = "NAME", value_parser = imitation_planner(), hide_short_help = true)]
+    pub(in crate::cli) planner: Option<String>,
     /// With --for imitation: logs, as `simulate` takes them [default: generated ones of training seeds].
     #[cfg(feature = "learned")]
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word(), hide_short_help = true)]

@@ -41,6 +41,9 @@ pub(in crate::cli) fn run(flags: &AskArguments, config: &Config, printer: Printe
     if flags.question.trim().is_empty() {
         bail!("the question is empty; write it as one word of the command line, in quotes");
     }
+    if !config.environment.bev {
+        bail!("environment.bev is false, and ask shows a picture; leave the setting out");
+    }
     let scenario = scenario(flags.scenario.as_deref(), &flags.data)?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
     if let Some(file) = &flags.image {

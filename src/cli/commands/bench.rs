@@ -3,9 +3,10 @@
 use crate::cli::args::{BENCH_PROCESS, BenchArguments, OtherEngine};
 use crate::cli::commands::models::quantize::write as write_gguf;
 use crate::cli::progress::listener;
-use crate::cli::{Exit, Printer};
+use crate::cli::{Exit, Printer, interrupt};
 use crate::experiment::bench::protocol::{GgufPair, ModelChoice};
 use crate::experiment::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
+use crate::files::{quoted, word_of};
 use crate::mllm::{GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, Trust, export_model};
 use crate::report::{
     BenchFigures, BenchFolder, BenchMetadata, ReportError, bench_markdown, bench_table, check_writable, stamp,
@@ -37,6 +38,9 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
         Some(path) => BenchFolder::resume(path, &metadata)?,
         None => BenchFolder::create(&out, &metadata)?,
     };
+    let own = quoted(&word_of(folder.path().as_os_str()));
+    let advice = format!("`planagent bench --resume {own}` with the same options goes on");
+    interrupt::advise(advice, printer)?;
     let mut left: Vec<Candidate> =
         candidates.into_iter().filter(|candidate| !folder.done().contains(candidate.name.as_str())).collect();
     if flags.vs.is_some() {
@@ -96,6 +100,10 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
 
 /// The measuring process; runs until stdin ends.
 pub(in crate::cli) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    // It measures nothing for a caller that was killed.
+    #[cfg(target_os = "linux")]
+    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))
+        .context("cannot follow the end of the caller")?;
     serve(&model_registry(config, &listener(printer)), io::stdin().lock(), io::stdout().lock())?;
     Ok(Exit::Success)
 }

@@ -1,6 +1,7 @@
 //! `planagent compare`.
 
 use crate::cli::args::CompareArguments;
+use crate::cli::completed::completed;
 use crate::cli::{Exit, Printer};
 use crate::report::{PlannerPair, RunComparison, RunFolder, comparison_table};
 use anyhow::bail;
@@ -9,7 +10,7 @@ use anyhow::bail;
 pub(in crate::cli) fn run(flags: &CompareArguments, printer: Printer) -> anyhow::Result<Exit> {
     let [first, second] = [&flags.first, &flags.second];
     let manifests = [RunFolder::manifest(first)?, RunFolder::manifest(second)?];
-    let rows = [RunFolder::read_completed(first)?.rows, RunFolder::read_completed(second)?.rows];
+    let rows = [completed(first, printer)?, completed(second, printer)?];
     let named = match flags.planner.as_slice() {
         [] => None,
         [first, second] => Some(PlannerPair { first: first.clone(), second: second.clone() }),

@@ -2,7 +2,7 @@
 
 use crate::cli::args::{DatasetArguments, DatasetKind};
 use crate::cli::progress::listener;
-use crate::cli::{Exit, Printer};
+use crate::cli::{Exit, Printer, interrupt};
 use crate::environment::BevView;
 #[cfg(feature = "learned")]
 use crate::experiment::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
@@ -20,10 +20,15 @@ use std::time::Instant;
 
 /// Prompt set of datasets: that of the models that are trained on them.
 const PROMPT_SET: &str = "compact";
+/// Planner of a dataset for imitation that names none.
+#[cfg(feature = "learned")]
+const DEFAULT_PLANNER: &str = "plantf";
 
 /// Writes labeled states.
 pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     check_writable(&flags.out)?;
+    interrupt::advise("the same command goes on", printer)?;
+    check_options(flags)?;
     if flags.kind == DatasetKind::Imitation {
         return imitation(flags, config, printer);
     }
@@ -62,14 +67,38 @@ pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Pr
     Ok(Exit::Success)
 }
 
+/// Refuses options of the other kind of dataset.
+fn check_options(flags: &DatasetArguments) -> anyhow::Result<()> {
+    let of_labels = [
+        ("--driven", flags.driven),
+        ("--modified", flags.modified > 0.0),
+        ("--twins", flags.twins > 0),
+        ("--validation-twins", flags.validation_twins > 0),
+    ];
+    #[cfg(feature = "learned")]
+    let of_imitation = [
+        ("--planner", flags.planner.is_some()),
+        ("--scenario", !flags.scenarios.is_empty()),
+        ("--modify", flags.data.modifies()),
+    ];
+    #[cfg(not(feature = "learned"))]
+    let of_imitation = [];
+    let (kind, foreign): (&str, &[(&str, bool)]) = match flags.kind {
+        DatasetKind::Labels => ("imitation", &of_imitation),
+        DatasetKind::Imitation => ("labels", &of_labels),
+    };
+    match foreign.iter().find(|(_, is_given)| *is_given) {
+        Some((option, _)) => bail!("{option} belongs to --for {kind}"),
+        None => Ok(()),
+    }
+}
+
 /// Writes the samples of a learned planner.
 #[cfg(feature = "learned")]
 fn imitation(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    if flags.driven {
-        bail!("--driven belongs to --for labels: the logged driver controls the ego in samples for imitation");
-    }
-    let planner = ImitationPlanner::ALL.into_iter().find(|planner| planner.name() == flags.planner);
-    let planner = planner.with_context(|| format!("--planner {}: no dataset is made for it", flags.planner))?;
+    let name = flags.planner.as_deref().unwrap_or(DEFAULT_PLANNER);
+    let planner = ImitationPlanner::ALL.into_iter().find(|planner| planner.name() == name);
+    let planner = planner.with_context(|| format!("--planner {name}: no dataset is made for it"))?;
     let readers = Readers::new(&flags.data.roots());
     let mut listed = Vec::new();
     for word in &flags.data.modified(&flags.scenarios)? {

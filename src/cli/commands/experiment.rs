@@ -2,7 +2,7 @@
 
 use crate::cli::args::{ALL_EXPERIMENTS, ExperimentArguments};
 use crate::cli::progress::listener;
-use crate::cli::{Exit, Printer};
+use crate::cli::{Exit, Printer, interrupt};
 use crate::experiment::study::{self, StudyError};
 use crate::experiment::twins::TwinResults;
 use crate::report::{ChallengeResults, StudyResults, failures, study_table, token_table, twin_table};
@@ -14,6 +14,7 @@ use std::path::Path;
 /// Runs the simulations of experiments that are not completed; the results go to a folder, the tables to stdout.
 pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     check_name(&flags.name)?;
+    interrupt::advise("the same command goes on", printer)?;
     let (request, listener) = (flags.request()?, listener(printer));
     let mut experiments = Experiments::new(&request, config, &listener)?;
     let mut exit = Exit::Success;

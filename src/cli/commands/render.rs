@@ -1,25 +1,34 @@
 //! `planagent render`.
 
 use crate::cli::args::RenderArguments;
+use crate::cli::completed::completed;
 use crate::cli::film::FilmFile;
 use crate::cli::{Exit, Printer};
 use crate::report::render::{Film, Look, RenderError, SimulationChoice, named, words, write_gif, write_mp4};
-use crate::report::{RunFolder, SimulationRow, last_run, simulation_folders};
+use crate::report::{SimulationRow, last_run, simulation_folders};
 use crate::simulation::Challenge;
 use crate::world::STEP_S;
 use anyhow::{Context, bail};
+use serde_json::json;
+use std::collections::BTreeSet;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
 /// Simulations that an error lists.
 const MAX_LISTED: usize = 10;
+/// Frames per second of a film that names no rate.
+const DEFAULT_RATE: NonZeroU32 = NonZeroU32::new(5).unwrap();
 
 /// Writes simulations as films or pictures: one to a file, or all that are chosen to a folder.
 pub(in crate::cli) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::Result<Exit> {
     let output = flags.output.film().context("name the output by --gif, --mp4 or --png")?;
     let is_file = output.is_file()?;
     let (run, simulation) = run_and_simulation(flags, printer)?;
-    let rows = chosen(flags, &run, simulation)?;
+    let rows = chosen(flags, &run, simulation, printer);
+    let rows = match (&flags.run, &flags.simulation) {
+        (Some(word), None) if simulation.is_some() => rows.with_context(|| format!("there is no folder {word}"))?,
+        _ => rows?,
+    };
     if is_file {
         let [row] = rows.as_slice() else { return Err(several(&rows)) };
         write(flags, &run, row, &output, printer)?;
@@ -48,7 +57,10 @@ fn run_and_simulation(flags: &RenderArguments, printer: Printer) -> anyhow::Resu
     let (run, simulation) = match (&flags.run, &flags.simulation) {
         (Some(run), Some(simulation)) => return Ok((run.into(), Some(simulation))),
         (Some(word), None) if Path::new(word).is_dir() => return Ok((word.into(), None)),
-        (Some(simulation), None) => (last_run()?, Some(simulation.as_str())),
+        (Some(simulation), None) => {
+            let run = last_run().with_context(|| format!("there is no folder {simulation}"))?;
+            (run, Some(simulation.as_str()))
+        }
         (None, _) => (last_run()?, None),
     };
     printer.note(format!("run {}", run.display()));
@@ -56,9 +68,15 @@ fn run_and_simulation(flags: &RenderArguments, printer: Printer) -> anyhow::Resu
 }
 
 /// The completed simulations that the arguments choose.
-fn chosen(flags: &RenderArguments, run: &Path, simulation: Option<&str>) -> anyhow::Result<Vec<SimulationRow>> {
-    RunFolder::manifest(run)?;
-    let mut rows = RunFolder::read_completed(run)?.rows;
+fn chosen(
+    flags: &RenderArguments,
+    run: &Path,
+    simulation: Option<&str>,
+    printer: Printer,
+) -> anyhow::Result<Vec<SimulationRow>> {
+    let mut rows = completed(run, printer)?;
+    let known: BTreeSet<String> = rows.iter().map(|row| format!("{} in {}", row.planner, row.challenge)).collect();
+    let known = known.into_iter().collect::<Vec<_>>().join(", ");
     let challenge = flags.challenge.as_deref().map(|word| challenge(word, &rows)).transpose()?;
     if let Some(simulation) = simulation {
         rows = named(&rows, simulation, run)?;
@@ -66,7 +84,10 @@ fn chosen(flags: &RenderArguments, run: &Path, simulation: Option<&str>) -> anyh
     rows.retain(|row| flags.planner.as_ref().is_none_or(|planner| row.planner == *planner));
     rows.retain(|row| challenge.is_none_or(|challenge| row.challenge == challenge));
     if rows.is_empty() {
-        bail!("the run {} has no completed simulation of this planner and challenge", run.display());
+        let planner = flags.planner.as_deref().map_or_else(String::new, |planner| format!(" of planner {planner}"));
+        let challenge = challenge.map_or_else(String::new, |challenge| format!(" in challenge {challenge}"));
+        let what = simulation.map_or_else(|| "simulation".to_owned(), |word| format!("simulation '{word}'"));
+        bail!("the run {} has no completed {what}{planner}{challenge}; it has {known}", run.display());
     }
     Ok(rows)
 }
@@ -97,12 +118,12 @@ fn write(
     output: &FilmFile,
     printer: Printer,
 ) -> anyhow::Result<()> {
-    let rate = NonZeroU32::new(flags.fps).context("--fps is 0; a film needs frames")?;
+    let rate = flags.fps.and_then(NonZeroU32::new).unwrap_or(DEFAULT_RATE);
     let shown = output.path();
     let output = output.behind_links()?;
     let choice = SimulationChoice { simulation: row.number.to_string(), planner: None, challenge: None };
     let film = Film::open(run, &choice, Look { pixels: flags.pixels, meters: flags.view })?;
-    let frames = (film.iterations() as f64 * STEP_S * f64::from(flags.fps)).ceil() as u64;
+    let frames = (film.iterations() as f64 * STEP_S * f64::from(rate.get())).ceil() as u64;
     let bar = printer.progress(frames, "frames");
     let on_frame = || bar.inc(1);
     match &output {
@@ -117,6 +138,10 @@ fn write(
         }
     }
     bar.finish_and_clear();
-    printer.line(shown.display().to_string());
+    if printer.is_json() {
+        printer.json(&json!({"simulation": row.number, "file": shown}))?;
+    } else {
+        printer.line(shown.display().to_string());
+    }
     Ok(())
 }

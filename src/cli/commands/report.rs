@@ -1,10 +1,11 @@
 //! `planagent report`.
 
 use crate::cli::args::ReportArguments;
+use crate::cli::completed::note_damage;
 use crate::cli::picture::{check_output, target_of};
 use crate::cli::{Exit, Printer};
-use crate::report::last_run;
 use crate::report::page::{self, PAGE, PageSettings};
+use crate::report::{RunFolder, last_run};
 use anyhow::{Context, bail};
 
 /// Bytes of a megabyte.
@@ -20,6 +21,7 @@ pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::
         runs.push(last_run()?);
     }
     let first = runs.first().context("name the folder of a run")?;
+    RunFolder::manifest(first)?;
     // A link within the folder of a run is not followed: the run may come from elsewhere.
     let out = match &flags.out {
         Some(out) => target_of(out)?,
@@ -38,6 +40,7 @@ pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::
         open::that_detached(&contents.page)
             .with_context(|| format!("cannot open {} in a browser", contents.page.display()))?;
     }
+    note_damage(&contents.damaged, printer);
     if printer.is_json() {
         printer.json(&contents)?;
         return Ok(Exit::Success);
@@ -50,6 +53,9 @@ pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::
             "{} simulations have no replay: they failed, or an older version ran them",
             contents.without_replay
         ));
+    }
+    if contents.bytes > settings.max_bytes {
+        printer.note(format!("tables and statistics alone take {megabytes:.1} MB, more than --max-mb"));
     }
     let left_out = contents.simulations - contents.replays - contents.without_replay;
     if left_out > 0 && flags.scenario.is_none() {

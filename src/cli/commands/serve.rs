@@ -1,6 +1,7 @@
 //! `planagent serve`.
 
 use crate::cli::args::ServeArguments;
+use crate::cli::interrupt::PAUSE;
 use crate::cli::{Exit, Printer};
 use crate::report::last_run;
 use crate::report::page::LivePage;
@@ -12,10 +13,6 @@ use signal_hook::flag;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
-use std::time::Duration;
-
-/// Time between two looks for a signal.
-const PAUSE: Duration = Duration::from_millis(100);
 
 /// Serves the page of one or more runs until Ctrl-C.
 pub(in crate::cli) fn run(flags: &ServeArguments, printer: Printer) -> anyhow::Result<Exit> {

@@ -32,6 +32,9 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
             printer.line(format!("\n{count} planning calls: p50 {:.0} ms, p95 {:.0} ms", total.p50, total.p95));
         }
     }
+    if rows.is_empty() {
+        printer.note("no scenario is in this shard");
+    }
     printer.note(format!("results in {}", folder.display()));
     let failed = failures(rows);
     for line in &failed {

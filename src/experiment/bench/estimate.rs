@@ -32,7 +32,14 @@ const MIN_WEIGHTS: u64 = 100_000_000;
 fn speed(weight_format: WeightFormat) -> Speed {
     match weight_format {
         // 5 bits, and the 6 bits of an output layer, are read as fast as 4 bits are.
-        WeightFormat::Q4K | WeightFormat::Q5K | WeightFormat::Q6K => Q4_K,
+        WeightFormat::Q3K
+        | WeightFormat::Q4_0
+        | WeightFormat::Q4K
+        | WeightFormat::Q4_1
+        | WeightFormat::Q5_0
+        | WeightFormat::Q5K
+        | WeightFormat::Q5_1
+        | WeightFormat::Q6K => Q4_K,
         // Floats in a quantized model are a few matrices whose widths do not fit: as much work as in 8 bits, and more bytes.
         WeightFormat::Q8_0 | WeightFormat::F16 | WeightFormat::F32 => Q8_0,
     }

@@ -67,7 +67,7 @@ impl Client {
     /// pieces of the answer; after the first, nothing is retried.
     ///
     /// # Errors
-    /// The last failure, or [`MllmError::Deadline`] when the deadline passes or would pass during a wait.
+    /// The last failure; [`MllmError::Deadline`] when the deadline passes, or would pass during a wait, and there is a server.
     pub(super) fn ask(
         &self,
         body: &Value,
@@ -94,7 +94,11 @@ impl Client {
                 Ok(reply) => return Ok(reply),
                 Err(failed) => failed,
             };
-            deadline.check()?;
+            // A server that is not there fails, however much time is left.
+            let is_absent = matches!(failure, EndpointFailure::Connect(_));
+            if !is_absent {
+                deadline.check()?;
+            }
             let again = if may_retry(&failure) && !spoken { waits.next() } else { None };
             let Some(wait) = again else { return Err(self.error(failure)) };
             let wait = retry_after.unwrap_or(wait);
@@ -102,7 +106,7 @@ impl Client {
                 return Err(self.error(EndpointFailure::Wait { status: *status, seconds: wait.as_secs() }));
             }
             if deadline.left().is_some_and(|left| wait >= left) {
-                return Err(MllmError::Deadline);
+                return Err(if is_absent { self.error(failure) } else { MllmError::Deadline });
             }
             std::thread::sleep(wait);
         }

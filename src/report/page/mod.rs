@@ -59,6 +59,8 @@ pub struct PageContents {
     pub replays: usize,
     /// Simulations whose run has no replay.
     pub without_replay: usize,
+    /// Folders of simulations that are left out, because their files are damaged.
+    pub damaged: Vec<PathBuf>,
 }
 
 /// Writes a page of one or more runs to `out`. Calls `on_simulation(done, all)` after it has read a simulation.
@@ -68,7 +70,7 @@ pub fn write(
     settings: &PageSettings,
     on_simulation: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<PageContents, ReportError> {
-    let runs = RunSimulations::read_all(folders)?;
+    let (runs, damaged) = RunSimulations::read_all(folders)?;
     let wanted = |scenario: &str| settings.scenario.as_ref().is_none_or(|part| scenario.contains(part.as_str()));
     let scenarios = || runs.iter().flat_map(|run| &run.rows).map(|row| row.scenario.as_str());
     if let Some(part) = &settings.scenario
@@ -102,6 +104,7 @@ pub fn write(
         simulations: all,
         replays: index.replays,
         without_replay,
+        damaged,
     })
 }
 

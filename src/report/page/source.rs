@@ -2,7 +2,7 @@
 
 use crate::report::error::{ReportError, ReportFault};
 use crate::report::manifest::Manifest;
-use crate::report::run_folder::{RunFolder, folders};
+use crate::report::run_folder::{CompletedSimulations, RunFolder, folders};
 use crate::report::simulation_row::SimulationRow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -20,14 +20,18 @@ pub(super) struct RunSimulations {
 }
 
 impl RunSimulations {
-    /// Reads the folders of runs.
-    pub(super) fn read_all(paths: &[PathBuf]) -> Result<Vec<Self>, ReportError> {
-        paths.iter().zip(names(paths)?).map(|(path, name)| Self::read(path, name)).collect()
+    /// Reads the folders of runs; gives the folders of damaged simulations beside them.
+    pub(super) fn read_all(paths: &[PathBuf]) -> Result<(Vec<Self>, Vec<PathBuf>), ReportError> {
+        let mut all_damaged = Vec::new();
+        let runs = paths.iter().zip(names(paths)?).map(|(path, name)| Self::read(path, name, &mut all_damaged));
+        let runs = runs.collect::<Result<_, _>>()?;
+        Ok((runs, all_damaged))
     }
 
-    fn read(path: &Path, name: String) -> Result<Self, ReportError> {
+    fn read(path: &Path, name: String, all_damaged: &mut Vec<PathBuf>) -> Result<Self, ReportError> {
         let manifest = RunFolder::manifest(path)?;
-        let mut rows = RunFolder::read_completed(path)?.rows;
+        let CompletedSimulations { mut rows, damaged } = RunFolder::read_completed(path)?;
+        all_damaged.extend(damaged);
         let folders = folders(path)?;
         // Another process may discard a simulation at this moment.
         rows.retain(|row| folders.contains_key(&row.number));

@@ -68,7 +68,7 @@ fn planners(pair: &PlannerPair) -> String {
 fn notes(comparison: &RunComparison) -> String {
     let bootstrap = comparison.bootstrap;
     let mut text = wrapped(&format!(
-        "Scores are nuPlan's x 100, on the scenes that both runs completed. The {} % interval is a percentile bootstrap over \
+        "Scores are nuPlan's x 100, and interPlan's for scenarios of its kinds, on the scenes that both runs completed. The {} % interval is a percentile bootstrap over \
          scenes ({} resamples, seed {}).",
         fixed(bootstrap.level * 100.0, 0),
         bootstrap.resamples,

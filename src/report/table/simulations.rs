@@ -5,6 +5,7 @@ use crate::metrics::{MetricList, distinct};
 use crate::report::number::fixed;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::visible::visible_line;
+use crate::world::InteractionKind;
 use console::style;
 use std::fmt::Write;
 
@@ -46,6 +47,9 @@ fn cells(row: &SimulationRow, decimals: &[usize]) -> Vec<String> {
     head.into_iter().chain(metrics).chain([calls]).collect()
 }
 
+/// What the score of a modified scenario is.
+const INTERPLAN: &str = "Scenarios of interPlan's kinds have interPlan's score, with metrics that report shows.";
+
 /// The meaning of the labels of the metrics and of the challenges, each once.
 pub(super) fn legend(rows: &[SimulationRow], lists: &[MetricList], width: u16) -> String {
     let metrics = lists.iter().flat_map(|list| list.scored());
@@ -54,11 +58,14 @@ pub(super) fn legend(rows: &[SimulationRow], lists: &[MetricList], width: u16) -
         MetricList::ClosedLoop => "NR, R = non-reactive, reactive agents  score = nuPlan's closed-loop score x 100",
         MetricList::OpenLoop => "OLS = the ego replays the log  score = nuPlan's open-loop score x 100",
     });
+    let of_kinds = rows.iter().any(|row| InteractionKind::named(&row.scenario_type).is_some());
+    let of_kinds = of_kinds.then(|| INTERPLAN.to_owned());
     let own = distinct(rows.iter().filter_map(|row| row.challenge.own_agents()));
     let own = own.iter().map(|name| {
         format!("{name} = agents under the policy {name}: no challenge of nuPlan, so compare it with neither")
     });
-    let lines = fill(meanings, usize::from(width)).into_iter().chain(challenges.map(str::to_owned)).chain(own);
+    let lines =
+        fill(meanings, usize::from(width)).into_iter().chain(challenges.map(str::to_owned)).chain(of_kinds).chain(own);
     lines.map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
 }
 

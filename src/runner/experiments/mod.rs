@@ -14,6 +14,7 @@ use super::error::RunnerError;
 use super::event::{Event, Listener};
 use crate::experiment::study::{Quick, Study, find};
 use crate::experiment::twins::TwinResults;
+use crate::files::quoted;
 use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, SimulationRow, StudyFolder, StudyResults, SuiteSimulations,
     VariantSimulations, check_writable,
@@ -74,9 +75,10 @@ impl<'a> Experiments<'a> {
     pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
         check_writable(&self.folder(TOKENS))?;
         let suites = self.suites.of(TOKENS, tokens::SUITES, None)?;
+        self.suites.note_lacking();
         let counted = tokens::count_all(&suites, self.config, self.listener)?;
         let folder = StudyFolder::new(self.folder(TOKENS));
-        tokens::write(&folder, &counted, &self.command(TOKENS))?;
+        tokens::write(&folder, &counted, &self.command(TOKENS)?)?;
         Ok((counted, folder.path().to_owned()))
     }
 
@@ -88,7 +90,7 @@ impl<'a> Experiments<'a> {
         let lists = twins::lists(self.request)?;
         let results = lists.iter().map(|list| twins::judge(list, self.config, &runs, self.listener));
         let results = results.collect::<Result<Vec<_>, _>>()?;
-        twins::write(&folder, &results, &self.command(TWINS))?;
+        twins::write(&folder, &results, &self.command(TWINS)?)?;
         Ok((results, folder.path().to_owned()))
     }
 
@@ -115,6 +117,7 @@ impl<'a> Experiments<'a> {
         if planned.iter().all(|planned| planned.suites.is_empty()) {
             return Err(suites::no_recordings());
         }
+        self.suites.note_lacking();
         let parameters = runs.parameters();
         let mut open = runs.open(&self.request.out.join(RUNS), self.request.retry_failed)?;
         let (runs, completed, left) = open.counts();
@@ -141,7 +144,7 @@ impl<'a> Experiments<'a> {
             let quick = self.request.quick.then_some(Quick::DEFAULT);
             let of_study = StudyResults::new(&study, &simulated, quick, self.config.seed, &bench);
             let folder = StudyFolder::new(self.folder(&study.name));
-            folder.write(&study, &of_study, &self.command(&study.word))?;
+            folder.write(&study, &of_study, &self.command(&study.word)?)?;
             results.push((study, of_study, folder.path().to_owned()));
         }
         let all = || rows.values().flatten();
@@ -168,8 +171,8 @@ impl<'a> Experiments<'a> {
         self.request.out.join(if self.request.quick { format!("{name}-quick") } else { name.to_owned() })
     }
 
-    /// The command that makes the results of a study.
-    fn command(&self, name: &str) -> String {
+    /// The command that makes the results of a study. Settings of files and of options are those of `--set`.
+    fn command(&self, name: &str) -> Result<String, RunnerError> {
         let mut words = vec!["planagent experiment".to_owned(), name.to_owned()];
         words.extend(self.request.quick.then(|| "--quick".to_owned()));
         if !self.request.suites.is_empty() {
@@ -179,17 +182,11 @@ impl<'a> Experiments<'a> {
             let scenarios = self.request.scenarios.iter().map(|word| quoted(word)).collect::<Vec<_>>();
             words.push(format!("--scenario {}", scenarios.join(" ")));
         }
-        words.join(" ")
-    }
-}
-
-/// A word as a shell takes it.
-fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./#:=@+,%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
+        for (key, value) in self.config.changes()? {
+            let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            words.push(format!("--set {}", quoted(&format!("{key}={value}"))));
+        }
+        Ok(words.join(" "))
     }
 }
 

@@ -37,12 +37,21 @@ pub(super) struct Suites<'a> {
     readers: Readers,
     /// By name and start times.
     found: BTreeMap<String, Rc<SelectedSuite>>,
+    /// Experiments that lack recordings.
+    lacking: Vec<String>,
 }
 
 impl<'a> Suites<'a> {
     pub(super) fn new(request: &'a ExperimentsRequest, listener: &'a Listener) -> Result<Self, RunnerError> {
         let roots = absolute(request.roots.clone())?;
-        Ok(Self { request, listener, readers: Readers::new(&roots), roots, found: BTreeMap::new() })
+        Ok(Self {
+            request,
+            listener,
+            readers: Readers::new(&roots),
+            roots,
+            found: BTreeMap::new(),
+            lacking: Vec::new(),
+        })
     }
 
     /// The suites of an experiment: those of the request, else its own; recordings only where there are some.
@@ -60,14 +69,21 @@ impl<'a> Suites<'a> {
         for name in own {
             let name = name.as_ref();
             if name == RECORDED && self.recordings().is_empty() {
-                let text =
-                    format!("{experiment}: no recordings: neither --scenario nor ${DATA} names a folder that is there");
-                (self.listener)(Event::Note(text));
+                self.lacking.push(experiment.to_owned());
             } else {
                 suites.push(self.named(name, starts)?);
             }
         }
         Ok(suites)
+    }
+
+    /// Says which experiments go on without recordings.
+    pub(super) fn note_lacking(&mut self) {
+        for experiment in self.lacking.drain(..) {
+            let text =
+                format!("{experiment}: no recordings: neither --scenario nor ${DATA} names a folder that is there");
+            (self.listener)(Event::Note(text));
+        }
     }
 
     fn named(&mut self, name: &str, starts: Option<Starts>) -> Result<Rc<SelectedSuite>, RunnerError> {

@@ -3,15 +3,15 @@
 use super::files::LogFiles;
 use super::{contents, is_log, logs_in, name, open};
 use crate::files::{path_of, word_of};
-use crate::scenario::{Contents, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef};
+use crate::scenario::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
 use std::path::PathBuf;
 
 /// Takes folders that hold a log.
 pub struct Argoverse2Reader;
 
 impl ScenarioReader for Argoverse2Reader {
-    fn recognizes(&self, word: &str) -> Recognition {
-        if is_log(&path_of(word)) { Recognition::Certain } else { Recognition::No }
+    fn recognizes(&self, word: &str) -> bool {
+        is_log(&path_of(word))
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {

@@ -1,15 +1,14 @@
 //! Generated scenarios in the registry of readers.
 
 use super::{SOURCE, Spec, generate};
-use crate::scenario::{ReaderError, Recognition, ScenarioReader, ScenarioRef};
+use crate::scenario::{ReaderError, ScenarioReader, ScenarioRef};
 
 /// Takes words of the form `generated/TYPE/SEED[.TRAFFIC]`.
 pub struct GeneratedReader;
 
 impl ScenarioReader for GeneratedReader {
-    fn recognizes(&self, word: &str) -> Recognition {
-        let is_ours = word.strip_prefix(SOURCE).is_some_and(|rest| rest.starts_with('/'));
-        if is_ours { Recognition::Certain } else { Recognition::No }
+    fn recognizes(&self, word: &str) -> bool {
+        word.strip_prefix(SOURCE).is_some_and(|rest| rest.starts_with('/'))
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {

@@ -1,6 +1,7 @@
 //! Why a scenario cannot be modified.
 
 use super::change::Fault;
+use crate::world::InteractionKind;
 
 /// Why a modification cannot be read, or does not fit a scenario.
 #[derive(Debug, thiserror::Error)]
@@ -19,4 +20,6 @@ pub enum ModifyError {
     Misfit { place: String, line: usize, change: &'static str, scenario: String, fault: Fault },
     #[error("the modification {place} does not fit {scenario}: {fault}")]
     Unfit { place: String, scenario: String, fault: String },
+    #[error("{misfit}; the suite interactive-generated has scenarios for it, which --type {kind} takes")]
+    KindMisfit { misfit: Box<Self>, kind: InteractionKind },
 }

@@ -70,7 +70,10 @@ impl Modification {
         let name = head.name.unwrap_or_else(|| stem.to_owned());
         let fits = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
         if name.is_empty() || !name.chars().all(fits) {
-            let text = format!("{name:?} must be a word of letters, digits, '-', '_' and '.'");
+            let text = format!(
+                "{name:?} must be a word of the letters a to z, digits, '-', '_' and '.'; it is that of the file unless \
+                                the file has a key name"
+            );
             return Err(refused(Fault::new("name", text)));
         }
         let kind = match head.kind {

@@ -130,7 +130,7 @@ impl ReadModification {
             modified = modified.with_id(id);
         }
         match kind {
-            Some(kind) => modified.with_type(kind.name()),
+            Some(kind) => modified.modified_to(kind.name()),
             None => modified,
         }
     }
@@ -146,8 +146,13 @@ impl ReadModification {
     /// When the modification does not fit it.
     pub fn apply(&self, base: Scenario) -> Result<Scenario, ModifyError> {
         let id = self.id(&base.id);
-        let scenario = modified(base, &self.modification, self.name.seed)?;
-        Ok(Scenario { id, ..scenario })
+        match modified(base, &self.modification, self.name.seed) {
+            Ok(scenario) => Ok(Scenario { id, ..scenario }),
+            Err(misfit) => Err(match self.name.source {
+                Source::Kind(kind) => ModifyError::KindMisfit { misfit: Box::new(misfit), kind },
+                Source::InterPlan(_) | Source::Twin(_) | Source::File(_) => misfit,
+            }),
+        }
     }
 
     /// Its file.

@@ -9,9 +9,7 @@ use super::{
     ThresholdScope, Token, TokenError, open,
 };
 use crate::files::{path_of, word_of};
-use crate::scenario::{
-    DataRoots, OnProgress, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef, Split,
-};
+use crate::scenario::{DataRoots, OnProgress, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef, Split};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -148,15 +146,12 @@ impl NuPlanReader {
 }
 
 impl ScenarioReader for NuPlanReader {
-    fn recognizes(&self, word: &str) -> Recognition {
-        if split_token(word).0.ends_with(LOG_ENDING) { Recognition::Certain } else { Recognition::No }
+    fn recognizes(&self, word: &str) -> bool {
+        split_token(word).0.ends_with(LOG_ENDING)
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
-        let listed = match self.recognizes(word) {
-            Recognition::Certain => self.in_log(word),
-            _ => self.in_folder(&path_of(word)),
-        };
+        let listed = if self.recognizes(word) { self.in_log(word) } else { self.in_folder(&path_of(word)) };
         listed.map_err(ReaderError::new)
     }
 

@@ -2,18 +2,19 @@
 
 use super::{WomdError, contents, log_name, open_one};
 use crate::files::{path_of, word_of};
-use crate::scenario::{Contents, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef};
+use crate::scenario::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
 use std::path::{Path, PathBuf};
 
-/// Ending of recordings in a folder.
-const ENDING: &str = "tfrecord";
+/// What the names of recordings contain: Waymo's end in `.tfrecord-00000-of-01000`.
+const MARK: &str = ".tfrecord";
 
-/// Takes TFRecord files. A file of any name may be one: Waymo's end in `.tfrecord-00000-of-01000`.
+/// Takes TFRecord files.
 pub struct WomdReader;
 
 impl ScenarioReader for WomdReader {
-    fn recognizes(&self, word: &str) -> Recognition {
-        if path_of(word).exists() && !path_of(word).is_dir() { Recognition::Possible } else { Recognition::No }
+    fn recognizes(&self, word: &str) -> bool {
+        let path = path_of(word);
+        is_recording(&path) && path.exists() && !path.is_dir()
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
@@ -32,8 +33,12 @@ impl ScenarioReader for WomdReader {
     }
 
     fn looks_for(&self) -> Option<String> {
-        Some(format!("*.{ENDING} files (right in it)"))
+        Some(format!("*{MARK}* files (right in it)"))
     }
+}
+
+fn is_recording(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().contains(MARK))
 }
 
 /// The recordings of a folder, by name.
@@ -41,7 +46,7 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReaderError> {
     let failed = |source| ReaderError::Folder { path: folder.to_owned(), source };
     let entries = std::fs::read_dir(folder).map_err(failed)?;
     let mut files = entries.map(|entry| entry.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(failed)?;
-    files.retain(|path| path.extension().is_some_and(|ending| ending == ENDING));
+    files.retain(|path| is_recording(path));
     files.sort();
     Ok(files)
 }
@@ -72,5 +77,24 @@ impl OpenScenario for Recording {
 
     fn contents(&self) -> Result<Option<Contents>, ReaderError> {
         Ok(Some(self.contents))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_are_found_under_the_names_that_waymo_gives_them() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["validation.tfrecord-00001-of-00150", "a.tfrecord", "notes.txt"] {
+            std::fs::write(folder.path().join(name), "no record").unwrap();
+        }
+        let word = |name: &str| word_of(folder.path().join(name).as_os_str());
+        let found = WomdReader.list(&word("")).unwrap();
+        let names: Vec<_> = found.iter().filter_map(|one| one.path()?.file_name()?.to_str()).collect();
+        assert_eq!(names, ["a.tfrecord", "validation.tfrecord-00001-of-00150"]);
+        let taken = ["a.tfrecord", "validation.tfrecord-00001-of-00150", "notes.txt", "b.tfrecord"];
+        assert_eq!(taken.map(|name| WomdReader.recognizes(&word(name))), [true, true, false, false]);
     }
 }

@@ -62,10 +62,10 @@ fn tell(row: &Row<'_>, printer: Printer) {
         return;
     };
     let family = check.architecture.map_or("unknown family", crate::mllm::Architecture::name);
-    let state = if check.problems.is_empty() {
-        "can be opened".to_owned()
-    } else {
-        format!("{} problems", check.problems.len())
+    let state = match check.problems.len() {
+        0 => "can be opened".to_owned(),
+        1 => "1 problem".to_owned(),
+        count => format!("{count} problems"),
     };
     printer.line(format!("{}: {family}, {} M parameters, {state}", row.model, check.parameters / 1_000_000));
     if let Some(need) = check.memory {

@@ -36,8 +36,8 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
         printer.line(format!("{set} prompts in {place}"));
     }
     printer.note(
-        "*: on this machine. image: tokens of the drawn BEV map. GiB of the weights in four\n\
-         formats; kv: GiB of 16-bit keys and values of a chat with up to 4096 tokens.",
+        "*: on this machine. image: tokens of the drawn BEV map. GiB of the weights in\n\
+         four formats; kv: GiB of 16-bit keys and values of up to 4096 tokens.",
     );
     printer.note(format!(
         "est s: seconds of a planning call in {USUAL}, estimated and not measured, for\n\

@@ -3,6 +3,7 @@
 use crate::cli::args::GenerateArguments;
 use crate::cli::{Exit, Printer};
 use crate::scenario::generator::{GeneratorError, Spec, generate, types};
+use anyhow::Context;
 use serde_json::json;
 
 /// Generates scenarios and prints a line about the expert driver of each.
@@ -14,9 +15,11 @@ pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Re
     } else {
         names.iter().map(known).collect::<Result<Vec<_>, _>>()?
     };
+    let last =
+        from.checked_add(count - 1).with_context(|| format!("--from {from} --count {count}: no seed is so large"))?;
     let mut failed = false;
     for kind in kinds {
-        for seed in *from..from.saturating_add(*count) {
+        for seed in *from..=last {
             let spec = Spec::new(kind, seed).with_traffic_seed(*traffic);
             match generate(&spec) {
                 Ok(scenario) => {

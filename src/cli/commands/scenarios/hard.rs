@@ -1,9 +1,9 @@
 //! `planagent scenarios hard`: selects the scenarios of generated-test14-hard from a run.
 
+use crate::cli::completed::completed;
 use crate::cli::{Exit, Printer};
 use crate::experiment::suite::{Suite, hard_list, hard_scenarios};
 use crate::planner::PlannerName;
-use crate::report::RunFolder;
 use crate::simulation::Challenge;
 use anyhow::Context;
 use serde_json::json;
@@ -11,9 +11,7 @@ use std::path::Path;
 
 /// Selects them by the scores of PDM-Closed in the run.
 pub(super) fn run(folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
-    RunFolder::manifest(folder)?;
-    let rows = RunFolder::read_completed(folder)?
-        .rows
+    let rows = completed(folder, printer)?
         .into_iter()
         .filter(|row| row.planner == PlannerName::PDM_CLOSED.as_str() && row.challenge == Challenge::NonReactive);
     let scores = rows.filter_map(|row| Some((row.scenario.parse().ok()?, row.score?))).collect();

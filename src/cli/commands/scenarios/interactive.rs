@@ -3,7 +3,9 @@
 use crate::cli::args::InteractiveArguments;
 use crate::cli::{Exit, Printer};
 use crate::experiment::dataset::Split;
-use crate::experiment::interactive::{draw_generated, draw_recorded, generated_list, recorded_list};
+use crate::experiment::interactive::{
+    SCENARIOS, draw_generated, draw_recorded, generated_list, other_list, recorded_list,
+};
 use crate::scenario::{DataRoots, Readers};
 use serde_json::json;
 
@@ -20,7 +22,8 @@ pub(super) fn run(arguments: &InteractiveArguments, printer: Printer) -> anyhow:
             _ => Split::Validation,
         };
         let words = draw_generated(seeds, arguments.count)?;
-        let list = generated_list(&words);
+        let is_suite = seeds == Split::Test && arguments.count == SCENARIOS;
+        let list = if is_suite { generated_list(&words) } else { other_list(&words, seeds, arguments.count) };
         (words, list)
     };
     printer.line(list.trim_end());

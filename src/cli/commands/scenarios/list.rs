@@ -7,7 +7,7 @@ use crate::experiment::split::split;
 use crate::scenario::generator::{Spec, types};
 use crate::scenario::{Contents, Readers, ScenarioRef, UNKNOWN_TYPE};
 use crate::world::STEP_S;
-use anyhow::anyhow;
+use anyhow::{anyhow, bail};
 use serde::Serialize;
 use serde_json::json;
 
@@ -45,6 +45,9 @@ pub(super) fn run(arguments: &ListArguments, printer: Printer) -> anyhow::Result
     let output = Output { printer, csv: *csv };
     let mut rows = Vec::new();
     let complete = if sources.is_empty() && split.splits.is_empty() {
+        if split.data.modifies() {
+            bail!("--modify needs scenarios or a split to modify");
+        }
         list_types(output, &mut rows)?
     } else {
         let readers = split.data.readers();

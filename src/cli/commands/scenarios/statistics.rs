@@ -1,6 +1,6 @@
 //! `planagent scenarios statistics`: compares two sets of scenes.
 
-use crate::cli::args::StatisticsArguments;
+use crate::cli::args::{DataArguments, StatisticsArguments};
 use crate::cli::{Exit, Printer};
 use crate::experiment::realism::{MeasuredScene, SceneComparison};
 use crate::experiment::split::{SplitError, split};
@@ -19,7 +19,7 @@ pub(super) fn run(arguments: &StatisticsArguments, printer: Printer) -> anyhow::
         check_figure(file)?;
     }
     let readers = data.readers();
-    let (of_a, of_b) = (scenarios(a, &readers)?, scenarios(b, &readers)?);
+    let (of_a, of_b) = (scenarios(a, data, &readers)?, scenarios(b, data, &readers)?);
     let progress = printer.progress((of_a.len() + of_b.len()) as u64, "scenes");
     let measured = |list: &[ScenarioRef]| -> Result<Vec<MeasuredScene>, ReaderError> {
         list.par_iter()
@@ -67,10 +67,11 @@ fn check_figure(file: &Path) -> anyhow::Result<()> {
 }
 
 /// The scenarios of words separated by commas, each a split or what a reader takes. A path may hold a comma.
-fn scenarios(words: &str, readers: &Readers) -> anyhow::Result<Vec<ScenarioRef>> {
+fn scenarios(words: &str, data: &DataArguments, readers: &Readers) -> anyhow::Result<Vec<ScenarioRef>> {
     let list: Vec<&str> = if path_of(words).exists() { vec![words] } else { words.split(',').map(str::trim).collect() };
+    let list: Vec<String> = list.into_iter().map(str::to_owned).collect();
     let mut found = Vec::new();
-    for word in list {
+    for word in &data.modified(&list)? {
         match split(word, readers, &|_, _| {}) {
             Ok(split) if split.missing.is_empty() => found.extend(split.scenarios),
             Ok(split) => bail!("{}", split.missing),

@@ -1,0 +1,21 @@
+//! The completed simulations of a run that a command reads.
+
+use super::Printer;
+use crate::report::{RunFolder, SimulationRow};
+use std::path::{Path, PathBuf};
+
+/// The completed simulations of a run. Says which are damaged, and so left out.
+pub(super) fn completed(run: &Path, printer: Printer) -> anyhow::Result<Vec<SimulationRow>> {
+    RunFolder::manifest(run)?;
+    let completed = RunFolder::read_completed(run)?;
+    note_damage(&completed.damaged, printer);
+    Ok(completed.rows)
+}
+
+/// Names the folders of damaged simulations.
+pub(super) fn note_damage(folders: &[PathBuf], printer: Printer) {
+    for folder in folders {
+        let folder = folder.display();
+        printer.failure(format!("{folder} is damaged and left out; `planagent simulate --resume` repeats it"));
+    }
+}
