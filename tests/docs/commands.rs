@@ -60,6 +60,19 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/devkit.md",
+        "devkit-python/bin/python tests/devkit/compare.py --program target/release/planagent --devkit nuplan-devkit --tuplan \
+         tuplan_garage --recordings $PLANAGENT_DATA --workers 2 --out compared",
+        DEVKIT,
+    ),
+    (
+        "docs/devkit.md",
+        "devkit-python/bin/python tests/devkit/compare.py --program target/release/planagent --devkit nuplan-devkit --tuplan \
+         tuplan_garage --scenarios generated/changing_lane/17 generated/traversing_pickup_dropoff/17 --planner pdm-closed \
+         --challenge nonreactive --our-rules --out compared",
+        DEVKIT,
+    ),
+    (
+        "docs/devkit.md",
         "devkit-python/bin/python tests/devkit/properties.py --devkit nuplan-devkit --exported compared/exported",
         DEVKIT,
     ),
