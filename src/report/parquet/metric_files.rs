@@ -209,7 +209,9 @@ mod tests {
 
     fn columns_of(rows: &[Row<'_>]) -> BTreeMap<String, Column> {
         let mut schema = Schema::default();
-        rows.iter().for_each(|(_, metric)| schema.add(metric));
+        for (_, metric) in rows {
+            schema.add(metric);
+        }
         columns(&schema, rows).into_iter().collect()
     }
 }
