@@ -20,3 +20,32 @@ impl LlamaCpp {
         command
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::bench::budget::Layout;
+    use crate::mllm::Step;
+
+    #[test]
+    fn the_worker_knows_the_words_of_the_protocol() {
+        let steps = [
+            Step::Keep(0),
+            Step::Encode,
+            Step::Image,
+            Step::Text(1),
+            Step::FastForwarded(1),
+            Step::Sampled(1),
+            Step::Compute,
+        ];
+        let word = |step: &Step| match serde_json::to_value(step).unwrap() {
+            serde_json::Value::Object(fields) => fields.keys().next().unwrap().clone(),
+            word => word.as_str().unwrap().to_owned(),
+        };
+        for word in steps.iter().map(word) {
+            assert!(WORKER.contains(&format!("name == \"{word}\"")), "{word}");
+        }
+        let layout = serde_json::to_string(&Layout::PrefixFirst).unwrap();
+        assert!(WORKER.contains(&format!("\"layout\": {layout}")), "{layout}");
+    }
+}

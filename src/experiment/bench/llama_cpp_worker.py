@@ -134,7 +134,7 @@ class Model:
             "image_side": self.side,
             "image_tokens": self.image_tokens,
             "context": self.api.llama_n_ctx(self.context),
-            "layout": "opening_first",
+            "layout": "prefix_first",
             "load_s": self.load_s,
             "version": self.api.__version__,
         }

@@ -59,7 +59,7 @@ impl Simd for Avx2 {
     }
 
     operations! {
-        prefetch(line: *const CacheLine) = _mm_prefetch::<_MM_HINT_T0>(line.cast());
+        prefetch(line: *const CacheLine) = _mm_prefetch::<_MM_HINT_T1>(line.cast());
         bytes(line: &CacheLine) -> Ints =
             both([line.0.as_ptr(), line.0[32..].as_ptr()], |start| _mm256_load_si256(start.cast()));
         low(bytes: Ints) -> Ints = both(bytes, |bytes| _mm256_and_si256(bytes, _mm256_set1_epi8(15)));
