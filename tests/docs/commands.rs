@@ -127,6 +127,18 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
+        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,qwen3-vl-2b,qwen3-vl-4b,llava-1.5-7b --quantize \
+         q4_k --calls brief --speculation --iterations 3",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,qwen3-vl-2b,qwen3-vl-4b,llava-1.5-7b --quantize \
+         q4_k --calls paper --warm-up 0 --iterations 1",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
         "planagent bench --random-weights llava-1.1b,llava-1.5-7b --quantize q4_k --vs llama.cpp --llama-python venv/bin/python",
         HOURS,
     ),
@@ -138,7 +150,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights llava-1.1b --quantize q4_k --warm-up 0 --iterations 2 --vs llama.cpp",
+        "planagent bench --random-weights llava-1.1b --quantize q4_k --warm-up 0 --iterations 1 --vs llama.cpp",
         HOURS,
     ),
     (
@@ -179,6 +191,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     ("docs/results.md", "planagent experiment interactive --suite interactive-generated", HOURS),
     ("docs/results.md", "planagent experiment main --suite generated-test14-hard,recorded", HOURS),
+    ("docs/results.md", "planagent experiment main-five.toml --suite generated-test14", HOURS),
     ("docs/results.md", "planagent experiment main --suite generated-test14-wide", HOURS),
     ("docs/results.md", "planagent experiment controls --suite generated-test14-hard", HOURS),
     ("docs/modified.md", "planagent experiment interactive --quick", HOURS),
