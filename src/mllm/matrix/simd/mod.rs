@@ -44,7 +44,7 @@ pub(crate) trait Simd: Copy + Send + Sync {
     fn run<K: Kernel>(self, kernel: K);
 
     /// Starts to load a line into the second-level cache. Past it, an Intel Xeon reads half as fast; into the first level too, Zen 4 reads a
-    /// quarter slower in q4_k. An address that does not exist is ignored.
+    /// quarter slower in `q4_k`. An address that does not exist is ignored.
     fn prefetch(self, line: *const CacheLine);
     fn bytes(self, line: &CacheLine) -> Self::Bytes;
     fn store_bytes(self, bytes: Self::Bytes, line: &mut CacheLine);
