@@ -2,7 +2,7 @@
 
 use super::super::line::{CacheLine, LANES};
 use super::super::simd::Simd;
-use super::{Block, Minima, Quantized, SPAN, SUMMED, with_fifth_bit};
+use super::{Block, Minima, Quantized, SPAN, SUMMED, run_sum, with_fifth_bit};
 
 /// ggml's `q6_k`: w = d · scale · (number − 32), with a scale for every 16.
 #[derive(Debug, Clone, Copy)]
@@ -92,8 +92,7 @@ impl Quantized for Q4K {
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], _: &[i32], index: usize) -> i32 {
-        let run = |run: usize| sums[2 * run] + sums[2 * run + 1];
-        run(2 * index) & 0xffff | run(2 * index + 1) << 16
+        run_sum(sums, 2 * index) & 0xffff | run_sum(sums, 2 * index + 1) << 16
     }
 
     #[inline(always)]

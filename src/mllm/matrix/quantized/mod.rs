@@ -47,6 +47,11 @@ enum Minima {
     Floats,
 }
 
+/// The sum of the activations of a run of 32.
+fn run_sum(sums: &[i32; SPAN / SUMMED], run: usize) -> i32 {
+    sums[2 * run] + sums[2 * run + 1]
+}
+
 /// The differences between the quantized formats.
 trait Quantized {
     /// Cache lines of a tile in a span.

@@ -2,12 +2,7 @@
 
 use super::super::line::CacheLine;
 use super::super::simd::Simd;
-use super::{Block, Minima, Quantized, SPAN, SUMMED, float, with_fifth_bit};
-
-/// The sum of the activations of a run.
-fn run_sum(sums: &[i32; SPAN / SUMMED], run: usize) -> i32 {
-    sums[2 * run] + sums[2 * run + 1]
-}
+use super::{Block, Minima, Quantized, SPAN, SUMMED, float, run_sum, with_fifth_bit};
 
 /// ggml's `q8_0`: w = scale · number, with a scale for every 32.
 #[derive(Debug, Clone, Copy)]
