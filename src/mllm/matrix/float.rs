@@ -54,6 +54,10 @@ impl<W: Width> Format for Float<W> {
     const WORDS: usize = SPAN;
     type Block = [[f32; LANES]; SPAN];
 
+    fn row_words(inputs: usize) -> usize {
+        inputs
+    }
+
     fn zeros() -> Self::Block {
         [[0.0; LANES]; SPAN]
     }
@@ -83,10 +87,12 @@ impl<W: Width> Format for Float<W> {
         simd: S,
         blocks: &[Self::Block; TILES],
         words: &[i32],
+        inputs: usize,
         sums: &mut [TileSums; ROWS],
     ) {
         let mut totals = [[simd.floats(0.0); TILES]; ROWS];
-        for ((activations, first), second) in words.as_chunks::<ROWS>().0.iter().zip(&blocks[0]).zip(&blocks[1]) {
+        let rows = words.as_chunks::<ROWS>().0.iter().take(inputs);
+        for ((activations, first), second) in rows.zip(&blocks[0]).zip(&blocks[1]) {
             let weights = [simd.load(first), simd.load(second)];
             for (totals, activation) in totals.iter_mut().zip(activations) {
                 let activation = simd.floats(f32::from_bits(activation.cast_unsigned()));

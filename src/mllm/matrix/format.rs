@@ -24,6 +24,11 @@ pub(super) trait Format {
     /// The unpacked weights of a tile in a span.
     type Block: Clone;
 
+    /// Words of a row's packed activations in all spans. The last may have fewer than [`Self::WORDS`].
+    fn row_words(inputs: usize) -> usize {
+        inputs.div_ceil(Self::SPAN) * Self::WORDS
+    }
+
     fn zeros() -> Self::Block;
 
     /// Packs the [`Self::SPAN`] activations of a row in a span.
@@ -32,11 +37,13 @@ pub(super) trait Format {
     /// Unpacks the weights of a span. The last span of a row may have fewer than [`Self::LINES`] lines.
     fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Self::Block);
 
-    /// Adds the products of a span with a batch of `ROWS` rows to their sums.
+    /// Adds the products of a span with a batch of `ROWS` rows to their sums. Only the first `inputs` of a span count; the others
+    /// are zeros behind the end of a row.
     fn multiply<S: Simd, const ROWS: usize>(
         simd: S,
         blocks: &[Self::Block; TILES],
         words: &[i32],
+        inputs: usize,
         sums: &mut [TileSums; ROWS],
     );
 

@@ -107,8 +107,7 @@ pub(super) fn multiply(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instru
 
 fn multiply_as<F: Format>(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
     let inputs = tiles.inputs();
-    let spans = inputs.div_ceil(F::SPAN);
-    let row_words = spans * F::WORDS;
+    let row_words = F::row_words(inputs);
     let chunk = (MAX_PACKED_BYTES / size_of::<i32>() / row_words / MAX_BATCH).max(1) * MAX_BATCH;
     let threads = rayon::current_num_threads();
     for (index, rows) in x.chunks(chunk * inputs).enumerate() {
@@ -124,6 +123,7 @@ fn multiply_as<F: Format>(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, ins
         }
         let product = |first: usize, lines: &[CacheLine]| {
             instructions.run(Product::<F> {
+                inputs,
                 lines,
                 tile_lines: tiles.tile_lines(),
                 words: &words,
@@ -161,7 +161,7 @@ impl<F: Format> Kernel for Pack<'_, F> {
         let mut padded = vec![0.0; F::SPAN];
         let mut packed = vec![0; F::WORDS];
         for (row, values) in self.rows.chunks_exact(self.inputs).enumerate() {
-            for (values, words) in values.chunks(F::SPAN).zip(self.words.chunks_exact_mut(count * F::WORDS)) {
+            for (values, words) in values.chunks(F::SPAN).zip(self.words.chunks_mut(count * F::WORDS)) {
                 if values.len() == F::SPAN {
                     F::pack(simd, values, &mut packed);
                 } else {
@@ -179,6 +179,7 @@ impl<F: Format> Kernel for Pack<'_, F> {
 
 /// Multiplies packed rows with consecutive tiles.
 struct Product<'a, F> {
+    inputs: usize,
     lines: &'a [CacheLine],
     tile_lines: usize,
     words: &'a [i32],
@@ -225,7 +226,7 @@ impl<F: Format> Kernel for Product<'_, F> {
         let rows = self.words.len() / self.row_words;
         let mut blocks: [F::Block; TILES] = std::array::from_fn(|_| F::zeros());
         let mut sums = vec![[[0.0; LANES]; TILES]; rows];
-        let spans = self.row_words / F::WORDS;
+        let spans = self.inputs.div_ceil(F::SPAN);
         for (index, pair) in self.lines.chunks(TILES * self.tile_lines).enumerate() {
             sums.fill([[0.0; LANES]; TILES]);
             let done = match sums.as_mut_slice() {
@@ -233,6 +234,7 @@ impl<F: Format> Kernel for Product<'_, F> {
                 _ => 0,
             };
             for span in done..spans {
+                let inputs = F::SPAN.min(self.inputs - span * F::SPAN);
                 for (tile, block) in pair.chunks_exact(self.tile_lines).zip(&mut blocks) {
                     let end = self.tile_lines.min((span + 1) * F::LINES);
                     for line in tile[end..].iter().skip(PREFETCH_LINES).take(F::LINES) {
@@ -242,8 +244,9 @@ impl<F: Format> Kernel for Product<'_, F> {
                 }
                 let batches = self.words.chunks(MAX_BATCH * self.row_words);
                 for (words, sums) in batches.zip(sums.chunks_mut(MAX_BATCH)) {
-                    let words = &words[span * sums.len() * F::WORDS..][..sums.len() * F::WORDS];
-                    multiply_batch::<F, S>(simd, &blocks, words, sums);
+                    let start = span * sums.len() * F::WORDS;
+                    let words = &words[start..words.len().min(start + sums.len() * F::WORDS)];
+                    multiply_batch::<F, S>(simd, &blocks, words, inputs, sums);
                 }
             }
             let column = self.first + index * COLUMNS;
@@ -255,20 +258,26 @@ impl<F: Format> Kernel for Product<'_, F> {
     }
 }
 
-/// Multiplies a batch; `sums` has one entry a row.
+/// Multiplies a batch with a span of `inputs` inputs; `sums` has one entry a row.
 #[inline(always)]
-fn multiply_batch<F: Format, S: Simd>(simd: S, blocks: &[F::Block; TILES], words: &[i32], sums: &mut [TileSums]) {
+fn multiply_batch<F: Format, S: Simd>(
+    simd: S,
+    blocks: &[F::Block; TILES],
+    words: &[i32],
+    inputs: usize,
+    sums: &mut [TileSums],
+) {
     if let Ok(sums) = <&mut [TileSums; MAX_BATCH]>::try_from(&mut *sums) {
-        F::multiply(simd, blocks, words, sums);
+        F::multiply(simd, blocks, words, inputs, sums);
     } else if let Ok(sums) = <&mut [TileSums; 5]>::try_from(&mut *sums) {
-        F::multiply(simd, blocks, words, sums);
+        F::multiply(simd, blocks, words, inputs, sums);
     } else if let Ok(sums) = <&mut [TileSums; 4]>::try_from(&mut *sums) {
-        F::multiply(simd, blocks, words, sums);
+        F::multiply(simd, blocks, words, inputs, sums);
     } else if let Ok(sums) = <&mut [TileSums; 3]>::try_from(&mut *sums) {
-        F::multiply(simd, blocks, words, sums);
+        F::multiply(simd, blocks, words, inputs, sums);
     } else if let Ok(sums) = <&mut [TileSums; 2]>::try_from(&mut *sums) {
-        F::multiply(simd, blocks, words, sums);
+        F::multiply(simd, blocks, words, inputs, sums);
     } else if let Ok(sums) = <&mut [TileSums; 1]>::try_from(&mut *sums) {
-        F::multiply(simd, blocks, words, sums);
+        F::multiply(simd, blocks, words, inputs, sums);
     }
 }

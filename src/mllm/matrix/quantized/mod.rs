@@ -135,9 +135,11 @@ impl<Q: Quantized> Format for Q {
         simd: S,
         blocks: &[Block; TILES],
         words: &[i32],
+        inputs: usize,
         sums: &mut [TileSums; ROWS],
     ) {
-        add_products::<Q, S, Unpacked<'_>, ROWS>(simd, blocks, &Unpacked(blocks), words, sums);
+        let runs = inputs.div_ceil(Q::RUN);
+        add_products::<Q, S, Unpacked<'_>, ROWS>(simd, blocks, &Unpacked(blocks), words, runs, sums);
     }
 
     #[inline(always)]
@@ -154,7 +156,8 @@ impl<Q: Quantized> Format for Q {
         for (lines, block) in tiles.into_iter().zip(&mut *blocks) {
             Q::unpack_scales(simd, lines, block);
         }
-        add_products::<Q, S, Packed<'_>, 1>(simd, blocks, &Packed { tiles, ahead }, words, std::array::from_mut(sums));
+        let numbers = Packed { tiles, ahead };
+        add_products::<Q, S, Packed<'_>, 1>(simd, blocks, &numbers, words, SPAN / Q::RUN, std::array::from_mut(sums));
     }
 }
 
@@ -206,13 +209,14 @@ impl<Q: Quantized> Numbers<Q> for Packed<'_> {
     }
 }
 
-/// Adds the products of a span with `ROWS` rows to their sums.
+/// Adds the products of the first `runs` of a span with `ROWS` rows to their sums.
 #[inline(always)]
 fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
     simd: S,
     blocks: &[Block; TILES],
     numbers: &N,
     words: &[i32],
+    runs: usize,
     sums: &mut [TileSums; ROWS],
 ) {
     let (rows, _) = words.as_chunks::<ROWS>();
@@ -220,7 +224,7 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
     let (run_sums, scales) = rest.split_at(Q::SUM_WORDS);
     let mut spans = [[simd.floats(0.0); TILES]; ROWS];
     let steps = Q::RUN / 4;
-    for (run, activations) in activations.chunks_exact(steps).enumerate() {
+    for (run, activations) in activations.chunks_exact(steps).enumerate().take(runs) {
         numbers.begin(simd, run);
         let mut products = [[simd.ints(0); TILES]; ROWS];
         if Q::MINIMA == Minima::None {
