@@ -47,18 +47,29 @@ struct SoftmaxKernel<'a> {
 impl Kernel for SoftmaxKernel<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        for (out, row) in self.out.chunks_exact_mut(self.width).zip(self.values.chunks_exact(self.width)) {
-            let largest = reduced(row, f32::NEG_INFINITY, |a, b| if a > b { a } else { b });
-            map(row, out, |value| {
-                let raised = exp(value - largest);
-                if raised < NEGLIGIBLE { 0.0 } else { raised }
-            });
-            let sum = reduced(out, 0.0, |a, b| a + b);
-            for value in out.iter_mut() {
-                *value /= sum;
-            }
-        }
+        self.out.copy_from_slice(self.values);
+        self.out.chunks_exact_mut(self.width).for_each(softmax_in_place);
     }
+}
+
+/// Softmax of one row, for kernels.
+#[inline(always)]
+pub(crate) fn softmax_in_place(row: &mut [f32]) {
+    let largest = reduced(row, f32::NEG_INFINITY, |a, b| if a > b { a } else { b });
+    for value in row.iter_mut() {
+        *value = exp_or_zero(*value - largest);
+    }
+    let sum = reduced(row, 0.0, |a, b| a + b);
+    for value in row.iter_mut() {
+        *value /= sum;
+    }
+}
+
+/// eˣ, or 0 where that is negligible as a share.
+#[inline(always)]
+pub(crate) fn exp_or_zero(x: f32) -> f32 {
+    let raised = exp(x);
+    if raised < NEGLIGIBLE { 0.0 } else { raised }
 }
 
 /// Combines the numbers lane by lane, then the lanes, then the rest.
@@ -125,7 +136,7 @@ impl Kernel for SwiGluKernel<'_> {
 
 /// 1 / (1 + e⁻ˣ).
 #[inline(always)]
-fn sigmoid(x: f32) -> f32 {
+pub(crate) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
 }
 

@@ -56,8 +56,8 @@ fn random_inputs(steps: usize) -> (SceneInputs, Tensor) {
 }
 
 fn check(network: &Dtpp, (scene, tree): &(SceneInputs, Tensor), steps: usize, file: &Vectors, name: &str) {
-    let mut probe = Probe::on();
-    let outputs = network.forward(scene, tree, steps, &mut probe).unwrap();
+    let probe = Probe::on();
+    let outputs = network.forward(scene, tree, steps, &probe).unwrap();
     for mid in [
         "encoder.ego_encoder",
         "encoder.fusion_encoder",
@@ -68,14 +68,14 @@ fn check(network: &Dtpp, (scene, tree): &(SceneInputs, Tensor), steps: usize, fi
     ] {
         let expected = format!("mid.{mid}");
         if file.names().any(|name| name == expected) {
-            assert_close(&format!("{name} {mid}"), probe.get(mid).unwrap(), file.get(&expected), NETWORK);
+            assert_close(&format!("{name} {mid}"), &probe.get(mid).unwrap(), file.get(&expected), NETWORK);
         }
     }
     let batch = tree.dim(0).unwrap();
     for mid in ["decoder.interaction_feature_encoder", "decoder.interaction_feature_decoder"] {
         let expected = format!("mid.{mid}");
         if batch == 1 && file.names().any(|name| name == expected) {
-            assert_close(&format!("{name} {mid}"), probe.get(mid).unwrap(), file.get(&expected), NETWORK);
+            assert_close(&format!("{name} {mid}"), &probe.get(mid).unwrap(), file.get(&expected), NETWORK);
         }
     }
     let near = probe.get("collision").unwrap().narrow(1, 0, 1).unwrap().squeeze(1).unwrap();

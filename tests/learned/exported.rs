@@ -82,7 +82,7 @@ pub(crate) fn network(planner: &str, checkpoint: &Path, io: &Exported, shape: Sh
                 centerline: io.get("centerline"),
                 trajectory: None,
             };
-            Box::new(move || named(vec![("trajectory", network.forward(&inputs, &mut Probe::off()).unwrap())]))
+            Box::new(move || named(vec![("trajectory", network.forward(&inputs, &Probe::off()).unwrap())]))
         }
         "plantf" => plantf(checkpoint, io, small),
         "urban-driver" => {
@@ -91,14 +91,14 @@ pub(crate) fn network(planner: &str, checkpoint: &Path, io: &Exported, shape: Sh
             let network = load(checkpoint, |weights| UrbanDriver::take(weights, config));
             let counts = if small { [1, 6, 8, 8, 8, 3, 4, 6] } else { [1, 30, 30, 30, 30, 20, 20, 30] };
             let elements = Elements { points: io.get("points"), available: io.of(DType::U8, "available"), counts };
-            Box::new(move || named(vec![("trajectory", network.forward(&elements, &mut Probe::off()).unwrap())]))
+            Box::new(move || named(vec![("trajectory", network.forward(&elements, &Probe::off()).unwrap())]))
         }
         "raster-model" => {
             let config = RasterModelConfig { widths: [4, 8, 16, 32] };
             let config = if small { config } else { RasterModelConfig::PUBLISHED };
             let network = load(checkpoint, |weights| RasterModel::take(weights, config));
             let raster = io.get("raster");
-            Box::new(move || named(vec![("trajectory", network.forward(&raster, &mut Probe::off()).unwrap())]))
+            Box::new(move || named(vec![("trajectory", network.forward(&raster, &Probe::off()).unwrap())]))
         }
         "gc-pgp" => gc_pgp(checkpoint, io),
         "gameformer" => {
@@ -107,7 +107,7 @@ pub(crate) fn network(planner: &str, checkpoint: &Path, io: &Exported, shape: Sh
             let network = load(checkpoint, |weights| GameFormer::take(weights, config));
             let (scene, route) = (io.scene(), io.get("route_lanes"));
             Box::new(move || {
-                let outputs = network.forward(&scene, &route, &mut Probe::off()).unwrap();
+                let outputs = network.forward(&scene, &route, &Probe::off()).unwrap();
                 let mut found = vec![("ego_plan".to_owned(), outputs.plan)];
                 for (i, (futures, scores)) in outputs.levels.into_iter().enumerate() {
                     found.push((format!("level_{i}_interactions"), futures));
@@ -122,7 +122,7 @@ pub(crate) fn network(planner: &str, checkpoint: &Path, io: &Exported, shape: Sh
             let network = load(checkpoint, |weights| Dtpp::take(weights, config));
             let (scene, tree) = (io.scene(), io.get("tree"));
             Box::new(move || {
-                let outputs = network.forward(&scene, &tree, 80, &mut Probe::off()).unwrap();
+                let outputs = network.forward(&scene, &tree, 80, &Probe::off()).unwrap();
                 named(vec![
                     ("agent_trajectories", outputs.futures),
                     ("scores", outputs.scores),
@@ -162,7 +162,7 @@ fn plantf(checkpoint: &Path, io: &Exported, small: bool) -> Run {
         },
     };
     Box::new(move || {
-        let outputs = network.forward(&inputs, &mut Probe::off()).unwrap();
+        let outputs = network.forward(&inputs, &Probe::off()).unwrap();
         named(vec![
             ("trajectory", outputs.trajectory),
             ("probability", outputs.probability),
@@ -190,7 +190,7 @@ fn gc_pgp(checkpoint: &Path, io: &Exported) -> Run {
         walks.into_iter().map(|sample| sample.into_iter().map(|walk| walk.try_into().unwrap()).collect()).collect();
     let latent = io.get("latent");
     Box::new(move || {
-        let scene = network.encode(&inputs, false, &mut Probe::off()).unwrap();
+        let scene = network.encode(&inputs, false, &Probe::off()).unwrap();
         let contexts = network.aggregate(&scene.encodings, &walks).unwrap();
         let trajectories = network.decode(&contexts, &latent).unwrap();
         named(vec![("policy", scene.policy), ("contexts", contexts), ("trajectories", trajectories)])

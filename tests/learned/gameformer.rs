@@ -66,8 +66,8 @@ fn well_conditioned(name: &str, tensor: &Tensor) -> Tensor {
 }
 
 fn check(network: &GameFormer, (scene, route): &(SceneInputs, Tensor), file: &Vectors, name: &str) {
-    let mut probe = Probe::on();
-    let outputs = network.forward(scene, route, &mut probe).unwrap();
+    let probe = Probe::on();
+    let outputs = network.forward(scene, route, &probe).unwrap();
     let later = |what: &str, found: &Tensor, expected: &Tensor| {
         assert_close(
             &format!("{name} {what}"),
@@ -78,7 +78,7 @@ fn check(network: &GameFormer, (scene, route): &(SceneInputs, Tensor), file: &Ve
     };
     for mid in ["encoder.ego_encoder", "encoder.fusion_encoder.layers.0", "encoder.fusion_encoder"] {
         if let Some(expected) = file.find(&format!("mid.{mid}")) {
-            assert_close(&format!("{name} {mid}"), probe.get(mid).unwrap(), expected, NETWORK);
+            assert_close(&format!("{name} {mid}"), &probe.get(mid).unwrap(), expected, NETWORK);
         }
     }
     for mid in [
@@ -88,7 +88,7 @@ fn check(network: &GameFormer, (scene, route): &(SceneInputs, Tensor), file: &Ve
         "planner.plan_decoder",
     ] {
         if let Some(expected) = file.find(&format!("mid.{mid}")) {
-            later(mid, probe.get(mid).unwrap(), expected);
+            later(mid, &probe.get(mid).unwrap(), expected);
         }
     }
     let points = probe.get("encoder.lane_encoder.point_net").unwrap();

@@ -33,15 +33,15 @@ fn the_network_computes_what_pytorch_computes() {
     for source in ["scene_a_b1", "batch2"] {
         let file = Vectors::open(&fixture(&format!("gc_pgp/gc_pgp_full.{source}.io.safetensors")));
         let name = |what: &str| format!("gc_pgp_full.{source} {what}");
-        let mut probe = Probe::on();
-        let scene = network.encode(&inputs(&file), true, &mut probe).unwrap();
+        let probe = Probe::on();
+        let scene = network.encode(&inputs(&file), true, &probe).unwrap();
         for mid in ["node_gru", "agent_node_attention", "mix_linear", "gat0", "gat1"] {
-            assert_close(&name(mid), probe.get(mid).unwrap(), file.get(&format!("mid.{mid}")), NETWORK);
+            assert_close(&name(mid), &probe.get(mid).unwrap(), file.get(&format!("mid.{mid}")), NETWORK);
         }
         assert_close(&name("ego"), &scene.encodings.ego, file.get("enc.target_agent"), NETWORK);
         assert_close(&name("nodes"), &scene.encodings.nodes, file.get("enc.nodes"), NETWORK);
         assert_close(&name("policy"), &scene.policy, file.get("policy.pi_route_masked"), NETWORK);
-        let free = network.encode(&inputs(&file), false, &mut Probe::off()).unwrap();
+        let free = network.encode(&inputs(&file), false, &Probe::off()).unwrap();
         assert_close(&name("free policy"), &free.policy, file.get("policy.pi_without_route_mask"), NETWORK);
         let traversals = file.of_kind(DType::U32, "aggregator.in.traversals").to_vec3::<u32>().unwrap();
         let traversals: Vec<Vec<[u32; 16]>> = traversals

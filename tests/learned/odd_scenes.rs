@@ -137,7 +137,7 @@ fn plans_are_finite() {
         assert!(plan.len() == 16 && plan.as_flattened().iter().all(|value| value.is_finite()), "{name}");
         let actors = ActorFeatures::of(scene, 60.0);
         let inputs = actors.inputs().unwrap();
-        let outputs = gameformer.forward(&inputs, &actors.route_input().unwrap(), &mut Probe::off()).unwrap();
+        let outputs = gameformer.forward(&inputs, &actors.route_input().unwrap(), &Probe::off()).unwrap();
         assert_finite(name, &outputs.plan);
         if let Some(path) = reference_path(scene) {
             assert_eq!(path.len(), 1200, "{name}");

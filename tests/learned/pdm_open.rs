@@ -26,11 +26,11 @@ fn check(network: &PdmNetwork, file: &Vectors, name: &str, mids: &[&str]) {
                 .any(|name| name.ends_with("in.planner_trajectory"))
                 .then(|| input("planner_trajectory")),
         };
-        let mut probe = Probe::on();
-        let plan = network.forward(&inputs, &mut probe).unwrap();
+        let probe = Probe::on();
+        let plan = network.forward(&inputs, &probe).unwrap();
         for mid in mids {
             let expected = file.get(&format!("{source}.mid.{mid}"));
-            assert_close(&format!("{name} {source} {mid}"), probe.get(mid).unwrap(), expected, NETWORK);
+            assert_close(&format!("{name} {source} {mid}"), &probe.get(mid).unwrap(), expected, NETWORK);
         }
         assert_close(&format!("{name} {source}"), &plan, file.get(&format!("{source}.out.trajectory")), NETWORK);
     }

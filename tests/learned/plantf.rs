@@ -58,10 +58,10 @@ fn inputs(file: &Vectors) -> PlanTfInputs {
 
 /// `in.*` of one file and `mid.*` and `out.*` of another.
 fn check(network: &PlanTf, given: &Vectors, expected: &Vectors, name: &str) {
-    let mut probe = Probe::on();
-    let outputs = network.forward(&inputs(given), &mut probe).unwrap();
+    let probe = Probe::on();
+    let outputs = network.forward(&inputs(given), &probe).unwrap();
     for mid in MIDS.iter().chain(&["norm"]) {
-        assert_close(&format!("{name} {mid}"), probe.get(mid).unwrap(), expected.get(&format!("mid.{mid}")), NETWORK);
+        assert_close(&format!("{name} {mid}"), &probe.get(mid).unwrap(), expected.get(&format!("mid.{mid}")), NETWORK);
     }
     for (out, found) in [
         ("trajectory", &outputs.trajectory),
@@ -161,7 +161,7 @@ fn unusual_scenes_give_finite_plans() {
     for (what, builder, agents) in [("empty", road(), 1), ("crowd", crowd, 33), ("lost", lost, 1)] {
         let features = features(&builder.build().unwrap());
         assert_eq!(features.agents.len(), agents, "{what}");
-        let outputs = network.forward(&features.inputs().unwrap(), &mut Probe::off()).unwrap();
+        let outputs = network.forward(&features.inputs().unwrap(), &Probe::off()).unwrap();
         let plan: Vec<f32> = outputs.best().unwrap().flatten_all().unwrap().to_vec1().unwrap();
         assert!(plan.iter().all(|value| value.is_finite()), "{what}");
     }

@@ -13,8 +13,8 @@ fn halved(raster: &Tensor) -> Tensor {
 }
 
 fn check(network: &RasterModel, tiny: &Vectors, file: &Vectors, name: &str) {
-    let mut probe = Probe::on();
-    let plan = network.forward(&halved(tiny.get("random64.in.raster_times_2")), &mut probe).unwrap();
+    let probe = Probe::on();
+    let plan = network.forward(&halved(tiny.get("random64.in.raster_times_2")), &probe).unwrap();
     for mid in ["bn1", "maxpool", "layer1", "layer2", "layer3", "layer4", "global_pool"] {
         let found = probe.get(&format!("_model.{mid}")).unwrap().narrow(0, 0, 1).unwrap();
         assert_close(&format!("{name} {mid}"), &found, file.get(&format!("random64.mid._model.{mid}")), NETWORK);
@@ -25,7 +25,7 @@ fn check(network: &RasterModel, tiny: &Vectors, file: &Vectors, name: &str) {
 fn check_scene(network: &RasterModel, scene: &str, file: &Vectors, name: &str) {
     let raster = Vectors::open(&fixture(&format!("raster/raster_{scene}.safetensors")));
     let raster = halved(&raster.get("raster_chw_times_2").unsqueeze(0).unwrap());
-    let plan = network.forward(&raster, &mut Probe::off()).unwrap();
+    let plan = network.forward(&raster, &Probe::off()).unwrap();
     assert_close(&format!("{name} {scene}"), &plan, file.get(&format!("{scene}.out.trajectory")), NETWORK);
 }
 

@@ -18,13 +18,13 @@ fn check(network: &UrbanDriver, limits: ElementLimits, file: &Vectors, name: &st
         available: file.of_kind(DType::U8, "mid.availability"),
         counts: [1, limits.vehicles, a, b, c, d, e, f],
     };
-    let mut probe = Probe::on();
-    let plan = network.forward(&elements, &mut probe).unwrap();
+    let probe = Probe::on();
+    let plan = network.forward(&elements, &probe).unwrap();
     let embedded = probe.get("feature_embedding").unwrap().narrow(1, 0, 4).unwrap();
     assert_close(&format!("{name} embedding"), &embedded, file.get("mid.feature_embedding_first4"), NETWORK);
     assert_close(
         &format!("{name} subgraph"),
-        probe.get("local_subgraph").unwrap(),
+        &probe.get("local_subgraph").unwrap(),
         file.get("mid.local_subgraph"),
         NETWORK,
     );

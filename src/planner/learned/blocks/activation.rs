@@ -2,7 +2,7 @@
 
 use crate::mllm::Activation;
 pub(in crate::planner::learned) use crate::mllm::softmax;
-use candle_core::{D, DType, Result, Tensor};
+use candle_core::{Result, Tensor};
 
 /// max(x, 0).
 pub(in crate::planner::learned) fn relu(x: &Tensor) -> Result<Tensor> {
@@ -17,9 +17,4 @@ pub(in crate::planner::learned) fn gelu(x: &Tensor) -> Result<Tensor> {
 /// x where it is positive, else x / 100.
 pub(in crate::planner::learned) fn leaky_relu(x: &Tensor) -> Result<Tensor> {
     x.maximum(&(x * 0.01)?)
-}
-
-/// `x` with zeros where `mask` (1 or 0, without the last dimension) is 0.
-pub(in crate::planner::learned) fn masked(x: &Tensor, mask: &Tensor) -> Result<Tensor> {
-    x.broadcast_mul(&mask.to_dtype(DType::F32)?.unsqueeze(D::Minus1)?)
 }

@@ -1,6 +1,6 @@
 //! PyTorch's `MultiheadAttention`, batch first.
 
-use super::{Linear, Weights, softmax};
+use super::{Linear, Memory, Weights};
 use candle_core::{Device, Result, Tensor};
 
 /// Attention of several heads with projections of queries, keys, values and the result.
@@ -28,8 +28,8 @@ impl MultiheadAttention {
         Ok(Self { heads, projections, output: Linear::take(weights, &format!("{name}.out_proj"), width, width)? })
     }
 
-    /// Queries (B, Q, E), keys and values (B, K, E); `bias`, which has the shape (B, heads, Q, K) or can be broadcast to it, is
-    /// added to the logits.
+    /// Queries (B, Q, E), keys and values (B, K, E); `bias`, which has the shape (B, heads, Q, K) or ones in the place of the first
+    /// three, is added to the logits.
     pub(in crate::planner::learned) fn forward(
         &self,
         [query, key, value]: [&Tensor; 3],
@@ -40,8 +40,7 @@ impl MultiheadAttention {
 
     /// Keys and values (B, K, E) that several queries may hear.
     pub(in crate::planner::learned) fn memory(&self, key: &Tensor, value: &Tensor) -> Result<Memory> {
-        let keys = self.heads_of(key, 1)?.transpose(2, 3)?.contiguous()?;
-        Ok(Memory { keys, values: self.heads_of(value, 2)?.contiguous()? })
+        Memory::pack(&self.projected(1, key)?, &self.projected(2, value)?, self.heads)
     }
 
     /// As [`Self::forward`], of queries that hear a memory.
@@ -51,36 +50,17 @@ impl MultiheadAttention {
         memory: &Memory,
         bias: Option<&Tensor>,
     ) -> Result<Tensor> {
-        let (batch, queries, width) = query.dims3()?;
-        let scale = 1.0 / ((width / self.heads) as f64).sqrt();
-        let logits = (self.heads_of(query, 0)? * scale)?.contiguous()?.matmul(&memory.keys)?;
-        let logits = match bias {
-            Some(bias) => logits.broadcast_add(bias)?,
-            None => logits,
-        };
-        let mixed = softmax(&logits)?.matmul(&memory.values)?.transpose(1, 2)?.reshape((batch, queries, width))?;
-        self.output.forward(&mixed)
+        self.output(&memory.hear(&self.projected(0, query)?, bias)?)
     }
 
-    /// A projection of rows (B, rows, E), split into heads (B, heads, rows, E / heads).
-    fn heads_of(&self, x: &Tensor, projection: usize) -> Result<Tensor> {
-        let (batch, rows, width) = x.dims3()?;
-        let projected = self.projections[projection].forward(x)?;
-        projected.reshape((batch, rows, self.heads, width / self.heads))?.transpose(1, 2)
+    /// Rows (…, E) as queries (0), keys (1) or values (2) of all heads.
+    pub(in crate::planner::learned) fn projected(&self, part: usize, x: &Tensor) -> Result<Tensor> {
+        self.projections[part].forward(x)
     }
-}
 
-/// Projected keys (B, heads, E / heads, K) and values (B, heads, K, E / heads).
-#[derive(Debug)]
-pub(in crate::planner::learned) struct Memory {
-    keys: Tensor,
-    values: Tensor,
-}
-
-impl MultiheadAttention {
-    /// The result where all keys are hidden: the output layer of zeros.
-    pub(in crate::planner::learned) fn output_of(&self, nothing: &Tensor) -> Result<Tensor> {
-        self.output.forward(&nothing.zeros_like()?)
+    /// The result of what the heads heard (…, E); of zeros, where all keys are hidden.
+    pub(in crate::planner::learned) fn output(&self, heard: &Tensor) -> Result<Tensor> {
+        self.output.forward(heard)
     }
 }
 

@@ -60,6 +60,31 @@ impl Linear {
     }
 }
 
+/// An affine layer of rows [own, common], where the rows of a group have the second part in common: its product is computed once a group.
+#[derive(Debug, Clone)]
+pub(in crate::planner::learned) struct GroupLinear {
+    own: Linear,
+    common: Linear,
+}
+
+impl GroupLinear {
+    /// Of a weight (outputs, own + common) and a bias; both parts of a row have the same width.
+    pub(in crate::planner::learned) fn of(weight: &Tensor, bias: Tensor) -> Result<Self> {
+        let width = weight.dim(1)? / 2;
+        Ok(Self {
+            own: Linear::of(&weight.narrow(1, 0, width)?, None)?,
+            common: Linear::of(&weight.narrow(1, width, width)?, Some(bias))?,
+        })
+    }
+
+    /// Maps rows (groups, rows, own) and what their groups have in common (groups, common) to (groups, rows, outputs).
+    pub(in crate::planner::learned) fn forward(&self, x: &Tensor, common: &Tensor) -> Result<Tensor> {
+        let (groups, rows, _) = x.dims3()?;
+        let common = self.common.forward(common)?.unsqueeze(1)?;
+        self.own.forward_onto(x, &common.broadcast_as((groups, rows, self.own.weight.outputs()))?)
+    }
+}
+
 /// Affine layers with ReLU between them, and none after the last.
 #[derive(Debug, Clone)]
 pub(in crate::planner::learned) struct Mlp {

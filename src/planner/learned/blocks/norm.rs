@@ -43,15 +43,18 @@ impl BatchNorm {
         Ok(Self { factor, summand })
     }
 
-    /// A layer's weight (channels, …) with the norm behind the layer folded in, and the bias of both.
-    pub(in crate::planner::learned) fn folded(self, weight: &Tensor) -> Result<(Tensor, Tensor)> {
+    /// A layer's weight (channels, …) and bias with the norm behind the layer folded in.
+    pub(in crate::planner::learned) fn folded(
+        self,
+        weight: &Tensor,
+        bias: Option<&Tensor>,
+    ) -> Result<(Tensor, Tensor)> {
         let (channels, rank) = (weight.dim(0)?, weight.rank());
         let factor = self.factor.reshape([&[channels], vec![1; rank - 1].as_slice()].concat())?;
-        Ok((weight.broadcast_mul(&factor)?, self.summand))
-    }
-
-    /// Applies the norm to channels in the last dimension.
-    pub(in crate::planner::learned) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        x.broadcast_mul(&self.factor)?.broadcast_add(&self.summand)
+        let bias = match bias {
+            Some(bias) => ((bias * &self.factor)? + self.summand)?,
+            None => self.summand,
+        };
+        Ok((weight.broadcast_mul(&factor)?, bias))
     }
 }

@@ -1,7 +1,9 @@
 //! Recurrent layers over sequences of different lengths.
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
 
 use super::{Linear, Weights};
-use candle_core::{DType, Device, Result, Tensor};
+use crate::mllm::{Instructions, Kernel, Simd, sigmoid, with_values};
+use candle_core::{DType, Device, IndexOp, Result, Tensor};
 
 /// Takes `NAME.weight_ih_lI`, `NAME.weight_hh_lI` and their biases for `gates` gates of this width.
 fn gates(weights: &mut Weights, name: &str, layer: usize, [inputs, width, gates]: [usize; 3]) -> Result<[Linear; 2]> {
@@ -13,8 +15,10 @@ fn gates(weights: &mut Weights, name: &str, layer: usize, [inputs, width, gates]
     Ok([part("ih", inputs)?, part("hh", width)?])
 }
 
-fn sigmoid(x: &Tensor) -> Result<Tensor> {
-    (x.neg()?.exp()? + 1.0)?.recip()
+/// tanh x = 2 σ(2x) − 1.
+#[inline(always)]
+fn tanh(x: f32) -> f32 {
+    2.0 * sigmoid(2.0 * x) - 1.0
 }
 
 /// PyTorch's `GRU` of one layer.
@@ -38,26 +42,54 @@ impl Gru {
     pub(in crate::planner::learned) fn last(&self, x: &Tensor, lengths: Option<&[usize]>) -> Result<Tensor> {
         let (rows, steps, _) = x.dims3()?;
         let [of_input, of_state] = &self.gates;
-        let inputs = of_input.forward(x)?;
+        let inputs = of_input.forward(&x.transpose(0, 1)?)?;
         let mut state = Tensor::zeros((rows, self.width), DType::F32, &Device::Cpu)?;
         for step in 0..steps {
-            let input = inputs.narrow(1, step, 1)?.squeeze(1)?;
             let own = of_state.forward(&state)?;
-            let part = |x: &Tensor, i: usize| x.narrow(1, i * self.width, self.width);
-            let reset = sigmoid(&(part(&input, 0)? + part(&own, 0)?)?)?;
-            let update = sigmoid(&(part(&input, 1)? + part(&own, 1)?)?)?;
-            let fresh = (part(&input, 2)? + (reset * part(&own, 2)?)?)?.tanh()?;
-            let next = (&fresh + (update * (&state - &fresh)?)?)?;
-            state = match lengths {
-                None => next,
-                Some(lengths) => {
-                    let runs: Vec<u8> = lengths.iter().map(|&length| u8::from(step < length)).collect();
-                    let runs = Tensor::from_vec(runs, (rows, 1), &Device::Cpu)?.broadcast_as((rows, self.width))?;
-                    runs.where_cond(&next, &state)?
-                }
-            };
+            let mut next = state.flatten_all()?.to_vec1::<f32>()?;
+            let runs = |row: usize| lengths.is_none_or(|lengths| lengths.get(row).is_some_and(|&length| step < length));
+            with_values(&inputs.i(step)?, |inputs| {
+                with_values(&own, |own| {
+                    let cell = GruCell { width: self.width, inputs, own, runs, state: &mut next };
+                    Instructions::best().run(cell);
+                    Ok(())
+                })
+            })?;
+            state = Tensor::from_vec(next, (rows, self.width), &Device::Cpu)?;
         }
         Ok(state)
+    }
+}
+
+/// A step of a GRU: the state of each row that still runs, from the gates' parts of input and state, in the order reset, update, new.
+struct GruCell<'a, R> {
+    width: usize,
+    inputs: &'a [f32],
+    own: &'a [f32],
+    runs: R,
+    state: &'a mut [f32],
+}
+
+impl<R: Fn(usize) -> bool> Kernel for GruCell<'_, R> {
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let width = self.width;
+        let gates = self.inputs.chunks_exact(3 * width).zip(self.own.chunks_exact(3 * width));
+        for (row, (state, (input, own))) in self.state.chunks_exact_mut(width).zip(gates).enumerate() {
+            if !(self.runs)(row) {
+                continue;
+            }
+            let ((reset, input), (own_reset, own)) = (input.split_at(width), own.split_at(width));
+            let ((update, fresh), (own_update, own_fresh)) = (input.split_at(width), own.split_at(width));
+            // The compiler vectorizes the loop where it knows all lengths.
+            let (state, fresh, own_fresh) = (&mut state[..width], &fresh[..width], &own_fresh[..width]);
+            for i in 0..width {
+                let reset = sigmoid(reset[i] + own_reset[i]);
+                let update = sigmoid(update[i] + own_update[i]);
+                let fresh = tanh(fresh[i] + reset * own_fresh[i]);
+                state[i] = fresh + update * (state[i] - fresh);
+            }
+        }
     }
 }
 
@@ -82,24 +114,53 @@ impl Lstm {
     /// The output of the last step of sequences (N, T, inputs).
     pub(in crate::planner::learned) fn last(&self, x: &Tensor) -> Result<Tensor> {
         let (rows, steps, _) = x.dims3()?;
-        let mut sequence = x.clone();
-        let mut last = Tensor::zeros((rows, self.width), DType::F32, &Device::Cpu)?;
+        let mut sequence = x.transpose(0, 1)?;
+        let mut state = Tensor::zeros((rows, self.width), DType::F32, &Device::Cpu)?;
         for [of_input, of_state] in &self.layers {
             let inputs = of_input.forward(&sequence)?;
-            let mut state = Tensor::zeros((rows, self.width), DType::F32, &Device::Cpu)?;
-            let mut cell = state.clone();
+            let mut cell = vec![0f32; rows * self.width];
             let mut outputs = Vec::with_capacity(steps);
+            state = state.zeros_like()?;
             for step in 0..steps {
-                let gates = (inputs.narrow(1, step, 1)?.squeeze(1)? + of_state.forward(&state)?)?;
-                let part = |i: usize| gates.narrow(1, i * self.width, self.width);
-                let (input, forget, output) = (sigmoid(&part(0)?)?, sigmoid(&part(1)?)?, sigmoid(&part(3)?)?);
-                cell = ((forget * &cell)? + (input * part(2)?.tanh()?)?)?;
-                state = (output * cell.tanh()?)?;
+                let gates = of_state.forward_onto(&state, &inputs.i(step)?)?;
+                let mut next = vec![0f32; rows * self.width];
+                with_values(&gates, |gates| {
+                    let cell = LstmCell { width: self.width, gates, cell: &mut cell, state: &mut next };
+                    Instructions::best().run(cell);
+                    Ok(())
+                })?;
+                state = Tensor::from_vec(next, (rows, self.width), &Device::Cpu)?;
                 outputs.push(state.clone());
             }
-            last = state;
-            sequence = Tensor::stack(&outputs, 1)?;
+            sequence = Tensor::stack(&outputs, 0)?;
         }
-        Ok(last)
+        Ok(state)
+    }
+}
+
+/// A step of an LSTM: cell and state of each row from its gates, in the order input, forget, new, output.
+struct LstmCell<'a> {
+    width: usize,
+    gates: &'a [f32],
+    cell: &'a mut [f32],
+    state: &'a mut [f32],
+}
+
+impl Kernel for LstmCell<'_> {
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let width = self.width;
+        let rows = self.state.chunks_exact_mut(width).zip(self.cell.chunks_exact_mut(width));
+        for ((state, cell), gates) in rows.zip(self.gates.chunks_exact(4 * width)) {
+            let (first, last) = gates.split_at(2 * width);
+            let ((input, forget), (fresh, output)) = (first.split_at(width), last.split_at(width));
+            // As above.
+            let (forget, output) = (&forget[..width], &output[..width]);
+            let (state, cell) = (&mut state[..width], &mut cell[..width]);
+            for i in 0..width {
+                cell[i] = sigmoid(forget[i]) * cell[i] + sigmoid(input[i]) * tanh(fresh[i]);
+                state[i] = sigmoid(output[i]) * tanh(cell[i]);
+            }
+        }
     }
 }

@@ -1,9 +1,10 @@
 //! Futures of the other agents for each branch of a tree of ego trajectories, and the branches' scores.
 
 use super::scorer::Scorer;
-use crate::planner::learned::blocks::{Linear, Mlp, Probe, Weights};
+use crate::planner::learned::blocks::{Linear, Mlp, Probe, Weights, largest};
 use crate::planner::learned::gameformer::{Block, EncodedScene, HEADS, SceneEncoder, SceneInputs};
 use candle_core::{D, Device, Result, Tensor};
+use rayon::prelude::*;
 
 /// Steps of a branch, 0.1 s apart.
 pub(super) const STEPS: usize = 80;
@@ -99,13 +100,13 @@ impl Dtpp {
     ///
     /// # Errors
     /// When an input has another shape.
-    pub fn forward(&self, inputs: &SceneInputs, tree: &Tensor, steps: usize, probe: &mut Probe) -> Result<DtppOutputs> {
+    pub fn forward(&self, inputs: &SceneInputs, tree: &Tensor, steps: usize, probe: &Probe) -> Result<DtppOutputs> {
         let scene = self.encode(inputs, probe)?;
         self.branches(inputs, &scene, tree, steps, probe)
     }
 
     /// Encodes a batch of scenes.
-    pub(super) fn encode(&self, inputs: &SceneInputs, probe: &mut Probe) -> Result<EncodedScene> {
+    pub(super) fn encode(&self, inputs: &SceneInputs, probe: &Probe) -> Result<EncodedScene> {
         self.encoder.forward(inputs, probe)
     }
 
@@ -116,7 +117,7 @@ impl Dtpp {
         scene: &EncodedScene,
         tree: &Tensor,
         steps: usize,
-        probe: &mut Probe,
+        probe: &Probe,
     ) -> Result<DtppOutputs> {
         let DtppConfig { dim, neighbors, branches, .. } = self.config;
         let batch = tree.dim(0)?;
@@ -124,25 +125,29 @@ impl Dtpp {
         let encoded = self.trajectory.forward(tree)?;
         probe.note("decoder.ego_traj_encoder", &encoded);
         let branch = encoded.narrow(2, steps - 1, 1)?;
-        let pooled = encoded.reshape((batch, tokens, TOKEN_STEPS, dim))?.max(2)?;
+        let pooled = largest(&encoded.reshape((batch, tokens, TOKEN_STEPS, dim))?)?;
         let embedded =
             branch.broadcast_add(&self.times.reshape((1, 1, TOKENS, dim))?)?.reshape((batch, tokens, dim))?;
         let (environment, condition) = self.biases(scene, tree)?;
         let states = inputs.neighbors.narrow(1, 0, neighbors)?;
         let states = states.narrow(2, states.dim(2)? - 1, 1)?.squeeze(2)?;
-        let mut futures = Vec::with_capacity(neighbors);
         // All agents hear the same scene and the same branches.
         let heard = [self.environment.memory(&scene.tokens)?, self.condition.memory(&pooled)?];
-        for i in 0..neighbors {
+        let future = |i: usize| {
             let query = scene.tokens.narrow(1, i + 1, 1)?.broadcast_add(&embedded)?;
             let near = self.environment.hear(&query, &heard[0], &environment)?;
             let own = self.condition.hear(&query, &heard[1], &condition)?;
+            let [inner, outer] = &self.futures;
+            let moved = outer.forward(&inner.forward(&Tensor::cat(&[&near, &own], 2)?)?.elu(1.0)?)?;
+            let start = states.narrow(1, i, 1)?.narrow(2, 0, 3)?.reshape((batch, 1, 1, 3))?;
+            Ok([near, own, moved.reshape((batch, branches, STEPS, 3))?.broadcast_add(&start)?])
+        };
+        let agents = (0..neighbors).into_par_iter().map(future).collect::<Result<Vec<_>>>()?;
+        let mut futures = Vec::with_capacity(neighbors);
+        for [near, own, future] in agents {
             probe.note("decoder.environment_decoder", &near);
             probe.note("decoder.ego_condition_decoder", &own);
-            let [inner, outer] = &self.futures;
-            let moved = outer.forward(&inner.forward(&Tensor::cat(&[near, own], 2)?)?.elu(1.0)?)?;
-            let start = states.narrow(1, i, 1)?.narrow(2, 0, 3)?.reshape((batch, 1, 1, 3))?;
-            futures.push(moved.reshape((batch, branches, STEPS, 3))?.broadcast_add(&start)?);
+            futures.push(future);
         }
         let futures = Tensor::stack(&futures, 2)?;
         let (scores, weights) = self.scorer.forward([tree, &futures, &states], steps, probe)?;
@@ -153,8 +158,8 @@ impl Dtpp {
     }
 
     /// Biases (B, heads, queries, keys) of the attention to the scene and to the branch itself. Upstream repeats its masks in
-    /// another order than PyTorch reads them. So in a batch, heads use the masks of other samples; a batch of one is not
-    /// affected.
+    /// another order than PyTorch reads them. So in a batch, heads use the masks of other samples; in a batch of one, all heads
+    /// have one mask.
     fn biases(&self, scene: &EncodedScene, tree: &Tensor) -> Result<(Tensor, Tensor)> {
         let batch = tree.dim(0)?;
         let tokens = self.config.branches * TOKENS;
@@ -165,15 +170,16 @@ impl Dtpp {
             used[sample][branch][token * TOKEN_STEPS] != 0.0
         };
         let keys = scene.seen.dim(1)?;
+        let heads = if batch == 1 { 1 } else { HEADS };
         let bias = |keys: usize, open: &dyn Fn(usize, usize, usize) -> bool| {
-            let mut values = Vec::with_capacity(batch * HEADS * tokens * keys);
-            for place in 0..batch * HEADS {
+            let mut values = Vec::with_capacity(batch * heads * tokens * keys);
+            for place in 0..batch * heads {
                 let sample = place % batch;
                 for query in 0..tokens {
                     values.extend((0..keys).map(|key| if open(sample, query, key) { 0.0 } else { HIDDEN }));
                 }
             }
-            Tensor::from_vec(values, (batch, HEADS, tokens, keys), &Device::Cpu)
+            Tensor::from_vec(values, (batch, heads, tokens, keys), &Device::Cpu)
         };
         let environment = bias(keys, &|sample, query, key| used(sample, query) && seen[sample][key] != 0)?;
         let own = |query: usize, key: usize| query / TOKENS == key / TOKENS && key <= query;

@@ -1,8 +1,9 @@
 //! Scores of branches: comfort and progress by formula, interaction by a network, and nearness to the agents.
 
 use super::network::{COLUMNS, STEPS};
-use crate::planner::learned::blocks::{Linear, Mlp, Probe, Weights};
+use crate::planner::learned::blocks::{Linear, Mlp, Probe, Weights, largest};
 use candle_core::{D, Device, Result, Tensor};
+use rayon::prelude::*;
 
 /// Features by formula, and by the network.
 const PLAIN: usize = 4;
@@ -47,19 +48,17 @@ impl Scorer {
         &self,
         [tree, futures, states]: [&Tensor; 3],
         steps: usize,
-        probe: &mut Probe,
+        probe: &Probe,
     ) -> Result<(Tensor, Tensor)> {
         let (batch, branches, _, _) = tree.dims4()?;
         let agents = states.dim(1)?;
         let rows = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
         let (tree, futures, states) = (rows(tree)?, rows(futures)?, rows(&states.contiguous()?)?);
-        let (mut plain, mut relative, mut nearness, mut unused) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for (i, branch) in tree.chunks_exact(STEPS * COLUMNS).enumerate() {
-            let columns = states.len() / (batch * agents);
+        let columns = states.len() / (batch * agents);
+        let rated = tree.par_chunks_exact(STEPS * COLUMNS).enumerate().map(|(i, branch)| {
             let states = &states[i / branches * agents * columns..][..agents * columns];
             let futures = &futures[i * agents * STEPS * 3..][..agents * STEPS * 3];
-            plain.extend(formulas(branch, steps));
-            let mut near = 0.0;
+            let (mut relative, mut near) = (Vec::with_capacity(agents * steps * RELATIVE), 0.0);
             for (state, future) in states.chunks_exact(columns).zip(futures.chunks_exact(STEPS * 3)) {
                 let present = if state.iter().sum::<f32>() == 0.0 { 0.0 } else { 1.0 };
                 near += present * closeness(branch, future, steps);
@@ -67,33 +66,53 @@ impl Scorer {
                     relative.extend(beside(branch, future, step, &state[SIZE..]).map(|value| value * present));
                 }
             }
-            nearness.push(near);
-            unused.push(branch.iter().sum::<f32>() == 0.0);
-        }
-        let count = batch * branches;
-        let relative = Tensor::from_vec(relative, (count, agents, steps, RELATIVE), &Device::Cpu)?;
-        let encoded = self.relative.forward(&relative)?;
-        probe.note("decoder.interaction_feature_encoder", &encoded.narrow(0, 0, 1)?);
+            let relative = Tensor::from_vec(relative, (1, agents, steps, RELATIVE), &Device::Cpu)?;
+            let encoded = self.relative.forward(&relative)?;
+            if i == 0 {
+                probe.note("decoder.interaction_feature_encoder", &encoded);
+            }
+            let strongest = largest(&encoded.reshape((1, agents, steps * self.dim))?)?;
+            let interaction = strongest.reshape((steps, self.dim))?.mean(0)?;
+            Ok(RatedBranch {
+                plain: formulas(branch, steps),
+                interaction,
+                near,
+                unused: branch.iter().sum::<f32>() == 0.0,
+            })
+        });
+        let rated = rated.collect::<Result<Vec<_>>>()?;
+        let count = rated.len();
+        let interactions: Vec<&Tensor> = rated.iter().map(|branch| &branch.interaction).collect();
         let head = |[inner, outer]: &[Linear; 2], x: &Tensor| outer.forward(&inner.forward(x)?.elu(1.0)?);
-        let latent = head(&self.latent, &encoded.max(1)?.mean(1)?)?;
+        let latent = head(&self.latent, &Tensor::stack(&interactions, 0)?)?;
         let latent = (latent.neg()?.exp()? + 1.0)?.recip()?;
         probe.note("decoder.interaction_feature_decoder", &latent.narrow(0, 0, 1)?);
+        let plain = rated.iter().flat_map(|branch| branch.plain).collect();
         let plain = Tensor::from_vec(plain, (count, PLAIN), &Device::Cpu)?;
         probe.note("hardcoded_features", &plain.reshape((batch, branches, PLAIN))?);
         let ones = Tensor::ones((1, self.dim), plain.dtype(), &Device::Cpu)?;
         // Softplus.
         let weights = (head(&self.weights, &ones)?.exp()? + 1.0)?.log()?;
         let cost = Tensor::cat(&[plain, latent], 1)?.broadcast_mul(&weights)?.sum(D::Minus1)?.to_vec1::<f32>()?;
-        let scores = cost
-            .iter()
-            .zip(&nearness)
-            .zip(&unused)
-            .map(|((cost, near), &unused)| if unused { f32::NEG_INFINITY } else { -cost - NEARNESS * near });
+        let scores = cost.iter().zip(&rated).map(
+            |(cost, RatedBranch { near, unused, .. })| {
+                if *unused { f32::NEG_INFINITY } else { -cost - NEARNESS * near }
+            },
+        );
         let scores = Tensor::from_iter(scores, &Device::Cpu)?.reshape((batch, branches))?;
-        let nearness = Tensor::from_vec(nearness, (batch, branches), &Device::Cpu)?;
-        probe.note("collision", &nearness);
+        let nearness = Tensor::from_iter(rated.iter().map(|branch| branch.near), &Device::Cpu)?;
+        probe.note("collision", &nearness.reshape((batch, branches))?);
         Ok((scores, weights.broadcast_as((batch, PLAIN + LATENT))?.contiguous()?))
     }
+}
+
+/// What a branch's score is made of.
+struct RatedBranch {
+    plain: [f32; PLAIN],
+    /// The strongest interaction with an agent at each step, their mean (dim).
+    interaction: Tensor,
+    near: f32,
+    unused: bool,
 }
 
 /// A step of a branch.

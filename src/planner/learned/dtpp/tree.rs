@@ -62,11 +62,11 @@ pub fn scored_tree(
         return Err(TreeError::NoTrajectory);
     }
     let limit = limit as f32;
-    let scene = network.encode(inputs, &mut Probe::off())?;
+    let scene = network.encode(inputs, &Probe::off())?;
     let first = first_stage(paths, start, limit)?;
     let score = |branches: &[Vec<Step>], steps: usize| -> Result<Vec<f32>, TreeError> {
         let tree = tree(branches)?;
-        let outputs = network.branches(inputs, &scene, &tree, steps, &mut Probe::off())?;
+        let outputs = network.branches(inputs, &scene, &tree, steps, &Probe::off())?;
         Ok(outputs.scores.squeeze(0)?.to_vec1()?)
     };
     let first_scores = score(&first, (FIRST_S * STEPS_PER_S) as usize)?;

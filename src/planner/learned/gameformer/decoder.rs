@@ -1,7 +1,7 @@
 //! GameFormer's decoder: futures of all actors, level by level; each level answers those of the level before.
 
 use super::encoder::{Block, EncodedScene};
-use crate::planner::learned::blocks::{Linear, Mlp, Probe, Weights, key_bias, softmax};
+use crate::planner::learned::blocks::{Linear, Mlp, Probe, Weights, key_bias, largest, softmax};
 use candle_core::{D, DType, Device, Result, Tensor};
 
 /// Poses of a future, 0.1 s apart.
@@ -106,7 +106,7 @@ impl Decoder {
     }
 
     /// The predictions of all levels, and the ego's contents of the last (B, M, dim).
-    pub(super) fn forward(&self, scene: &EncodedScene, probe: &mut Probe) -> Result<(Vec<Level>, Tensor)> {
+    pub(super) fn forward(&self, scene: &EncodedScene, probe: &Probe) -> Result<(Vec<Level>, Tensor)> {
         let (batch, _, dim) = scene.tokens.dims3()?;
         let (modes, actors) = (self.modes.dim(0)?, self.actors.dim(0)?);
         let current = scene.current.narrow(1, 0, actors)?;
@@ -120,7 +120,7 @@ impl Decoder {
         let present = scene.seen.narrow(1, 0, actors)?.contiguous()?;
         for (i, stage) in self.stages.iter().enumerate() {
             let Some(Level { futures, scores }) = levels.last() else { break };
-            let encoded = stage.futures.forward(&steps(&futures.narrow(4, 0, 2)?, &current)?)?.max(3)?;
+            let encoded = largest(&stage.futures.forward(&steps(&futures.narrow(4, 0, 2)?, &current)?)?)?;
             probe.note(&format!("decoder.interaction_stage.{i}.future_encoder"), &encoded);
             let shares = softmax(scores)?.unsqueeze(3)?;
             let expected = (encoded.broadcast_mul(&shares)?.sum(2)? / modes as f64)?;

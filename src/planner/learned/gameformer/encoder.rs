@@ -1,7 +1,7 @@
 //! The encoder of GameFormer and DTPP: actors and pieces of map lines as tokens of one transformer.
 
 use crate::planner::learned::blocks::{
-    LayerNorm, Linear, Lstm, Memory, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias,
+    LayerNorm, Linear, Lstm, Memory, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias, largest,
 };
 use candle_core::{D, Device, Result, Tensor};
 
@@ -81,18 +81,21 @@ impl SceneEncoder {
     ///
     /// # Errors
     /// When an input has another shape.
-    pub(in crate::planner::learned) fn forward(&self, inputs: &SceneInputs, probe: &mut Probe) -> Result<EncodedScene> {
+    pub(in crate::planner::learned) fn forward(&self, inputs: &SceneInputs, probe: &Probe) -> Result<EncodedScene> {
         let (batch, count, steps, columns) = inputs.neighbors.dims4()?;
-        let ego = self.ego.last(&inputs.ego)?;
+        let histories = inputs.neighbors.reshape((batch * count, steps, columns))?;
+        let map = || -> Result<_> {
+            let lanes = self.lanes.forward(&inputs.lanes, "encoder.lane_encoder", probe)?;
+            Ok((lanes, self.crosswalks.forward(&inputs.crosswalks, "encoder.crosswalk_encoder", probe)?))
+        };
+        let ((ego, map), neighbors) =
+            rayon::join(|| (self.ego.last(&inputs.ego), map()), || self.neighbors.last(&histories));
+        let (ego, ((lanes, lanes_seen), (crosswalks, crosswalks_seen))) = (ego?, map?);
         probe.note("encoder.ego_encoder", &ego);
-        let neighbors = self.neighbors.last(&inputs.neighbors.reshape((batch * count, steps, columns))?)?;
-        let neighbors = neighbors.reshape((batch, count, ()))?;
+        let neighbors = neighbors?.reshape((batch, count, ()))?;
         let present = |x: &Tensor, time: usize| x.narrow(time, steps - 1, 1)?.narrow(D::Minus1, 0, STATE);
         let current = Tensor::cat(&[present(&inputs.ego, 1)?, present(&inputs.neighbors, 2)?.squeeze(2)?], 1)?;
         let actors = seen(&current)?;
-        let (lanes, lanes_seen) = self.lanes.forward(&inputs.lanes, "encoder.lane_encoder", probe)?;
-        let (crosswalks, crosswalks_seen) =
-            self.crosswalks.forward(&inputs.crosswalks, "encoder.crosswalk_encoder", probe)?;
         let seen = Tensor::cat(&[actors, lanes_seen, crosswalks_seen], 1)?;
         let hidden = key_bias(&seen)?;
         let mut tokens = Tensor::cat(&[ego.unsqueeze(1)?, neighbors, lanes, crosswalks], 1)?;
@@ -132,13 +135,13 @@ impl MapEncoder {
     }
 
     /// Tokens (B, N · pieces, dim) of lines (B, N, points, columns), and which are seen: those whose x is nowhere exactly 0.
-    pub(super) fn forward(&self, lines: &Tensor, name: &str, probe: &mut Probe) -> Result<(Tensor, Tensor)> {
+    pub(super) fn forward(&self, lines: &Tensor, name: &str, probe: &Probe) -> Result<(Tensor, Tensor)> {
         let (batch, count, points, _) = lines.dims4()?;
         let encoded = self.points.forward(lines)?;
         probe.note(&format!("{name}.point_net"), &encoded);
         let pieces = points / PIECE;
         let encoded = encoded.broadcast_add(&self.positions)?;
-        let tokens = encoded.reshape((batch, count * pieces, PIECE, ()))?.max(2)?;
+        let tokens = largest(&encoded.reshape((batch, count * pieces, PIECE, ()))?)?;
         let x = lines.narrow(3, 0, 1)?.reshape((batch, count * pieces, PIECE))?;
         Ok((tokens, x.ne(0.0)?.min(2)?))
     }

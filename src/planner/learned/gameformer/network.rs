@@ -61,7 +61,7 @@ impl GameFormer {
     ///
     /// # Errors
     /// When an input has another shape.
-    pub fn forward(&self, inputs: &SceneInputs, route: &Tensor, probe: &mut Probe) -> Result<GameFormerOutputs> {
+    pub fn forward(&self, inputs: &SceneInputs, route: &Tensor, probe: &Probe) -> Result<GameFormerOutputs> {
         let scene = self.encoder.forward(inputs, probe)?;
         let (levels, ego) = self.decoder.forward(&scene, probe)?;
         let plan = self.plan.forward(&ego, route, &scene.current.narrow(1, 0, 1)?.squeeze(1)?, probe)?;

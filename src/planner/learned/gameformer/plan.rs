@@ -33,7 +33,7 @@ impl PlanHead {
     }
 
     /// The plan (B, 80, 3) of the ego's contents (B, M, dim), the route (B, R, 50, 3) and the present state (B, 5).
-    pub(super) fn forward(&self, ego: &Tensor, route: &Tensor, current: &Tensor, probe: &mut Probe) -> Result<Tensor> {
+    pub(super) fn forward(&self, ego: &Tensor, route: &Tensor, current: &Tensor, probe: &Probe) -> Result<Tensor> {
         let (tokens, seen) = self.route.forward(route, "planner.route_encoder", probe)?;
         let first = Tensor::ones((seen.dim(0)?, 1), seen.dtype(), &Device::Cpu)?;
         let seen = Tensor::cat(&[first, seen.narrow(1, 1, seen.dim(1)? - 1)?], 1)?;

@@ -47,7 +47,7 @@ impl Planner for GameFormerPlanner {
         let features = ActorFeatures::of(scene, RADIUS);
         let run = || {
             let inputs = features.inputs()?;
-            let outputs = self.network.forward(&inputs, &features.route_input()?, &mut Probe::off())?;
+            let outputs = self.network.forward(&inputs, &features.route_input()?, &Probe::off())?;
             Ok((prediction::poses(&outputs.plan)?, agents(&outputs, &features.present_neighbors())?))
         };
         let (mut plan, agents) = run().map_err(network_failed)?;

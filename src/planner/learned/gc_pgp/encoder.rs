@@ -102,7 +102,7 @@ impl Encoder {
         })
     }
 
-    pub(super) fn forward(&self, inputs: &GcPgpInputs, probe: &mut Probe) -> Result<Encodings> {
+    pub(super) fn forward(&self, inputs: &GcPgpInputs, probe: &Probe) -> Result<Encodings> {
         let ego = self.ego.forward(&inputs.ego, None)?.squeeze(1)?;
         let poses = Tensor::cat(&[&inputs.poses, &inputs.red], D::Minus1)?;
         let nodes = self.nodes.forward(&poses, Some(&inputs.poses_missing))?;
@@ -136,6 +136,6 @@ impl Encoder {
 impl Attention {
     /// The result where there is nothing to attend to.
     fn nothing(&self, like: &Tensor) -> Result<Tensor> {
-        self.attention.output_of(like)
+        self.attention.output(&like.zeros_like()?)
     }
 }

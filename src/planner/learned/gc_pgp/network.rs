@@ -126,7 +126,7 @@ impl GcPgp {
     ///
     /// # Errors
     /// When an input has another shape.
-    pub fn encode(&self, inputs: &GcPgpInputs, route_only: bool, probe: &mut Probe) -> Result<GcPgpScene> {
+    pub fn encode(&self, inputs: &GcPgpInputs, route_only: bool, probe: &Probe) -> Result<GcPgpScene> {
         let encodings = self.encoder.forward(inputs, probe)?;
         let policy = self.policy(inputs, &encodings, route_only)?;
         Ok(GcPgpScene { encodings, policy })

@@ -65,7 +65,7 @@ impl GcPgp {
     /// When an input has another shape.
     pub fn plans(&self, features: &GcPgpFeatures, inputs: &GcPgpInputs) -> Result<Vec<(f64, Places)>> {
         let mut random = Pcg64Mcg::seed_from_u64(SEED);
-        let scene = self.encode(inputs, true, &mut Probe::off())?;
+        let scene = self.encode(inputs, true, &Probe::off())?;
         let (policy, targets) = (scene.policy.squeeze(0)?.to_vec2::<f32>()?, inputs.successors.squeeze(0)?.to_vec2()?);
         let nodes = &features.graph.nodes;
         let on_route = features.graph.initial.iter().copied().filter(|&node| nodes[node].on_route);

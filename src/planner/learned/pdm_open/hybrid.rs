@@ -52,7 +52,7 @@ impl Planner for PdmHybrid {
             .map_err(|source| PlannerError::Failed { doing: "filtering the history", source: Box::new(source) })?;
         let sampled = sampled(&closed, scene.ego.rear_axle, scene.ego.time_us)?;
         let inputs = features.inputs_with(&sampled).map_err(network_failed)?;
-        let corrected = self.network.forward(&inputs, &mut Probe::off()).map_err(network_failed)?;
+        let corrected = self.network.forward(&inputs, &Probe::off()).map_err(network_failed)?;
         let corrected = prediction::trajectory(
             &prediction::poses(&corrected).map_err(network_failed)?,
             prediction::HALF_SECOND_US,

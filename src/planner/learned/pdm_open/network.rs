@@ -71,7 +71,7 @@ impl PdmNetwork {
     ///
     /// # Errors
     /// When an input has another shape, or PDM-Offset gets no trajectory.
-    pub fn forward(&self, inputs: &PdmInputs, probe: &mut Probe) -> Result<Tensor> {
+    pub fn forward(&self, inputs: &PdmInputs, probe: &Probe) -> Result<Tensor> {
         let quantities = [&inputs.position, &inputs.velocity, &inputs.acceleration];
         let flat = quantities.map(|quantity| quantity.flatten_from(1));
         let [position, velocity, acceleration] = flat;

@@ -42,7 +42,7 @@ impl Planner for PdmOpen {
         let features = PdmFeatures::of(&input.scene, &path)
             .map_err(|source| PlannerError::Failed { doing: "filtering the history", source: Box::new(source) })?;
         let inputs = features.inputs().map_err(network_failed)?;
-        let plan = self.network.forward(&inputs, &mut Probe::off()).map_err(network_failed)?;
+        let plan = self.network.forward(&inputs, &Probe::off()).map_err(network_failed)?;
         prediction::trajectory(
             &prediction::poses(&plan).map_err(network_failed)?,
             prediction::HALF_SECOND_US,

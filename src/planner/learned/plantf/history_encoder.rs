@@ -1,7 +1,7 @@
 //! PlanTF's encoder of an agent's history: neighborhood attention at three time scales, joined from coarse to fine.
 
 use super::network::{PlanTfInputs, names};
-use crate::planner::learned::blocks::{Conv1d, LayerNorm, Linear, Probe, Weights, gelu, softmax};
+use crate::planner::learned::blocks::{Conv1d, LayerNorm, Linear, Memory, Probe, Weights, gelu};
 use candle_core::{D, DType, Device, Result, Tensor};
 
 /// Columns of a step: Δposition, Δvelocity, cosine and sine of the turn, width, length, seen.
@@ -10,6 +10,8 @@ const CHANNELS: usize = 9;
 const HEADS: [usize; 3] = [2, 4, 8];
 const WINDOWS: [usize; 3] = [3, 3, 5];
 const BLOCKS: usize = 2;
+/// Samples at the end of each scale that the last sample of the finest one is made of.
+const READ: usize = 2;
 /// Width of a block's MLP relative to its input.
 const MLP_RATIO: usize = 3;
 
@@ -61,7 +63,7 @@ impl HistoryEncoder {
     }
 
     /// Features of all agents (B·A, dim); zeros for those that were never seen.
-    pub(super) fn forward(&self, inputs: &PlanTfInputs, name: &str, probe: &mut Probe) -> Result<Tensor> {
+    pub(super) fn forward(&self, inputs: &PlanTfInputs, name: &str, probe: &Probe) -> Result<Tensor> {
         let steps = steps(inputs)?;
         let (rows, _, _) = steps.dims3()?;
         let seen = inputs.valid.max(D::Minus1)?.flatten_all()?.to_vec1::<u8>()?;
@@ -77,7 +79,7 @@ impl HistoryEncoder {
     }
 
     /// Steps (N, 20, 9) to features (N, dim).
-    fn encode(&self, steps: &Tensor, name: &str, probe: &mut Probe) -> Result<Tensor> {
+    fn encode(&self, steps: &Tensor, name: &str, probe: &Probe) -> Result<Tensor> {
         let mut x = self.embed.forward(&steps.transpose(1, 2)?)?.transpose(1, 2)?.contiguous()?;
         probe.note(&format!("{name}.embed"), &x);
         let mut scales = Vec::with_capacity(self.levels.len());
@@ -87,7 +89,8 @@ impl HistoryEncoder {
             }
             let normed = stage.norm.forward(&x)?;
             probe.note(&format!("{name}.norm{level}"), &normed);
-            scales.push(lateral.forward(&normed.transpose(1, 2)?)?);
+            let end = normed.narrow(1, normed.dim(1)? - READ - 1, READ + 1)?;
+            scales.push(lateral.forward(&end.transpose(1, 2)?)?.narrow(2, 1, READ)?);
             if let Some((halving, norm)) = &stage.downsample {
                 x = norm.forward(&halving.forward(&x.transpose(1, 2)?)?.transpose(1, 2)?.contiguous()?)?;
             }
@@ -97,15 +100,12 @@ impl HistoryEncoder {
         for scale in coarse_to_fine {
             joined = Some(match joined {
                 None => scale,
-                Some(coarse) => {
-                    let length = scale.dim(2)?;
-                    (scale + stretched(&coarse, length)?)?
-                }
+                Some(coarse) => (scale + end_of_doubled(&coarse)?)?,
             });
         }
         let Some(joined) = joined else { candle_core::bail!("the history encoder has no levels") };
         let joined = self.joined.forward(&joined)?;
-        joined.narrow(2, joined.dim(2)? - 1, 1)?.squeeze(2)?.contiguous()
+        joined.narrow(2, READ - 1, 1)?.squeeze(2)?.contiguous()
     }
 }
 
@@ -127,20 +127,12 @@ fn steps(inputs: &PlanTfInputs) -> Result<Tensor> {
     Tensor::cat(&columns, 3)?.reshape((batch * agents, count, CHANNELS))
 }
 
-/// Linear interpolation of (N, C, length) to another length, samples at the middle of their intervals (PyTorch's
-/// `align_corners=False`).
-fn stretched(x: &Tensor, length: usize) -> Result<Tensor> {
-    let (rows, channels, from) = x.dims3()?;
-    let mut shares = vec![0f32; from * length];
-    for to in 0..length {
-        let at = ((to as f64 + 0.5) * from as f64 / length as f64 - 0.5).max(0.0);
-        let (before, share) = (at as usize, (at - at.floor()) as f32);
-        let after = (before + 1).min(from - 1);
-        shares[before * length + to] += 1.0 - share;
-        shares[after * length + to] += share;
-    }
-    let shares = Tensor::from_vec(shares, (from, length), &Device::Cpu)?;
-    x.contiguous()?.reshape((rows * channels, from))?.matmul(&shares)?.reshape((rows, channels, length))
+/// The last two samples of a scale of doubled length, from its last two (N, C, 2): linear interpolation with samples at the middle of
+/// their intervals (PyTorch's `align_corners=False`).
+fn end_of_doubled(x: &Tensor) -> Result<Tensor> {
+    let (before, last) = (x.narrow(2, 0, 1)?, x.narrow(2, 1, 1)?);
+    let between = ((before * 0.25)? + (&last * 0.75)?)?;
+    Tensor::cat(&[between, last], 2)
 }
 
 /// A transformer block whose attention sees a window of neighbors.
@@ -174,7 +166,7 @@ impl Block {
         })
     }
 
-    fn forward(&self, x: &Tensor, name: &str, probe: &mut Probe) -> Result<Tensor> {
+    fn forward(&self, x: &Tensor, name: &str, probe: &Probe) -> Result<Tensor> {
         let [first, second] = &self.norms;
         let mixed = self.attention(&first.forward(x)?)?;
         probe.note(&format!("{name}.attn"), &mixed);
@@ -184,14 +176,11 @@ impl Block {
     }
 
     fn attention(&self, x: &Tensor) -> Result<Tensor> {
-        let (batch, length, width) = x.dims3()?;
-        let head = width / self.heads;
-        let parts = self.projections.forward(x)?.reshape((batch, length, 3, self.heads, head))?;
-        let part = |i: usize| parts.narrow(2, i, 1)?.squeeze(2)?.transpose(1, 2)?.contiguous();
-        let query = (part(0)? * (1.0 / (head as f64).sqrt()))?;
-        let logits = query.matmul(&part(1)?.transpose(2, 3)?.contiguous()?)?;
-        let weights = softmax(&logits.broadcast_add(&self.bias(length)?)?)?;
-        self.output.forward(&weights.matmul(&part(2)?)?.transpose(1, 2)?.reshape((batch, length, width))?)
+        let (_, length, width) = x.dims3()?;
+        let parts = self.projections.forward(x)?;
+        let [query, key, value] = [0, 1, 2].map(|i| parts.narrow(2, i * width, width));
+        let mixed = Memory::pack(&key?, &value?, self.heads)?.hear(&query?, Some(&self.bias(length)?))?;
+        self.output.forward(&mixed)
     }
 
     /// Each query sees the window around it; at the ends, the window is moved inside.
@@ -206,6 +195,6 @@ impl Block {
                 }
             }
         }
-        Tensor::from_vec(bias, (self.heads, length, length), &Device::Cpu)
+        Tensor::from_vec(bias, (1, self.heads, length, length), &Device::Cpu)
     }
 }

@@ -1,7 +1,7 @@
 //! Tokens of lanes, connectors and crosswalks.
 
 use super::network::{PlanTfMap, names};
-use crate::planner::learned::blocks::{BatchNorm, Linear, Mlp, Probe, Weights, masked, relu};
+use crate::planner::learned::blocks::{BatchNorm, GroupLinear, Linear, Mlp, Probe, Weights, largest_where, relu};
 use candle_core::{DType, Result, Tensor};
 
 /// Columns of a point: offset from the center, vector, cosine and sine.
@@ -33,7 +33,7 @@ impl MapEncoder {
         })
     }
 
-    pub(super) fn forward(&self, map: &PlanTfMap, name: &str, probe: &mut Probe) -> Result<Tensor> {
+    pub(super) fn forward(&self, map: &PlanTfMap, name: &str, probe: &Probe) -> Result<Tensor> {
         let (batch, polygons, points, _) = map.point.dims4()?;
         let offset = map.point.broadcast_sub(&map.center.narrow(2, 0, 2)?.unsqueeze(2)?)?;
         let orientation = map.orientation.unsqueeze(3)?;
@@ -58,32 +58,32 @@ impl MapEncoder {
 #[derive(Debug, Clone)]
 struct PointsEncoder {
     first: [Linear; 2],
-    second: [Linear; 2],
-    norms: [BatchNorm; 2],
+    second: (GroupLinear, Linear),
 }
 
 impl PointsEncoder {
     fn take(weights: &mut Weights, name: &str, dim: usize) -> Result<Self> {
         let [first, second] = ["first_mlp", "second_mlp"].map(|part| names(&format!("{name}.{part}"), [0, 1, 3]));
+        // With the norm behind it, an affine layer is another affine layer.
+        let mut normed = |[layer, norm, _]: &[String; 3], inputs: usize, outputs: usize| {
+            let weight = weights.take(&format!("{layer}.weight"), &[outputs, inputs])?;
+            let bias = weights.take(&format!("{layer}.bias"), &[outputs])?;
+            BatchNorm::take(weights, norm, outputs)?.folded(&weight, Some(&bias))
+        };
+        let (narrow, narrow_bias) = normed(&first, CHANNELS, NARROW)?;
+        let (wide, wide_bias) = normed(&second, 2 * WIDE, WIDE)?;
         Ok(Self {
-            first: [
-                Linear::take(weights, &first[0], CHANNELS, NARROW)?,
-                Linear::take(weights, &first[2], NARROW, WIDE)?,
-            ],
-            second: [Linear::take(weights, &second[0], 2 * WIDE, WIDE)?, Linear::take(weights, &second[2], WIDE, dim)?],
-            norms: [BatchNorm::take(weights, &first[1], NARROW)?, BatchNorm::take(weights, &second[1], WIDE)?],
+            first: [Linear::of(&narrow, Some(narrow_bias))?, Linear::take(weights, &first[2], NARROW, WIDE)?],
+            second: (GroupLinear::of(&wide, wide_bias)?, Linear::take(weights, &second[2], WIDE, dim)?),
         })
     }
 
     /// Points (N, P, 6) with a mask (N, P) to (N, dim); what is masked counts as zero in both maxima, as upstream.
     fn forward(&self, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
-        let mlp = |[inner, outer]: &[Linear; 2], norm: &BatchNorm, x: &Tensor| {
-            outer.forward(&relu(&norm.forward(&inner.forward(x)?)?)?)
-        };
-        let [first, second] = &self.norms;
-        let x = masked(&mlp(&self.first, first, x)?, valid)?;
-        let largest = x.max_keepdim(1)?.broadcast_as(x.shape())?.contiguous()?;
-        let x = Tensor::cat(&[x, largest], 2)?;
-        masked(&mlp(&self.second, second, &x)?, valid)?.max(1)
+        let ([narrow, wide], (inner, outer)) = (&self.first, &self.second);
+        let x = wide.forward(&relu(&narrow.forward(x)?)?)?;
+        let largest = largest_where(&x, valid, 0.0)?;
+        let x = outer.forward(&relu(&inner.forward(&x, &largest)?)?)?;
+        largest_where(&x, valid, 0.0)
     }
 }

@@ -135,7 +135,7 @@ impl PlanTf {
     ///
     /// # Errors
     /// When an input has another shape.
-    pub fn forward(&self, inputs: &PlanTfInputs, probe: &mut Probe) -> Result<PlanTfOutputs> {
+    pub fn forward(&self, inputs: &PlanTfInputs, probe: &Probe) -> Result<PlanTfOutputs> {
         let PlanTfInputs { position, heading, valid, map, .. } = inputs;
         let (batch, agents, steps, _) = position.dims4()?;
         let present = |x: &Tensor| x.narrow(2, steps - 1, 1)?.squeeze(2);
@@ -145,8 +145,9 @@ impl PlanTf {
         probe.note("pos_emb", &embedded);
         let seen = valid.max(D::Minus1)?;
         let hidden = key_bias(&Tensor::cat(&[seen, map.valid.max(D::Minus1)?], 1)?)?;
-        let tokens = [self.agents(inputs, probe)?, self.map.forward(map, "map_encoder", probe)?];
-        let mut x = (Tensor::cat(&tokens, 1)? + embedded)?;
+        let (agents_tokens, map_tokens) =
+            rayon::join(|| self.agents(inputs, probe), || self.map.forward(map, "map_encoder", probe));
+        let mut x = (Tensor::cat(&[agents_tokens?, map_tokens?], 1)? + embedded)?;
         for (i, layer) in self.layers.iter().enumerate() {
             x = layer.forward(&x, &hidden)?;
             probe.note(&format!("encoder_blocks.{i}"), &x);
@@ -163,7 +164,7 @@ impl PlanTf {
     }
 
     /// Tokens of the ego and the agents (B, A, dim).
-    fn agents(&self, inputs: &PlanTfInputs, probe: &mut Probe) -> Result<Tensor> {
+    fn agents(&self, inputs: &PlanTfInputs, probe: &Probe) -> Result<Tensor> {
         let (batch, agents, _) = inputs.heading.dims3()?;
         let dim = self.config.dim;
         let encoded = self.history.forward(inputs, "agent_encoder.history_encoder", probe)?;

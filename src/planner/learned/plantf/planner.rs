@@ -38,7 +38,7 @@ impl Planner for PlanTfPlanner {
         let scene = &input.scene;
         let route = corrected_route(scene.map, &scene.route.roadblocks, scene.ego.rear_axle);
         let inputs = PlanTfFeatures::of(scene, &route).inputs().map_err(network_failed)?;
-        let outputs = self.network.forward(&inputs, &mut Probe::off()).map_err(network_failed)?;
+        let outputs = self.network.forward(&inputs, &Probe::off()).map_err(network_failed)?;
         let poses = outputs.best().map_err(network_failed)?;
         prediction::trajectory(&prediction::poses(&poses).map_err(network_failed)?, STEP_US, scene)
     }

@@ -28,7 +28,7 @@ impl Convolution {
     pub(super) fn take(weights: &mut Weights, [name, norm]: [&str; 2], shape: Shape) -> Result<Self> {
         let Shape { inputs, outputs, kernel, .. } = shape;
         let weight = weights.take(&format!("{name}.weight"), &[outputs, inputs, kernel, kernel])?;
-        let (weight, bias) = BatchNorm::take(weights, norm, outputs)?.folded(&weight)?;
+        let (weight, bias) = BatchNorm::take(weights, norm, outputs)?.folded(&weight, None)?;
         let weight = weight.permute((0, 2, 3, 1))?.reshape((outputs, kernel * kernel * inputs))?;
         Ok(Self { shape, weight: Linear::of(&weight, Some(bias))? })
     }

@@ -61,7 +61,7 @@ impl RasterModel {
     ///
     /// # Errors
     /// When an input has another shape.
-    pub fn forward(&self, raster: &Tensor, probe: &mut Probe) -> Result<Tensor> {
+    pub fn forward(&self, raster: &Tensor, probe: &Probe) -> Result<Tensor> {
         // PyTorch's order of dimensions, for the probe.
         let channels_first = |x: &Tensor| x.permute((0, 3, 1, 2));
         let x = self.stem.forward(&raster.permute((0, 2, 3, 1))?)?;

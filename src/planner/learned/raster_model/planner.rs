@@ -34,7 +34,7 @@ impl Planner for RasterModelPlanner {
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let raster = Raster::of(&input.scene).inputs().map_err(network_failed)?;
-        let plan = self.network.forward(&raster, &mut Probe::off()).map_err(network_failed)?;
+        let plan = self.network.forward(&raster, &Probe::off()).map_err(network_failed)?;
         prediction::trajectory(
             &prediction::poses(&plan).map_err(network_failed)?,
             prediction::HALF_SECOND_US,

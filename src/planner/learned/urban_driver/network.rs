@@ -1,8 +1,11 @@
 //! UrbanDriver's network (nuplan-devkit `urban_driver_open_loop_model.py`).
 
 use super::elements::{Elements, KINDS, POINTS};
-use crate::planner::learned::blocks::{LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, key_bias, relu};
+use crate::planner::learned::blocks::{
+    GroupLinear, LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, key_bias, largest_where, relu,
+};
 use candle_core::{D, Device, Result, Tensor};
+use rayon::prelude::*;
 
 /// Poses of the plan, 0.5 s apart.
 pub(super) const POSES: usize = 16;
@@ -12,6 +15,8 @@ const COLUMNS: usize = 8;
 const HEADS: usize = 8;
 /// Longest element of the table of point positions.
 const POSITIONS: usize = 5000;
+/// Elements whose layers are computed one after the other, while their points are in the second-level cache.
+const PIECE: usize = 12;
 /// Rows of the table of element kinds; the last is unused.
 const KIND_ROWS: usize = 11;
 /// ε of the normalization of elements (PyTorch's `normalize`).
@@ -68,14 +73,12 @@ impl UrbanDriver {
     ///
     /// # Errors
     /// When an input has another shape.
-    pub fn forward(&self, elements: &Elements, probe: &mut Probe) -> Result<Tensor> {
+    pub fn forward(&self, elements: &Elements, probe: &Probe) -> Result<Tensor> {
         let Elements { points, available, counts } = elements;
         let (batch, rows, length, _) = points.dims4()?;
-        let embedded = self.points.forward(points)?;
-        probe.note("feature_embedding", &embedded);
-        let embedded = embedded.broadcast_add(&positions(length, self.width)?)?;
+        probe.note_with("feature_embedding", || self.points.forward(points))?;
         let seen = available.max(D::Minus1)?;
-        let x = self.subgraphs(&embedded.reshape((batch * rows, length, self.width))?, available, &seen)?;
+        let x = self.subgraphs(&points.reshape((batch * rows, length, COLUMNS))?, available, &seen)?;
         let x = x.reshape((batch, rows, self.width))?;
         probe.note("local_subgraph", &x);
         let norm = x.sqr()?.sum_keepdim(D::Minus1)?.sqrt()?.maximum(NORM_EPSILON)?;
@@ -91,24 +94,29 @@ impl UrbanDriver {
         self.output.forward(&mixed.squeeze(1)?)?.reshape((batch, POSES, 3))
     }
 
-    /// Elements (N, width) of points (N, P, width); zeros where no point is available.
-    fn subgraphs(&self, x: &Tensor, available: &Tensor, seen: &Tensor) -> Result<Tensor> {
-        let (rows, length, width) = x.dims3()?;
+    /// Elements (N, width) of points (N, P, 8); zeros where no point is available.
+    fn subgraphs(&self, points: &Tensor, available: &Tensor, seen: &Tensor) -> Result<Tensor> {
+        let (rows, length, _) = points.dims3()?;
         let seen = seen.flatten_all()?.to_vec1::<u8>()?;
         let places: Vec<u32> = (0u32..).zip(&seen).filter(|&(_, &seen)| seen != 0).map(|(i, _)| i).collect();
-        let zeros = Tensor::zeros((rows, width), x.dtype(), &Device::Cpu)?;
+        let zeros = Tensor::zeros((rows, self.width), points.dtype(), &Device::Cpu)?;
         if places.is_empty() {
             return Ok(zeros);
         }
-        let places = Tensor::from_iter(places, &Device::Cpu)?;
-        let mut x = x.index_select(&places, 0)?;
-        let available = available.reshape((rows, length))?.index_select(&places, 0)?;
-        let hidden = Tensor::full(f32::NEG_INFINITY, available.dims(), &Device::Cpu)?;
-        let hidden = available.where_cond(&hidden.zeros_like()?, &hidden)?.unsqueeze(2)?;
-        for layer in &self.layers {
-            x = layer.forward(&x, &hidden)?;
-        }
-        zeros.index_add(&places, &x.broadcast_add(&hidden)?.max(1)?, 0)
+        let available = available.reshape((rows, length))?;
+        let positions = positions(length, self.width)?;
+        let piece = |places: &[u32]| {
+            let places = Tensor::new(places, &Device::Cpu)?;
+            let positions = positions.broadcast_as((places.elem_count(), length, self.width))?;
+            let mut x = self.points.forward_onto(&points.index_select(&places, 0)?, &positions)?;
+            let available = available.index_select(&places, 0)?;
+            for layer in &self.layers {
+                x = layer.forward(&x, &available)?;
+            }
+            largest_where(&x, &available, f32::NEG_INFINITY)
+        };
+        let pieces = places.par_chunks(PIECE).map(piece).collect::<Result<Vec<_>>>()?;
+        zeros.index_add(&Tensor::from_iter(places, &Device::Cpu)?, &Tensor::cat(&pieces, 0)?, 0)
     }
 }
 
@@ -129,21 +137,22 @@ fn positions(length: usize, width: usize) -> Result<Tensor> {
 struct SubgraphLayer {
     inner: Linear,
     norm: LayerNorm,
-    outer: Linear,
+    outer: GroupLinear,
 }
 
 impl SubgraphLayer {
     fn take(weights: &mut Weights, name: &str, width: usize) -> Result<Self> {
+        let remap = weights.take(&format!("{name}.linear_remap.weight"), &[width, 2 * width])?;
         Ok(Self {
             inner: Linear::without_bias(weights, &format!("{name}.mlp.linear"), width, width)?,
             norm: LayerNorm::take(weights, &format!("{name}.mlp.norm"), width)?,
-            outer: Linear::take(weights, &format!("{name}.linear_remap"), 2 * width, width)?,
+            outer: GroupLinear::of(&remap, weights.take(&format!("{name}.linear_remap.bias"), &[width])?)?,
         })
     }
 
-    fn forward(&self, x: &Tensor, hidden: &Tensor) -> Result<Tensor> {
+    /// Points (N, P, width), of which some are available (N, P).
+    fn forward(&self, x: &Tensor, available: &Tensor) -> Result<Tensor> {
         let x = relu(&self.norm.forward(&self.inner.forward(x)?)?)?;
-        let largest = x.broadcast_add(hidden)?.max_keepdim(1)?.broadcast_as(x.shape())?.contiguous()?;
-        self.outer.forward(&Tensor::cat(&[x, largest], 2)?)
+        self.outer.forward(&x, &largest_where(&x, available, f32::NEG_INFINITY)?)
     }
 }

@@ -35,7 +35,7 @@ impl Planner for UrbanDriverPlanner {
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let features = UrbanDriverFeatures::of(&input.scene);
         let elements = Elements::of(&[features], ElementLimits::PUBLISHED).map_err(network_failed)?;
-        let plan = self.network.forward(&elements, &mut Probe::off()).map_err(network_failed)?;
+        let plan = self.network.forward(&elements, &Probe::off()).map_err(network_failed)?;
         prediction::trajectory(
             &prediction::poses(&plan).map_err(network_failed)?,
             prediction::HALF_SECOND_US,
