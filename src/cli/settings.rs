@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Keys without a default value; the others are those of [`Config::default`].
-pub(super) const OPTIONAL: [&str; 16] = [
+pub(super) const OPTIONAL: [&str; 19] = [
     "mllm.quantize",
     "mllm.context",
     "agent.deadline_ms",
@@ -30,9 +30,12 @@ pub(super) const OPTIONAL: [&str; 16] = [
     "learned.plantf",
     "learned.urban_driver",
     "learned.raster_model",
+    "learned.raster_model_small",
     "learned.gc_pgp",
     "learned.gameformer",
+    "learned.gameformer_small",
     "learned.dtpp",
+    "learned.dtpp_small",
 ];
 
 /// The settings of a command.

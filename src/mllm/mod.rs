@@ -74,7 +74,7 @@ pub(crate) use layer_norm::LayerNorm;
 pub use local::{FormatOutline, Loading, LocalModel, MatrixShare, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline};
 pub(crate) use matrix::{Instructions, Kernel, LANES, Simd};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
-pub(crate) use pointwise::{exp_or_zero, sigmoid, softmax, softmax_in_place};
+pub(crate) use pointwise::{exp_or_zero, sigmoid, softmax, softmax_in_place, tanh};
 pub(crate) use registry::data_folder;
 pub use registry::{
     Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs, ModelRegistry, ModelSource,

@@ -121,15 +121,24 @@ pub struct LearnedSettings {
     /// RasterModel's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub raster_model: Option<String>,
+    /// That of `raster-model-small`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub raster_model_small: Option<String>,
     /// GC-PGP's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gc_pgp: Option<String>,
     /// GameFormer's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gameformer: Option<String>,
+    /// That of `gameformer-small`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gameformer_small: Option<String>,
     /// DTPP's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dtpp: Option<String>,
+    /// That of `dtpp-small`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dtpp_small: Option<String>,
 }
 
 impl LearnedSettings {
@@ -141,32 +150,41 @@ impl LearnedSettings {
             "plantf" => self.plantf.as_deref(),
             "urban-driver" => self.urban_driver.as_deref(),
             "raster-model" => self.raster_model.as_deref(),
+            "raster-model-small" => self.raster_model_small.as_deref(),
             "gc-pgp" => self.gc_pgp.as_deref(),
             "gameformer" => self.gameformer.as_deref(),
+            "gameformer-small" => self.gameformer_small.as_deref(),
             "dtpp" => self.dtpp.as_deref(),
+            "dtpp-small" => self.dtpp_small.as_deref(),
             _ => None,
         }
+    }
+
+    /// The place for each planner's checkpoint, with the planner's name.
+    fn places(&mut self) -> [(&'static str, &mut Option<String>); 11] {
+        [
+            ("pdm-open", &mut self.pdm_open),
+            ("pdm-hybrid", &mut self.pdm_hybrid),
+            ("plantf", &mut self.plantf),
+            ("urban-driver", &mut self.urban_driver),
+            ("raster-model", &mut self.raster_model),
+            ("raster-model-small", &mut self.raster_model_small),
+            ("gc-pgp", &mut self.gc_pgp),
+            ("gameformer", &mut self.gameformer),
+            ("gameformer-small", &mut self.gameformer_small),
+            ("dtpp", &mut self.dtpp),
+            ("dtpp-small", &mut self.dtpp_small),
+        ]
     }
 
     /// The place for a planner's checkpoint; `None` for a planner that needs none.
     pub fn checkpoint_mut(&mut self, planner: &str) -> Option<&mut Option<String>> {
-        match planner {
-            "pdm-open" => Some(&mut self.pdm_open),
-            "pdm-hybrid" => Some(&mut self.pdm_hybrid),
-            "plantf" => Some(&mut self.plantf),
-            "urban-driver" => Some(&mut self.urban_driver),
-            "raster-model" => Some(&mut self.raster_model),
-            "gc-pgp" => Some(&mut self.gc_pgp),
-            "gameformer" => Some(&mut self.gameformer),
-            "dtpp" => Some(&mut self.dtpp),
-            _ => None,
-        }
+        self.places().into_iter().find_map(|(name, place)| (name == planner).then_some(place))
     }
 
     /// All checkpoints.
     pub fn all_mut(&mut self) -> impl Iterator<Item = &mut String> {
-        let Self { pdm_open, pdm_hybrid, plantf, urban_driver, raster_model, gc_pgp, gameformer, dtpp } = self;
-        [pdm_open, pdm_hybrid, plantf, urban_driver, raster_model, gc_pgp, gameformer, dtpp].into_iter().flatten()
+        self.places().into_iter().filter_map(|(_, place)| place.as_mut())
     }
 
     /// Whether no checkpoint is set.

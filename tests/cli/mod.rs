@@ -440,7 +440,7 @@ fn help_lists_planners_suites_and_experiments_with_their_sizes() {
     {
         assert!(simulate.contains(part), "no {part} in {simulate}");
     }
-    assert!(simulate.contains("val14") && simulate.contains("dtpp [default: plan-agent]. Or"), "{simulate}");
+    assert!(simulate.contains("val14") && simulate.contains("dtpp-small [default: plan-agent]. Or"), "{simulate}");
     let experiment = help("experiment");
     assert!(
         experiment.contains("latency-aware, recorded, interactive, tokens, twins; all for all of these"),

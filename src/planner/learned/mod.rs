@@ -26,17 +26,13 @@ pub use prediction::trajectory;
 use super::{PlannerEntry, PlannerError};
 
 /// The learned planners.
-pub(super) fn entries() -> [PlannerEntry; 8] {
-    [
-        pdm_open::entry(),
-        pdm_open::hybrid_entry(),
-        plantf::entry(),
-        urban_driver::entry(),
-        raster_model::entry(),
-        gc_pgp::entry(),
-        gameformer::entry(),
-        dtpp::entry(),
-    ]
+pub(super) fn entries() -> impl Iterator<Item = PlannerEntry> {
+    [pdm_open::entry(), pdm_open::hybrid_entry(), plantf::entry(), urban_driver::entry()]
+        .into_iter()
+        .chain(raster_model::entries())
+        .chain([gc_pgp::entry()])
+        .chain(gameformer::entries())
+        .chain(dtpp::entries())
 }
 
 fn network_failed(source: candle_core::Error) -> PlannerError {

@@ -8,6 +8,8 @@ from .actors import HEADS, POSES, STEP_S, Block, SceneEncoder, elu_head
 from .blocks import displacements
 
 TOKENS, COLUMNS, FIRST, HIDDEN = 8, 6, 30, -1e9
+# The shape of `dtpp-small`.
+SMALL = {"dim": 64, "inner": 256, "layers": 2}
 
 
 class AgentDecoder(nn.Module):

@@ -7,6 +7,9 @@ from torch.nn import functional as F
 from .actors import POSES, STEP_S, Block, MapEncoder, SceneEncoder, elu_head
 from .blocks import displacements
 
+# The shape of `gameformer-small`.
+SMALL = {"dim": 64, "layers": 2, "levels": 1}
+
 
 class Gaussians(nn.Module):
     def __init__(self, dim):

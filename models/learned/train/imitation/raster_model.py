@@ -7,6 +7,8 @@ from torch.nn import functional as F
 from . import blocks
 
 POSES = 16
+# The shape of `raster-model-small`.
+SMALL = {"widths": (16, 32, 64, 128)}
 
 
 class Bottleneck(nn.Module):

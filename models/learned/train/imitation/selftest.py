@@ -297,12 +297,12 @@ def run(folder=None):
     """Fails where a loss falls neither by a fifth nor by 0.5, or an augmentation by nothing changes a sample."""
     for name, (planner, small, samples, io, epochs) in CASES.items():
         torch.manual_seed(0)
-        samples, model = samples(Made()), small()
+        samples = samples(Made())
         if name in ("gameformer", "dtpp"):
             samples.tensors["futures"] = samples.tensors["futures"][:, :4]
         rate, planner.optimizer = planner.optimizer, faster(planner.optimizer)
-        options = argparse.Namespace(out=None, resume=False, seed=0, device="cpu", epochs=epochs, batch=16, minutes=None)
-        model, log = train(planner, samples, samples, options, model)
+        options = argparse.Namespace(out=None, resume=False, seed=0, device="cpu", epochs=epochs, batch=16, rate=None, minutes=None)
+        model, log = train(planner, samples, samples, options, small)
         planner.optimizer = rate
         assert log[-1]["loss"] < 0.8 * log[0]["loss"] or log[-1]["loss"] < log[0]["loss"] - 0.5, f"{name}: {log}"
         if name == "plantf":

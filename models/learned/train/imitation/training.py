@@ -24,12 +24,12 @@ def evaluate(planner, model, samples, batch, device):
     return (sums / count).tolist()
 
 
-def train(planner, training, validation, options, model=None):
+def train(planner, training, validation, options, make):
     torch.manual_seed(options.seed)
     generator = torch.Generator().manual_seed(options.seed)
-    model = (model or planner.Model()).to(options.device)
+    model = make().to(options.device)
     optimizer = planner.optimizer(model)
-    rates = [group["lr"] for group in optimizer.param_groups]
+    rates = [options.rate or group["lr"] for group in optimizer.param_groups]
     log = resume(options.out, model, optimizer, generator) if options.resume else []
     started = time.monotonic() - 60 * (log[-1]["minutes"] if log else 0)
     for epoch in range(len(log), options.epochs):

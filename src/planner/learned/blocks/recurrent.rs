@@ -2,7 +2,7 @@
 #![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
 
 use super::{Linear, Weights};
-use crate::mllm::{Instructions, Kernel, Simd, sigmoid, with_values};
+use crate::mllm::{Instructions, Kernel, Simd, sigmoid, tanh, with_values};
 use candle_core::{DType, Device, IndexOp, Result, Tensor};
 
 /// Takes `NAME.weight_ih_lI`, `NAME.weight_hh_lI` and their biases for `gates` gates of this width.
@@ -13,12 +13,6 @@ fn gates(weights: &mut Weights, name: &str, layer: usize, [inputs, width, gates]
         Linear::of(&weight, Some(weights.take(&format!("{name}.bias_{kind}_l{layer}"), &[rows])?))
     };
     Ok([part("ih", inputs)?, part("hh", width)?])
-}
-
-/// tanh x = 2 σ(2x) − 1.
-#[inline(always)]
-fn tanh(x: f32) -> f32 {
-    2.0 * sigmoid(2.0 * x) - 1.0
 }
 
 /// PyTorch's `GRU` of one layer.

@@ -34,6 +34,8 @@ pub struct DtppConfig {
 impl DtppConfig {
     /// The published planner.
     pub const PUBLISHED: Self = Self { dim: 256, inner: 1024, encoder_layers: 3, neighbors: 10, branches: 30 };
+    /// `dtpp-small`.
+    pub const SMALL: Self = Self { dim: 64, inner: 256, encoder_layers: 2, ..Self::PUBLISHED };
 }
 
 /// Outputs of a batch.

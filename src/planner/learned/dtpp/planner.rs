@@ -12,23 +12,28 @@ use std::sync::Arc;
 
 /// Half side of the square of the map, meters.
 const RADIUS: f64 = 80.0;
-const NAME: &str = "dtpp";
 
-/// The planner `dtpp`.
-pub(in crate::planner) fn entry() -> PlannerEntry {
-    let slot = Slot::new("DTPP", |weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
-    learned_entry(NAME, "DTPP, a learned planner", slot, |network| Box::new(DtppPlanner { network }))
+/// The planners `dtpp` and `dtpp-small`.
+pub(in crate::planner) fn entries() -> [PlannerEntry; 2] {
+    let published = Slot::new("DTPP", |weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
+    let small = Slot::new("DTPP (small)", |weights| Dtpp::take(weights, DtppConfig::SMALL));
+    [("dtpp", "DTPP, a learned planner", published), ("dtpp-small", "DTPP in a small shape", small)].map(
+        |(name, summary, slot)| {
+            learned_entry(name, summary, slot, move |network| Box::new(DtppPlanner { name, network }))
+        },
+    )
 }
 
 /// DTPP: it plans again at every iteration.
 #[derive(Debug)]
 struct DtppPlanner {
+    name: &'static str,
     network: Arc<Dtpp>,
 }
 
 impl Planner for DtppPlanner {
     fn name(&self) -> &'static str {
-        NAME
+        self.name
     }
 
     fn initialize(&mut self, _: &PlannerInitialization<'_>) -> Result<(), PlannerError> {

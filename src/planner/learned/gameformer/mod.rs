@@ -15,7 +15,7 @@ pub use encoder::{EncodedScene, SceneInputs};
 pub use features::ActorFeatures;
 pub use network::{GameFormer, GameFormerConfig, GameFormerOutputs};
 pub use occupancy::{CELLS, Occupancy, PredictedAgent, STEPS, occupancy};
-pub(in crate::planner) use planner::entry;
+pub(in crate::planner) use planner::entries;
 pub use planner::{placed, refinement};
 pub use reference_path::{PathCost, ReferencePath, costed_paths, reference_path};
 pub use refinement::{Refinement, SPEEDS};

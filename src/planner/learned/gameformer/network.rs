@@ -24,6 +24,8 @@ pub struct GameFormerConfig {
 impl GameFormerConfig {
     /// The published planner.
     pub const PUBLISHED: Self = Self { dim: 256, encoder_layers: 3, levels: 2, modes: 6, neighbors: 10 };
+    /// `gameformer-small`.
+    pub const SMALL: Self = Self { dim: 64, encoder_layers: 2, levels: 1, ..Self::PUBLISHED };
 }
 
 /// Outputs of a batch.

@@ -19,23 +19,30 @@ const RADIUS: f64 = 60.0;
 /// Columns of the ego's speed and acceleration forward.
 const SPEED: usize = 3;
 const ACCELERATION: usize = 5;
-const NAME: &str = "gameformer";
 
-/// The planner `gameformer`.
-pub(in crate::planner) fn entry() -> PlannerEntry {
-    let slot = Slot::new("GameFormer", |weights| GameFormer::take(weights, GameFormerConfig::PUBLISHED));
-    learned_entry(NAME, "GameFormer, a learned planner", slot, |network| Box::new(GameFormerPlanner { network }))
+/// The planners `gameformer` and `gameformer-small`.
+pub(in crate::planner) fn entries() -> [PlannerEntry; 2] {
+    let published = Slot::new("GameFormer", |weights| GameFormer::take(weights, GameFormerConfig::PUBLISHED));
+    let small = Slot::new("GameFormer (small)", |weights| GameFormer::take(weights, GameFormerConfig::SMALL));
+    [
+        ("gameformer", "GameFormer, a learned planner", published),
+        ("gameformer-small", "GameFormer in a small shape", small),
+    ]
+    .map(|(name, summary, slot)| {
+        learned_entry(name, summary, slot, move |network| Box::new(GameFormerPlanner { name, network }))
+    })
 }
 
 /// GameFormer: it plans again at every iteration.
 #[derive(Debug)]
 struct GameFormerPlanner {
+    name: &'static str,
     network: Arc<GameFormer>,
 }
 
 impl Planner for GameFormerPlanner {
     fn name(&self) -> &'static str {
-        NAME
+        self.name
     }
 
     fn initialize(&mut self, _: &PlannerInitialization<'_>) -> std::result::Result<(), PlannerError> {

@@ -24,6 +24,8 @@ pub struct RasterModelConfig {
 impl RasterModelConfig {
     /// The published model.
     pub const PUBLISHED: Self = Self { widths: [64, 128, 256, 512] };
+    /// `raster-model-small`.
+    pub const SMALL: Self = Self { widths: [16, 32, 64, 128] };
 }
 
 /// RasterModel.

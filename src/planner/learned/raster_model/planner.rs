@@ -9,23 +9,29 @@ use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization,
 use crate::world::Trajectory;
 use std::sync::Arc;
 
-const NAME: &str = "raster-model";
-
-/// The planner `raster-model`.
-pub(in crate::planner) fn entry() -> PlannerEntry {
-    let slot = Slot::new("RasterModel", |weights| RasterModel::take(weights, RasterModelConfig::PUBLISHED));
-    learned_entry(NAME, "RasterModel, a learned planner", slot, |network| Box::new(RasterModelPlanner { network }))
+/// The planners `raster-model` and `raster-model-small`.
+pub(in crate::planner) fn entries() -> [PlannerEntry; 2] {
+    let published = Slot::new("RasterModel", |weights| RasterModel::take(weights, RasterModelConfig::PUBLISHED));
+    let small = Slot::new("RasterModel (small)", |weights| RasterModel::take(weights, RasterModelConfig::SMALL));
+    [
+        ("raster-model", "RasterModel, a learned planner", published),
+        ("raster-model-small", "RasterModel in a small shape", small),
+    ]
+    .map(|(name, summary, slot)| {
+        learned_entry(name, summary, slot, move |network| Box::new(RasterModelPlanner { name, network }))
+    })
 }
 
 /// RasterModel: it plans again at every iteration.
 #[derive(Debug)]
 struct RasterModelPlanner {
+    name: &'static str,
     network: Arc<RasterModel>,
 }
 
 impl Planner for RasterModelPlanner {
     fn name(&self) -> &'static str {
-        NAME
+        self.name
     }
 
     fn initialize(&mut self, _: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
