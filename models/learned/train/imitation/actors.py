@@ -85,6 +85,13 @@ class Block(nn.Module):
         return self.norm_2(self.ffn(x) + x)
 
 
+def without_attention_dropout(model):
+    """Attention without dropout is computed in one kernel: on a CPU several times as fast."""
+    for module in model.modules():
+        if isinstance(module, nn.MultiheadAttention):
+            module.dropout = 0.0
+
+
 def elu_head(inputs, inner, outputs, dropout=False):
     middle = [nn.Dropout(0.1)] if dropout else []
     return nn.Sequential(nn.Linear(inputs, inner), nn.ELU(), *middle, nn.Linear(inner, outputs))

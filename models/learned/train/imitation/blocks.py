@@ -5,6 +5,12 @@ from torch import nn
 from torch.nn import functional as F
 
 
+def joined(linear, own, shared):
+    """`linear` of own rows and shared ones beside them, which have fewer rows: shared ones are multiplied once."""
+    weight, beside = linear.weight.split([own.shape[-1], shared.shape[-1]], 1)
+    return F.linear(own, weight), F.linear(shared, beside, linear.bias)
+
+
 def straight(speed, times):
     """Places of constant velocity (B, T, 2)."""
     times = times.to(speed.device)

@@ -4,12 +4,12 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from .actors import HEADS, POSES, STEP_S, Block, SceneEncoder, elu_head
+from .actors import HEADS, POSES, STEP_S, Block, SceneEncoder, elu_head, without_attention_dropout
 from .blocks import displacements
 
 TOKENS, COLUMNS, FIRST, HIDDEN = 8, 6, 30, -1e9
 # The shape of `dtpp-small`.
-SMALL = {"dim": 64, "inner": 256, "layers": 2}
+SMALL = {"dim": 64, "inner": 256, "layers": 2, "attention_dropout": False}
 
 
 class AgentDecoder(nn.Module):
@@ -97,9 +97,11 @@ class Decoder(nn.Module):
 
 
 class Model(nn.Module):
-    def __init__(self, dim=256, inner=1024, layers=3, neighbors=10, branches=30):
+    def __init__(self, dim=256, inner=1024, layers=3, neighbors=10, branches=30, attention_dropout=True):
         super().__init__()
         self.encoder, self.decoder = SceneEncoder(dim, layers), Decoder(dim, inner, neighbors, branches)
+        if not attention_dropout:
+            without_attention_dropout(self)
 
     def forward(self, batch, stages=(("first", FIRST), ("second", POSES))):
         _, tokens, hidden = self.encoder(batch)

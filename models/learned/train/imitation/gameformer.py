@@ -4,11 +4,11 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from .actors import POSES, STEP_S, Block, MapEncoder, SceneEncoder, elu_head
+from .actors import POSES, STEP_S, Block, MapEncoder, SceneEncoder, elu_head, without_attention_dropout
 from .blocks import displacements
 
 # The shape of `gameformer-small`.
-SMALL = {"dim": 64, "layers": 2, "levels": 1}
+SMALL = {"dim": 64, "layers": 2, "levels": 1, "attention_dropout": False}
 
 
 class Gaussians(nn.Module):
@@ -110,10 +110,12 @@ class Planner(nn.Module):
 
 
 class Model(nn.Module):
-    def __init__(self, dim=256, layers=3, levels=2, modes=6, neighbors=10):
+    def __init__(self, dim=256, layers=3, levels=2, modes=6, neighbors=10, attention_dropout=True):
         super().__init__()
         self.encoder = SceneEncoder(dim, layers)
         self.decoder, self.planner = Decoder(dim, modes, neighbors + 1, levels), Planner(dim)
+        if not attention_dropout:
+            without_attention_dropout(self)
 
     def forward(self, batch):
         current, tokens, hidden = self.encoder(batch)

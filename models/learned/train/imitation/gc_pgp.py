@@ -124,16 +124,24 @@ class Aggregator(nn.Module):
 
     def contexts(self, ego, nodes, walks):
         """Contexts (B, S, 160) of walks (B, S, 16): nodes, or at least N for the goal."""
-        count = nodes.shape[1]
-        padded = torch.cat([nodes, torch.zeros_like(nodes[:, :1])], 1)
-        flat = walks.clamp(max=count).flatten(1)
-        path = padded.gather(1, flat[..., None].expand(-1, -1, nodes.shape[2])).view(*walks.shape, -1)
-        path = (path + self.pos_enc(walks.shape[2])).flatten(0, 1)
-        samples = walks.shape[1]
-        query = self.query_emb(ego)[:, None].expand(-1, samples, -1).flatten(0, 1)[:, None]
-        hidden = (walks >= count).flatten(0, 1)
-        mixed, _ = self.mha(query, self.key_emb(path), self.val_emb(path), key_padding_mask=hidden, need_weights=False)
-        return torch.cat([ego[:, None].expand(-1, samples, -1), mixed.view(len(ego), samples, -1)], -1)
+        count, heads = nodes.shape[1], self.mha.num_heads
+        parts = zip(self.mha.in_proj_weight.chunk(3), self.mha.in_proj_bias.chunk(3))
+        (ask, show, tell) = ((lambda x, w=w, b=b: F.linear(x, w, b).unflatten(-1, (heads, -1))) for w, b in parts)
+        query = ask(self.query_emb(ego))
+
+        def walked(project, summed):
+            """Of a node and a step, which are added before a projection: each is projected by itself."""
+            steps = project(self.pos_enc(walks.shape[2])) - project(torch.zeros_like(nodes[0, :1]))
+            of_nodes, of_steps = summed(F.pad(project(nodes), (0, 0, 0, 0, 0, 1))), summed(steps.expand(len(ego), -1, -1, -1))
+            flat = walks.clamp(max=count).flatten(1)[..., None].expand(-1, -1, of_nodes.flatten(2).shape[2])
+            taken = of_nodes.flatten(2).gather(1, flat).view(*walks.shape, *of_nodes.shape[2:])
+            return taken + of_steps[:, None]
+
+        logits = walked(lambda x: show(self.key_emb(x)), lambda keys: torch.einsum("bnhc,bhc->bnh", keys, query))
+        logits = logits.masked_fill((walks >= count)[..., None], -torch.inf) / query.shape[-1] ** 0.5
+        values = walked(lambda x: tell(self.val_emb(x)), lambda values: values)
+        mixed = self.mha.out_proj(torch.einsum("bsth,bsthc->bshc", logits.softmax(2), values).flatten(2))
+        return torch.cat([ego[:, None].expand_as(mixed[..., : ego.shape[1]]), mixed], -1)
 
 
 class Decoder(nn.Module):

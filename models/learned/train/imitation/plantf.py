@@ -6,10 +6,13 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from . import blocks
+
 HISTORY, POSES = 21, 80
 WHEEL_BASE, WIDTH, LENGTH, TO_CENTER = 3.089, 2.297, 5.176, 1.461
 EPOCHS, BATCH, GRADIENT_NORM = 25, 128, 5.0
-WARM_UP = 3
+# Three of 25 epochs.
+WARM_UP = 3 / 25
 RATE, MIN_RATE = 1e-3, 1e-6
 PERTURBATION = (1.0, 0.75, 0.35, 1.0, 0.5, 0.2, 0.1)
 
@@ -168,12 +171,12 @@ class PointsEncoder(nn.Module):
         self.second_mlp = nn.Sequential(nn.Linear(512, 256), nn.BatchNorm1d(256), nn.ReLU(), nn.Linear(256, dim))
 
     def forward(self, x, mask):
-        def masked(mlp, x):
-            made = mlp(x[mask])
-            return torch.zeros(*mask.shape, made.shape[-1], device=x.device).masked_scatter(mask[..., None], made)
+        def spread(rows):
+            return torch.zeros(*mask.shape, rows.shape[-1], device=x.device).masked_scatter(mask[..., None], rows)
 
-        x = masked(self.first_mlp, x)
-        return masked(self.second_mlp, torch.cat([x, x.max(1, keepdim=True)[0].expand_as(x)], -1)).max(1)[0]
+        rows = self.first_mlp(x[mask])
+        own, largest = blocks.joined(self.second_mlp[0], rows, spread(rows).max(1)[0])
+        return spread(self.second_mlp[1:](own + largest.repeat_interleave(mask.sum(1), 0))).max(1)[0]
 
 
 class MapEncoder(nn.Module):
@@ -360,7 +363,8 @@ def optimizer(model):
 
 def learning_rate(epoch, epochs):
     """Factor of an epoch from 0 on."""
-    if epoch < WARM_UP:
-        return (epoch + 1) / WARM_UP
-    share = (epoch - WARM_UP) / max(epochs - WARM_UP, 1)
+    warm_up = round(WARM_UP * epochs)
+    if epoch < warm_up:
+        return (epoch + 1) / warm_up
+    share = (epoch - warm_up) / max(epochs - warm_up, 1)
     return (MIN_RATE + 0.5 * (RATE - MIN_RATE) * (1 + math.cos(math.pi * share))) / RATE

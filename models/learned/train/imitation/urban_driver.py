@@ -48,9 +48,8 @@ class SubLayer(nn.Module):
 
     def forward(self, x, hidden):
         x = self.mlp(x)
-        largest = x.masked_fill(hidden[..., None], -torch.inf).max(-2, keepdim=True)[0].expand_as(x)
-        x = self.linear_remap(torch.cat([x, largest], -1))
-        return x
+        largest = x.masked_fill(hidden[..., None], -torch.inf).max(-2, keepdim=True)[0]
+        return sum(blocks.joined(self.linear_remap, x, largest))
 
 
 class Subgraph(nn.Module):
