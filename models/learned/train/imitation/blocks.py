@@ -5,8 +5,8 @@ from torch import nn
 from torch.nn import functional as F
 
 
-def joined(linear, own, shared):
-    """`linear` of own rows and shared ones beside them, which have fewer rows: shared ones are multiplied once."""
+def split_linear(linear, own, shared):
+    """The two summands of `linear(cat(own, shared))`. Many own rows have the same shared row, so shared rows are multiplied once."""
     weight, beside = linear.weight.split([own.shape[-1], shared.shape[-1]], 1)
     return F.linear(own, weight), F.linear(shared, beside, linear.bias)
 

@@ -126,20 +126,20 @@ class Aggregator(nn.Module):
         """Contexts (B, S, 160) of walks (B, S, 16): nodes, or at least N for the goal."""
         count, heads = nodes.shape[1], self.mha.num_heads
         parts = zip(self.mha.in_proj_weight.chunk(3), self.mha.in_proj_bias.chunk(3))
-        (ask, show, tell) = ((lambda x, w=w, b=b: F.linear(x, w, b).unflatten(-1, (heads, -1))) for w, b in parts)
-        query = ask(self.query_emb(ego))
+        to_query, to_key, to_value = ((lambda x, w=w, b=b: F.linear(x, w, b).unflatten(-1, (heads, -1))) for w, b in parts)
+        query = to_query(self.query_emb(ego))
 
-        def walked(project, summed):
-            """Of a node and a step, which are added before a projection: each is projected by itself."""
+        def on_walks(project, reduce):
+            """A step of a walk is node plus position. The projection is affine, so both are projected alone, before walks repeat them."""
             steps = project(self.pos_enc(walks.shape[2])) - project(torch.zeros_like(nodes[0, :1]))
-            of_nodes, of_steps = summed(F.pad(project(nodes), (0, 0, 0, 0, 0, 1))), summed(steps.expand(len(ego), -1, -1, -1))
+            of_nodes, of_steps = reduce(F.pad(project(nodes), (0, 0, 0, 0, 0, 1))), reduce(steps.expand(len(ego), -1, -1, -1))
             flat = walks.clamp(max=count).flatten(1)[..., None].expand(-1, -1, of_nodes.flatten(2).shape[2])
             taken = of_nodes.flatten(2).gather(1, flat).view(*walks.shape, *of_nodes.shape[2:])
             return taken + of_steps[:, None]
 
-        logits = walked(lambda x: show(self.key_emb(x)), lambda keys: torch.einsum("bnhc,bhc->bnh", keys, query))
+        logits = on_walks(lambda x: to_key(self.key_emb(x)), lambda keys: torch.einsum("bnhc,bhc->bnh", keys, query))
         logits = logits.masked_fill((walks >= count)[..., None], -torch.inf) / query.shape[-1] ** 0.5
-        values = walked(lambda x: tell(self.val_emb(x)), lambda values: values)
+        values = on_walks(lambda x: to_value(self.val_emb(x)), lambda values: values)
         mixed = self.mha.out_proj(torch.einsum("bsth,bsthc->bshc", logits.softmax(2), values).flatten(2))
         return torch.cat([ego[:, None].expand_as(mixed[..., : ego.shape[1]]), mixed], -1)
 

@@ -175,7 +175,7 @@ class PointsEncoder(nn.Module):
             return torch.zeros(*mask.shape, rows.shape[-1], device=x.device).masked_scatter(mask[..., None], rows)
 
         rows = self.first_mlp(x[mask])
-        own, largest = blocks.joined(self.second_mlp[0], rows, spread(rows).max(1)[0])
+        own, largest = blocks.split_linear(self.second_mlp[0], rows, spread(rows).max(1)[0])
         return spread(self.second_mlp[1:](own + largest.repeat_interleave(mask.sum(1), 0))).max(1)[0]
 
 

@@ -49,7 +49,7 @@ class SubLayer(nn.Module):
     def forward(self, x, hidden):
         x = self.mlp(x)
         largest = x.masked_fill(hidden[..., None], -torch.inf).max(-2, keepdim=True)[0]
-        return sum(blocks.joined(self.linear_remap, x, largest))
+        return sum(blocks.split_linear(self.linear_remap, x, largest))
 
 
 class Subgraph(nn.Module):
