@@ -1,5 +1,6 @@
 //! Speed of the matrix products in every weight format, at shapes of real decoders. One token: bytes of weights a second, beside a
-//! plain read of as many bytes by as many threads, in turn. A prompt: operations a second (two for each weight and token).
+//! plain read of as many bytes by as many threads, in turn. A prompt: operations a second (two for each weight and token), beside those
+//! of 8-bit products in registers by as many threads. f32 and f16 are multiplied in f32, so that share says nothing of them.
 //!
 //! `cargo bench --bench mllm` prints a Markdown table; `-- q4_k 2048` measures the formats and shapes whose names contain one of
 //! the words. `RAYON_NUM_THREADS` is the number of threads.
@@ -15,7 +16,7 @@ use std::time::{Duration, Instant};
 
 use candle_core::{Device, Tensor};
 use half::f16;
-use planagent::internals::mllm::{Matrix, WeightFormat};
+use planagent::internals::mllm::{Matrix, WeightFormat, byte_operations};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -29,6 +30,8 @@ const PROMPT: usize = 512;
 const BYTES: usize = 256 << 20;
 /// Time of a measurement.
 const TIME: Duration = Duration::from_millis(1500);
+/// Rounds of products in registers in a run: some 20 ms.
+const ROUNDS: usize = 5_000_000;
 /// Numbers of a plain read that are added at once.
 const WORDS: usize = 64;
 
@@ -92,7 +95,18 @@ fn read(words: &[u64]) -> u64 {
     sums.reduce(|| 0, u64::wrapping_add)
 }
 
-fn measure(format: WeightFormat, shape: [usize; 2]) {
+/// Operations a second of 8-bit products in registers, by all threads.
+fn peak() -> f64 {
+    let mut fastest = Fastest(f64::MAX);
+    let mut operations = 0;
+    let start = Instant::now();
+    while start.elapsed() < TIME {
+        fastest.measure(|| operations = rayon::broadcast(|_| byte_operations(ROUNDS)).into_iter().sum());
+    }
+    operations as f64 / fastest.0
+}
+
+fn measure(format: WeightFormat, shape: [usize; 2], peak: f64) {
     let random = &mut Pcg64Mcg::seed_from_u64(1);
     let [outputs, inputs] = shape;
     let first = matrix(format, shape, random);
@@ -117,27 +131,31 @@ fn measure(format: WeightFormat, shape: [usize; 2]) {
     while start.elapsed() < TIME {
         many.measure(|| drop(black_box(matrices[0].forward(&prompt).unwrap())));
     }
+    let operations = (2 * outputs * inputs * PROMPT) as f64 / many.0;
     println!(
-        "| {outputs} x {inputs} | {format} | {:.1} | {:.1} | {:.2} | {:.2} |",
+        "| {outputs} x {inputs} | {format} | {:.1} | {:.1} | {:.2} | {:.2} | {:.0} % |",
         bytes as f64 / product.0 / 1e9,
         bytes as f64 / plain.0 / 1e9,
         plain.0 / product.0,
-        (2 * outputs * inputs * PROMPT) as f64 / many.0 / 1e12,
+        operations / 1e12,
+        100.0 * operations / peak,
     );
 }
 
 fn main() {
     // cargo passes `--bench`.
     let wanted: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
-    println!("| shape | format | one token, GB/s | plain read, GB/s | ratio | {PROMPT} tokens, TOP/s |");
-    println!("|---|---|---:|---:|---:|---:|");
+    let peak = peak();
+    println!("8-bit products in registers, {} threads: {:.2} TOP/s\n", rayon::current_num_threads(), peak / 1e12);
+    println!("| shape | format | one token, GB/s | plain read, GB/s | ratio | {PROMPT} tokens, TOP/s | of registers |");
+    println!("|---|---|---:|---:|---:|---:|---:|");
     // The products run in a thread of the pool, as those of the program do.
     rayon::scope(|_| {
         for shape in SHAPES {
             for format in WeightFormat::ALL {
                 let name = format!("{} x {} {format}", shape[0], shape[1]);
                 if wanted.is_empty() || wanted.iter().any(|word| name.contains(word.as_str())) {
-                    measure(format, shape);
+                    measure(format, shape, peak);
                 }
             }
         }

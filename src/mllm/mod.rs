@@ -47,8 +47,6 @@ pub mod trial;
 mod values;
 mod vision;
 
-#[cfg(feature = "internals")]
-pub use attention::AttentionProbe;
 pub(crate) use checkpoint::{Activation, in_bytes};
 pub use checkpoint::{LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights};
 pub(crate) use conversation::milliseconds;
@@ -84,3 +82,5 @@ pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::ChatTokenizer;
 pub use trial::Trust;
 pub(crate) use values::with_values;
+#[cfg(feature = "internals")]
+pub use {attention::AttentionProbe, matrix::byte_operations};

@@ -182,6 +182,12 @@ impl LearnedSettings {
         self.places().into_iter().find_map(|(name, place)| (name == planner).then_some(place))
     }
 
+    /// The checkpoint of one planner alone.
+    pub(crate) fn only(mut self, planner: &str) -> Self {
+        self.places().into_iter().filter(|(name, _)| *name != planner).for_each(|(_, place)| *place = None);
+        self
+    }
+
     /// All checkpoints.
     pub fn all_mut(&mut self) -> impl Iterator<Item = &mut String> {
         self.places().into_iter().filter_map(|(_, place)| place.as_mut())

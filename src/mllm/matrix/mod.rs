@@ -6,6 +6,8 @@ mod float;
 mod format;
 mod line;
 mod packed_tiles;
+#[cfg(feature = "internals")]
+mod probe;
 mod product;
 mod quantized;
 mod simd;
@@ -25,6 +27,8 @@ use rayon::prelude::*;
 pub(crate) use blocks::widen;
 pub(crate) use line::LANES;
 use packed_tiles::PackedTiles;
+#[cfg(feature = "internals")]
+pub use probe::byte_operations;
 use product::Columns;
 pub(crate) use simd::{Instructions, Kernel, Simd};
 pub(crate) use stored_format::StoredFormat;

@@ -73,7 +73,7 @@ impl<'a> PlannedRuns<'a> {
         let agent = model::agent_parts(&config, registry, loaded.as_ref());
         let challenges = challenges_of(&suite.name);
         let named = challenges.iter().map(ToString::to_string).collect();
-        let relevant = relevant(config, needs);
+        let relevant = relevant(config, planner.as_str(), needs);
         let planners = (vec![planner.to_string()], &commands);
         let scenarios = (suite.list.clone(), suite.data.clone());
         let manifest = manifest(planners, named, scenarios, loaded.as_ref(), &relevant)?;
@@ -195,7 +195,8 @@ impl OpenRuns<'_> {
 }
 
 /// The part of a configuration that a planner's simulations depend on.
-pub(super) fn relevant(mut config: Config, needs: PlannerNeeds) -> Config {
+pub(super) fn relevant(mut config: Config, planner: &str, needs: PlannerNeeds) -> Config {
+    config.learned = config.learned.only(planner);
     match needs {
         PlannerNeeds::Model => (config.mllm.offline, config.mllm.ignore_memory) = (false, false),
         PlannerNeeds::Settings | PlannerNeeds::Simulation => config.mllm = MllmConfig::default(),
@@ -204,9 +205,29 @@ pub(super) fn relevant(mut config: Config, needs: PlannerNeeds) -> Config {
     }
     config
 }
+
 /// The challenges of a suite: both in the closed loop; the interactive suites only with reactive agents, as interPlan.
 fn challenges_of(suite: &str) -> &'static [Challenge] {
     const REACTIVE: [Challenge; 1] = [Challenge::Reactive];
     const BOTH: [Challenge; 2] = Challenge::CLOSED_LOOP;
     if interactive::NAMES.contains(&suite) { &REACTIVE } else { &BOTH }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_checkpoint_of_another_planner_changes_no_run() {
+        let learned = LearnedSettings { plantf: Some("a.ckpt".to_owned()), ..LearnedSettings::default() };
+        let one = Config { learned: learned.clone(), ..Config::default() };
+        let both =
+            Config { learned: LearnedSettings { dtpp: Some("b.pth".to_owned()), ..learned }, ..Config::default() };
+        assert_eq!(
+            relevant(one.clone(), "plantf", PlannerNeeds::Checkpoint),
+            relevant(both.clone(), "plantf", PlannerNeeds::Checkpoint)
+        );
+        assert_eq!(relevant(one.clone(), "plantf", PlannerNeeds::Checkpoint), one);
+        assert_eq!(relevant(both, "plan-agent", PlannerNeeds::Model), Config::default());
+    }
 }

@@ -51,8 +51,9 @@ pub(super) fn judge(
     let blake3 = ScenarioList::digest(&words);
     let list =
         ScenarioList { count: words.len(), blake3: blake3.clone(), words: words.clone(), ..ScenarioList::default() };
-    let settings = relevant(config.clone(), PlannerNeeds::Model);
-    let planners = vec![PlannerName::PLAN_AGENT.to_string()];
+    let planner = PlannerName::PLAN_AGENT;
+    let settings = relevant(config.clone(), planner.as_str(), PlannerNeeds::Model);
+    let planners = vec![planner.to_string()];
     let manifest =
         manifest((planners, &Commands::default()), Vec::new(), (list, BTreeMap::new()), Some(&loaded), &settings)?;
     let inputs = manifest.inputs.as_ref().map(|inputs| format!("{inputs:?}")).unwrap_or_default();

@@ -171,10 +171,12 @@ class PointsEncoder(nn.Module):
         self.second_mlp = nn.Sequential(nn.Linear(512, 256), nn.BatchNorm1d(256), nn.ReLU(), nn.Linear(256, dim))
 
     def forward(self, x, mask):
-        def spread(rows):
-            return torch.zeros(*mask.shape, rows.shape[-1], device=x.device).masked_scatter(mask[..., None], rows)
+        places = mask.flatten().nonzero()[:, 0]
 
-        rows = self.first_mlp(x[mask])
+        def spread(rows):
+            return rows.new_zeros(mask.numel(), rows.shape[-1]).index_copy(0, places, rows).view(*mask.shape, -1)
+
+        rows = self.first_mlp(x.flatten(0, 1)[places])
         own, largest = blocks.split_linear(self.second_mlp[0], rows, spread(rows).max(1)[0])
         return spread(self.second_mlp[1:](own + largest.repeat_interleave(mask.sum(1), 0))).max(1)[0]
 
