@@ -94,7 +94,7 @@ pub(crate) fn network(planner: &str, checkpoint: &Path, io: &Exported, shape: Sh
             Box::new(move || named(vec![("trajectory", network.forward(&elements, &Probe::off()).unwrap())]))
         }
         "raster-model" => {
-            let config = RasterModelConfig { widths: [4, 8, 16, 32] };
+            let config = RasterModelConfig { widths: [16, 8, 16, 32] };
             let config = if small { config } else { RasterModelConfig::PUBLISHED };
             let network = load(checkpoint, |weights| RasterModel::take(weights, config));
             let raster = io.get("raster");

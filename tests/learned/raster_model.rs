@@ -1,7 +1,9 @@
 //! RasterModel's network.
 
 use super::scene::scene;
-use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network, vectors};
+use super::vectors::{
+    FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, manifest_of, network, vectors,
+};
 use candle_core::{DType, Tensor};
 use planagent::internals::planner::learned::Probe;
 use planagent::internals::planner::learned::raster_model::{Canvas, Raster, RasterModel, RasterModelConfig, Vertex};
@@ -56,6 +58,16 @@ fn the_full_network_computes_what_pytorch_computes() {
 fn the_tensors_are_those_of_the_manifest() {
     let take = |weights: &mut _| RasterModel::take(weights, RasterModelConfig::PUBLISHED);
     assert_manifest("raster/raster_model_full.manifest.json", take);
+}
+
+#[test]
+fn a_block_that_keeps_its_shape_has_no_shortcut() {
+    let shortcuts = |config: RasterModelConfig| {
+        let tensors = manifest_of(|weights| RasterModel::take(weights, config));
+        tensors.iter().filter(|(name, _)| name.starts_with("_model.layer1.0.downsample.")).count()
+    };
+    assert_eq!(shortcuts(RasterModelConfig::PUBLISHED), 6);
+    assert_eq!(shortcuts(RasterModelConfig::SMALL), 0);
 }
 
 #[test]

@@ -31,8 +31,9 @@ pub(super) fn draw(results: &StudyResults) -> Option<String> {
         let left = LEFT + (width + GAP) * (place % 2) as f64;
         let top = TOP + (HEIGHT + BELOW) * (place / 2) as f64;
         let tau = agreement.kendall.map_or_else(String::new, |kendall| format!(", tau {:.2}", kendall.tau));
-        let name = format!("{suite} and {}{tau}, {}", agreement.benchmark.name(), panel(agreement.challenge));
-        picture.text([left, top - 12.0], Anchor::Start, "", &name);
+        let suites = format!("{suite} and {}", agreement.benchmark.name());
+        picture.text([left, top - 28.0], Anchor::Start, "", &suites);
+        picture.text([left, top - 12.0], Anchor::Start, "", &format!("{}{tau}", panel(agreement.challenge)));
         let across = Scale::of(agreement.planners.iter().map(|one| one.reported), [left, left + width]);
         let upward = Scale::of(agreement.planners.iter().map(|one| one.score), [top + HEIGHT, top]);
         picture.columns(across, top, top + HEIGHT);

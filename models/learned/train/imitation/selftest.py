@@ -280,7 +280,7 @@ CASES = {
     "pdm-open": (pdm_open, lambda: pdm_open.Model(hidden=32), pdm_open_samples, pdm_open_io, 12),
     "plantf": (plantf, lambda: plantf.Model(dim=32, depth=2, heads=4, modes=3), plantf_samples, plantf_io, 6),
     "urban-driver": (urban_driver, lambda: urban_driver.Model(width=32, layers=2), urban_driver_samples, urban_driver_io, 25),
-    "raster-model": (raster_model, lambda: raster_model.Model((4, 8, 16, 32)), raster_model_samples, raster_model_io, 25),
+    "raster-model": (raster_model, lambda: raster_model.Model((16, 8, 16, 32)), raster_model_samples, raster_model_io, 25),
     "gc-pgp": (gc_pgp, gc_pgp.Model, gc_pgp_samples, gc_pgp_io, 12),
     "gameformer": (
         gameformer,

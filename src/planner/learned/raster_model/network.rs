@@ -51,7 +51,7 @@ impl RasterModel {
             for i in 0..blocks {
                 let stride = if i == 0 && stage > 0 { 2 } else { 1 };
                 let name = format!("_model.layer{}.{i}", stage + 1);
-                made.push(Bottleneck::take(weights, &name, [inputs, width, stride], i == 0)?);
+                made.push(Bottleneck::take(weights, &name, [inputs, width, stride])?);
                 inputs = EXPANSION * width;
             }
             stages.push(made);
@@ -90,12 +90,7 @@ struct Bottleneck {
 }
 
 impl Bottleneck {
-    fn take(
-        weights: &mut Weights,
-        name: &str,
-        [inputs, width, stride]: [usize; 3],
-        with_shortcut: bool,
-    ) -> Result<Self> {
+    fn take(weights: &mut Weights, name: &str, [inputs, width, stride]: [usize; 3]) -> Result<Self> {
         let outputs = EXPANSION * width;
         let mut layer = |part: usize, shape: Shape| {
             Convolution::take(weights, [&format!("{name}.conv{part}"), &format!("{name}.bn{part}")], shape)
@@ -107,8 +102,10 @@ impl Bottleneck {
         ];
         let names = [format!("{name}.downsample.0"), format!("{name}.downsample.1")];
         let shape = Shape { inputs, outputs, kernel: 1, stride };
+        // Where a block keeps its input's shape, the residual is the input itself.
+        let keeps_shape = stride == 1 && inputs == outputs;
         let shortcut =
-            if with_shortcut { Some(Convolution::take(weights, [&names[0], &names[1]], shape)?) } else { None };
+            if keeps_shape { None } else { Some(Convolution::take(weights, [&names[0], &names[1]], shape)?) };
         Ok(Self { layers, shortcut })
     }
 
