@@ -77,7 +77,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         DEVKIT,
     ),
     ("docs/learned.md", "planagent simulate --planner plantf --checkpoint plantf.ckpt", CHECKPOINT),
-    ("docs/learned.md", "planagent experiment main --quick --suite generated-test14,generated-test14-hard,recorded", CHECKPOINT),
+    (
+        "docs/learned.md",
+        "planagent experiment main --quick --suite generated-test14,generated-test14-hard,recorded",
+        CHECKPOINT,
+    ),
     (
         "docs/learned.md",
         "planagent simulate --planner plantf,pdm-open,idm --checkpoint plantf=plantf.ckpt --checkpoint pdm-open=pdm_open.ckpt",
