@@ -8,7 +8,7 @@ use planagent::internals::planner::{AgentLayer, PlanAgent, Planner, PlannerInput
 use planagent::internals::reasoning::Round;
 use planagent::internals::reflection::{LeadPolicy, PlanMonitor, Version};
 use planagent::internals::simulation::{Challenge, ClosedLoop};
-use planagent::internals::world::{EgoState, LanePath, ObjectKind, SceneView, TrackToken, TrackedObject};
+use planagent::internals::world::{EgoState, LanePath, ObjectKind, STEP_US, SceneView, TrackToken, TrackedObject};
 use std::sync::{Arc, Mutex};
 
 /// How often each version of a plan was chosen: the plan itself, another one on its path, one beside it, and the stop.
@@ -92,6 +92,33 @@ fn a_lane_change_whose_score_falls_is_aborted() {
     let blocked = SceneView { objects: &objects, ..free };
     assert_eq!(step(1, blocked), (lane(&own.path), Some(1)));
     assert_eq!(step(2, free), (lane(&own.path), Some(1)), "until the next call");
+}
+
+#[test]
+fn planning_calls_come_early_while_something_stands_ahead() {
+    let scenario = scenario("generated/changing_lane/4");
+    let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
+    let before = drive.scene();
+    let graph = LaneGraph::build(&before, DEFAULT_NODE_LENGTH).unwrap();
+    let at = graph.ego_lane().path.centerline.smooth_pose_at(graph.ego_lane().ego_s + 25.0);
+    let calls = |objects: &[TrackedObject], blocked_interval_s: f64| -> Vec<usize> {
+        let answers = vec!["Generate_IDM_Planner(c=ego_lane, la=None, v0=12, acc=1.5, dec=3)"];
+        let code_source = code_source(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
+        let settings = settings_with(|settings| settings.blocked_interval_s = blocked_interval_s);
+        let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source, settings).layered();
+        for iteration in 0..=20 {
+            let time_us = before.ego.time_us + iteration as i64 * STEP_US;
+            let ego = EgoState::from_log(time_us, before.ego.rear_axle, before.ego.velocity, Vector::zeros());
+            agent
+                .compute_trajectory(&PlannerInput { iteration, scene: SceneView { ego: &ego, objects, ..before } })
+                .unwrap();
+        }
+        agent.calls().iter().map(|call| call.iteration).collect()
+    };
+    let stands = [standing(at, 2.0)];
+    assert_eq!(calls(&[], 0.5), [0, 20]);
+    assert_eq!(calls(&stands, 0.5), [0, 5, 10, 15, 20]);
+    assert_eq!(calls(&stands, 2.0), [0, 20], "the paper's interval");
 }
 
 #[test]

@@ -50,7 +50,7 @@ impl Planner for OracleAgent<'_> {
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
-        if self.agent.state().is_call_due(input.scene.ego.time_us) {
+        if self.agent.state().begins_with_call(&input.scene) {
             self.search();
         }
         let trajectory = self.agent.compute_trajectory(input)?;

@@ -1,8 +1,10 @@
 //! The state that an agent's layers share: the active plan, PDM's memory, and the records of planning calls.
 
 use super::clock::Clock;
+use super::code_question::begins_lane_change;
 use super::record::{Decision, NoPlan, PlanningCall};
 use super::{PlanAgentSettings, PlannerError, PlannerName};
+use crate::environment::lane_graph::ReturnLane;
 use crate::environment::{LaneGraph, LaneGraphError};
 use crate::pdm::{PdmMemory, TRAJECTORY_STEPS};
 use crate::reflection::{IdmPlan, PlanBuilder};
@@ -37,10 +39,13 @@ pub struct AgentState {
     pub(super) calls: Vec<PlanningCall>,
     pub(super) clock: Clock,
     pub(super) builder: PlanBuilder,
-    pub(super) plan_interval_s: f64,
+    plan_interval_s: f64,
+    blocked_interval_s: f64,
     node_length_m: f64,
     /// Whether its codes may name the oncoming lane.
     oncoming_lane: bool,
+    /// The lane that it left to pass what blocked it.
+    return_lane: Option<ReturnLane>,
 }
 
 impl AgentState {
@@ -54,8 +59,10 @@ impl AgentState {
             clock: Clock::default(),
             builder: PlanBuilder { lead_policy: settings.reflection.lead_policy, horizon_s },
             plan_interval_s: settings.plan_interval_s,
+            blocked_interval_s: settings.blocked_interval_s,
             node_length_m: settings.environment.node_length_m,
             oncoming_lane: false,
+            return_lane: None,
         }
     }
 
@@ -65,7 +72,7 @@ impl AgentState {
 
     pub(super) fn reset(&mut self) {
         (self.active, self.memory) = (ActivePlan::None, PdmMemory::default());
-        (self.calls, self.clock) = (Vec::new(), Clock::default());
+        (self.calls, self.clock, self.return_lane) = (Vec::new(), Clock::default(), None);
     }
 
     /// The generated plan that is active.
@@ -76,9 +83,21 @@ impl AgentState {
         }
     }
 
-    /// Whether the next step, at this time of the scene in µs, begins with a planning call.
-    pub fn is_call_due(&self, now_us: i64) -> bool {
-        self.clock.clone().is_due(now_us)
+    /// Whether the next step, in this scene, begins with a planning call.
+    pub fn begins_with_call(&self, scene: &SceneView<'_>) -> bool {
+        let mut clock = self.clock.clone();
+        clock.step(scene.ego.time_us);
+        self.is_due(&clock, scene)
+    }
+
+    /// Whether this step, in this scene, begins with a planning call.
+    pub(super) fn is_call_due(&self, scene: &SceneView<'_>) -> bool {
+        self.is_due(&self.clock, scene)
+    }
+
+    fn is_due(&self, clock: &Clock, scene: &SceneView<'_>) -> bool {
+        let is_obstructed = || self.lane_graph(scene).is_ok_and(|graph| graph.is_obstructed());
+        clock.is_due(self.plan_interval_s) || (clock.is_due(self.blocked_interval_s) && is_obstructed())
     }
 
     /// Makes a planning call due at the next step.
@@ -88,7 +107,19 @@ impl AgentState {
 
     pub(super) fn lane_graph(&self, scene: &SceneView<'_>) -> Result<LaneGraph, LaneGraphError> {
         let graph = LaneGraph::build(scene, self.node_length_m)?;
-        Ok(if self.oncoming_lane { graph.with_oncoming_lane(scene) } else { graph })
+        let graph = if self.oncoming_lane { graph.with_oncoming_lane(scene) } else { graph };
+        Ok(match &self.return_lane {
+            Some(lane) => graph.with_way_back(scene, lane),
+            None => graph,
+        })
+    }
+
+    /// Remembers the ego's lane where it leaves that to pass what blocks it, and forgets it when the ego is back.
+    pub(super) fn note_lane_change(&mut self, plan: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph) {
+        self.return_lane.take_if(|lane| lane.is_reached(scene, graph));
+        if plan.oncoming().is_none() && begins_lane_change(plan, scene, graph, self) {
+            self.return_lane = ReturnLane::of(graph).or(self.return_lane.take());
+        }
     }
 
     /// Extends the path of the active plan from the ego's present place, if there is a lane graph.

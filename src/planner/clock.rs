@@ -2,31 +2,37 @@
 
 use crate::world::MICROS_PER_SECOND;
 
-/// When the next planning call is due; times of the scene, µs.
+/// The time of the last planning call and of the present step; times of the scene, µs.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Clock {
     started: Option<i64>,
-    previous: Option<i64>,
-    due: Option<i64>,
+    step: Option<i64>,
+    step_us: i64,
+    called: Option<i64>,
 }
 
 impl Clock {
-    /// Whether a planning call is due at this step: no later step is nearer to the due time. The first step is always due. To be
-    /// asked once at every step.
-    pub(super) fn is_due(&mut self, now_us: i64) -> bool {
+    /// Begins a step.
+    pub(super) fn step(&mut self, now_us: i64) {
         self.started.get_or_insert(now_us);
-        let step_us = self.previous.replace(now_us).map_or(0, |previous| now_us - previous);
-        self.due.is_none_or(|due| now_us + step_us / 2 >= due)
+        self.step_us = self.step.replace(now_us).map_or(0, |previous| now_us - previous);
     }
 
-    /// Sets the next planning call to this time from now, seconds.
-    pub(super) fn set(&mut self, now_us: i64, seconds: f64) {
-        self.due = Some(now_us + (seconds * MICROS_PER_SECOND).round() as i64);
+    /// Whether a planning call is due at this step, this time after the last one, seconds: no later step is nearer. The first call is
+    /// due at once.
+    pub(super) fn is_due(&self, interval_s: f64) -> bool {
+        let (Some(called), Some(step)) = (self.called, self.step) else { return true };
+        step + self.step_us / 2 >= called + (interval_s * MICROS_PER_SECOND).round() as i64
+    }
+
+    /// A planning call is made at this step.
+    pub(super) fn set_called(&mut self) {
+        self.called = self.step;
     }
 
     /// A planning call is due at the next step.
     pub(super) fn set_due(&mut self) {
-        self.due = None;
+        self.called = None;
     }
 
     /// Seconds since the first step.
@@ -43,10 +49,10 @@ mod tests {
     fn due(step_us: impl Fn(i64) -> i64, steps: i64) -> Vec<i64> {
         let mut clock = Clock::default();
         let is_due = |k: &i64| {
-            let now = 1_600_000_000_000_000 + step_us(*k);
-            let due = clock.is_due(now);
+            clock.step(1_600_000_000_000_000 + step_us(*k));
+            let due = clock.is_due(2.0);
             if due {
-                clock.set(now, 2.0);
+                clock.set_called();
             }
             due
         };
@@ -60,6 +66,17 @@ mod tests {
         assert_eq!(due(|k| k * 200_000, 31), [0, 10, 20, 30]);
         assert_eq!(due(|k| k * 300_000, 15), [0, 7, 14]);
         assert_eq!(due(|k| k * 5_000_000, 3), [0, 1, 2]);
+    }
+
+    #[test]
+    fn a_shorter_interval_is_asked_for_at_the_same_step() {
+        let mut clock = Clock::default();
+        clock.step(0);
+        clock.set_called();
+        clock.step(500_000);
+        assert!(clock.is_due(0.5) && !clock.is_due(2.0));
+        clock.set_due();
+        assert!(clock.is_due(2.0), "a call was asked for");
     }
 
     #[test]

@@ -16,7 +16,8 @@ pub(super) struct CodeQuestion<'a> {
     pub(super) graph: &'a LaneGraph,
     pub(super) judge: Option<&'a Judge<'a>>,
     pub(super) state: &'a AgentState,
-    /// λ of plans that keep the lane or change to the goal's, and of those that begin another lane change.
+    /// λ of plans that keep the lane or change to the goal's, and of those that begin another lane change or stay in a blocked lane that
+    /// can be left.
     pub(super) thresholds: (f64, f64),
 }
 
@@ -29,11 +30,17 @@ impl Question for CodeQuestion<'_> {
     }
 
     fn try_out(&mut self, code: PlannerCode) -> Result<Option<Trial<IdmPlan>>, PlannerError> {
-        let Some(plan) = self.state.builder.build(self.scene, self.graph, code)? else { return Ok(None) };
+        let builder = &self.state.builder;
+        let Some(mut plan) = builder.build(self.scene, self.graph, code)? else { return Ok(None) };
+        if let Some(active) = self.state.active_plan() {
+            plan = plan.after(active, self.scene, builder.horizon_s)?;
+        }
         let (lane_kept, lane_changed) = self.thresholds;
         let changes_lane = begins_lane_change(&plan, self.scene, self.graph, self.state);
         let is_towards_goal = self.graph.goal.is_some_and(|goal| goal.is_towards(code.centerline.lane_changes()));
-        let threshold = if changes_lane && !is_towards_goal { lane_kept.max(lane_changed) } else { lane_kept };
+        let stays_behind = !changes_lane && plan.oncoming().is_none() && self.graph.stop_point().is_some();
+        let threshold =
+            if stays_behind || (changes_lane && !is_towards_goal) { lane_kept.max(lane_changed) } else { lane_kept };
         let reflection = self.judge.map(|judge| judge.reflect(&plan, threshold)).transpose()?;
         Ok(Some(Trial { path: plan.path().vertex_poses(), plan, reflection, threshold }))
     }

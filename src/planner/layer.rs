@@ -50,9 +50,10 @@ impl<A: AgentLayer> Planner for A {
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         self.advance(input)?;
-        let (now_us, state) = (input.scene.ego.time_us, self.state_mut());
-        if state.clock.is_due(now_us) {
-            state.clock.set(now_us, state.plan_interval_s);
+        let state = self.state_mut();
+        state.clock.step(input.scene.ego.time_us);
+        if state.is_call_due(&input.scene) {
+            state.clock.set_called();
             match self.plan(input, Instant::now())? {
                 Some(plan) => self.state_mut().active = plan,
                 None => self.state_mut().extend(&input.scene)?,

@@ -154,6 +154,9 @@ impl AgentLayer for PlanAgent {
         {
             (plan, aborted_lane_change) = (Some(back), Some(iteration));
         }
+        if let Some(plan) = &plan {
+            self.state.note_lane_change(plan, scene, &graph);
+        }
         self.state.calls.push(PlanningCall {
             iteration,
             at_s,

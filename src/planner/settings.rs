@@ -68,7 +68,8 @@ pub struct ReflectionSettings {
     /// λ: a plan that scores this becomes active (the paper: 0.75).
     pub threshold: f64,
     /// λ of a plan that begins a lane change, where it is higher. In 350 validation scenes, most lane changes that scored less
-    /// than 0.98 lowered the score of the simulation. A change towards the goal's lane needs λ alone.
+    /// than 0.98 lowered the score of the simulation. A change towards the goal's lane needs λ alone. A plan that stays in a blocked lane
+    /// which the ego can leave needs this too, so that other lanes are tried.
     pub lane_change_threshold: f64,
     /// Maximum number of attempts of a planning call (the paper: 3).
     pub max_exec: usize,
@@ -212,6 +213,8 @@ pub struct PlanAgentSettings {
     pub learned: LearnedSettings,
     /// Time between planning calls, seconds (the paper: 2).
     pub plan_interval_s: f64,
+    /// Time between planning calls while something blocks the ego's lane or its lead agent stands, seconds (the paper: 2).
+    pub blocked_interval_s: f64,
     /// Seed of the simulation; each planning call draws from a stream of its own.
     pub seed: u64,
 }
@@ -220,7 +223,7 @@ impl Default for PlanAgentSettings {
     fn default() -> Self {
         let (agent, environment) = (CallSettings::default(), EnvironmentSettings::default());
         let (reflection, learned) = Default::default();
-        Self { agent, environment, reflection, learned, plan_interval_s: 2.0, seed: 0 }
+        Self { agent, environment, reflection, learned, plan_interval_s: 2.0, blocked_interval_s: 0.5, seed: 0 }
     }
 }
 

@@ -14,7 +14,6 @@ mod shift;
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
 pub use monitor::{Choice, MonitoredStep, PlanMonitor};
 pub use pass::{PassRules, allowed_pass};
-pub use path::onto_centerline;
 pub use plan_builder::PlanBuilder;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 pub use rollout::{IdmPlan, LeadPolicy, Rollout, Version};

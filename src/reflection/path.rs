@@ -19,34 +19,50 @@ const MAX_CURVATURE: f64 = OFFSET_BEND / (MIN_DECAY_OF_OFFSET * MIN_DECAY_OF_OFF
 /// Largest |d''|·L²/d(0) of the quintic of an offset, and largest |d''|·L/d'(0) of that of a slope.
 const OFFSET_BEND: f64 = 5.77;
 const SLOPE_BEND: f64 = 3.94;
+/// Lateral acceleration that a path accepts to end its decay where an earlier path does, m/s².
+const MAX_LATERAL_ACCEL: f64 = 2.5;
 /// Distance between the vertices of the path, meters.
 const SPACING: f64 = 1.0;
 /// Maximum slope (tangent of the heading error) at the start of the path: beyond it the ego does not follow the lane.
 const MAX_SLOPE: f64 = 0.7;
 
+/// A path onto a centerline.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Approach {
+    /// The path of the rear axle.
+    pub(super) path: Polyline,
+    /// Where it has come onto the line.
+    pub(super) settled: Point,
+}
+
 /// The path of the rear axle from the ego's present pose to `beside` meters to the left of `centerline`, then along it for
 /// `length` meters.
 ///
 /// In the centerline's frame the distance d(s) from that line is a quintic. It starts with the ego's distance and slope and
-/// without curvature, and has d = d' = d'' = 0 at the end of the decay.
+/// without curvature, and has d = d' = d'' = 0 at the end of the decay. A plan that goes on with an earlier one is on the line where
+/// that one is (`settled`), as far as comfort allows: otherwise each planning call would put the end of a lane change off.
 ///
 /// # Errors
 /// When the ego's pose is not finite.
-pub fn onto_centerline(
+pub(super) fn onto_centerline(
     ego: &EgoState,
     centerline: &Polyline,
-    beside: f64,
-    length: f64,
-) -> Result<Polyline, GeometryError> {
+    (beside, length): (f64, f64),
+    settled: Option<Point>,
+) -> Result<Approach, GeometryError> {
     let rear = ego.rear_axle;
     let foot = centerline.project(rear.position());
     let offset = foot.lateral - beside;
     let slope = wrap_angle(rear.heading - centerline.smooth_pose_at(foot.s).heading).tan().clamp(-MAX_SLOPE, MAX_SLOPE);
     let seconds = SETTLE_S + (LANE_CHANGE_S - SETTLE_S) * (offset.abs() / LANE_WIDTH).min(1.0);
-    let decay = (ego.speed() * seconds)
-        .max(MIN_DECAY)
-        .max(MIN_DECAY_OF_OFFSET * offset.abs())
-        .max(decay_of_slope(offset, slope));
+    let shortest = MIN_DECAY.max(MIN_DECAY_OF_OFFSET * offset.abs()).max(decay_of_slope(offset, slope));
+    let usual = shortest.max(ego.speed() * seconds);
+    let decay = settled.map_or(usual, |settled| {
+        let comfortable = ego.speed() * SETTLE_S.max((OFFSET_BEND * offset.abs() / MAX_LATERAL_ACCEL).sqrt());
+        let rest = centerline.project(settled).s - foot.s;
+        usual.min(rest.max(comfortable).max(shortest))
+    });
+    let settled = centerline.point_at(foot.s + decay);
     let lateral = quintic(offset, slope, decay);
     let end = (foot.s + length).min(centerline.length());
     let count = ((end - foot.s) / SPACING).ceil().max(1.0) as usize;
@@ -56,7 +72,7 @@ pub fn onto_centerline(
     });
     let path = Polyline::new(std::iter::once(rear.position()).chain(points));
     // An ego at the very end of its centerline continues straight ahead.
-    path.or_else(|_| straight_ahead(rear, length))
+    Ok(Approach { path: path.or_else(|_| straight_ahead(rear, length))?, settled })
 }
 
 /// A straight line from a pose.
@@ -99,9 +115,33 @@ mod tests {
         Polyline::new((0..=300).map(|i| Point::new(f64::from(i), 0.0))).unwrap()
     }
 
+    fn path(ego: &EgoState, beside: f64, length: f64) -> Polyline {
+        onto_centerline(ego, &road(), (beside, length), None).unwrap().path
+    }
+
+    #[test]
+    fn a_lane_change_that_is_planned_again_ends_where_it_would_have_ended() {
+        let speed = 10.0;
+        let first = onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), (0.0, 100.0), None).unwrap();
+        let replanned = |settles: bool| {
+            let (mut approach, mut x) = (first.clone(), 0.0);
+            for _ in 0..6 {
+                x += 0.5 * speed;
+                let pose = approach.path.pose_at(approach.path.project(Point::new(x, 0.0)).s);
+                let settled = settles.then_some(approach.settled);
+                approach =
+                    onto_centerline(&ego(pose.x, pose.y, pose.heading, speed), &road(), (0.0, 100.0), settled).unwrap();
+            }
+            approach.settled.x
+        };
+        assert!((first.settled.x - 35.0).abs() < 1.0, "{}", first.settled.x);
+        assert!(replanned(false) > first.settled.x + 5.0, "{}", replanned(false));
+        assert!(replanned(true) < first.settled.x + 8.0 && replanned(true) < replanned(false), "{}", replanned(true));
+    }
+
     #[test]
     fn starts_at_the_ego_and_ends_on_the_centerline() {
-        let path = onto_centerline(&ego(10.0, -3.5, 0.05, 10.0), &road(), 0.0, 100.0).unwrap();
+        let path = path(&ego(10.0, -3.5, 0.05, 10.0), 0.0, 100.0);
         assert!((path.start() - Point::new(10.0, -3.5)).norm() < 1e-12);
         assert!((path.heading_at(0.0) - 0.05).abs() < 0.02);
         assert!(path.project(Point::new(60.0, 0.0)).distance < 1e-9);
@@ -110,21 +150,21 @@ mod tests {
 
     #[test]
     fn a_path_beside_the_centerline_stays_beside_it() {
-        let path = onto_centerline(&ego(10.0, 0.0, 0.0, 10.0), &road(), 1.0, 100.0).unwrap();
+        let path = path(&ego(10.0, 0.0, 0.0, 10.0), 1.0, 100.0);
         assert!((path.start() - Point::new(10.0, 0.0)).norm() < 1e-12);
         assert!((path.project(Point::new(60.0, 0.0)).distance - 1.0).abs() < 1e-9 && path.end().y > 0.9);
     }
 
     #[test]
     fn the_offset_decays_without_overshoot_from_parallel() {
-        let path = onto_centerline(&ego(0.0, 3.5, 0.0, 8.0), &road(), 0.0, 80.0).unwrap();
+        let path = path(&ego(0.0, 3.5, 0.0, 8.0), 0.0, 80.0);
         assert!(path.vertices().windows(2).all(|w| w[1].y <= w[0].y + 1e-9 && w[1].y >= -1e-9));
     }
 
     #[test]
     fn a_lane_change_stays_within_comfortable_curvature() {
         let speed = 10.0;
-        let path = onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), 0.0, 80.0).unwrap();
+        let path = path(&ego(0.0, 3.5, 0.0, speed), 0.0, 80.0);
         let lateral_accel = (0..60).map(|i| path.curvature_at(f64::from(i)).abs() * speed * speed).fold(0.0, f64::max);
         assert!(lateral_accel < 2.5, "{lateral_accel}");
     }
@@ -132,7 +172,7 @@ mod tests {
     #[test]
     fn a_slow_ego_that_drives_away_from_the_line_turns_no_sharper_than_in_a_lane_change() {
         let sharpest = |heading: f64, y: f64| {
-            let path = onto_centerline(&ego(0.0, y, heading, 3.2), &road(), 0.0, 80.0).unwrap();
+            let path = path(&ego(0.0, y, heading, 3.2), 0.0, 80.0);
             (0..80).map(|i| path.curvature_at(f64::from(i) * 0.5).abs()).fold(0.0, f64::max)
         };
         let lane_change = sharpest(0.0, -3.5);
@@ -144,7 +184,7 @@ mod tests {
 
     #[test]
     fn the_end_of_the_road_is_not_the_end_of_the_path() {
-        let path = onto_centerline(&ego(300.0, 0.0, 0.0, 10.0), &road(), 0.0, 50.0).unwrap();
+        let path = path(&ego(300.0, 0.0, 0.0, 10.0), 0.0, 50.0);
         assert!(path.length() >= 1.0);
     }
 }

@@ -61,6 +61,8 @@ pub struct IdmPlan {
     /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline. The first is the code's, which keeps
     /// a distance from what stands at the edge of the lane.
     paths: [Polyline; LATERAL_OFFSETS.len()],
+    /// Where the first path has come onto its line.
+    settled: Point,
 }
 
 /// A version of a plan: slower, or to the side within its lane, by the fractions and offsets of PDM-Closed's proposals, or a hard
@@ -109,8 +111,22 @@ impl IdmPlan {
         lead_policy: LeadPolicy,
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
-        let paths = lay_paths(scene, &code, &lanes, horizon_s)?;
-        Ok(Self { code, lanes, lead_agent, lead_policy, oncoming: None, stop_point: None, paths })
+        let (paths, settled) = lay_paths(scene, (&code, &lanes), horizon_s, None)?;
+        Ok(Self { code, lanes, lead_agent, lead_policy, oncoming: None, stop_point: None, paths, settled })
+    }
+
+    /// The same after another plan: bound for the same lane, it comes onto its line where that one does.
+    ///
+    /// # Errors
+    /// When the ego's pose is not finite.
+    pub fn after(self, active: &Self, scene: &SceneView<'_>, horizon_s: f64) -> Result<Self, GeometryError> {
+        let goes_on =
+            self.lane_now(scene) == active.lane_now(scene) && self.oncoming.is_some() == active.oncoming.is_some();
+        if !goes_on {
+            return Ok(self);
+        }
+        let (paths, settled) = lay_paths(scene, (&self.code, &self.lanes), horizon_s, Some(active.settled))?;
+        Ok(Self { paths, settled, ..self })
     }
 
     /// The same where something may block the ego's lane. A plan over the oncoming lane passes it. A plan in the ego's lane stops
@@ -145,8 +161,8 @@ impl IdmPlan {
     /// # Errors
     /// When the ego's pose is not finite.
     pub fn extended(&self, scene: &SceneView<'_>, lanes: LanePath, horizon_s: f64) -> Result<Self, GeometryError> {
-        let paths = lay_paths(scene, &self.code, &lanes, horizon_s)?;
-        Ok(Self { lanes, paths, ..self.clone() })
+        let (paths, settled) = lay_paths(scene, (&self.code, &lanes), horizon_s, Some(self.settled))?;
+        Ok(Self { lanes, paths, settled, ..self.clone() })
     }
 
     /// The path of the rear axle, from the ego's place when the plan was built.
@@ -214,19 +230,20 @@ impl IdmPlan {
     }
 }
 
-/// The paths of a plan from the present state on, long enough for its fastest roll-out.
+/// The paths of a plan from the present state on, long enough for its fastest roll-out, and where the first has come onto its line.
 fn lay_paths(
     scene: &SceneView<'_>,
-    code: &PlannerCode,
-    lanes: &LanePath,
+    (code, lanes): (&PlannerCode, &LanePath),
     horizon_s: f64,
-) -> Result<[Polyline; LATERAL_OFFSETS.len()], GeometryError> {
+    settled: Option<Point>,
+) -> Result<([Polyline; LATERAL_OFFSETS.len()], Point), GeometryError> {
     let length = code.target_speed.max(scene.ego.speed()) * horizon_s + PATH_MARGIN;
     let [on, right, left] = LATERAL_OFFSETS;
     let on = on + shift(scene, lanes);
     let [on, right, left] =
-        [on, right, left].map(|beside| onto_centerline(scene.ego, &lanes.centerline, beside, length));
-    Ok([on?, right?, left?])
+        [on, right, left].map(|beside| onto_centerline(scene.ego, &lanes.centerline, (beside, length), settled));
+    let on = on?;
+    Ok(([on.path, right?.path, left?.path], on.settled))
 }
 
 impl Rollout {

@@ -17,7 +17,7 @@ pub struct Judgement {
     pub score: f64,
     /// λ.
     pub threshold: f64,
-    /// Whether λ is that of plans that begin a lane change.
+    /// Whether λ is that of plans that begin a lane change or stay in a blocked lane.
     pub lane_change_threshold: bool,
     /// Whether it would be executed.
     pub executed: bool,
@@ -41,7 +41,7 @@ pub struct JudgedMetric {
 }
 
 impl Judgement {
-    /// The verdict of a report; `lane_change` says whether its λ is that of plans that begin a lane change.
+    /// The verdict of a report; `lane_change` says whether its λ is that of plans that begin a lane change or stay in a blocked lane.
     pub fn of(report: &ReflectionReport, lane_change: bool) -> Self {
         let metrics = metrics(report);
         let executed = report.verdict == Verdict::Execute;
@@ -115,9 +115,13 @@ fn told_apart(a: f64, b: f64) -> (String, String) {
     (2..=9).map(written).find(|(a, b)| a != b).unwrap_or_else(|| written(2))
 }
 
-fn reason(report: &ReflectionReport, metrics: &[JudgedMetric], lane_change: bool) -> String {
+fn reason(report: &ReflectionReport, metrics: &[JudgedMetric], higher: bool) -> String {
     let (score, threshold) = told_apart(report.score, report.threshold);
-    let needed = if lane_change { "the threshold of a plan that begins a lane change" } else { "the threshold" };
+    let needed = if higher {
+        "the threshold of a plan that begins a lane change or stays in a blocked lane"
+    } else {
+        "the threshold"
+    };
     if report.verdict == Verdict::Execute {
         return format!("{score} is not below {threshold}, {needed}");
     }

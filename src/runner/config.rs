@@ -149,6 +149,7 @@ impl Config {
             reflection: self.reflection.clone(),
             learned: self.learned.clone(),
             plan_interval_s: self.reasoning.interval as f64 * STEP_S,
+            blocked_interval_s: self.reasoning.blocked_interval as f64 * STEP_S,
             seed: self.seed,
         }
     }
@@ -183,6 +184,7 @@ impl Config {
         within("reflection.lane_change_threshold", reflection.lane_change_threshold, 0.0..=1.0)?;
         within("reflection.max_exec", reflection.max_exec as f64, 1.0..=100.0)?;
         within("reasoning.interval", reasoning.interval as f64, 1.0..=1000.0)?;
+        within("reasoning.blocked_interval", reasoning.blocked_interval as f64, 1.0..=1000.0)?;
         within("reasoning.rethink_temperature", reasoning.rethink_temperature, 0.0..=10.0)?;
         if self.reasoning.rounds.last() != Some(&Round::Code) || !self.reasoning.rounds.is_sorted_by(|a, b| a < b) {
             let rule = "must be some of understanding, instruction, code, in this order, ending with code";

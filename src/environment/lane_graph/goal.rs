@@ -72,6 +72,6 @@ fn way_to_goal(scene: &SceneView<'_>, lane: LaneId, goal_lane: LaneId, goal: Pos
 }
 
 /// Numbers of changes that are tried.
-fn nearest_first() -> impl Iterator<Item = i32> {
+pub(super) fn nearest_first() -> impl Iterator<Item = i32> {
     std::iter::once(0).chain((1..=MAX_CHANGES).flat_map(|count| [count, -count]))
 }

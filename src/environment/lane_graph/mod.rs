@@ -28,6 +28,7 @@ mod goal;
 mod lane_relation;
 mod limit;
 mod oncoming;
+mod return_lane;
 mod standing;
 
 pub use agent::{AgentClass, AgentName, GraphAgent, Heading, UnknownAgent};
@@ -37,6 +38,7 @@ pub use goal::{GOAL_REACH, GoalLane};
 pub use lane_relation::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
 pub(in crate::environment) use lane_relation::{LaneRelation, Window};
 pub use oncoming::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
+pub use return_lane::ReturnLane;
 pub use standing::BlockedStretch;
 
 use super::choice::choice;
@@ -153,7 +155,7 @@ pub struct LaneGraph {
     pub blocked: Option<BlockedStretch>,
     /// The way past what blocks the ego's lane, where it was asked for and there is one ([`Self::with_oncoming_lane`]).
     pub oncoming: Option<OncomingLane>,
-    /// The way to the goal's lane, where the route has a goal to reach.
+    /// The way to the goal's lane, where the route has a goal to reach, or else back to a lane that was left ([`Self::with_way_back`]).
     pub goal: Option<GoalLane>,
 }
 
@@ -170,6 +172,19 @@ impl LaneGraph {
         let passable = self.blocked.filter(|blocked| !blocked.may_queue);
         let oncoming = passable.and_then(|blocked| OncomingLane::find(scene, self.ego_lane(), blocked));
         Self { oncoming, ..self }
+    }
+
+    /// The same with the way back to a lane that the ego left, where the route has no lane of a goal.
+    #[must_use]
+    pub fn with_way_back(self, scene: &SceneView<'_>, to: &ReturnLane) -> Self {
+        let goal = self.goal.or_else(|| to.way_back(scene, &self));
+        Self { goal, ..self }
+    }
+
+    /// Whether something blocks the ego's lane, or its lead agent stands.
+    pub fn is_obstructed(&self) -> bool {
+        let stands = |agent: &GraphAgent| agent.speed < standing::STANDING;
+        self.blocked.is_some() || self.lead_agent(CenterlineName::EgoLane).is_some_and(stands)
     }
 
     /// Where an ego that stays in its lane stops before what blocks it: where it can still leave the lane. `None` where the lane is

@@ -7,7 +7,7 @@ use crate::world::{LanePath, ObjectKind, PACIFICA, SceneView, TrackedObject};
 use std::collections::BTreeMap;
 
 /// Objects slower than this stand, m/s.
-const STANDING: f64 = 0.2;
+pub(super) const STANDING: f64 = 0.2;
 /// An object that moved by more than this within the two seconds of history has only just stopped, meters.
 const MOVED: f64 = 0.3;
 /// Distance ahead of the ego's center in which a blocked lane matters, meters.

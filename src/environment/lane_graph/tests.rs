@@ -338,3 +338,37 @@ fn a_taper_belongs_to_the_stretch_that_it_blocks() {
     assert!((alone - blocked(&[near, closing]).unwrap() - 6.0).abs() < 1e-9, "the ego stops before the taper");
     assert!((alone - blocked(&[far, closing]).unwrap()).abs() < 1e-9, "the ego can stop behind it");
 }
+
+#[test]
+fn past_what_blocks_it_the_lane_that_the_ego_left_is_the_goal_s() {
+    // A car that broke down 25 m ahead, in the right one of two lanes.
+    let road = || sketch::straight(2, 0, 1, 8.0).put(Vehicle, 25.0, 0.0, 0.3, 0.0);
+    let left_it = graph(&road());
+    let lane = ReturnLane::of(&left_it).unwrap();
+    let at = |ahead: f64, aside: f64| {
+        let mut drawn = road();
+        let (rear_axle, velocity) = (drawn.ego.rear_axle.translated(ahead, aside), drawn.ego.velocity);
+        drawn.ego = EgoState::from_log(0, rear_axle, velocity, Vector::zeros());
+        let graph = graph(&drawn);
+        let is_reached = lane.is_reached(&drawn.scene(), &graph);
+        (graph.with_way_back(&drawn.scene(), &lane).goal, is_reached)
+    };
+    assert_eq!(at(0.0, 0.0), (None, false));
+    assert_eq!(at(25.0, sketch::WIDTH), (None, false), "beside the car");
+    let (goal, is_reached) = at(35.0, sketch::WIDTH);
+    let goal = goal.unwrap();
+    assert!(goal.changes == -1 && goal.distance > 50.0 && !is_reached, "{goal:?}");
+    assert_eq!(at(35.0, 0.0), (None, true));
+    assert_eq!(ReturnLane::of(&graph(&sketch::straight(2, 0, 1, 8.0))), None, "nothing blocks the lane");
+}
+
+#[test]
+fn a_lane_is_obstructed_by_what_blocks_it_and_by_a_lead_agent_that_stands() {
+    let is_obstructed = |drawn: Drawn| graph(&drawn).is_obstructed();
+    let road = || sketch::straight(2, 0, 1, 8.0);
+    assert!(!is_obstructed(road()));
+    assert!(!is_obstructed(road().put(Vehicle, 25.0, 0.0, 0.0, 4.0)), "it moves");
+    assert!(!is_obstructed(road().put(Vehicle, 25.0, sketch::WIDTH, 0.0, 0.0)), "it stands in the other lane");
+    assert!(is_obstructed(road().put(Vehicle, 25.0, 0.0, 0.0, 0.0)));
+    assert!(is_obstructed(road().put(TrafficCone, 25.0, 0.0, 0.0, 0.0)));
+}

@@ -72,9 +72,8 @@ impl LlmAssist {
     /// One planning call, made where PDM-Closed's best proposal scores less than τ.
     fn call(&mut self, iteration: usize, scene: &SceneView<'_>, rules: &PdmPlan) -> Result<(), PlannerError> {
         let started = Instant::now();
-        let now_us = scene.ego.time_us;
-        let at_s = self.clock.elapsed_s(now_us);
-        self.clock.set(now_us, self.settings.plan_interval_s.min(WAYPOINT_SECONDS as f64));
+        let at_s = self.clock.elapsed_s(scene.ego.time_us);
+        self.clock.set_called();
         let graph = match LaneGraph::build(scene, self.settings.environment.node_length_m) {
             Ok(graph) => graph,
             Err(error) => {
@@ -154,7 +153,8 @@ impl Planner for LlmAssist {
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let scene = &input.scene;
         let rules = pdm::plan(&mut self.memory, scene)?;
-        if self.clock.is_due(scene.ego.time_us) {
+        self.clock.step(scene.ego.time_us);
+        if self.clock.is_due(self.settings.plan_interval_s.min(WAYPOINT_SECONDS as f64)) {
             self.active = None;
             if rules.scores[rules.best].total < self.tau() {
                 self.call(input.iteration, scene, &rules)?;

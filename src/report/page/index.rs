@@ -57,7 +57,7 @@ struct RunEntry {
 struct Thresholds {
     /// λ of plans that keep the lane.
     keep_lane: Option<f64>,
-    /// λ of plans that begin a lane change.
+    /// λ of plans that begin a lane change or stay in a blocked lane.
     lane_change: Option<f64>,
     /// τ of LLM-ASSIST.
     assist: Option<f64>,
