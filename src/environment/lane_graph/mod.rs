@@ -181,9 +181,9 @@ impl LaneGraph {
         Self { goal, ..self }
     }
 
-    /// Whether something blocks the ego's lane, or its lead agent stands.
+    /// Whether something blocks the ego's lane, or its lead agent stands. A person or a bicycle that stands is about to move.
     pub fn is_obstructed(&self) -> bool {
-        let stands = |agent: &GraphAgent| agent.speed < standing::STANDING;
+        let stands = |agent: &GraphAgent| agent.speed < standing::STANDING && !agent.kind.is_vulnerable();
         self.blocked.is_some() || self.lead_agent(CenterlineName::EgoLane).is_some_and(stands)
     }
 

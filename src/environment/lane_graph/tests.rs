@@ -368,6 +368,7 @@ fn a_lane_is_obstructed_by_what_blocks_it_and_by_a_lead_agent_that_stands() {
     let road = || sketch::straight(2, 0, 1, 8.0);
     assert!(!is_obstructed(road()));
     assert!(!is_obstructed(road().put(Vehicle, 25.0, 0.0, 0.0, 4.0)), "it moves");
+    assert!(!is_obstructed(road().put(Bicycle, 25.0, 0.0, 0.0, 0.0)), "it may start");
     assert!(!is_obstructed(road().put(Vehicle, 25.0, sketch::WIDTH, 0.0, 0.0)), "it stands in the other lane");
     assert!(is_obstructed(road().put(Vehicle, 25.0, 0.0, 0.0, 0.0)));
     assert!(is_obstructed(road().put(TrafficCone, 25.0, 0.0, 0.0, 0.0)));
