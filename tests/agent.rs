@@ -91,6 +91,7 @@ impl Conversation for Scripted<'_> {
 pub(crate) fn settings() -> PlanAgentSettings {
     let mut settings = PlanAgentSettings::default();
     (settings.reflection.after_max_exec, settings.reflection.monitoring) = (AfterMaxExec::Last, false);
+    settings.blocked_interval_s = settings.plan_interval_s;
     settings
 }
 

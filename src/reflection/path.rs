@@ -39,8 +39,8 @@ pub(super) struct Approach {
 /// `length` meters.
 ///
 /// In the centerline's frame the distance d(s) from that line is a quintic. It starts with the ego's distance and slope and
-/// without curvature, and has d = d' = d'' = 0 at the end of the decay. A plan that goes on with an earlier one is on the line where
-/// that one is (`settled`), as far as comfort allows: otherwise each planning call would put the end of a lane change off.
+/// without curvature, and has d = d' = d'' = 0 at the end of the decay. A plan after another one for the same lane is on the line
+/// where that one is (`settled`), as far as comfort allows: otherwise each planning call would put the end of a lane change off.
 ///
 /// # Errors
 /// When the ego's pose is not finite.

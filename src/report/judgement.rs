@@ -192,7 +192,7 @@ mod tests {
         let hit = SubScores { no_collision: 0.0, progress: 0.0, ..GOOD };
         let judged = Judgement::of(&report(hit, 0.0), true);
         assert!(
-            judged.reason.ends_with("lane change: the ego causes a collision after 2.3 s (factor 0)"),
+            judged.reason.ends_with("blocked lane: the ego causes a collision after 2.3 s (factor 0)"),
             "{}",
             judged.reason
         );

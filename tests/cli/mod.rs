@@ -108,7 +108,15 @@ fn parquet_values(run: &Path) -> BTreeMap<String, Vec<u8>> {
 fn a_run_leaves_what_the_readme_says() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("run");
-    let (code, stdout, stderr) = run(&["simulate", "--scenario", SCENE, "--out", out.to_str().unwrap()]);
+    let (code, stdout, stderr) = run(&[
+        "simulate",
+        "--scenario",
+        SCENE,
+        "--set",
+        "reasoning.blocked_interval=20",
+        "--out",
+        out.to_str().unwrap(),
+    ]);
     assert_eq!(code, 0, "{stderr}");
     assert!(stdout.contains("plan-agent") && stdout.contains("no_ego_at_fault_collisions"), "{stdout}");
     assert!(stdout.contains("ms/step  ms/call p50  simulations"), "{stdout}");

@@ -62,11 +62,11 @@ fn a_killed_experiment_ends_like_an_uninterrupted_one_and_shares_its_runs() {
     assert_eq!(results(&killed.join("scenario-types")), expected);
 
     // Another experiment shares a run with it, and `simulate` can resume each run.
-    let (code, stdout, stderr) = run(&[&experiment("interval", &killed)[..], &["--json"]].concat());
-    assert!(code == 0 && stderr.contains("12 simulations in 3 runs; 4 are completed, 8 are left"), "{stderr}");
+    let (code, stdout, stderr) = run(&[&experiment("execution", &killed)[..], &["--json"]].concat());
+    assert!(code == 0 && stderr.contains("16 simulations in 4 runs; 4 are completed, 12 are left"), "{stderr}");
     let told: Value = serde_json::from_str(&stdout).unwrap();
-    assert_eq!(told, read_json(&killed.join("interval/results.json")));
-    assert_eq!(ended(&killed), 16);
+    assert_eq!(told, read_json(&killed.join("execution/results.json")));
+    assert_eq!(ended(&killed), 20);
     for simulated in runs(&killed) {
         let (code, _, stderr) = run(&["simulate", "--resume", simulated.to_str().unwrap(), "--json"]);
         assert!(code == 0 && stderr.contains("4 of 4 simulations are completed"), "{stderr}");
@@ -76,7 +76,7 @@ fn a_killed_experiment_ends_like_an_uninterrupted_one_and_shares_its_runs() {
     let suite = &told["suites"][0];
     assert_eq!((&suite["name"], &suite["scenes"], &suite["benchmark"]), (&"recorded".into(), &2.into(), &Value::Null));
     for variant in suite["variants"].as_array().unwrap() {
-        let summary = read_json(&killed.join("interval").join(variant["run"].as_str().unwrap()).join("summary.json"));
+        let summary = read_json(&killed.join("execution").join(variant["run"].as_str().unwrap()).join("summary.json"));
         for (place, challenge) in variant["challenges"].as_array().unwrap().iter().enumerate() {
             let mean = summary["aggregates"][place]["score"].as_f64().unwrap() * 100.0;
             assert!((challenge["score"].as_f64().unwrap() - mean).abs() < 1e-9, "{variant}");
