@@ -263,7 +263,8 @@ fn the_described_models_are_all_readable() {
 /// Runs the beginning of a generated scene with one planning call.
 fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
     let max_new_tokens = RoundTokens { scene: 8, motion: 64, code: 64 };
-    let mut settings = PlanAgentSettings { plan_interval_s: 100.0, ..PlanAgentSettings::default() };
+    let mut settings =
+        PlanAgentSettings { plan_interval_s: 100.0, blocked_interval_s: 100.0, ..PlanAgentSettings::default() };
     settings.reflection = ReflectionSettings {
         threshold: 1.0,
         lane_change_threshold: 1.0,
