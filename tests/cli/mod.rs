@@ -276,6 +276,18 @@ fn a_dataset_has_modified_scenarios_and_pairs_with_one_text() {
         );
     }
     assert!(states.iter().any(|row| row["occupancy"][0] != row["occupancy"][2]), "things move");
+    let tried = |row: &Value| row.get("tried").map(|codes| codes.as_array().unwrap().clone());
+    assert!(states.iter().any(|row| tried(row).is_some()) && twins.iter().all(|twin| tried(twin).is_none()));
+    for codes in states.iter().filter_map(tried) {
+        let sum: f64 = codes.iter().map(|code| code["chance"].as_f64().unwrap()).sum();
+        assert!(codes.len() > 1 && (sum - 1.0).abs() < 1e-9, "{codes:?}");
+        let code = |code: &Value| code["answers"][1]["content"].as_str().unwrap().to_owned();
+        assert!(codes.iter().all(|one| code(one).starts_with("Generate_IDM_Planner(")), "{codes:?}");
+    }
+    let label = |row: &Value| row["conversation"][6]["content"].clone();
+    let is_tried =
+        |row: &Value, codes: Vec<Value>| codes.iter().any(|code| code["answers"][1]["content"] == label(row));
+    assert!(states.iter().all(|row| tried(row).is_none_or(|codes| is_tried(row, codes))), "the label is one of them");
     assert!(!twins.is_empty() && twins.len() % 2 == 0);
     for pair in twins.chunks(2) {
         let prompts = |row: &Value| [0, 1, 3, 5].map(|turn| row["conversation"][turn]["content"].clone());

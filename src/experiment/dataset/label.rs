@@ -1,6 +1,7 @@
 //! A labeled state: three rounds with their answers, from the facts of the scene and the search.
 
 use super::label_weights::DecisionWeights;
+use super::lessons::Lesson;
 use super::search::{Candidate, NEAR_LIMIT};
 use crate::environment::facts::{Ahead, Light, Question};
 use crate::environment::text::{self, Description, TextForm};
@@ -46,11 +47,25 @@ pub struct LabeledState {
     pub facts: BTreeMap<String, String>,
     /// nuPlan's score of the labeled planner over the search's horizon.
     pub score: f64,
+    /// Codes for expert iteration, the label among them; none where there is only one.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tried: Vec<TriedCode>,
     /// Occupancy grids now, 1 s and 2 s later, as 64 hexadecimal digits each (see [`OccupancyGrid`](crate::environment::OccupancyGrid)).
     pub occupancy: [String; 3],
     /// Name of the text-twin pair that this state is one half of.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub twin: Option<String>,
+}
+
+/// A code that the search tried, with the answers that lead to it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TriedCode {
+    /// Chance of being the one to learn. The chances of a state sum up to 1.
+    chance: f64,
+    /// nuPlan's score over the search's horizon, with the terms that break ties.
+    value: f64,
+    /// Answers of the rounds Instruction and Code, in place of the label's.
+    answers: [Message; 2],
 }
 
 /// An answer in pieces, some of which are learned.
@@ -130,7 +145,27 @@ pub(super) fn label(
     answers.insert("longitudinal".to_owned(), instruction.longitudinal.to_string());
     answers.insert("code".to_owned(), best.code.to_string());
     let occupancy = Default::default();
-    Ok(LabeledState { state, image: 0, conversation, facts: answers, score: best.score, occupancy, twin: None })
+    let tried = Vec::new();
+    Ok(LabeledState { state, image: 0, conversation, facts: answers, score: best.score, tried, occupancy, twin: None })
+}
+
+/// The codes of a state for expert iteration; none where there is only one.
+pub(super) fn tried_codes(
+    graph: &LaneGraph,
+    facts: &SceneFacts,
+    lessons: &[Lesson<'_>],
+    prompts: &PromptSet,
+) -> Vec<TriedCode> {
+    if lessons.len() < 2 {
+        return Vec::new();
+    }
+    let limit = limit(graph, prompts);
+    let tried = lessons.iter().map(|&Lesson { candidate, chance, weights }| {
+        let instruction = instruction(graph, facts, candidate, limit);
+        let answers = [instruction_answer(instruction, weights), code_answer(candidate, weights)];
+        TriedCode { chance, value: candidate.value, answers }
+    });
+    tried.collect()
 }
 
 fn understanding_answer(facts: &SceneFacts, questions: &[Question]) -> Message {

@@ -7,11 +7,11 @@ use super::search::Candidate;
 use crate::reasoning::PlannerCode;
 
 /// Gain of a decision without a tried alternative: about the progress bonus of a third of the limit.
-const DEFAULT_GAIN: f64 = 0.06;
+pub(super) const DEFAULT_GAIN: f64 = 0.06;
 /// Maximum gain: a whole score.
-const MAX_GAIN: f64 = 1.0;
+pub(super) const MAX_GAIN: f64 = 1.0;
 /// Gain of a slow first attempt if Reflection rejects every faster one. It is small, since a rejection leads to another attempt.
-const RETRY_GAIN: f64 = 0.01;
+pub(super) const RETRY_GAIN: f64 = 0.01;
 
 /// Gains of a label's decisions, as differences of [`Candidate::value`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,14 +37,21 @@ impl DecisionWeights {
             let other = t.code.target_speed;
             if speed < fastest { other >= fastest } else { other < fastest }
         });
-        let rejected_faster =
-            tried.iter().any(|t| t.code.centerline == lane && t.code.target_speed > fastest && !t.is_accepted());
         let PlannerCode { accel_max, decel_max, .. } = best.code;
         let with_other_pairs =
             accepted().filter(|t| t.code != best.code && PlannerCode { accel_max, decel_max, ..t.code } == best.code);
-        let speed = if rejected_faster && !after_rejection { RETRY_GAIN } else { gain(best, at_other_speeds) };
+        let retried = !after_rejection && rejects_faster(tried, &best.code);
+        let speed = if retried { RETRY_GAIN } else { gain(best, at_other_speeds) };
         Self { lane: gain(best, elsewhere), speed, accelerations: gain(best, with_other_pairs) }
     }
+}
+
+/// True if Reflection rejects a candidate in a code's lane that is faster than the code and all accepted ones.
+pub(super) fn rejects_faster(tried: &[Candidate], code: &PlannerCode) -> bool {
+    let in_lane = || tried.iter().filter(|t| t.code.centerline == code.centerline);
+    let speeds = in_lane().filter(|t| t.is_accepted()).map(|t| t.code.target_speed);
+    let fastest = speeds.fold(code.target_speed, f64::max);
+    in_lane().any(|t| t.code.target_speed > fastest && !t.is_accepted())
 }
 
 /// Gain of the best candidate over the best of others.
@@ -53,7 +60,7 @@ fn gain<'a>(best: &Candidate, others: impl Iterator<Item = &'a Candidate>) -> f6
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
     use crate::experiment::dataset::search::search;
@@ -62,7 +69,7 @@ mod tests {
     use crate::simulation::{Challenge, ClosedLoop};
 
     /// Candidates with these lanes, desired speeds and values, accepted by Reflection or not.
-    fn tried(planners: &[(&str, f64, f64, bool)]) -> Vec<Candidate> {
+    pub(in crate::experiment::dataset) fn tried(planners: &[(&str, f64, f64, bool)]) -> Vec<Candidate> {
         let scenario = generator::generate(&Spec::new(types::changing_lane::TYPE, 3)).unwrap();
         let simulation = ClosedLoop::new(&scenario, Challenge::CLOSED_LOOP[0]).unwrap();
         let graph = LaneGraph::build(&simulation.scene(), DEFAULT_NODE_LENGTH).unwrap();

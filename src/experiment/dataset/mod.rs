@@ -8,6 +8,7 @@ mod count;
 pub mod imitation;
 mod label;
 mod label_weights;
+mod lessons;
 mod scenes;
 pub mod search;
 mod shard;

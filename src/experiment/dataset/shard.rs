@@ -3,7 +3,8 @@
 //! Beside its conversation, a state has `occupancy`: three grids of 16 x 16 cells, for now, 1 s and 2 s later. All of them cover
 //! the area of the present picture. Each is 64 hexadecimal digits, row by row and four digits a row. Row 0 is the top of the
 //! picture, and the highest bit of a row is its left column. A bit is set where the box of a vehicle, bicycle, pedestrian or
-//! static object touches the cell. Two consecutive states with the same `twin` have the same prompts, other pictures and other
+//! static object touches the cell. Where the search accepts several codes, `tried` has each with its chance, its value and the
+//! answers of the last two rounds that lead to it. Two consecutive states with the same `twin` have the same prompts, other pictures and other
 //! best codes.
 
 use super::label::LabeledState;

@@ -2,6 +2,7 @@
 
 use super::label::{self, LabeledState};
 use super::label_weights::DecisionWeights;
+use super::lessons::lessons;
 use super::search::{self, Candidate};
 use super::{Settings, scenes};
 use crate::environment::{BevView, LaneGraph, OccupancyGrid, SceneFacts, bev};
@@ -54,10 +55,12 @@ pub(super) fn label_scenario(
         let Some(occupancy) = occupancy(&simulation, &graph, best, &settings.view) else { break };
         let mut label = |feedback: Option<Feedback>| -> Result<(), PromptError> {
             let weights = DecisionWeights::of(best, &tried, feedback.is_some());
+            let lessons = lessons(best, &tried, feedback.is_some());
             let feedback = feedback.map(|feedback| feedback_text(settings.prompts, &feedback)).transpose()?;
             let label =
                 label::label(name.clone(), &graph, &facts, (best, weights), settings.prompts, feedback.as_deref())?;
-            states.push((LabeledState { occupancy: occupancy.clone(), ..label }, image.clone()));
+            let tried = label::tried_codes(&graph, &facts, &lessons, settings.prompts);
+            states.push((LabeledState { occupancy: occupancy.clone(), tried, ..label }, image.clone()));
             Ok(())
         };
         // The label is also the right answer after a rejection: it is accepted, or it is the best of the rejected.

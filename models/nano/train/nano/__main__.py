@@ -13,13 +13,14 @@ from . import synthetic, train
 from .shapes import SHAPES
 
 
-#: Training steps that make the model use its picture; 0 leaves one out.
+#: Training steps beside the plain labels; 0 leaves one out.
 STEPS = {
     "text_drop": "share of samples without the scene text",
     "picture_drop": "share of samples with a picture of one color",
     "picture_questions": "share of samples that are questions on the picture alone",
     "contradict": "share of samples with a wrong neighbor in the text",
     "neighbor_mask": "share of neighbors of which the text says nothing",
+    "tried_codes": "share of samples with one of the tried codes, by its chance, in place of the best one",
     "twin_weight": "weight of the hinge between twins",
     "twin_margin": "by how many nats a twin's own answers must be more probable",
     "occupancy_weight": "weight of the occupancy head's loss",

@@ -34,7 +34,10 @@ _LEAD = re.compile(r", la=(\w+)")
 
 @dataclass(frozen=True)
 class Corpus:
-    """Row i has the tokens `ids[starts[i]:starts[i + 1]]`, its `<image>` as one token."""
+    """Row i has the tokens `ids[starts[i]:starts[i + 1]]`, its `<image>` as one token.
+
+    The states are the first rows. The others are states with a tried code in place of the label's.
+    """
 
     ids: np.ndarray
     roles: np.ndarray
@@ -45,9 +48,12 @@ class Corpus:
     scene: np.ndarray
     #: (facts, 5): row, first token within the row, number of tokens, what is said, whether the code follows this agent.
     neighbors: np.ndarray
-    #: (rows): the state with the same text and another picture and code, or -1.
+    #: (codes, 2): state, and row with this tried code; (codes): the chance of this row in expert iteration.
+    tried: np.ndarray
+    chances: np.ndarray
+    #: (states): the state with the same text and another picture and code, or -1.
     twins: np.ndarray
-    #: (rows, 96): the occupancy grids in bits, and (rows) whether the dataset has them.
+    #: (states, 96): the occupancy grids in bits, and (states) whether the dataset has them.
     occupancy: np.ndarray
     has_occupancy: np.ndarray
     #: (slots, 4): row, question, first token within the row, number of tokens.
@@ -57,7 +63,7 @@ class Corpus:
     names: list[str]
 
     def __len__(self) -> int:
-        return len(self.starts) - 1
+        return len(self.names)
 
     def row(self, i: int) -> np.ndarray:
         """Token ids of a row."""
@@ -66,6 +72,11 @@ class Corpus:
     def slots_of(self, row: int) -> np.ndarray:
         """A row's slots; the array is sorted by row."""
         return of_row(self.slots, row)
+
+    def tried_of(self, state: int) -> tuple[np.ndarray, np.ndarray]:
+        """The rows of a state's tried codes, and their chances."""
+        low, high = self.tried[:, 0].searchsorted([state, state + 1])
+        return self.tried[low:high, 1], self.chances[low:high]
 
     def neighbors_of(self, row: int) -> np.ndarray:
         """A row's facts of places beside the ego."""
@@ -147,6 +158,35 @@ def tokenise(tokenizer: Tokenizer, conversation: list[dict]) -> Row:
     return row
 
 
+@dataclass
+class Rows:
+    """Rows that become the arrays of a corpus."""
+
+    #: Index of each question, in the order in which they come.
+    questions: dict[str, int] = field(default_factory=dict)
+    rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+    scenes: list[tuple[int, int]] = field(default_factory=list)
+    neighbors: list[tuple[int, ...]] = field(default_factory=list)
+    slots: list[tuple[int, ...]] = field(default_factory=list)
+
+    def add(self, row: Row) -> None:
+        """Appends a row."""
+        number = len(self.rows)
+        self.rows.append((np.array(row.ids, np.int16), np.array(row.roles, np.uint8), np.array(row.weights, np.float32)))
+        self.scenes.append(row.scene)
+        self.neighbors += [(number, *fact) for fact in row.neighbors]
+        self.slots += [(number, self.questions.setdefault(q, len(self.questions)), a, n) for q, a, n in row.slots]
+
+    def save(self, cache: Path) -> None:
+        """Writes the arrays."""
+        for name, arrays in zip(("ids", "roles", "weights"), zip(*self.rows, strict=True), strict=True):
+            np.save(cache / f"{name}.npy", np.concatenate(arrays))
+        np.save(cache / "starts.npy", np.cumsum([0, *(len(ids) for ids, _, _ in self.rows)]).astype(np.int64))
+        np.save(cache / "scene.npy", np.array(self.scenes, np.int32))
+        np.save(cache / "neighbors.npy", np.array(self.neighbors, np.int32).reshape(-1, 5))
+        np.save(cache / "slots.npy", np.array(self.slots, np.int32).reshape(-1, 4))
+
+
 def neighbors_of(text: str, offsets: list[tuple[int, int]], lead: str | None) -> list[tuple[int, int, int, int]]:
     """What a compact scene text says of each place: its tokens, the kind of fact, and whether its agent is the code's lead."""
     places = _PLACES.search(text)
@@ -174,11 +214,8 @@ def build(folder: Path, split: str, tokenizer: Tokenizer, cache: Path, limit: in
     """Tokenises a split (its first `limit` states) into the cache folder and opens it."""
     pixels = int(shards.meta(folder)["image_pixels"])
     cache.mkdir(parents=True, exist_ok=True)
-    questions: dict[str, int] = {}
-    ids: list[np.ndarray] = []
-    roles: list[np.ndarray] = []
-    weights: list[np.ndarray] = []
-    lengths, scenes, neighbors, slots, names = [], [], [], [], []
+    rows, names = Rows(), []
+    others: list[tuple[int, float, list[dict]]] = []
     grids: list[np.ndarray] = []
     known: list[bool] = []
     pairs: dict[str, list[int]] = {}
@@ -190,31 +227,23 @@ def build(folder: Path, split: str, tokenizer: Tokenizer, cache: Path, limit: in
             for state in shards.states(shard):
                 if limit is not None and len(names) >= limit:
                     break
-                row = tokenise(tokenizer, state.conversation)
-                slots += [(len(names), questions.setdefault(q, len(questions)), a, n) for q, a, n in row.slots]
-                ids.append(np.array(row.ids, np.int16))
-                roles.append(np.array(row.roles, np.uint8))
-                weights.append(np.array(row.weights, np.float32))
-                lengths.append(len(row.ids))
-                scenes.append(row.scene)
-                neighbors += [(len(names), *fact) for fact in row.neighbors]
+                rows.add(tokenise(tokenizer, state.conversation))
+                others += [(len(names), tried["chance"], state.conversation_of(tried)) for tried in state.tried]
                 if state.twin is not None:
                     pairs.setdefault(state.twin, []).append(len(names))
                 grids.append(parse(state.occupancy) if state.occupancy else np.zeros(BYTES, np.uint8))
                 known.append(bool(state.occupancy))
                 names.append(state.name)
                 out.write(picture[state.image].tobytes())
-    np.save(cache / "ids.npy", np.concatenate(ids))
-    np.save(cache / "roles.npy", np.concatenate(roles))
-    np.save(cache / "weights.npy", np.concatenate(weights))
-    np.save(cache / "starts.npy", np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64))
-    np.save(cache / "scene.npy", np.array(scenes, np.int32))
-    np.save(cache / "neighbors.npy", np.array(neighbors, np.int32).reshape(-1, 5))
+    for _, _, conversation in others:
+        rows.add(tokenise(tokenizer, conversation))
+    rows.save(cache)
+    np.save(cache / "tried.npy", np.array([(state, len(names) + i) for i, (state, _, _) in enumerate(others)], np.int32).reshape(-1, 2))
+    np.save(cache / "chances.npy", np.array([chance for _, chance, _ in others], np.float64))
     np.save(cache / "twins.npy", twins_of(pairs, len(names)))
     np.save(cache / "occupancy.npy", np.stack(grids))
     np.save(cache / "has_occupancy.npy", np.array(known))
-    np.save(cache / "slots.npy", np.array(slots, np.int32).reshape(-1, 4))
-    (cache / "index.json").write_text(json.dumps({"questions": list(questions), "names": names, "pixels": pixels}))
+    (cache / "index.json").write_text(json.dumps({"questions": list(rows.questions), "names": names, "pixels": pixels}))
     return load(cache)
 
 
@@ -230,7 +259,7 @@ def twins_of(pairs: dict[str, list[int]], rows: int) -> np.ndarray:
 
 
 #: The arrays of a cache folder.
-ARRAYS = ("ids", "roles", "weights", "starts", "scene", "neighbors", "twins", "occupancy", "has_occupancy", "slots")
+ARRAYS = ("ids", "roles", "weights", "starts", "scene", "neighbors", "tried", "chances", "twins", "occupancy", "has_occupancy", "slots")
 
 
 def load(cache: Path) -> Corpus:

@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +59,8 @@ class Recipe:
     picture_questions: float = 0.05
     contradict: float = 0.05
     neighbor_mask: float = 0.15
+    #: Share of samples with one of the codes that the search tried, drawn by its chance, in place of the best one.
+    tried_codes: float = 0.0
     #: Weight of the hinge between twins beside an informative token's, 0 for none; the margin in nats; over all answers or the `code` alone.
     twin_weight: float = 1.0
     twin_margin: float = 2.0
@@ -173,7 +175,7 @@ class Trainer:
         log = (out / "log.jsonl").open("a") if self.rank == 0 else None
         recent: list[Measured] = []
         recipe = self.recipe
-        shares = Variation(recipe.text_drop, recipe.picture_drop, recipe.neighbor_mask, recipe.contradict, recipe.picture_questions)
+        shares = Variation(**{share.name: getattr(recipe, share.name) for share in fields(Variation)})
         usual = Sampler(corpus, tokenizer, shares, recipe.seed, recipe.twin_over if recipe.twin_weight else "")
         no_text = replace(usual, variation=Variation(text_drop=1.0))
         leg.begin()

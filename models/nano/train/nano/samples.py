@@ -59,12 +59,18 @@ class Variation:
     neighbor_mask: float = 0.0
     contradict: float = 0.0
     picture_questions: float = 0.0
+    tried_codes: float = 0.0
 
 
 def plain(corpus: Corpus, row: int) -> Sample:
     """A state as it stands."""
+    return shown(corpus, row, row)
+
+
+def shown(corpus: Corpus, row: int, state: int) -> Sample:
+    """A row with the picture of a state."""
     tokens = slice(corpus.starts[row], corpus.starts[row + 1])
-    return Sample(row, corpus.ids[tokens], corpus.roles[tokens], corpus.weights[tokens], row)
+    return Sample(row, corpus.ids[tokens], corpus.roles[tokens], corpus.weights[tokens], state)
 
 
 def without_text(corpus: Corpus, sample: Sample) -> Sample:
@@ -128,6 +134,8 @@ class Sampler:
         twin = int(corpus.twins[row]) if self.twins else -1
         rng = np.random.default_rng((self.seed, step, row if twin < 0 else min(row, twin)))
         sample = plain(corpus, row)
+        if shares.tried_codes and twin < 0 and rng.random() < shares.tried_codes:
+            sample = self.tried(row, rng)
         if twin >= 0:
             sample = replace(sample, contrast=differing(corpus, row, twin, "code." if self.twins == "code" else ""))
         which = rng.random()
@@ -148,6 +156,11 @@ class Sampler:
         start, end = self.corpus.scene[row]
         goal = self.tokenizer.token_to_id(GOAL)
         return GOAL_TELLS if goal is not None and goal in self.corpus.row(row)[start:end] else frozenset()
+
+    def tried(self, state: int, rng: np.random.Generator) -> Sample:
+        """The state with one of its tried codes, drawn by their chances; with the label's where there are none."""
+        rows, chances = self.corpus.tried_of(state)
+        return shown(self.corpus, int(rng.choice(rows, p=chances)), state) if len(rows) else plain(self.corpus, state)
 
     def question(self, row: int, rng: np.random.Generator) -> Sample:
         """The picture alone, with questions on it; half of the pictures are turned."""

@@ -109,6 +109,13 @@ def check_samples(out: Path) -> None:
     assert len(masked) == len(whole) and (masked.ids == mask).sum() >= 27, "nine masked neighbors"
     wrong = drawn(single, contradict=1.0)
     assert 1 <= (wrong.ids != whole.ids).sum() <= 3 and (wrong.ids != whole.ids).nonzero()[0].max() < corpus.scene[single][1], "one wrong neighbor"
+    tried, chances = corpus.tried_of(single)
+    draws = [samples.Sampler(corpus, tokenizer, samples.Variation(tried_codes=1.0), 1).draw(single, step) for step in range(200)]
+    assert {draw.row for draw in draws} == set(tried.tolist()) and {draw.image for draw in draws} == {single}, "tried codes stand in the state's picture"
+    assert abs(sum(draw.row == tried[0] for draw in draws) / 200 - chances[0]) < 0.1, "tried codes come by their chances"
+    assert (drawn(pair, tried_codes=1.0).ids == samples.plain(corpus, pair).ids).all(), "a twin keeps its label"
+    red = [tokenizer.decode(corpus.row(row).tolist()).count("red_light") for row in (single, *tried.tolist())]
+    assert red[2] == max(red) > 0 and red[0] == red[1], f"the tried answers stand in place of the label's: {red}"
     question = tokenizer.decode(drawn(single, picture_questions=1.0).ids, skip_special_tokens=False)
     assert "look?" in question and " limit " not in question and "turned=" in question, question
     assert not tokenizers.pieces_outside(tokenizer, [question.partition("ASSISTANT: ")[2].removesuffix("</s>")]), "picture questions have their tokens"

@@ -3,7 +3,8 @@
 `meta.json`, and per shard `<split>-NNNNN.jsonl` (a labelled state a line) beside `<split>-NNNNN.png` (the shard's images one
 below the other). A line: `state` ("<scenario>@<time>"), `image` (row number in the PNG), `conversation`, `facts`. An answer of the
 conversation has in `learn` the spans of characters that the model chooses, and in `weights`, if any, theirs in the loss. `twin` names a pair of states with the same text,
-other pictures and other codes. `occupancy` are three grids of where objects are, now and in one and two seconds (`occupancy.py`).
+other pictures and other codes. `tried` are codes of a state for expert iteration: `chance`, `value`, and `answers` in place of the last two of
+the conversation. `occupancy` are three grids of where objects are, now and in one and two seconds (`occupancy.py`).
 """
 
 from __future__ import annotations
@@ -31,11 +32,18 @@ class State:
     conversation: list[dict]
     twin: str | None = None
     occupancy: list[str] | None = None
+    tried: tuple[dict, ...] = ()
 
     @property
     def scenario(self) -> str:
         """The drive that the state is cut from: states of one drive are not independent."""
         return self.name.rpartition("@")[0] or self.name
+
+    def conversation_of(self, tried: dict) -> list[dict]:
+        """The conversation that ends in a tried code: its answers stand in place of the last ones."""
+        answers = [i for i, message in enumerate(self.conversation) if message["role"] == "assistant"]
+        own = dict(zip(answers[-len(tried["answers"]) :], tried["answers"], strict=True))
+        return [own.get(i, message) for i, message in enumerate(self.conversation)]
 
 
 def meta(folder: Path) -> dict:
@@ -60,7 +68,7 @@ def states(shard: Path) -> Iterator[State]:
         for number, line in enumerate(lines, 1):
             try:
                 row = json.loads(line)
-                yield State(row["state"], int(row["image"]), row["conversation"], row.get("twin"), row.get("occupancy"))
+                yield State(row["state"], int(row["image"]), row["conversation"], row.get("twin"), row.get("occupancy"), tuple(row.get("tried", ())))
             except (ValueError, KeyError, TypeError) as error:
                 raise ValueError(f"{shard}:{number}: {error!r}") from error
 

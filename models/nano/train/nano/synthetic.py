@@ -221,6 +221,10 @@ def write(folder: Path, train: int, validation: int, seed: int, shard: int = 100
                 picture, grids = paint(scene, rng)
                 pictures.append(picture)
                 row = {"state": f"standin-{split}-{start + i}@0.0", "image": i, "conversation": talk, "facts": {}, "occupancy": hexadecimal(grids)}
+                if not paired:
+                    # As if at a red light.
+                    slower = conversation(replace(scene, light="red"), rng)
+                    row["tried"] = [{"chance": c, "value": c, "answers": [t[4], t[6]]} for c, t in ((0.75, talk), (0.25, slower))]
                 rows.append(row | ({"twin": f"{split}-{start + i - place}"} if paired else {}))
             base = folder / f"{split}-{index:05}"
             base.with_suffix(".jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))

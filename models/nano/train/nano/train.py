@@ -43,7 +43,8 @@ def prepare(data: Path, out: Path, limit: int | None = None, start: str = "") ->
         prompts, answers = [], []
         for shard in shards.shards(data, "train")[:SHARDS_OF_WORDS]:
             for state in shards.states(shard):
-                for message in state.conversation:
+                tried = [answer for code in state.tried for answer in code["answers"]]
+                for message in [*state.conversation, *tried]:
                     (answers if message["role"] == "assistant" else prompts).append(message["content"].replace(IMAGE, ""))
         old = tokenizers.load(Path(start) / "tokenizer.json") if start else None
         built = vocabulary.extend(old, prompts, answers) if old else tokenizers.build(prompts, answers, vocabulary.needed())
@@ -61,12 +62,12 @@ def prepare(data: Path, out: Path, limit: int | None = None, start: str = "") ->
             continue
         began = time.monotonic()
         built_corpus = corpora.build(data, split, tokenizer, cache, limit)
-        facts, twins = len(built_corpus.neighbors) / len(built_corpus), int((built_corpus.twins >= 0).sum()) // 2
         lengths = built_corpus.starts[1:] - built_corpus.starts[:-1]
+        facts, twins = len(built_corpus.neighbors) / len(lengths), int((built_corpus.twins >= 0).sum()) // 2
         print(
             f"{split}: {len(built_corpus)} states, {lengths.min()}..{lengths.max()} tokens (image as one), "
-            f"{len(built_corpus.slots) / len(built_corpus):.1f} questions and {facts:.1f} neighbors a state, "
-            f"{twins} pairs of twins, {int(built_corpus.has_occupancy.sum())} with occupancy, {time.monotonic() - began:.0f} s",
+            f"{len(built_corpus.slots) / len(lengths):.1f} questions and {facts:.1f} neighbors a state, "
+            f"{len(built_corpus.tried)} tried codes, {twins} pairs of twins, {int(built_corpus.has_occupancy.sum())} with occupancy, {time.monotonic() - began:.0f} s",
             file=sys.stderr,
         )
 
