@@ -123,14 +123,16 @@ pub enum Figure {
 }
 
 impl Study {
-    /// A variant's name: its label; of several yes-or-no labels, those that it lacks; of other ones, all.
+    /// A variant's name: its label; of several yes-or-no labels, those that it lacks; of other ones, all that say
+    /// something.
     pub fn name_of(&self, variant: &Variant) -> String {
         if let [name] = &variant.labels[..] {
             return name.clone();
         }
         let labelled = || self.labels.iter().zip(&variant.labels);
         if !variant.labels.iter().all(|label| [YES, NO].contains(&label.as_str())) {
-            return labelled().map(|(head, label)| format!("{head}: {label}")).collect::<Vec<_>>().join(", ");
+            let said = labelled().filter(|(_, label)| !label.is_empty());
+            return said.map(|(head, label)| format!("{head}: {label}")).collect::<Vec<_>>().join(", ");
         }
         let missing: Vec<&str> = labelled().filter(|(_, label)| *label == NO).map(|(head, _)| head.as_str()).collect();
         if missing.is_empty() { "the whole agent".to_owned() } else { format!("no {}", missing.join(", no ")) }

@@ -4,10 +4,9 @@ use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
 use crate::experiment::study::Study;
 use crate::report::{ChallengeResults, StudyResults, SuiteResults};
-use crate::simulation::Challenge;
 
 const WIDTH: f64 = 880.0;
-/// Columns: names, then a panel for each challenge with differences.
+/// Columns: names, then a panel for each challenge.
 const NAMES: f64 = 310.0;
 const GAP: f64 = 30.0;
 /// Rows.
@@ -25,14 +24,8 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) 
         let reason = variant.not_simulated.map_or_else(String::new, |why| format!(" ({why})"));
         picture.text([NAMES - 12.0, y], Anchor::End, "", &format!("{}{reason}", variant.name));
     }
-    let has_differences = |challenge: &Challenge| {
-        let results = shown.iter().flat_map(|(_, variant)| &variant.challenges);
-        results
-            .filter(|result| result.challenge == *challenge)
-            .any(|result| result.difference.is_some() || result.paper_difference.is_some())
-    };
-    let panels: Vec<Challenge> = Challenge::CLOSED_LOOP.into_iter().filter(has_differences).collect();
-    let panel_width = (WIDTH - NAMES) / panels.len().max(1) as f64 - GAP;
+    let panels = suite.challenges();
+    let panel_width = (WIDTH - NAMES) / panels.len() as f64 - GAP;
     for (column, challenge) in panels.into_iter().enumerate() {
         let left = NAMES + (panel_width + GAP) * column as f64;
         let own: Vec<Option<&ChallengeResults>> = shown

@@ -80,6 +80,18 @@ pub struct SuiteResults {
     pub agreement: Vec<Agreement>,
 }
 
+impl SuiteResults {
+    /// The challenges of its tables: those with simulations. Where nothing was simulated, all: the tables say why.
+    pub fn challenges(&self) -> Vec<Challenge> {
+        let results = || self.variants.iter().flat_map(|variant| &variant.challenges);
+        let is_simulated = |challenge: &Challenge| {
+            results().any(|result| result.challenge == *challenge && result.simulations + result.failed > 0)
+        };
+        let simulated: Vec<Challenge> = Challenge::CLOSED_LOOP.into_iter().filter(is_simulated).collect();
+        if simulated.is_empty() { Challenge::CLOSED_LOOP.to_vec() } else { simulated }
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct VariantResults {
     pub name: String,

@@ -90,6 +90,29 @@ fn the_tables_read_well_in_80_columns() {
 }
 
 #[test]
+fn a_challenge_that_was_not_simulated_has_no_table_and_an_empty_label_no_name() {
+    let study = find("interactive").unwrap();
+    let mut reactive = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
+    if let Outcome::Simulated { rows, .. } = &mut reactive.outcome {
+        rows.retain(|row| row.challenge == Challenge::Reactive);
+    }
+    let variants = vec![reactive; study.variants.len()];
+    let results = StudyResults::new(&study, &[suite("interactive-generated", variants)], None, 0, &[]);
+    let names: Vec<&str> = results.suites[0].variants.iter().map(|variant| variant.name.as_str()).collect();
+    assert_eq!(
+        names[1..4],
+        ["planner: plan-agent, BEV: another scene's", "planner: plan-agent, BEV: none", "planner: pdm-closed"]
+    );
+    let table = study_table(&study, &results);
+    assert!(
+        table.contains("interactive-generated, reactive agents") && !table.contains("non-reactive agents:"),
+        "{table}"
+    );
+    let text = study_markdown(&study, &results, "planagent experiment interactive", &[]);
+    assert!(text.contains("| planner | BEV | R | diff | 95 % interval |"), "{text}");
+}
+
+#[test]
 fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     let study = find("mllm").unwrap();

@@ -15,7 +15,8 @@ use std::fmt::Write as _;
 pub fn study_table(study: &Study, results: &StudyResults) -> String {
     let mut parts = vec![results.title.clone()];
     for suite in &results.suites {
-        for challenge in Challenge::CLOSED_LOOP {
+        let challenges = suite.challenges();
+        for &challenge in &challenges {
             let heading = format!("{}, {}: {} scenes", suite.name, agents(challenge), suite.scenes);
             let table = scores(study, suite, &[challenge], Width::Narrow);
             let table = match study.rows {
@@ -27,7 +28,7 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
         parts.extend(costs(study, suite).map(|table| table.terminal()));
         if study.rows == Rows::Recordings {
             parts.push(recordings::calls(study, suite).terminal_below_names());
-            parts.extend(Challenge::CLOSED_LOOP.map(|challenge| {
+            parts.extend(challenges.into_iter().map(|challenge| {
                 let table = recordings::recordings(suite, &[challenge]).terminal_below_names();
                 format!("{}, {}: each recording\n{table}", suite.name, agents(challenge))
             }));
@@ -39,15 +40,16 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
     parts.join("\n\n")
 }
 
-/// The same as Markdown, both challenges in one table, with the `command` and the `figures` of the folder.
+/// The same as Markdown, all challenges in one table, with the `command` and the `figures` of the folder.
 pub fn study_markdown(study: &Study, results: &StudyResults, command: &str, figures: &[String]) -> String {
     let mut text = format!("# {}\n\n```console\n$ {command}\n```\n", results.title);
     for suite in &results.suites {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "\n## {}: {} scenes", suite.name, suite.scenes);
-        let table = scores(study, suite, &Challenge::CLOSED_LOOP, Width::Wide);
+        let challenges = suite.challenges();
+        let table = scores(study, suite, &challenges, Width::Wide);
         let of_recordings = (study.rows == Rows::Recordings)
-            .then(|| [recordings::calls(study, suite), recordings::recordings(suite, &Challenge::CLOSED_LOOP)]);
+            .then(|| [recordings::calls(study, suite), recordings::recordings(suite, &challenges)]);
         for table in std::iter::once(table).chain(costs(study, suite)).chain(of_recordings.into_iter().flatten()) {
             let _ = write!(text, "\n{}", table.markdown());
         }
