@@ -25,8 +25,9 @@ pub(super) fn draw(results: &StudyResults, suite: &SuiteResults) -> String {
         let y = TOP + group * place as f64 + f64::midpoint(0.0, group - BETWEEN) + 4.0;
         picture.text([NAMES - 10.0, y], Anchor::End, "", &kind.scenario_type);
     }
-    let panel_width = (WIDTH - NAMES) / 2.0 - GAP;
-    for (column, challenge) in Challenge::CLOSED_LOOP.into_iter().enumerate() {
+    let panels = suite.challenges();
+    let panel_width = (WIDTH - NAMES) / panels.len() as f64 - GAP;
+    for (column, challenge) in panels.into_iter().enumerate() {
         let left = NAMES + (panel_width + GAP) * column as f64;
         let scale = Scale::of([0.0, 100.0], [left, left + panel_width]);
         picture.text([left, TOP - 18.0], Anchor::Start, "", panel(challenge));

@@ -7,6 +7,7 @@ use crate::experiment::study::{Benchmark, Column, PublishedModel, Quick, Rows, S
 use crate::metrics::distinct;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::{ModelFigures, Quantiles};
+use crate::scenario::modified::without_modification;
 use crate::scenario::without_start;
 use crate::simulation::Challenge;
 use serde::Serialize;
@@ -279,24 +280,12 @@ impl ResultSource<'_> {
                     score: (!scores.is_empty()).then(|| scores.values().sum::<f64>() / scores.len() as f64),
                     simulations: scores.len(),
                     failed: rows.iter().filter(own).filter(|row| row.score.is_none()).count(),
-                    difference: self.bootstrap.clustered(&self.clusters(&differences)),
+                    difference: self.bootstrap.clustered(&clusters(&differences)),
                     paper,
                     paper_difference: paper.zip(reference).map(|(own, other)| own - other),
                 }
             })
             .collect()
-    }
-
-    /// Differences by source in the clusters that the bootstrap draws: each alone, or those of a recording together.
-    fn clusters(&self, differences: &[(&str, f64)]) -> Vec<Vec<f64>> {
-        if self.study.rows != Rows::Recordings {
-            return differences.iter().map(|&(_, difference)| vec![difference]).collect();
-        }
-        let mut clusters: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-        for &(source, difference) in differences {
-            clusters.entry(without_start(source)).or_default().push(difference);
-        }
-        clusters.into_values().collect()
     }
 
     /// The time is that of the planning calls, or of a bench for a model that was not simulated.
@@ -312,6 +301,17 @@ impl ResultSource<'_> {
             paper: variant.published.model.clone(),
         }
     }
+}
+
+/// Differences by source in the clusters that the bootstrap draws: those of one recording together, whatever its start and its
+/// modification.
+fn clusters(differences: &[(&str, f64)]) -> Vec<Vec<f64>> {
+    let mut clusters: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    for &(source, difference) in differences {
+        let recording = without_start(without_modification(without_start(source)));
+        clusters.entry(recording).or_default().push(difference);
+    }
+    clusters.into_values().collect()
 }
 
 impl VariantSimulations {

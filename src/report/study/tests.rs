@@ -104,12 +104,32 @@ fn a_challenge_that_was_not_simulated_has_no_table_and_an_empty_label_no_name() 
         ["planner: plan-agent, BEV: another scene's", "planner: plan-agent, BEV: none", "planner: pdm-closed"]
     );
     let table = study_table(&study, &results);
+    let one_panel = figures(&study, &results);
+    assert!(one_panel[0].1.contains("R: reactive agents") && !one_panel[0].1.contains("NR:"), "{}", one_panel[0].1);
     assert!(
         table.contains("interactive-generated, reactive agents") && !table.contains("non-reactive agents:"),
         "{table}"
     );
     let text = study_markdown(&study, &results, "planagent experiment interactive", &[]);
     assert!(text.contains("| planner | BEV | R | diff | 95 % interval |"), "{text}");
+}
+
+#[test]
+fn modified_scenes_of_one_recording_are_drawn_together() {
+    let study = find("interactive").unwrap();
+    let variant = |scores: [f64; 3]| {
+        let sources =
+            ["a.tfrecord~jaywalking_pedestrian", "a.tfrecord~low_traffic_density", "b.tfrecord~avoid_crashed_cars"];
+        let rows =
+            sources.into_iter().zip(scores).map(|(source, score)| recorded(source, "plan-agent", score)).collect();
+        VariantSimulations { outcome: Outcome::Simulated { run: "../runs/a".to_owned(), rows }, parameters: None }
+    };
+    let mut variants = vec![variant([1.0; 3]); study.variants.len()];
+    variants[1] = variant([0.5, 0.5, 1.0]);
+    let results = StudyResults::new(&study, &[suite("interactive-recorded", variants)], None, 0, &[]);
+    let difference = results.suites[0].variants[1].challenges[0].difference.unwrap();
+    // A draw may have either recording twice.
+    assert_eq!((difference.low, difference.high, difference.pairs), (-50.0, 0.0, 3));
 }
 
 #[test]

@@ -49,7 +49,7 @@ pub fn study_markdown(study: &Study, results: &StudyResults, command: &str, figu
         let challenges = suite.challenges();
         let table = scores(study, suite, &challenges, Width::Wide);
         let of_recordings = (study.rows == Rows::Recordings)
-            .then(|| [recordings::calls(study, suite), recordings::recordings(suite, &challenges)]);
+            .then(|| [recordings::calls(study, suite), recordings::recordings(suite, &Challenge::CLOSED_LOOP)]);
         for table in std::iter::once(table).chain(costs(study, suite)).chain(of_recordings.into_iter().flatten()) {
             let _ = write!(text, "\n{}", table.markdown());
         }
@@ -127,7 +127,8 @@ fn scenario_types(suite: &SuiteResults, challenges: &[Challenge], width: Width) 
             let own = variant.scenario_types.iter().find(|own| own.scenario_type == kind.scenario_type)?;
             own.challenges.iter().find(|result| result.challenge == challenge).cloned()
         };
-        let scenes = kind.challenges.first().map_or(0, |result| result.simulations + result.failed);
+        let shown = kind.challenges.iter().find(|result| challenges.contains(&result.challenge));
+        let scenes = shown.map_or(0, |result| result.simulations + result.failed);
         let mut cells = vec![kind.scenario_type.clone(), scenes.to_string()];
         for &challenge in challenges {
             let results: Vec<_> = suite.variants.iter().map(|variant| of_kind(variant, challenge)).collect();

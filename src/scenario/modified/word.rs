@@ -17,6 +17,11 @@ pub const MARK: char = '~';
 /// Ending of files.
 const ENDING: &str = ".toml";
 
+/// A word without its modification.
+pub(crate) fn without_modification(word: &str) -> &str {
+    ModifiedName::in_word(word).map_or(word, |(base, _)| base)
+}
+
 /// What a word names behind [`MARK`]: a built-in kind, or a file, each with a seed of its own behind a point.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ModifiedName {
