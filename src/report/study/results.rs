@@ -308,6 +308,7 @@ impl ResultSource<'_> {
 fn clusters(differences: &[(&str, f64)]) -> Vec<Vec<f64>> {
     let mut clusters: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for &(source, difference) in differences {
+        // A word may have its start before or behind its modification.
         let recording = without_start(without_modification(without_start(source)));
         clusters.entry(recording).or_default().push(difference);
     }
