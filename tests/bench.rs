@@ -1,7 +1,7 @@
 //! `planagent bench`: output, result folder, and failures of single models.
 
 use crate::cli::{planagent, read_json, refused, run};
-use crate::outside::skipped;
+use crate::outside::{Needy, llama_python};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -184,24 +184,12 @@ fn unknown_values_are_refused_with_the_known_ones() {
     }
 }
 
-/// A Python interpreter with llama.cpp; reports a skipped test if there is none.
-fn llama_python() -> Option<PathBuf> {
-    let python = std::env::var_os("PLANAGENT_LLAMA_PYTHON").map_or_else(|| PathBuf::from("python3"), PathBuf::from);
-    let mut command = Command::new(&python);
-    command.args(["-c", "import llama_cpp"]).stdout(Stdio::null()).stderr(Stdio::null());
-    if command.status().is_ok_and(|status| status.success()) {
-        return Some(python);
-    }
-    skipped(format!("{} has no llama_cpp; PLANAGENT_LLAMA_PYTHON may name one that has", python.display()));
-    None
-}
-
 #[test]
-fn both_engines_run_the_same_steps() {
-    let Some(python) = llama_python() else { return };
+fn both_engines_run_the_same_steps() -> Needy {
+    let python = llama_python(&["llama_cpp"])?;
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("bench");
-    let versus = ["--vs", "llama.cpp", "--llama-python", python.to_str().unwrap()];
+    let versus = ["--vs", "llama.cpp", "--llama-python", &python];
     let arguments = ["--random-weights", "nano", "--quantize", "q8_0", "--warm-up", "1", "--iterations", "2"];
     let (code, figures) = bench(&[&arguments[..], &versus].concat(), &out);
     assert_eq!(code, 0, "{figures}");
@@ -214,4 +202,5 @@ fn both_engines_run_the_same_steps() {
     let compared: Vec<&str> =
         figures["comparisons"].as_array().unwrap().iter().map(|row| row["what"].as_str().unwrap()).collect();
     assert_eq!(compared, ["prefill 512", "decode at 512", "image encode", "first token", "planning call"]);
+    Ok(())
 }

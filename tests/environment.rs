@@ -3,6 +3,7 @@
 #[path = "scene_text/mod.rs"]
 mod scene_text;
 
+use crate::outside::Needy;
 use crate::womd::recordings;
 use planagent::internals::environment::facts::Question;
 use planagent::internals::environment::{
@@ -41,19 +42,17 @@ fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts
 }
 
 #[test]
-fn every_recording_becomes_prompts() {
-    if recordings().is_empty() {
-        return;
-    }
+fn every_recording_becomes_prompts() -> Needy {
     let history = History::default();
     let mut looked_at = 0;
-    for scenario in recordings() {
+    for scenario in recordings()? {
         for frame in scenario.frames.iter().step_by(STRIDE) {
             facts_of(scenario, frame, &history);
             looked_at += 1;
         }
     }
     assert!(looked_at > 50, "only {looked_at} frames");
+    Ok(())
 }
 
 #[test]

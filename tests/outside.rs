@@ -1,23 +1,57 @@
-//! What tests need from outside the package, and a loud word where it is missing.
+//! What tests need from outside the repository. A test that lacks something shows as ignored, with the reason.
 
-use std::fmt::Display;
-use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
-/// A file or folder of the data folder: `$PLANAGENT_DATA`, else `../shared/data`. Says so when it is missing.
-pub(crate) fn data(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let found = root.join(path);
-    if found.exists() {
-        return Some(found);
-    }
-    skipped(format!("no {} (PLANAGENT_DATA may name the data folder)", found.display()));
-    None
+/// What a test returns that needs more than the repository.
+pub(crate) type Needy = Result<(), Missing>;
+
+/// What a test lacks on this machine, and how to provide it.
+#[derive(Debug, Clone)]
+pub(crate) struct Missing(pub String);
+
+/// The data folder: `$PLANAGENT_DATA`, else `../shared/data`.
+fn data_folder() -> PathBuf {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+    std::env::var_os("PLANAGENT_DATA").map_or_else(beside, PathBuf::from)
 }
 
-/// Says what is not tested. `eprintln` would not do: the harness hides what a test prints when it passes.
-pub(crate) fn skipped(what: impl Display) {
-    // A test does not fail for a closed stderr.
-    let _ = writeln!(std::io::stderr(), "SKIPPED: {what}");
+/// A file or folder of the data folder.
+pub(crate) fn data(path: &str) -> Result<PathBuf, Missing> {
+    let found = data_folder().join(path);
+    let missing = || Missing(format!("needs {path} in $PLANAGENT_DATA"));
+    found.exists().then_some(found).ok_or_else(missing)
+}
+
+/// A Python that imports the packages: `$PLANAGENT_PYTHON`, else `python3`.
+pub(crate) fn python(packages: &[&str]) -> Result<String, Missing> {
+    interpreter("PLANAGENT_PYTHON", packages)
+}
+
+/// A Python with llama.cpp: `$PLANAGENT_LLAMA_PYTHON`, else `python3`.
+pub(crate) fn llama_python(packages: &[&str]) -> Result<String, Missing> {
+    interpreter("PLANAGENT_LLAMA_PYTHON", packages)
+}
+
+fn interpreter(variable: &str, packages: &[&str]) -> Result<String, Missing> {
+    let named = std::env::var(variable).unwrap_or_else(|_| "python3".to_owned());
+    let imports: String = packages.iter().map(|package| format!("import {package}\n")).collect();
+    let output = Command::new(&named).args(["-c", &imports]).output();
+    let with = if packages.is_empty() { String::new() } else { format!(" with {}", packages.join(", ")) };
+    let missing = || Missing(format!("needs a Python{with}; ${variable} names one"));
+    output.is_ok_and(|output| output.status.success()).then_some(named).ok_or_else(missing)
+}
+
+/// A program on the path, under the first of its names that is there.
+pub(crate) fn program(names: &[&str]) -> Result<PathBuf, Missing> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let folders: Vec<PathBuf> = std::env::split_paths(&path).collect();
+    let mut places = names.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name)));
+    places.find(|place| place.is_file()).ok_or_else(|| Missing(format!("needs {} on the path", names[0])))
+}
+
+/// A clone of nuplan-devkit: `$PLANAGENT_DEVKIT`.
+pub(crate) fn devkit() -> Result<PathBuf, Missing> {
+    let named = std::env::var_os("PLANAGENT_DEVKIT").map(PathBuf::from);
+    named.ok_or_else(|| Missing("needs a clone of nuplan-devkit; $PLANAGENT_DEVKIT names one".to_owned()))
 }

@@ -1,6 +1,6 @@
 //! What `docs/recordings.md` says of all recordings.
 
-use crate::outside::data;
+use crate::outside::{Needy, data};
 use planagent::internals::scenario::{DataRoots, Frame, Readers, Scenario};
 
 const FOLDERS: [&str; 4] = ["womd", "argoverse2", "womd_validation", "argoverse2_validation"];
@@ -15,15 +15,12 @@ fn route_holds_the_ego(Scenario { map, route, frames, start, .. }: &Scenario) ->
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn routes_hold_the_recorded_ego() {
-    let folders: Vec<_> = FOLDERS.into_iter().filter_map(data).collect();
-    if folders.len() < FOLDERS.len() {
-        return;
-    }
+fn routes_hold_the_recorded_ego() -> Needy {
+    let folders = FOLDERS.into_iter().map(data).collect::<Result<Vec<_>, _>>()?;
     let readers = Readers::new(&DataRoots::default());
     let found = folders.iter().flat_map(|folder| readers.find(folder.to_str().unwrap()).unwrap());
     let held: Vec<bool> = found.map(|source| route_holds_the_ego(&source.open().unwrap())).collect();
     let holding = held.iter().filter(|&&held| held).count();
     assert_eq!((holding, held.len()), (37, 46));
+    Ok(())
 }

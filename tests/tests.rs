@@ -1,6 +1,10 @@
 //! The one integration-test binary; a module a subject.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on fails")]
 
+// Its `#[test]` stands before the compiler's, which would remove the functions.
+#[macro_use]
+extern crate planagent_test_attribute;
+
 mod agent;
 mod architecture;
 mod argoverse2;
@@ -13,6 +17,7 @@ mod environment;
 mod experiment;
 mod fuzz_corpus;
 mod generator;
+mod harness;
 #[cfg(feature = "learned")]
 mod learned;
 mod llm_assist;
@@ -39,3 +44,7 @@ mod timed_agent;
 mod tokens;
 mod womd;
 mod words;
+
+fn main() -> std::process::ExitCode {
+    harness::run()
+}

@@ -1,5 +1,6 @@
 //! The tokens of scene descriptions, on generated and recorded scenarios.
 
+use crate::outside::Needy;
 use crate::womd::recordings;
 use planagent::internals::environment::bev::Palette;
 use planagent::internals::environment::{DEFAULT_NODE_LENGTH, Description, LaneGraph, TextForm, text};
@@ -55,13 +56,11 @@ fn generated_scenes_take_few_tokens() {
 }
 
 #[test]
-fn recorded_scenes_take_few_tokens() {
-    if recordings().is_empty() {
-        return;
-    }
+fn recorded_scenes_take_few_tokens() -> Needy {
     let counter = TokenCounter::new(None);
-    let rows = rows(recordings().iter().cloned(), &counter);
+    let rows = rows(recordings()?.iter().cloned(), &counter);
     check(&TokenTable::new(&rows, None));
+    Ok(())
 }
 
 /// Maximum text tokens of a `brief` attempt behind the image, in prompts without the tokens of a chat template.

@@ -133,8 +133,8 @@ impl ReasoningSettings {
     fn max_new_tokens(&self, round: Round) -> usize {
         let limits = self.generation.max_new_tokens;
         match round {
-            Round::Understanding => limits.scene,
-            Round::Instruction => limits.motion,
+            Round::Understanding => limits.understanding,
+            Round::Instruction => limits.instruction,
             Round::Code => limits.code,
         }
     }

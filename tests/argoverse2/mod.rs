@@ -2,7 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
-use crate::outside::data;
+use crate::outside::{Missing, Needy, data};
 use planagent::internals::geometry::wrap_angle;
 use planagent::internals::metrics;
 use planagent::internals::planner::{IdmPlanner, LogReplay, Planner};
@@ -13,9 +13,9 @@ use planagent::internals::world::{BASELINE_SPACING, EgoState, LaneKind, PACIFICA
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The logs of a dataset of Argoverse 2; none without outside data.
-fn logs(dataset: &str) -> Vec<PathBuf> {
-    data(&format!("argoverse2/{dataset}")).map_or_else(Vec::new, |folder| argoverse2::logs_in(&folder).unwrap())
+/// The logs of a dataset of Argoverse 2.
+fn logs(dataset: &str) -> Result<Vec<PathBuf>, Missing> {
+    Ok(argoverse2::logs_in(&data(&format!("argoverse2/{dataset}"))?).unwrap())
 }
 
 /// The words of the scenarios that a word names.
@@ -24,9 +24,9 @@ fn found(word: &str) -> Vec<String> {
     readers.find(word).unwrap().iter().map(ScenarioRef::to_string).collect()
 }
 
-/// All logs; none without outside data.
-pub(crate) fn all_logs() -> Vec<PathBuf> {
-    [logs("sensor"), logs("motion_forecasting")].concat()
+/// All logs.
+pub(crate) fn all_logs() -> Result<Vec<PathBuf>, Missing> {
+    Ok([logs("sensor")?, logs("motion_forecasting")?].concat())
 }
 
 /// The map of a log as it stands in its file.
@@ -38,9 +38,8 @@ fn map_file(log: &Path) -> serde_json::Value {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn logs_open_with_their_window() {
-    for log in all_logs() {
+fn logs_open_with_their_window() -> Needy {
+    for log in all_logs()? {
         let scenario = argoverse2::open(&log).unwrap();
         let contents = argoverse2::contents(&log).unwrap();
         let id = &scenario.id;
@@ -58,13 +57,13 @@ fn logs_open_with_their_window() {
             assert!(found(&above.to_string_lossy()).contains(&word));
         }
     }
+    Ok(())
 }
 
 /// The sideways velocity of the point ahead of the rear axle by d is d times the yaw rate: a fit tells d.
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_ego_frame_stands_on_the_rear_axle() {
-    for log in logs("sensor") {
+fn the_ego_frame_stands_on_the_rear_axle() -> Needy {
+    for log in logs("sensor")? {
         let scenario = argoverse2::open(&log).unwrap();
         let egos: Vec<&EgoState> = scenario.frames.iter().map(|frame| &frame.ego).collect();
         let (mut product, mut square) = (0.0, 0.0);
@@ -79,12 +78,12 @@ fn the_ego_frame_stands_on_the_rear_axle() {
         assert!(ahead.abs() < 0.3, "{}: {ahead} m ahead of the rear axle", scenario.id);
         assert!(ahead.abs() < PACIFICA.rear_axle_to_center() / 2.0);
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_recorded_motion_agrees_with_itself() {
-    for log in all_logs() {
+fn the_recorded_motion_agrees_with_itself() -> Needy {
+    for log in all_logs()? {
         let Scenario { id, frames, .. } = argoverse2::open(&log).unwrap();
         for (i, pair) in frames.windows(2).enumerate() {
             let (a, b) = (&pair[0].ego, &pair[1].ego);
@@ -111,12 +110,12 @@ fn the_recorded_motion_agrees_with_itself() {
         assert!(seen.clone().all(|object| *kinds.entry(object.token).or_insert(object.kind) == object.kind), "{id}");
         assert!(seen.count() > 10 * kinds.len(), "{id}");
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn derived_maps_keep_the_rules() {
-    for log in all_logs() {
+fn derived_maps_keep_the_rules() -> Needy {
+    for log in all_logs()? {
         let Scenario { id, map, route, .. } = argoverse2::open(&log).unwrap();
         let file = map_file(&log);
         let wanted: BTreeMap<i64, bool> = file["lane_segments"]
@@ -162,6 +161,7 @@ fn derived_maps_keep_the_rules() {
         assert!(map.lanes().iter().any(|lane| lane.kind == LaneKind::Connector), "{id}");
         assert!(route.roadblocks.windows(2).all(|pair| map[pair[0]].outgoing.contains(&pair[1])), "{id}");
     }
+    Ok(())
 }
 
 fn scores(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> metrics::Score {
@@ -169,9 +169,8 @@ fn scores(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) 
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn log_replay_complies_and_idm_drives() {
-    for log in all_logs() {
+fn log_replay_complies_and_idm_drives() -> Needy {
+    for log in all_logs()? {
         let scenario = argoverse2::open(&log).unwrap();
         let replay = &mut LogReplay::new(scenario.expert().copied().collect());
         let replayed = scores(&scenario, replay, Challenge::NonReactive);
@@ -190,12 +189,12 @@ fn log_replay_complies_and_idm_drives() {
             assert!((on_road - 1.0).abs() < 1e-12, "{}", scenario.id);
         }
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn cut_logs_are_reported_with_their_file() {
-    let Some(log) = logs("sensor").into_iter().next() else { return };
+fn cut_logs_are_reported_with_their_file() -> Needy {
+    let log = logs("sensor")?.swap_remove(0);
     let copy = tempfile::tempdir().unwrap();
     std::fs::create_dir(copy.path().join("map")).unwrap();
     let map = "map/log_map_archive_cut____MIA_city_1.json";
@@ -214,4 +213,5 @@ fn cut_logs_are_reported_with_their_file() {
         }
         write();
     }
+    Ok(())
 }

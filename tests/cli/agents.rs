@@ -1,5 +1,6 @@
 //! Other agents that a command controls: `--agents exec:COMMAND`.
 
+use crate::outside::Needy;
 use super::exec::{python, rows, script};
 use super::{SCENE, read_json, refused, run};
 use crate::runner::simulations;
@@ -13,9 +14,9 @@ const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/exec_agents
 const REPLAY: &str = "for line in sys.stdin:\n    print('{\"type\": \"ready\"}' if '\"initialize\"' in line[:30] else '{\"type\": \"agents\", \"objects\": []}', flush=True)\n";
 
 #[test]
-fn agents_that_are_left_out_follow_the_log_and_the_policy_stands_in_the_place_of_the_challenge() {
+fn agents_that_are_left_out_follow_the_log_and_the_policy_stands_in_the_place_of_the_challenge() -> Needy {
     let work = TempDir::new().unwrap();
-    let Some(command) = script(work.path(), "replay.py", REPLAY) else { return };
+    let command = script(work.path(), "replay.py", REPLAY)?;
     let out = work.path().join("run");
     let agents = format!("replay=exec:{command}");
     let flags = ["simulate", "--scenario", SCENE, "--planner", "pdm-closed", "--challenge", "nonreactive"];
@@ -36,6 +37,7 @@ fn agents_that_are_left_out_follow_the_log_and_the_policy_stands_in_the_place_of
     let frame = ["render", out.to_str().unwrap(), "--challenge", "replay", "--png", png.to_str().unwrap(), "--at", "5"];
     let (code, _, stderr) = run(&frame);
     assert_eq!(code, 0, "{stderr}");
+    Ok(())
 }
 
 /// An agent policy that has everything a kilometer away.
@@ -50,9 +52,9 @@ for message in map(json.loads, sys.stdin):
 ";
 
 #[test]
-fn agents_are_where_the_command_has_them() {
+fn agents_are_where_the_command_has_them() -> Needy {
     let work = TempDir::new().unwrap();
-    let Some(command) = script(work.path(), "away.py", AWAY) else { return };
+    let command = script(work.path(), "away.py", AWAY)?;
     let out = work.path().join("run");
     let agents = format!("away=exec:{command}");
     let flags = [
@@ -70,11 +72,12 @@ fn agents_are_where_the_command_has_them() {
     let score = |place: usize| rows[place]["score"].as_f64().unwrap();
     // The planner drives straight ahead, into the lead of the recording.
     assert!(score(0) == 0.0 && score(1) > 0.5, "{rows:?}");
+    Ok(())
 }
 
 #[test]
-fn the_example_runs_and_gives_the_same_twice() {
-    let Some(python) = python() else { return };
+fn the_example_runs_and_gives_the_same_twice() -> Needy {
+    let python = python()?;
     let work = TempDir::new().unwrap();
     let [one, two] = ["one", "two"].map(|name| work.path().join(name));
     let agents = format!("exec:{python} {EXAMPLE}");
@@ -88,6 +91,7 @@ fn the_example_runs_and_gives_the_same_twice() {
     let rows = rows(&one);
     assert!(rows.iter().all(|row| row["challenge"] == "closed_loop_own_agents_exec-exec_agents"), "{rows:?}");
     assert!(rows.iter().all(|row| row["succeeded"] == true && row["score"].is_number()), "{rows:?}");
+    Ok(())
 }
 
 /// Simulates with agents that must fail; gives the error of the simulation.
@@ -125,11 +129,11 @@ fn agents_that_are_dead_silent_or_wrong_fail_their_simulation() {
 }
 
 #[test]
-fn a_run_never_starts_agents_that_were_not_given_again() {
+fn a_run_never_starts_agents_that_were_not_given_again() -> Needy {
     let work = TempDir::new().unwrap();
     let marker = work.path().join("started");
     let lines = format!("open({:?}, 'a').write('x')\n{REPLAY}", marker.display().to_string());
-    let Some(command) = script(work.path(), "marking.py", &lines) else { return };
+    let command = script(work.path(), "marking.py", &lines)?;
     let out = work.path().join("run");
     let folder = out.to_str().unwrap();
     let agents = format!("exec:{command}");
@@ -149,6 +153,7 @@ fn a_run_never_starts_agents_that_were_not_given_again() {
     assert_eq!(starts(), 1, "a command was started without being given");
     assert_eq!(run(&["simulate", "--resume", folder, "--agents", &agents]).0, 0);
     assert_eq!((starts(), &read_json(&out.join("summary.json"))["scenarios"][0]["score"]), (2, &score));
+    Ok(())
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Planners that are commands: `--planner exec:COMMAND`.
 
 use super::{SCENE, read_json, refused, run};
-use crate::outside::skipped;
+use crate::outside::{Missing, Needy};
 use crate::runner::simulations;
 use serde_json::Value;
 use std::fs;
@@ -12,25 +12,20 @@ use tempfile::TempDir;
 
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/exec_planner.py");
 
-/// A Python interpreter; says so when there is none.
-pub(super) fn python() -> Option<String> {
-    let name = std::env::var("PLANAGENT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let found = Command::new(&name).arg("--version").output().is_ok_and(|output| output.status.success());
-    if !found {
-        skipped(format!("no {name} on the path; planners in Python were not tested"));
-    }
-    found.then_some(name)
+/// A Python interpreter.
+pub(super) fn python() -> Result<String, Missing> {
+    crate::outside::python(&[])
 }
 
 /// A planner of some lines of Python.
-pub(super) fn script(folder: &Path, name: &str, lines: &str) -> Option<String> {
+pub(super) fn script(folder: &Path, name: &str, lines: &str) -> Result<String, Missing> {
     let path = folder.join(name);
     fs::write(
         &path,
         format!("import json, os, sys, time\nready = lambda: print('{{\"type\": \"ready\"}}', flush=True)\n{lines}"),
     )
     .unwrap();
-    Some(format!("{} {}", python()?, path.display()))
+    Ok(format!("{} {}", python()?, path.display()))
 }
 
 pub(super) fn rows(run: &Path) -> Vec<Value> {
@@ -38,8 +33,8 @@ pub(super) fn rows(run: &Path) -> Vec<Value> {
 }
 
 #[test]
-fn a_command_plans_like_a_planner_of_ours() {
-    let Some(python) = python() else { return };
+fn a_command_plans_like_a_planner_of_ours() -> Needy {
+    let python = python()?;
     let work = TempDir::new().unwrap();
     let [one, two] = ["one", "two"].map(|name| work.path().join(name));
     let planner = format!("idm,exec:{python} {EXAMPLE}");
@@ -75,6 +70,7 @@ fn a_command_plans_like_a_planner_of_ours() {
     let png = work.path().join("frame.png");
     let frame = ["render", one.to_str().unwrap(), "2", "--png", png.to_str().unwrap(), "--at", "5", "--pixels", "160"];
     assert_eq!(run(&frame).0, 0);
+    Ok(())
 }
 
 /// Simulates with a command that must fail; gives the error of the simulation.
@@ -114,7 +110,7 @@ fn a_command_that_is_dead_silent_or_wrong_fails_its_simulation() {
 }
 
 #[test]
-fn a_silent_command_is_ended_with_what_it_started() {
+fn a_silent_command_is_ended_with_what_it_started() -> Needy {
     let work = TempDir::new().unwrap();
     let ids = work.path().join("ids");
     let lines = format!(
@@ -122,7 +118,7 @@ fn a_silent_command_is_ended_with_what_it_started() {
          open({:?}, 'w').write(f'{{os.getpid()}} {{child.pid}}')\nready()\ntime.sleep(600)\n",
         ids.display().to_string()
     );
-    let Some(command) = script(work.path(), "silent.py", &lines) else { return };
+    let command = script(work.path(), "silent.py", &lines)?;
     let error = failing(work.path(), &command);
     assert!(error.contains("gave no answer within 1 s"), "{error}");
     let alive = |id: &str| {
@@ -136,14 +132,15 @@ fn a_silent_command_is_ended_with_what_it_started() {
         std::thread::sleep(Duration::from_millis(20));
     }
     assert!(!ids.split(' ').any(alive), "{ids} are alive");
+    Ok(())
 }
 
 #[test]
-fn a_run_is_never_resumed_with_a_command_that_was_not_given_again() {
+fn a_run_is_never_resumed_with_a_command_that_was_not_given_again() -> Needy {
     let work = TempDir::new().unwrap();
     let marker = work.path().join("started");
     let lines = format!("open({:?}, 'a').write('x')\nready()\nsys.stdin.read()\n", marker.display().to_string());
-    let Some(command) = script(work.path(), "marking.py", &lines) else { return };
+    let command = script(work.path(), "marking.py", &lines)?;
     let out: PathBuf = work.path().join("run");
     let folder = out.to_str().unwrap();
     let planner = format!("exec:{command}");
@@ -166,11 +163,12 @@ fn a_run_is_never_resumed_with_a_command_that_was_not_given_again() {
     assert_eq!(starts(), 1, "a command was started without being given");
     assert_eq!(run(&[&["simulate", "--resume", folder], &flags[..]].concat()).0, 1);
     assert_eq!(starts(), 2);
+    Ok(())
 }
 
 #[test]
-fn an_experiment_compares_a_command() {
-    let Some(python) = python() else { return };
+fn an_experiment_compares_a_command() -> Needy {
+    let python = python()?;
     let work = TempDir::new().unwrap();
     let study = work.path().join("mine.toml");
     let text = format!(
@@ -190,4 +188,5 @@ fn an_experiment_compares_a_command() {
     let (code, csv, _) = run(&[&flags[..], &["--csv", "--quiet"]].concat());
     assert_eq!((code, csv.lines().count()), (0, 5), "{csv}");
     assert!(csv.contains("mine,recorded,mine,"), "{csv}");
+    Ok(())
 }

@@ -18,7 +18,7 @@ mod scenarios;
 mod settings;
 mod shards;
 
-use crate::outside::data;
+use crate::outside::{Missing, Needy, data};
 use assert_cmd::Command;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -57,8 +57,8 @@ pub(crate) fn read_json(path: &Path) -> Value {
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
 }
 
-/// The folder of recordings; says so when it is missing.
-fn recordings() -> Option<PathBuf> {
+/// The folder of recordings.
+fn recordings() -> Result<PathBuf, Missing> {
     data("womd")
 }
 
@@ -384,9 +384,8 @@ fn broken_checkpoints_are_refused() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn broken_recordings_are_refused() {
-    let Some(folder) = recordings() else { return };
+fn broken_recordings_are_refused() -> Needy {
+    let folder = recordings()?;
     let whole = fs::read(folder.join("8799c31b5be1f312.tfrecord")).unwrap();
     let work = TempDir::new().unwrap();
     let broken = work.path().join("broken.tfrecord");
@@ -400,10 +399,11 @@ fn broken_recordings_are_refused() {
     fs::write(&broken, flipped).unwrap();
     let checksum = refused(&["simulate", "--planner", "idm", "--scenario", name]);
     assert!(checksum.to_lowercase().contains("crc") || checksum.contains("checksum"), "{checksum}");
+    Ok(())
 }
 
-/// Simulates every recording; gives the rows of the summary, or nothing where there are no recordings.
-fn simulate_recordings(flags: &[&str]) -> Option<Vec<Value>> {
+/// Simulates every recording; gives the rows of the summary.
+fn simulate_recordings(flags: &[&str]) -> Result<Vec<Value>, Missing> {
     let folder = recordings()?;
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
@@ -412,26 +412,26 @@ fn simulate_recordings(flags: &[&str]) -> Option<Vec<Value>> {
     assert_eq!(code, 0, "{stderr}");
     let rows = read_json(&out.join("summary.json"))["scenarios"].as_array().unwrap().clone();
     assert!(rows.len() >= 11, "{} recordings", rows.len());
-    Some(rows)
+    Ok(rows)
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn log_replay_keeps_to_road_and_direction_on_every_recording() {
-    for row in simulate_recordings(&["--planner", "log-replay"]).unwrap_or_default() {
+fn log_replay_keeps_to_road_and_direction_on_every_recording() -> Needy {
+    for row in simulate_recordings(&["--planner", "log-replay"])? {
         assert_eq!(row["drivable_area_compliance"], 1.0, "{row}");
         assert_eq!(row["driving_direction_compliance"], 1.0, "{row}");
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn plan_agent_simulates_every_recording() {
-    for row in simulate_recordings(&["--challenge", "both"]).unwrap_or_default() {
+fn plan_agent_simulates_every_recording() -> Needy {
+    for row in simulate_recordings(&["--challenge", "both"])? {
         assert!(row["planning_calls"].as_u64().unwrap() >= 3, "{row}");
         let score = row["score"].as_f64().unwrap();
         assert_eq!(score <= 0.0, !row["zeroed_by"].as_array().unwrap().is_empty(), "{row}");
     }
+    Ok(())
 }
 
 #[test]

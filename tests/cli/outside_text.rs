@@ -1,7 +1,7 @@
 //! Text, files and paths that others chose: nothing of them reaches the terminal unseen, waits forever or is written over.
 
 use super::{refused, run};
-use crate::outside::data;
+use crate::outside::{Needy, data};
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -20,8 +20,8 @@ fn is_obeyed(text: &str) -> bool {
 }
 
 #[test]
-fn control_characters_of_a_recording_are_shown() {
-    let Some(recording) = data("hostile/evil.tfrecord") else { return };
+fn control_characters_of_a_recording_are_shown() -> Needy {
+    let recording = data("hostile/evil.tfrecord")?;
     let recording = recording.to_str().unwrap();
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
@@ -51,6 +51,7 @@ fn control_characters_of_a_recording_are_shown() {
     assert!(escapes >= 5, "the escapes of the recording are shown {escapes} times");
     let unknown = refused(&["render", out, "\u{1b}[2J", "--png", "x.png"]);
     assert!(!is_obeyed(&unknown) && unknown.contains("\\u001b[2J"), "{}", unknown.escape_debug());
+    Ok(())
 }
 
 #[test]
@@ -177,8 +178,8 @@ mod unix {
     }
 
     #[test]
-    fn a_path_that_is_not_utf_8_can_be_used() {
-        let Some(recordings) = data("womd") else { return };
+    fn a_path_that_is_not_utf_8_can_be_used() -> Needy {
+        let recordings = data("womd")?;
         let work = TempDir::new().unwrap();
         let name = |bytes: &[u8]| work.path().join(OsStr::from_bytes(bytes));
         let (recording, out) = (name(b"r\xff\x80.tfrecord"), name(b"run-\xe6"));
@@ -200,5 +201,6 @@ mod unix {
         assert!(code == 0 && out.join("report.html").is_file(), "{stderr}");
         let (code, stderr) = program(&[os("scenarios"), os("list"), work.path().as_os_str()]);
         assert_eq!(code, 0, "{stderr}");
+        Ok(())
     }
 }

@@ -5,7 +5,7 @@
 
 use super::text::{DocumentedCommand, commands};
 use super::{docs, name, read, root};
-use crate::outside::{data, skipped};
+use crate::outside::{Missing, Needy, data, program, python};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -235,17 +235,53 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ("docs/report.md", "PYTHONPATH=$DEVKIT python tests/devkit/simulation_logs.py runs/exported exported", DEVKIT),
 ];
 
-/// What of the world outside a command needs: a word of it, and whether it is here.
-fn lacks(command: &str) -> Option<&'static str> {
-    let runs = |program: &str| Command::new(program).arg("-version").output().is_ok();
+/// What of the world outside a command needs that is not here.
+fn lack(command: &str) -> Option<Missing> {
     let needs = |words: &[&str]| words.iter().any(|word| command.contains(word));
-    if needs(&["$PLANAGENT_DATA", ".tfrecord"]) && data("womd").is_none() {
-        return Some("recordings");
+    let found = [
+        needs(&["$PLANAGENT_DATA", ".tfrecord"]).then(|| data("womd").err()),
+        needs(&["exec:"]).then(|| python(&[]).err()),
+        needs(&["--mp4"]).then(|| program(&["ffmpeg"]).err()),
+    ];
+    found.into_iter().flatten().flatten().next()
+}
+
+/// The paths that a command writes: behind `--out` and `>`.
+fn outputs(command: &str) -> impl Iterator<Item = String> {
+    let words: Vec<&str> = command.split_whitespace().collect();
+    let pairs = words.windows(2).filter(|pair| ["--out", ">"].contains(&pair[0]));
+    pairs.map(|pair| pair[1].trim_end_matches('/').to_owned()).collect::<Vec<_>>().into_iter()
+}
+
+/// Whether a command names a path, or something below it.
+fn names(command: &str, path: &str) -> bool {
+    let mut words = command.split(|c: char| c.is_whitespace() || "=,:".contains(c));
+    words.any(|word| word.strip_prefix(path).is_some_and(|rest| rest.is_empty() || rest.starts_with('/')))
+}
+
+/// The commands of a page that were not run for lack of something outside, and those that need what these would have made.
+#[derive(Default)]
+struct Skipped {
+    outputs: Vec<String>,
+    reasons: Vec<String>,
+}
+
+impl Skipped {
+    /// Whether a command of this line is skipped; remembers it if so.
+    fn skips(&mut self, line: usize, command: &str) -> bool {
+        let input = self.outputs.iter().find(|path| names(command, path));
+        let unmade = input.map(|path| Missing(format!("needs {path}, which a skipped command makes")));
+        let Some(Missing(reason)) = lack(command).or(unmade) else { return false };
+        self.outputs.extend(outputs(command));
+        self.reasons.push(format!("line {line} {reason}"));
+        true
     }
-    if needs(&["exec:"]) && !runs("python3") {
-        return Some("python3");
+
+    /// A page with skipped commands shows as ignored, although its other commands ran.
+    fn outcome(self) -> Needy {
+        let reasons = self.reasons.join("; ");
+        if reasons.is_empty() { Ok(()) } else { Err(Missing(format!("the other commands ran; {reasons}"))) }
     }
-    (needs(&["--mp4"]) && !runs("ffmpeg")).then_some("ffmpeg")
 }
 
 /// Writes what a page takes for granted into the folder of its commands.
@@ -269,7 +305,7 @@ fn given(page: &str, folder: &Path) {
             fs::write(folder.join("my_study.toml"), block.split_once("```").unwrap().0).unwrap();
         }
         "docs/nuplan.md" => {
-            if let Some(recording) = data("womd/eb4b91b10ca94ff2.tfrecord") {
+            if let Ok(recording) = data("womd/eb4b91b10ca94ff2.tfrecord") {
                 fs::copy(recording, folder.join("recording.tfrecord")).unwrap();
             }
         }
@@ -280,7 +316,7 @@ fn given(page: &str, folder: &Path) {
             copy(&root().join("prompts/compact"), &folder.join("my_prompts"));
         }
         "docs/runs.md" => {
-            if let Some(womd) = data("womd") {
+            if let Ok(womd) = data("womd") {
                 fs::create_dir_all(folder.join("recordings/womd")).unwrap();
                 for file in ["61fa872f2d274223.tfrecord", "eb4b91b10ca94ff2.tfrecord"] {
                     fs::copy(womd.join(file), folder.join("recordings/womd").join(file)).unwrap();
@@ -333,16 +369,16 @@ fn text(output: &Output) -> String {
 }
 
 /// Runs the commands of a page, in order.
-fn run_page(page: &str) {
+fn run_page(page: &str) -> Needy {
     let work = TempDir::new().unwrap();
     given(page, work.path());
+    let mut skipped = Skipped::default();
     for DocumentedCommand { line, text: command, output: shown } in commands(&read(&root().join(page))) {
         if let Some((.., why)) = NOT_RUN.iter().find(|(on, listed, _)| *on == page && *listed == command) {
             assert!(!why.is_empty());
             continue;
         }
-        if let Some(what) = lacks(&command) {
-            skipped(format!("no {what}: {page}:{line}: {command}"));
+        if skipped.skips(line, &command) {
             continue;
         }
         let output = shell(&command, work.path());
@@ -351,6 +387,7 @@ fn run_page(page: &str) {
             assert!(text(&output).contains(&line), "{page}: {command} does not print {line}\n{}", text(&output));
         }
     }
+    skipped.outcome()
 }
 
 macro_rules! pages {
@@ -358,8 +395,8 @@ macro_rules! pages {
         /// The pages with commands.
         const PAGES: &[&str] = &[$($page),+];
         $(#[test]
-        fn $name() {
-            run_page($page);
+        fn $name() -> Needy {
+            run_page($page)
         })+
     };
 }
@@ -384,6 +421,18 @@ pages! {
     commands_of_report: "docs/report.md",
     commands_of_results: "docs/results.md",
     commands_of_runs: "docs/runs.md",
+}
+
+#[test]
+fn what_a_skipped_command_would_have_made_is_not_used() {
+    let mut skipped = Skipped { outputs: vec!["exported".to_owned()], reasons: Vec::new() };
+    assert!(!skipped.skips(1, "planagent simulate --out runs/exported"));
+    assert!(skipped.skips(2, "NUPLAN_MAPS_ROOT=exported/maps planagent simulate --scenario exported/data --out runs/two"));
+    assert!(skipped.skips(3, "planagent compare runs/one runs/two > table.csv"));
+    assert!(skipped.skips(4, "cut -d, -f1 table.csv"));
+    assert!(!skipped.skips(5, "planagent report runs/twofold"));
+    let Missing(reason) = skipped.outcome().unwrap_err();
+    assert!(reason.contains("line 3 needs runs/two, which a skipped command makes"), "{reason}");
 }
 
 #[test]

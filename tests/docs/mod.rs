@@ -1,5 +1,6 @@
 //! README.md and docs: their commands run, their links lead somewhere, their pages have one form.
 
+mod blocks;
 mod commands;
 mod links;
 mod prose;

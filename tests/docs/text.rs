@@ -40,6 +40,34 @@ pub(super) fn commands(page: &str) -> Vec<DocumentedCommand> {
     found
 }
 
+/// A fenced block.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Block {
+    /// Number of its first line, from 1.
+    pub(super) line: usize,
+    /// The word behind the fence.
+    pub(super) language: String,
+    pub(super) text: String,
+}
+
+/// The fenced blocks of a page.
+pub(super) fn blocks(page: &str) -> Vec<Block> {
+    let mut found: Vec<Block> = Vec::new();
+    let mut is_open = false;
+    for (i, line) in page.lines().enumerate() {
+        if let Some(language) = line.strip_prefix("```") {
+            is_open = !is_open;
+            if is_open {
+                found.push(Block { line: i + 2, language: language.to_owned(), text: String::new() });
+            }
+        } else if let Some(block) = found.last_mut().filter(|_| is_open) {
+            block.text += line;
+            block.text.push('\n');
+        }
+    }
+    found
+}
+
 /// The page without code blocks, its lines kept.
 pub(super) fn without_blocks(page: &str) -> String {
     let mut in_block = false;
@@ -96,6 +124,12 @@ fn commands_are_found_with_their_lines_and_output() {
         output: output.iter().map(|line| (*line).to_owned()).collect(),
     };
     assert_eq!(found, [command(4, "one --a --b", &["out"]), command(7, "two", &[])]);
+}
+
+#[test]
+fn blocks_have_a_language_and_a_line() {
+    let block = |line, language: &str, text: &str| Block { line, language: language.into(), text: text.into() };
+    assert_eq!(blocks("a\n```toml\nb = 1\n```\nc\n```\nd\n```\n"), [block(3, "toml", "b = 1\n"), block(7, "", "d\n")]);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! A simulation with llama.cpp's server from the Python package `llama-cpp-python[server]`. `$PLANAGENT_LLAMA_PYTHON` is a
 //! Python with this package and the package `gguf`.
 
-use crate::outside::skipped;
+use crate::outside::{Needy, llama_python};
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::net::{TcpListener, TcpStream};
@@ -25,19 +25,8 @@ impl Drop for LlamaServer {
     }
 }
 
-/// The Python with the packages; reports a skipped test if there is none.
-fn python() -> Option<OsString> {
-    let Some(python) = std::env::var_os("PLANAGENT_LLAMA_PYTHON") else {
-        skipped("llama.cpp's server; $PLANAGENT_LLAMA_PYTHON names no Python with llama-cpp-python[server]");
-        return None;
-    };
-    let import = Command::new(&python).args(["-c", "import gguf, llama_cpp.server.app"]).output().unwrap();
-    assert!(import.status.success(), "{}", String::from_utf8_lossy(&import.stderr));
-    Some(python)
-}
-
 /// Starts the server with a random model and waits until it listens.
-fn start(python: &OsString, folder: &Path) -> (LlamaServer, String) {
+fn start(python: &str, folder: &Path) -> (LlamaServer, String) {
     let model = folder.join("tiny.gguf");
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/llama_cpp/make_tiny_gguf.py");
     assert!(Command::new(python).arg(script).arg(&model).status().unwrap().success());
@@ -67,8 +56,8 @@ fn start(python: &OsString, folder: &Path) -> (LlamaServer, String) {
 }
 
 #[test]
-fn a_random_model_on_llama_cpps_server_drives_under_our_grammars() {
-    let Some(python) = python() else { return };
+fn a_random_model_on_llama_cpps_server_drives_under_our_grammars() -> Needy {
+    let python = llama_python(&["gguf", "llama_cpp.server.app"])?;
     let folder = TempDir::new().unwrap();
     let (_server, url) = start(&python, folder.path());
     for stream in [false, true] {
@@ -105,4 +94,5 @@ fn a_random_model_on_llama_cpps_server_drives_under_our_grammars() {
         }
         assert!(rounds >= 24, "{rounds} rounds");
     }
+    Ok(())
 }

@@ -1,5 +1,7 @@
 //! `planagent experiment`: runs are shared and resumed, and the results do not depend on interruptions.
 
+mod paper;
+
 use crate::cli::{planagent, read_json, refused, run};
 use crate::runner::{kill_when, simulations, spawn, written};
 use serde_json::Value;

@@ -1,5 +1,6 @@
 //! DTPP.
 
+use crate::outside::Needy;
 use super::gameformer::{check_features, random_scene};
 use super::scene::scene;
 use super::vectors::{
@@ -98,14 +99,14 @@ fn the_tiny_network_computes_what_pytorch_computes() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_full_network_computes_what_pytorch_computes() {
+fn the_full_network_computes_what_pytorch_computes() -> Needy {
     let network = network(|weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
     for steps in [30, 80] {
         let name = format!("dtpp_full.random_b1_t{steps}");
-        let Some(path) = vectors(&format!("dtpp/{name}.io.safetensors")) else { return };
+        let path = vectors(&format!("dtpp/{name}.io.safetensors"))?;
         check(&network, &random_inputs(steps), steps, &Vectors::open(&path), &name);
     }
+    Ok(())
 }
 
 #[test]
@@ -114,12 +115,12 @@ fn the_tensors_are_those_of_the_manifest() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_features_are_those_of_the_original() {
+fn the_features_are_those_of_the_original() -> Needy {
     for name in ["scene_a", "scene_b"] {
-        let Some(path) = vectors(&format!("dtpp/features_{name}.safetensors")) else { return };
+        let path = vectors(&format!("dtpp/features_{name}.safetensors"))?;
         check_features(name, 80.0, &Vectors::open(&path));
     }
+    Ok(())
 }
 
 /// A place that lies on the border of two rows of the path may fall on either side in f32: one row is 0.1 m.
@@ -135,9 +136,8 @@ fn apart(found: &[Step], expected: &[Vec<f32>]) -> (f32, f32) {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn speed_profiles_are_those_of_the_original() {
-    let Some(path) = vectors("dtpp/planner_cases.json") else { return };
+fn speed_profiles_are_those_of_the_original() -> Needy {
+    let path = vectors("dtpp/planner_cases.json")?;
     let cases = &json_at(&path)["spline_planner"];
     let row = |i: u32| {
         let s = 0.1 * f64::from(i);
@@ -167,14 +167,14 @@ fn speed_profiles_are_those_of_the_original() {
     let from = [x[0], x[1], x[2], x[3], x[4], 0.0];
     let (places, rates) = apart(&ends(second_stage(paths, &from, limit).unwrap()), &rows(&two["ends"]));
     assert!(places < ROW && rates < 1e-4, "{places} {rates}");
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn paths_trees_and_plans_are_those_of_the_original() {
-    let Some(path) = vectors("dtpp/planner_cases.json") else { return };
+fn paths_trees_and_plans_are_those_of_the_original() -> Needy {
+    let path = vectors("dtpp/planner_cases.json")?;
     let cases = json_at(&path);
-    let Some(path) = vectors("dtpp/planner_cases.safetensors") else { return };
+    let path = vectors("dtpp/planner_cases.safetensors")?;
     let file = Vectors::open(&path);
     let network = network(|weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
     for name in ["scene_a", "scene_b"] {
@@ -221,4 +221,5 @@ fn paths_trees_and_plans_are_those_of_the_original() {
             assert!((found[0] - expected[0]).hypot(found[1] - expected[1]) < ROW, "{name}: {found:?} {expected:?}");
         }
     }
+    Ok(())
 }

@@ -1,5 +1,6 @@
 //! GameFormer.
 
+use crate::outside::Needy;
 use super::scene::scene;
 use super::vectors::{
     FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json_at, network, numbers, vectors,
@@ -136,17 +137,17 @@ fn scene_inputs(source: &str, file: &Vectors) -> (SceneInputs, Tensor) {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_full_network_computes_what_pytorch_computes() {
+fn the_full_network_computes_what_pytorch_computes() -> Needy {
     let network = network(|weights| GameFormer::take(weights, GameFormerConfig::PUBLISHED));
     for source in ["random", "scene_a", "scene_b"] {
-        let Some(path) = vectors(&format!("gameformer/gameformer_full.{source}.io.safetensors")) else { return };
+        let path = vectors(&format!("gameformer/gameformer_full.{source}.io.safetensors"))?;
         let given = match source {
             "random" => random_inputs(),
             _ => inputs(&Vectors::open(&vectors(&format!("gameformer/features_{source}.safetensors")).unwrap())),
         };
         check(&network, &given, &Vectors::open(&path), &format!("gameformer_full.{source}"));
     }
+    Ok(())
 }
 
 #[test]
@@ -190,11 +191,10 @@ fn lit(name: &str, lights: &str) -> Scene {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn reference_paths_are_those_of_the_original() {
-    let Some(path) = vectors("gameformer/planner_cases.json") else { return };
+fn reference_paths_are_those_of_the_original() -> Needy {
+    let path = vectors("gameformer/planner_cases.json")?;
     let cases = json_at(&path);
-    let Some(path) = vectors("gameformer/planner_cases.safetensors") else { return };
+    let path = vectors("gameformer/planner_cases.safetensors")?;
     let file = Vectors::open(&path);
     for (name, lights) in [("scene_a", "red"), ("scene_a", "no_tl"), ("scene_b", "red"), ("scene_b", "no_tl")] {
         let scene = lit(name, lights);
@@ -223,13 +223,13 @@ fn reference_paths_are_those_of_the_original() {
         let found = Tensor::from_vec(rows.concat(), (1200, 6), &candle_core::Device::Cpu).unwrap();
         assert_close(&format!("{name} {lights}"), &found, file.get(&format!("ref.{name}.{lights}")), NETWORK);
     }
+    Ok(())
 }
 
 /// The original refines in f32 and its objective has steps, so that iterates part: in f64 they are up to 0.04 m/s off.
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn refinements_are_those_of_the_original() {
-    let Some(path) = vectors("gameformer/planner_cases.safetensors") else { return };
+fn refinements_are_those_of_the_original() -> Needy {
+    let path = vectors("gameformer/planner_cases.safetensors")?;
     let file = Vectors::open(&path);
     let worst = |found: &[f64], expected: &[f32]| {
         found.iter().zip(expected).map(|(found, expected)| (found - f64::from(*expected)).abs()).fold(0.0, f64::max)
@@ -273,6 +273,7 @@ fn refinements_are_those_of_the_original() {
             }
         }
     }
+    Ok(())
 }
 
 /// The rows of a matrix.

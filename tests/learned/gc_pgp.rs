@@ -1,5 +1,6 @@
 //! GC-PGP.
 
+use crate::outside::Needy;
 use super::scene::scene;
 use super::vectors::{
     FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json_at, network, numbers, vectors,
@@ -62,10 +63,9 @@ fn the_tensors_are_those_of_the_manifest() {
 
 /// The tensors that the original builder made, with a batch dimension; `ours` are names of our inputs.
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_features_are_those_of_the_original() {
+fn the_features_are_those_of_the_original() -> Needy {
     for name in ["scene_a", "scene_b"] {
-        let Some(path) = vectors(&format!("gc_pgp/features_{name}.safetensors")) else { return };
+        let path = vectors(&format!("gc_pgp/features_{name}.safetensors"))?;
         let file = Vectors::open(&path);
         let features = GcPgpFeatures::of(&scene(name).view()).unwrap();
         let inputs = features.inputs().unwrap();
@@ -92,12 +92,12 @@ fn the_features_are_those_of_the_original() {
         let initial = Tensor::new(initial, &Device::Cpu).unwrap();
         assert_close(&format!("gc_pgp {name} init_node"), &initial, file.get("feature.init_node"), FEATURES);
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn ranks_poses_and_clusters_are_those_of_the_original() {
-    let Some(path) = vectors("gc_pgp/postprocess_cases.json") else { return };
+fn ranks_poses_and_clusters_are_those_of_the_original() -> Needy {
+    let path = vectors("gc_pgp/postprocess_cases.json")?;
     let cases = json_at(&path);
     let rows = |value: &Value| value.as_array().unwrap().iter().map(numbers).collect::<Vec<Vec<f64>>>();
     for case in cases["ranking"].as_array().unwrap() {
@@ -123,15 +123,15 @@ fn ranks_poses_and_clusters_are_those_of_the_original() {
     for (found, expected) in clusters.centers.concat().iter().zip(numbers(&case["centers"])) {
         assert!((found - expected).abs() < 1e-9);
     }
+    Ok(())
 }
 
 /// The original draws with PyTorch's numbers, ours with others, so clusters agree only in distribution. The trajectories end about a
 /// meter ahead, with ends 0.4 m apart: the means of all ends must agree to 0.05 m and their spread to half, and each of our five
 /// best must be within 0.15 m of one of theirs in the mean of its poses.
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn drawn_plans_are_like_those_of_the_original() {
-    let Some(path) = vectors("gc_pgp/gc_pgp_full.scene_a_b1.sampled.safetensors") else { return };
+fn drawn_plans_are_like_those_of_the_original() -> Needy {
+    let path = vectors("gc_pgp/gc_pgp_full.scene_a_b1.sampled.safetensors")?;
     let file = Vectors::open(&path);
     let network = network(GcPgp::take);
     let features = GcPgpFeatures::of(&scene("scene_a").view()).unwrap();
@@ -165,4 +165,5 @@ fn drawn_plans_are_like_those_of_the_original() {
     for ((score, _), share) in plans.iter().zip(shares) {
         assert!((*score as f32 - share).abs() < 1e-6);
     }
+    Ok(())
 }

@@ -1,5 +1,6 @@
 //! PDM-Open and PDM-Offset.
 
+use crate::outside::Needy;
 use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network, vectors};
 use candle_core::{Device, Tensor};
@@ -49,12 +50,12 @@ fn the_tiny_networks_compute_what_pytorch_computes() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_full_networks_compute_what_pytorch_computes() {
-    let Some(file) = vectors("pdm/pdm_open_full.io.safetensors") else { return };
+fn the_full_networks_compute_what_pytorch_computes() -> Needy {
+    let file = vectors("pdm/pdm_open_full.io.safetensors")?;
     check(&network(|weights| PdmNetwork::open(weights, HIDDEN)), &Vectors::open(&file), "pdm_open_full", &OPEN);
-    let Some(file) = vectors("pdm/pdm_offset_full.io.safetensors") else { return };
+    let file = vectors("pdm/pdm_offset_full.io.safetensors")?;
     check(&network(|weights| PdmNetwork::offset(weights, HIDDEN)), &Vectors::open(&file), "pdm_offset_full", &OFFSET);
+    Ok(())
 }
 
 #[test]

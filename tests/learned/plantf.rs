@@ -1,5 +1,6 @@
 //! PlanTF.
 
+use crate::outside::Needy;
 use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, network, vectors};
 use candle_core::{DType, Tensor};
@@ -83,16 +84,16 @@ fn the_tiny_network_computes_what_pytorch_computes() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_full_network_computes_what_pytorch_computes() {
+fn the_full_network_computes_what_pytorch_computes() -> Needy {
     let network = network(|weights| PlanTf::take(weights, PlanTfConfig::PUBLISHED));
     for source in ["random", "scene_a", "scene_b"] {
-        let Some(path) = vectors(&format!("plantf/plantf_full.{source}.io.safetensors")) else { return };
+        let path = vectors(&format!("plantf/plantf_full.{source}.io.safetensors"))?;
         let expected = Vectors::open(&path);
         let given = Vectors::open(&fixture(&format!("plantf/plantf_tiny.{source}.io.safetensors")));
         let given = if source == "random" { &expected } else { &given };
         check(&network, given, &expected, &format!("plantf_full.{source}"));
     }
+    Ok(())
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! RasterModel's network.
 
+use crate::outside::Needy;
 use super::scene::scene;
 use super::vectors::{
     FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, manifest_of, network, vectors,
@@ -42,9 +43,8 @@ fn the_tiny_network_computes_what_pytorch_computes() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_full_network_computes_what_pytorch_computes() {
-    let Some(path) = vectors("raster/raster_model_full.io.safetensors") else { return };
+fn the_full_network_computes_what_pytorch_computes() -> Needy {
+    let path = vectors("raster/raster_model_full.io.safetensors")?;
     let network = network(|weights| RasterModel::take(weights, RasterModelConfig::PUBLISHED));
     let tiny = Vectors::open(&fixture("raster/raster_model_tiny.io.safetensors"));
     let file = Vectors::open(&path);
@@ -52,6 +52,7 @@ fn the_full_network_computes_what_pytorch_computes() {
     for scene in ["scene_a", "scene_b"] {
         check_scene(&network, scene, &file, "raster_model_full");
     }
+    Ok(())
 }
 
 #[test]

@@ -2,29 +2,14 @@
 
 use super::exported::{Exported, PLANNERS, Shape, network};
 use super::vectors::{NETWORK, assert_close};
-use crate::outside;
+use crate::outside::{Needy, python};
 use std::path::Path;
 use std::process::Command;
 
-/// The interpreter, if it has PyTorch.
-fn python() -> Option<Command> {
-    let interpreter = std::env::var_os("PLANAGENT_PYTHON").unwrap_or_else(|| "python3".into());
-    let found = Command::new(&interpreter).args(["-c", "import torch, safetensors"]).output();
-    if found.is_ok_and(|output| output.status.success()) {
-        let mut command = Command::new(interpreter);
-        command.env("PYTHONPATH", Path::new(env!("CARGO_MANIFEST_DIR")).join("models/learned/train"));
-        Some(command)
-    } else {
-        outside::skipped(
-            "training of learned planners: the interpreter in $PLANAGENT_PYTHON has no torch and safetensors",
-        );
-        None
-    }
-}
-
 #[test]
-fn exported_checkpoints_compute_what_pytorch_computes() {
-    let Some(mut python) = python() else { return };
+fn exported_checkpoints_compute_what_pytorch_computes() -> Needy {
+    let mut python = Command::new(python(&["torch", "safetensors"])?);
+    python.env("PYTHONPATH", Path::new(env!("CARGO_MANIFEST_DIR")).join("models/learned/train"));
     let folder = tempfile::tempdir().unwrap();
     let output = python.args(["-m", "imitation", "selftest", "--out"]).arg(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -41,4 +26,5 @@ fn exported_checkpoints_compute_what_pytorch_computes() {
         }
         assert_eq!(compared, found.len(), "{planner}");
     }
+    Ok(())
 }

@@ -1,5 +1,6 @@
 //! UrbanDriver.
 
+use crate::outside::Needy;
 use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, network, vectors};
 use candle_core::DType;
@@ -45,13 +46,13 @@ fn the_tiny_network_computes_what_pytorch_computes() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_full_network_computes_what_pytorch_computes() {
+fn the_full_network_computes_what_pytorch_computes() -> Needy {
     let network = network(|weights| UrbanDriver::take(weights, UrbanDriverConfig::PUBLISHED));
     for source in ["random", "scene_a", "scene_b"] {
-        let Some(path) = vectors(&format!("urban_driver/urban_full.{source}.io.safetensors")) else { return };
+        let path = vectors(&format!("urban_driver/urban_full.{source}.io.safetensors"))?;
         check(&network, ElementLimits::PUBLISHED, &Vectors::open(&path), &format!("urban_full.{source}"));
     }
+    Ok(())
 }
 
 #[test]
@@ -72,11 +73,11 @@ fn the_features_are_those_of_the_original() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_features_are_those_of_the_original_within_the_published_limits() {
+fn the_features_are_those_of_the_original_within_the_published_limits() -> Needy {
     for name in ["scene_a", "scene_b"] {
-        let Some(path) = vectors(&format!("urban_driver/urban_full.{name}.io.safetensors")) else { return };
+        let path = vectors(&format!("urban_driver/urban_full.{name}.io.safetensors"))?;
         let elements = Elements::of(&[UrbanDriverFeatures::of(&scene(name).view())], ElementLimits::PUBLISHED).unwrap();
         assert_close(&format!("{name} elements"), &elements.points, Vectors::open(&path).get("mid.elements"), FEATURES);
     }
+    Ok(())
 }

@@ -1,6 +1,6 @@
 //! Reads the vectors of the learned planners and compares tensors with them. `tests/fixtures/learned/README.md` says what they are.
 
-use crate::outside;
+use crate::outside::{Missing, data};
 use candle_core::{DType, Device, Tensor};
 use planagent::internals::planner::learned::Weights;
 use safetensors::{Dtype, SafeTensors};
@@ -19,9 +19,9 @@ pub(super) fn fixture(name: &str) -> PathBuf {
 }
 
 /// The same, or one of the data folder.
-pub(super) fn vectors(name: &str) -> Option<PathBuf> {
+pub(super) fn vectors(name: &str) -> Result<PathBuf, Missing> {
     let fixture = fixture(name);
-    if fixture.exists() { Some(fixture) } else { outside::data(&format!("vectors/learned/{name}")) }
+    if fixture.exists() { Ok(fixture) } else { data(&format!("vectors/learned/{name}")) }
 }
 
 pub(super) fn json(name: &str) -> Value {

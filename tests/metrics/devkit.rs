@@ -1,6 +1,7 @@
 //! The devkit's own metric vectors, as far as they need no nuPlan map: tolerance 0.01, as upstream.
 
 use super::vectors::{expert, history, states, vector, worst_deviation};
+use crate::outside::{Missing, Needy};
 use planagent::internals::metrics::{
     Bound, ComfortQuantity, CornerAgreement, DrivenLanes, MetricError, MetricResult, PlannerExpertErrors, Statistic,
     compare_with_expert, ego_expert_l2_error, ego_expert_l2_error_with_yaw, ego_is_comfortable, ego_mean_speed,
@@ -32,19 +33,20 @@ impl Compared {
     }
 }
 
-/// Fails where a vector is missed by more than upstream's tolerance; nothing to compare means that the data is missing.
-fn assert_close(compared: Option<Vec<Compared>>, count: usize) {
-    let Some(compared) = compared else { return };
+/// Fails where a vector is missed by more than upstream's tolerance.
+fn assert_close(compared: Result<Vec<Compared>, Missing>, count: usize) -> Needy {
+    let compared = compared?;
     assert_eq!(compared.len(), count);
     for vector in compared {
         assert!(vector.worst <= TOLERANCE, "{}: off by {}", vector.file, vector.worst);
     }
+    Ok(())
 }
 
-/// Every comparison with a vector; `None` without the data folder.
-pub(super) fn all() -> Option<Vec<Compared>> {
+/// Every comparison with a vector.
+pub(super) fn all() -> Result<Vec<Compared>, Missing> {
     let parts = [motion(), comfort(), collisions(), times(), beside_expert(), plans()];
-    parts.into_iter().collect::<Option<Vec<_>>>().map(|parts| parts.into_iter().flatten().collect())
+    parts.into_iter().collect::<Result<Vec<_>, _>>().map(|parts| parts.into_iter().flatten().collect())
 }
 
 /// Lanes as the vector needs them: the corners agree at every sample, or never do.
@@ -58,7 +60,7 @@ fn lanes(samples: usize, in_common: bool) -> DrivenLanes {
     }
 }
 
-fn motion() -> Option<Vec<Compared>> {
+fn motion() -> Result<Vec<Compared>, Missing> {
     let quantities = [
         ComfortQuantity::Acceleration,
         ComfortQuantity::LonAcceleration,
@@ -75,19 +77,18 @@ fn motion() -> Option<Vec<Compared>> {
         let vector = vector(&file)?;
         // Upstream's test of the yaw rate sets a bound of 5.0 rad/s; nuPlan's configuration 0.95.
         let with_boolean = quantity != ComfortQuantity::YawRate;
-        Some(Compared::new(&file, &vector["expected"], &quantity.evaluate(&states(&vector).0).unwrap(), with_boolean))
+        Ok(Compared::new(&file, &vector["expected"], &quantity.evaluate(&states(&vector).0).unwrap(), with_boolean))
     };
     quantities.into_iter().map(compare).collect()
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn motion_statistics() {
-    assert_close(motion(), 8);
+fn motion_statistics() -> Needy {
+    assert_close(motion(), 8)
 }
 
 /// Upstream's test of comfort sets bounds of its own; nuPlan's configuration would let this drive pass.
-fn comfort() -> Option<Vec<Compared>> {
+fn comfort() -> Result<Vec<Compared>, Missing> {
     let file = "ego_is_comfortable/ego_is_comfortable.json";
     let vector = vector(file)?;
     let states = states(&vector).0;
@@ -103,17 +104,16 @@ fn comfort() -> Option<Vec<Compared>> {
     let ours = ego_is_comfortable(&states).unwrap();
     assert_eq!(ours.score, Some(1.0));
     let statistics = vec![Statistic::boolean(ours.name.as_str(), comfortable)];
-    Some(vec![Compared::new(file, &vector["expected"], &MetricResult { statistics, ..ours }, true)])
+    Ok(vec![Compared::new(file, &vector["expected"], &MetricResult { statistics, ..ours }, true)])
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn comfort_with_upstreams_bounds() {
-    assert_close(comfort(), 1);
+fn comfort_with_upstreams_bounds() -> Needy {
+    assert_close(comfort(), 1)
 }
 
 /// The seven files, each with what its corners must be in: common lanes or not, or (most) either.
-fn collisions() -> Option<Vec<Compared>> {
+fn collisions() -> Result<Vec<Compared>, Missing> {
     let files = [
         ("active_front_collision", [true, false].as_slice()),
         ("active_lateral_collision", &[false]),
@@ -137,12 +137,11 @@ fn collisions() -> Option<Vec<Compared>> {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn collisions_at_fault() {
-    assert_close(collisions(), 7);
+fn collisions_at_fault() -> Needy {
+    assert_close(collisions(), 7)
 }
 
-fn times() -> Option<Vec<Compared>> {
+fn times() -> Result<Vec<Compared>, Missing> {
     let map = crate::road::straight();
     let names =
         ["ego_stopped", "in_collision", "no_collisions", "no_relevant_tracks", "time_to_collision_above_threshold"];
@@ -156,18 +155,17 @@ fn times() -> Option<Vec<Compared>> {
         let collisions = find_collisions(&samples, &lanes);
         let ttc = time_to_collision(&map, &samples, &lanes, &collisions, horizon);
         let states: Vec<EgoState> = samples.iter().map(|s| s.ego).collect();
-        Some(Compared::new(&file, &vector["expected"], &time_to_collision_within_bound(&states, ttc, horizon), true))
+        Ok(Compared::new(&file, &vector["expected"], &time_to_collision_within_bound(&states, ttc, horizon), true))
     };
     names.into_iter().map(compare).collect()
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn times_to_collision() {
-    assert_close(times(), 5);
+fn times_to_collision() -> Needy {
+    assert_close(times(), 5)
 }
 
-fn beside_expert() -> Option<Vec<Compared>> {
+fn beside_expert() -> Result<Vec<Compared>, Missing> {
     type Metric = fn(&[EgoState], &[EgoState]) -> Result<MetricResult, MetricError>;
     let files: [(&str, Metric); 4] = [
         ("ego_expert_l2_error/ego_expert_l2_error.json", ego_expert_l2_error),
@@ -177,19 +175,18 @@ fn beside_expert() -> Option<Vec<Compared>> {
     ];
     let compare = |(file, metric): (&str, Metric)| {
         let vector = vector(file)?;
-        Some(Compared::new(file, &vector["expected"], &metric(&states(&vector).0, &expert(&vector)).unwrap(), true))
+        Ok(Compared::new(file, &vector["expected"], &metric(&states(&vector).0, &expert(&vector)).unwrap(), true))
     };
     files.into_iter().map(compare).collect()
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn errors_beside_the_expert() {
-    assert_close(beside_expert(), 4);
+fn errors_beside_the_expert() -> Needy {
+    assert_close(beside_expert(), 4)
 }
 
 /// Upstream's tests drive with the simple planner at 1 Hz, from every state of the drive.
-fn plans() -> Option<Vec<Compared>> {
+fn plans() -> Result<Vec<Compared>, Missing> {
     type Metric = fn(&PlannerExpertErrors) -> MetricResult;
     let files: [(&str, Metric); 5] = [
         (
@@ -216,13 +213,12 @@ fn plans() -> Option<Vec<Compared>> {
         let plans: Vec<Trajectory> = states(&vector).0.iter().map(|ego| planner.trajectory(ego).unwrap()).collect();
         let errors = compare_with_expert(&plans, &expert(&vector), &[], 1).unwrap();
         assert_eq!(errors.frames, [0, 1, 2, 3, 4]);
-        Some(Compared::new(file, &vector["expected"][0], &metric(&errors), true))
+        Ok(Compared::new(file, &vector["expected"][0], &metric(&errors), true))
     };
     files.into_iter().map(compare).collect()
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn plans_beside_the_expert() {
-    assert_close(plans(), 5);
+fn plans_beside_the_expert() -> Needy {
+    assert_close(plans(), 5)
 }

@@ -1,6 +1,7 @@
 //! The tables of `docs/metrics.md` are measured: they are computed again and compared with the file.
 
 use super::{comfort, devkit};
+use crate::outside::{Missing, Needy};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
@@ -15,8 +16,8 @@ fn power_of_ten(deviation: f64) -> String {
     if deviation > 0.0 { format!("< 1e{}", deviation.log10().floor() as i32 + 1) } else { "0".to_owned() }
 }
 
-/// The measured tables; `None` without the data folder.
-fn measured() -> Option<String> {
+/// The measured tables.
+fn measured() -> Result<String, Missing> {
     let mut by_metric: BTreeMap<String, (usize, f64)> = BTreeMap::new();
     for vector in devkit::all()? {
         let (count, worst) = by_metric.entry(vector.metric).or_default();
@@ -38,24 +39,25 @@ fn measured() -> Option<String> {
         let reference = "`comfort_extractors.json`, 149 states";
         writeln!(text, "| `{metric}` | {reference} | {tolerance} | {} |", power_of_ten(worst)).unwrap();
     }
-    Some(text)
+    Ok(text)
 }
 
 #[test]
-fn the_deviations_in_the_documentation_are_those_measured() {
-    let Some(measured) = measured() else { return };
+fn the_deviations_in_the_documentation_are_those_measured() -> Needy {
+    let measured = measured()?;
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/metrics.md");
     let text = std::fs::read_to_string(&path).unwrap();
     let (before, rest) = text.split_once(BEGIN).unwrap();
     let (committed, after) = rest.split_once(END).unwrap();
     if std::env::var_os(UPDATE).is_some_and(|value| value == "1") {
         std::fs::write(&path, format!("{before}{BEGIN}{measured}{END}{after}")).unwrap();
-        return;
+        return Ok(());
     }
     assert_eq!(
         committed, measured,
         "docs/metrics.md is out of date: {UPDATE}=1 cargo test --test tests metrics::documented"
     );
+    Ok(())
 }
 
 /// The tests that the second table of the file names exist.

@@ -1,17 +1,17 @@
 //! Reading the devkit's own metric vectors and comparing results with them.
 
-use crate::outside::data;
+use crate::outside::{Missing, data};
 use planagent::internals::geometry::{OrientedBox, Point, Pose, Vector};
 use planagent::internals::metrics::{MetricResult, StatisticKind};
 use planagent::internals::world::{EgoState, HistorySample, ObjectKind, TrackToken, TrackedObject};
 use serde_json::Value;
 
-/// Reads a vector; `None`, with a word on stderr, where the data folder is missing.
-pub(super) fn vector(file: &str) -> Option<Value> {
+/// Reads a vector.
+pub(super) fn vector(file: &str) -> Result<Value, Missing> {
     let folder = "vectors/nuplan_devkit/nuplan/planning/metrics/evaluation_metrics/common/test/json";
     let text = std::fs::read_to_string(data(&format!("{folder}/{file}"))?).unwrap();
     // Python writes the bare word, which is no JSON.
-    Some(serde_json::from_str(&text.replace("Infinity", "1e308")).unwrap())
+    Ok(serde_json::from_str(&text.replace("Infinity", "1e308")).unwrap())
 }
 
 pub(super) fn triple(value: &Value) -> [f64; 3] {

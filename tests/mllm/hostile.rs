@@ -11,7 +11,7 @@ use planagent::internals::mllm::{GgufPart, HubAccess, MllmError, ModelRegistry, 
 use serde_json::{Value, json};
 
 use super::{Copy, fixture};
-use crate::outside::data;
+use crate::outside::{Needy, data};
 
 /// A check of any model ends within this time.
 const MAX_CHECK: Duration = Duration::from_secs(20);
@@ -192,9 +192,8 @@ fn small_files_have_limits() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn every_hostile_file_that_is_known_is_a_problem() {
-    let Some(folder) = data("hostile") else { return };
+fn every_hostile_file_that_is_known_is_a_problem() -> Needy {
+    let folder = data("hostile")?;
     for name in ["add.jinja", "dbl.jinja", "loop.jinja", "not.jinja"] {
         let found = problem(with_template(&fs::read_to_string(folder.join(name)).unwrap()).folder());
         assert!(found.contains("chat template") || found.contains(TEMPLATE), "{name}: {found}");
@@ -231,4 +230,5 @@ fn every_hostile_file_that_is_known_is_a_problem() {
         let found = problem(copy.path());
         assert!(found.contains("okenizer"), "{name}: {found}");
     }
+    Ok(())
 }

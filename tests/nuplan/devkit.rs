@@ -2,7 +2,7 @@
 //! says how far they agree.
 
 use super::round_trip::{SimulatedPlanner, generated, read_back, simulated};
-use crate::outside::skipped;
+use crate::outside::{Missing, Needy};
 use planagent::internals::metrics::{Evaluation, MetricResult};
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::types;
@@ -189,16 +189,12 @@ fn a_changed_value_is_found() {
 
 /// `PLANAGENT_DEVKIT` names a clone of nuplan-devkit; `PLANAGENT_PYTHON` an interpreter that imports it.
 #[test]
-fn the_devkit_runs_an_export_and_agrees() {
-    let python = std::env::var("PLANAGENT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let Some(devkit) = std::env::var_os("PLANAGENT_DEVKIT") else {
-        skipped("PLANAGENT_DEVKIT names no clone of nuplan-devkit; only its recorded values are compared");
-        return;
-    };
+fn the_devkit_runs_an_export_and_agrees() -> Needy {
+    let devkit = crate::outside::devkit()?;
+    let python = crate::outside::python(&[])?;
     let imported = Command::new(&python).args(["-c", "import nuplan.planning"]).env("PYTHONPATH", &devkit).output();
     if !imported.is_ok_and(|output| output.status.success()) {
-        skipped(format!("{python} cannot import nuplan from {}", Path::new(&devkit).display()));
-        return;
+        return Err(Missing(format!("needs packages of nuplan-devkit; {python} cannot import nuplan from {}", devkit.display())));
     }
     let home = tempfile::tempdir().unwrap();
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/devkit/compare.py");
@@ -214,4 +210,5 @@ fn the_devkit_runs_an_export_and_agrees() {
         .unwrap();
     let (said, wrong) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success() && said.contains("reached: 100.000 %"), "{said}{wrong}");
+    Ok(())
 }

@@ -3,7 +3,7 @@
 use super::compare::lanes;
 use super::round_trip::generated;
 use crate::argoverse2::all_logs as argoverse2_logs;
-use crate::outside::skipped;
+use crate::outside::{Missing, Needy};
 use crate::womd::recordings;
 use planagent::internals::geometry::{Point, Polygon};
 use planagent::internals::scenario::generator::{ScenarioType, types};
@@ -16,9 +16,9 @@ use serde_json::{Map, Value, json};
 use std::path::Path;
 use std::process::Command;
 
-/// The interpreter that has the packages.
-fn python() -> String {
-    std::env::var("PLANAGENT_PYTHON").unwrap_or_else(|_| "python3".to_owned())
+/// The interpreter that reads what was written.
+fn python() -> Result<String, Missing> {
+    crate::outside::python(&["geopandas", "pyogrio", "shapely"])
 }
 
 fn placed(points: &[Point], origin: Point) -> Value {
@@ -109,26 +109,18 @@ fn drive_of(scenario: &Scenario, log: &ExportedLog, settings: &ExportSettings) -
     })
 }
 
-/// Runs the script with words if the interpreter has the packages; what it printed.
-fn checked(words: &[&Path]) -> Option<String> {
-    let python = python();
-    let packages = Command::new(&python).args(["-c", "import geopandas, pyogrio, shapely"]).output();
-    if !packages.is_ok_and(|output| output.status.success()) {
-        skipped(format!(
-            "{python} has no geopandas and pyogrio; nothing but our own reader checks the export \
-             (set PLANAGENT_PYTHON to an interpreter that has them)"
-        ));
-        return None;
-    }
+/// Runs the script with words; what it printed.
+fn checked(python: &str, words: &[&Path]) -> String {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/nuplan/check_with_geopandas.py");
-    let output = Command::new(&python).arg(script).args(words).output().unwrap();
+    let output = Command::new(python).arg(script).args(words).output().unwrap();
     let (said, wrong) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success() && said.starts_with("ok: "), "{said}{wrong}");
-    Some(said.into_owned())
+    said.into_owned()
 }
 
 #[test]
-fn public_readers_see_what_was_written() {
+fn public_readers_see_what_was_written() -> Needy {
+    let python = python()?;
     // Seed 3: the areas of its roundabout cross themselves unless they are mended.
     let scenarios: Vec<Scenario> =
         types::in_suites().collect::<Vec<_>>().into_par_iter().map(|kind| generated(kind, 3)).collect();
@@ -143,31 +135,32 @@ fn public_readers_see_what_was_written() {
         .collect();
     let expectations = home.path().join("expected.json");
     std::fs::write(&expectations, expected.to_string()).unwrap();
-    if let Some(said) = checked(&[&folder, &expectations]) {
-        assert!(said.starts_with(&format!("ok: {} scenarios", scenarios.len())), "{said}");
-    }
+    let said = checked(&python, &[&folder, &expectations]);
+    assert!(said.starts_with(&format!("ok: {} scenarios", scenarios.len())), "{said}");
+    Ok(())
 }
 
 #[test]
-fn every_shape_of_more_seeds_is_valid() {
+fn every_shape_of_more_seeds_is_valid() -> Needy {
+    let python = python()?;
     let specs: Vec<(ScenarioType, u64)> = types::in_suites().flat_map(|kind| [(kind, 1), (kind, 7)]).collect();
     let scenarios: Vec<Scenario> = specs.into_par_iter().map(|(kind, seed)| generated(kind, seed)).collect();
     let home = tempfile::tempdir().unwrap();
     let folder = home.path().join("out");
     write_scenarios(&scenarios, &folder, &ExportSettings::default()).unwrap();
-    checked(&[&folder]);
+    checked(&python, &[&folder]);
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn every_shape_of_a_recording_is_valid() {
-    let logs: Vec<Scenario> = argoverse2_logs().iter().map(|log| argoverse2::open(log).unwrap()).collect();
-    for scenarios in [recordings(), &logs] {
-        if !scenarios.is_empty() {
-            let home = tempfile::tempdir().unwrap();
-            let folder = home.path().join("out");
-            write_scenarios(scenarios, &folder, &ExportSettings::default()).unwrap();
-            checked(&[&folder]);
-        }
+fn every_shape_of_a_recording_is_valid() -> Needy {
+    let python = python()?;
+    let logs: Vec<Scenario> = argoverse2_logs()?.iter().map(|log| argoverse2::open(log).unwrap()).collect();
+    for scenarios in [recordings()?, &logs] {
+        let home = tempfile::tempdir().unwrap();
+        let folder = home.path().join("out");
+        write_scenarios(scenarios, &folder, &ExportSettings::default()).unwrap();
+        checked(&python, &[&folder]);
     }
+    Ok(())
 }

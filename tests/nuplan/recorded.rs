@@ -70,9 +70,8 @@ fn check_route(pair: &Pair<'_>) {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn recordings_come_back_with_their_metrics() {
-    let scenarios = recordings();
+fn recordings_come_back_with_their_metrics() -> Needy {
+    let scenarios = recordings()?;
     let settings = ExportSettings::default();
     let home = tempfile::tempdir().unwrap();
     let exported = write_scenarios(scenarios, &home.path().join("out"), &settings).unwrap();
@@ -105,4 +104,5 @@ fn recordings_come_back_with_their_metrics() {
         let until_the_end = Scenario { future: Vec::new(), ..(*before).clone() };
         check_scores(&until_the_end, after, as_recorded, SAME_MAP);
     });
+    Ok(())
 }

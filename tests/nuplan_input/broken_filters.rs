@@ -1,7 +1,7 @@
 //! Filter files: errors name file and line.
 
-use crate::outside::data;
-use planagent::internals::scenario::nuplan::FilterFile;
+use crate::outside::{Needy, data};
+use planagent::internals::scenario::nuplan::{FilterFile, PUBLISHED_SPLITS};
 
 fn error_of(content: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
@@ -22,9 +22,24 @@ fn errors_name_file_and_line() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn interplan_is_rejected_with_the_reason() {
-    let Some(path) = data("splits/interPlan__interplan10.yaml") else { return };
+fn published_lists_are_known_by_their_tokens() -> Needy {
+    let folder = data("splits")?;
+    for split in &PUBLISHED_SPLITS {
+        let file = split.files.iter().map(|file| folder.join(file)).find(|path| path.is_file());
+        let filter = FilterFile::open(&file.unwrap()).unwrap().filter;
+        let tokens = filter.scenario_tokens.unwrap();
+        assert!(split.is_published(&tokens), "{}", split.name);
+        assert!(!split.is_published(&tokens[1..]), "{}", split.name);
+        assert_eq!(filter.scenario_types.unwrap().len(), 14);
+        assert!(filter.remove_invalid_goals && filter.timestamp_threshold_s == Some(15.0));
+    }
+    Ok(())
+}
+
+#[test]
+fn interplan_is_rejected_with_the_reason() -> Needy {
+    let path = data("splits/interPlan__interplan10.yaml")?;
     let error = FilterFile::open(&path).unwrap_err().to_string();
     assert!(error.contains("line 1: this is interPlan's filter"), "{error}");
+    Ok(())
 }

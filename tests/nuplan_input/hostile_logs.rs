@@ -2,7 +2,7 @@
 
 use super::fixture::{DataSet, run};
 use crate::cli;
-use crate::outside::data;
+use crate::outside::{Needy, data};
 use planagent::internals::scenario::nuplan::ScenarioFilter;
 use std::fs;
 use std::time::{Duration, Instant};
@@ -110,15 +110,25 @@ fn inner_page(page_size: usize, children: usize, child: u32) -> Vec<u8> {
 
 #[test]
 fn a_bad_log_hides_no_log_beside_it() {
+    hides_no_log(&DataSet::new());
+}
+
+#[test]
+fn an_endless_log_hides_no_log_beside_it() -> Needy {
+    let endless = data("hostile/view_loop_lidar_pc.db")?;
     let set = DataSet::new();
+    fs::copy(endless, set.log.with_file_name("endless.db")).unwrap();
+    hides_no_log(&set);
+    Ok(())
+}
+
+/// The log of the set is listed beside bad ones, of which each is an error.
+fn hides_no_log(set: &DataSet) {
     let folder = set.log.parent().unwrap();
     for (name, bytes) in
         [("empty.db", &b""[..]), ("page.db", &b"<html>"[..]), ("cut.db", &fs::read(&set.log).unwrap()[..5000])]
     {
         fs::write(folder.join(name), bytes).unwrap();
-    }
-    if let Some(endless) = data("hostile/view_loop_lidar_pc.db") {
-        fs::copy(endless, folder.join("endless.db")).unwrap();
     }
     let begun = Instant::now();
     let (code, stdout, stderr) = cli::run(&["scenarios", "list", folder.to_str().unwrap()]);

@@ -3,7 +3,7 @@
 use super::chromium::Chromium;
 use super::{scenes, simulate};
 use crate::cli::run;
-use crate::outside::skipped;
+use crate::outside::Needy;
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
@@ -17,11 +17,8 @@ const MAX_BYTES: u64 = 15_000_000;
 const NOW: &str = "scenarios.player.time";
 
 #[test]
-fn the_page_of_a_run_plays_scrubs_and_shows_the_last_call() {
-    let Some(program) = Chromium::program() else {
-        skipped("no Chromium on the path or in PLANAGENT_CHROMIUM; the page was not opened");
-        return;
-    };
+fn the_page_of_a_run_plays_scrubs_and_shows_the_last_call() -> Needy {
+    let program = Chromium::program()?;
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("run");
     simulate(&out, &scenes(SCENARIOS), "plan-agent,log-replay");
@@ -40,6 +37,7 @@ fn the_page_of_a_run_plays_scrubs_and_shows_the_last_call() {
     browser.picture("scenarios_dark");
     assert_eq!(browser.errors(), [""; 0]);
     assert_eq!(browser.requests(), [""; 0]);
+    Ok(())
 }
 
 /// Overview and Histograms show every planner and every metric.

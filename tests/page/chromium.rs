@@ -1,5 +1,6 @@
 //! A headless Chromium, controlled by its debugging protocol over a pair of pipes.
 
+use crate::outside::{self, Missing};
 use serde_json::{Value, json};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
@@ -28,13 +29,9 @@ pub(super) struct Chromium {
 
 impl Chromium {
     /// The browser: `$PLANAGENT_CHROMIUM`, or one on the path.
-    pub(super) fn program() -> Option<PathBuf> {
-        if let Some(named) = std::env::var_os("PLANAGENT_CHROMIUM") {
-            return Some(named.into());
-        }
-        let path = std::env::var_os("PATH")?;
-        let folders: Vec<PathBuf> = std::env::split_paths(&path).collect();
-        NAMES.iter().flat_map(|name| folders.iter().map(move |f| f.join(name))).find(|program| program.is_file())
+    pub(super) fn program() -> Result<PathBuf, Missing> {
+        let named = std::env::var_os("PLANAGENT_CHROMIUM").map(PathBuf::from);
+        named.map_or_else(|| outside::program(&NAMES), Ok)
     }
 
     /// Starts the browser with an empty page of 1280 by 800 pixels.

@@ -2,7 +2,7 @@
 
 use super::{scenes, simulate};
 use crate::cli::{refused, run};
-use crate::outside::skipped;
+use crate::outside::{Needy, program};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -117,15 +117,24 @@ fn a_simulation_is_rendered() {
     assert!(fails(&["7", "--png", &png]).contains("no simulation '7'"));
     assert!(fails(&["0", "--png", &png, "--at", "99"]).contains("outside the simulation"));
     assert!(fails(&["0"]).contains("--gif"));
-    // Without ffmpeg the error has a hint; with it there is a film.
-    let arguments = ["render", run_folder, "0", "--mp4", &mp4, "--pixels", "160"];
-    let output = crate::cli::planagent().args(arguments).env("PATH", work.path()).output().unwrap();
+    // Without ffmpeg the error has a hint.
+    let output = crate::cli::planagent().args(film(run_folder, &mp4)).env("PATH", work.path()).output().unwrap();
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(2) && stderr.contains("ffmpeg") && stderr.contains("--gif"), "{stderr}");
-    if std::process::Command::new("ffmpeg").arg("-version").output().is_err() {
-        skipped("no ffmpeg on the path; no MP4 was written");
-        return;
-    }
-    assert_eq!(run(&arguments).0, 0);
+}
+
+/// The arguments that render a film.
+fn film<'a>(run_folder: &'a str, mp4: &'a str) -> [&'a str; 7] {
+    ["render", run_folder, "0", "--mp4", mp4, "--pixels", "160"]
+}
+
+#[test]
+fn ffmpeg_writes_a_film() -> Needy {
+    program(&["ffmpeg"])?;
+    let work = TempDir::new().unwrap();
+    let [out, mp4] = ["run", "a.mp4"].map(|name| work.path().join(name));
+    simulate(&out, &scenes(1), "log-replay");
+    assert_eq!(run(&film(out.to_str().unwrap(), mp4.to_str().unwrap())).0, 0);
     assert_eq!(&fs::read(&mp4).unwrap()[4..8], b"ftyp");
+    Ok(())
 }

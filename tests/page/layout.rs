@@ -3,7 +3,7 @@
 use super::chromium::Chromium;
 use super::{scenes, simulate};
 use crate::cli::run;
-use crate::outside::skipped;
+use crate::outside::Needy;
 use serde_json::{Value, json};
 use std::path::Path;
 use tempfile::TempDir;
@@ -14,11 +14,8 @@ const WINDOWS: [(u32, u32); 4] = [(400, 860), (800, 1000), (1024, 768), (1400, 9
 const MIN_SCENE: f64 = 300.0;
 
 #[test]
-fn the_page_of_two_runs_fits_every_width() {
-    let Some(program) = Chromium::program() else {
-        skipped("no Chromium on the path or in PLANAGENT_CHROMIUM; the widths of the page were not checked");
-        return;
-    };
+fn the_page_of_two_runs_fits_every_width() -> Needy {
+    let program = Chromium::program()?;
     let work = TempDir::new().unwrap();
     let [one, other, page] = ["one", "other", "page.html"].map(|name| work.path().join(name));
     simulate(&one, &scenes(3), "plan-agent,log-replay");
@@ -37,6 +34,7 @@ fn the_page_of_two_runs_fits_every_width() {
     scene(&mut browser, &page);
     decisions(&mut browser);
     assert_eq!(browser.errors(), [""; 0]);
+    Ok(())
 }
 
 /// No view is wider than the window, and the scene is wide enough.

@@ -3,16 +3,13 @@
 use super::chromium::Chromium;
 use super::serve::{Served, begun, complete, simulations};
 use super::{scenes, simulate};
-use crate::outside::skipped;
+use crate::outside::Needy;
 use serde_json::json;
 use tempfile::TempDir;
 
 #[test]
-fn an_open_page_follows_its_run() {
-    let Some(program) = Chromium::program() else {
-        skipped("no Chromium on the path or in PLANAGENT_CHROMIUM; the live page was not opened");
-        return;
-    };
+fn an_open_page_follows_its_run() -> Needy {
+    let program = Chromium::program()?;
     let work = TempDir::new().unwrap();
     let [whole, run] = ["whole", "run"].map(|name| work.path().join(name));
     simulate(&whole, &scenes(2), "plan-agent,log-replay");
@@ -61,4 +58,5 @@ fn an_open_page_follows_its_run() {
     browser.wait_for("document.getElementById('live-state').dataset.state === 'lost'");
     assert_eq!(browser.value("document.getElementById('live-state').textContent"), "not live");
     assert_eq!(browser.value("document.querySelector('.view:not([hidden])').id"), "overview");
+    Ok(())
 }

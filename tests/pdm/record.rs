@@ -1,7 +1,7 @@
 //! PDM-Closed beside the record of `tuplan_garage`'s own run: 9 cases, every proposal, every term, what is driven.
 
 use super::town::Town;
-use crate::outside::data;
+use crate::outside::{Missing, Needy, data};
 use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
 use planagent::internals::pdm::{Collided, DrivableLayers, PdmPlan, ReferencePath, braking_speed, plan_along};
 use planagent::internals::planner::{PdmClosed, Planner, PlannerInitialization, PlannerInput};
@@ -17,9 +17,9 @@ const IDM_TOLERANCE: f64 = 1e-9;
 /// Simulated states and what is driven: upstream's pseudo-inverse is no better.
 const STATE_TOLERANCE: f64 = 1e-6;
 
-fn record() -> Option<Value> {
+fn record() -> Result<Value, Missing> {
     let path = data("vectors/generated/pdm_closed.json")?;
-    Some(serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap())
+    Ok(serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap())
 }
 
 fn number(value: &Value, key: &str) -> f64 {
@@ -123,13 +123,14 @@ fn columns(ego: &EgoState) -> [f64; 11] {
     [p.x, p.y, p.heading, v.x, v.y, a.x, a.y, turning[0], turning[1], turning[2], turning[3]]
 }
 
-fn with_each(check: impl Fn(&Value, &Case)) {
-    let Some(record) = record() else { return };
+fn with_each(check: impl Fn(&Value, &Case)) -> Needy {
+    let record = record()?;
     let cases = record["cases"].as_array().unwrap();
     assert_eq!(cases.len(), 9);
     for case in cases {
         check(case, &Case::read(case));
     }
+    Ok(())
 }
 
 /// Whether a number is the recorded one.
@@ -138,8 +139,7 @@ fn same(found: f64, expected: &Value, tolerance: f64) -> bool {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn proposals_follow_the_recorded_roll_outs() {
+fn proposals_follow_the_recorded_roll_outs() -> Needy {
     with_each(|record, case| {
         let plan = case.plan();
         assert_eq!(plan.proposals.len(), 15);
@@ -159,11 +159,11 @@ fn proposals_follow_the_recorded_roll_outs() {
             }
         }
     });
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn simulated_states_are_the_recorded_ones() {
+fn simulated_states_are_the_recorded_ones() -> Needy {
     with_each(|record, case| {
         let plan = case.plan();
         let every = record["simulated_every"].as_u64().unwrap() as usize;
@@ -176,11 +176,11 @@ fn simulated_states_are_the_recorded_ones() {
             }
         }
     });
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn every_term_of_every_score_is_the_recorded_one() {
+fn every_term_of_every_score_is_the_recorded_one() -> Needy {
     with_each(|record, case| {
         let plan = case.plan();
         for (i, score) in plan.scores.iter().enumerate() {
@@ -206,6 +206,7 @@ fn every_term_of_every_score_is_the_recorded_one() {
         }
         assert_eq!(plan.best as u64, record["best"].as_u64().unwrap(), "{}", case.name);
     });
+    Ok(())
 }
 
 /// How far a trajectory is from the recorded one, metres and radians.
@@ -220,8 +221,7 @@ fn off_the_record(trajectory: &Trajectory, record: &Value) -> f64 {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn what_is_driven_is_the_recorded_trajectory() {
+fn what_is_driven_is_the_recorded_trajectory() -> Needy {
     with_each(|record, case| {
         let plan = case.plan();
         assert_eq!(plan.emergency_brake, record["emergency_brake"].as_bool().unwrap(), "{}", case.name);
@@ -231,11 +231,11 @@ fn what_is_driven_is_the_recorded_trajectory() {
             assert!((braking_speed(&case.ego) - 0.495).abs() < 1e-12);
         }
     });
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_planner_finds_the_recorded_centreline_by_itself() {
+fn the_planner_finds_the_recorded_centreline_by_itself() -> Needy {
     with_each(|record, case| {
         // In the curve the recorded headings are those of the circle, not of the chords that a map gives.
         if case.name == "curve_offset" {
@@ -252,4 +252,5 @@ fn the_planner_finds_the_recorded_centreline_by_itself() {
         assert!((reference_path.centerline().length() - 329.5).abs() < 1e-9);
         assert!(reference_path.centerline().pose_at(329.5).distance(&last) < 1e-9);
     });
+    Ok(())
 }

@@ -2,7 +2,7 @@
 
 use super::simulations;
 use crate::cli::{refused, run};
-use crate::outside::data;
+use crate::outside::{Needy, data};
 use std::fs;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -66,8 +66,8 @@ fn another_prompt_or_model_file_is_named_and_must_be_accepted() {
 }
 
 #[test]
-fn another_recording_under_the_same_name_is_refused() {
-    let Some(recordings) = data("womd") else { return };
+fn another_recording_under_the_same_name_is_refused() -> Needy {
+    let recordings = data("womd")?;
     let work = TempDir::new().unwrap();
     let (out, recording) = (work.path().join("run"), work.path().join("recording.tfrecord"));
     let folder = out.to_str().unwrap();
@@ -93,6 +93,7 @@ fn another_recording_under_the_same_name_is_refused() {
     fs::write(&recording, &one).unwrap();
     let (code, _, stderr) = run(&resume);
     assert!(code == 0 && stderr.contains("1 simulations of this run, which had ended, have no folder"), "{stderr}");
+    Ok(())
 }
 
 #[test]

@@ -2,18 +2,13 @@
 
 use super::quick_run;
 use crate::cli::run;
-use crate::outside::skipped;
+use crate::outside::{Needy, devkit, python};
 use std::fs;
 use std::process::Command;
 use tempfile::TempDir;
 
-#[test]
-fn nuboard_opens_each_challenge_also_after_the_run_is_moved() {
-    let python = std::env::var_os("PLANAGENT_PYTHON").unwrap_or_else(|| "python3".into());
-    if !Command::new(&python).arg("--version").output().is_ok_and(|output| output.status.success()) {
-        skipped(format!("{} does not run; set PLANAGENT_PYTHON to a Python", python.to_string_lossy()));
-        return;
-    }
+/// Opens a moved run of two scenarios with `read_nuboard.py`; what it printed.
+fn opened(python: &str) -> String {
     let work = TempDir::new().unwrap();
     let [out, moved] = ["run", "elsewhere"].map(|name| work.path().join(name));
     let mut flags = quick_run(2);
@@ -23,12 +18,22 @@ fn nuboard_opens_each_challenge_also_after_the_run_is_moved() {
     fs::rename(&out, &moved).unwrap();
 
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/runner/read_nuboard.py");
-    let output = Command::new(&python).arg(script).arg(&moved).output().unwrap();
+    let output = Command::new(python).arg(script).arg(&moved).output().unwrap();
     let [stdout, stderr] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
     assert!(output.status.success() && stdout.contains("2 files opened"), "{stdout}\n{stderr}");
-    if std::env::var_os("PLANAGENT_DEVKIT").is_none() {
-        skipped("nuBoard's own classes: set PLANAGENT_DEVKIT to the sources of nuplan-devkit");
-    } else {
-        assert!(stdout.contains("opened by the devkit"), "{stdout}\n{stderr}");
-    }
+    stdout
+}
+
+#[test]
+fn nuboards_files_of_each_challenge_open_also_after_the_run_is_moved() -> Needy {
+    opened(&python(&[])?);
+    Ok(())
+}
+
+#[test]
+fn nuboards_own_classes_open_a_run() -> Needy {
+    devkit()?;
+    let stdout = opened(&python(&[])?);
+    assert!(stdout.contains("opened by the devkit"), "{stdout}");
+    Ok(())
 }

@@ -2,7 +2,7 @@
 
 use super::{quick_run, simulations};
 use crate::cli::{read_json, run};
-use crate::outside::skipped;
+use crate::outside::{Needy, python};
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float64Type, Int64Type};
 use arrow_array::{Array, RecordBatch};
@@ -99,7 +99,6 @@ fn the_result_tree_is_nuplans() {
         check_aggregator(&out, challenge, &summary);
         check_runner_report(&out, challenge);
     }
-    read_with_pandas(&out);
 }
 
 fn check_metrics(out: &Path, challenge: &str, summary: &Value) {
@@ -211,20 +210,15 @@ fn check_runner_report(out: &Path, challenge: &str) {
     assert!(floats(&report, "compute_trajectory_runtimes_mean").into_iter().flatten().all(|seconds| seconds > 0.0));
 }
 
-/// Reads the tree with pandas, by `read_results.py`, if pandas and pyarrow are installed.
-fn read_with_pandas(out: &Path) {
-    let python = std::env::var_os("PLANAGENT_PYTHON").unwrap_or_else(|| "python3".into());
-    let found = Command::new(&python).args(["-c", "import pandas, pyarrow"]).output();
-    if !found.is_ok_and(|output| output.status.success()) {
-        skipped(format!(
-            "{} has no pandas or no pyarrow; set PLANAGENT_PYTHON to a Python that has both",
-            python.to_string_lossy()
-        ));
-        return;
-    }
+#[test]
+fn pandas_reads_the_result_tree() -> Needy {
+    let python = python(&["pandas", "pyarrow"])?;
+    let work = TempDir::new().unwrap();
+    let out = small_run(&work);
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/runner/read_results.py");
     let output = Command::new(&python).arg(script).arg(out).output().unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     assert!(output.status.success(), "{}\n{}", text(&output.stdout), text(&output.stderr));
     assert!(text(&output.stdout).contains("2 challenges read"), "{}", text(&output.stdout));
+    Ok(())
 }

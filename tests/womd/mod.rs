@@ -2,7 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
-use crate::outside::data;
+use crate::outside::{Missing, Needy, data};
 use planagent::internals::geometry::{Point, wrap_angle};
 use planagent::internals::scenario::womd::{self, WomdError, WomdFault};
 use planagent::internals::scenario::{Frame, Scenario};
@@ -12,13 +12,12 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// The files of recordings; none without outside data.
-fn files() -> Vec<PathBuf> {
-    let Some(folder) = data("womd") else { return Vec::new() };
-    let mut files: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+/// The files of recordings.
+fn files() -> Result<Vec<PathBuf>, Missing> {
+    let mut files: Vec<PathBuf> = std::fs::read_dir(data("womd")?).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.retain(|file| file.extension().is_some_and(|extension| extension == "tfrecord"));
     files.sort();
-    files
+    Ok(files)
 }
 
 /// The recordings of a file.
@@ -30,14 +29,15 @@ fn open(file: &Path) -> Result<Vec<Scenario>, WomdError> {
 }
 
 /// All recordings, opened once.
-pub(crate) fn recordings() -> &'static [Scenario] {
+pub(crate) fn recordings() -> Result<&'static [Scenario], Missing> {
     static RECORDINGS: OnceLock<Vec<Scenario>> = OnceLock::new();
-    RECORDINGS.get_or_init(|| files().par_iter().flat_map_iter(|file| open(file).unwrap()).collect())
+    let files = files()?;
+    Ok(RECORDINGS.get_or_init(|| files.par_iter().flat_map_iter(|file| open(file).unwrap()).collect()))
 }
 
 /// One recording by id.
-fn recording(id: &str) -> Option<&'static Scenario> {
-    recordings().iter().find(|scenario| scenario.id == id)
+fn recording(id: &str) -> Result<&'static Scenario, Missing> {
+    Ok(recordings()?.iter().find(|scenario| scenario.id == id).unwrap())
 }
 
 fn source_ids(map: &LaneMap, lanes: &[LaneId]) -> Vec<i64> {
@@ -45,9 +45,8 @@ fn source_ids(map: &LaneMap, lanes: &[LaneId]) -> Vec<i64> {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn every_recording_opens_with_its_window() {
-    for scenario in recordings() {
+fn every_recording_opens_with_its_window() -> Needy {
+    for scenario in recordings()? {
         let id = &scenario.id;
         let times: Vec<i64> = scenario.frames.iter().map(|frame| frame.ego.time_us).collect();
         assert_eq!(times[0], 0, "{id}");
@@ -61,25 +60,25 @@ fn every_recording_opens_with_its_window() {
         assert!(scenario.frames.iter().all(|frame| frame.ego.rear_axle.position().coords.norm() < 1_000.0), "{id}");
         assert!(scenario.route.goal.is_some(), "{id}");
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn contents_count_what_opening_finds() {
-    for file in files() {
+fn contents_count_what_opening_finds() -> Needy {
+    for file in files()? {
         let recordings: Vec<_> = womd::contents(&file).unwrap().map(Result::unwrap).collect();
         let [(id, contents)] = &recordings[..] else { panic!("{recordings:?}") };
-        let scenario = recording(id).unwrap();
+        let scenario = recording(id)?;
         assert_eq!(contents.iterations, scenario.iterations(), "{id}");
         assert!(contents.steps >= scenario.frames.len(), "{id}");
         assert_eq!(contents.lanes, scenario.map.lanes().len(), "{id}");
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn the_recorded_motion_agrees_with_itself() {
-    for scenario in recordings() {
+fn the_recorded_motion_agrees_with_itself() -> Needy {
+    for scenario in recordings()? {
         for (i, pair) in scenario.frames.windows(2).enumerate() {
             let (a, b) = (&pair[0].ego, &pair[1].ego);
             let dt = (b.time_us - a.time_us) as f64 / 1e6;
@@ -96,12 +95,12 @@ fn the_recorded_motion_agrees_with_itself() {
             assert!((b.acceleration - a.acceleration).norm() < 2.0, "{} frame {i} jerks", scenario.id);
         }
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn every_lane_stands_in_one_roadblock_of_its_kind() {
-    for Scenario { id, map, .. } in recordings() {
+fn every_lane_stands_in_one_roadblock_of_its_kind() -> Needy {
+    for Scenario { id, map, .. } in recordings()? {
         let held: Vec<LaneId> = map.roadblocks().iter().flat_map(|block| block.lanes.iter().copied()).collect();
         assert_eq!(held.len(), map.lanes().len(), "{id}");
         assert_eq!(held.iter().collect::<BTreeSet<_>>().len(), held.len(), "{id}");
@@ -117,13 +116,13 @@ fn every_lane_stands_in_one_roadblock_of_its_kind() {
             assert!(block.outgoing.iter().all(|&next| map[next].incoming.contains(&block.id)), "{id}");
         }
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn neighbors_run_one_way_and_share_a_roadblock_unless_one_would_follow_the_other() {
+fn neighbors_run_one_way_and_share_a_roadblock_unless_one_would_follow_the_other() -> Needy {
     let (mut listed, mut shared) = (0, 0);
-    for Scenario { id, map, .. } in recordings() {
+    for Scenario { id, map, .. } in recordings()? {
         for lane in map.lanes() {
             for (neighbors, side) in [(&lane.left, 1.0), (&lane.right, -1.0)] {
                 for &Neighbor { lane: other, from_s, to_s } in neighbors {
@@ -147,12 +146,12 @@ fn neighbors_run_one_way_and_share_a_roadblock_unless_one_would_follow_the_other
         }
     }
     assert!(listed == 0 || shared * 4 >= listed * 3, "{shared} of {listed}");
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn at_most_one_lane_holds_a_point_and_lanes_do_not_cross() {
-    for Scenario { id, map, .. } in recordings() {
+fn at_most_one_lane_holds_a_point_and_lanes_do_not_cross() -> Needy {
+    for Scenario { id, map, .. } in recordings()? {
         let lanes: Vec<_> = map.lanes().iter().filter(|lane| !lane.is_connector()).collect();
         for (i, a) in lanes.iter().enumerate() {
             for b in &lanes[..i] {
@@ -165,12 +164,12 @@ fn at_most_one_lane_holds_a_point_and_lanes_do_not_cross() {
             assert!(map.is_drivable(middle), "{id}: lane {}", a.source_id);
         }
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn lights_stand_at_connectors() {
-    for Scenario { id, map, frames, .. } in recordings() {
+fn lights_stand_at_connectors() -> Needy {
+    for Scenario { id, map, frames, .. } in recordings()? {
         for (lane, _) in frames.iter().flat_map(|frame| frame.lights.iter()) {
             assert!(map[lane].is_connector() && map[lane].has_traffic_lights, "{id} {}", map[lane].source_id);
             let lines = map[lane].stop_lines.iter().map(|&line| &map[line]);
@@ -196,32 +195,33 @@ fn lights_stand_at_connectors() {
         let unknown = all.iter().filter(|&&status| status == SignalStatus::Unknown).count();
         assert!(unknown * 100 > all.len() * 95, "{unknown} of {}", all.len());
     }
+    Ok(())
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn limits_are_known_where_they_were_recorded() {
-    for Scenario { id, map, .. } in recordings() {
+fn limits_are_known_where_they_were_recorded() -> Needy {
+    for Scenario { id, map, .. } in recordings()? {
         let known = map.lanes().iter().filter_map(|lane| lane.speed_limit);
         let unlimited = ["8d3d061e518531d0", "1446dc44bd6fd420", "2831b6fde0420b0d"].contains(&id.as_str());
         assert_eq!(known.clone().count() == 0, unlimited, "{id}");
         assert!(known.clone().all(|limit| (2.0..40.0).contains(&limit)), "{id}");
     }
+    Ok(())
 }
 
 /// Places that the pictures of the maps show to be off the road: a median, a traffic island, the inside of a block.
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn medians_and_blocks_are_not_drivable() {
+fn medians_and_blocks_are_not_drivable() -> Needy {
     for (id, places) in [
         ("eb4b91b10ca94ff2", [(10.6, -22.9), (-36.4, -26.9), (35.2, -11.0)]),
         ("8d3d061e518531d0", [(97.0, 76.1), (-13.2, 31.2), (27.6, 37.3)]),
     ] {
-        let Some(scenario) = recording(id) else { continue };
+        let scenario = recording(id)?;
         for (x, y) in places {
             assert!(!scenario.map.is_drivable(Point::new(x, y)), "{id} ({x}, {y})");
         }
     }
+    Ok(())
 }
 
 /// Where the recorded ego left the lane graph: between which lanes of the recording.
@@ -231,9 +231,8 @@ const BREAKS: [(&str, i64, i64); 1] = [
 ];
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn routes_are_connected_chains() {
-    for Scenario { id, map, route, frames, start, .. } in recordings() {
+fn routes_are_connected_chains() -> Needy {
+    for Scenario { id, map, route, frames, start, .. } in recordings()? {
         assert!(!route.roadblocks.is_empty(), "{id}");
         for pair in route.roadblocks.windows(2) {
             let gap = (id.as_str(), map[pair[0]].source_id, map[pair[1]].source_id);
@@ -247,13 +246,13 @@ fn routes_are_connected_chains() {
         let on_route = driven.iter().filter(held).count();
         assert!(on_route * 100 >= driven.len() * 97, "{id}: {on_route} of {} on the route", driven.len());
     }
+    Ok(())
 }
 
 /// nuPlan's drivable-area compliance of the recorded ego: every corner within 0.3 m of the drivable area.
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn log_replay_stays_on_the_drivable_area() {
-    for scenario in recordings() {
+fn log_replay_stays_on_the_drivable_area() -> Needy {
+    for scenario in recordings()? {
         for (iteration, ego) in scenario.expert().enumerate() {
             for corner in ego.footprint().corners() {
                 let near = scenario.map.distance_to_drivable(corner, 0.3);
@@ -261,13 +260,13 @@ fn log_replay_stays_on_the_drivable_area() {
             }
         }
     }
+    Ok(())
 }
 
 /// nuPlan's driving-direction compliance of the recorded ego: within a second it comes less than 2 m backwards.
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn log_replay_drives_in_direction() {
-    for scenario in recordings() {
+fn log_replay_drives_in_direction() -> Needy {
+    for scenario in recordings()? {
         let centers: Vec<Point> = scenario.expert().map(|ego| ego.center().position()).collect();
         let progress = progress_along_lanes(&scenario.map, &centers[..centers.len() - 1]);
         for last in 0..progress.len() {
@@ -275,6 +274,7 @@ fn log_replay_drives_in_direction() {
             assert!(second > -2.0, "{} iteration {last}: {second} m", scenario.id);
         }
     }
+    Ok(())
 }
 
 /// Progress of each sample along the first lane that nuPlan finds for it.
@@ -325,9 +325,8 @@ fn lanes_along(map: &LaneMap, centers: &[Point]) -> Vec<Vec<LaneId>> {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn broken_files_are_reported_with_file_record_and_offset() {
-    let Some(file) = files().into_iter().next() else { return };
+fn broken_files_are_reported_with_file_record_and_offset() -> Needy {
+    let file = files()?.swap_remove(0);
     let whole = std::fs::read(&file).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("broken.tfrecord");
@@ -351,4 +350,5 @@ fn broken_files_are_reported_with_file_record_and_offset() {
     assert!(message_for(&[]).contains("the file is empty"));
     let wanted = womd::open_one(&file, 3).unwrap_err();
     assert!(matches!(wanted.fault, WomdFault::NotFound { wanted: 3, records: 1 }), "{wanted}");
+    Ok(())
 }

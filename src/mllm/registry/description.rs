@@ -165,9 +165,9 @@ pub struct GenerationSettings {
 #[serde(deny_unknown_fields, default)]
 pub struct RoundTokens {
     /// Scene understanding.
-    pub scene: usize,
+    pub understanding: usize,
     /// Motion instruction.
-    pub motion: usize,
+    pub instruction: usize,
     /// Planner code.
     pub code: usize,
 }
@@ -180,7 +180,7 @@ impl Default for GenerationSettings {
 
 impl Default for RoundTokens {
     fn default() -> Self {
-        Self { scene: 1024, motion: 512, code: 128 }
+        Self { understanding: 1024, instruction: 512, code: 128 }
     }
 }
 
@@ -216,7 +216,7 @@ impl ModelSpec {
     pub fn parse(path: &Path, text: &str) -> Result<Self, MllmError> {
         let broken = |problem: String| MllmError::Description { path: path.to_path_buf(), problem };
         let mut spec: Self = toml::from_str(text)
-            .map_err(|error| broken(endpoint_problem(text).unwrap_or_else(|| error.to_string())))?;
+            .map_err(|error| broken(endpoint_problem(text).unwrap_or_else(|| with_new_name(error.to_string()))))?;
         if spec.name.trim().is_empty() {
             return Err(broken("name is empty".into()));
         }
@@ -224,7 +224,7 @@ impl ModelSpec {
             return Err(broken("prompt_set is missing; choose brief, compact, compact-2 or paper".into()));
         }
         let tokens = spec.generation.max_new_tokens;
-        if [tokens.scene, tokens.motion, tokens.code].contains(&0) {
+        if [tokens.understanding, tokens.instruction, tokens.code].contains(&0) {
             return Err(broken("generation.max_new_tokens: a round needs at least one token".into()));
         }
         if let ModelSource::Endpoint(settings) = &spec.source {
@@ -253,6 +253,18 @@ impl ModelSpec {
             source.start_at(path.parent().unwrap_or(Path::new("")));
         }
         Ok(spec)
+    }
+}
+
+/// Keys of [`RoundTokens`] that have other names now.
+const RENAMED_ROUNDS: [(&str, &str); 2] = [("scene", "understanding"), ("motion", "instruction")];
+
+/// An error about an unknown key, with its new name if it has one.
+pub(super) fn with_new_name(error: String) -> String {
+    let renamed = RENAMED_ROUNDS.iter().find(|(old, _)| error.contains(&format!("unknown field `{old}`")));
+    match renamed {
+        Some((old, new)) => format!("{}; {old} is called {new} now", error.trim_end()),
+        None => error,
     }
 }
 
@@ -355,6 +367,16 @@ mod tests {
     }
 
     #[test]
+    fn an_old_name_of_a_round_is_refused_with_the_new_one() {
+        let valid = "name = 'n'\nsource = { folder = 'f' }\nprompt_set = 'paper'\n[generation.max_new_tokens]\n";
+        for (old, new) in RENAMED_ROUNDS {
+            assert!(parse(&format!("{valid}{new} = 3")).is_ok());
+            let problem = parse(&format!("{valid}{old} = 3")).unwrap_err().to_string();
+            assert!(problem.contains(&format!("{old} is called {new} now")), "{problem}");
+        }
+    }
+
+    #[test]
     fn wrong_keys_and_types_are_errors() {
         let valid = "name = 'n'\narchitecture = 'llava'\nsource = { folder = 'f' }\nprompt_set = 'paper'\n";
         assert!(parse(valid).is_ok());
@@ -368,7 +390,7 @@ mod tests {
             &format!("{valid}colour = 'red'"),
             &format!("{valid}[image]\ntile = 1"),
             &format!("{valid}[generation]\nmax_new_tokens = 3"),
-            &format!("{valid}[generation.max_new_tokens]\nscene = 0"),
+            &format!("{valid}[generation.max_new_tokens]\nunderstanding = 0"),
         ] {
             assert!(matches!(parse(wrong), Err(MllmError::Description { .. })), "{wrong}");
         }

@@ -5,7 +5,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::description::{GenerationSettings, PromptSet};
+use super::description::{GenerationSettings, PromptSet, with_new_name};
 use crate::mllm::MllmError;
 use crate::mllm::source::ModelPlace;
 
@@ -57,7 +57,10 @@ impl Asking {
             let (prompt_set, named_by) = (PromptSet::Paper.name().to_owned(), NamedBy::Default);
             return Ok(Self { prompt_set, named_by, generation: GenerationSettings::default() });
         };
-        let broken = |source| MllmError::Json { path: place.path().join(OWN_SETTINGS), source };
+        let broken = |error: serde_json::Error| {
+            let problem = with_new_name(error.to_string());
+            MllmError::Description { path: place.path().join(OWN_SETTINGS), problem }
+        };
         let OwnSettings { prompt_set, generation } = serde_json::from_str(&text).map_err(broken)?;
         Ok(Self { prompt_set, named_by: NamedBy::ModelFiles, generation })
     }
@@ -106,5 +109,8 @@ mod tests {
         write("{\"prompts\": \"compact\"}");
         let broken = asking().unwrap_err().to_string();
         assert!(broken.contains("planagent.json") && broken.contains("prompts"), "{broken}");
+        write("{\"prompt_set\": \"compact\", \"generation\": {\"max_new_tokens\": {\"scene\": 40}}}");
+        let old = asking().unwrap_err().to_string();
+        assert!(old.contains("planagent.json") && old.contains("scene is called understanding now"), "{old}");
     }
 }

@@ -48,5 +48,5 @@ pub use open::open;
 pub use reader::{LogWordError, NuPlanReader};
 pub use schema::MAPS_INDEX;
 pub use search::{SearchResult, search, tag_types};
-pub use split::SplitError;
+pub use split::{PUBLISHED_SPLITS, PublishedSplit, SplitError};
 pub use token::{TOKEN_BYTES, Token, TokenError};

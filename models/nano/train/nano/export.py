@@ -30,7 +30,7 @@ from .weights import to_stock
 #: Largest difference of logits between this code and transformers, as a share of the largest logit.
 TOLERANCE = 1e-5
 #: Longest answers of the compact prompt sets, tokens a round, with room.
-LONGEST_ANSWERS = {"scene": 96, "motion": 32, "code": 48}
+LONGEST_ANSWERS = {"understanding": 96, "instruction": 32, "code": 48}
 #: Largest file that may ship, bytes.
 LARGEST_FILE = 95 * 1024 * 1024
 
