@@ -186,6 +186,9 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
          llava-hf/llava-1.5-7b-hf",
         WEIGHTS,
     ),
+    ("docs/models.md", "planagent simulate --model llava-v1.5-7b-Q4_K_M.gguf", WEIGHTS),
+    ("docs/models.md", "planagent simulate --model llava-hf/llava-1.5-7b-hf", WEIGHTS),
+    ("docs/models.md", "planagent simulate --model local-server", SERVER),
     ("docs/models.md", "planagent ask \"What blocks the ego's lane?\" --model llava-1.5-7b", WEIGHTS),
     (
         "docs/models.md",
