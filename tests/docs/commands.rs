@@ -38,8 +38,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
          'hydra.searchpath=[pkg://planagent.nuplan.config,pkg://nuplan.planning.script.config.common,pkg://nuplan.planning.script.experiments]'",
         DEVKIT,
     ),
-    ("README.md", "cargo install --path .", CARGO),
+    ("README.md", "git clone REPOSITORY planagent", NETWORK),
+    ("README.md", "cd planagent", FORMER),
+    ("README.md", "cargo run --release -- simulate", CARGO),
     ("README.md", "cargo test --release", CARGO),
+    ("README.md", "cargo install --path .", CARGO),
     (
         "docs/devkit.md",
         "git clone https://github.com/motional/nuplan-devkit && git -C nuplan-devkit checkout e924167",
@@ -258,6 +261,15 @@ fn lacks(command: &str) -> Option<&'static str> {
 /// Writes what a page takes for granted into the folder of its commands.
 fn given(page: &str, folder: &Path) {
     match page {
+        "README.md" => {
+            let text = read(&root().join(page));
+            let (_, block) = text.split_once("```python\n").unwrap();
+            fs::write(folder.join("my_planner.py"), block.split_once("```").unwrap().0).unwrap();
+            let recording = "motion_data_one_scenario.tfrecord";
+            if let Some(file) = data(&format!("womd/{recording}")) {
+                fs::copy(file, folder.join(recording)).unwrap();
+            }
+        }
         "docs/exec.md" => {
             copy(&root().join("examples"), &folder.join("examples"));
             for (script, example) in [("my_planner", "exec_planner.py"), ("my_agents", "exec_agents.py")] {
