@@ -38,8 +38,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
          'hydra.searchpath=[pkg://planagent.nuplan.config,pkg://nuplan.planning.script.config.common,pkg://nuplan.planning.script.experiments]'",
         DEVKIT,
     ),
-    ("README.md", "cargo install --path .", CARGO),
+    ("README.md", "git clone REPOSITORY planagent", NETWORK),
+    ("README.md", "cd planagent", FORMER),
+    ("README.md", "cargo run --release -- simulate", CARGO),
     ("README.md", "cargo test --release", CARGO),
+    ("README.md", "cargo install --path .", CARGO),
     (
         "docs/devkit.md",
         "git clone https://github.com/motional/nuplan-devkit && git -C nuplan-devkit checkout e924167",
@@ -186,6 +189,9 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
          llava-hf/llava-1.5-7b-hf",
         WEIGHTS,
     ),
+    ("docs/models.md", "planagent simulate --model llava-v1.5-7b-Q4_K_M.gguf", WEIGHTS),
+    ("docs/models.md", "planagent simulate --model llava-hf/llava-1.5-7b-hf", WEIGHTS),
+    ("docs/models.md", "planagent simulate --model local-server", SERVER),
     ("docs/models.md", "planagent ask \"What blocks the ego's lane?\" --model llava-1.5-7b", WEIGHTS),
     (
         "docs/models.md",
@@ -201,11 +207,15 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "planagent simulate --scenario $NUPLAN_DATA_ROOT/2021.06.09.17.23.18_veh-38_00773_01140.db#0123456789abcdef",
         NUPLAN,
     ),
+    (
+        "docs/results.md",
+        "planagent simulate --scenario folder/of/recordings --planner plan-agent,pdm-closed,grid-code-four --challenge both",
+        HOURS,
+    ),
     ("docs/results.md", "planagent experiment interactive --suite interactive-generated", HOURS),
-    ("docs/results.md", "planagent experiment main --suite generated-test14-hard,recorded", HOURS),
-    ("docs/results.md", "planagent experiment main-five.toml --suite generated-test14", HOURS),
-    ("docs/results.md", "planagent experiment main --suite generated-test14-wide", HOURS),
-    ("docs/results.md", "planagent experiment controls --suite generated-test14-hard", HOURS),
+    ("docs/results.md", "planagent experiment interactive --suite interactive-recorded", HOURS),
+    ("docs/results.md", "planagent experiment main --suite generated-test14-hard", HOURS),
+    ("docs/results.md", "planagent experiment main --suite recorded", HOURS),
     ("docs/modified.md", "planagent experiment interactive --quick", HOURS),
     ("docs/reliability.md", "cargo test --release --test tests -- fuzz_corpus", CARGO),
     ("docs/reliability.md", "cargo install cargo-fuzz", NETWORK),
@@ -287,6 +297,15 @@ impl Skipped {
 /// Writes what a page takes for granted into the folder of its commands.
 fn given(page: &str, folder: &Path) {
     match page {
+        "README.md" => {
+            let text = read(&root().join(page));
+            let (_, block) = text.split_once("```python\n").unwrap();
+            fs::write(folder.join("my_planner.py"), block.split_once("```").unwrap().0).unwrap();
+            let recording = "motion_data_one_scenario.tfrecord";
+            if let Some(file) = data(&format!("womd/{recording}")) {
+                fs::copy(file, folder.join(recording)).unwrap();
+            }
+        }
         "docs/exec.md" => {
             copy(&root().join("examples"), &folder.join("examples"));
             for (script, example) in [("my_planner", "exec_planner.py"), ("my_agents", "exec_agents.py")] {

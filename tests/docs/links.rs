@@ -10,7 +10,7 @@ fn pages() -> Vec<PathBuf> {
     pages.extend(docs());
     pages.push(root().join("docs/README.md"));
     pages.extend(markdown(&root().join("docs/decisions")));
-    pages.push(root().join("models/nano/README.md"));
+    pages.extend(markdown(&root().join("models/nano")));
     pages
 }
 

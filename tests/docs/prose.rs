@@ -7,7 +7,7 @@ use regex::Regex;
 /// More numbers in a sentence stand in a table.
 const MAX_NUMBERS: usize = 5;
 /// Words of README.md outside code blocks.
-const MAX_README_WORDS: usize = 900;
+const MAX_README_WORDS: usize = 700;
 
 #[test]
 fn every_page_begins_with_what_its_reader_can_do_after_it() {
