@@ -1,7 +1,6 @@
 //! PDM-Closed beside the record of `tuplan_garage`'s own run: 9 cases, every proposal, every term, what is driven.
 
 use super::town::Town;
-use crate::outside::data;
 use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
 use planagent::internals::pdm::{Collided, DrivableLayers, PdmPlan, ReferencePath, braking_speed, plan_along};
 use planagent::internals::planner::{PdmClosed, Planner, PlannerInitialization, PlannerInput};
@@ -10,6 +9,7 @@ use planagent::internals::world::{
     TrackedObject, TrafficLights, Trajectory,
 };
 use serde_json::Value;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Progress, velocity and leads: rounding apart, these are upstream's.
@@ -17,9 +17,30 @@ const IDM_TOLERANCE: f64 = 1e-9;
 /// Simulated states and what is driven: upstream's pseudo-inverse is no better.
 const STATE_TOLERANCE: f64 = 1e-6;
 
-fn record() -> Option<Value> {
-    let path = data("vectors/generated/pdm_closed.json")?;
-    Some(serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap())
+/// A file of `tests/fixtures/vectors`.
+fn vectors(name: &str) -> Value {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/vectors").join(name);
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// The cases. States of the ego, proposals and simulated states have a file of their own, and shapes that cases share are
+/// stored once, under names.
+fn cases() -> Vec<Value> {
+    let (mut record, proposals) = (vectors("pdm_closed.json"), vectors("pdm_proposals.json"));
+    let shapes = record["shapes"].take();
+    let shape = |value: &Value| value.as_str().map_or_else(|| value.clone(), |name| shapes[name].clone());
+    let mut cases: Vec<Value> = record["cases"].as_array().unwrap().clone();
+    for (case, proposals) in cases.iter_mut().zip(proposals["cases"].as_array().unwrap()) {
+        assert_eq!(case["name"], proposals["name"]);
+        case["centerline"] = shape(&case["centerline"]);
+        for ring in case["lanes"].as_object_mut().unwrap().values_mut() {
+            *ring = shape(ring);
+        }
+        for key in ["ego", "proposals_se2", "simulated", "simulated_every"] {
+            case[key] = proposals[key].clone();
+        }
+    }
+    cases
 }
 
 fn number(value: &Value, key: &str) -> f64 {
@@ -124,10 +145,9 @@ fn columns(ego: &EgoState) -> [f64; 11] {
 }
 
 fn with_each(check: impl Fn(&Value, &Case)) {
-    let Some(record) = record() else { return };
-    let cases = record["cases"].as_array().unwrap();
+    let cases = cases();
     assert_eq!(cases.len(), 9);
-    for case in cases {
+    for case in &cases {
         check(case, &Case::read(case));
     }
 }
@@ -138,7 +158,6 @@ fn same(found: f64, expected: &Value, tolerance: f64) -> bool {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn proposals_follow_the_recorded_roll_outs() {
     with_each(|record, case| {
         let plan = case.plan();
@@ -162,7 +181,6 @@ fn proposals_follow_the_recorded_roll_outs() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn simulated_states_are_the_recorded_ones() {
     with_each(|record, case| {
         let plan = case.plan();
@@ -179,7 +197,6 @@ fn simulated_states_are_the_recorded_ones() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn every_term_of_every_score_is_the_recorded_one() {
     with_each(|record, case| {
         let plan = case.plan();
@@ -220,7 +237,6 @@ fn off_the_record(trajectory: &Trajectory, record: &Value) -> f64 {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn what_is_driven_is_the_recorded_trajectory() {
     with_each(|record, case| {
         let plan = case.plan();
@@ -234,7 +250,6 @@ fn what_is_driven_is_the_recorded_trajectory() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn the_planner_finds_the_recorded_centreline_by_itself() {
     with_each(|record, case| {
         // In the curve the recorded headings are those of the circle, not of the chords that a map gives.
