@@ -3,7 +3,7 @@
 use super::gameformer::{check_features, random_scene};
 use super::scene::scene;
 use super::vectors::{
-    NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json_at, network, numbers, vectors,
+    NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json, network, numbers, vectors,
 };
 use candle_core::{Device, Tensor};
 use planagent::internals::planner::learned::Probe;
@@ -114,11 +114,9 @@ fn the_tensors_are_those_of_the_manifest() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn the_features_are_those_of_the_original() {
     for name in ["scene_a", "scene_b"] {
-        let Some(path) = vectors(&format!("dtpp/features_{name}.safetensors")) else { return };
-        check_features(name, 80.0, &Vectors::open(&path));
+        check_features(name, 80.0, &Vectors::open(&fixture(&format!("dtpp/features_{name}.safetensors"))));
     }
 }
 
@@ -135,10 +133,8 @@ fn apart(found: &[Step], expected: &[Vec<f32>]) -> (f32, f32) {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn speed_profiles_are_those_of_the_original() {
-    let Some(path) = vectors("dtpp/planner_cases.json") else { return };
-    let cases = &json_at(&path)["spline_planner"];
+    let cases = &json("dtpp/planner_cases.json")["spline_planner"];
     let row = |i: u32| {
         let s = 0.1 * f64::from(i);
         [s, 0.002 * s * s, (0.004 * s).atan(), 0.004 / (1.0 + (0.004 * s).powi(2)).powf(1.5)]
@@ -170,12 +166,9 @@ fn speed_profiles_are_those_of_the_original() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn paths_trees_and_plans_are_those_of_the_original() {
-    let Some(path) = vectors("dtpp/planner_cases.json") else { return };
-    let cases = json_at(&path);
-    let Some(path) = vectors("dtpp/planner_cases.safetensors") else { return };
-    let file = Vectors::open(&path);
+    let cases = json("dtpp/planner_cases.json");
+    let file = Vectors::open(&fixture("dtpp/planner_cases.safetensors"));
     let network = network(|weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
     for name in ["scene_a", "scene_b"] {
         let scene = scene(name);

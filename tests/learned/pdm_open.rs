@@ -1,7 +1,7 @@
 //! PDM-Open and PDM-Offset.
 
 use super::scene::scene;
-use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network, vectors};
+use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network};
 use candle_core::{Device, Tensor};
 use planagent::internals::geometry::Pose;
 use planagent::internals::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
@@ -49,12 +49,11 @@ fn the_tiny_networks_compute_what_pytorch_computes() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn the_full_networks_compute_what_pytorch_computes() {
-    let Some(file) = vectors("pdm/pdm_open_full.io.safetensors") else { return };
-    check(&network(|weights| PdmNetwork::open(weights, HIDDEN)), &Vectors::open(&file), "pdm_open_full", &OPEN);
-    let Some(file) = vectors("pdm/pdm_offset_full.io.safetensors") else { return };
-    check(&network(|weights| PdmNetwork::offset(weights, HIDDEN)), &Vectors::open(&file), "pdm_offset_full", &OFFSET);
+    let file = Vectors::open(&fixture("pdm/pdm_open_full.io.safetensors"));
+    check(&network(|weights| PdmNetwork::open(weights, HIDDEN)), &file, "pdm_open_full", &OPEN);
+    let file = Vectors::open(&fixture("pdm/pdm_offset_full.io.safetensors"));
+    check(&network(|weights| PdmNetwork::offset(weights, HIDDEN)), &file, "pdm_offset_full", &OFFSET);
 }
 
 #[test]
