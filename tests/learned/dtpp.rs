@@ -4,7 +4,7 @@ use crate::outside::Needy;
 use super::gameformer::{check_features, random_scene};
 use super::scene::scene;
 use super::vectors::{
-    NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json_at, network, numbers, vectors,
+    NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json, network, numbers, vectors,
 };
 use candle_core::{Device, Tensor};
 use planagent::internals::planner::learned::Probe;
@@ -115,12 +115,10 @@ fn the_tensors_are_those_of_the_manifest() {
 }
 
 #[test]
-fn the_features_are_those_of_the_original() -> Needy {
+fn the_features_are_those_of_the_original() {
     for name in ["scene_a", "scene_b"] {
-        let path = vectors(&format!("dtpp/features_{name}.safetensors"))?;
-        check_features(name, 80.0, &Vectors::open(&path));
+        check_features(name, 80.0, &Vectors::open(&fixture(&format!("dtpp/features_{name}.safetensors"))));
     }
-    Ok(())
 }
 
 /// A place that lies on the border of two rows of the path may fall on either side in f32: one row is 0.1 m.
@@ -136,9 +134,8 @@ fn apart(found: &[Step], expected: &[Vec<f32>]) -> (f32, f32) {
 }
 
 #[test]
-fn speed_profiles_are_those_of_the_original() -> Needy {
-    let path = vectors("dtpp/planner_cases.json")?;
-    let cases = &json_at(&path)["spline_planner"];
+fn speed_profiles_are_those_of_the_original() {
+    let cases = &json("dtpp/planner_cases.json")["spline_planner"];
     let row = |i: u32| {
         let s = 0.1 * f64::from(i);
         [s, 0.002 * s * s, (0.004 * s).atan(), 0.004 / (1.0 + (0.004 * s).powi(2)).powf(1.5)]
@@ -167,15 +164,12 @@ fn speed_profiles_are_those_of_the_original() -> Needy {
     let from = [x[0], x[1], x[2], x[3], x[4], 0.0];
     let (places, rates) = apart(&ends(second_stage(paths, &from, limit).unwrap()), &rows(&two["ends"]));
     assert!(places < ROW && rates < 1e-4, "{places} {rates}");
-    Ok(())
 }
 
 #[test]
-fn paths_trees_and_plans_are_those_of_the_original() -> Needy {
-    let path = vectors("dtpp/planner_cases.json")?;
-    let cases = json_at(&path);
-    let path = vectors("dtpp/planner_cases.safetensors")?;
-    let file = Vectors::open(&path);
+fn paths_trees_and_plans_are_those_of_the_original() {
+    let cases = json("dtpp/planner_cases.json");
+    let file = Vectors::open(&fixture("dtpp/planner_cases.safetensors"));
     let network = network(|weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
     for name in ["scene_a", "scene_b"] {
         let scene = scene(name);
@@ -221,5 +215,4 @@ fn paths_trees_and_plans_are_those_of_the_original() -> Needy {
             assert!((found[0] - expected[0]).hypot(found[1] - expected[1]) < ROW, "{name}: {found:?} {expected:?}");
         }
     }
-    Ok(())
 }

@@ -3,7 +3,7 @@
 use crate::outside::Needy;
 use super::scene::scene;
 use super::vectors::{
-    FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json_at, network, numbers, vectors,
+    FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json, network, numbers, vectors,
 };
 use candle_core::Tensor;
 use planagent::internals::planner::learned::Probe;
@@ -133,7 +133,7 @@ fn scene_inputs(source: &str, file: &Vectors) -> (SceneInputs, Tensor) {
     if file.names().any(|name| name.starts_with("in.")) {
         return inputs(file);
     }
-    inputs(&Vectors::open(&vectors(&format!("gameformer/features_{source}.safetensors")).unwrap()))
+    inputs(&Vectors::open(&fixture(&format!("gameformer/features_{source}.safetensors"))))
 }
 
 #[test]
@@ -143,7 +143,7 @@ fn the_full_network_computes_what_pytorch_computes() -> Needy {
         let path = vectors(&format!("gameformer/gameformer_full.{source}.io.safetensors"))?;
         let given = match source {
             "random" => random_inputs(),
-            _ => inputs(&Vectors::open(&vectors(&format!("gameformer/features_{source}.safetensors")).unwrap())),
+            _ => inputs(&Vectors::open(&fixture(&format!("gameformer/features_{source}.safetensors")))),
         };
         check(&network, &given, &Vectors::open(&path), &format!("gameformer_full.{source}"));
     }
@@ -191,11 +191,9 @@ fn lit(name: &str, lights: &str) -> Scene {
 }
 
 #[test]
-fn reference_paths_are_those_of_the_original() -> Needy {
-    let path = vectors("gameformer/planner_cases.json")?;
-    let cases = json_at(&path);
-    let path = vectors("gameformer/planner_cases.safetensors")?;
-    let file = Vectors::open(&path);
+fn reference_paths_are_those_of_the_original() {
+    let cases = json("gameformer/planner_cases.json");
+    let file = Vectors::open(&fixture("gameformer/planner_cases.safetensors"));
     for (name, lights) in [("scene_a", "red"), ("scene_a", "no_tl"), ("scene_b", "red"), ("scene_b", "no_tl")] {
         let scene = lit(name, lights);
         let view = scene.view();
@@ -223,14 +221,12 @@ fn reference_paths_are_those_of_the_original() -> Needy {
         let found = Tensor::from_vec(rows.concat(), (1200, 6), &candle_core::Device::Cpu).unwrap();
         assert_close(&format!("{name} {lights}"), &found, file.get(&format!("ref.{name}.{lights}")), NETWORK);
     }
-    Ok(())
 }
 
 /// The original refines in f32 and its objective has steps, so that iterates part: in f64 they are up to 0.04 m/s off.
 #[test]
-fn refinements_are_those_of_the_original() -> Needy {
-    let path = vectors("gameformer/planner_cases.safetensors")?;
-    let file = Vectors::open(&path);
+fn refinements_are_those_of_the_original() {
+    let file = Vectors::open(&fixture("gameformer/planner_cases.safetensors"));
     let worst = |found: &[f64], expected: &[f32]| {
         found.iter().zip(expected).map(|(found, expected)| (found - f64::from(*expected)).abs()).fold(0.0, f64::max)
     };
@@ -239,9 +235,12 @@ fn refinements_are_those_of_the_original() -> Needy {
         for case in 0..4 {
             let name = format!("refine.{source}.{case}");
             let get = |part: &str| file.get(&format!("{name}.{part}"));
-            let states: Vec<[f32; 11]> = rows(get("in.neighbors"));
+            // The cases 0, 1 and 3 of a scene have the same traffic, with lights and without.
+            let (scene, traffic) = (source.split_once('.').unwrap().0, if case == 2 { 2 } else { 0 });
+            let shared = |part: &str| file.get(&format!("refine.{scene}.red.{traffic}.{part}"));
+            let states: Vec<[f32; 11]> = rows(shared("in.neighbors"));
             let scores = get("in.scores").to_vec2::<f32>().unwrap();
-            let predictions = get("in.predictions_xy");
+            let predictions = shared("in.predictions_xy");
             let agent = |(i, state): (usize, &[f32; 11])| {
                 let scores = &scores[i + 1];
                 let best = (0..scores.len()).max_by(|&a, &b| scores[a].total_cmp(&scores[b])).unwrap();
@@ -273,7 +272,6 @@ fn refinements_are_those_of_the_original() -> Needy {
             }
         }
     }
-    Ok(())
 }
 
 /// The rows of a matrix.

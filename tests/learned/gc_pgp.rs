@@ -1,10 +1,7 @@
 //! GC-PGP.
 
-use crate::outside::Needy;
 use super::scene::scene;
-use super::vectors::{
-    FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json_at, network, numbers, vectors,
-};
+use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network, numbers};
 use candle_core::{DType, Device, Tensor};
 use planagent::internals::planner::learned::Probe;
 use planagent::internals::planner::learned::gc_pgp::{
@@ -63,10 +60,9 @@ fn the_tensors_are_those_of_the_manifest() {
 
 /// The tensors that the original builder made, with a batch dimension; `ours` are names of our inputs.
 #[test]
-fn the_features_are_those_of_the_original() -> Needy {
+fn the_features_are_those_of_the_original() {
     for name in ["scene_a", "scene_b"] {
-        let path = vectors(&format!("gc_pgp/features_{name}.safetensors"))?;
-        let file = Vectors::open(&path);
+        let file = Vectors::open(&fixture(&format!("gc_pgp/features_{name}.safetensors")));
         let features = GcPgpFeatures::of(&scene(name).view()).unwrap();
         let inputs = features.inputs().unwrap();
         for (theirs, found) in [
@@ -92,13 +88,11 @@ fn the_features_are_those_of_the_original() -> Needy {
         let initial = Tensor::new(initial, &Device::Cpu).unwrap();
         assert_close(&format!("gc_pgp {name} init_node"), &initial, file.get("feature.init_node"), FEATURES);
     }
-    Ok(())
 }
 
 #[test]
-fn ranks_poses_and_clusters_are_those_of_the_original() -> Needy {
-    let path = vectors("gc_pgp/postprocess_cases.json")?;
-    let cases = json_at(&path);
+fn ranks_poses_and_clusters_are_those_of_the_original() {
+    let cases = json("gc_pgp/postprocess_cases.json");
     let rows = |value: &Value| value.as_array().unwrap().iter().map(numbers).collect::<Vec<Vec<f64>>>();
     for case in cases["ranking"].as_array().unwrap() {
         let counts: Vec<usize> = numbers(&case["counts"]).iter().map(|&count| count as usize).collect();
@@ -123,16 +117,14 @@ fn ranks_poses_and_clusters_are_those_of_the_original() -> Needy {
     for (found, expected) in clusters.centers.concat().iter().zip(numbers(&case["centers"])) {
         assert!((found - expected).abs() < 1e-9);
     }
-    Ok(())
 }
 
 /// The original draws with PyTorch's numbers, ours with others, so clusters agree only in distribution. The trajectories end about a
 /// meter ahead, with ends 0.4 m apart: the means of all ends must agree to 0.05 m and their spread to half, and each of our five
 /// best must be within 0.15 m of one of theirs in the mean of its poses.
 #[test]
-fn drawn_plans_are_like_those_of_the_original() -> Needy {
-    let path = vectors("gc_pgp/gc_pgp_full.scene_a_b1.sampled.safetensors")?;
-    let file = Vectors::open(&path);
+fn drawn_plans_are_like_those_of_the_original() {
+    let file = Vectors::open(&fixture("gc_pgp/gc_pgp_full.scene_a_b1.sampled.safetensors"));
     let network = network(GcPgp::take);
     let features = GcPgpFeatures::of(&scene("scene_a").view()).unwrap();
     let plans = network.plans(&features, &features.inputs().unwrap()).unwrap();
@@ -165,5 +157,4 @@ fn drawn_plans_are_like_those_of_the_original() -> Needy {
     for ((score, _), share) in plans.iter().zip(shares) {
         assert!((*score as f32 - share).abs() < 1e-6);
     }
-    Ok(())
 }

@@ -1,8 +1,7 @@
 //! PDM-Open and PDM-Offset.
 
-use crate::outside::Needy;
 use super::scene::scene;
-use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network, vectors};
+use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network};
 use candle_core::{Device, Tensor};
 use planagent::internals::geometry::Pose;
 use planagent::internals::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
@@ -50,12 +49,11 @@ fn the_tiny_networks_compute_what_pytorch_computes() {
 }
 
 #[test]
-fn the_full_networks_compute_what_pytorch_computes() -> Needy {
-    let file = vectors("pdm/pdm_open_full.io.safetensors")?;
-    check(&network(|weights| PdmNetwork::open(weights, HIDDEN)), &Vectors::open(&file), "pdm_open_full", &OPEN);
-    let file = vectors("pdm/pdm_offset_full.io.safetensors")?;
-    check(&network(|weights| PdmNetwork::offset(weights, HIDDEN)), &Vectors::open(&file), "pdm_offset_full", &OFFSET);
-    Ok(())
+fn the_full_networks_compute_what_pytorch_computes() {
+    let file = Vectors::open(&fixture("pdm/pdm_open_full.io.safetensors"));
+    check(&network(|weights| PdmNetwork::open(weights, HIDDEN)), &file, "pdm_open_full", &OPEN);
+    let file = Vectors::open(&fixture("pdm/pdm_offset_full.io.safetensors"));
+    check(&network(|weights| PdmNetwork::offset(weights, HIDDEN)), &file, "pdm_offset_full", &OFFSET);
 }
 
 #[test]

@@ -18,18 +18,13 @@ pub(super) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/learned").join(name)
 }
 
-/// The same, or one of the data folder.
+/// A file of the data folder.
 pub(super) fn vectors(name: &str) -> Result<PathBuf, Missing> {
-    let fixture = fixture(name);
-    if fixture.exists() { Ok(fixture) } else { data(&format!("vectors/learned/{name}")) }
+    data(&format!("vectors/learned/{name}"))
 }
 
 pub(super) fn json(name: &str) -> Value {
-    json_at(&fixture(name))
-}
-
-pub(super) fn json_at(path: &Path) -> Value {
-    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+    serde_json::from_str(&std::fs::read_to_string(fixture(name)).unwrap()).unwrap()
 }
 
 /// The numbers of nested lists.

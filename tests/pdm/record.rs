@@ -1,7 +1,6 @@
 //! PDM-Closed beside the record of `tuplan_garage`'s own run: 9 cases, every proposal, every term, what is driven.
 
 use super::town::Town;
-use crate::outside::{Missing, Needy, data};
 use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
 use planagent::internals::pdm::{Collided, DrivableLayers, PdmPlan, ReferencePath, braking_speed, plan_along};
 use planagent::internals::planner::{PdmClosed, Planner, PlannerInitialization, PlannerInput};
@@ -10,6 +9,7 @@ use planagent::internals::world::{
     TrackedObject, TrafficLights, Trajectory,
 };
 use serde_json::Value;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Progress, velocity and leads: rounding apart, these are upstream's.
@@ -17,9 +17,30 @@ const IDM_TOLERANCE: f64 = 1e-9;
 /// Simulated states and what is driven: upstream's pseudo-inverse is no better.
 const STATE_TOLERANCE: f64 = 1e-6;
 
-fn record() -> Result<Value, Missing> {
-    let path = data("vectors/generated/pdm_closed.json")?;
-    Ok(serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap())
+/// A file of `tests/fixtures/vectors`.
+fn vectors(name: &str) -> Value {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/vectors").join(name);
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// The cases. States of the ego, proposals and simulated states have a file of their own, and shapes that cases share are
+/// stored once, under names.
+fn cases() -> Vec<Value> {
+    let (mut record, proposals) = (vectors("pdm_closed.json"), vectors("pdm_proposals.json"));
+    let shapes = record["shapes"].take();
+    let shape = |value: &Value| value.as_str().map_or_else(|| value.clone(), |name| shapes[name].clone());
+    let mut cases: Vec<Value> = record["cases"].as_array().unwrap().clone();
+    for (case, proposals) in cases.iter_mut().zip(proposals["cases"].as_array().unwrap()) {
+        assert_eq!(case["name"], proposals["name"]);
+        case["centerline"] = shape(&case["centerline"]);
+        for ring in case["lanes"].as_object_mut().unwrap().values_mut() {
+            *ring = shape(ring);
+        }
+        for key in ["ego", "proposals_se2", "simulated", "simulated_every"] {
+            case[key] = proposals[key].clone();
+        }
+    }
+    cases
 }
 
 fn number(value: &Value, key: &str) -> f64 {
@@ -123,14 +144,12 @@ fn columns(ego: &EgoState) -> [f64; 11] {
     [p.x, p.y, p.heading, v.x, v.y, a.x, a.y, turning[0], turning[1], turning[2], turning[3]]
 }
 
-fn with_each(check: impl Fn(&Value, &Case)) -> Needy {
-    let record = record()?;
-    let cases = record["cases"].as_array().unwrap();
+fn with_each(check: impl Fn(&Value, &Case)) {
+    let cases = cases();
     assert_eq!(cases.len(), 9);
-    for case in cases {
+    for case in &cases {
         check(case, &Case::read(case));
     }
-    Ok(())
 }
 
 /// Whether a number is the recorded one.
@@ -139,7 +158,7 @@ fn same(found: f64, expected: &Value, tolerance: f64) -> bool {
 }
 
 #[test]
-fn proposals_follow_the_recorded_roll_outs() -> Needy {
+fn proposals_follow_the_recorded_roll_outs() {
     with_each(|record, case| {
         let plan = case.plan();
         assert_eq!(plan.proposals.len(), 15);
@@ -159,11 +178,10 @@ fn proposals_follow_the_recorded_roll_outs() -> Needy {
             }
         }
     });
-    Ok(())
 }
 
 #[test]
-fn simulated_states_are_the_recorded_ones() -> Needy {
+fn simulated_states_are_the_recorded_ones() {
     with_each(|record, case| {
         let plan = case.plan();
         let every = record["simulated_every"].as_u64().unwrap() as usize;
@@ -176,11 +194,10 @@ fn simulated_states_are_the_recorded_ones() -> Needy {
             }
         }
     });
-    Ok(())
 }
 
 #[test]
-fn every_term_of_every_score_is_the_recorded_one() -> Needy {
+fn every_term_of_every_score_is_the_recorded_one() {
     with_each(|record, case| {
         let plan = case.plan();
         for (i, score) in plan.scores.iter().enumerate() {
@@ -206,7 +223,6 @@ fn every_term_of_every_score_is_the_recorded_one() -> Needy {
         }
         assert_eq!(plan.best as u64, record["best"].as_u64().unwrap(), "{}", case.name);
     });
-    Ok(())
 }
 
 /// How far a trajectory is from the recorded one, metres and radians.
@@ -221,7 +237,7 @@ fn off_the_record(trajectory: &Trajectory, record: &Value) -> f64 {
 }
 
 #[test]
-fn what_is_driven_is_the_recorded_trajectory() -> Needy {
+fn what_is_driven_is_the_recorded_trajectory() {
     with_each(|record, case| {
         let plan = case.plan();
         assert_eq!(plan.emergency_brake, record["emergency_brake"].as_bool().unwrap(), "{}", case.name);
@@ -231,11 +247,10 @@ fn what_is_driven_is_the_recorded_trajectory() -> Needy {
             assert!((braking_speed(&case.ego) - 0.495).abs() < 1e-12);
         }
     });
-    Ok(())
 }
 
 #[test]
-fn the_planner_finds_the_recorded_centreline_by_itself() -> Needy {
+fn the_planner_finds_the_recorded_centreline_by_itself() {
     with_each(|record, case| {
         // In the curve the recorded headings are those of the circle, not of the chords that a map gives.
         if case.name == "curve_offset" {
@@ -252,5 +267,4 @@ fn the_planner_finds_the_recorded_centreline_by_itself() -> Needy {
         assert!((reference_path.centerline().length() - 329.5).abs() < 1e-9);
         assert!(reference_path.centerline().pose_at(329.5).distance(&last) < 1e-9);
     });
-    Ok(())
 }

@@ -1,20 +1,20 @@
-//! The numbers of interPlan's own functions, where the data is there.
+//! The numbers of interPlan's own functions.
 
 use super::lane_changes_to_goal::counted;
 use super::neighbors::neighbors;
 use super::{LaneRelations, changes_between, lane_changes_score, passing_ratio, sorted};
 use crate::geometry::{OrientedBox, Point, Pose};
 use crate::metrics::{METRICS, Weighting, combine};
-use crate::outside;
 use crate::world::{InteractionKind, LaneId, RoadblockId};
 use serde_json::Value;
 use std::collections::BTreeMap;
+use std::path::Path;
 
 const MAX_ERROR: f64 = 1e-6;
 
-/// A file of the vectors.
+/// A file of the vectors, which `tests/fixtures/vectors/interplan/README.md` describes.
 fn vectors(name: &str) -> Value {
-    let path = outside::data(&format!("vectors/interplan/{name}")).unwrap();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/vectors/interplan").join(name);
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
@@ -124,7 +124,6 @@ impl LaneRelations for Graph {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs $PLANAGENT_DATA")]
 fn neighbors_and_lane_changes_are_interplans() {
     let file = vectors("lane_changes_to_goal.json");
     let mut pairs = 0;
@@ -145,7 +144,6 @@ fn neighbors_and_lane_changes_are_interplans() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs $PLANAGENT_DATA")]
 fn scores_of_lane_changes_are_interplans() {
     let file = vectors("lane_changes_to_goal.json");
     let count = |value: &Value| value.as_u64().map(|count| count as usize);
@@ -165,7 +163,6 @@ fn scores_of_lane_changes_are_interplans() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs $PLANAGENT_DATA")]
 fn obstacles_are_passed_where_interplan_says() {
     let file = vectors("ego_sorts.json");
     for case in file["cases"].as_array().unwrap() {
@@ -194,7 +191,6 @@ fn obstacles_are_passed_where_interplan_says() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs $PLANAGENT_DATA")]
 fn scores_of_scenes_are_interplans() {
     let file = vectors("aggregator.json");
     let mut compared = 0;

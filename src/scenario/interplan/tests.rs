@@ -1,15 +1,15 @@
-//! The numbers of interPlan's own functions, where the data is there.
+//! The numbers of interPlan's own functions.
 
 use super::{Density, InterPlanName, NameFault, PythonRandom, Row, fill_row};
 use crate::geometry::{Point, Polyline};
-use crate::outside;
 use serde_json::Value;
+use std::path::Path;
 
 const MAX_ERROR: f64 = 1e-6;
 
-/// A file of the vectors.
+/// A file of the vectors, which `tests/fixtures/vectors/interplan/README.md` describes.
 fn vectors(name: &str) -> Value {
-    let path = outside::data(&format!("vectors/interplan/{name}")).unwrap();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/vectors/interplan").join(name);
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
@@ -22,7 +22,6 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs $PLANAGENT_DATA")]
 fn names_are_read_as_interplan_reads_them() {
     let file = vectors("parse.json");
     for row in list(&file["suffixes"]) {
@@ -56,7 +55,6 @@ fn names_are_read_as_interplan_reads_them() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs $PLANAGENT_DATA")]
 fn random_numbers_are_pythons() {
     let rows = vectors("python_random.json");
     for row in list(&rows["rows"]) {
@@ -92,7 +90,6 @@ fn line(world: &Value, names: &Value) -> Polyline {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs $PLANAGENT_DATA")]
 fn rows_of_cars_are_interplans_to_the_last_draw() {
     let file = vectors("density_spawning.json");
     let accelerations = (number(&file["accel_max"]), number(&file["decel_max"]));

@@ -1,13 +1,13 @@
-//! The numbers of interPlan's own agents, where the data is there.
+//! The numbers of interPlan's own agents.
 
 use super::{EgoWay, Footprint, InteractiveTraffic};
 use crate::geometry::{OrientedBox, Point, Pose, Vector};
-use crate::outside;
 use crate::world::{
     DriverBehavior, EgoState, Interaction, Lane, LaneMap, MapBuilder, MapParts, ObjectKind, PACIFICA, TrackToken,
     TrackedObject, TrafficLights,
 };
 use serde_json::Value;
+use std::path::Path;
 use std::sync::Arc;
 
 const MAX_ERROR: f64 = 1e-6;
@@ -21,7 +21,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 }
 
 fn vectors(name: &str) -> Value {
-    let path = outside::data(&format!("vectors/interplan/{name}")).unwrap();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/vectors/interplan").join(name);
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
@@ -57,7 +57,6 @@ fn world() -> Arc<LaneMap> {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs $PLANAGENT_DATA")]
 fn vehicles_yield_to_the_ego_as_interplans_do() {
     let file = vectors("agent_behaviours.json");
     let map = world();
@@ -107,7 +106,6 @@ fn vehicles_yield_to_the_ego_as_interplans_do() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs $PLANAGENT_DATA")]
 fn the_way_of_the_ego_is_interplans() {
     let mut compared = 0;
     for row in list(&vectors("ego_expanded.json")["rows"]) {
