@@ -1,4 +1,4 @@
-//! Tells the compiler which commit is built and whether the outside data of the tests is there.
+//! Tells the compiler which commit is built.
 #![allow(clippy::print_stdout, reason = "Cargo reads its instructions from stdout")]
 
 use std::env;
@@ -6,13 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn main() {
-    println!("cargo::rustc-check-cfg=cfg(outside_data)");
-    println!("cargo::rerun-if-env-changed=PLANAGENT_DATA");
     let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default());
-    let data = env::var_os("PLANAGENT_DATA").map_or_else(|| package.join("../shared/data"), PathBuf::from);
-    if data.is_dir() {
-        println!("cargo::rustc-cfg=outside_data");
-    }
     if let Some(commit) = commit(&package) {
         println!("cargo::rustc-env=PLANAGENT_COMMIT={commit}");
     }

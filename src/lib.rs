@@ -233,8 +233,3 @@ pub mod internals {
         report, runner, scenario, simulation, world,
     };
 }
-
-// Unit tests look for outside data, and say what they skip, as the integration tests do.
-#[cfg(test)]
-#[path = "../tests/outside.rs"]
-mod outside;

@@ -4,8 +4,8 @@ use crate::cli::{planagent, read_json, refused, run};
 use crate::outside::{Needy, llama_python};
 use serde_json::Value;
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::path::Path;
+
 use tempfile::TempDir;
 
 fn rows(folder: &Path) -> Vec<Value> {

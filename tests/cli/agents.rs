@@ -1,8 +1,8 @@
 //! Other agents that a command controls: `--agents exec:COMMAND`.
 
-use crate::outside::Needy;
 use super::exec::{python, rows, script};
 use super::{SCENE, read_json, refused, run};
+use crate::outside::Needy;
 use crate::runner::simulations;
 use std::fs;
 use std::path::Path;

@@ -26,7 +26,8 @@ fn tiny(architecture: &str) -> PathBuf {
 
 /// Parses a description and opens its model.
 fn open(place: &str, text: &str) {
-    let mut spec = ModelSpec::parse(Path::new("models/x.toml"), text).unwrap_or_else(|error| panic!("{place}: {error}"));
+    let mut spec =
+        ModelSpec::parse(Path::new("models/x.toml"), text).unwrap_or_else(|error| panic!("{place}: {error}"));
     let registry = ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() });
     let architecture = spec.architecture.map_or("llava", |architecture| architecture.name());
     let here = || ModelSource::Folder { folder: tiny(architecture) };

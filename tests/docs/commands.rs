@@ -302,7 +302,7 @@ fn given(page: &str, folder: &Path) {
             let (_, block) = text.split_once("```python\n").unwrap();
             fs::write(folder.join("my_planner.py"), block.split_once("```").unwrap().0).unwrap();
             let recording = "motion_data_one_scenario.tfrecord";
-            if let Some(file) = data(&format!("womd/{recording}")) {
+            if let Ok(file) = data(&format!("womd/{recording}")) {
                 fs::copy(file, folder.join(recording)).unwrap();
             }
         }
@@ -446,7 +446,9 @@ pages! {
 fn what_a_skipped_command_would_have_made_is_not_used() {
     let mut skipped = Skipped { outputs: vec!["exported".to_owned()], reasons: Vec::new() };
     assert!(!skipped.skips(1, "planagent simulate --out runs/exported"));
-    assert!(skipped.skips(2, "NUPLAN_MAPS_ROOT=exported/maps planagent simulate --scenario exported/data --out runs/two"));
+    assert!(
+        skipped.skips(2, "NUPLAN_MAPS_ROOT=exported/maps planagent simulate --scenario exported/data --out runs/two")
+    );
     assert!(skipped.skips(3, "planagent compare runs/one runs/two > table.csv"));
     assert!(skipped.skips(4, "cut -d, -f1 table.csv"));
     assert!(!skipped.skips(5, "planagent report runs/twofold"));

@@ -2,7 +2,6 @@
 //! Python with this package and the package `gguf`.
 
 use crate::outside::{Needy, llama_python};
-use std::ffi::OsString;
 use std::fs::{self, File};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;

@@ -14,10 +14,7 @@ fn rows(paper: &str, label: &str) -> Vec<(String, Vec<f64>)> {
     let begin = paper[..end].rfind("\\begin{tabular}").unwrap();
     let numbers = |row: &str| -> Vec<f64> {
         let words = row.split(|c: char| !c.is_ascii_digit() && c != '.');
-        words
-            .filter(|w| w.split_once('.').is_some_and(|(_, cents)| cents.len() == 2))
-            .flat_map(str::parse)
-            .collect()
+        words.filter(|w| w.split_once('.').is_some_and(|(_, cents)| cents.len() == 2)).flat_map(str::parse).collect()
     };
     let rows = paper[begin..end].split("\\\\").map(|row| (row.to_owned(), numbers(row)));
     rows.filter(|(_, numbers)| numbers.len() > 1).collect()
@@ -90,9 +87,7 @@ fn the_other_tables_are_the_papers() -> Needy {
             numbers.sort_by(|a, b| a[0].total_cmp(&b[0]));
         }
         assert_eq!(theirs, own, "{label}");
-        for PublishedModel { parameters, time_ms } in
-            ours.iter().filter_map(|(_, published)| published.model.clone())
-        {
+        for PublishedModel { parameters, time_ms } in ours.iter().filter_map(|(_, published)| published.model.clone()) {
             let cells = format!("& {} & {time_ms} ms", parameters.as_deref().unwrap_or("-"));
             assert!(table.iter().any(|(row, _)| row.contains(&cells)), "{cells}");
         }

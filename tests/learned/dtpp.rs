@@ -1,11 +1,11 @@
 //! DTPP.
 
-use crate::outside::Needy;
 use super::gameformer::{check_features, random_scene};
 use super::scene::scene;
 use super::vectors::{
     NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json, network, numbers, vectors,
 };
+use crate::outside::Needy;
 use candle_core::{Device, Tensor};
 use planagent::internals::planner::learned::Probe;
 use planagent::internals::planner::learned::dtpp::{

@@ -1,10 +1,10 @@
 //! GameFormer.
 
-use crate::outside::Needy;
 use super::scene::scene;
 use super::vectors::{
     FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json, network, numbers, vectors,
 };
+use crate::outside::Needy;
 use candle_core::Tensor;
 use planagent::internals::planner::learned::Probe;
 use planagent::internals::planner::learned::gameformer::{

@@ -131,7 +131,7 @@ fn collisions() -> Result<Vec<Compared>, Missing> {
             let collisions = find_collisions(&samples, &lanes(samples.len(), in_common));
             Compared::new(&file, &vector["expected"], &no_ego_at_fault_collisions(&collisions), true)
         });
-        worst.max_by(|a, b| a.worst.total_cmp(&b.worst))
+        Ok(worst.max_by(|a, b| a.worst.total_cmp(&b.worst)).unwrap())
     };
     files.into_iter().map(compare).collect()
 }

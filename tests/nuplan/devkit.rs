@@ -11,7 +11,6 @@ use planagent::internals::simulation::Challenge;
 use rayon::prelude::*;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 use std::process::Command;
 
 /// Values that differ by no more are the same number in another order of operations.
@@ -194,7 +193,10 @@ fn the_devkit_runs_an_export_and_agrees() -> Needy {
     let python = crate::outside::python(&[])?;
     let imported = Command::new(&python).args(["-c", "import nuplan.planning"]).env("PYTHONPATH", &devkit).output();
     if !imported.is_ok_and(|output| output.status.success()) {
-        return Err(Missing(format!("needs packages of nuplan-devkit; {python} cannot import nuplan from {}", devkit.display())));
+        return Err(Missing(format!(
+            "needs packages of nuplan-devkit; {python} cannot import nuplan from {}",
+            devkit.display()
+        )));
     }
     let home = tempfile::tempdir().unwrap();
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/devkit/compare.py");

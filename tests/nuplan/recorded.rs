@@ -3,6 +3,7 @@
 
 use super::compare::Pair;
 use super::round_trip::{SimulatedPlanner, check_scores, read_back};
+use crate::outside::Needy;
 use crate::womd::recordings;
 use planagent::internals::geometry::{Polygon, Polyline};
 use planagent::internals::scenario::Scenario;

@@ -118,13 +118,13 @@ fn a_simulation_is_rendered() {
     assert!(fails(&["0", "--png", &png, "--at", "99"]).contains("outside the simulation"));
     assert!(fails(&["0"]).contains("--gif"));
     // Without ffmpeg the error has a hint.
-    let output = crate::cli::planagent().args(film(run_folder, &mp4)).env("PATH", work.path()).output().unwrap();
+    let output = crate::cli::planagent().args(film_of(run_folder, &mp4)).env("PATH", work.path()).output().unwrap();
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(2) && stderr.contains("ffmpeg") && stderr.contains("--gif"), "{stderr}");
 }
 
 /// The arguments that render a film.
-fn film<'a>(run_folder: &'a str, mp4: &'a str) -> [&'a str; 7] {
+fn film_of<'a>(run_folder: &'a str, mp4: &'a str) -> [&'a str; 7] {
     ["render", run_folder, "0", "--mp4", mp4, "--pixels", "160"]
 }
 
@@ -134,7 +134,7 @@ fn ffmpeg_writes_a_film() -> Needy {
     let work = TempDir::new().unwrap();
     let [out, mp4] = ["run", "a.mp4"].map(|name| work.path().join(name));
     simulate(&out, &scenes(1), "log-replay");
-    assert_eq!(run(&film(out.to_str().unwrap(), mp4.to_str().unwrap())).0, 0);
+    assert_eq!(run(&film_of(out.to_str().unwrap(), mp4.to_str().unwrap())).0, 0);
     assert_eq!(&fs::read(&mp4).unwrap()[4..8], b"ftyp");
     Ok(())
 }

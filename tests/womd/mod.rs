@@ -14,7 +14,8 @@ use std::sync::OnceLock;
 
 /// The files of recordings.
 fn files() -> Result<Vec<PathBuf>, Missing> {
-    let mut files: Vec<PathBuf> = std::fs::read_dir(data("womd")?).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut files: Vec<PathBuf> =
+        std::fs::read_dir(data("womd")?).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.retain(|file| file.extension().is_some_and(|extension| extension == "tfrecord"));
     files.sort();
     Ok(files)
@@ -182,19 +183,17 @@ fn lights_stand_at_connectors() -> Needy {
         }
     }
     // The ego of this recording waits at a light that turns green.
-    if let Some(Scenario { map, frames, start, route, .. }) = recording("eb4b91b10ca94ff2") {
-        let ahead: Vec<LaneId> = route.lanes(map).into_iter().filter(|&lane| map[lane].has_traffic_lights).collect();
-        assert_eq!(source_ids(map, &ahead), vec![184, 185, 259, 260, 261]);
-        let shown = |frame: &Frame| frame.lights.status(ahead[1]).unwrap();
-        assert_eq!(shown(&frames[*start]), SignalStatus::Red);
-        assert_eq!(shown(&frames[frames.len() - 1]), SignalStatus::Green);
-    }
+    let Scenario { map, frames, start, route, .. } = recording("eb4b91b10ca94ff2")?;
+    let ahead: Vec<LaneId> = route.lanes(map).into_iter().filter(|&lane| map[lane].has_traffic_lights).collect();
+    assert_eq!(source_ids(map, &ahead), vec![184, 185, 259, 260, 261]);
+    let shown = |frame: &Frame| frame.lights.status(ahead[1]).unwrap();
+    assert_eq!(shown(&frames[*start]), SignalStatus::Red);
+    assert_eq!(shown(&frames[frames.len() - 1]), SignalStatus::Green);
     // Of this one the lights were hardly seen.
-    if let Some(Scenario { frames, .. }) = recording("dd0c8c27fdd6ef59") {
-        let all: Vec<SignalStatus> = frames.iter().flat_map(|frame| frame.lights.iter()).map(|(_, s)| s).collect();
-        let unknown = all.iter().filter(|&&status| status == SignalStatus::Unknown).count();
-        assert!(unknown * 100 > all.len() * 95, "{unknown} of {}", all.len());
-    }
+    let Scenario { frames, .. } = recording("dd0c8c27fdd6ef59")?;
+    let all: Vec<SignalStatus> = frames.iter().flat_map(|frame| frame.lights.iter()).map(|(_, s)| s).collect();
+    let unknown = all.iter().filter(|&&status| status == SignalStatus::Unknown).count();
+    assert!(unknown * 100 > all.len() * 95, "{unknown} of {}", all.len());
     Ok(())
 }
 

@@ -12,8 +12,7 @@ use super::{CogVlm, FAMILY};
 use crate::mllm::family::ImageFeatures;
 use crate::mllm::local::test_faults::{Deviation, Fault, Parts, one_further};
 use crate::mllm::local::test_reference::{
-    FEATURE_TOLERANCE, Reference, Run, assert_chat, difference, feature_difference, fixture, shared_reference,
-    synthetic, whole,
+    FEATURE_TOLERANCE, Reference, Run, assert_chat, difference, feature_difference, fixture, synthetic, whole,
 };
 use crate::mllm::vision::{Filter, resize};
 
@@ -23,14 +22,12 @@ fn assembled(parts: &Parts) -> CogVlm {
     CogVlm::take(&mut parts.weights(&FAMILY), config).unwrap()
 }
 
-/// The references: the folder, the file, and the model without a fault.
-fn references() -> impl Iterator<Item = (PathBuf, Run, CogVlm)> {
-    let tiny = Some((fixture("tiny_cogvlm"), "reference.safetensors"));
-    let larger = shared_reference("cogvlm").map(|folder| (folder, "io.safetensors"));
-    [tiny, larger].into_iter().flatten().map(|(folder, file)| {
-        let model = assembled(&Parts::of(&folder));
-        (folder.clone(), Run::open(&folder.join(file), model.info.image_token), model)
-    })
+/// The reference: its folder, the run, and the model without a fault.
+fn reference() -> (PathBuf, Run, CogVlm) {
+    let folder = fixture("tiny_cogvlm");
+    let model = assembled(&Parts::of(&folder));
+    let run = Run::open(&folder.join("reference.safetensors"), model.info.image_token);
+    (folder, run, model)
 }
 
 fn features(model: &CogVlm, run: &Run) -> ImageFeatures {
@@ -52,22 +49,21 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_the_reference() {
 }
 
 #[test]
-fn features_logits_and_greedy_tokens_are_those_of_the_references() {
-    for (_, run, model) in references() {
-        run.assert_same(&model, &features(&model, &run));
-    }
+fn features_logits_and_greedy_tokens_are_those_of_the_reference() {
+    let (_, run, model) = reference();
+    run.assert_same(&model, &features(&model, &run));
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn positions_are_those_of_the_larger_reference() {
-    let Some(folder) = shared_reference("cogvlm") else {
-        return;
-    };
-    let path = folder.join("io.safetensors");
-    let run = Run::open(&path, 0);
-    let expected = Reference::open(&path).ids("position_ids", 0);
-    assert_eq!(positions(0..run.ids.len(), &(1..1 + run.features.dims()[0])), expected);
+fn positions_are_those_of_the_reference() {
+    let path = fixture("tiny_cogvlm").join("reference.safetensors");
+    let reference = Reference::open(&path);
+    let image = 1..1 + Run::open(&path, 0).features.dims()[0];
+    for name in ["", "chat_"] {
+        let expected = reference.ids(&format!("{name}position_ids"), 0);
+        let count = reference.tensor(&format!("{name}input_ids")).elem_count();
+        assert_eq!(positions(0..count, &image), expected, "{name}");
+    }
 }
 
 /// Errors on the way from pixels to features.
@@ -102,32 +98,31 @@ const DECODER_FAULTS: [Fault; 1] = [("the experts of a layer swapped", |parts| {
 
 #[test]
 fn errors_that_are_easily_made_lead_far_away() {
-    for (folder, run, right) in references() {
-        Deviation::print_heading(&folder);
-        Deviation::of(&run, &right, &features(&right, &run)).assert_none("nothing wrong");
-        for (what, fault) in IMAGE_FAULTS {
-            let model = assembled(&Parts::wrong(&folder, fault));
-            Deviation::of(&run, &model, &features(&model, &run)).assert_far(what);
-        }
-        for (what, fault) in DECODER_FAULTS {
-            let model = assembled(&Parts::wrong(&folder, fault));
-            Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
-        }
-        let image = run.image(right.info.image_token);
-        let own = positions(0..run.ids.len(), &image);
-        let placed = |positions, vision| Deviation::of_placed(&run, &right, &right.decoder, positions, vision);
-        let vision = image.start..image.end - 1;
-        let shifted = |part| placed(one_further(&own, &part), vision.clone());
-        placed(own.clone(), vision.clone()).assert_none("the right positions");
-        // Only differences of positions count.
-        shifted(0..own.len()).assert_none("every position one further");
-        shifted(image.end..own.len()).assert_logits_far("the text behind the image one further");
-        shifted(image.start + 1..image.end - 1).assert_logits_far("the patches one further");
-        let one_each = (0..own.len() as u32).collect();
-        placed(one_each, vision.clone()).assert_logits_far("a position for each patch");
-        placed(own.clone(), image).assert_logits_far("the image's end through the vision expert");
-        placed(own, 0..0).assert_logits_far("no vision expert");
+    let (folder, run, right) = reference();
+    Deviation::print_heading(&folder);
+    Deviation::of(&run, &right, &features(&right, &run)).assert_none("nothing wrong");
+    for (what, fault) in IMAGE_FAULTS {
+        let model = assembled(&Parts::wrong(&folder, fault));
+        Deviation::of(&run, &model, &features(&model, &run)).assert_far(what);
     }
+    for (what, fault) in DECODER_FAULTS {
+        let model = assembled(&Parts::wrong(&folder, fault));
+        Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
+    }
+    let image = run.image(right.info.image_token);
+    let own = positions(0..run.ids.len(), &image);
+    let placed = |positions, vision| Deviation::of_placed(&run, &right, &right.decoder, positions, vision);
+    let vision = image.start..image.end - 1;
+    let shifted = |part| placed(one_further(&own, &part), vision.clone());
+    placed(own.clone(), vision.clone()).assert_none("the right positions");
+    // Only differences of positions count.
+    shifted(0..own.len()).assert_none("every position one further");
+    shifted(image.end..own.len()).assert_logits_far("the text behind the image one further");
+    shifted(image.start + 1..image.end - 1).assert_logits_far("the patches one further");
+    let one_each = (0..own.len() as u32).collect();
+    placed(one_each, vision.clone()).assert_logits_far("a position for each patch");
+    placed(own.clone(), image).assert_logits_far("the image's end through the vision expert");
+    placed(own, 0..0).assert_logits_far("no vision expert");
 }
 
 #[test]

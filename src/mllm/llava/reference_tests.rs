@@ -15,7 +15,7 @@ use crate::mllm::local::LocalModel;
 use crate::mllm::local::test_faults::{Deviation, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
 use crate::mllm::local::test_reference::{
     FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, Run, assert_chat, assert_greedy, assert_logits, difference,
-    feature_difference, fixture, logits_deviation, open_checkpoint, shared_reference, whole,
+    feature_difference, fixture, logits_deviation, open_checkpoint, whole,
 };
 use crate::mllm::vision::ClipImageProcessor;
 
@@ -26,13 +26,11 @@ fn assembled(parts: &Parts) -> Llava {
     Llava::take(&mut parts.weights(&FAMILY), config, processor).unwrap()
 }
 
-/// The references with random pixels. The second is a larger copy outside of the package.
-fn references() -> impl Iterator<Item = (PathBuf, Run)> {
-    let folders = [Some(fixture("llava_reference")), shared_reference("llava")];
-    folders.into_iter().flatten().map(|folder| {
-        let run = Run::open(&folder.join("io.safetensors"), 0);
-        (folder, run)
-    })
+/// The reference with random pixels.
+fn reference() -> (PathBuf, Run) {
+    let folder = fixture("llava_reference");
+    let run = Run::open(&folder.join("io.safetensors"), 0);
+    (folder, run)
 }
 
 fn open_llava(folder: &Path) -> Llava {
@@ -46,40 +44,38 @@ fn features(model: &Llava, run: &Run) -> ImageFeatures {
 
 #[test]
 fn features_logits_and_greedy_tokens_are_those_of_transformers() {
-    for (folder, run) in references() {
-        let model = assembled(&Parts::of(&folder));
-        run.assert_same(&model, &features(&model, &run));
-    }
+    let (folder, run) = reference();
+    let model = assembled(&Parts::of(&folder));
+    run.assert_same(&model, &features(&model, &run));
 }
 
 #[test]
 fn errors_that_are_easily_made_lead_far_away() {
-    for (folder, run) in references() {
-        Deviation::print_heading(&folder);
-        let right = assembled(&Parts::of(&folder));
-        Deviation::of(&run, &right, &features(&right, &run)).assert_none("nothing wrong");
-        for (what, fault) in LLAVA_IMAGE_FAULTS {
-            let model = assembled(&Parts::wrong(&folder, fault));
-            Deviation::of(&run, &model, &features(&model, &run)).assert_far(what);
-        }
-        let full = Parts::wrong(&folder, |parts| parts.config["vision_feature_select_strategy"] = json!("full"));
-        let with_class = features(&assembled(&full), &run).rows.narrow(0, 0, run.features.dims()[0]).unwrap();
-        Deviation::of(&run, &right, &whole(with_class)).assert_far("the class token kept, the last patch lost");
-        for (what, fault) in LLAVA_DECODER_FAULTS {
-            let model = assembled(&Parts::wrong(&folder, fault));
-            Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
-        }
-        let image = run.image(right.info().image_token);
-        let own: Vec<u32> = (0..run.ids.len() as u32).collect();
-        let placed = |positions| Deviation::of_placed(&run, &right, &right.core.decoder, positions, 0..0);
-        let shifted = |part| placed(one_further(&own, &part));
-        // Only differences of positions count.
-        shifted(0..own.len()).assert_none("every position one further");
-        shifted(image.end..own.len()).assert_logits_far("the text behind the image one further");
-        shifted(image.clone()).assert_logits_far("the image one further");
-        let shared = (0..own.len()).map(|index| (index.min(image.start) + index.saturating_sub(image.end - 1)) as u32);
-        placed(shared.collect()).assert_logits_far("one position for the whole image");
+    let (folder, run) = reference();
+    Deviation::print_heading(&folder);
+    let right = assembled(&Parts::of(&folder));
+    Deviation::of(&run, &right, &features(&right, &run)).assert_none("nothing wrong");
+    for (what, fault) in LLAVA_IMAGE_FAULTS {
+        let model = assembled(&Parts::wrong(&folder, fault));
+        Deviation::of(&run, &model, &features(&model, &run)).assert_far(what);
     }
+    let full = Parts::wrong(&folder, |parts| parts.config["vision_feature_select_strategy"] = json!("full"));
+    let with_class = features(&assembled(&full), &run).rows.narrow(0, 0, run.features.dims()[0]).unwrap();
+    Deviation::of(&run, &right, &whole(with_class)).assert_far("the class token kept, the last patch lost");
+    for (what, fault) in LLAVA_DECODER_FAULTS {
+        let model = assembled(&Parts::wrong(&folder, fault));
+        Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
+    }
+    let image = run.image(right.info().image_token);
+    let own: Vec<u32> = (0..run.ids.len() as u32).collect();
+    let placed = |positions| Deviation::of_placed(&run, &right, &right.core.decoder, positions, 0..0);
+    let shifted = |part| placed(one_further(&own, &part));
+    // Only differences of positions count.
+    shifted(0..own.len()).assert_none("every position one further");
+    shifted(image.end..own.len()).assert_logits_far("the text behind the image one further");
+    shifted(image.clone()).assert_logits_far("the image one further");
+    let shared = (0..own.len()).map(|index| (index.min(image.start) + index.saturating_sub(image.end - 1)) as u32);
+    placed(shared.collect()).assert_logits_far("one position for the whole image");
 }
 
 #[test]
@@ -109,25 +105,24 @@ fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
     assert!(LocalModel::open("nano", &folder).is_ok());
 }
 
-/// A LLaVA with a `SigLIP` tower and a Qwen 2 decoder has the weights of a LLaVA-OneVision. Its first view is the whole image.
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn a_siglip_tower_and_a_qwen2_decoder_compute_what_transformers_computes() {
-    let Some(folder) = shared_reference("llava_onevision") else { return };
-    let reference = Reference::open(&folder.join("reference.safetensors"));
+    let folder = fixture("tiny_llava_siglip");
+    let path = folder.join("reference.safetensors");
+    let (reference, run) = (Reference::open(&path), Run::open(&path, 0));
     let parts = Parts::of(&folder);
     let model = assembled(&parts);
     assert_eq!((model.core.config.tower, model.info().max_image_tokens), (TowerType::Siglip, 16));
-    let view = reference.tensor("pixel_values").get(0).unwrap();
-    let rows = model.core.encoder.encode(&[view]).unwrap();
-    let found = feature_difference(&rows, &reference.tensor("features").narrow(0, 0, 16).unwrap());
-    assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
+    run.assert_same(&model, &features(&model, &run));
     let ids = reference.ids("text_input_ids", 0);
     assert_logits(&model, &ids, None, reference.tensor("text_logits"));
     assert_greedy(&model, &ids, None, &reference.ids("text_generated", 0));
 
     let mut clip = parts;
     clip.config["vision_config"]["hidden_act"] = json!("gelu");
-    let wrong = assembled(&clip).core.encoder.encode(&[reference.tensor("pixel_values").get(0).unwrap()]).unwrap();
-    assert!(feature_difference(&wrong, &rows) > 2.0 * FEATURE_TOLERANCE, "the other form of gelu is not noticed");
+    let wrong = features(&assembled(&clip), &run);
+    assert!(
+        feature_difference(&wrong.rows, &run.features) > 2.0 * FEATURE_TOLERANCE,
+        "the other form of gelu is not noticed"
+    );
 }

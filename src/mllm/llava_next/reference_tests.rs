@@ -15,7 +15,7 @@ use crate::mllm::llava::FeatureSelect;
 use crate::mllm::local::LocalModel;
 use crate::mllm::local::test_faults::{Deviation, Fault, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
 use crate::mllm::local::test_reference::{
-    Reference, Run, assert_chat, difference, fixture, open_checkpoint, shared_reference, synthetic, whole,
+    Reference, Run, assert_chat, difference, fixture, open_checkpoint, synthetic, whole,
 };
 use crate::mllm::vision::{Filter, PixelScale};
 
@@ -46,11 +46,7 @@ impl Case {
             let run = Run::open(&folder.join("reference.safetensors"), 0);
             Self { folder, run, size: Resolution { height, width } }
         };
-        let larger = shared_reference("llava_next").map(|folder| {
-            let run = Run::open(&folder.join("io.safetensors"), 0);
-            Self { folder, run, size: Resolution { height: 90, width: 160 } }
-        });
-        [fixed("tiny_llava_next", 53, 75), fixed("tiny_llava_next_mistral", 53, 75)].into_iter().chain(larger)
+        [fixed("tiny_llava_next", 53, 75), fixed("tiny_llava_next_mistral", 53, 75)].into_iter()
     }
 
     fn tiles(&self) -> Tiles {

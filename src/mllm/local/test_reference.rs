@@ -23,11 +23,6 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
 }
 
-/// A folder of the reference data outside of the package; prints a note if it is missing.
-pub(crate) fn shared_reference(name: &str) -> Option<PathBuf> {
-    crate::outside::data(&format!("mllm_reference/{name}"))
-}
-
 /// The checkpoint of a folder.
 pub(crate) fn open_checkpoint(folder: &Path) -> Checkpoint {
     Checkpoint::open(&ModelPlace::Folder(folder.to_path_buf()), None, &Families::default()).unwrap()
