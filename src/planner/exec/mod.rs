@@ -186,6 +186,7 @@ impl Planner for ExecPlanner {
 
 #[cfg(test)]
 mod tests {
+    #[cfg(unix)]
     use super::process::Process;
     use super::*;
 
@@ -209,6 +210,7 @@ mod tests {
         assert_eq!(error, ExecError::Taken("idm".to_owned()));
     }
 
+    #[cfg(unix)]
     #[test]
     fn a_process_that_is_silent_or_ends_is_an_error_in_time() {
         let mut silent = Process::start("sleep 60").unwrap();
