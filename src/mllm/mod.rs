@@ -69,7 +69,7 @@ pub use family::{
 pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
 pub(crate) use layer_norm::LayerNorm;
-pub use local::{FormatOutline, Loading, LocalModel, MatrixShare, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline};
+pub use local::{FormatOutline, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline};
 pub(crate) use matrix::{Instructions, Kernel, LANES, Simd};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub(crate) use pointwise::{exp_or_zero, sigmoid, softmax, softmax_in_place, tanh};

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 /// Subcommands of `models`.
 #[derive(Debug, Subcommand)]
 pub(in crate::cli) enum ModelsCommand {
-    /// List the described models: size, license, image tokens, memory, estimated time.
+    /// List the described models: size, license, image tokens, memory.
     ///
     /// `--json` and `--csv` have all that is known of them, bytes and sources among it.
     #[command(after_long_help = help::MODELS_LIST)]
@@ -18,9 +18,9 @@ pub(in crate::cli) enum ModelsCommand {
         #[arg(long, conflicts_with = "json")]
         csv: bool,
     },
-    /// Show what is known of a model: source, license, memory in every weight format, estimated time.
+    /// Show what is known of a model: source, license, memory in every weight format.
     ///
-    /// No weights are read. Times are estimated from those of other models; `planagent bench` measures them.
+    /// No weights are read.
     #[command(after_long_help = help::MODELS_SHOW)]
     Show {
         /// The model, as `--model` takes it.

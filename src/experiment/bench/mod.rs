@@ -6,7 +6,6 @@
 
 mod budget;
 mod engine;
-mod estimate;
 mod llama_cpp;
 pub mod protocol;
 mod row;
@@ -16,7 +15,6 @@ mod workload;
 
 pub use budget::{AnswerPart, CallBudget, DRAFTED, RoundBudget};
 pub use engine::{Engine, EngineError, EngineName};
-pub use estimate::{ESTIMATED_FORMATS, ESTIMATED_ON, estimated_seconds};
 pub use llama_cpp::LlamaCpp;
 pub use row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
 pub use run::{BenchSettings, Candidate, Progress, run};

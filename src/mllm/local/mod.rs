@@ -33,7 +33,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub use check::ModelCheck;
 use draft_model::DraftModel;
 pub use memory::{MemoryCheck, MemoryNeed};
-pub use outline::{FormatOutline, MatrixShare, ModelOutline};
+pub use outline::{FormatOutline, ModelOutline};
 pub(crate) use sequence::Sequence;
 use session::LocalConversation;
 

@@ -2,13 +2,12 @@
 
 use super::row::{BUILT_IN, Row, rounded};
 use crate::cli::{Exit, Printer};
-use crate::experiment::bench::ESTIMATED_ON;
 use crate::mllm::{ModelRegistry, WeightFormat};
 use std::collections::BTreeSet;
 
 /// The weight formats of the table.
 const FORMATS: [WeightFormat; 4] = [WeightFormat::Q4K, WeightFormat::Q8_0, WeightFormat::F16, WeightFormat::F32];
-/// The format whose time and keys and values the table has.
+/// The format whose keys and values the table has.
 const USUAL: WeightFormat = WeightFormat::Q4K;
 const GIB: f64 = (1_u64 << 30) as f64;
 
@@ -25,7 +24,7 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
         }
         return Ok(Exit::Success);
     }
-    printer.line(line("", "model", "size", "license", ["image", "kv", "est s"], FORMATS.map(WeightFormat::name)));
+    printer.line(line("", "model", "size", "license", ["image", "kv"], FORMATS.map(WeightFormat::name)));
     for row in &rows {
         printer.line(of(row));
     }
@@ -37,13 +36,10 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
     }
     printer.note(
         "*: on this machine. image: tokens of the drawn BEV map. GiB of the weights in\n\
-         four formats; kv: GiB of 16-bit keys and values of up to 4096 tokens.",
+         four formats; kv: GiB of 16-bit keys and values of up to 4096 tokens.\n\
+         `planagent bench MODEL` measures the time of a planning call;\n\
+         `planagent models show MODEL` has more.",
     );
-    printer.note(format!(
-        "est s: seconds of a planning call in {USUAL}, estimated and not measured, for\n\
-         {ESTIMATED_ON}. `planagent bench MODEL` measures\n\
-         them; `planagent models show MODEL` has more."
-    ));
     Ok(Exit::Success)
 }
 
@@ -53,14 +49,13 @@ fn of(row: &Row) -> String {
     let weights = |format: WeightFormat| row.memory.get(format.name()).map(|need| rounded(need.weights as f64 / GIB));
     let image = row.image_tokens.map(|tokens| tokens.to_string());
     let cache = row.memory.get(USUAL.name()).map(|need| rounded(need.cache as f64 / GIB));
-    let seconds = row.estimated_seconds.get(USUAL.name()).copied().map(rounded);
     // What follows a comma is a remark.
     let license = row.license.as_deref().and_then(|license| license.split(',').next()).unwrap_or("-");
-    let [image, cache, seconds] = [image, cache, seconds].map(|text| text.unwrap_or_else(unknown));
+    let [image, cache] = [image, cache].map(|text| text.unwrap_or_else(unknown));
     let here = if row.place.is_some() { "*" } else { "" };
     let memory = FORMATS.map(|format| weights(format).unwrap_or_else(unknown));
     let size = row.size().unwrap_or_else(unknown);
-    line(here, &row.model, &size, license, [&image, &cache, &seconds], memory.each_ref().map(String::as_str))
+    line(here, &row.model, &size, license, [&image, &cache], memory.each_ref().map(String::as_str))
 }
 
 /// A line of at most 80 columns, where name and license are not longer than those that ship.
@@ -69,10 +64,8 @@ fn line(
     name: &str,
     size: &str,
     license: &str,
-    [image, cache, seconds]: [&str; 3],
+    [image, cache]: [&str; 2],
     [a, b, c, d]: [&str; 4],
 ) -> String {
-    format!(
-        "{here:1} {name:<21} {size:>5} {license:<13} {image:>5} {a:>4} {b:>4} {c:>4} {d:>4} {cache:>4} {seconds:>5}"
-    )
+    format!("{here:1} {name:<21} {size:>5} {license:<13} {image:>5} {a:>4} {b:>4} {c:>4} {d:>4} {cache:>4}")
 }

@@ -1,8 +1,7 @@
 //! What is known of a described model.
 
 use super::check::reason;
-use crate::experiment::bench::{CallBudget, ESTIMATED_FORMATS, estimated_seconds};
-use crate::mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec, PromptSet};
+use crate::mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec};
 use crate::reasoning;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -47,9 +46,6 @@ pub(super) struct Row {
     /// Memory in each weight format, bytes.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub memory: BTreeMap<&'static str, MemoryNeed>,
-    /// Estimated seconds of a planning call in each weight format whose speed was measured with other models.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub estimated_seconds: BTreeMap<&'static str, f64>,
 }
 
 impl Row {
@@ -89,11 +85,6 @@ impl Row {
             // A model that is not here has its reason already.
             Err(error) => return Self { problem: self.problem.or_else(|| Some(error.to_string())), ..self },
         };
-        let budget = self.prompt_set.as_deref().and_then(PromptSet::named).map(CallBudget::of);
-        let seconds = |budget: &CallBudget| {
-            let seconds = |format| Some((format, estimated_seconds(&outline, format, budget)?));
-            ESTIMATED_FORMATS.into_iter().filter_map(seconds).map(|(format, s)| (format.name(), s)).collect()
-        };
         let ModelOutline { family, parameters, image_size, image_tokens, context, formats, .. } = &outline;
         Self {
             family: Some(*family),
@@ -102,7 +93,6 @@ impl Row {
             image_tokens: Some(*image_tokens),
             context: Some(*context),
             memory: formats.iter().map(|format| (format.weight_format.name(), format.memory)).collect(),
-            estimated_seconds: budget.as_ref().map(seconds).unwrap_or_default(),
             ..self
         }
     }

@@ -1,8 +1,7 @@
 //! `planagent models show`.
 
-use super::row::{Row, rounded};
+use super::row::Row;
 use crate::cli::{Exit, Printer};
-use crate::experiment::bench::ESTIMATED_ON;
 use crate::mllm::{ModelRegistry, WeightFormat, in_bytes};
 
 /// Shows what is known of a model.
@@ -34,27 +33,18 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
     let prompts = row.prompt_set.as_ref().zip(row.prompts.as_ref());
     fact("prompts", prompts.map(|(set, place)| format!("{set} ({place})")));
     if !row.memory.is_empty() {
-        printer.line("  memory       weights    keys, values       work   estimated call");
+        printer.line("  memory       weights    keys, values       work");
     }
     let formats = WeightFormat::ALL.iter().rev().filter_map(|format| Some((format, row.memory.get(format.name())?)));
     for (format, need) in formats {
-        let seconds = row.estimated_seconds.get(format.name());
-        let seconds = seconds.map_or_else(|| "-".to_owned(), |seconds| format!("{} s", rounded(*seconds)));
         printer.line(format!(
-            "    {:<5} {:>12} {:>15} {:>10} {seconds:>16}",
+            "    {:<5} {:>12} {:>15} {:>10}",
             format.name(),
             in_bytes(need.weights),
             in_bytes(need.cache),
             in_bytes(need.work)
         ));
     }
-    if !row.estimated_seconds.is_empty() {
-        printer.note(format!(
-            "A planning call is estimated for {ESTIMATED_ON}\n\
-             from the speeds of other models (docs/latency.md).\n\
-             `planagent bench {}` measures it.",
-            row.model
-        ));
-    }
+    printer.note(format!("`planagent bench {}` measures the time of a planning call.", row.model));
     Ok(Exit::Success)
 }
