@@ -218,12 +218,6 @@ impl LlamaConfig {
         Ok(config)
     }
 
-    /// Weights of the matrices of a layer.
-    pub(crate) fn layer_weights(&self) -> usize {
-        let attention = self.head_dim * 2 * (self.heads + self.kv_heads);
-        self.hidden * (attention + 3 * self.intermediate)
-    }
-
     /// Whether the embedding is the output layer: the configuration says so, or the files have no other.
     pub(crate) fn is_tied(&self, weights: &Weights) -> bool {
         self.tie_word_embeddings || weights.lacks("lm_head.weight")

@@ -61,9 +61,4 @@ impl ModelOutline {
     pub fn of_shape(shape: &ModelShape) -> Result<Self, MllmError> {
         Self::of(shape.checkpoint(&Families::default())?, ImageSettings::default())
     }
-
-    /// The model in one of [`Self::FORMATS`].
-    pub fn format(&self, weight_format: WeightFormat) -> Option<&FormatOutline> {
-        self.formats.iter().find(|format| format.weight_format == weight_format)
-    }
 }
