@@ -123,8 +123,6 @@ mod environment;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod experiment;
 #[cfg(not(feature = "internals"))]
-mod files;
-#[cfg(not(feature = "internals"))]
 mod geometry;
 #[cfg(not(feature = "internals"))]
 mod metrics;
@@ -158,9 +156,6 @@ pub mod environment;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod experiment;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod files;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod geometry;
@@ -229,9 +224,10 @@ pub mod bindings {
 #[doc(hidden)]
 pub mod internals {
     pub use crate::{
-        cli, dynamics, environment, experiment, files, geometry, metrics, mllm, pdm, planner, reasoning, reflection,
-        report, runner, scenario, simulation, world,
+        cli, dynamics, environment, experiment, geometry, metrics, mllm, pdm, planner, reasoning, reflection, report,
+        runner, scenario, simulation, world,
     };
+    pub use planagent_files as files;
 }
 
 // Unit tests look for outside data, and say what they skip, as the integration tests do.

@@ -135,9 +135,18 @@ fn sources() -> Vec<(String, String)> {
         .into_iter()
         .map(|path| {
             let text = fs::read_to_string(&path).unwrap();
-            (path.strip_prefix(root).unwrap().to_string_lossy().into_owned(), text)
+            let file = path.strip_prefix(root).unwrap().to_string_lossy().into_owned();
+            let text = as_one_crate(root, &file, &text);
+            (file, text)
         })
         .collect()
+}
+
+/// The code of a crate's file as if all crates were modules of one, named by their folders in `src`.
+fn as_one_crate(root: &Path, file: &str, text: &str) -> String {
+    let own = stage(file).filter(|own| root.join("src").join(own).join("lib.rs").exists());
+    let text = own.map_or(text.to_owned(), |own| text.replace("crate::", &format!("crate::{own}::")));
+    text.replace("planagent_", "crate::")
 }
 
 /// Lines of code with their numbers from 1; comments, doc comments and test items are left out.

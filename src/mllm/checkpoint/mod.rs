@@ -55,7 +55,7 @@ pub(crate) fn small_file_limit(path: &Path) -> u64 {
 }
 
 pub(crate) fn read_text(path: &Path) -> Result<String, MllmError> {
-    let text = crate::files::read_text(path, small_file_limit(path))
+    let text = planagent_files::read_text(path, small_file_limit(path))
         .map_err(|source| MllmError::Read { path: path.to_path_buf(), source })?;
     if weight_file::is_lfs_pointer(text.as_bytes()) {
         return Err(MllmError::LfsPointer { path: path.to_path_buf() });

@@ -52,7 +52,7 @@ pub(crate) struct WeightFile {
 impl WeightFile {
     pub(crate) fn open(path: &Path) -> Result<Self, MllmError> {
         let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
-        let file = crate::files::open(path).map_err(failed)?;
+        let file = planagent_files::open(path).map_err(failed)?;
         let bytes = file.metadata().map_err(failed)?.len();
         let file = Self { path: path.to_path_buf(), file, bytes };
         let mut beginning = Vec::new();

@@ -59,7 +59,7 @@ impl Trial {
             program: program.into(),
             arguments: arguments.iter().map(ToString::to_string).collect(),
             samples: samples.into_iter().collect(),
-            verdicts: crate::files::cache_folder().map(|folder| folder.join("models")),
+            verdicts: planagent_files::cache_folder().map(|folder| folder.join("models")),
         }
     }
 
