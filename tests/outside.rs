@@ -6,8 +6,12 @@ use std::path::{Path, PathBuf};
 
 /// A file or folder of the data folder: `$PLANAGENT_DATA`, else `../shared/data`. Says so when it is missing.
 pub(crate) fn data(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    // A crate's folder lies below the repository's.
+    let beside = || {
+        let folders = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().map(|folder| folder.join("../shared/data"));
+        folders.clone().find(|folder| folder.exists()).or_else(|| folders.last()).unwrap_or_default()
+    };
+    let root = std::env::var_os("PLANAGENT_DATA").map_or_else(beside, PathBuf::from);
     let found = root.join(path);
     if found.exists() {
         return Some(found);

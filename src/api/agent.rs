@@ -7,7 +7,7 @@ use crate::planner::{
     PlannerParts, PlannerRegistry, PlanningCall,
 };
 use crate::reasoning::ReasoningConfig;
-use crate::world::{EgoState, LaneMap, MICROS_PER_SECOND, STEP_S, Scene, SceneView, Trajectory};
+use planagent_world::{EgoState, LaneMap, MICROS_PER_SECOND, STEP_S, Scene, SceneView, Trajectory};
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;

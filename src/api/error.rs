@@ -6,7 +6,7 @@ use crate::planner::{PlannerError, UnknownPlanner};
 use crate::reasoning::PromptError;
 use crate::scenario::ReaderError;
 use crate::simulation::SimulationError;
-use crate::world::SceneError;
+use planagent_world::SceneError;
 
 /// Why a call of the library fails.
 #[derive(Debug, thiserror::Error)]

@@ -12,8 +12,8 @@ use crate::planner::{
 };
 use crate::scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
 use crate::simulation::{AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared};
-use crate::world::EgoState;
 use planagent_files::shortened;
+use planagent_world::EgoState;
 use rayon::prelude::*;
 use std::fmt;
 use std::sync::Arc;

@@ -17,7 +17,7 @@ use crate::mllm::{Deadline, image_hash, milliseconds};
 use crate::pdm::{TRAJECTORY_STEPS, emergency_brake, plan};
 use crate::reasoning::{AnswerHistory, ScenarioPrompt};
 use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
-use crate::world::{SceneView, Trajectory};
+use planagent_world::{SceneView, Trajectory};
 use std::time::Instant;
 
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.

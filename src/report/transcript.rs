@@ -9,7 +9,7 @@ use super::visible::{in_markdown, visible, visible_line};
 use crate::experiment::run::{SimulationOutcome, SimulationRecord};
 use crate::planner::{Attempt, PlanningCall};
 use crate::reasoning::RoundRecord;
-use crate::world::STEP_S;
+use planagent_world::STEP_S;
 use std::fmt::Write;
 
 /// The transcript of a simulation; `image` gives the path of a call's BEV map, relative to the transcript.

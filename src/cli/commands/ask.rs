@@ -12,8 +12,8 @@ use crate::mllm::{Answer, Constraint, Deadline, FinishReason, Mllm, PromptPrefix
 use crate::reasoning::{FreeQuestion, PromptSet, question_prompt};
 use crate::report::fixed;
 use crate::runner::{Config, load_model};
-use crate::world::{STEP_S, SceneView};
 use anyhow::{Context, bail};
+use planagent_world::{STEP_S, SceneView};
 use serde::Serialize;
 use std::sync::Arc;
 

@@ -1,8 +1,8 @@
 //! The numbers of interPlan's own functions, where the data is there.
 
 use super::{Density, InterPlanName, NameFault, PythonRandom, Row, fill_row};
-use crate::geometry::{Point, Polyline};
 use crate::outside;
+use planagent_world::geometry::{Point, Polyline};
 use serde_json::Value;
 
 const MAX_ERROR: f64 = 1e-6;

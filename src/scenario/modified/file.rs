@@ -4,7 +4,7 @@ use super::change::{Change, Fault};
 use super::changes::Changes;
 use super::error::ModifyError;
 use crate::scenario::interplan::InterPlanName;
-use crate::world::InteractionKind;
+use planagent_world::InteractionKind;
 use std::path::Path;
 
 /// A modification: what it is called, how its scenes are scored, and its changes.

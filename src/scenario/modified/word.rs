@@ -7,8 +7,8 @@ use super::{kinds, modified};
 use crate::scenario::interplan::InterPlanName;
 use crate::scenario::reader::{OpenScenario, ReaderError, ScenarioRef, absolute_path};
 use crate::scenario::{Contents, Scenario};
-use crate::world::InteractionKind;
 use planagent_files::path_of;
+use planagent_world::InteractionKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

@@ -16,7 +16,7 @@ use super::rows::{Rows, ego_of};
 use super::schema::EGO_POSE;
 use super::token::Token;
 use crate::scenario::UNKNOWN_TYPE;
-use crate::world::{EgoState, MICROS_PER_SECOND, STEP_S};
+use planagent_world::{EgoState, MICROS_PER_SECOND, STEP_S};
 use rand::SeedableRng;
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand_pcg::Pcg64Mcg;

@@ -4,8 +4,8 @@
 //! the velocities and curvatures themselves, the same problems have a banded matrix that does not depend on the headings:
 //! an elimination of O(M) gives the same solution, better conditioned, at a cost of microseconds.
 
+use crate::STEP_S;
 use crate::geometry::{Pose, wrap_angle};
-use crate::world::STEP_S;
 
 /// Weight of the jerk penalty in the velocity fit.
 const JERK_PENALTY: f64 = 1e-4;
@@ -44,21 +44,25 @@ impl MotionProfile {
     }
 
     /// Speeds, m/s.
+    #[inline]
     pub fn velocity(&self) -> &[f64] {
         &self.velocity
     }
 
     /// Curvatures, 1/m.
+    #[inline]
     pub fn curvature(&self) -> &[f64] {
         &self.curvature
     }
 
     /// Speed `steps` steps of 0.1 s after the first pose, linear in between, clamped at both ends, m/s.
+    #[inline]
     pub fn velocity_at(&self, steps: f64) -> f64 {
         interpolate(&self.velocity, steps)
     }
 
     /// Curvature `steps` steps of 0.1 s after the first pose, linear in between, clamped at both ends, 1/m.
+    #[inline]
     pub fn curvature_at(&self, steps: f64) -> f64 {
         interpolate(&self.curvature, steps)
     }

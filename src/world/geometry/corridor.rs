@@ -51,11 +51,13 @@ impl Corridor {
     }
 
     /// The line in the middle.
+    #[inline]
     pub fn line(&self) -> &Polyline {
         &self.line
     }
 
     /// Smallest axis-aligned rectangle around the strip.
+    #[inline]
     pub fn bounds(&self) -> Bounds {
         self.bounds
     }
@@ -84,7 +86,7 @@ impl Corridor {
     }
 
     /// Whether a line and the strip share a point.
-    pub(crate) fn meets_line(&self, line: &Polyline) -> bool {
+    pub fn meets_line(&self, line: &Polyline) -> bool {
         let cut = |w: &[Point]| self.pieces.iter().any(|piece| piece.meets_segment(w[0], w[1]));
         self.bounds.overlaps(&Bounds::around(line.vertices()))
             && (line.vertices().windows(2).any(cut)
@@ -92,7 +94,7 @@ impl Corridor {
     }
 
     /// Distance between a box and the strip, meters; 0 when they overlap.
-    pub(crate) fn distance_to_box(&self, shape: &OrientedBox) -> f64 {
+    pub fn distance_to_box(&self, shape: &OrientedBox) -> f64 {
         let frame = shape.frame();
         let to_bends = self.bends.iter().map(|&bend| (frame.distance_squared(bend).sqrt() - self.half_width).max(0.0));
         self.pieces.iter().map(|piece| piece.distance(shape)).chain(to_bends).fold(f64::INFINITY, f64::min)

@@ -31,12 +31,14 @@ impl OrientedBox {
     }
 
     /// The two ends of the front edge: left, right.
+    #[inline]
     pub fn front_edge(&self) -> [Point; 2] {
         let [front_left, _, _, front_right] = self.corners();
         [front_left, front_right]
     }
 
     /// Length of the diagonal, meters.
+    #[inline]
     pub fn diagonal(&self) -> f64 {
         self.length.hypot(self.width)
     }
@@ -71,6 +73,7 @@ impl OrientedBox {
     }
 
     /// Whether two boxes share a point; touching counts.
+    #[inline]
     pub fn overlaps(&self, other: &Self) -> bool {
         // The circles around the boxes: (a + b)² ≤ 2·(a² + b²) spares their square roots.
         let squared = |shape: &Self| shape.length * shape.length + shape.width * shape.width;

@@ -1,6 +1,6 @@
 //! Poses, polylines, boxes, polygons, corridors and a spatial index, all in local meters (f64).
 //!
-//! Plain data without meaning on a road; [`crate::world`] gives it one. Angles are radians,
+//! Plain data without meaning on a road; [`crate`] gives it one. Angles are radians,
 //! counter-clockwise; lateral offsets are positive to the left.
 
 mod angle;

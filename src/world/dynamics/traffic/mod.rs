@@ -18,7 +18,7 @@ pub use interactive::{CrossingActors, InteractiveTraffic};
 
 use super::idm::{IdmParameters, Lead};
 use crate::geometry::wrap_angle;
-use crate::world::{EgoState, LaneMap, ObjectKind, SignalStatus, TrackedObject, TrafficLights};
+use crate::{EgoState, LaneMap, ObjectKind, SignalStatus, TrackedObject, TrafficLights};
 use agent::IdmAgent;
 use footprint::Footprint;
 use std::sync::Arc;

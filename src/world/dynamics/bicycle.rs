@@ -1,7 +1,7 @@
 //! The kinematic bicycle with actuator lag that moves nuPlan's ego (devkit `kinematic_bicycle.py`).
 
 use crate::geometry::{Pose, Vector, wrap_angle};
-use crate::world::{EgoState, MICROS_PER_SECOND, PACIFICA};
+use crate::{EgoState, MICROS_PER_SECOND, PACIFICA};
 use std::f64::consts::FRAC_PI_3;
 
 /// Largest steering angle to either side, radians.

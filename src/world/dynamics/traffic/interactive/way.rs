@@ -5,7 +5,7 @@ use super::super::agent::IdmAgent;
 use super::super::footprint::Footprint;
 use super::is_behind;
 use crate::geometry::{Point, Pose};
-use crate::world::{DriverBehavior, EgoState, LaneId, LaneMap, PACIFICA};
+use crate::{DriverBehavior, EgoState, LaneId, LaneMap, PACIFICA};
 
 /// Horizon, seconds.
 const HORIZON_S: f64 = 3.0;

@@ -3,7 +3,7 @@
 use super::{EgoWay, Footprint, InteractiveTraffic};
 use crate::geometry::{OrientedBox, Point, Pose, Vector};
 use crate::outside;
-use crate::world::{
+use crate::{
     DriverBehavior, EgoState, Interaction, Lane, LaneMap, MapBuilder, MapParts, ObjectKind, PACIFICA, TrackToken,
     TrackedObject, TrafficLights,
 };

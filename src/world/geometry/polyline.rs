@@ -58,11 +58,13 @@ impl Polyline {
     }
 
     /// The vertices, in order.
+    #[inline]
     pub fn vertices(&self) -> &[Point] {
         &self.vertices
     }
 
     /// Arc length at each vertex, meters; the first is 0.
+    #[inline]
     pub fn arc_lengths(&self) -> &[f64] {
         &self.arc_lengths
     }
@@ -114,6 +116,7 @@ impl Polyline {
     }
 
     /// The point at arc length `s`, clamped to the line.
+    #[inline]
     pub fn point_at(&self, s: f64) -> Point {
         let s = s.clamp(0.0, self.length());
         let segment = self.segment_at(s);
@@ -121,11 +124,13 @@ impl Polyline {
     }
 
     /// Heading of the segment at arc length `s` (clamped), radians.
+    #[inline]
     pub fn heading_at(&self, s: f64) -> f64 {
         self.segment_heading(self.segment_at(s))
     }
 
     /// Point and segment heading at arc length `s` (clamped).
+    #[inline]
     pub fn pose_at(&self, s: f64) -> Pose {
         Pose::at(self.point_at(s), self.heading_at(s))
     }
@@ -142,6 +147,7 @@ impl Polyline {
     }
 
     /// The point `lateral` meters to the left of the line at arc length `s`.
+    #[inline]
     pub fn frenet_to_map(&self, s: f64, lateral: f64) -> Point {
         self.pose_at(s).to_map(Point::new(0.0, lateral))
     }

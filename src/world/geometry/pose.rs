@@ -72,12 +72,14 @@ impl Pose {
     }
 
     /// Absolute angle between this heading and the direction to `point`, radians in [0, π].
+    #[inline]
     pub fn bearing_to(&self, point: Point) -> f64 {
         let d = point - self.position();
         wrap_angle(d.y.atan2(d.x) - self.heading).abs()
     }
 
     /// Whether all three numbers are finite.
+    #[inline]
     pub fn is_finite(&self) -> bool {
         self.x.is_finite() && self.y.is_finite() && self.heading.is_finite()
     }

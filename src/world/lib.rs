@@ -1,9 +1,13 @@
+//! The world that is driven in: the vocabulary here, shapes in [`geometry`], motion models in [`dynamics`].
+//!
 //! The vocabulary of driving, with nuPlan's names: the ego and its vehicle, the objects around it, the lane map, traffic
 //! lights, trajectories, history, and the [`SceneView`], which is all that a planner sees at one instant.
 //!
 //! Plain data only. Time is in integer microseconds, space in local meters of the map frame.
 
+pub mod dynamics;
 mod ego;
+pub mod geometry;
 mod history;
 mod interaction;
 mod map;
@@ -37,3 +41,11 @@ pub const MICROS_PER_SECOND: f64 = 1e6;
 pub const STEP_US: i64 = 100_000;
 /// Length of a simulation step, seconds.
 pub const STEP_S: f64 = 0.1;
+
+// Unit tests of other crates include the test road, which names this crate as they do.
+#[cfg(test)]
+extern crate self as planagent_world;
+
+#[cfg(test)]
+#[path = "../../tests/outside.rs"]
+mod outside;

@@ -29,6 +29,7 @@ pub struct Lead {
 impl IdmParameters {
     /// Acceleration of a vehicle of `speed` behind `lead` (`None`: free road), m/s², within [−b, a]; paper equation 1, with
     /// s* = s0 + v·T + v·Δv/(2·√(a·b)) and the gap at least s0.
+    #[inline]
     pub fn acceleration(&self, speed: f64, lead: Option<Lead>) -> f64 {
         let free = (speed / self.target_velocity).powi(self.exponent);
         let interaction = lead.map_or(0.0, |lead| {
@@ -52,7 +53,7 @@ mod tests {
 
     #[test]
     fn follows_the_recorded_policy() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/vectors/idm_policy.json");
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/fixtures/vectors/idm_policy.json");
         let vectors: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
         let cases = vectors["cases"].as_array().unwrap();
         assert_eq!(cases.len(), 60);

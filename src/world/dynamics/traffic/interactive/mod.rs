@@ -9,9 +9,7 @@ use super::footprint::Footprint;
 use super::{IDM_AGENT, Obstacle, RADIUS, Seen, build, is_open_loop, nearest_in_way, stop_lines_of};
 use crate::dynamics::idm::Lead;
 use crate::geometry::{Point, wrap_angle};
-use crate::world::{
-    CrossingActor, DriverBehavior, EgoState, Interaction, LaneMap, TrackToken, TrackedObject, TrafficLights,
-};
+use crate::{CrossingActor, DriverBehavior, EgoState, Interaction, LaneMap, TrackToken, TrackedObject, TrafficLights};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 

@@ -43,11 +43,13 @@ impl ProgressPath {
     }
 
     /// Progress of the last pose, meters.
+    #[inline]
     pub fn length(&self) -> f64 {
         self.progress[self.progress.len() - 1]
     }
 
     /// Pose at a progress (clamped): position and heading linear between the neighbors.
+    #[inline]
     pub fn pose_at(&self, progress: f64) -> Pose {
         let progress = progress.clamp(0.0, self.length());
         let before = self.pose_before(progress);

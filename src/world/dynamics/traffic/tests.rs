@@ -1,6 +1,6 @@
 use super::*;
 use crate::dynamics::test_road::{Stretch, ego_at, object, straight_road};
-use crate::world::{BASELINE_SPACING, LaneId, PACIFICA, STEP_S};
+use crate::{BASELINE_SPACING, LaneId, PACIFICA, STEP_S};
 use proptest::prelude::*;
 
 const SIGNAL: LaneId = LaneId(1);

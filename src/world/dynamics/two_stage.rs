@@ -5,7 +5,7 @@ use super::bicycle::advance;
 use super::lqr::{TrackingError, command, track};
 use super::profile::{JerkPenalty, MotionProfile};
 use crate::geometry::Pose;
-use crate::world::{EgoState, STEP_US, Trajectory};
+use crate::{EgoState, STEP_US, Trajectory};
 
 /// The ego after it followed `trajectory` for `dt_us` microseconds. nuPlan takes the step from the timestamps of the log.
 ///
@@ -34,16 +34,16 @@ pub fn simulate_proposal(start: &EgoState, reference: &[Pose], penalty: JerkPena
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::TrajectoryState;
     use crate::dynamics::lqr::TrackingError;
     use crate::geometry::Vector;
-    use crate::world::TrajectoryState;
     use serde_json::Value;
 
     /// Deviation allowed from the recorded states; the pseudo-inverse upstream itself is good to about 4e-7.
     const TOLERANCE: f64 = 1e-6;
 
     fn fixture(name: &str) -> Value {
-        let path = format!("{}/tests/fixtures/vectors/{name}", env!("CARGO_MANIFEST_DIR"));
+        let path = format!("{}/../../tests/fixtures/vectors/{name}", env!("CARGO_MANIFEST_DIR"));
         serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
     }
 

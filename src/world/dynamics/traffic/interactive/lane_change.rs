@@ -3,7 +3,7 @@
 use super::{Driver, InteractiveTraffic};
 use crate::dynamics::idm::{IdmParameters, Lead};
 use crate::geometry::Point;
-use crate::world::{EgoState, LaneId, PACIFICA};
+use crate::{EgoState, LaneId, PACIFICA};
 
 /// Politeness: the weight of what other vehicles gain or lose.
 const POLITENESS: f64 = 0.3;

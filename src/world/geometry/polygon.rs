@@ -45,11 +45,13 @@ impl Polygon {
     }
 
     /// The vertices of the outer ring in order; the first is not repeated.
+    #[inline]
     pub fn ring(&self) -> &[Point] {
         &self.ring
     }
 
     /// The rings of the holes, as [`Self::ring`] gives the outer one.
+    #[inline]
     pub fn holes(&self) -> &[Vec<Point>] {
         &self.holes
     }
@@ -71,6 +73,7 @@ impl Polygon {
     }
 
     /// Whether a point lies inside (even-odd rule); a point exactly on an edge may count either way.
+    #[inline]
     pub fn contains(&self, point: Point) -> bool {
         self.bounds.contains(point)
             && ring_holds(&self.ring, point)
@@ -147,8 +150,8 @@ impl Polygon {
     }
 
     /// The largest piece of the polygon outside another, its holes filled; `None` if nothing is left.
-    #[cfg(any(feature = "womd", feature = "argoverse2", feature = "nuplan"))]
-    pub(crate) fn without(&self, other: &Self) -> Option<Self> {
+    #[doc(hidden)]
+    pub fn without(&self, other: &Self) -> Option<Self> {
         let pieces = self.to_geo().difference(&other.to_geo()).into_iter().filter_map(|piece| Self::from_geo(&piece));
         pieces.max_by(|a, b| a.area().total_cmp(&b.area()))
     }

@@ -50,6 +50,7 @@ impl<'a> PointLocator<'a> {
     }
 
     /// Smallest axis-aligned rectangle around the polygon.
+    #[inline]
     pub fn bounds(&self) -> Bounds {
         self.polygon.bounds()
     }

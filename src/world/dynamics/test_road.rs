@@ -1,7 +1,7 @@
 //! Hand-made roads for tests.
 
-use crate::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
-use crate::world::{
+use planagent_world::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
+use planagent_world::{
     EgoState, Lane, LaneId, LaneKind, LaneMap, MapParts, ObjectKind, Roadblock, RoadblockId, Route, StopLine,
     StopLineId, TrackToken, TrackedObject,
 };

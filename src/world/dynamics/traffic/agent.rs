@@ -4,7 +4,7 @@ use super::footprint::Footprint;
 use crate::dynamics::idm::{IdmParameters, Lead};
 use crate::dynamics::progress_path::ProgressPath;
 use crate::geometry::{OrientedBox, Polyline, Pose};
-use crate::world::{LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
+use crate::{LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
 use std::collections::VecDeque;
 use std::sync::Arc;
 

@@ -3,7 +3,7 @@
 use super::agent::IdmAgent;
 use crate::dynamics::idm::IdmParameters;
 use crate::geometry::OrientedBox;
-use crate::world::{EgoState, LaneId, LaneKind, LaneMap, ObjectKind, TrackedObject};
+use crate::{EgoState, LaneId, LaneKind, LaneMap, ObjectKind, TrackedObject};
 
 /// The agents of iteration 0 in the order of the log: vehicles on a lane or a connector, snapped to its baseline, unless the
 /// snapped box meets the ego, a logged object or an earlier agent, or an earlier agent has the same track.

@@ -3,7 +3,7 @@
 use super::bicycle::Command;
 use super::profile::{JerkPenalty, MotionProfile};
 use crate::geometry::{Pose, wrap_angle};
-use crate::world::{EgoState, MICROS_PER_SECOND, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError};
+use crate::{EgoState, MICROS_PER_SECOND, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError};
 use nalgebra::Vector3;
 
 /// Horizon of the tracker, steps of 0.1 s.
@@ -101,8 +101,8 @@ fn lateral(ego: &EgoState, target: Pose, acceleration: f64, profile: &MotionProf
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::TrajectoryState;
     use crate::geometry::Vector;
-    use crate::world::TrajectoryState;
 
     fn straight(start_us: i64, count: usize) -> Trajectory {
         let state = |i: usize| {
