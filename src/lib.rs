@@ -213,7 +213,7 @@ pub mod internals {
         simulation,
     };
     pub use planagent_world::{dynamics, geometry};
-    pub use {planagent_files as files, planagent_world as world};
+    pub use {planagent_files as files, planagent_kernels as kernels, planagent_world as world};
 }
 
 // Unit tests look for outside data, and say what they skip, as the integration tests do.

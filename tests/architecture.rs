@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 16] = [
+const RANKS: [(&str, u8); 17] = [
     ("files", 0),
+    ("kernels", 0),
     ("world", 1),
     ("scenario", 3),
     ("environment", 3),
@@ -44,12 +45,20 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         ],
     ),
     (
+        "kernels",
+        &[
+            &["activation", "values"],
+            &["matrix"],
+            &["attention", "layer_norm", "linear", "pointwise", "rms_norm"],
+        ],
+    ),
+    (
         "mllm",
         &[
-            &["error", "values"],
-            &["deadline", "endpoint_settings", "matrix"],
+            &["error"],
+            &["deadline", "endpoint_settings"],
             &["checkpoint"],
-            &["attention", "conversation", "gguf", "layer_norm", "linear", "pointwise", "rms_norm"],
+            &["conversation", "gguf"],
             &["decoder", "sampling", "text", "vision"],
             &["endpoint", "family"],
             &["template_format"],

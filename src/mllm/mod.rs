@@ -7,9 +7,8 @@
 //!    `vision` and `decoder`.
 //! 3. `local` tokenizes a chat, computes what is new of it, and generates the answer under a grammar.
 //!
-//! Below them, `checkpoint` and `gguf` read weights and configurations, and `matrix` and `attention` hold the kernels.
+//! Below them, `checkpoint` and `gguf` read weights and configurations. The arithmetic is that of [`planagent_kernels`].
 
-mod attention;
 mod candle_qwen3_vl;
 mod checkpoint;
 mod cogvlm;
@@ -26,17 +25,12 @@ mod family;
 mod gguf;
 mod internvl;
 mod latency;
-mod layer_norm;
-mod linear;
 mod llava;
 mod llava_next;
 mod local;
-mod matrix;
-mod pointwise;
 mod qwen2_5_vl;
 mod qwen3_vl;
 mod registry;
-mod rms_norm;
 mod sampling;
 mod smolvlm;
 mod source;
@@ -44,10 +38,9 @@ mod template_format;
 mod text;
 mod tiled;
 pub mod trial;
-mod values;
 mod vision;
 
-pub(crate) use checkpoint::{Activation, in_bytes};
+pub(crate) use checkpoint::in_bytes;
 pub use checkpoint::{LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights};
 pub(crate) use conversation::milliseconds;
 pub use conversation::{
@@ -68,11 +61,8 @@ pub use family::{
 };
 pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
-pub(crate) use layer_norm::LayerNorm;
 pub use local::{FormatOutline, Loading, LocalModel, MatrixShare, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline};
-pub(crate) use matrix::{Instructions, Kernel, LANES, Simd};
-pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
-pub(crate) use pointwise::{exp_or_zero, sigmoid, softmax, softmax_in_place, tanh};
+pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub(crate) use registry::data_folder;
 pub use registry::{
     Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs, ModelRegistry, ModelSource,
@@ -81,6 +71,3 @@ pub use registry::{
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::ChatTokenizer;
 pub use trial::Trust;
-pub(crate) use values::with_values;
-#[cfg(feature = "internals")]
-pub use {attention::AttentionProbe, matrix::byte_operations};

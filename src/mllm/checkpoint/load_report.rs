@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::weight_format_plan::PlannedFormat;
-use crate::mllm::matrix::{StoredFormat, WeightFormat};
+use planagent_kernels::matrix::{StoredFormat, WeightFormat};
 
 /// The formats of a model's weights in memory.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]

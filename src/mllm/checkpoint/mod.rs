@@ -1,8 +1,8 @@
 //! The files of a model: weights, and the parts of configurations that several families share.
 
-mod activation;
 mod config;
 mod files;
+mod layers;
 mod llama_config;
 mod load_report;
 mod row_order;
@@ -16,11 +16,10 @@ use std::path::Path;
 
 use serde_json::Value;
 
-pub(crate) use activation::Activation;
 pub(crate) use config::{ConfigObject, OneOrMany, positive};
 pub use files::ModelFiles;
+pub(crate) use llama_config::DecoderType;
 pub use llama_config::LlamaConfig;
-pub(crate) use llama_config::{DecoderType, Rope, RopeScaling, RotarySections};
 pub(crate) use load_report::in_bytes;
 pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
 pub(crate) use row_order::{RowOrder, paired};

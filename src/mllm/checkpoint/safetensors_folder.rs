@@ -16,7 +16,7 @@ use super::weight_file::{TensorPlace, TensorSource, WeightFile};
 use super::weight_format_plan::WeightFormatPlan;
 use super::weights::Weights;
 use crate::mllm::MllmError;
-use crate::mllm::matrix::WeightFormat;
+use planagent_kernels::matrix::WeightFormat;
 
 /// The file of a checkpoint that is not sharded.
 const WEIGHTS: &str = "model.safetensors";

@@ -8,7 +8,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use crate::mllm::MllmError;
-use crate::mllm::matrix::StoredFormat;
+use planagent_kernels::matrix::StoredFormat;
 
 /// Where and how a tensor lies in a file.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -19,9 +19,9 @@ use crate::mllm::gguf::{FILE, Header, open_header, tokenizer_tests, tower_path};
 use crate::mllm::local::test_prompts::{Prompts, is_unsplit};
 use crate::mllm::local::test_reference::{assert_chat, fixture, synthetic};
 use crate::mllm::local::{Loading, LocalModel, Sequence};
-use crate::mllm::matrix::{StoredFormat, WeightFormat};
 use crate::mllm::source::{Checkpoint, ModelPlace};
 use crate::mllm::{Constraint, Deadline, Mllm, PromptPrefix, Request, Sampling};
+use planagent_kernels::matrix::{StoredFormat, WeightFormat};
 
 /// Exports a model folder to `m.gguf` in another folder.
 pub(super) fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {

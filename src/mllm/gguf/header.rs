@@ -13,7 +13,7 @@ use serde_json::{Number, Value};
 
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::TensorPlace;
-use crate::mllm::matrix::StoredFormat;
+use planagent_kernels::matrix::StoredFormat;
 
 const MAGIC: &[u8; 4] = b"GGUF";
 /// Supported versions. 3 allows big-endian files, which are not supported.

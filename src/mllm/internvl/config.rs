@@ -5,7 +5,8 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
+use crate::mllm::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
+use planagent_kernels::Activation;
 
 /// An `InternVL`: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{LlamaConfig, in_bytes};
-use crate::mllm::matrix::WeightFormat;
 use crate::mllm::source::Checkpoint;
+use planagent_kernels::matrix::WeightFormat;
 
 /// What to do with a model that needs more memory than is free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -5,8 +5,8 @@ use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{LlamaConfig, Weights};
 use crate::mllm::families::Families;
 use crate::mllm::family::ImageSettings;
-use crate::mllm::matrix::WeightFormat;
 use crate::mllm::source::{Checkpoint, ModelShape};
+use planagent_kernels::matrix::WeightFormat;
 
 /// A model as it is known before its weights are read.
 #[derive(Debug, Clone, PartialEq)]

@@ -7,7 +7,7 @@ use super::Checkpoint;
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{ModelFiles, safetensors_folder};
 use crate::mllm::families::Families;
-use crate::mllm::matrix::WeightFormat;
+use planagent_kernels::matrix::WeightFormat;
 
 /// A model whose files are compiled into the program.
 #[derive(PartialEq, Eq)]

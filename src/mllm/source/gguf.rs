@@ -9,7 +9,7 @@ use crate::mllm::families::Families;
 use crate::mllm::gguf::{
     GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, packed_files, row_order, tower_beside,
 };
-use crate::mllm::matrix::WeightFormat;
+use planagent_kernels::matrix::WeightFormat;
 
 /// The small file that every model of this program's own has.
 const CONFIG: &str = "config.json";

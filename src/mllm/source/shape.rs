@@ -120,8 +120,8 @@ fn tokenizer(vocabulary: usize, image: usize) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::matrix::WeightFormat;
     use crate::mllm::source::ModelPlace;
+    use planagent_kernels::matrix::WeightFormat;
 
     /// Billions of weights by the sizes of decoders and towers that their papers and model cards give; the tower's last
     /// layer, which LLaVA leaves unused, is not among them.

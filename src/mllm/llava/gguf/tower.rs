@@ -3,9 +3,10 @@
 use serde_json::{Value, json};
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, TowerType};
+use crate::mllm::checkpoint::TowerType;
 use crate::mllm::gguf::{Entries, Header};
 use crate::mllm::llava::LlavaConfig;
+use planagent_kernels::Activation;
 
 /// The tensor that LLaVA-NeXT adds to LLaVA's.
 const IMAGE_NEWLINE: &str = "model.image_newline";

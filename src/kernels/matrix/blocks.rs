@@ -5,7 +5,7 @@ use candle_core::{CpuStorage, Result, bail};
 use half::{bf16, f16};
 
 /// The values of whole blocks of any format that candle reads, as f32.
-pub(crate) fn widen(format: GgmlDType, bytes: Vec<u8>) -> Result<Vec<f32>> {
+pub fn widen(format: GgmlDType, bytes: Vec<u8>) -> Result<Vec<f32>> {
     if !bytes.len().is_multiple_of(format.type_size()) {
         bail!("{} bytes are no whole blocks of {format:?}", bytes.len());
     }

@@ -3,12 +3,13 @@
 
 use candle_core::{D, Result, Tensor, bail};
 
-use super::checkpoint::Activation;
+use super::activation::Activation;
 use super::matrix::{Instructions, Kernel, LANES, Simd};
 use super::values::row_by_row;
 
 impl Activation {
-    pub(crate) fn forward(self, x: &Tensor) -> Result<Tensor> {
+    /// Applies the function to each number.
+    pub fn forward(self, x: &Tensor) -> Result<Tensor> {
         let width = x.dims().last().copied().unwrap_or(0);
         row_by_row(x, width, width, |out, values| {
             Instructions::best().run(EachKernel { activation: self, values, out });
@@ -16,7 +17,7 @@ impl Activation {
     }
 
     /// silu(gate) · up of rows (gate, up), (tokens, 2 · width), to (tokens, width).
-    pub(crate) fn swiglu(gate_up: &Tensor) -> Result<Tensor> {
+    pub fn swiglu(gate_up: &Tensor) -> Result<Tensor> {
         let both = gate_up.dim(D::Minus1)?;
         let width = both / 2;
         if both % 2 == 1 {
@@ -33,7 +34,7 @@ impl Activation {
 const NEGLIGIBLE: f32 = 1e-30;
 
 /// Softmax over the last dimension.
-pub(crate) fn softmax(x: &Tensor) -> Result<Tensor> {
+pub fn softmax(x: &Tensor) -> Result<Tensor> {
     let width = x.dim(D::Minus1)?;
     row_by_row(x, width, width, |out, values| Instructions::best().run(SoftmaxKernel { width, values, out }))
 }
@@ -54,7 +55,7 @@ impl Kernel for SoftmaxKernel<'_> {
 
 /// Softmax of one row, for kernels.
 #[inline(always)]
-pub(crate) fn softmax_in_place(row: &mut [f32]) {
+pub fn softmax_in_place(row: &mut [f32]) {
     let largest = reduced(row, f32::NEG_INFINITY, |a, b| if a > b { a } else { b });
     for value in row.iter_mut() {
         *value = exp_or_zero(*value - largest);
@@ -67,7 +68,7 @@ pub(crate) fn softmax_in_place(row: &mut [f32]) {
 
 /// eˣ, or 0 where that is negligible as a share.
 #[inline(always)]
-pub(crate) fn exp_or_zero(x: f32) -> f32 {
+pub fn exp_or_zero(x: f32) -> f32 {
     let raised = exp(x);
     if raised < NEGLIGIBLE { 0.0 } else { raised }
 }
@@ -136,13 +137,13 @@ impl Kernel for SwiGluKernel<'_> {
 
 /// 1 / (1 + e⁻ˣ).
 #[inline(always)]
-pub(crate) fn sigmoid(x: f32) -> f32 {
+pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
 }
 
 /// tanh x with all digits also near 0: there by five terms of Lambert's continued fraction, elsewhere as 2 σ(2x) − 1.
 #[inline(always)]
-pub(crate) fn tanh(x: f32) -> f32 {
+pub fn tanh(x: f32) -> f32 {
     let square = x * x;
     let near =
         x * (10395.0 + square * (1260.0 + square * 21.0)) / (10395.0 + square * (4725.0 + square * (210.0 + square)));

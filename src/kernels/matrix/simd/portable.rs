@@ -3,10 +3,10 @@
 use half::f16;
 
 use super::{Kernel, Simd};
-use crate::mllm::matrix::line::{CacheLine, LANES};
+use crate::matrix::line::{CacheLine, LANES};
 
 #[derive(Debug, Clone, Copy)]
-pub(in crate::mllm::matrix) struct Portable;
+pub(in crate::matrix) struct Portable;
 
 /// The four signed bytes of packed activations.
 fn activations(packed: i32) -> [i32; 4] {

@@ -2,9 +2,10 @@
 
 use serde::Deserialize;
 
+/// An activation function.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Activation {
+pub enum Activation {
     /// With the error function.
     Gelu,
     /// With tanh.
@@ -12,7 +13,9 @@ pub(crate) enum Activation {
     GeluTanh,
     /// x·σ(1.702 x).
     QuickGelu,
+    /// 0 below 0.
     Relu,
+    /// x·σ(x).
     #[serde(alias = "swish")]
     Silu,
 }

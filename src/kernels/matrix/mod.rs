@@ -6,7 +6,6 @@ mod float;
 mod format;
 mod line;
 mod packed_tiles;
-#[cfg(feature = "internals")]
 mod probe;
 mod product;
 mod quantized;
@@ -23,15 +22,16 @@ use candle_core::quantized::QTensor;
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
 
-#[cfg(test)]
-pub(crate) use blocks::widen;
-pub(crate) use line::LANES;
+// Tests of other crates compare with it.
+#[doc(hidden)]
+pub use blocks::widen;
+pub use line::{CacheLine, LANES};
 use packed_tiles::PackedTiles;
-#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub use probe::byte_operations;
 use product::Columns;
-pub(crate) use simd::{Instructions, Kernel, Simd};
-pub(crate) use stored_format::StoredFormat;
+pub use simd::{Instructions, Kernel, Simd};
+pub use stored_format::StoredFormat;
 pub use weight_format::{UnknownWeightFormat, WeightFormat};
 
 use super::values::{PIECE, with_values};
@@ -104,10 +104,12 @@ impl Matrix {
         Ok(Self { inputs, outputs, segments })
     }
 
+    /// Rows of the matrix: numbers of a product.
     pub fn outputs(&self) -> usize {
         self.outputs
     }
 
+    /// Columns of the matrix: numbers of a row of activations.
     pub fn inputs(&self) -> usize {
         self.inputs
     }
@@ -153,7 +155,7 @@ impl Matrix {
     }
 
     /// The product with rows (tokens, inputs) plus a bias (outputs) plus a residual (tokens, outputs).
-    pub(crate) fn forward_onto(&self, x: &Tensor, bias: Option<&Tensor>, residual: Option<&Tensor>) -> Result<Tensor> {
+    pub fn forward_onto(&self, x: &Tensor, bias: Option<&Tensor>, residual: Option<&Tensor>) -> Result<Tensor> {
         let (tokens, width) = x.dims2()?;
         if width != self.inputs {
             bail!("cannot multiply rows of {width} numbers with a matrix of {} inputs", self.inputs);

@@ -6,14 +6,14 @@ use std::arch::aarch64::*;
 use std::arch::{asm, is_aarch64_feature_detected};
 
 use super::{Kernel, Simd};
-use crate::mllm::matrix::line::{CacheLine, LANES};
+use crate::matrix::line::{CacheLine, LANES};
 
 /// A value exists only where the CPU has NEON and its dot products.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::mllm::matrix) struct Neon(());
+pub(in crate::matrix) struct Neon(());
 
 impl Neon {
-    pub(in crate::mllm::matrix) fn detect() -> Option<Self> {
+    pub(in crate::matrix) fn detect() -> Option<Self> {
         let all = is_aarch64_feature_detected!("neon") && is_aarch64_feature_detected!("dotprod");
         all.then_some(Self(()))
     }

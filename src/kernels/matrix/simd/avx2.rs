@@ -5,14 +5,14 @@
 use std::arch::x86_64::*;
 
 use super::{Kernel, Simd};
-use crate::mllm::matrix::line::{CacheLine, LANES};
+use crate::matrix::line::{CacheLine, LANES};
 
 /// A value exists only where the CPU has AVX2, FMA and F16C.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::mllm::matrix) struct Avx2(());
+pub(in crate::matrix) struct Avx2(());
 
 impl Avx2 {
-    pub(in crate::mllm::matrix) fn detect() -> Option<Self> {
+    pub(in crate::matrix) fn detect() -> Option<Self> {
         let all =
             is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") && is_x86_feature_detected!("f16c");
         all.then_some(Self(()))

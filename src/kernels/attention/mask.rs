@@ -4,9 +4,12 @@ use std::ops::Range;
 
 /// Which positions the tokens of a pass may attend to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum AttentionMask {
+pub enum AttentionMask {
     /// Every token attends to the first `positions`.
-    All { positions: usize },
+    All {
+        /// Number of positions.
+        positions: usize,
+    },
     /// A token attends to its own position and to those before it.
     Causal {
         /// Position of the first token.

@@ -6,9 +6,8 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
 use super::key_values::BLOCK_POSITIONS;
-use super::{AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryEmbedding, attend, mix};
-use crate::mllm::checkpoint::{ConfigObject, LlamaConfig};
-use crate::mllm::matrix::Instructions;
+use super::{AttentionMask, HeadShape, KeyValues, Precision, Projected, Rope, RotaryEmbedding, attend, mix};
+use crate::matrix::Instructions;
 
 /// Random projections of tokens, between ±`scale`.
 fn projections(tokens: usize, shape: HeadShape, scale: f32, seed: u64) -> Tensor {
@@ -200,10 +199,9 @@ fn shapes_that_do_not_fit_are_errors() {
         assert!(attend(rows, &KeyValues::new(other, Precision::Half), AttentionMask::All { positions: 0 }).is_err());
         assert!(KeyValues::new(other, Precision::Half).write(rows, 0).is_err());
     });
-    let config = serde_json::json!({"vocab_size": 8, "hidden_size": 32, "num_attention_heads": 2});
-    let config = LlamaConfig::read(ConfigObject::root("config.json".as_ref(), &config).unwrap()).unwrap();
-    let table = RotaryEmbedding::new(&config);
-    assert!(table.rows(&[[0, config.context as u32, 0]]).is_err());
+    let context = 2048;
+    let table = RotaryEmbedding::new(&Rope::default(), 16, context);
+    assert!(table.rows(&[[0, context as u32, 0]]).is_err());
     let angles = table.rows(&[[0; 3], [1; 3]]).unwrap();
     assert!(Projected::of(&rows, shape, Some(&angles), |_| Ok(())).is_err());
 }

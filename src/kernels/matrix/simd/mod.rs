@@ -29,7 +29,7 @@ use super::line::{CacheLine, LANES};
 ///
 /// Byte products: each lane holds four unsigned bytes of its output's weights. The activations are four signed bytes in an
 /// `i32`, the same for all lanes.
-pub(crate) trait Simd: Copy + Send + Sync {
+pub trait Simd: Copy + Send + Sync {
     /// 16 lanes of i32, or 32 of i16.
     type Ints: Copy;
     /// 16 lanes of f32.
@@ -46,7 +46,9 @@ pub(crate) trait Simd: Copy + Send + Sync {
     /// Starts to load a line into the second-level cache. Past it, an Intel Xeon reads half as fast; into the first level too, Zen 4 reads a
     /// quarter slower in `q4_k`. An address that does not exist is ignored.
     fn prefetch(self, line: *const CacheLine);
+    /// Loads a line.
     fn bytes(self, line: &CacheLine) -> Self::Bytes;
+    /// Writes a line.
     fn store_bytes(self, bytes: Self::Bytes, line: &mut CacheLine);
     /// The low four bits of each byte.
     fn low(self, bytes: Self::Bytes) -> Self::Bytes;
@@ -66,12 +68,16 @@ pub(crate) trait Simd: Copy + Send + Sync {
     fn dot_biased(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints;
     /// sum + Σ weight · activation over the two i16 of each lane; the activations are two i16 in an `i32`.
     fn dot_pairs(self, sum: Self::Ints, weights: Self::Ints, activations: i32) -> Self::Ints;
+    /// Loads 16 integers.
     fn load_ints(self, values: &[i32; LANES]) -> Self::Ints;
+    /// The integers as floats.
     fn to_floats(self, values: Self::Ints) -> Self::Floats;
 
     /// The same number in every lane.
     fn floats(self, value: f32) -> Self::Floats;
+    /// Loads 16 floats.
     fn load(self, values: &[f32; LANES]) -> Self::Floats;
+    /// Writes 16 floats.
     fn store(self, values: Self::Floats, out: &mut [f32; LANES]);
     /// Loads the bits of 16 f16.
     fn load_half(self, values: &[u16; LANES]) -> Self::Floats;
@@ -79,11 +85,13 @@ pub(crate) trait Simd: Copy + Send + Sync {
     fn load_signed(self, values: &[u8; LANES]) -> Self::Floats;
     /// Loads 16 bytes as unsigned numbers.
     fn load_unsigned(self, values: &[u8; LANES]) -> Self::Ints;
+    /// a · b.
     fn mul(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
     /// a · b + c, rounded once where the CPU has fused operations.
     fn mul_add(self, a: Self::Floats, b: Self::Floats, c: Self::Floats) -> Self::Floats;
     /// c − a · b, rounded once where the CPU has fused operations.
     fn mul_sub_from(self, a: Self::Floats, b: Self::Floats, c: Self::Floats) -> Self::Floats;
+    /// a + b.
     fn add(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
     /// The larger of both; b where one is NaN.
     fn max(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
@@ -91,12 +99,14 @@ pub(crate) trait Simd: Copy + Send + Sync {
     fn round(self, a: Self::Floats) -> Self::Floats;
     /// 2ⁿ of integers from -126 to 127.
     fn two_to_the(self, n: Self::Floats) -> Self::Floats;
+    /// The sum of the lanes.
     #[inline(always)]
     fn sum(self, a: Self::Floats) -> f32 {
         let mut lanes = [0.0; LANES];
         self.store(a, &mut lanes);
         fold(lanes, |a, b| a + b)
     }
+    /// The largest lane.
     #[inline(always)]
     fn max_lane(self, a: Self::Floats) -> f32 {
         let mut lanes = [0.0; LANES];
@@ -138,14 +148,14 @@ fn fold(mut lanes: [f32; LANES], operation: impl Fn(f32, f32) -> f32) -> f32 {
 }
 
 /// Work that is compiled for every instruction set.
-pub(crate) trait Kernel {
+pub trait Kernel {
     /// Must be inlined into [`Simd::run`].
     fn run<S: Simd>(self, simd: S);
 }
 
 /// Instruction sets that kernels are compiled for, fastest first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Instructions {
+pub enum Instructions {
     /// AVX-512 with VNNI.
     #[cfg(target_arch = "x86_64")]
     Avx512,
@@ -155,6 +165,7 @@ pub(crate) enum Instructions {
     /// NEON with dot products.
     #[cfg(target_arch = "aarch64")]
     Neon,
+    /// Without vector instructions of any CPU.
     Portable,
 }
 
@@ -171,12 +182,13 @@ impl Instructions {
     }
 
     /// The fastest that this CPU has.
-    pub(crate) fn best() -> Self {
+    #[inline]
+    pub fn best() -> Self {
         Self::available().next().unwrap_or(Self::Portable)
     }
 
     /// Runs a kernel with these instructions, or with the portable ones if the CPU lacks them.
-    pub(crate) fn run<K: Kernel>(self, kernel: K) {
+    pub fn run<K: Kernel>(self, kernel: K) {
         #[cfg(target_arch = "x86_64")]
         match self {
             Self::Avx512 => {

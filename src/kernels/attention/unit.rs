@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::key_values::{BLOCK_POSITIONS, Block, StoredFloat};
 use super::mask::AttentionMask;
 use super::projected::{HeadShape, Projected};
-use crate::mllm::matrix::{Instructions, Kernel, LANES, Simd};
+use crate::matrix::{Instructions, Kernel, LANES, Simd};
 
 /// Minimum rows for which one conversion of an f16 block is cheaper than a conversion for every few rows.
 const MIN_WIDENED_ROWS: usize = 16;

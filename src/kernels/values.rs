@@ -19,7 +19,7 @@ pub(crate) fn with_contiguous<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> R
 }
 
 /// Runs `read` on the row-major numbers of an f32 tensor, which is copied if it is not contiguous.
-pub(crate) fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
+pub fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
     with_contiguous(&tensor.contiguous()?, read)
 }
 

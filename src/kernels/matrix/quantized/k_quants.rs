@@ -6,7 +6,7 @@ use super::{Block, Minima, Quantized, SPAN, SUMMED, run_sum, with_fifth_bit};
 
 /// ggml's `q6_k`: w = d · scale · (number − 32), with a scale for every 16.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::mllm::matrix) struct Q6K;
+pub(in crate::matrix) struct Q6K;
 
 impl Quantized for Q6K {
     /// Low bits, high bits, scales, d.
@@ -47,7 +47,7 @@ impl Quantized for Q6K {
 
 /// ggml's `q5_k`: as [`Q4K`], with five bits.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::mllm::matrix) struct Q5K;
+pub(in crate::matrix) struct Q5K;
 
 impl Quantized for Q5K {
     /// Low bits, high bits, d and dmin, scales and minima of six bits.
@@ -80,7 +80,7 @@ impl Quantized for Q5K {
 
 /// ggml's `q4_k`: w = d · scale · number − dmin · minimum, with a scale and a minimum for every 32.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::mllm::matrix) struct Q4K;
+pub(in crate::matrix) struct Q4K;
 
 impl Quantized for Q4K {
     /// Numbers, d and dmin, scales and minima of six bits.
@@ -111,7 +111,7 @@ impl Quantized for Q4K {
 
 /// ggml's `q3_k`: w = d · scale · (number − 4), with a scale of six bits for every 16.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::mllm::matrix) struct Q3K;
+pub(in crate::matrix) struct Q3K;
 
 impl Quantized for Q3K {
     /// Low two bits, third bits, scales, d.

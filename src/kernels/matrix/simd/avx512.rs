@@ -5,14 +5,14 @@
 use std::arch::x86_64::*;
 
 use super::{Kernel, Simd};
-use crate::mllm::matrix::line::{CacheLine, LANES};
+use crate::matrix::line::{CacheLine, LANES};
 
 /// A value exists only where the CPU has AVX-512 F, BW and VNNI.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::mllm::matrix) struct Avx512(());
+pub(in crate::matrix) struct Avx512(());
 
 impl Avx512 {
-    pub(in crate::mllm::matrix) fn detect() -> Option<Self> {
+    pub(in crate::matrix) fn detect() -> Option<Self> {
         let all = is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512bw")
             && is_x86_feature_detected!("avx512vnni");

@@ -7,7 +7,7 @@ use half::slice::{HalfBitsSliceExt, HalfFloatSliceExt};
 use rayon::prelude::*;
 
 use super::projected::{HeadShape, Projected};
-use crate::mllm::matrix::{LANES, Simd};
+use crate::matrix::{LANES, Simd};
 
 /// Positions of a block.
 pub(super) const BLOCK_POSITIONS: usize = 64;
@@ -47,7 +47,7 @@ impl StoredFloat for u16 {
 
 /// Number type of cached keys and values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Precision {
+pub enum Precision {
     /// f32, as computed.
     Single,
     /// f16: a decoding step reads half of the memory.
@@ -56,7 +56,7 @@ pub(crate) enum Precision {
 
 /// Keys and values of one layer in blocks. Growth adds blocks and moves none. Clones share blocks until one of them writes.
 #[derive(Debug, Clone)]
-pub(crate) struct KeyValues {
+pub struct KeyValues {
     pub(super) shape: HeadShape,
     pub(super) blocks: Blocks,
 }
@@ -117,7 +117,8 @@ impl<N: StoredFloat> Block<N> {
 }
 
 impl KeyValues {
-    pub(crate) fn new(shape: HeadShape, precision: Precision) -> Self {
+    /// Room for no position yet.
+    pub fn new(shape: HeadShape, precision: Precision) -> Self {
         let blocks = match precision {
             Precision::Single => Blocks::Single(Vec::new()),
             Precision::Half => Blocks::Half(Vec::new()),
@@ -126,7 +127,7 @@ impl KeyValues {
     }
 
     /// Writes the rotated keys and the values of rows to the positions from `start` on.
-    pub(crate) fn write(&mut self, rows: &Projected<'_>, start: usize) -> candle_core::Result<()> {
+    pub fn write(&mut self, rows: &Projected<'_>, start: usize) -> candle_core::Result<()> {
         if rows.shape() != self.shape {
             candle_core::bail!("cannot write keys and values of {:?} to a cache of {:?}", rows.shape(), self.shape);
         }

@@ -6,7 +6,7 @@ use super::{Block, Minima, Quantized, SPAN, SUMMED, float, run_sum, with_fifth_b
 
 /// ggml's `q8_0`: w = scale · number, with a scale for every 32.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::mllm::matrix) struct Q8_0;
+pub(in crate::matrix) struct Q8_0;
 
 impl Quantized for Q8_0 {
     /// Four groups of two blocks of eight lines and one with their scales.
@@ -48,12 +48,12 @@ impl Quantized for Q8_0 {
 /// Four or five bits a number, `FIFTH` of them in a line of their own. w = scale · (number − half of their range), or, with a
 /// `MINIMUM`, w = scale · number + minimum.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::mllm::matrix) struct FewBits<const FIFTH: usize, const MINIMUM: bool>;
+pub(in crate::matrix) struct FewBits<const FIFTH: usize, const MINIMUM: bool>;
 
-pub(in crate::mllm::matrix) type Q4_0 = FewBits<0, false>;
-pub(in crate::mllm::matrix) type Q4_1 = FewBits<0, true>;
-pub(in crate::mllm::matrix) type Q5_0 = FewBits<1, false>;
-pub(in crate::mllm::matrix) type Q5_1 = FewBits<1, true>;
+pub(in crate::matrix) type Q4_0 = FewBits<0, false>;
+pub(in crate::matrix) type Q4_1 = FewBits<0, true>;
+pub(in crate::matrix) type Q5_0 = FewBits<1, false>;
+pub(in crate::matrix) type Q5_1 = FewBits<1, true>;
 
 impl<const FIFTH: usize, const MINIMUM: bool> FewBits<FIFTH, MINIMUM> {
     /// Runs in a group: scales of two runs fill a cache line, as do a scale and a minimum of one.

@@ -8,7 +8,7 @@ use super::blocks::widen;
 
 /// Number format of a tensor in a file (ggml, `ggml-common.h`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum StoredFormat {
+pub enum StoredFormat {
     /// A format that candle reads.
     Ggml(GgmlDType),
     /// 4 bits that choose from a table of bytes, with a scale for every 32.
@@ -38,7 +38,7 @@ impl From<GgmlDType> for StoredFormat {
 
 impl StoredFormat {
     /// Numbers in a block.
-    pub(crate) fn block_size(self) -> usize {
+    pub fn block_size(self) -> usize {
         match self {
             Self::Ggml(format) => format.block_size(),
             Self::Iq4Nl | Self::Mxfp4 => BLOCK,
@@ -47,7 +47,7 @@ impl StoredFormat {
     }
 
     /// Bytes of a block.
-    pub(crate) fn type_size(self) -> usize {
+    pub fn type_size(self) -> usize {
         match self {
             Self::Ggml(format) => format.type_size(),
             Self::Iq4Nl => 18,
@@ -57,7 +57,7 @@ impl StoredFormat {
     }
 
     /// Its name in ggml, in lower case.
-    pub(crate) fn name(self) -> String {
+    pub fn name(self) -> String {
         match self {
             Self::Ggml(format) => {
                 let name = format!("{format:?}").to_lowercase();
@@ -70,17 +70,17 @@ impl StoredFormat {
     }
 
     /// Bits of a number, its share of scales included.
-    pub(crate) fn bits(self) -> f64 {
+    pub fn bits(self) -> f64 {
         (8 * self.type_size()) as f64 / self.block_size() as f64
     }
 
     /// Whether `q8_0` holds its numbers: exactly, but for the rounding of `iq4_xs`'s scales to half precision.
-    pub(crate) fn is_within_q8_0(self) -> bool {
+    pub fn is_within_q8_0(self) -> bool {
         !matches!(self, Self::Ggml(_))
     }
 
     /// The values of whole blocks.
-    pub(crate) fn widen(self, bytes: Vec<u8>) -> Result<Vec<f32>> {
+    pub fn widen(self, bytes: Vec<u8>) -> Result<Vec<f32>> {
         match (self, self.to_q8_0(&bytes)) {
             (Self::Ggml(format), _) => widen(format, bytes),
             (_, Some(blocks)) => widen(GgmlDType::Q8_0, blocks),
@@ -89,7 +89,7 @@ impl StoredFormat {
     }
 
     /// Whole blocks as blocks of `q8_0`, where [`Self::is_within_q8_0`].
-    pub(crate) fn to_q8_0(self, bytes: &[u8]) -> Option<Vec<u8>> {
+    pub fn to_q8_0(self, bytes: &[u8]) -> Option<Vec<u8>> {
         let mut out = Vec::with_capacity(bytes.len() / self.type_size() * self.block_size() / BLOCK * (BLOCK + 2));
         match self {
             Self::Iq4Nl => each::<18>(bytes, |block| put(&mut out, half(block, 0), &nibbles(&block[2..], &IQ4))),

@@ -1,12 +1,12 @@
 //! Weights in memory as whole cache lines, the unit that the kernels load.
 
 /// Lanes of a vector, and rows of a weight tile: AVX-512 holds 16 numbers of 32 bits.
-pub(crate) const LANES: usize = 16;
+pub const LANES: usize = 16;
 
 /// A cache line of weights.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
-pub(crate) struct CacheLine(pub(crate) [u8; 64]);
+pub struct CacheLine(pub(crate) [u8; 64]);
 
 impl CacheLine {
     pub(crate) const ZERO: Self = Self([0; 64]);

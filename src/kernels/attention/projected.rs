@@ -3,12 +3,12 @@
 use candle_core::Tensor;
 
 use super::rotary::RotaryRows;
-use crate::mllm::matrix::LANES;
-use crate::mllm::values::with_contiguous;
+use crate::matrix::LANES;
+use crate::values::with_contiguous;
 
 /// The heads of an attention.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct HeadShape {
+pub struct HeadShape {
     /// A multiple of the key heads.
     pub query_heads: usize,
     /// Key heads, and value heads.
@@ -36,7 +36,7 @@ impl HeadShape {
 
 /// Queries, keys and values of tokens before the rotary embedding, (tokens, (query heads + 2 · key heads) · head width).
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Projected<'a> {
+pub struct Projected<'a> {
     values: &'a [f32],
     shape: HeadShape,
     rotary: Option<&'a RotaryRows>,
@@ -44,7 +44,7 @@ pub(crate) struct Projected<'a> {
 
 impl<'a> Projected<'a> {
     /// Runs `read` on the rows of a tensor. `rotary` has the angles of queries and keys; `None` for no rotary embedding.
-    pub(crate) fn of<T>(
+    pub fn of<T>(
         tensor: &Tensor,
         shape: HeadShape,
         rotary: Option<&'a RotaryRows>,
@@ -64,7 +64,8 @@ impl<'a> Projected<'a> {
         self.shape
     }
 
-    pub(crate) fn tokens(&self) -> usize {
+    /// Number of tokens.
+    pub fn tokens(&self) -> usize {
         self.values.len() / self.shape.row()
     }
 

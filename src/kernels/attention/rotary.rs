@@ -1,13 +1,13 @@
 //! Rotary position embeddings.
 
-use crate::mllm::checkpoint::{LlamaConfig, Rope, RopeScaling, RotarySections};
+use super::rope::{Rope, RopeScaling, RotarySections};
 
 /// A position on three axes: time, height, width. Text, and families with one position a token, have three equal numbers.
 pub type Position = [u32; 3];
 
 /// Frequencies of the pairs of a head's channels, for the positions of a context.
 #[derive(Debug)]
-pub(crate) struct RotaryEmbedding {
+pub struct RotaryEmbedding {
     pairs: Vec<Pair>,
     context: usize,
 }
@@ -23,7 +23,7 @@ struct Pair {
 
 /// Cosines and sines of the rows of one pass.
 #[derive(Debug, Clone)]
-pub(crate) struct RotaryRows {
+pub struct RotaryRows {
     /// (tokens, head width / 2)
     angles: Vec<Turn>,
     pairs: usize,
@@ -43,23 +43,28 @@ impl Turn {
 }
 
 impl RotaryEmbedding {
-    pub(crate) fn new(config: &LlamaConfig) -> Self {
-        let frequencies = frequencies(&config.rope, config.head_dim);
-        let axis = |pair| config.rope.sections.map_or(0, |sections| axis(sections, pair));
+    /// Of heads of this width and the positions below `context`.
+    pub fn new(rope: &Rope, head_width: usize, context: usize) -> Self {
+        let frequencies = frequencies(rope, head_width);
+        let axis = |pair| rope.sections.map_or(0, |sections| axis(sections, pair));
         let pairs =
             frequencies.iter().enumerate().map(|(pair, frequency)| Pair { frequency: *frequency, axis: axis(pair) });
-        Self { pairs: pairs.collect(), context: config.context }
+        Self { pairs: pairs.collect(), context }
     }
 
     /// The same with each frequency divided by a factor, which must be positive.
-    pub(crate) fn divided_by(mut self, factors: &[f32]) -> Self {
+    pub fn divided_by(mut self, factors: &[f32]) -> Self {
         for (pair, factor) in self.pairs.iter_mut().zip(factors) {
             pair.frequency = if *factor > 0.0 { pair.frequency / factor } else { f32::NAN };
         }
         self
     }
 
-    pub(crate) fn rows(&self, positions: &[Position]) -> candle_core::Result<RotaryRows> {
+    /// The angles of positions.
+    ///
+    /// # Errors
+    /// When a position is outside the context, or a factor not positive.
+    pub fn rows(&self, positions: &[Position]) -> candle_core::Result<RotaryRows> {
         if let Some(pair) = self.pairs.iter().position(|pair| !pair.frequency.is_finite()) {
             candle_core::bail!("rope_freqs.weight: the factor of pair {pair} is not positive");
         }
@@ -90,7 +95,7 @@ fn axis(sections: RotarySections, pair: usize) -> usize {
 impl RotaryRows {
     /// Angles of patches by row and column, for heads of `width` channels: the first half of the pairs turns by the row, the
     /// second by the column.
-    pub(crate) fn of_patches(patches: impl Iterator<Item = [usize; 2]>, width: usize, base: f64) -> Self {
+    pub fn of_patches(patches: impl Iterator<Item = [usize; 2]>, width: usize, base: f64) -> Self {
         let pairs = width / 2;
         let frequencies: Vec<f32> =
             (0..pairs / 2).map(|pair| (1.0 / base.powf(2.0 * pair as f64 / pairs as f64)) as f32).collect();
@@ -104,7 +109,7 @@ impl RotaryRows {
     }
 
     /// The angles of some of the rows.
-    pub(crate) fn of_rows(&self, rows: std::ops::Range<usize>) -> Self {
+    pub fn of_rows(&self, rows: std::ops::Range<usize>) -> Self {
         let angles = self.angles.get(rows.start * self.pairs..rows.end * self.pairs).unwrap_or_default().to_vec();
         Self { angles, pairs: self.pairs }
     }
@@ -138,7 +143,7 @@ fn frequencies(rope: &Rope, head_dim: usize) -> Vec<f32> {
 }
 
 /// The divisor of each pair's frequency, where a configuration scales them one by one (Llama 3.1).
-pub(crate) fn frequency_factors(rope: &Rope, head_dim: usize) -> Option<Vec<f32>> {
+pub fn frequency_factors(rope: &Rope, head_dim: usize) -> Option<Vec<f32>> {
     matches!(rope.scaling, RopeScaling::Llama3 { .. }).then(|| {
         let unscaled = frequencies(&Rope { scaling: RopeScaling::None, ..*rope }, head_dim);
         unscaled.iter().zip(frequencies(rope, head_dim)).map(|(unscaled, scaled)| unscaled / scaled).collect()
@@ -194,17 +199,16 @@ mod tests {
         let scaling =
             RopeScaling::Llama3 { factor: 8.0, low_freq_factor: 1.0, high_freq_factor: 4.0, original_context: 8192.0 };
         let rope = Rope { theta: 500_000.0, scaling, sections: None };
-        let config = LlamaConfig { head_dim: 128, rope, ..LlamaConfig::default() };
         let factors = frequency_factors(&rope, 128).unwrap();
         assert!((factors[0] - 1.0).abs() < 1e-6 && (factors[63] - 8.0).abs() < 1e-4, "{factors:?}");
-        let plain = LlamaConfig { rope: Rope { scaling: RopeScaling::None, ..rope }, ..config.clone() };
-        let divided = RotaryEmbedding::new(&plain).divided_by(&factors);
-        for (found, expected) in divided.pairs.iter().zip(&RotaryEmbedding::new(&config).pairs) {
+        let plain = Rope { scaling: RopeScaling::None, ..rope };
+        let divided = RotaryEmbedding::new(&plain, 128, 2048).divided_by(&factors);
+        for (found, expected) in divided.pairs.iter().zip(&RotaryEmbedding::new(&rope, 128, 2048).pairs) {
             assert!((found.frequency / expected.frequency - 1.0).abs() < 1e-6);
         }
         assert!(divided.rows(&[[3; 3]]).is_ok());
-        assert!(RotaryEmbedding::new(&plain).divided_by(&[0.0]).rows(&[[3; 3]]).is_err());
-        assert!(frequency_factors(&plain.rope, 128).is_none());
+        assert!(RotaryEmbedding::new(&plain, 128, 2048).divided_by(&[0.0]).rows(&[[3; 3]]).is_err());
+        assert!(frequency_factors(&plain, 128).is_none());
     }
 
     #[test]

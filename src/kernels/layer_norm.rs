@@ -2,8 +2,6 @@
 
 use candle_core::{Result, Tensor};
 
-use super::MllmError;
-use super::checkpoint::Weights;
 use super::matrix::{Instructions, Kernel, LANES, Simd};
 use super::values::row_by_row;
 
@@ -12,33 +10,20 @@ use super::values::row_by_row;
 /// Computes the mean first, then the variance, both summed in f64. candle-nn computes the variance as E(x²) − E(x)² in f32,
 /// which loses digits where the mean is large.
 #[derive(Debug, Clone)]
-pub(crate) struct LayerNorm {
+pub struct LayerNorm {
     weight: Vec<f32>,
     bias: Vec<f32>,
     eps: f64,
 }
 
 impl LayerNorm {
-    /// Takes `NAME.weight` and `NAME.bias`.
-    pub(crate) fn take(
-        weights: &mut Weights,
-        name: &str,
-        width: usize,
-        eps: f64,
-    ) -> std::result::Result<Self, MllmError> {
-        let mut vector = |part: &str| -> std::result::Result<Vec<f32>, MllmError> {
-            Ok(weights.take(&format!("{name}.{part}"), &[width])?.to_vec1()?)
-        };
-        Ok(Self::new(vector("weight")?, vector("bias")?, eps))
-    }
-
     /// Of a weight and a bias of the same length.
-    pub(crate) fn new(weight: Vec<f32>, bias: Vec<f32>, eps: f64) -> Self {
+    pub fn new(weight: Vec<f32>, bias: Vec<f32>, eps: f64) -> Self {
         Self { weight, bias, eps }
     }
 
     /// Applies the norm to (…, width).
-    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let width = self.weight.len();
         row_by_row(x, width, width, |out, x| Instructions::best().run(Rows { norm: self, x, out }))
     }

@@ -73,7 +73,7 @@ impl WeightFormat {
     }
 
     /// Numbers in a block.
-    pub(crate) fn block(self) -> usize {
+    pub fn block(self) -> usize {
         match self {
             Self::F32 | Self::F16 => 1,
             Self::Q8_0 | Self::Q5_1 | Self::Q5_0 | Self::Q4_1 | Self::Q4_0 => 32,
@@ -82,7 +82,7 @@ impl WeightFormat {
     }
 
     /// Bytes of a block (ggml, `ggml-common.h`).
-    pub(crate) fn block_bytes(self) -> usize {
+    pub fn block_bytes(self) -> usize {
         match self {
             Self::F32 => 4,
             Self::F16 => 2,
@@ -99,7 +99,7 @@ impl WeightFormat {
     }
 
     /// Offsets of the half-precision numbers in a block: its scale, and its minimum or the scale of its minima.
-    pub(crate) fn halves(self) -> &'static [usize] {
+    pub fn halves(self) -> &'static [usize] {
         match self {
             Self::F32 => &[],
             Self::F16 | Self::Q8_0 | Self::Q5_0 | Self::Q4_0 => &[0],
@@ -110,18 +110,18 @@ impl WeightFormat {
     }
 
     /// Bits of a number, its share of scales included.
-    pub(crate) fn bits(self) -> f64 {
+    pub fn bits(self) -> f64 {
         (8 * self.block_bytes()) as f64 / self.block() as f64
     }
 
     /// Bytes of a matrix of this shape; `None` if the format cannot hold it or the number overflows.
-    pub(crate) fn matrix_bytes(self, outputs: usize, inputs: usize) -> Option<usize> {
+    pub fn matrix_bytes(self, outputs: usize, inputs: usize) -> Option<usize> {
         let blocks = inputs.is_multiple_of(self.block()).then(|| inputs / self.block())?;
         blocks.checked_mul(self.block_bytes())?.checked_mul(outputs)
     }
 
     /// This format if it can hold rows of `inputs` numbers, else the next finer one that can.
-    pub(crate) fn or_finer(self, inputs: usize) -> Self {
+    pub fn or_finer(self, inputs: usize) -> Self {
         let finer = match self {
             Self::Q3K | Self::Q4K | Self::Q5K | Self::Q6K => Self::Q8_0,
             Self::Q8_0 | Self::Q5_1 | Self::Q5_0 | Self::Q4_1 | Self::Q4_0 => Self::F16,
@@ -131,7 +131,7 @@ impl WeightFormat {
     }
 
     /// Candle's name of the same format.
-    pub(crate) fn ggml(self) -> GgmlDType {
+    pub fn ggml(self) -> GgmlDType {
         match self {
             Self::F32 => GgmlDType::F32,
             Self::F16 => GgmlDType::F16,

@@ -2,37 +2,29 @@
 
 use candle_core::{Result, Tensor};
 
-use super::MllmError;
-use super::checkpoint::Weights;
 use super::matrix::{Instructions, Kernel, LANES, Simd};
 use super::values::row_by_row;
 
 /// x / sqrt(mean(x²) + ε) · weight over the last dimension (Zhang and Sennrich, arXiv:1910.07467).
 #[derive(Debug)]
-pub(crate) struct RmsNorm {
+pub struct RmsNorm {
     weight: Vec<f32>,
     eps: f32,
 }
 
 impl RmsNorm {
-    /// Takes `NAME.weight`.
-    pub(crate) fn take(
-        weights: &mut Weights,
-        name: &str,
-        width: usize,
-        eps: f64,
-    ) -> std::result::Result<Self, MllmError> {
-        let weight = weights.take(&format!("{name}.weight"), &[width])?.to_vec1()?;
-        Ok(Self { weight, eps: eps as f32 })
+    /// Of a weight.
+    pub fn new(weight: Vec<f32>, eps: f64) -> Self {
+        Self { weight, eps: eps as f32 }
     }
 
     /// Numbers of a row.
-    pub(crate) fn width(&self) -> usize {
+    pub fn width(&self) -> usize {
         self.weight.len()
     }
 
     /// Applies the norm to (rows, width).
-    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let width = self.weight.len();
         row_by_row(x, width, width, |out, x| Instructions::best().run(Rows { norm: self, x, out }))
     }

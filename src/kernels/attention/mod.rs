@@ -7,9 +7,9 @@
 
 mod key_values;
 mod mask;
-#[cfg(feature = "internals")]
 mod probe;
 mod projected;
+mod rope;
 mod rotary;
 mod unit;
 
@@ -23,13 +23,14 @@ use candle_core::{Device, Tensor};
 use rayon::prelude::*;
 
 use key_values::{BLOCK_POSITIONS, Block, Blocks, StoredFloat};
-pub(crate) use key_values::{KeyValues, Precision};
-pub(crate) use mask::AttentionMask;
-#[cfg(feature = "internals")]
+pub use key_values::{KeyValues, Precision};
+pub use mask::AttentionMask;
+#[doc(hidden)]
 pub use probe::AttentionProbe;
-pub(crate) use projected::{HeadShape, Projected};
+pub use projected::{HeadShape, Projected};
+pub use rope::{Rope, RopeScaling, RotarySections};
 pub use rotary::Position;
-pub(crate) use rotary::{RotaryEmbedding, RotaryRows, frequency_factors};
+pub use rotary::{RotaryEmbedding, RotaryRows, frequency_factors};
 use unit::{PartialOutput, WorkUnit};
 
 use super::matrix::Instructions;
@@ -44,12 +45,12 @@ const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 
 /// Maximum number of tokens whose results have the same bits as if each token attended alone. A unit takes all of them, and
 /// positions are cut as for one token.
-pub(crate) fn exact_tokens(shape: HeadShape) -> usize {
+pub fn exact_tokens(shape: HeadShape) -> usize {
     (MAX_UNIT_ROWS / shape.group()).max(1)
 }
 
 /// Attends from the queries of `rows` to cached positions; returns (tokens, query heads · head width).
-pub(crate) fn attend(rows: &Projected<'_>, held: &KeyValues, mask: AttentionMask) -> candle_core::Result<Tensor> {
+pub fn attend(rows: &Projected<'_>, held: &KeyValues, mask: AttentionMask) -> candle_core::Result<Tensor> {
     let tokens = rows.tokens();
     let shape = rows.shape();
     if shape != held.shape || tokens > 0 && mask.of(tokens - 1).end > held.capacity() {
