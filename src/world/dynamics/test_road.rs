@@ -1,4 +1,5 @@
 //! Hand-made roads for tests.
+#![allow(dead_code, reason = "each crate has its own copy and uses a part of it")]
 
 use planagent_world::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
 use planagent_world::{
