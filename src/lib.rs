@@ -123,8 +123,6 @@ mod experiment;
 #[cfg(not(feature = "internals"))]
 mod metrics;
 #[cfg(not(feature = "internals"))]
-mod mllm;
-#[cfg(not(feature = "internals"))]
 mod pdm;
 #[cfg(not(feature = "internals"))]
 mod planner;
@@ -150,9 +148,6 @@ pub mod experiment;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod metrics;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod mllm;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod pdm;
@@ -188,7 +183,6 @@ pub mod bindings {
     pub use crate::experiment::panic_guard::{catch_panic, install_hook};
     pub use crate::experiment::run::{AgentParts, with_causes};
     pub use crate::metrics::MetricList;
-    pub use crate::mllm::{Answer, Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request as Question};
     pub use crate::pdm::PdmMemory;
     pub use crate::planner::{ExecCommand, PlanAgent, kept, planner_code};
     pub use crate::reasoning::PlannerCode;
@@ -200,6 +194,7 @@ pub mod bindings {
     pub use crate::scenario::nuplan::export::{ExportSettings, write_scenario};
     pub use crate::scenario::nuplan::{MapStore, NuPlanMap};
     pub use crate::simulation::ClosedLoop;
+    pub use planagent_mllm::{Answer, Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request as Question};
     pub use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
     pub use planagent_world::{HISTORY_SAMPLES, STEP_S, STEP_US};
 }
@@ -209,11 +204,13 @@ pub mod bindings {
 #[doc(hidden)]
 pub mod internals {
     pub use crate::{
-        cli, environment, experiment, metrics, mllm, pdm, planner, reasoning, reflection, report, runner, scenario,
+        cli, environment, experiment, metrics, pdm, planner, reasoning, reflection, report, runner, scenario,
         simulation,
     };
     pub use planagent_world::{dynamics, geometry};
-    pub use {planagent_files as files, planagent_kernels as kernels, planagent_world as world};
+    pub use {
+        planagent_files as files, planagent_kernels as kernels, planagent_mllm as mllm, planagent_world as world,
+    };
 }
 
 // Unit tests look for outside data, and say what they skip, as the integration tests do.

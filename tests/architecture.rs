@@ -46,11 +46,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     ),
     (
         "kernels",
-        &[
-            &["activation", "values"],
-            &["matrix"],
-            &["attention", "layer_norm", "linear", "pointwise", "rms_norm"],
-        ],
+        &[&["activation", "values"], &["matrix"], &["attention", "layer_norm", "linear", "pointwise", "rms_norm"]],
     ),
     (
         "mllm",

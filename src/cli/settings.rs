@@ -3,13 +3,13 @@
 use super::args::{Arguments, Command, SimulateArguments, TRIAL_PROCESS};
 use super::suggest::{nearest, similar_exists};
 use super::words::planner_words;
-use crate::mllm::Trust;
-use crate::mllm::trial::Trial;
 use crate::planner::LearnedSettings;
 use crate::reasoning::built_in_prompts;
 use crate::runner::Config;
 use crate::scenario::absolute_path;
 use anyhow::{Context, bail};
+use planagent_mllm::Trust;
+use planagent_mllm::trial::Trial;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};

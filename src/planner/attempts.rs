@@ -2,9 +2,9 @@
 
 use super::PlannerError;
 use super::record::{Attempt, Proposal};
-use crate::mllm::milliseconds;
 use crate::reasoning::{Feedback, Interruption, PlannerAnswer, ReasoningError, ReasoningTrace};
 use crate::reflection::{ReflectionReport, Verdict};
+use planagent_mllm::milliseconds;
 use planagent_world::geometry::Pose;
 use std::time::Instant;
 

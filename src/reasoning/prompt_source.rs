@@ -1,7 +1,7 @@
 //! Where the templates of a prompt set come from: a folder on disk, else the program.
 
 use super::error::PromptError;
-use crate::mllm::data_folder;
+use planagent_mllm::data_folder;
 use std::fmt;
 use std::path::{Path, PathBuf};
 

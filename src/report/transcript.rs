@@ -148,8 +148,8 @@ fn code(text: &str) -> String {
 mod tests {
     use super::*;
     use crate::environment::CenterlineName;
-    use crate::mllm::{ConstraintUse, FinishReason, RoundTime, TokenCounts};
     use crate::reasoning::{PlannerCode, Round};
+    use planagent_mllm::{ConstraintUse, FinishReason, RoundTime, TokenCounts};
 
     fn attempt(prompt: &str, answer: &str, target_speed: f64) -> Attempt {
         let round = RoundRecord {

@@ -2,9 +2,9 @@
 
 use crate::environment::BevView;
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
-use crate::mllm::{Trust, WeightFormat};
 use crate::planner::{CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings};
 use crate::reasoning::{PromptSet, ReasoningConfig, Round};
+use planagent_mllm::{Trust, WeightFormat};
 use planagent_world::STEP_S;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

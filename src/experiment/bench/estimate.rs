@@ -1,7 +1,7 @@
 //! Estimated seconds of a planning call, from the sizes of a model and the speeds that were measured with others.
 
 use super::budget::{CallBudget, Layout};
-use crate::mllm::{FormatOutline, MatrixShare, ModelOutline, Step, WeightFormat};
+use planagent_mllm::{FormatOutline, MatrixShare, ModelOutline, Step, WeightFormat};
 
 /// Whose speeds estimates take.
 pub const ESTIMATED_ON: &str = "two cores of an Intel Xeon with AVX-512";
@@ -110,7 +110,7 @@ fn bytes(share: MatrixShare) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::{ModelShape, PromptSet};
+    use planagent_mllm::{ModelShape, PromptSet};
 
     /// Measured calls of docs/latency.md on the same machine: seconds.
     #[test]

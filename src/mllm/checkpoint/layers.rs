@@ -5,7 +5,7 @@ use planagent_kernels::matrix::Matrix;
 use planagent_kernels::{LayerNorm, Linear, RmsNorm};
 
 use super::weights::Weights;
-use crate::mllm::MllmError;
+use crate::MllmError;
 
 impl Weights {
     /// Takes `NAME.weight` of shape (outputs, inputs), and `NAME.bias` if `bias` is set.

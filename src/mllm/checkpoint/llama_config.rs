@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 
 use super::config::{ConfigObject, count, optional_count, positive};
 use super::weights::Weights;
-use crate::mllm::MllmError;
+use crate::MllmError;
 use planagent_kernels::Activation;
 use planagent_kernels::attention::{Rope, RopeScaling, RotarySections};
 

@@ -20,7 +20,7 @@ pub(crate) use config::{ConfigObject, OneOrMany, positive};
 pub use files::ModelFiles;
 pub(crate) use llama_config::DecoderType;
 pub use llama_config::LlamaConfig;
-pub(crate) use load_report::in_bytes;
+pub use load_report::in_bytes;
 pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
 pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use vision_config::{TowerType, VisionConfig};

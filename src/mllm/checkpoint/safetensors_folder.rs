@@ -15,7 +15,7 @@ use super::row_order::RowOrder;
 use super::weight_file::{TensorPlace, TensorSource, WeightFile};
 use super::weight_format_plan::WeightFormatPlan;
 use super::weights::Weights;
-use crate::mllm::MllmError;
+use crate::MllmError;
 use planagent_kernels::matrix::WeightFormat;
 
 /// The file of a checkpoint that is not sharded.

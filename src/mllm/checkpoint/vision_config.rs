@@ -4,7 +4,7 @@ use serde::Deserialize;
 use serde_json::json;
 
 use super::config::{ConfigObject, count, positive};
-use crate::mllm::MllmError;
+use crate::MllmError;
 use planagent_kernels::Activation;
 
 /// A vision transformer over the patches of a square image. `CogVLM` and Qwen have other names for some keys.

@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use crate::mllm::MllmError;
+use crate::MllmError;
 use planagent_kernels::matrix::StoredFormat;
 
 /// Where and how a tensor lies in a file.

@@ -11,7 +11,7 @@ use super::load_report::LoadReport;
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
 use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
-use crate::mllm::MllmError;
+use crate::MllmError;
 use planagent_kernels::matrix::{Matrix, WeightFormat};
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite, and converted

@@ -3,9 +3,9 @@
 use candle_core::{Result, Tensor};
 
 use super::config::CogVlmConfig;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Weights;
-use crate::mllm::decoder::{SwiGlu, SwiGluShape};
+use crate::MllmError;
+use crate::checkpoint::Weights;
+use crate::decoder::{SwiGlu, SwiGluShape};
 use planagent_kernels::Activation;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;

@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use candle_core::Tensor;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, Weights};
-use crate::mllm::decoder::{CausalAttention, DecoderLayer, KvCache, Pass, SwiGlu, rms_norm};
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, Weights};
+use crate::decoder::{CausalAttention, DecoderLayer, KvCache, Pass, SwiGlu, rms_norm};
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
 

@@ -2,9 +2,9 @@
 
 use candle_core::Tensor;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{VisionConfig, Weights};
-use crate::mllm::vision::{Part, SelfAttention, embed, take_patch_embedding, unfold};
+use crate::MllmError;
+use crate::checkpoint::{VisionConfig, Weights};
+use crate::vision::{Part, SelfAttention, embed, take_patch_embedding, unfold};
 use planagent_kernels::Activation;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;

@@ -2,8 +2,8 @@
 
 use candle_core::Tensor;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, Weights};
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, Weights};
 use planagent_kernels::RmsNorm;
 
 /// RMS norms of the queries and keys of a layer, before their rotation (`q_norm`, `k_norm`).

@@ -5,8 +5,8 @@ use std::ops::Range;
 use candle_core::Tensor;
 
 use super::cache::KvCache;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, Weights};
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, Weights};
 use planagent_kernels::Activation;
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;

@@ -6,8 +6,8 @@ use super::attention::CausalAttention;
 use super::cache::KvCache;
 use super::head_norms::HeadNorms;
 use super::layer::{DecoderLayer, Pass, SwiGlu, rms_norm};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, Weights};
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, Weights};
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
 

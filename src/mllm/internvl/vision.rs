@@ -3,10 +3,10 @@
 use candle_core::Tensor;
 
 use super::config::InternVlConfig;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Weights;
-use crate::mllm::tiled::TileEncoder;
-use crate::mllm::vision::{Part, VisionLayer, embed, merge_blocks, take_patch_embedding, unfold};
+use crate::MllmError;
+use crate::checkpoint::Weights;
+use crate::tiled::TileEncoder;
+use crate::vision::{Part, VisionLayer, embed, merge_blocks, take_patch_embedding, unfold};
 use planagent_kernels::Activation;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;

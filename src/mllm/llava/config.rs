@@ -7,8 +7,8 @@ use std::path::Path;
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, OneOrMany, TowerType, VisionConfig};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, OneOrMany, TowerType, VisionConfig};
 use planagent_kernels::Activation;
 
 /// A LLaVA model: its vision tower, its decoder, and how they are joined.

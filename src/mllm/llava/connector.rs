@@ -3,8 +3,8 @@
 use candle_core::{Result, Tensor};
 
 use super::config::LlavaConfig;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Weights;
+use crate::MllmError;
+use crate::checkpoint::Weights;
 use planagent_kernels::Activation;
 use planagent_kernels::Linear;
 

@@ -1,11 +1,11 @@
 //! What a model is and needs, from its configuration and the headers of its weights alone.
 
 use super::MemoryNeed;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, Weights};
-use crate::mllm::families::Families;
-use crate::mllm::family::ImageSettings;
-use crate::mllm::source::{Checkpoint, ModelShape};
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, Weights};
+use crate::families::Families;
+use crate::family::ImageSettings;
+use crate::source::{Checkpoint, ModelShape};
 use planagent_kernels::matrix::WeightFormat;
 
 /// A model as it is known before its weights are read.

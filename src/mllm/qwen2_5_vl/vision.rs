@@ -3,12 +3,12 @@
 use candle_core::{Device, Tensor};
 
 use super::config::Qwen25VlConfig;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{VisionConfig, Weights};
-use crate::mllm::decoder::{SwiGlu, SwiGluShape};
-use crate::mllm::family::{ImageFeatures, ImageLayout};
-use crate::mllm::qwen3_vl::{PatchEncoder, PatchMerger, take_patch_embedding};
-use crate::mllm::vision::{Part, SelfAttention, merge_blocks, unfold};
+use crate::MllmError;
+use crate::checkpoint::{VisionConfig, Weights};
+use crate::decoder::{SwiGlu, SwiGluShape};
+use crate::family::{ImageFeatures, ImageLayout};
+use crate::qwen3_vl::{PatchEncoder, PatchMerger, take_patch_embedding};
+use crate::vision::{Part, SelfAttention, merge_blocks, unfold};
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
 use planagent_kernels::attention::RotaryRows;

@@ -2,8 +2,8 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Weights;
+use crate::MllmError;
+use crate::checkpoint::Weights;
 use planagent_kernels::Activation;
 use planagent_kernels::Linear;
 

@@ -9,11 +9,11 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::Checkpoint;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{
+use crate::MllmError;
+use crate::checkpoint::{
     FileKind, ModelFiles, RowOrder, TensorPlace, TensorSource, WeightFormatPlan, Weights, held_as, is_matrix,
 };
-use crate::mllm::families::Families;
+use crate::families::Families;
 use planagent_kernels::matrix::{Matrix, WeightFormat};
 
 /// Rows that the matrices of one width and format are composed of.

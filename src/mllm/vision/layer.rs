@@ -3,8 +3,8 @@
 use candle_core::Tensor;
 
 use super::attention::{Part, SelfAttention};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{VisionConfig, Weights};
+use crate::MllmError;
+use crate::checkpoint::{VisionConfig, Weights};
 use planagent_kernels::Activation;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;

@@ -5,8 +5,8 @@ use candle_core::Tensor;
 use super::attention::Part;
 use super::layer::{VisionLayer, hidden_states, take_layers};
 use super::patches::{take_patch_embedding, unfold};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{VisionConfig, Weights};
+use crate::MllmError;
+use crate::checkpoint::{VisionConfig, Weights};
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;
 

@@ -2,8 +2,8 @@
 
 use super::check::reason;
 use crate::experiment::bench::{CallBudget, ESTIMATED_FORMATS, estimated_seconds};
-use crate::mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec, PromptSet};
 use crate::reasoning;
+use planagent_mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec, PromptSet};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;

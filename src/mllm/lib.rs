@@ -9,6 +9,8 @@
 //!
 //! Below them, `checkpoint` and `gguf` read weights and configurations. The arithmetic is that of [`planagent_kernels`].
 
+#![allow(missing_docs, reason = "many names say all; the root describes what users see")]
+
 mod candle_qwen3_vl;
 mod checkpoint;
 mod cogvlm;
@@ -40,9 +42,9 @@ mod tiled;
 pub mod trial;
 mod vision;
 
-pub(crate) use checkpoint::in_bytes;
+pub use checkpoint::in_bytes;
 pub use checkpoint::{LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights};
-pub(crate) use conversation::milliseconds;
+pub use conversation::milliseconds;
 pub use conversation::{
     Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription, PromptPrefix, Request,
     RoundTime, Sampling, Server, TokenCounts, Turn, image_hash, prompt_hash,
@@ -63,7 +65,7 @@ pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
 pub use local::{FormatOutline, Loading, LocalModel, MatrixShare, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline};
 pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
-pub(crate) use registry::data_folder;
+pub use registry::data_folder;
 pub use registry::{
     Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs, ModelRegistry, ModelSource,
     ModelSpec, NamedBy, PromptSet, RoundTokens,
@@ -71,3 +73,7 @@ pub use registry::{
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::ChatTokenizer;
 pub use trial::Trust;
+
+#[cfg(test)]
+#[path = "../../tests/outside.rs"]
+mod outside;
