@@ -19,7 +19,8 @@ use candle_core::quantized::{GgmlDType, QMatMul, QStorage, QTensor};
 use candle_core::{DType, Device, Module, Tensor};
 use candle_nn::attention::{AttnMask, flash_attn};
 use half::f16;
-use planagent::internals::mllm::{AttentionProbe, Matrix, WeightFormat};
+use planagent::internals::kernels::attention::AttentionProbe;
+use planagent::internals::mllm::{Matrix, WeightFormat};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 

@@ -48,10 +48,10 @@
 
 pub use api::{Agent, AgentBuilder, Error, Result, Run, Simulation, simulate};
 pub use metrics::Score;
+pub use planagent_world::{EgoState, Scene, SceneBuilder, Trajectory};
 pub use planner::Planner;
 pub use scenario::Scenario;
 pub use simulation::Challenge;
-pub use world::{EgoState, Scene, SceneBuilder, Trajectory};
 
 /// Planners: their input and output, their registry, and the settings and records of the agent.
 pub mod planning {
@@ -61,7 +61,7 @@ pub mod planning {
         PlannerParts, PlannerRegistry, PlanningCall, SimplePlanner,
     };
     pub use crate::reflection::LeadPolicy;
-    pub use crate::world::{History, HistorySample, SceneError, SceneView, TrajectoryError, TrajectoryState};
+    pub use planagent_world::{History, HistorySample, SceneError, SceneView, TrajectoryError, TrajectoryState};
 }
 
 /// Metrics and scores.
@@ -74,8 +74,8 @@ pub mod evaluation {
 
 /// Maps and the geometry that they are made of.
 pub mod road {
-    pub use crate::geometry::{GeometryError, OrientedBox, Point, Polygon, Polyline, Pose, Vector};
-    pub use crate::world::{
+    pub use planagent_world::geometry::{GeometryError, OrientedBox, Point, Polygon, Polyline, Pose, Vector};
+    pub use planagent_world::{
         Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapBuilder, MapError, MapParts, Neighbor, Roadblock, RoadblockId,
         Route, StopLine, StopLineId,
     };
@@ -83,12 +83,12 @@ pub mod road {
 
 /// The ego, the objects around it, and who controls them in a simulation.
 pub mod traffic {
-    pub use crate::dynamics::{TrackingError, follow};
     pub use crate::scenario::Frame;
     pub use crate::simulation::{
         AGENT_POLICIES, AgentPolicy, AgentPolicyError, AgentPolicyName, AgentPolicySpec, SimulationError, SimulationLog,
     };
-    pub use crate::world::{
+    pub use planagent_world::dynamics::{TrackingError, follow};
+    pub use planagent_world::{
         ObjectKind, PACIFICA, SignalStatus, TrackToken, TrackedObject, TrafficLights, VehicleParameters,
     };
 }
@@ -117,19 +117,11 @@ mod api;
 pub mod cli;
 
 #[cfg(not(feature = "internals"))]
-mod dynamics;
-#[cfg(not(feature = "internals"))]
 mod environment;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod experiment;
 #[cfg(not(feature = "internals"))]
-mod files;
-#[cfg(not(feature = "internals"))]
-mod geometry;
-#[cfg(not(feature = "internals"))]
 mod metrics;
-#[cfg(not(feature = "internals"))]
-mod mllm;
 #[cfg(not(feature = "internals"))]
 mod pdm;
 #[cfg(not(feature = "internals"))]
@@ -146,12 +138,7 @@ mod runner;
 mod scenario;
 #[cfg(not(feature = "internals"))]
 mod simulation;
-#[cfg(not(feature = "internals"))]
-mod world;
 
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod dynamics;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod environment;
@@ -160,16 +147,7 @@ pub mod environment;
 pub mod experiment;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
-pub mod files;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod geometry;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
 pub mod metrics;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod mllm;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod pdm;
@@ -194,22 +172,17 @@ pub mod scenario;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod simulation;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod world;
 
 /// What the Python package of this repository needs beyond the public API; not stable.
 #[cfg(feature = "bindings")]
 #[doc(hidden)]
 pub mod bindings {
-    pub use crate::dynamics::{JerkPenalty, simulate_proposal};
     pub use crate::environment::bev::render as render_bev;
     pub use crate::environment::text::write as write_lane_graph;
     pub use crate::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
     pub use crate::experiment::panic_guard::{catch_panic, install_hook};
     pub use crate::experiment::run::{AgentParts, with_causes};
     pub use crate::metrics::MetricList;
-    pub use crate::mllm::{Answer, Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request as Question};
     pub use crate::pdm::PdmMemory;
     pub use crate::planner::{ExecCommand, PlanAgent, kept, planner_code};
     pub use crate::reasoning::PlannerCode;
@@ -221,7 +194,9 @@ pub mod bindings {
     pub use crate::scenario::nuplan::export::{ExportSettings, write_scenario};
     pub use crate::scenario::nuplan::{MapStore, NuPlanMap};
     pub use crate::simulation::ClosedLoop;
-    pub use crate::world::{HISTORY_SAMPLES, STEP_S, STEP_US};
+    pub use planagent_mllm::{Answer, Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request as Question};
+    pub use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
+    pub use planagent_world::{HISTORY_SAMPLES, STEP_S, STEP_US};
 }
 
 /// All stages, for the tests and benches of this package; not stable.
@@ -229,7 +204,15 @@ pub mod bindings {
 #[doc(hidden)]
 pub mod internals {
     pub use crate::{
-        cli, dynamics, environment, experiment, files, geometry, metrics, mllm, pdm, planner, reasoning, reflection,
-        report, runner, scenario, simulation, world,
+        cli, environment, experiment, metrics, pdm, planner, reasoning, reflection, report, runner, scenario,
+        simulation,
+    };
+    pub use planagent_world::{dynamics, geometry};
+    pub use {
+        planagent_files as files, planagent_kernels as kernels, planagent_mllm as mllm, planagent_world as world,
     };
 }
+
+#[cfg(test)]
+#[path = "world/dynamics/test_road.rs"]
+mod test_road;

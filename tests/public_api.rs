@@ -1,6 +1,7 @@
 //! The public API as text: a change of it shows in the diff of `tests/golden/public_api.txt`.
 //!
-//! The names come from `src/lib.rs`, their declarations from the stage that each is re-exported from.
+//! The names come from `src/lib.rs`, their declarations from the stage or crate that each is re-exported from. What `doc(hidden)`
+//! marks is public for the crates of this workspace alone, and no part of it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -10,6 +11,8 @@ use syn::{Attribute, File, ImplItem, Item, ItemImpl, TraitItem, Type, UseTree, V
 
 /// Set, this variable has the snapshot written.
 const UPDATE: &str = "PLANAGENT_UPDATE_GOLDEN";
+/// Stages in the folder of a crate that has names of its own at its root.
+const STAGES: [&str; 2] = ["dynamics", "geometry"];
 /// Names at the crate root, and names in its modules.
 const MAX_NAMES: (usize, usize) = (25, 100);
 
@@ -35,7 +38,9 @@ fn says(attributes: &[Attribute], path: &str, word: &str) -> bool {
 
 fn flatten(tree: &UseTree, path: &[String], found: &mut Vec<Export>) {
     let mut export = |declared: String, name: String| {
-        let stage = path.iter().find(|part| *part != "crate").unwrap().clone();
+        // A module of a crate of several stages is a stage; what stands at a crate's root has the crate for one.
+        let stage = path.iter().rfind(|part| *part != "crate").unwrap();
+        let stage = stage.strip_prefix("planagent_").unwrap_or(stage).to_owned();
         found.push(Export { name, stage, declared });
     };
     match tree {
@@ -68,19 +73,36 @@ fn stages(root: &Path, names: &[&Export]) -> Stages {
     for name in names.iter().map(|export| export.stage.as_str()).chain(["api"]) {
         stages.entry(name.to_owned()).or_insert_with(|| {
             let mut files = Vec::new();
-            sources(&root.join("src").join(name), &mut files);
+            let folders = [Some(root.join("src").join(name)), inner_stage(root, name)];
+            let folder = folders.into_iter().flatten().find(|folder| folder.exists()).unwrap();
+            sources(&folder, &mut files);
             files
         });
     }
     stages
 }
 
+/// The folder of a stage inside the crate that it shares with others.
+fn inner_stage(root: &Path, name: &str) -> Option<PathBuf> {
+    let crates = fs::read_dir(root.join("src")).unwrap().map(|entry| entry.unwrap().path());
+    crates.filter(|folder| folder.join("lib.rs").exists()).map(|folder| folder.join(name)).find(|stage| stage.exists())
+}
+
+fn is_hidden(attributes: &[Attribute]) -> bool {
+    says(attributes, "doc", "hidden")
+}
+
+/// The parsed files of a stage; those of stages below it in the same crate are not its own.
 fn sources(folder: &Path, found: &mut Vec<File>) {
+    let is_crate = folder.join("lib.rs").exists();
+    let is_stage = |inner: &Path| is_crate && STAGES.iter().any(|stage| inner.ends_with(stage));
     let mut entries: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     entries.sort();
     for path in entries {
         if path.is_dir() {
-            sources(&path, found);
+            if !is_stage(&path) {
+                sources(&path, found);
+            }
         } else if path.extension().is_some_and(|extension| extension == "rs") {
             found.push(syn::parse_file(&fs::read_to_string(path).unwrap()).unwrap());
         }
@@ -95,7 +117,7 @@ fn trim(attributes: &mut Vec<Attribute>) {
 }
 
 fn public_fields(fields: &mut syn::Fields, all: bool) {
-    let keep = |field: &syn::Field| all || is_public(&field.vis);
+    let keep = |field: &syn::Field| all || is_public(&field.vis) && !is_hidden(&field.attrs);
     let trimmed = |mut field: syn::Field| {
         trim(&mut field.attrs);
         field
@@ -172,8 +194,8 @@ fn implementation(item: &ItemImpl, name: &str) -> Option<Item> {
         return Some(Item::Impl(item));
     }
     item.items.retain(|inner| match inner {
-        ImplItem::Fn(method) => is_public(&method.vis),
-        ImplItem::Const(constant) => is_public(&constant.vis),
+        ImplItem::Fn(method) => is_public(&method.vis) && !is_hidden(&method.attrs),
+        ImplItem::Const(constant) => is_public(&constant.vis) && !is_hidden(&constant.attrs),
         _ => false,
     });
     for inner in &mut item.items {

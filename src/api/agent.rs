@@ -1,13 +1,13 @@
 //! The agent of the paper as a library type.
 
 use super::Result;
-use crate::mllm::{HubAccess, Mllm, ModelRegistry, Trust, data_folder};
 use crate::planner::{
     CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
     PlannerParts, PlannerRegistry, PlanningCall,
 };
 use crate::reasoning::ReasoningConfig;
-use crate::world::{EgoState, LaneMap, MICROS_PER_SECOND, STEP_S, Scene, SceneView, Trajectory};
+use planagent_mllm::{HubAccess, Mllm, ModelRegistry, Trust, data_folder};
+use planagent_world::{EgoState, LaneMap, MICROS_PER_SECOND, STEP_S, Scene, SceneView, Trajectory};
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -1,12 +1,12 @@
 //! Why a call of the library fails.
 
 use crate::metrics::MetricError;
-use crate::mllm::MllmError;
 use crate::planner::{PlannerError, UnknownPlanner};
 use crate::reasoning::PromptError;
 use crate::scenario::ReaderError;
 use crate::simulation::SimulationError;
-use crate::world::SceneError;
+use planagent_mllm::MllmError;
+use planagent_world::SceneError;
 
 /// Why a call of the library fails.
 #[derive(Debug, thiserror::Error)]

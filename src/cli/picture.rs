@@ -1,9 +1,9 @@
 //! Picture files of commands.
 
-use crate::files::target;
 use anyhow::{Context, bail};
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use image::{ImageFormat, RgbImage};
+use planagent_files::target;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};

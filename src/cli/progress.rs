@@ -1,10 +1,10 @@
 //! Progress of a run: bars on a terminal, a line now and then elsewhere.
 
 use super::{Printer, interrupt};
-use crate::files::{quoted, word_of};
 use crate::runner::{Event, Listener};
 use console::Term;
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+use planagent_files::{quoted, word_of};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};

@@ -3,14 +3,13 @@
 use super::args::{Arguments, Command, SimulateArguments, TRIAL_PROCESS};
 use super::suggest::{nearest, similar_exists};
 use super::words::planner_words;
-use crate::files;
-use crate::mllm::Trust;
-use crate::mllm::trial::Trial;
 use crate::planner::LearnedSettings;
 use crate::reasoning::built_in_prompts;
 use crate::runner::Config;
 use crate::scenario::absolute_path;
 use anyhow::{Context, bail};
+use planagent_mllm::Trust;
+use planagent_mllm::trial::Trial;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -197,7 +196,7 @@ fn base(arguments: &Arguments) -> anyhow::Result<Settings> {
             let config = Config::load(file)?;
             let layers = match file.map_or_else(Config::default_file, |file| Some(PathBuf::from(file))) {
                 Some(path) => {
-                    let text = files::read_text(&path, files::MAX_SETTINGS_BYTES)
+                    let text = planagent_files::read_text(&path, planagent_files::MAX_SETTINGS_BYTES)
                         .with_context(|| format!("cannot read {}", path.display()))?;
                     vec![(path.display().to_string(), text.parse()?)]
                 }

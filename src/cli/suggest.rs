@@ -4,13 +4,13 @@ use crate::experiment::interactive::NAMES;
 use crate::experiment::split::SplitError;
 use crate::experiment::study::StudyError;
 use crate::experiment::suite::Suite;
-use crate::mllm::MllmError;
 use crate::planner::UnknownPlanner;
 use crate::report::render::RenderError;
 use crate::report::{NoPair, ReportError, ReportFault};
 use crate::runner::{NoSuchType, RunnerError};
 use crate::scenario::generator::{GeneratorError, types};
 use crate::scenario::{DataRoots, ReaderError, Readers};
+use planagent_mllm::MllmError;
 use std::error::Error;
 use std::path::Path;
 

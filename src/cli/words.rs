@@ -1,9 +1,9 @@
 //! Words of the command line that are more than one value.
 
-use crate::files::word_of;
 use crate::planner::is_exec;
 use crate::runner::{NoShard, Shard, ShardEnvironmentError};
 use clap::builder::{OsStringValueParser, TypedValueParser};
+use planagent_files::word_of;
 use std::env;
 
 /// Takes a path that need not be UTF-8, or another word.

@@ -1,4 +1,4 @@
-//! Stage 2, the paper's Environment Transformation: a [`crate::world::SceneView`] becomes the two prompts of the paper, the
+//! Stage 2, the paper's Environment Transformation: a [`planagent_world::SceneView`] becomes the two prompts of the paper, the
 //! BEV map (global) and the lane-graph text (local). For training and evaluation it also becomes the true answers to what
 //! the first round asks about them.
 //!

@@ -1,8 +1,8 @@
 //! The occupancy grid: which cells of the BEV map's area an object touches.
 
 use super::bev::BevView;
-use crate::geometry::{OrientedBox, Pose};
-use crate::world::TrackedObject;
+use planagent_world::TrackedObject;
+use planagent_world::geometry::{OrientedBox, Pose};
 use std::fmt;
 
 /// Cells of a side.
@@ -60,8 +60,8 @@ impl fmt::Display for OccupancyGrid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Vector;
-    use crate::world::{ObjectKind, TrackToken};
+    use planagent_world::geometry::Vector;
+    use planagent_world::{ObjectKind, TrackToken};
 
     fn car(x: f64, y: f64, heading: f64) -> TrackedObject {
         let shape = OrientedBox::new(Pose::new(x, y, heading), 3.8, 1.8);

@@ -1,7 +1,7 @@
 //! Hand-drawn roads for the tests of this stage. Right-hand traffic, lanes 3.5 m wide, limit 13.4 m/s.
 
-use crate::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
-use crate::world::{
+use planagent_world::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
+use planagent_world::{
     EgoState, History, LaneId, LaneMap, MapBuilder, MapParts, ObjectKind, PACIFICA, Route, SceneView, SignalStatus,
     TrackToken, TrackedObject, TrafficLights,
 };

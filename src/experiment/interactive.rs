@@ -2,11 +2,11 @@
 
 use super::dataset;
 use super::split::SplitError;
-use crate::files::word_of;
 use crate::scenario::generator::{Spec, types};
 use crate::scenario::modified::{ModifiedName, ReadModification, to_intersection};
 use crate::scenario::{MissingTokens, RECORDINGS, ReaderError, Readers, ScenarioRef, Split};
-use crate::world::InteractionKind;
+use planagent_files::word_of;
+use planagent_world::InteractionKind;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 

@@ -8,7 +8,7 @@ use crate::planner::{
     PlannerInput, PlannerName, PlanningCall,
 };
 use crate::simulation::ClosedLoop;
-use crate::world::Trajectory;
+use planagent_world::Trajectory;
 
 /// An agent beside the simulation that it takes part in: before a planning call it tries its codes out there.
 pub(super) struct OracleAgent<'a> {

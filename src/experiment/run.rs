@@ -4,7 +4,6 @@ use super::oracle::OracleAgent;
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
 use super::stoppable::{StopSwitch, Stoppable};
-use crate::files::shortened;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::pdm::DrivableLayers;
 use crate::planner::{
@@ -13,7 +12,8 @@ use crate::planner::{
 };
 use crate::scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
 use crate::simulation::{AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared};
-use crate::world::EgoState;
+use planagent_files::shortened;
+use planagent_world::EgoState;
 use rayon::prelude::*;
 use std::fmt;
 use std::sync::Arc;

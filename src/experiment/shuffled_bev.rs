@@ -3,8 +3,8 @@
 use crate::environment::{BevView, bev};
 use crate::planner::BevSource;
 use crate::scenario::generator::{self, GeneratorError, Spec, types};
-use crate::world::History;
 use image::RgbImage;
+use planagent_world::History;
 use std::sync::Arc;
 
 /// First seed of the scenes; no training or test scene has such a seed.

@@ -2,9 +2,9 @@
 
 use super::interactive;
 use super::suite::Suite;
-use crate::files::{path_of, word_of};
 use crate::scenario::modified::ModifiedName;
 use crate::scenario::{OnProgress, ReaderError, Readers, Split};
+use planagent_files::{path_of, word_of};
 
 #[derive(Debug, thiserror::Error)]
 pub enum SplitError {

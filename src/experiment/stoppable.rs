@@ -2,7 +2,7 @@
 
 use crate::pdm::DrivableLayers;
 use crate::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlanningCall};
-use crate::world::Trajectory;
+use planagent_world::Trajectory;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 

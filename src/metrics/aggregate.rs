@@ -3,7 +3,7 @@
 
 use super::METRICS;
 use super::score::{Weighting, combine};
-use crate::world::InteractionKind;
+use planagent_world::InteractionKind;
 use std::borrow::Cow;
 
 /// The metric scores of one simulated scenario. A scenario whose simulation failed has no row at all.

@@ -2,8 +2,8 @@
 //! `collision_utils.py`, `no_ego_at_fault_collisions.py`, `observation/idm/utils.py`).
 
 use super::corners::DrivenLanes;
-use crate::geometry::{OrientedBox, Point, Pose};
-use crate::world::{EgoState, HistorySample, ObjectKind, TrackToken, TrackedObject};
+use planagent_world::geometry::{OrientedBox, Point, Pose};
+use planagent_world::{EgoState, HistorySample, ObjectKind, TrackToken, TrackedObject};
 use std::collections::BTreeSet;
 use std::f64::consts::PI;
 
@@ -171,7 +171,7 @@ pub fn find_collisions(samples: &[HistorySample], lanes: &DrivenLanes) -> Vec<Co
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Vector;
+    use planagent_world::geometry::Vector;
 
     fn ego(speed: f64) -> EgoState {
         EgoState::from_log(0, Pose::default(), Vector::new(speed, 0.0), Vector::zeros())

@@ -4,8 +4,8 @@ use super::{
     EvaluatedSimulation, MetricCategory, MetricError, MetricInput, MetricResult, MetricSpec, Statistic, StatisticKind,
     TimeSeries,
 };
-use crate::geometry::wrap_angle;
-use crate::world::EgoState;
+use planagent_world::EgoState;
+use planagent_world::geometry::wrap_angle;
 
 pub(super) const MEAN_SPEED: MetricSpec =
     MetricSpec::new("ego_mean_speed", |input| Ok(Some(ego_mean_speed(input.states()))))

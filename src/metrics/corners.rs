@@ -2,8 +2,8 @@
 //! `get_common_or_connected_route_objs_of_corners`).
 
 use super::route::{driven_route, lanes_at, lanes_from};
-use crate::geometry::Pose;
-use crate::world::{EgoState, LaneId, LaneMap};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, LaneId, LaneMap};
 use std::collections::BTreeSet;
 
 /// Lanes at the corners: front left, rear left, rear right, front right.

@@ -2,8 +2,8 @@
 
 use super::corners::DrivenLanes;
 use super::{MetricList, MetricResult, MetricSpec, Statistic, TimeSeries};
-use crate::geometry::Point;
-use crate::world::{EgoState, LaneId, LaneMap};
+use planagent_world::geometry::Point;
+use planagent_world::{EgoState, LaneId, LaneMap};
 
 /// A corner may be outside by less than this, meters (devkit `drivable_area_compliance_statistics.yaml`).
 pub const MAX_DISTANCE_OUTSIDE: f64 = 0.3;

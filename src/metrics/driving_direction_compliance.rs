@@ -1,7 +1,7 @@
 //! `driving_direction_compliance`: 0.5 or 0 for driving against the direction of the lane.
 
 use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
-use crate::world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
+use planagent_world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
 
 /// Compliant movement against the direction within a second, meters.
 pub const DIRECTION_COMPLIANCE: f64 = 2.0;

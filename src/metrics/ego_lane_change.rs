@@ -2,7 +2,7 @@
 
 use super::corners::{CornerAgreement, DrivenLanes};
 use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind};
-use crate::world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
+use planagent_world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
 use std::collections::BTreeSet;
 
 /// Acceptable share of failed lane changes (devkit `ego_lane_change.yaml`).

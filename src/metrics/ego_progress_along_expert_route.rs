@@ -3,7 +3,7 @@
 
 use super::route_progress::Progress;
 use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
-use crate::world::{EgoState, LaneMap};
+use planagent_world::{EgoState, LaneMap};
 
 /// Minimum ratio for `ego_is_making_progress` (devkit `ego_is_making_progress_statistics.yaml`).
 pub const MIN_PROGRESS_RATIO: f64 = 0.2;

@@ -4,9 +4,9 @@
 
 use super::route::lanes_at;
 use super::{MetricCategory, MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
-use crate::dynamics::ProgressPath;
-use crate::geometry::{Corridor, Point, Polyline, Pose};
-use crate::world::{HistorySample, LaneId, LaneMap, PACIFICA, StopLine, StopLineId};
+use planagent_world::dynamics::ProgressPath;
+use planagent_world::geometry::{Corridor, Point, Polyline, Pose};
+use planagent_world::{HistorySample, LaneId, LaneMap, PACIFICA, StopLine, StopLineId};
 
 /// A stop is nearer to the line than this, meters (devkit `ego_stop_at_stop_line_statistics.yaml`).
 const DISTANCE_THRESHOLD: f64 = 5.0;

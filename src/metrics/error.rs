@@ -1,6 +1,6 @@
 //! Why a simulation has no metrics.
 
-use crate::world::{MICROS_PER_SECOND, TrajectoryError};
+use planagent_world::{MICROS_PER_SECOND, TrajectoryError};
 
 /// Why a simulation has no metrics.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -2,8 +2,8 @@
 //! `planner_expert_average_l2_error_within_bound.py`, `expert_comparisons.py`, `metric_base.py`).
 
 use super::MetricError;
-use crate::geometry::{Pose, wrap_angle};
-use crate::world::{EgoState, PACIFICA, Trajectory, TrajectoryError, TrajectoryState};
+use planagent_world::geometry::{Pose, wrap_angle};
+use planagent_world::{EgoState, PACIFICA, Trajectory, TrajectoryError, TrajectoryState};
 
 /// Horizons of the comparison, seconds (devkit `comparison_horizon`).
 pub const COMPARISON_HORIZONS_S: [usize; 3] = [3, 5, 8];

@@ -5,7 +5,7 @@ use super::collision::{Collision, find_collisions};
 use super::corners::DrivenLanes;
 use super::expert_comparison::{FRAMES_PER_SECOND, PlannerExpertErrors, compare_with_expert};
 use super::route_progress::Progress;
-use crate::world::{EgoState, HistorySample, Interaction, LaneMap, Trajectory};
+use planagent_world::{EgoState, HistorySample, Interaction, LaneMap, Trajectory};
 use std::cell::OnceCell;
 
 /// One simulation and its expert.

@@ -8,7 +8,7 @@ use super::{
     ego_stop_at_stop_line, no_ego_at_fault_collisions, open_loop, speed_limit_compliance,
     time_to_collision_within_bound,
 };
-use crate::world::InteractionKind;
+use planagent_world::InteractionKind;
 
 /// nuPlan's metrics in the order of their results. A score takes the multipliers, then the weighted metrics, in this order.
 pub const METRICS: [MetricSpec; 27] = [

@@ -1,6 +1,6 @@
 //! The result of a metric: a score, statistics and a time series, under nuPlan's names, categories and units.
 
-use crate::world::EgoState;
+use planagent_world::EgoState;
 use serde::{Deserialize, Serialize};
 
 /// nuPlan's category of a metric (devkit `simulation_metric/**/*.yaml`, key `category`): the groups of its `nuBoard`.

@@ -1,7 +1,7 @@
 //! The lanes of a driven path (devkit `route_extractor.py`, `get_route`).
 
-use crate::geometry::{Point, Pose};
-use crate::world::{LaneId, LaneMap};
+use planagent_world::geometry::{Point, Pose};
+use planagent_world::{LaneId, LaneMap};
 
 /// Connectors of the previous sample nearer than this stay assigned where the map offers only other connectors, meters.
 const CONNECTOR_REACH: f64 = 5.0;

@@ -1,8 +1,8 @@
 //! Progress along the expert's route (devkit `ego_progress_along_expert_route.py`).
 
 use super::route::driven_route;
-use crate::geometry::{Point, Polyline, Pose};
-use crate::world::{EgoState, LaneId, LaneMap, RoadblockId};
+use planagent_world::geometry::{Point, Polyline, Pose};
+use planagent_world::{EgoState, LaneId, LaneMap, RoadblockId};
 
 /// Shorter distances count as this, meters. The devkit's documentation says 0.1; its configuration, which decides, 2.
 pub const SCORE_PROGRESS: f64 = 2.0;

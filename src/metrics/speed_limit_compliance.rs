@@ -1,7 +1,7 @@
 //! `speed_limit_compliance`: the speed above the limit, over time.
 
 use super::{MetricCategory, MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
-use crate::world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
+use planagent_world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
 
 /// Mean speed above the limit at which the score is 0, m/s (devkit `speed_limit_compliance_statistics.yaml`).
 pub const MAX_OVERSPEED: f64 = 2.23;

@@ -3,8 +3,8 @@
 use super::collision::{Collision, in_collision, is_ahead, is_behind};
 use super::corners::DrivenLanes;
 use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
-use crate::geometry::{OrientedBox, Pose, Vector};
-use crate::world::{EgoState, HistorySample, LaneMap, TrackToken, TrackedObject};
+use planagent_world::geometry::{OrientedBox, Pose, Vector};
+use planagent_world::{EgoState, HistorySample, LaneMap, TrackToken, TrackedObject};
 use std::collections::BTreeMap;
 
 /// Step of the projection, seconds (devkit `time_to_collision_within_bound_statistics.yaml`).

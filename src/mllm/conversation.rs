@@ -241,7 +241,7 @@ pub struct RoundTime {
     pub total: f64,
 }
 
-pub(crate) fn milliseconds(time: Duration) -> f64 {
+pub fn milliseconds(time: Duration) -> f64 {
     time.as_secs_f64() * 1e3
 }
 

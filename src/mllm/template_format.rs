@@ -1,9 +1,9 @@
 //! Prompts by the chat template of a model folder.
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::family::{Chat, ChatFormat, ImageLayout};
-use crate::mllm::text::{ChatTemplate, ChatTokenizer};
+use crate::MllmError;
+use crate::checkpoint::ModelFiles;
+use crate::family::{Chat, ChatFormat, ImageLayout};
+use crate::text::{ChatTemplate, ChatTokenizer};
 
 /// A chat template, which writes one placeholder for the image.
 #[derive(Debug)]

@@ -2,9 +2,9 @@
 //! `_calculate_ego_area`, and `pdm_observation_utils.py`, `get_drivable_area_map`).
 
 use super::Placed;
-use crate::geometry::{Bounds, Point, PointLocator, Polygon};
 use crate::metrics::MAX_DISTANCE_OUTSIDE;
-use crate::world::{EgoState, LaneAreas, LaneId, LaneMap};
+use planagent_world::geometry::{Bounds, Point, PointLocator, Polygon};
+use planagent_world::{EgoState, LaneAreas, LaneId, LaneMap};
 use std::collections::BTreeSet;
 
 /// Half size of the square around the ego whose roadblocks make the map, meters.

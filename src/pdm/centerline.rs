@@ -1,7 +1,7 @@
 //! The lanes that PDM-Closed follows: Dijkstra's search along the route (`tuplan_garage` `dijkstra.py`).
 
-use crate::geometry::Pose;
-use crate::world::{LaneId, LaneMap, RoadblockId};
+use planagent_world::geometry::Pose;
+use planagent_world::{LaneId, LaneMap, RoadblockId};
 use std::collections::BTreeMap;
 
 /// Number of roadblocks that the search covers, the ego's included.

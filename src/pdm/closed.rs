@@ -8,10 +8,10 @@ use super::{
     Collided, DrivableLayers, DrivableMap, Forecast, NoReferencePath, PassVerdict, PdmParameters, Proposal,
     ProposalScore, ReferencePath, ScoringScene, score_passing, score_proposals,
 };
-use crate::dynamics::{JerkPenalty, simulate_proposal};
-use crate::geometry::{Polyline, Pose};
 use crate::metrics::MetricError;
-use crate::world::{EgoState, LaneId, STEP_US, SceneView, Trajectory, TrajectoryError};
+use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
+use planagent_world::geometry::{Polyline, Pose};
+use planagent_world::{EgoState, LaneId, STEP_US, SceneView, Trajectory, TrajectoryError};
 use std::collections::BTreeSet;
 
 /// Scores that differ by less are equal. UTM coordinates in `f64` round at 1e-10 m, and the progress of 0.1 m divides that.

@@ -3,7 +3,7 @@
 use super::encounters::{Encounters, PROJECTED_STEPS};
 use super::{EgoAreas, Forecast, Placed};
 use crate::metrics::{CollisionGroup, classify_collision, is_ahead, is_behind};
-use crate::world::{EgoState, LaneMap, STEP_S, TrackToken};
+use planagent_world::{EgoState, LaneMap, STEP_S, TrackToken};
 
 /// An ego slower than this is never at fault, m/s.
 const STOPPED_SPEED: f64 = 5e-3;

@@ -2,9 +2,9 @@
 //! `pdm_comfort_metrics.py`).
 
 use super::proposals::PROPOSAL_STEPS;
-use crate::geometry::unwrap_angles;
 use crate::metrics::{ACCELERATION_WINDOW, ComfortQuantity, MetricError, SavitzkyGolay, YAW_WINDOW, mean_step_s};
-use crate::world::EgoState;
+use planagent_world::EgoState;
+use planagent_world::geometry::unwrap_angles;
 use std::sync::LazyLock;
 
 /// The filters of PDM's own horizon, made once.

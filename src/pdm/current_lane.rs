@@ -1,8 +1,8 @@
 //! The ego's roadblock and its lane of the route (`tuplan_garage` `route_utils.py`,
 //! `abstract_pdm_planner.py`).
 
-use crate::geometry::{Point, Pose, wrap_angle};
-use crate::world::{EgoState, Lane, LaneId, LaneKind, LaneMap, Roadblock, RoadblockId};
+use planagent_world::geometry::{Point, Pose, wrap_angle};
+use planagent_world::{EgoState, Lane, LaneId, LaneKind, LaneMap, Roadblock, RoadblockId};
 use std::f64::consts::FRAC_PI_4;
 
 /// Half size of the square around the rear axle in which roadblocks are searched, meters.

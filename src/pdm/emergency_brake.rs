@@ -1,7 +1,7 @@
 //! The emergency brake (`tuplan_garage` `pdm_emergency_brake.py`).
 
-use crate::geometry::Vector;
-use crate::world::{EgoState, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError, TrajectoryState};
+use planagent_world::geometry::Vector;
+use planagent_world::{EgoState, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError, TrajectoryState};
 
 /// The brake acts on at-fault collisions up to this time from now, seconds.
 pub const EMERGENCY_TIME_S: f64 = 2.0;
@@ -55,7 +55,7 @@ pub fn emergency_brake(ego: &EgoState, steps: usize) -> Result<Trajectory, Traje
 }
 
 /// A planned state of which only the pose is known.
-pub(super) fn standing(time_us: i64, rear_axle: crate::geometry::Pose) -> TrajectoryState {
+pub(super) fn standing(time_us: i64, rear_axle: planagent_world::geometry::Pose) -> TrajectoryState {
     let none = Vector::zeros();
     TrajectoryState { time_us, rear_axle, velocity: none, acceleration: none, steering_angle: 0.0 }
 }
@@ -63,7 +63,7 @@ pub(super) fn standing(time_us: i64, rear_axle: crate::geometry::Pose) -> Trajec
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Pose;
+    use planagent_world::geometry::Pose;
 
     fn ego(speed: f64, acceleration: f64) -> EgoState {
         EgoState::from_log(0, Pose::new(1.0, 2.0, 0.0), Vector::new(speed, 0.0), Vector::new(acceleration, 0.0))

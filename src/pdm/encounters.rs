@@ -1,8 +1,8 @@
 //! Which forecast objects proposals may meet, step by step.
 
 use super::{Forecast, ForecastObject, Placed};
-use crate::geometry::{Bounds, OrientedBox};
-use crate::world::{PACIFICA, STEP_S, TrackedObject};
+use planagent_world::geometry::{Bounds, OrientedBox};
+use planagent_world::{PACIFICA, STEP_S, TrackedObject};
 
 /// Steps by which the ego is projected in the test of the time to collision: 0, 0.3, 0.6, 0.9 s.
 pub(super) const PROJECTED_STEPS: [usize; 4] = [0, 3, 6, 9];

@@ -1,9 +1,9 @@
 //! The forecast of all objects at constant speed and direction (`tuplan_garage` `pdm_observation.py`,
 //! `pdm_object_manager.py`).
 
-use crate::geometry::{Bounds, OrientedBox, Point, Pose, Vector, wrap_angle};
 use crate::metrics::in_collision;
-use crate::world::{EgoState, LaneId, LaneMap, ObjectKind, STEP_S, TrackToken, TrackedObject, TrafficLights};
+use planagent_world::geometry::{Bounds, OrientedBox, Point, Pose, Vector, wrap_angle};
+use planagent_world::{EgoState, LaneId, LaneMap, ObjectKind, STEP_S, TrackToken, TrackedObject, TrafficLights};
 use std::collections::BTreeSet;
 use std::f64::consts::FRAC_PI_2;
 

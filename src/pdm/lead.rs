@@ -2,8 +2,8 @@
 
 use super::parameters::TRAJECTORY_STEPS;
 use super::{Forecast, ForecastObject, PdmPath};
-use crate::geometry::{Corridor, OrientedBox, Point, Polygon, Pose, Vector};
-use crate::world::{LaneMap, PACIFICA, TrackedObject};
+use planagent_world::geometry::{Corridor, OrientedBox, Point, Polygon, Pose, Vector};
+use planagent_world::{LaneMap, PACIFICA, TrackedObject};
 
 /// The lead object of a proposal.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

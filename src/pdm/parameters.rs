@@ -1,6 +1,6 @@
 //! Parameters of PDM-Closed.
 
-use crate::dynamics::IdmParameters;
+use planagent_world::dynamics::IdmParameters;
 use serde::{Deserialize, Serialize};
 
 /// Steps of 0.1 s of an executed trajectory: 8 s, as nuPlan's planners give and its open-loop metrics look at.

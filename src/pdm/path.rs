@@ -1,6 +1,6 @@
 //! The path along which proposals progress (`tuplan_garage` `pdm_path.py`).
 
-use crate::geometry::{GeometryError, Point, Polyline, Pose, unwrap_angles, wrap_angle};
+use planagent_world::geometry::{GeometryError, Point, Polyline, Pose, unwrap_angles, wrap_angle};
 
 /// Queries never lie nearer to the start than this, meters.
 const MIN_PROGRESS: f64 = 1e-5;

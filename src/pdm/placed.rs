@@ -1,7 +1,7 @@
 //! The box of an ego state, computed once for all terms of the score.
 
-use crate::geometry::{Bounds, OrientedBox, Point, Pose, Vector};
-use crate::world::{EgoState, PACIFICA};
+use planagent_world::geometry::{Bounds, OrientedBox, Point, Pose, Vector};
+use planagent_world::{EgoState, PACIFICA};
 
 /// The box of an ego state with its corners and direction.
 #[derive(Debug, Clone, Copy, PartialEq)]

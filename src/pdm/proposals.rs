@@ -4,9 +4,9 @@
 use super::lead::{LeadState, PathTraffic};
 use super::parameters::{PdmParameters, TRAJECTORY_STEPS};
 use super::{Forecast, PdmPath};
-use crate::dynamics::Lead;
-use crate::geometry::Pose;
-use crate::world::{EgoState, LaneMap, STEP_S};
+use planagent_world::dynamics::Lead;
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, LaneMap, STEP_S};
 
 /// Target velocities of the five policies, as fractions of the speed limit.
 pub const SPEED_FRACTIONS: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];

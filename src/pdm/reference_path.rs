@@ -5,8 +5,8 @@ use super::current_lane::current_lane;
 use super::proposals::LATERAL_OFFSETS;
 use super::route::corrected_route;
 use super::{DrivableLayers, PdmPath};
-use crate::geometry::{GeometryError, Pose};
-use crate::world::{EgoState, LaneId, LaneMap, RoadblockId, Route};
+use planagent_world::geometry::{GeometryError, Pose};
+use planagent_world::{EgoState, LaneId, LaneMap, RoadblockId, Route};
 use std::collections::BTreeSet;
 
 /// Why PDM-Closed has no reference path.

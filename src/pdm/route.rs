@@ -2,8 +2,8 @@
 
 use super::current_lane::starting_block;
 use super::search::{SearchDirection, roadblock_chain};
-use crate::geometry::{Polygon, Pose};
-use crate::world::{LaneKind, LaneMap, RoadblockId};
+use planagent_world::geometry::{Polygon, Pose};
+use planagent_world::{LaneKind, LaneMap, RoadblockId};
 use std::collections::BTreeSet;
 
 /// Maximum length of a chain back from the route to the ego, roadblocks.

@@ -4,9 +4,9 @@ use super::areas::NearAreas;
 use super::collision::{SimulatedProposal, approach, collide};
 use super::encounters::Encounters;
 use super::{DrivableMap, EgoAreas, Forecast, Placed, is_comfortable};
-use crate::geometry::{Bounds, Polyline};
 use crate::metrics::{MetricError, direction_score};
-use crate::world::{EgoState, LaneId, STEP_S};
+use planagent_world::geometry::{Bounds, Polyline};
+use planagent_world::{EgoState, LaneId, STEP_S};
 use serde::{Deserialize, Serialize};
 
 /// Weight of progress.

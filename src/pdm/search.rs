@@ -1,6 +1,6 @@
 //! Breadth-first search for a chain of linked roadblocks (`tuplan_garage` `bfs_roadblock.py`).
 
-use crate::world::{LaneMap, RoadblockId};
+use planagent_world::{LaneMap, RoadblockId};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Which links a search follows.

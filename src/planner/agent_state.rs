@@ -8,7 +8,7 @@ use crate::environment::lane_graph::ReturnLane;
 use crate::environment::{LaneGraph, LaneGraphError};
 use crate::pdm::{PdmMemory, TRAJECTORY_STEPS};
 use crate::reflection::{IdmPlan, PlanBuilder};
-use crate::world::{STEP_S, SceneView};
+use planagent_world::{STEP_S, SceneView};
 
 /// The plan that is executed.
 #[derive(Debug, Clone, PartialEq, Default)]

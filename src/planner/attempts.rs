@@ -2,10 +2,10 @@
 
 use super::PlannerError;
 use super::record::{Attempt, Proposal};
-use crate::geometry::Pose;
-use crate::mllm::milliseconds;
 use crate::reasoning::{Feedback, Interruption, PlannerAnswer, ReasoningError, ReasoningTrace};
 use crate::reflection::{ReflectionReport, Verdict};
+use planagent_mllm::milliseconds;
+use planagent_world::geometry::Pose;
 use std::time::Instant;
 
 /// What is asked for in a planning call, and how an answer is tried out.

@@ -1,6 +1,6 @@
 //! The agent's clock. It runs in the scene's time, so that an agent plans at the same times at any step length.
 
-use crate::world::MICROS_PER_SECOND;
+use planagent_world::MICROS_PER_SECOND;
 
 /// The time of the last planning call and of the present step; times of the scene, µs.
 #[derive(Debug, Clone, Default)]

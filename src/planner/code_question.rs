@@ -7,7 +7,7 @@ use super::code_source::Codes;
 use crate::environment::LaneGraph;
 use crate::reasoning::{Feedback, PlannerCode, ReasoningError, ReasoningTrace};
 use crate::reflection::{IdmPlan, Judge};
-use crate::world::SceneView;
+use planagent_world::SceneView;
 
 /// The planner codes of a planning call, and Reflection on their plans.
 pub(super) struct CodeQuestion<'a> {

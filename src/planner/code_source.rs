@@ -1,11 +1,11 @@
 //! Where the agent's planner codes come from: a vision-language model, or a baseline without one.
 
 use crate::environment::{AgentName, CenterlineName, LaneGraph};
-use crate::mllm::{Deadline, Mllm};
 use crate::reasoning::{
     ACCELERATIONS, AnswerHistory, DECELERATIONS, Feedback, Names, Parsed, PlannerCode, PromptSet, Reasoning,
     ReasoningError, ReasoningSettings, ReasoningTrace, ScenarioPrompt, parse, target_speeds,
 };
+use planagent_mllm::{Deadline, Mllm};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;

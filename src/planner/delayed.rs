@@ -4,7 +4,7 @@ use super::agent_state::ActivePlan;
 use super::latency::Latency;
 use super::layer::{AgentLayer, forward};
 use super::{PlannerError, PlannerInput};
-use crate::world::Trajectory;
+use planagent_world::Trajectory;
 use std::time::Instant;
 
 /// Recorded steps are some microseconds longer or shorter than 0.1 s. A plan that is late by less than this is not delayed by a

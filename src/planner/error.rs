@@ -1,11 +1,11 @@
 //! Why a planner gives no trajectory.
 
 use super::name::PlannerName;
-use crate::geometry::GeometryError;
 use crate::pdm::{NoReferencePath, PdmError};
 use crate::reasoning::ReasoningError;
 use crate::reflection::ReflectionError;
-use crate::world::TrajectoryError;
+use planagent_world::TrajectoryError;
+use planagent_world::geometry::GeometryError;
 
 /// Why a planner gives no trajectory.
 #[derive(Debug, thiserror::Error)]

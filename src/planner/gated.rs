@@ -4,9 +4,9 @@ use super::agent_state::ActivePlan;
 use super::layer::{AgentLayer, forward};
 use super::record::{Decision, PlanningCall};
 use super::{PlannerError, PlannerInput};
-use crate::mllm::milliseconds;
 use crate::pdm::{PdmMemory, plan_along};
-use crate::world::{SceneView, Trajectory};
+use planagent_mllm::milliseconds;
+use planagent_world::{SceneView, Trajectory};
 use std::time::Instant;
 
 /// An agent behind a gate.

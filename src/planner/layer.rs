@@ -4,7 +4,7 @@
 use super::agent_state::{ActivePlan, AgentState};
 use super::record::PlanningCall;
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
-use crate::world::Trajectory;
+use planagent_world::Trajectory;
 use std::time::Instant;
 
 /// A planner that makes planning calls and executes their plan in between.

@@ -1,7 +1,7 @@
 //! Replays the recorded ego: nuPlan's `log_future_planner`, the reference of scores.
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
-use crate::world::{EgoState, Trajectory, TrajectoryState};
+use planagent_world::{EgoState, Trajectory, TrajectoryState};
 
 /// Poses of a trajectory after the first.
 const POSES: usize = 16;
@@ -55,8 +55,8 @@ impl Planner for LogReplay {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::test_road::{Stretch, ego_at, straight_road, whole_route};
-    use crate::world::{History, STEP_US, SceneView, TrafficLights};
+    use crate::test_road::{Stretch, ego_at, straight_road, whole_route};
+    use planagent_world::{History, STEP_US, SceneView, TrafficLights};
 
     fn recorded(samples: usize) -> LogReplay {
         LogReplay::new((0..samples).map(|k| ego_at(k as i64 * STEP_US, k as f64, 10.0)).collect())

@@ -57,8 +57,8 @@ pub use simple::SimplePlanner;
 
 use crate::environment::BevView;
 use crate::pdm::DrivableLayers;
-use crate::world::{LaneMap, Route, SceneView, Trajectory};
 use image::RgbImage;
+use planagent_world::{LaneMap, Route, SceneView, Trajectory};
 use std::sync::Arc;
 
 /// Renders the BEV image of another scene, the same one for the same draw.

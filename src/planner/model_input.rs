@@ -6,8 +6,8 @@ use super::{BevSource, PlannerError, PlannerName};
 use crate::environment::text::{self, Description};
 use crate::environment::{BevView, LaneGraph, bev};
 use crate::reasoning::{Names, ScenarioPrompt};
-use crate::world::SceneView;
 use image::RgbImage;
+use planagent_world::SceneView;
 use std::sync::Arc;
 
 /// What an agent makes its prompts from.

@@ -4,7 +4,7 @@ use super::agent_state::ActivePlan;
 use super::layer::{AgentLayer, forward};
 use super::{PlannerError, PlannerInput};
 use crate::reflection::{IdmPlan, MonitoredStep, PlanMonitor};
-use crate::world::{SceneView, Trajectory};
+use planagent_world::{SceneView, Trajectory};
 use std::time::Instant;
 
 /// An agent whose active plan is monitored. A lane change or a pass that needs hard braking or scores less than λ is aborted where

@@ -2,7 +2,7 @@
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
-use crate::world::Trajectory;
+use planagent_world::Trajectory;
 
 /// PDM-Closed: it chooses its reference path at the first iteration and keeps it, and scores fifteen proposals at every iteration.
 #[derive(Debug, Clone, Default)]

@@ -3,10 +3,10 @@
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::lane_graph::Centerline;
 use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
-use crate::geometry::{OrientedBox, Polyline, Pose, Vector};
 use crate::pdm::{DrivableLayers, Pass, PdmError, PdmMemory, ReferencePath, plan_among};
 use crate::reflection::{PassRules, allowed_pass};
-use crate::world::{ObjectKind, PACIFICA, RoadblockId, SceneView, TrackToken, TrackedObject, Trajectory};
+use planagent_world::geometry::{OrientedBox, Polyline, Pose, Vector};
+use planagent_world::{ObjectKind, PACIFICA, RoadblockId, SceneView, TrackToken, TrackedObject, Trajectory};
 
 /// PDM-Closed with more proposals. Besides those along its own reference path, it has proposals with lateral offsets along
 /// every centerline that a planner code could name. All are scored together at every step, so that a better one takes over,

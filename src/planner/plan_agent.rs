@@ -13,11 +13,11 @@ use super::settings::{AfterMaxExec, PlanAgentSettings, ReflectionSettings};
 use super::stop::comfortable_stop;
 use super::{BevSource, PlannerError, PlannerInput, PlannerName};
 use crate::environment::LaneGraph;
-use crate::mllm::{Deadline, image_hash, milliseconds};
 use crate::pdm::{TRAJECTORY_STEPS, emergency_brake, plan};
 use crate::reasoning::{AnswerHistory, ScenarioPrompt};
 use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
-use crate::world::{SceneView, Trajectory};
+use planagent_mllm::{Deadline, image_hash, milliseconds};
+use planagent_world::{SceneView, Trajectory};
 use std::time::Instant;
 
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.

@@ -1,11 +1,11 @@
 //! The record that every planning call leaves.
 
-use crate::geometry::Pose;
 use crate::reasoning::{
     Feedback, Interruption, MotionInstruction, ParseError, PlannerAnswer, PromptForms, RoundRecord,
 };
 use crate::reflection::ReflectionReport;
 use image::RgbImage;
+use planagent_world::geometry::Pose;
 use std::fmt;
 use std::sync::Arc;
 

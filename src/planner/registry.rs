@@ -6,7 +6,7 @@ use super::{
     PlanAgentSettings, Planner, PlannerError, PlannerName, SimplePlanner,
 };
 use crate::reasoning::AssistVariant;
-use crate::world::EgoState;
+use planagent_world::EgoState;
 use std::fmt;
 use std::sync::Arc;
 

@@ -1,9 +1,9 @@
 //! nuPlan's `simple_planner`: straight ahead up to a set speed (devkit `simple_planner.py`). nuPlan's open-loop vectors use it.
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
-use crate::dynamics::{Command, advance};
-use crate::geometry::Vector;
-use crate::world::{EgoState, Trajectory, TrajectoryError, TrajectoryState};
+use planagent_world::dynamics::{Command, advance};
+use planagent_world::geometry::Vector;
+use planagent_world::{EgoState, Trajectory, TrajectoryError, TrajectoryState};
 
 /// The planner that drives straight ahead. The default is nuPlan's `simple_planner.yaml`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,7 +72,7 @@ impl Planner for SimplePlanner {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::test_road::ego_at;
+    use crate::test_road::ego_at;
 
     #[test]
     fn a_slow_ego_keeps_its_speed() {

@@ -1,6 +1,6 @@
 //! The stop of an ego that has no plan.
 
-use crate::world::{EgoState, STEP_S, STEP_US, Trajectory, TrajectoryError, TrajectoryState};
+use planagent_world::{EgoState, STEP_S, STEP_US, Trajectory, TrajectoryError, TrajectoryState};
 
 /// Deceleration of a stop that no plan asks for, m/s²: within nuPlan's comfort bound of 4.05.
 const DECELERATION: f64 = 4.0;

@@ -1,7 +1,7 @@
 //! Section `reasoning` of the configuration.
 
 use super::{PromptError, PromptSet, ReasoningSettings, Round, Speculation};
-use crate::mllm::{GenerationSettings, Sampling};
+use planagent_mllm::{GenerationSettings, Sampling};
 use serde::{Deserialize, Serialize};
 
 /// How the model is asked.

@@ -11,11 +11,11 @@ use super::instruction::MotionInstruction;
 use super::prompt_set::PromptSet;
 use super::round::Round;
 use super::variables;
-use crate::mllm::{
+use image::RgbImage;
+use planagent_mllm::{
     Answer, Constraint, ConstraintUse, Conversation, Deadline, FinishReason, GenerationSettings, Mark, Mllm, MllmError,
     PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
 };
-use image::RgbImage;
 use std::sync::Arc;
 
 /// The input of a planning call to the model.

@@ -1,6 +1,6 @@
 //! Why a prompt cannot be written, or the model cannot be asked.
 
-use crate::mllm::MllmError;
+use planagent_mllm::MllmError;
 use std::path::PathBuf;
 
 /// Why a prompt set cannot be used.

@@ -5,7 +5,7 @@ use super::instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReaso
 use super::prompt_set::{InstructionForm, UnderstandingForm};
 use crate::environment::CenterlineName;
 use crate::environment::facts::{Light, SideLane};
-use crate::mllm::Constraint;
+use planagent_mllm::Constraint;
 use std::ops::RangeInclusive;
 
 /// Maximum target speed where the speed limit is unknown, m/s. Speeds are whole numbers.

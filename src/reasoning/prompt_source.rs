@@ -1,8 +1,7 @@
 //! Where the templates of a prompt set come from: a folder on disk, else the program.
 
 use super::error::PromptError;
-use crate::files;
-use crate::mllm::data_folder;
+use planagent_mllm::data_folder;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -95,7 +94,7 @@ impl PromptFiles {
     fn read(name: &str, folder: &Path, names: &[&'static str]) -> Result<Self, PromptError> {
         let read = |&file: &&'static str| {
             let path = folder.join(file);
-            let text = files::read_text(&path, files::MAX_SETTINGS_BYTES);
+            let text = planagent_files::read_text(&path, planagent_files::MAX_SETTINGS_BYTES);
             text.map(|text| (file, text)).map_err(|source| PromptError::Read { path, source })
         };
         let texts = names.iter().map(read).collect::<Result<_, _>>()?;

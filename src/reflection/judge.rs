@@ -4,15 +4,15 @@ use super::pass::PassRules;
 use super::reach::{MIN_REACH, Reach, is_compared, reach_of_lanes};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use super::rollout::{IdmPlan, Rollout, Version};
-use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::LaneGraph;
-use crate::geometry::{GeometryError, Polyline};
 use crate::metrics::MetricError;
 use crate::pdm::{
     self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PassVerdict, PdmInstant, PdmMemory, ProposalScore,
     ReferencePath, ScoringScene, no_at_fault_collisions, score_passing, score_proposals, simulate_proposals,
 };
-use crate::world::{EgoState, PACIFICA, STEP_S, SceneView, TrajectoryError};
+use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
+use planagent_world::geometry::{GeometryError, Polyline};
+use planagent_world::{EgoState, PACIFICA, STEP_S, SceneView, TrajectoryError};
 
 /// Whether PDM-Closed's emergency brake would overrule this roll-out: the ego is slow and would be at fault for a collision
 /// within two seconds. What the ego touches is added to `memory`; areas are those of its reference path, which is chosen now if

@@ -2,10 +2,10 @@
 
 use super::judge::{ReflectionError, observe, score_versions};
 use super::rollout::{IdmPlan, Version};
-use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::metrics::MetricError;
 use crate::pdm::{PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake};
-use crate::world::{EgoState, SceneView, Trajectory};
+use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
+use planagent_world::{EgoState, SceneView, Trajectory};
 
 /// How a plan is monitored.
 #[derive(Debug, Clone, Copy, PartialEq)]

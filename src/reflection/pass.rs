@@ -2,12 +2,12 @@
 
 use super::plan_builder::PlanBuilder;
 use super::rollout::LeadPolicy;
-use crate::dynamics::IDM_AGENT;
 use crate::environment::lane_graph::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
 use crate::environment::{CenterlineName, LaneGraph};
-use crate::geometry::{OrientedBox, Point, Pose};
 use crate::pdm::{FALLBACK_LIMIT, PassVerdict};
-use crate::world::{PACIFICA, STEP_S, SceneView};
+use planagent_world::dynamics::IDM_AGENT;
+use planagent_world::geometry::{OrientedBox, Point, Pose};
+use planagent_world::{PACIFICA, STEP_S, SceneView};
 
 /// Time within which a pass has to be complete, steps of 0.1 s.
 const STEPS: usize = 120;
@@ -136,7 +136,7 @@ mod tests {
     use crate::environment::DEFAULT_NODE_LENGTH;
     use crate::pdm::PdmMemory;
     use crate::reflection::{IdmPlan, Judge, MonitoredStep, PlanMonitor, ReflectionReport};
-    use crate::world::{Scene, SceneBuilder};
+    use planagent_world::{Scene, SceneBuilder};
     use std::f64::consts::PI;
 
     const BUILDER: PlanBuilder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: 8.0 };

@@ -1,7 +1,7 @@
 //! The path of a plan: from the ego's pose smoothly onto the followed centerline.
 
-use crate::geometry::{GeometryError, Point, Polyline, Pose, wrap_angle};
-use crate::world::EgoState;
+use planagent_world::EgoState;
+use planagent_world::geometry::{GeometryError, Point, Polyline, Pose, wrap_angle};
 
 /// Time in which a lateral offset of one lane width decays, seconds; a smaller offset decays in proportionally less.
 const LANE_CHANGE_S: f64 = 3.5;
@@ -105,7 +105,7 @@ fn quintic(offset: f64, slope: f64, length: f64) -> impl Fn(f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Vector;
+    use planagent_world::geometry::Vector;
 
     fn ego(x: f64, y: f64, heading: f64, speed: f64) -> EgoState {
         EgoState::from_log(0, Pose::new(x, y, heading), Vector::new(speed, 0.0), Vector::zeros())

@@ -3,10 +3,10 @@
 use super::pass::PassRules;
 use super::rollout::{IdmPlan, LeadPolicy};
 use crate::environment::{AgentName, CenterlineName, LaneGraph};
-use crate::geometry::GeometryError;
 use crate::pdm::FALLBACK_LIMIT;
 use crate::reasoning::PlannerCode;
-use crate::world::SceneView;
+use planagent_world::SceneView;
+use planagent_world::geometry::GeometryError;
 
 /// Maximum acceleration and deceleration of an ego that keeps its lane and speed, m/s².
 const KEEP_LANE_ACCELERATIONS: (f64, f64) = (1.0, 3.0);

@@ -3,10 +3,10 @@
 use super::judge::{ReflectionError, score_versions};
 use super::plan_builder::PlanBuilder;
 use super::rollout::{LeadPolicy, Version};
-use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::pdm::{ProposalScore, ScoringScene};
-use crate::world::{EgoState, SceneView};
+use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
+use planagent_world::{EgoState, SceneView};
 
 /// Time beyond the horizon for which an ego is taken to keep its final speed, seconds.
 const BEYOND_S: f64 = 4.0;
@@ -94,7 +94,7 @@ mod tests {
     use crate::environment::DEFAULT_NODE_LENGTH;
     use crate::pdm::PdmMemory;
     use crate::reflection::{Judge, ProgressReference, ReflectionReport};
-    use crate::world::{ObjectKind, Scene, SceneBuilder, SignalStatus};
+    use planagent_world::{ObjectKind, Scene, SceneBuilder, SignalStatus};
 
     /// Two lanes to the east, the left one along y = 0, and behind them an intersection from x = 150 on.
     fn road() -> SceneBuilder {

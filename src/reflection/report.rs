@@ -1,7 +1,7 @@
 //! Reflection's report on a plan.
 
 use crate::pdm::DrivableLayers;
-use crate::world::EgoState;
+use planagent_world::EgoState;
 
 /// Whether a plan is executed (paper, section 3, Reflection).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]

@@ -2,13 +2,13 @@
 
 use super::path::onto_centerline;
 use super::shift::shift;
-use crate::dynamics::{IdmParameters, Lead};
 use crate::environment::lane_graph::OncomingLane;
 use crate::environment::{CenterlineName, LaneGraph};
-use crate::geometry::{Corridor, GeometryError, OrientedBox, Point, Polyline, Pose, Vector};
 use crate::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
 use crate::reasoning::{DECELERATIONS, PlannerCode};
-use crate::world::{
+use planagent_world::dynamics::{IdmParameters, Lead};
+use planagent_world::geometry::{Corridor, GeometryError, OrientedBox, Point, Polyline, Pose, Vector};
+use planagent_world::{
     EgoState, LaneId, LanePath, PACIFICA, STEP_S, STEP_US, SceneView, SignalStatus, TrackToken, TrackedObject,
     Trajectory, TrajectoryError, TrajectoryState,
 };

@@ -1,7 +1,7 @@
 //! How far a plan keeps from the middle of its lane to pass what stands at the edge.
 
-use crate::geometry::{Corridor, Point, Polyline, Pose};
-use crate::world::{LanePath, PACIFICA, SceneView, TrackedObject};
+use planagent_world::geometry::{Corridor, Point, Polyline, Pose};
+use planagent_world::{LanePath, PACIFICA, SceneView, TrackedObject};
 
 /// Distance from what stands, meters.
 const MARGIN: f64 = 0.3;
@@ -129,8 +129,8 @@ fn is_needed(scene: &SceneView<'_>, lanes: &LanePath, edges: &[Edge], shift: f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{OrientedBox, Pose, Vector};
-    use crate::world::{LaneId, ObjectKind, Scene, TrackToken};
+    use planagent_world::geometry::{OrientedBox, Pose, Vector};
+    use planagent_world::{LaneId, ObjectKind, Scene, TrackToken};
 
     /// A car of 4.5 m by 2 m that stands at (`x`, `y`).
     fn car(x: f64, y: f64) -> TrackedObject {

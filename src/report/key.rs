@@ -231,9 +231,9 @@ fn prompts() -> Vec<(String, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::TokenCounts;
     use crate::reasoning::{Feedback, Names, PromptSet, feedback_text, round_prompt};
     use crate::report::CallTimes;
+    use planagent_mllm::TokenCounts;
     use std::collections::BTreeSet;
     use std::path::Path;
 

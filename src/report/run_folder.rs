@@ -12,7 +12,6 @@ use super::simulation_folder;
 use super::simulation_row::SimulationRow;
 use super::writable::check_writable;
 use crate::experiment::run::{SimulationRecord, SimulationTask};
-use crate::files;
 use crate::metrics::MetricResult;
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -308,7 +307,7 @@ fn read_manifest(run: &Path) -> Result<Manifest, ReportError> {
 
 /// Whether a file was cut off before its first line.
 fn is_blank(file: &Path) -> bool {
-    files::read_text(file, files::MAX_LIST_BYTES).is_ok_and(|text| text.trim().is_empty())
+    planagent_files::read_text(file, planagent_files::MAX_LIST_BYTES).is_ok_and(|text| text.trim().is_empty())
 }
 
 /// Whether a run has simulations, as far as that can be seen.
@@ -337,7 +336,7 @@ fn wrong_record(path: &Path, row: &SimulationRow, expected: String) -> ReportErr
 
 /// Reads a TOML file.
 pub(super) fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, ReportError> {
-    let text = files::read_text(path, files::MAX_LIST_BYTES).map_err(ReportError::read(path))?;
+    let text = planagent_files::read_text(path, planagent_files::MAX_LIST_BYTES).map_err(ReportError::read(path))?;
     toml::from_str(&text).map_err(|error| ReportError::at(path)(Box::new(error)))
 }
 

@@ -10,7 +10,6 @@ use super::run_folder::read_toml;
 use super::simulation_row::SimulationRow;
 use super::transcript::transcript;
 use crate::experiment::run::{SimulationOutcome, SimulationRecord};
-use crate::files;
 use crate::metrics::MetricResult;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -58,7 +57,7 @@ fn digests(folder: &Path) -> Result<BTreeMap<String, String>, ReportError> {
 
 fn digest(path: &Path) -> Result<String, ReportError> {
     let mut hasher = blake3::Hasher::new();
-    let hashed = files::open(path).and_then(|file| hasher.update_reader(file).map(|_| ()));
+    let hashed = planagent_files::open(path).and_then(|file| hasher.update_reader(file).map(|_| ()));
     hashed.map_err(ReportError::read(path))?;
     Ok(hasher.finalize().to_hex().to_string())
 }

@@ -9,7 +9,7 @@ use crate::pdm::DrivableLayers;
 use crate::planner::PlanningCall;
 use crate::reasoning::Interruption;
 use crate::simulation::Challenge;
-use crate::world::InteractionKind;
+use planagent_world::InteractionKind;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -2,10 +2,10 @@
 
 use super::simulation_row::{SimulationRow, is_zero};
 use crate::metrics::{AggregateRow, FINAL_SCORE, Weighting, aggregate, distinct};
-use crate::mllm::ModelDescription;
 use crate::pdm::DrivableLayers;
 use crate::scenario::MissingTokens;
 use crate::simulation::Challenge;
+use planagent_mllm::ModelDescription;
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Map, Value, json};

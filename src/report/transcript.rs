@@ -9,7 +9,7 @@ use super::visible::{in_markdown, visible, visible_line};
 use crate::experiment::run::{SimulationOutcome, SimulationRecord};
 use crate::planner::{Attempt, PlanningCall};
 use crate::reasoning::RoundRecord;
-use crate::world::STEP_S;
+use planagent_world::STEP_S;
 use std::fmt::Write;
 
 /// The transcript of a simulation; `image` gives the path of a call's BEV map, relative to the transcript.
@@ -148,8 +148,8 @@ fn code(text: &str) -> String {
 mod tests {
     use super::*;
     use crate::environment::CenterlineName;
-    use crate::mllm::{ConstraintUse, FinishReason, RoundTime, TokenCounts};
     use crate::reasoning::{PlannerCode, Round};
+    use planagent_mllm::{ConstraintUse, FinishReason, RoundTime, TokenCounts};
 
     fn attempt(prompt: &str, answer: &str, target_speed: f64) -> Attempt {
         let round = RoundRecord {

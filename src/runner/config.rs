@@ -2,11 +2,10 @@
 
 use crate::environment::BevView;
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
-use crate::files;
-use crate::mllm::{Trust, WeightFormat};
 use crate::planner::{CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings};
 use crate::reasoning::{PromptSet, ReasoningConfig, Round};
-use crate::world::STEP_S;
+use planagent_mllm::{Trust, WeightFormat};
+use planagent_world::STEP_S;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -100,8 +99,8 @@ impl Config {
         };
         let Some(path) = found else { return Ok(Self::default()) };
         let place = path.display().to_string();
-        let text =
-            files::read_text(&path, files::MAX_SETTINGS_BYTES).map_err(|source| ConfigError::Read { path, source })?;
+        let text = planagent_files::read_text(&path, planagent_files::MAX_SETTINGS_BYTES)
+            .map_err(|source| ConfigError::Read { path, source })?;
         let parsed = toml::from_str::<Self>(&text);
         parsed.map_err(|source| ConfigError::Parse { place: place.clone(), source: Box::new(source) })?.checked(place)
     }

@@ -6,12 +6,12 @@ use super::sample::NoSuchType;
 use crate::experiment::split::SplitError;
 use crate::experiment::study::StudyError;
 use crate::experiment::twins::TwinError;
-use crate::mllm::MllmError;
 use crate::planner::{ExecError, PlannerError, PlannerName, UnknownPlanner};
 use crate::reasoning::PromptError;
 use crate::report::ReportError;
 use crate::scenario::ReaderError;
 use crate::simulation::UnknownChallenge;
+use planagent_mllm::MllmError;
 use std::path::PathBuf;
 
 /// Why runs cannot be merged.

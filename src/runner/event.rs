@@ -1,6 +1,6 @@
 //! What a run reports while it works.
 
-use crate::mllm::FetchProgress;
+use planagent_mllm::FetchProgress;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;

@@ -1,9 +1,9 @@
 //! Digests of the recordings of a run.
 
 use super::config::Config;
-use crate::files::{path_of, word_of};
 use crate::report::{DataFile, Inputs};
 use crate::scenario::ScenarioRef;
+use planagent_files::{path_of, word_of};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -55,7 +55,7 @@ fn data_file(path: &Path, before: Option<&DataFile>) -> io::Result<DataFile> {
 pub(super) fn checkpoint_digests(planners: &[String], config: &Config) -> BTreeMap<String, String> {
     let digest = |path: &str| {
         let mut hasher = blake3::Hasher::new();
-        hasher.update_reader(crate::files::open(&path_of(path)).ok()?).ok()?;
+        hasher.update_reader(planagent_files::open(&path_of(path)).ok()?).ok()?;
         Some((path.to_owned(), hasher.finalize().to_hex().to_string()))
     };
     planners.iter().filter_map(|planner| digest(config.learned.checkpoint(planner)?)).collect()

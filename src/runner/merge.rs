@@ -2,11 +2,11 @@
 
 use super::error::{MergeError, RunnerError};
 use super::run::{self, RunResults};
-use crate::files::{quoted, word_of};
 use crate::report::{
     Inputs, Manifest, RunFolder, ScenarioList, ShardList, SimulationRow, SimulationTime, simulation_folders,
     simulation_metrics,
 };
+use planagent_files::{quoted, word_of};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};

@@ -5,10 +5,10 @@ use super::error::RunnerError;
 use super::event::{Event, Listener};
 use crate::api::models_folder;
 use crate::experiment::run::AgentParts;
-use crate::mllm::{Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry};
 use crate::planner::{CodeSource, PlannerRegistry};
 use crate::reasoning::{PromptPlace, PromptSet, ReasoningSettings};
 use crate::report::{Inputs, PromptList};
+use planagent_mllm::{Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry};
 use std::sync::Arc;
 use std::time::Instant;
 

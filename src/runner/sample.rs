@@ -108,7 +108,7 @@ mod tests {
     use super::*;
     use crate::scenario::ReaderError;
     use crate::scenario::modified::ModifiedName;
-    use crate::world::InteractionKind;
+    use planagent_world::InteractionKind;
 
     fn scenario(kind: &str, seed: usize) -> ScenarioRef {
         let word = format!("generated/{kind}/{seed}");

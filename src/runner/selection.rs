@@ -8,11 +8,11 @@ use super::shard::Shard;
 use crate::experiment::run::SimulationTask;
 use crate::experiment::split::split;
 use crate::experiment::suite::Suite;
-use crate::files::word_of;
 use crate::planner::{PlannerName, PlannerRegistry};
 use crate::report::{Manifest, ScenarioList};
 use crate::scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
 use crate::simulation::{AgentPolicyName, Challenge};
+use planagent_files::word_of;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 

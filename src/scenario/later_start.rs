@@ -2,7 +2,7 @@
 
 use super::reader::{OpenScenario, ReaderError, ScenarioRef};
 use super::{Contents, Scenario};
-use crate::world::STEP_S;
+use planagent_world::STEP_S;
 use std::path::PathBuf;
 use std::sync::Arc;
 

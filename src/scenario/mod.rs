@@ -1,6 +1,6 @@
 //! Stage 1: scenarios from any source: map, recorded ego and agents, traffic lights, route.
 
-use crate::world::{EgoState, History, Interaction, LaneMap, Route, SceneView, TrackedObject, TrafficLights};
+use planagent_world::{EgoState, History, Interaction, LaneMap, Route, SceneView, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
 #[cfg(feature = "argoverse2")]

@@ -2,7 +2,7 @@
 
 use super::split::Split;
 use super::{Contents, Scenario};
-use crate::files::{path_of, word_of};
+use planagent_files::{path_of, word_of};
 use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::fmt;

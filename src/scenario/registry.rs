@@ -13,7 +13,7 @@ use super::reader::{DataRoots, OnProgress, ReaderError, ScenarioReader, Scenario
 use super::split::Split;
 #[cfg(feature = "womd")]
 use super::womd;
-use crate::files::{path_of, word_of};
+use planagent_files::{path_of, word_of};
 use std::fmt;
 
 type BuildReader = fn(&DataRoots) -> Box<dyn ScenarioReader>;

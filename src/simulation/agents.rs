@@ -1,8 +1,8 @@
 //! The policies that control the agents around the ego.
 
-use crate::dynamics::{CrossingActors, IdmTraffic, InteractiveTraffic};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{EgoState, TrackedObject};
+use planagent_world::dynamics::{CrossingActors, IdmTraffic, InteractiveTraffic};
+use planagent_world::{EgoState, TrackedObject};
 use std::error::Error;
 use std::fmt::Debug;
 use std::sync::Arc;

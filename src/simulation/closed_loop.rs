@@ -6,7 +6,7 @@ use super::controller::EgoController;
 use super::error::SimulationError;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput};
 use crate::scenario::{Frame, HeldScenario, Scenario};
-use crate::world::{EgoState, History, HistorySample, MICROS_PER_SECOND, SceneView, Trajectory};
+use planagent_world::{EgoState, History, HistorySample, MICROS_PER_SECOND, SceneView, Trajectory};
 
 /// Minimum number of iterations of a simulation: the metrics' filters need them.
 const MIN_ITERATIONS: usize = 10;

@@ -1,8 +1,8 @@
 //! The controllers that move the ego from one iteration to the next.
 
-use crate::dynamics::{TrackingError, follow};
 use crate::scenario::Frame;
-use crate::world::{EgoState, Trajectory};
+use planagent_world::dynamics::{TrackingError, follow};
+use planagent_world::{EgoState, Trajectory};
 
 /// nuPlan's ego controllers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,8 +1,8 @@
 //! Why a simulation ends early.
 
 use super::agents::AgentPolicyError;
-use crate::dynamics::TrackingError;
 use crate::planner::PlannerError;
+use planagent_world::dynamics::TrackingError;
 
 /// Why a scenario cannot be simulated to its end.
 #[derive(Debug, thiserror::Error)]

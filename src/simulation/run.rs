@@ -7,7 +7,7 @@ use super::error::SimulationError;
 use crate::metrics::{EvaluatedSimulation, Evaluation, MetricError, MetricRegistry};
 use crate::planner::Planner;
 use crate::scenario::{Frame, Scenario};
-use crate::world::{EgoState, HistorySample, Trajectory};
+use planagent_world::{EgoState, HistorySample, Trajectory};
 use std::time::Instant;
 
 /// The result of a simulation of N iterations.

@@ -1,9 +1,9 @@
 use super::*;
-use crate::dynamics::test_road::{Stretch, ego_at, object, straight_road, whole_route};
-use crate::geometry::Pose;
 use crate::planner::{LogReplay, Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{
+use crate::test_road::{Stretch, ego_at, object, straight_road, whole_route};
+use planagent_world::geometry::Pose;
+use planagent_world::{
     HISTORY_SAMPLES, ObjectKind, STEP_S, STEP_US, TrackedObject, TrafficLights, Trajectory, TrajectoryState,
 };
 use std::sync::Arc;

@@ -21,26 +21,32 @@ pub const PACIFICA: VehicleParameters =
 
 impl VehicleParameters {
     /// Length over all, meters.
+    #[inline]
     pub fn length(&self) -> f64 {
         self.front_length + self.rear_length
     }
 
     /// From the rear axle forward to the center of the box, meters.
+    #[inline]
     pub fn rear_axle_to_center(&self) -> f64 {
         self.length() / 2.0 - self.rear_length
     }
 
     /// Footprint of a vehicle whose rear axle is at `rear_axle`.
+    #[inline]
     pub fn footprint(&self, rear_axle: Pose) -> OrientedBox {
         OrientedBox::new(rear_axle.translated(self.rear_axle_to_center(), 0.0), self.length(), self.width)
     }
 
     /// The middle of the front bumper of a vehicle whose rear axle is at `rear_axle`.
-    pub(crate) fn front_of(&self, rear_axle: Pose) -> Point {
+    #[inline]
+    #[doc(hidden)]
+    pub fn front_of(&self, rear_axle: Pose) -> Point {
         rear_axle.translated(self.front_length, 0.0).position()
     }
 
     /// Rear-axle pose of a vehicle whose box is centered at `center`.
+    #[inline]
     pub fn rear_axle_of(&self, center: Pose) -> Pose {
         center.translated(-self.rear_axle_to_center(), 0.0)
     }
@@ -83,27 +89,32 @@ impl EgoState {
     }
 
     /// Norm of the rear-axle velocity, m/s.
+    #[inline]
     pub fn speed(&self) -> f64 {
         self.velocity.norm()
     }
 
     /// Pose of the box center, map frame.
+    #[inline]
     pub fn center(&self) -> Pose {
         self.rear_axle.translated(PACIFICA.rear_axle_to_center(), 0.0)
     }
 
     /// The box, map frame.
+    #[inline]
     pub fn footprint(&self) -> OrientedBox {
         PACIFICA.footprint(self.rear_axle)
     }
 
     /// Velocity of the box center in the body frame, m/s (devkit `dynamic_car_state.py`).
+    #[inline]
     pub fn center_velocity(&self) -> Vector {
         self.velocity + Vector::new(0.0, PACIFICA.rear_axle_to_center() * self.angular_velocity)
     }
 
     /// Acceleration of the box center in the body frame, m/s². nuPlan adds d·(ω² + α) to the forward component and nothing
     /// to the lateral one, which is not rigid-body kinematics. Its metrics use this value, so it is kept.
+    #[inline]
     pub fn center_acceleration(&self) -> Vector {
         let d = PACIFICA.rear_axle_to_center();
         self.acceleration + Vector::new(d * (self.angular_velocity.powi(2) + self.angular_acceleration), 0.0)

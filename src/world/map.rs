@@ -13,6 +13,7 @@ macro_rules! map_id {
 
         impl $name {
             /// Position in the map's list.
+            #[inline]
             pub fn index(self) -> usize {
                 self.0 as usize
             }
@@ -97,6 +98,7 @@ pub struct Lane {
 
 impl Lane {
     /// Whether this is a lane connector.
+    #[inline]
     pub fn is_connector(&self) -> bool {
         self.kind == LaneKind::Connector
     }
@@ -262,7 +264,8 @@ impl LaneMap {
     }
 
     /// The layers.
-    pub(crate) fn parts(&self) -> &MapParts {
+    #[doc(hidden)]
+    pub fn parts(&self) -> &MapParts {
         &self.parts
     }
 
@@ -272,6 +275,7 @@ impl LaneMap {
     }
 
     /// All lanes and connectors.
+    #[inline]
     pub fn lanes(&self) -> &[Lane] {
         &self.parts.lanes
     }
@@ -282,21 +286,25 @@ impl LaneMap {
     }
 
     /// All roadblocks and roadblock connectors.
+    #[inline]
     pub fn roadblocks(&self) -> &[Roadblock] {
         &self.parts.roadblocks
     }
 
     /// All stop lines.
+    #[inline]
     pub fn stop_lines(&self) -> &[StopLine] {
         &self.parts.stop_lines
     }
 
     /// All intersections.
+    #[inline]
     pub fn intersections(&self) -> &[Polygon] {
         &self.parts.intersections
     }
 
     /// All crosswalks.
+    #[inline]
     pub fn crosswalks(&self) -> &[Polygon] {
         &self.parts.crosswalks
     }
@@ -325,6 +333,7 @@ impl LaneMap {
 impl Index<LaneId> for LaneMap {
     type Output = Lane;
 
+    #[inline]
     fn index(&self, id: LaneId) -> &Lane {
         &self.parts.lanes[id.index()]
     }
@@ -333,6 +342,7 @@ impl Index<LaneId> for LaneMap {
 impl Index<RoadblockId> for LaneMap {
     type Output = Roadblock;
 
+    #[inline]
     fn index(&self, id: RoadblockId) -> &Roadblock {
         &self.parts.roadblocks[id.index()]
     }
@@ -341,6 +351,7 @@ impl Index<RoadblockId> for LaneMap {
 impl Index<StopLineId> for LaneMap {
     type Output = StopLine;
 
+    #[inline]
     fn index(&self, id: StopLineId) -> &StopLine {
         &self.parts.stop_lines[id.index()]
     }

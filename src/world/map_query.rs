@@ -169,7 +169,7 @@ fn misfit(lane: &Lane, pose: Pose) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::{MapParts, StopLine};
+    use crate::{MapParts, StopLine};
     use proptest::prelude::*;
 
     /// Squares as stop lines, car parks and intersections of a map with one lane far away.
@@ -194,7 +194,7 @@ mod tests {
             has_traffic_lights: false,
             stop_lines: vec![],
         };
-        let block = crate::world::Roadblock {
+        let block = crate::Roadblock {
             id: RoadblockId(0),
             source_id: 0,
             kind: LaneKind::Lane,

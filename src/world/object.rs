@@ -25,11 +25,13 @@ pub enum ObjectKind {
 
 impl ObjectKind {
     /// Whether nuPlan calls it an agent: it has a velocity.
+    #[inline]
     pub fn is_agent(self) -> bool {
         matches!(self, Self::Vehicle | Self::Pedestrian | Self::Bicycle)
     }
 
     /// A typical length and width, meters.
+    #[inline]
     pub fn default_size(self) -> (f64, f64) {
         match self {
             Self::Vehicle => (4.6, 1.9),
@@ -41,6 +43,7 @@ impl ObjectKind {
     }
 
     /// Whether it is a vulnerable road user.
+    #[inline]
     pub fn is_vulnerable(self) -> bool {
         matches!(self, Self::Pedestrian | Self::Bicycle)
     }
@@ -86,6 +89,7 @@ pub struct TrackedObject {
 
 impl TrackedObject {
     /// Norm of the velocity, m/s.
+    #[inline]
     pub fn speed(&self) -> f64 {
         self.velocity.norm()
     }

@@ -50,6 +50,7 @@ impl LanePath {
     }
 
     /// The lane at arc length `s` of the joined centerline (clamped).
+    #[inline]
     pub fn lane_at(&self, s: f64) -> LaneId {
         let place = self.starts.partition_point(|&start| start <= s).saturating_sub(1);
         self.lanes[place]

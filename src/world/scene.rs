@@ -22,6 +22,7 @@ impl Route {
     }
 
     /// Whether a roadblock belongs to the route.
+    #[inline]
     pub fn contains(&self, block: RoadblockId) -> bool {
         self.roadblocks.contains(&block)
     }

@@ -347,7 +347,7 @@ mod tests {
         let scene = crossing().build().unwrap();
         for lane in scene.map.lanes() {
             let steps = lane.centerline.vertices().windows(2).map(|pair| (pair[1] - pair[0]).norm());
-            assert!(steps.fold(0.0, f64::max) < crate::world::BASELINE_SPACING + 1e-6, "{:?}", lane.id);
+            assert!(steps.fold(0.0, f64::max) < crate::BASELINE_SPACING + 1e-6, "{:?}", lane.id);
         }
     }
 

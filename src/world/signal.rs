@@ -37,6 +37,7 @@ pub struct TrafficLights {
 
 impl TrafficLights {
     /// The state of the light of this connector; `None` without a recorded light.
+    #[inline]
     pub fn status(&self, connector: LaneId) -> Option<SignalStatus> {
         self.by_connector.get(&connector).copied()
     }

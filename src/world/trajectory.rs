@@ -20,6 +20,7 @@ pub struct TrajectoryState {
 
 impl TrajectoryState {
     /// A state at a pose that moves straight ahead.
+    #[inline]
     pub fn moving(time_us: i64, rear_axle: Pose, speed: f64, acceleration: f64) -> Self {
         Self {
             time_us,
@@ -83,16 +84,19 @@ impl Trajectory {
     }
 
     /// The states in order.
+    #[inline]
     pub fn states(&self) -> &[TrajectoryState] {
         &self.states
     }
 
     /// Time of the first state, µs.
+    #[inline]
     pub fn start_us(&self) -> i64 {
         self.states[0].time_us
     }
 
     /// Time of the last state, µs.
+    #[inline]
     pub fn end_us(&self) -> i64 {
         self.states[self.states.len() - 1].time_us
     }

@@ -4,9 +4,9 @@ use crate::cli::help;
 use crate::cli::words::path_word;
 use crate::scenario::modified::ModifiedName;
 use crate::scenario::{DataRoots, Readers, generator};
-use crate::world::InteractionKind;
 use anyhow::Context;
 use clap::Args;
+use planagent_world::InteractionKind;
 use std::path::PathBuf;
 
 /// Folders of nuPlan's data.

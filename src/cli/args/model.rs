@@ -1,7 +1,7 @@
 //! The options about a model and how it is loaded.
 
-use crate::mllm::WeightFormat;
 use clap::Args;
+use planagent_mllm::WeightFormat;
 use std::num::NonZeroUsize;
 
 /// Heading of these options.

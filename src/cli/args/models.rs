@@ -2,8 +2,8 @@
 
 use super::model::{FormatArgument, MemoryArgument, ModelFlags, NetworkArgument, TrustArgument};
 use crate::cli::help;
-use crate::mllm::WeightFormat;
 use clap::{Args, Subcommand};
+use planagent_mllm::WeightFormat;
 use std::path::PathBuf;
 
 /// Subcommands of `models`.

@@ -8,12 +8,12 @@ use crate::cli::{Exit, Printer};
 use crate::environment::bev::{Palette, render};
 use crate::environment::text::write;
 use crate::environment::{BevView, Description, LaneGraph};
-use crate::mllm::{Answer, Constraint, Deadline, FinishReason, Mllm, PromptPrefix, Request, TokenCounts};
 use crate::reasoning::{FreeQuestion, PromptSet, question_prompt};
 use crate::report::fixed;
 use crate::runner::{Config, load_model};
-use crate::world::{STEP_S, SceneView};
 use anyhow::{Context, bail};
+use planagent_mllm::{Answer, Constraint, Deadline, FinishReason, Mllm, PromptPrefix, Request, TokenCounts};
+use planagent_world::{STEP_S, SceneView};
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -114,7 +114,7 @@ fn asked(
     request: &Request,
     seed: u64,
     printer: Printer,
-) -> Result<Answer, crate::mllm::MllmError> {
+) -> Result<Answer, planagent_mllm::MllmError> {
     let mut conversation = model.converse(prefix, seed)?;
     let answer = conversation.ask_aloud(prompt, request, &mut |piece| printer.piece(piece))?;
     printer.piece("\n");

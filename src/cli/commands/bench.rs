@@ -6,13 +6,13 @@ use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer, interrupt};
 use crate::experiment::bench::protocol::{GgufPair, ModelChoice};
 use crate::experiment::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
-use crate::files::{quoted, word_of};
-use crate::mllm::{GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, Trust, export_model};
 use crate::report::{
     BenchFigures, BenchFolder, BenchMetadata, ReportError, bench_markdown, bench_table, check_writable, stamp,
 };
 use crate::runner::{Config, build_commit, cpu, memory, model_registry};
 use anyhow::{Context, bail};
+use planagent_files::{quoted, word_of};
+use planagent_mllm::{GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, Trust, export_model};
 use serde_json::{Map, Value, json};
 use std::io;
 use std::path::{Path, PathBuf};

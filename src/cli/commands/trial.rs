@@ -1,8 +1,8 @@
 //! The process that tries the files of a model, within limits.
 
 use crate::cli::Exit;
-use crate::mllm::trial::{TrialRequest, exercise, limit_this_process};
 use anyhow::Context;
+use planagent_mllm::trial::{TrialRequest, exercise, limit_this_process};
 use std::io::{self, BufRead, Read};
 
 /// Longest request, bytes: paths and the built-in prompts.

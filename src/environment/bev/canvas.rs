@@ -1,8 +1,8 @@
 //! Anti-aliased drawing of shapes given in map meters.
 
 use super::{BACKGROUND, BevView, Rgb};
-use crate::geometry::{Point, Polygon, Pose, Vector};
 use image::RgbImage;
+use planagent_world::geometry::{Point, Polygon, Pose, Vector};
 use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, Transform};
 
 /// Vertices nearer than this to the line past them are left out, pixels: they change no visible coverage.

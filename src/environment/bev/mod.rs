@@ -15,10 +15,10 @@ mod traffic;
 pub use palette::{ARROW, BACKGROUND, BevElement, Palette, Rgb};
 pub use traffic::{ARROW_SECONDS, MIN_SIZE_PX, MIN_SIZE_SHARE, MOVING_SPEED};
 
-use crate::geometry::{Point, Pose};
-use crate::world::SceneView;
 use canvas::Canvas;
 use image::RgbImage;
+use planagent_world::SceneView;
+use planagent_world::geometry::{Point, Pose};
 
 /// A square part of the map and the size of its image.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,7 +1,7 @@
 //! The colors of the BEV map.
 
 use crate::environment::choice::choice;
-use crate::world::ObjectKind;
+use planagent_world::ObjectKind;
 
 /// A color: red, green, blue.
 pub type Rgb = [u8; 3];

@@ -2,8 +2,8 @@
 
 use super::canvas::Canvas;
 use super::{BevElement, Palette};
-use crate::geometry::{Bounds, Point, Polyline};
-use crate::world::{Lane, LaneMap};
+use planagent_world::geometry::{Bounds, Point, Polyline};
+use planagent_world::{Lane, LaneMap};
 
 /// Width of a centerline, meters.
 const LINE_WIDTH_M: f64 = 0.2;

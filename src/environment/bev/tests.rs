@@ -1,6 +1,6 @@
 use super::*;
 use crate::environment::sketch::{self, Drawn};
-use crate::world::{ObjectKind, SignalStatus};
+use planagent_world::{ObjectKind, SignalStatus};
 use std::path::{Path, PathBuf};
 
 /// Channels of a golden pixel may differ by this much: trigonometry differs in the last bit between C libraries, and a

@@ -2,8 +2,8 @@
 
 use super::canvas::Canvas;
 use super::{ARROW, BevElement, Palette};
-use crate::geometry::{OrientedBox, Point, Pose, Vector};
-use crate::world::{SceneView, TrackedObject};
+use planagent_world::geometry::{OrientedBox, Point, Pose, Vector};
+use planagent_world::{SceneView, TrackedObject};
 
 /// An arrow is as long as the distance of its agent in this time, seconds.
 pub const ARROW_SECONDS: f64 = 0.8;

@@ -8,8 +8,8 @@
 
 use super::{decimal, place};
 use crate::environment::lane_graph::Turn;
-use crate::geometry::{Point, Pose};
-use crate::world::{SceneView, TrackedObject};
+use planagent_world::geometry::{Point, Pose};
+use planagent_world::{SceneView, TrackedObject};
 use std::fmt::Write;
 
 /// Farther objects are left out, meters along either axis.
@@ -110,7 +110,7 @@ fn ego(scene: &SceneView<'_>, turn: Turn) -> String {
 mod tests {
     use super::*;
     use crate::environment::sketch;
-    use crate::world::ObjectKind;
+    use planagent_world::ObjectKind;
 
     #[test]
     fn objects_ahead_within_twenty_metres_are_told_with_their_place_in_three_seconds() {

@@ -6,7 +6,7 @@
 
 use super::{decimal, seen_from};
 use crate::environment::lane_graph::{Centerline, LaneGraph};
-use crate::world::SceneView;
+use planagent_world::SceneView;
 use std::fmt::Write;
 
 /// Farther objects are left out, meters: PDM-Closed's reach.
@@ -46,7 +46,7 @@ pub fn llm_assist_text(scene: &SceneView<'_>, graph: &LaneGraph) -> String {
             "\n- {} at {}, heading {}, speed {} m/s, {} x {} m",
             object.kind,
             seen_from(&center, shape.center.position()),
-            decimal(crate::geometry::wrap_angle(shape.center.heading - center.heading)),
+            decimal(planagent_world::geometry::wrap_angle(shape.center.heading - center.heading)),
             decimal(object.speed()),
             decimal(shape.length),
             decimal(shape.width)
@@ -56,7 +56,7 @@ pub fn llm_assist_text(scene: &SceneView<'_>, graph: &LaneGraph) -> String {
 }
 
 /// Points of a centerline ahead of the ego, as far as it goes.
-fn points(centerline: &Centerline) -> impl Iterator<Item = crate::geometry::Point> + '_ {
+fn points(centerline: &Centerline) -> impl Iterator<Item = planagent_world::geometry::Point> + '_ {
     let line = &centerline.path.centerline;
     let ahead = (1..=POINTS).map(|i| centerline.ego_s + i as f64 * SPACING);
     ahead.take_while(|&s| s <= line.length()).map(|s| line.point_at(s))
@@ -67,7 +67,7 @@ mod tests {
     use super::*;
     use crate::environment::lane_graph::DEFAULT_NODE_LENGTH;
     use crate::environment::sketch;
-    use crate::world::ObjectKind;
+    use planagent_world::ObjectKind;
 
     #[test]
     fn lanes_and_the_nearest_objects_are_told_in_coordinates() {

@@ -8,7 +8,7 @@ mod llm_assist;
 pub use gpt_driver::GptDriverText;
 pub use llm_assist::llm_assist_text;
 
-use crate::geometry::{Point, Pose};
+use planagent_world::geometry::{Point, Pose};
 
 /// A place in a frame, meters.
 fn place(x: f64, y: f64) -> String {

@@ -19,8 +19,8 @@ pub use traffic::{CORRIDOR_MARGIN, ONCOMING_ASIDE, SAME_SPEED, SIDE_GAP, STOPPED
 
 use super::bev::BevView;
 use super::lane_graph::{LaneGraph, Turn};
-use crate::geometry::{OrientedBox, Point, Pose};
-use crate::world::{SceneView, SignalStatus};
+use planagent_world::geometry::{OrientedBox, Point, Pose};
+use planagent_world::{SceneView, SignalStatus};
 
 /// Side of the square around the ego's box center, along its heading, in which things count, meters: the default BEV view.
 pub const VIEW_METRES: f64 = BevView::DEFAULT_METRES;

@@ -2,8 +2,8 @@
 
 use super::{Ahead, LaneCount, LaneIndex, Oncoming, SceneType, VIEW_METRES, View, roundabout};
 use crate::environment::lane_graph::{Centerline, LaneGraph};
-use crate::geometry::{Bounds, Point, Polygon, Polyline, Pose, wrap_angle};
-use crate::world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, SceneView};
+use planagent_world::geometry::{Bounds, Point, Polygon, Polyline, Pose, wrap_angle};
+use planagent_world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, SceneView};
 use std::collections::BTreeSet;
 
 /// A path that turns by more than this within the view is a curve, radians (15 degrees).

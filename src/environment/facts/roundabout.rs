@@ -1,8 +1,8 @@
 //! Roundabout detection: a short, round cycle in the graph of lanes.
 
 use super::View;
-use crate::geometry::{Point, Polygon};
-use crate::world::{LaneId, LaneMap};
+use planagent_world::geometry::{Point, Polygon};
+use planagent_world::{LaneId, LaneMap};
 use std::collections::{BTreeMap, VecDeque};
 
 /// A longer cycle of lanes is a block of streets, meters.

@@ -1,7 +1,7 @@
 use super::*;
 use crate::environment::lane_graph::DEFAULT_NODE_LENGTH;
 use crate::environment::sketch::{self, Drawn, MIDDLE};
-use crate::world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
+use planagent_world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 fn facts(drawn: &Drawn) -> SceneFacts {
@@ -40,7 +40,7 @@ fn an_area_in_which_no_ways_cross_is_no_intersection() {
 
 #[test]
 fn lights_and_turns_come_from_the_way_ahead() {
-    use crate::world::SignalStatus::{Green, Red, Unknown, Yellow};
+    use planagent_world::SignalStatus::{Green, Red, Unknown, Yellow};
     for (status, light) in [(Green, Light::Green), (Yellow, Light::Yellow), (Red, Light::Red), (Unknown, Light::None)] {
         assert_eq!(facts(&sketch::crossing(1, 0, 20.0, 8.0).0.all_lights(status)).light, light);
     }

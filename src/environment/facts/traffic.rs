@@ -2,8 +2,8 @@
 
 use super::{Ahead, LeadSpeed, SideLane, VehicleCount, View};
 use crate::environment::lane_graph::{CenterlineName, Heading, LaneGraph, LaneRelation, Window};
-use crate::geometry::Pose;
-use crate::world::{ObjectKind, PACIFICA, SceneView, TrackedObject};
+use planagent_world::geometry::Pose;
+use planagent_world::{ObjectKind, PACIFICA, SceneView, TrackedObject};
 
 /// Slower is stopped, m/s.
 pub const STOPPED: f64 = 0.5;

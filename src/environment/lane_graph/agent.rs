@@ -2,7 +2,7 @@
 
 use super::NodePlace;
 use crate::environment::choice::choice;
-use crate::world::{ObjectKind, TrackToken};
+use planagent_world::{ObjectKind, TrackToken};
 use std::fmt;
 use std::str::FromStr;
 

@@ -6,8 +6,8 @@ use super::{
     AgentClass, AgentName, Centerline, CenterlineName, Connection, GoalLane, GraphAgent, LaneGraph, LaneGraphError,
     LaneNode, MAX_NODE_LENGTH, MIN_NODE_LENGTH, NodePlace,
 };
-use crate::geometry::wrap_angle;
-use crate::world::{LaneId, LaneMap, PACIFICA, SceneView, TrackedObject};
+use planagent_world::geometry::wrap_angle;
+use planagent_world::{LaneId, LaneMap, PACIFICA, SceneView, TrackedObject};
 use std::collections::BTreeMap;
 
 /// Lines no further apart than this, meters, and no more turned than [`PARALLEL_TURN`] run side by side.

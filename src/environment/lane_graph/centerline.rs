@@ -2,8 +2,8 @@
 
 use super::AgentName;
 use crate::environment::choice::choice;
-use crate::geometry::{Point, wrap_angle};
-use crate::world::{LaneId, LaneMap, LanePath, PACIFICA, Route, SceneView, SignalStatus};
+use planagent_world::geometry::{Point, wrap_angle};
+use planagent_world::{LaneId, LaneMap, LanePath, PACIFICA, Route, SceneView, SignalStatus};
 
 /// Lights and turns further ahead of the ego's front bumper are not reported, meters.
 pub const LIGHT_REACH: f64 = 60.0;

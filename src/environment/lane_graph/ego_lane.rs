@@ -1,7 +1,7 @@
 //! The lane that holds the ego.
 
-use crate::geometry::wrap_angle;
-use crate::world::{LaneId, SceneView};
+use planagent_world::geometry::wrap_angle;
+use planagent_world::{LaneId, SceneView};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3};
 
 /// An ego this near to a lane counts as on it, meters.

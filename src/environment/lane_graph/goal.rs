@@ -1,8 +1,8 @@
 //! The lane in which the route's goal lies, seen from the ego's.
 
 use super::ego_lane::ego_lane;
-use crate::geometry::Pose;
-use crate::world::{LaneId, LanePath, SceneView};
+use planagent_world::geometry::Pose;
+use planagent_world::{LaneId, LanePath, SceneView};
 
 /// A goal further ahead is not reported, meters: there is time to change lanes later.
 pub const GOAL_REACH: f64 = 400.0;

@@ -1,8 +1,8 @@
 //! The position of an object relative to a centerline.
 
 use super::{Centerline, Heading};
-use crate::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector, wrap_angle};
-use crate::world::{ObjectKind, PACIFICA, TrackedObject};
+use planagent_world::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector, wrap_angle};
+use planagent_world::{ObjectKind, PACIFICA, TrackedObject};
 
 /// Half a typical lane width: a center nearer to the centerline is on the lane, meters.
 pub const HALF_LANE: f64 = 1.75;

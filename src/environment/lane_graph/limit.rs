@@ -1,7 +1,7 @@
 //! An estimate of the speed limit where the map has none.
 
 use super::{Centerline, GraphAgent, Heading};
-use crate::world::LaneMap;
+use planagent_world::LaneMap;
 
 /// Usual limits of city roads by lanes of a direction, m/s: 25, 30 and 35 mph. Ours.
 const BY_LANES: [f64; 3] = [11.2, 13.4, 15.6];

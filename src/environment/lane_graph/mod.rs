@@ -2,7 +2,7 @@
 //! the centerlines that planner code may follow.
 //!
 //! **Centerlines.** `ego_lane`, and where there is a lane of the same direction beside the ego, `left_lane` and `right_lane`.
-//! Each is a [`crate::world::LanePath`] that prefers the route. Where something that stands permanently blocks the ego's lane and
+//! Each is a [`planagent_world::LanePath`] that prefers the route. Where something that stands permanently blocks the ego's lane and
 //! a lane against traffic is beside it, `oncoming_lane` leads past and back. It has no nodes.
 //!
 //! **Nodes.** All have the same length. They are cut so that a node begins at the ego's rear bumper. The node under the ego
@@ -42,8 +42,8 @@ pub use return_lane::ReturnLane;
 pub use standing::BlockedStretch;
 
 use super::choice::choice;
-use crate::geometry::Point;
-use crate::world::{LaneId, SceneView};
+use planagent_world::geometry::Point;
+use planagent_world::{LaneId, SceneView};
 
 /// Distance before what blocks the lane at which an ego that stands can still leave it, meters.
 const PULL_OUT: f64 = 10.0;

@@ -2,8 +2,8 @@
 
 use super::standing::edges;
 use super::{BlockedStretch, Centerline, CenterlineName};
-use crate::geometry::{Polyline, Vector, wrap_angle};
-use crate::world::{LaneId, LanePath, ObjectKind, PACIFICA, SceneView};
+use planagent_world::geometry::{Polyline, Vector, wrap_angle};
+use planagent_world::{LaneId, LanePath, ObjectKind, PACIFICA, SceneView};
 use std::f64::consts::PI;
 
 /// Time in which the ego moves over at its speed, and back at the limit, seconds. Bounds of the lengths of both, meters.

@@ -2,7 +2,7 @@
 
 use super::LaneGraph;
 use super::goal::{GoalLane, nearest_first};
-use crate::world::{LaneId, LanePath, PACIFICA, SceneView};
+use planagent_world::{LaneId, LanePath, PACIFICA, SceneView};
 
 /// The lane that the ego left to pass what blocks it. Past that, it becomes the goal's lane where the route has none.
 #[derive(Debug, Clone, PartialEq)]

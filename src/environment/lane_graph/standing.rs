@@ -2,8 +2,8 @@
 //! permanently.
 
 use super::{Centerline, PULL_OUT};
-use crate::geometry::{Corridor, Point, wrap_angle};
-use crate::world::{LanePath, ObjectKind, PACIFICA, SceneView, TrackedObject};
+use planagent_world::geometry::{Corridor, Point, wrap_angle};
+use planagent_world::{LanePath, ObjectKind, PACIFICA, SceneView, TrackedObject};
 use std::collections::BTreeMap;
 
 /// Objects slower than this stand, m/s.

@@ -1,8 +1,8 @@
 use super::*;
 use crate::environment::sketch::{self, Drawn};
-use crate::geometry::Vector;
-use crate::world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
-use crate::world::{EgoState, ObjectKind, PACIFICA, SignalStatus};
+use planagent_world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
+use planagent_world::geometry::Vector;
+use planagent_world::{EgoState, ObjectKind, PACIFICA, SignalStatus};
 use proptest::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -209,7 +209,7 @@ proptest! {
     #[test]
     fn any_pose_gives_a_graph_or_an_error(x in -150.0..150.0f64, y in -40.0..40.0f64, heading in -3.2..3.2f64) {
         let (mut drawn, _) = sketch::crossing(2, 0, 10.0, 5.0);
-        drawn.ego.rear_axle = crate::geometry::Pose::new(x, y, heading);
+        drawn.ego.rear_axle = planagent_world::geometry::Pose::new(x, y, heading);
         if let Ok(graph) = LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH) {
             prop_assert_eq!(graph.nodes[0].place, NodePlace::Ego);
         }

@@ -3,7 +3,7 @@
 use crate::environment::lane_graph::{
     AgentName, CenterlineName, Connection, GraphAgent, Heading, LaneGraph, NodePlace, Turn,
 };
-use crate::world::{PACIFICA, SignalStatus};
+use planagent_world::{PACIFICA, SignalStatus};
 
 /// Larger numbers are written as this one: meters and meters per second beyond it make no difference to the next seconds.
 pub const MAX_NUMBER: u8 = 60;

@@ -2,12 +2,13 @@
 mod scene_text;
 
 use super::*;
+use crate::environment;
 use crate::environment::lane_graph::{
     AgentClass, AgentName, CenterlineName, DEFAULT_NODE_LENGTH, Heading, LaneGraph, NodePlace, Turn,
 };
 use crate::environment::sketch::{self, Drawn};
-use crate::world::{ObjectKind, SignalStatus};
-use crate::{environment, world};
+use planagent_world as world;
+use planagent_world::{ObjectKind, SignalStatus};
 use proptest::prelude::*;
 use scene_text::{COMPACT_WORDS, parse};
 use std::path::Path;

@@ -1,6 +1,6 @@
 //! Token counts of a planning call.
 
-use crate::mllm::{PromptSet, Step};
+use planagent_mllm::{PromptSet, Step};
 use serde::{Deserialize, Serialize};
 
 /// The token counts of a planning call. They are the same for every model and engine, whatever its answers would be.

@@ -1,7 +1,7 @@
 //! A process that measures one model.
 
 use super::protocol::{LoadRequest, Loaded, Reply, Request};
-use crate::mllm::{Step, StepTime};
+use planagent_mllm::{Step, StepTime};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::io::{BufRead, BufReader, Write};

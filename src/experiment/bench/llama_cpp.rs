@@ -25,7 +25,7 @@ impl LlamaCpp {
 mod tests {
     use super::*;
     use crate::experiment::bench::budget::Layout;
-    use crate::mllm::Step;
+    use planagent_mllm::Step;
 
     #[test]
     fn the_worker_knows_the_words_of_the_protocol() {

@@ -1,7 +1,7 @@
 //! The protocol of a measuring process: requests and replies are lines of JSON.
 
 use super::budget::Layout;
-use crate::mllm::{Step, StepTime, WeightFormat};
+use planagent_mllm::{Step, StepTime, WeightFormat};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 

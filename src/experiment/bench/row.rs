@@ -2,7 +2,7 @@
 
 use super::engine::EngineName;
 use super::protocol::Loaded;
-use crate::mllm::{PassTime, Step, StepTime};
+use planagent_mllm::{PassTime, Step, StepTime};
 use serde::{Deserialize, Serialize};
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

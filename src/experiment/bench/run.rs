@@ -6,7 +6,7 @@ use super::llama_cpp::LlamaCpp;
 use super::protocol::{Like, LoadRequest, Loaded, ModelChoice};
 use super::row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
 use super::workload::{DEPTHS, Workload};
-use crate::mllm::{PromptSet, WeightFormat};
+use planagent_mllm::{PromptSet, WeightFormat};
 use std::process::Command;
 
 /// A model to measure.

@@ -2,7 +2,7 @@
 
 use super::budget::Layout;
 use super::protocol::{GgufPair, LoadRequest, Loaded, ModelChoice, Reply, Request};
-use crate::mllm::{LatencyProbe, MllmError, ModelPlace, ModelRegistry, ModelShape};
+use planagent_mllm::{LatencyProbe, MllmError, ModelPlace, ModelRegistry, ModelShape};
 use std::io::{self, BufRead, Write};
 use std::time::Instant;
 

@@ -1,7 +1,7 @@
 //! The measured workloads as lists of steps.
 
 use super::budget::{CallBudget, Layout};
-use crate::mllm::Step;
+use planagent_mllm::Step;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Workload {

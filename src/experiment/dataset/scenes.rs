@@ -5,7 +5,7 @@ use crate::environment::TextForm;
 use crate::scenario::Scenario;
 use crate::scenario::generator::{self, ScenarioType, Spec, types};
 use crate::scenario::modified::ModifiedName;
-use crate::world::InteractionKind;
+use planagent_world::InteractionKind;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::ops::Range;

@@ -8,7 +8,7 @@ use crate::planner::{DEFAULT_ACCELERATIONS, feedback, planner_code};
 use crate::reasoning::{Feedback, PlannerCode};
 use crate::reflection::{IdmPlan, Judge, LeadPolicy, PlanBuilder, PlanMonitor, ReflectionReport, Verdict, steps_of};
 use crate::simulation::ClosedLoop;
-use crate::world::{EgoState, HistorySample, STEP_S};
+use planagent_world::{EgoState, HistorySample, STEP_S};
 
 /// Horizon of the search, iterations: long enough for a lane change and its effect.
 pub const HORIZON: usize = 60;

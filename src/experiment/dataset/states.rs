@@ -50,7 +50,7 @@ pub(super) fn label_scenario(
         let tried = search::search(&simulation, &graph);
         let Some(best) = search::best(&tried) else { break };
         let facts = SceneFacts::of(&scene, &graph);
-        let name = format!("{}@{:.1}", scenario.id, simulation.iteration() as f64 * crate::world::STEP_S);
+        let name = format!("{}@{:.1}", scenario.id, simulation.iteration() as f64 * planagent_world::STEP_S);
         let image = bev::render(&scene, &settings.view);
         let Some(occupancy) = occupancy(&simulation, &graph, best, &settings.view) else { break };
         let mut label = |feedback: Option<Feedback>| -> Result<(), PromptError> {

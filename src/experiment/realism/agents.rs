@@ -1,9 +1,9 @@
 //! Features of the agents near the ego.
 
 use super::{REACH, mean, spread};
-use crate::geometry::{OrientedBox, wrap_angle};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{LaneKind, LaneMap, ObjectKind, TrackToken, TrackedObject};
+use planagent_world::geometry::{OrientedBox, wrap_angle};
+use planagent_world::{LaneKind, LaneMap, ObjectKind, TrackToken, TrackedObject};
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_4, PI};
 

@@ -1,9 +1,9 @@
 //! Features of the roads around the start.
 
 use super::{REACH, mean, spread};
-use crate::geometry::wrap_angle;
 use crate::scenario::Scenario;
-use crate::world::{Lane, LaneKind};
+use planagent_world::geometry::wrap_angle;
+use planagent_world::{Lane, LaneKind};
 
 /// Distance over which a lane's heading change counts, meters. Sources differ in their vertices, not at this scale.
 const STEP: f64 = 5.0;

@@ -1,7 +1,6 @@
 //! The studies that are built in, and those in files of users.
 
 use super::Study;
-use crate::files;
 use std::path::Path;
 
 /// Name and file of each built-in study.
@@ -54,7 +53,7 @@ pub fn find(word: &str) -> Result<Study, StudyError> {
     if Path::new(word).extension().is_none_or(|ending| ending != "toml") {
         return Err(StudyError::Unknown { word: word.to_owned(), known: names().collect::<Vec<_>>().join(", ") });
     }
-    let text = files::read_text(Path::new(word), files::MAX_SETTINGS_BYTES);
+    let text = planagent_files::read_text(Path::new(word), planagent_files::MAX_SETTINGS_BYTES);
     parse(word, &text.map_err(|source| StudyError::Read { place: word.to_owned(), source })?)
 }
 

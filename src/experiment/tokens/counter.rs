@@ -1,7 +1,7 @@
 //! Tokenizers that count.
 
 use super::Tokens;
-use crate::mllm::Mllm;
+use planagent_mllm::Mllm;
 use tiktoken_rs::{CoreBPE, cl100k_base_singleton};
 
 /// Counts the tokens of texts. The ranks of `cl100k_base` are part of the program.

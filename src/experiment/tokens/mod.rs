@@ -15,7 +15,7 @@ use crate::environment::coordinates::{GptDriverText, llm_assist_text};
 use crate::environment::text::write;
 use crate::environment::{Description, LaneGraph, LaneGraphError, TextForm};
 use crate::scenario::Scenario;
-use crate::world::{HISTORY_SAMPLES, History, HistorySample, SceneView};
+use planagent_world::{HISTORY_SAMPLES, History, HistorySample, SceneView};
 use serde::Serialize;
 
 /// A way of describing a scene.

@@ -11,7 +11,7 @@ pub use quantity::{Bound, ComfortQuantity};
 pub use savgol::{SavitzkyGolay, differentiated, mean_step_s, smoothed};
 
 use super::{MetricCategory, MetricError, MetricList, MetricResult, MetricSpec};
-use crate::world::EgoState;
+use planagent_world::EgoState;
 
 pub(super) const SPEC: MetricSpec =
     MetricSpec::new("ego_is_comfortable", |input| ego_is_comfortable(input.states()).map(Some))

@@ -2,11 +2,11 @@
 //! `ego_yaw_*.py`, `within_bound_metric_base.py`, `state_extractors.py`).
 
 use super::savgol::{SavitzkyGolay, differentiated, mean_step_s, smoothed};
-use crate::geometry::unwrap_angles;
 use crate::metrics::{
     MetricCategory, MetricError, MetricInput, MetricList, MetricResult, MetricSpec, Statistic, TimeSeries,
 };
-use crate::world::EgoState;
+use planagent_world::EgoState;
+use planagent_world::geometry::unwrap_angles;
 
 /// Window of the acceleration filter, samples. It is even, which shifts the signal by half a sample; nuPlan's value.
 pub(crate) const ACCELERATION_WINDOW: usize = 8;

@@ -1,8 +1,8 @@
 //! The Savitzky-Golay filter as scipy 1.9.1 computes it with `mode='interp'`, even windows included.
 
 use crate::metrics::MetricError;
-use crate::world::{EgoState, MICROS_PER_SECOND};
 use nalgebra::{DMatrix, RowDVector};
+use planagent_world::{EgoState, MICROS_PER_SECOND};
 
 /// A local polynomial fit, evaluated (or its derivative) at every sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

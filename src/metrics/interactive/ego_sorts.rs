@@ -1,8 +1,8 @@
 //! `ego_sorts_*`: whether the ego got past what was in its way.
 
-use crate::geometry::{Point, Polyline};
 use crate::metrics::{MetricCategory, MetricInput, MetricList, MetricResult, MetricSpec, Statistic, StatisticKind};
-use crate::world::EgoState;
+use planagent_world::EgoState;
+use planagent_world::geometry::{Point, Polyline};
 
 const fn spec(name: &'static str, compute: crate::metrics::Compute) -> MetricSpec {
     MetricSpec::new(name, compute)

@@ -1,10 +1,10 @@
 //! `lane_changes_to_goal`: how many of the lane changes to the expert's lane the ego made.
 
 use super::neighbors::{LaneRelations, changes_between};
-use crate::geometry::Pose;
 use crate::metrics::route::driven_route;
 use crate::metrics::{MetricInput, MetricList, MetricResult, MetricSpec, Statistic};
-use crate::world::{EgoState, LaneId};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, LaneId};
 
 /// The score where the changes at the start cannot be counted (interPlan `lane_changes_to_goal.py`).
 pub const UNCOUNTED: f64 = 0.2607;

@@ -13,7 +13,7 @@ pub use lane_changes_to_goal::{UNCOUNTED, lane_changes_score};
 pub use neighbors::{LaneRelations, changes_between};
 
 use super::{MetricSpec, Role};
-use crate::world::InteractionKind;
+use planagent_world::InteractionKind;
 
 /// Metrics of modified scenarios beside nuPlan's.
 pub const INTERACTIVE_METRICS: [MetricSpec; 4] = [

@@ -1,7 +1,7 @@
 //! Lane changes between two lanes of a roadblock (interPlan `lane_changes_to_goal.py`).
 
-use crate::geometry::{Point, borders};
-use crate::world::{LaneAreas, LaneId, LaneKind, LaneMap, RoadblockId};
+use planagent_world::geometry::{Point, borders};
+use planagent_world::{LaneAreas, LaneId, LaneKind, LaneMap, RoadblockId};
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, VecDeque};
 

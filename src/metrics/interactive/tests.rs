@@ -3,9 +3,9 @@
 use super::lane_changes_to_goal::counted;
 use super::neighbors::neighbors;
 use super::{LaneRelations, changes_between, lane_changes_score, passing_ratio, sorted};
-use crate::geometry::{OrientedBox, Point, Pose};
 use crate::metrics::{METRICS, Weighting, combine};
-use crate::world::{InteractionKind, LaneId, RoadblockId};
+use planagent_world::geometry::{OrientedBox, Point, Pose};
+use planagent_world::{InteractionKind, LaneId, RoadblockId};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;

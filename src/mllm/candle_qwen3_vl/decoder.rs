@@ -10,11 +10,11 @@ use candle_nn::VarBuilder;
 use candle_transformers::models::qwen3_vl::{Config, Qwen3VLModel};
 
 use super::weights;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ModelFiles, Weights};
-use crate::mllm::decoder::{DecoderInput, KvCache, LanguageModel, Logits};
-use crate::mllm::family::ImageLayout;
-use crate::mllm::qwen3_vl::Qwen3VlConfig;
+use crate::MllmError;
+use crate::checkpoint::{ModelFiles, Weights};
+use crate::decoder::{DecoderInput, KvCache, LanguageModel, Logits};
+use crate::family::ImageLayout;
+use crate::qwen3_vl::Qwen3VlConfig;
 
 /// Numbers of a row before its patches: the id, and the rows and columns of the image.
 const HEAD: usize = 3;

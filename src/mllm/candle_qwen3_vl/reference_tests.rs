@@ -3,13 +3,13 @@
 
 use candle_core::Tensor;
 
-use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::families::{Architecture, Families};
-use crate::mllm::family::{ImageFeatures, VisionLanguageModel};
-use crate::mllm::local::test_prompts::Prompts;
-use crate::mllm::local::test_reference::{LOGIT_TOLERANCE, difference, greedy, logits_in_pieces};
-use crate::mllm::local::{Loading, LocalModel, Sequence};
-use crate::mllm::source::{Checkpoint, ModelPlace};
+use crate::checkpoint::ModelFiles;
+use crate::families::{Architecture, Families};
+use crate::family::{ImageFeatures, VisionLanguageModel};
+use crate::local::test_prompts::Prompts;
+use crate::local::test_reference::{LOGIT_TOLERANCE, difference, greedy, logits_in_pieces};
+use crate::local::{Loading, LocalModel, Sequence};
+use crate::source::{Checkpoint, ModelPlace};
 
 fn model(prompts: &Prompts, architecture: &str) -> Box<dyn VisionLanguageModel> {
     let families = Families::default().preferring(Architecture::named(architecture).unwrap());

@@ -6,9 +6,9 @@ use candle_core::{DType, Device, Tensor};
 use candle_transformers::models::qwen3_vl::Config;
 use serde_json::json;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, ModelFiles, Weights};
-use crate::mllm::qwen3_vl::{Qwen3VlConfig, canonical_name};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, ModelFiles, Weights};
+use crate::qwen3_vl::{Qwen3VlConfig, canonical_name};
 
 /// The configuration in candle's form.
 pub(super) fn config(

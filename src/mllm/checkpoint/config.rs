@@ -7,7 +7,7 @@ use serde::de::{DeserializeOwned, Error};
 use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 
-use crate::mllm::MllmError;
+use crate::MllmError;
 
 /// Largest width, layer count or context of a configuration. No model that fits into a machine exceeds it.
 const MAX_COUNT: u64 = 1 << 22;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::read_text;
-use crate::mllm::MllmError;
+use crate::MllmError;
 
 /// The files of a model folder, or their texts in the metadata of a GGUF file.
 #[derive(Debug, Clone)]

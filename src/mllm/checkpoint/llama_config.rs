@@ -3,10 +3,11 @@
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::activation::Activation;
 use super::config::{ConfigObject, count, optional_count, positive};
 use super::weights::Weights;
-use crate::mllm::MllmError;
+use crate::MllmError;
+use planagent_kernels::Activation;
+use planagent_kernels::attention::{Rope, RopeScaling, RotarySections};
 
 /// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a window, Qwen 2 (`Qwen2Config`)
 /// biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms of queries and keys.
@@ -80,50 +81,6 @@ impl Default for LlamaConfig {
             tie_word_embeddings: false,
         }
     }
-}
-
-/// Rotary position embedding: base and scaling of its frequencies.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Rope {
-    /// Base of the frequencies.
-    pub theta: f64,
-    pub scaling: RopeScaling,
-    /// How the pairs of a head are shared by the axes of a position; none for one axis.
-    pub sections: Option<RotarySections>,
-}
-
-/// The pairs of a head's channels that each axis of a position turns: time, height, width (`mrope_section`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct RotarySections {
-    pub lengths: [usize; 3],
-    /// Whether the axes take turns, pair by pair (Qwen3-VL); otherwise each has one block (Qwen2.5-VL).
-    pub interleaved: bool,
-}
-
-impl Default for Rope {
-    fn default() -> Self {
-        Self { theta: 10_000.0, scaling: RopeScaling::None, sections: None }
-    }
-}
-
-/// How the frequencies are scaled for contexts longer than in training (`rope_type`).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum RopeScaling {
-    None,
-    /// All frequencies are divided by the factor.
-    Linear {
-        factor: f64,
-    },
-    /// Low frequencies are divided by the factor, high ones kept, those between interpolated.
-    Llama3 {
-        factor: f64,
-        /// Wavelengths above `original_context / low_freq_factor` are scaled fully.
-        low_freq_factor: f64,
-        /// Wavelengths below `original_context / high_freq_factor` are kept.
-        high_freq_factor: f64,
-        /// Context of the first training.
-        original_context: f64,
-    },
 }
 
 /// Longest context, positions: beyond it a configuration is taken for broken.
@@ -202,7 +159,7 @@ impl LlamaConfig {
             return Err(text.error("hidden_act", "only silu is supported"));
         }
         let mut config: Self = text.read()?;
-        config.rope = Rope::read(&text)?;
+        config.rope = read_rope(&text)?;
         config.output_bias = config.attention_bias;
         if config.kv_heads == 0 {
             config.kv_heads = config.heads;
@@ -245,31 +202,29 @@ impl LlamaConfig {
     }
 }
 
-impl Rope {
-    /// Reads `rope_parameters` (transformers 5), or `rope_theta` with `rope_scaling` (before).
-    fn read(text: &ConfigObject<'_>) -> Result<Self, MllmError> {
-        let section = match text.child("rope_parameters")? {
-            Some(section) => section,
-            None => text.child_or_empty("rope_scaling")?,
-        };
-        let required =
-            |key: &str| section.positive(key)?.ok_or_else(|| section.error(key, "is missing for this rope_type"));
-        let kind = if section.contains("rope_type") { "rope_type" } else { "type" };
-        let scaling = match section.value(kind)?.unwrap_or(RopeType::Default) {
-            RopeType::Default | RopeType::Dynamic | RopeType::Mrope => RopeScaling::None,
-            RopeType::Linear => RopeScaling::Linear { factor: required("factor")? },
-            RopeType::Llama3 => RopeScaling::Llama3 {
-                factor: required("factor")?,
-                low_freq_factor: required("low_freq_factor")?,
-                high_freq_factor: required("high_freq_factor")?,
-                original_context: required("original_max_position_embeddings")?,
-            },
-        };
-        let theta = text.positive("rope_theta")?.unwrap_or(Self::default().theta);
-        let sections = section.value("mrope_section")?.map(|lengths: [usize; 3]| -> Result<_, MllmError> {
-            Ok(RotarySections { lengths, interleaved: section.value("mrope_interleaved")?.unwrap_or(false) })
-        });
-        let theta = section.positive("rope_theta")?.unwrap_or(theta);
-        Ok(Self { theta, scaling, sections: sections.transpose()? })
-    }
+/// Reads `rope_parameters` (transformers 5), or `rope_theta` with `rope_scaling` (before).
+fn read_rope(text: &ConfigObject<'_>) -> Result<Rope, MllmError> {
+    let section = match text.child("rope_parameters")? {
+        Some(section) => section,
+        None => text.child_or_empty("rope_scaling")?,
+    };
+    let required =
+        |key: &str| section.positive(key)?.ok_or_else(|| section.error(key, "is missing for this rope_type"));
+    let kind = if section.contains("rope_type") { "rope_type" } else { "type" };
+    let scaling = match section.value(kind)?.unwrap_or(RopeType::Default) {
+        RopeType::Default | RopeType::Dynamic | RopeType::Mrope => RopeScaling::None,
+        RopeType::Linear => RopeScaling::Linear { factor: required("factor")? },
+        RopeType::Llama3 => RopeScaling::Llama3 {
+            factor: required("factor")?,
+            low_freq_factor: required("low_freq_factor")?,
+            high_freq_factor: required("high_freq_factor")?,
+            original_context: required("original_max_position_embeddings")?,
+        },
+    };
+    let theta = text.positive("rope_theta")?.unwrap_or(Rope::default().theta);
+    let sections = section.value("mrope_section")?.map(|lengths: [usize; 3]| -> Result<_, MllmError> {
+        Ok(RotarySections { lengths, interleaved: section.value("mrope_interleaved")?.unwrap_or(false) })
+    });
+    let theta = section.positive("rope_theta")?.unwrap_or(theta);
+    Ok(Rope { theta, scaling, sections: sections.transpose()? })
 }

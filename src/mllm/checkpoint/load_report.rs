@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::weight_format_plan::PlannedFormat;
-use crate::mllm::matrix::{StoredFormat, WeightFormat};
+use planagent_kernels::matrix::{StoredFormat, WeightFormat};
 
 /// The formats of a model's weights in memory.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -113,7 +113,7 @@ fn any_layer(name: &str) -> String {
 }
 
 /// A number of bytes for people: GiB from 1 GiB on, else MiB.
-pub(crate) fn in_bytes(bytes: u64) -> String {
+pub fn in_bytes(bytes: u64) -> String {
     const MIB: f64 = 1_048_576.0;
     let mebibytes = bytes as f64 / MIB;
     if mebibytes >= 1024.0 { format!("{:.1} GiB", mebibytes / 1024.0) } else { format!("{mebibytes:.1} MiB") }

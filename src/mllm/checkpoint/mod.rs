@@ -1,8 +1,8 @@
 //! The files of a model: weights, and the parts of configurations that several families share.
 
-mod activation;
 mod config;
 mod files;
+mod layers;
 mod llama_config;
 mod load_report;
 mod row_order;
@@ -16,12 +16,11 @@ use std::path::Path;
 
 use serde_json::Value;
 
-pub(crate) use activation::Activation;
 pub(crate) use config::{ConfigObject, OneOrMany, positive};
 pub use files::ModelFiles;
+pub(crate) use llama_config::DecoderType;
 pub use llama_config::LlamaConfig;
-pub(crate) use llama_config::{DecoderType, Rope, RopeScaling, RotarySections};
-pub(crate) use load_report::in_bytes;
+pub use load_report::in_bytes;
 pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
 pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use vision_config::{TowerType, VisionConfig};
@@ -55,7 +54,7 @@ pub(crate) fn small_file_limit(path: &Path) -> u64 {
 }
 
 pub(crate) fn read_text(path: &Path) -> Result<String, MllmError> {
-    let text = crate::files::read_text(path, small_file_limit(path))
+    let text = planagent_files::read_text(path, small_file_limit(path))
         .map_err(|source| MllmError::Read { path: path.to_path_buf(), source })?;
     if weight_file::is_lfs_pointer(text.as_bytes()) {
         return Err(MllmError::LfsPointer { path: path.to_path_buf() });

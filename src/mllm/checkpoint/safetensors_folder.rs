@@ -15,8 +15,8 @@ use super::row_order::RowOrder;
 use super::weight_file::{TensorPlace, TensorSource, WeightFile};
 use super::weight_format_plan::WeightFormatPlan;
 use super::weights::Weights;
-use crate::mllm::MllmError;
-use crate::mllm::matrix::WeightFormat;
+use crate::MllmError;
+use planagent_kernels::matrix::WeightFormat;
 
 /// The file of a checkpoint that is not sharded.
 const WEIGHTS: &str = "model.safetensors";

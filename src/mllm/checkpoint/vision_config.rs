@@ -3,9 +3,9 @@
 use serde::Deserialize;
 use serde_json::json;
 
-use super::activation::Activation;
 use super::config::{ConfigObject, count, positive};
-use crate::mllm::MllmError;
+use crate::MllmError;
+use planagent_kernels::Activation;
 
 /// A vision transformer over the patches of a square image. `CogVLM` and Qwen have other names for some keys.
 #[derive(Debug, Clone, PartialEq, Deserialize)]

@@ -7,8 +7,8 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use crate::mllm::MllmError;
-use crate::mllm::matrix::StoredFormat;
+use crate::MllmError;
+use planagent_kernels::matrix::StoredFormat;
 
 /// Where and how a tensor lies in a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -52,7 +52,7 @@ pub(crate) struct WeightFile {
 impl WeightFile {
     pub(crate) fn open(path: &Path) -> Result<Self, MllmError> {
         let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
-        let file = crate::files::open(path).map_err(failed)?;
+        let file = planagent_files::open(path).map_err(failed)?;
         let bytes = file.metadata().map_err(failed)?.len();
         let file = Self { path: path.to_path_buf(), file, bytes };
         let mut beginning = Vec::new();

@@ -2,7 +2,7 @@
 
 use candle_core::quantized::GgmlDType;
 
-use crate::mllm::matrix::{StoredFormat, WeightFormat};
+use planagent_kernels::matrix::{StoredFormat, WeightFormat};
 
 /// Chooses the format of tensors by the user's wish, their role, and their format in the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

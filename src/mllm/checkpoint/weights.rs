@@ -11,8 +11,8 @@ use super::load_report::LoadReport;
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
 use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
-use crate::mllm::MllmError;
-use crate::mllm::matrix::{Matrix, WeightFormat};
+use crate::MllmError;
+use planagent_kernels::matrix::{Matrix, WeightFormat};
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite, and converted
 /// as the [`WeightFormatPlan`] says. So at most one tensor is in memory twice.

@@ -1,9 +1,9 @@
 //! Prompts of `CogVLM`, whose repositories have no chat template.
 
 use super::config::AnswerStyle;
-use crate::mllm::MllmError;
-use crate::mllm::family::{Chat, ChatFormat};
-use crate::mllm::text::ChatTokenizer;
+use crate::MllmError;
+use crate::family::{Chat, ChatFormat};
+use crate::text::ChatTokenizer;
 
 /// Vicuna's system prompt, for a chat without an image and without a system prompt.
 const VICUNA_SYSTEM: &str = "A chat between a curious user and an artificial intelligence assistant. The assistant gives \
@@ -63,8 +63,8 @@ fn vicuna(chat: &Chat<'_>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::Turn;
-    use crate::mllm::family::ImageLayout;
+    use crate::Turn;
+    use crate::family::ImageLayout;
 
     #[test]
     fn questions_and_answers_follow_one_another() {

@@ -5,8 +5,8 @@ use std::path::Path;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
 
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CogVlmConfig {

@@ -3,11 +3,12 @@
 use candle_core::{Result, Tensor};
 
 use super::config::CogVlmConfig;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, Weights};
-use crate::mllm::decoder::{SwiGlu, SwiGluShape};
-use crate::mllm::layer_norm::LayerNorm;
-use crate::mllm::linear::Linear;
+use crate::MllmError;
+use crate::checkpoint::Weights;
+use crate::decoder::{SwiGlu, SwiGluShape};
+use planagent_kernels::Activation;
+use planagent_kernels::LayerNorm;
+use planagent_kernels::Linear;
 
 /// Epsilon of the adapter's layer norm, torch's default.
 const NORM_EPS: f64 = 1e-5;
@@ -33,8 +34,8 @@ impl GluAdapter {
             bias: false,
         };
         Ok(Self {
-            projection: Linear::take(weights, &format!("{NAME}.linear_proj"), config.vision.hidden, hidden, false)?,
-            norm: LayerNorm::take(weights, &format!("{NAME}.norm1"), hidden, NORM_EPS)?,
+            projection: weights.take_linear(&format!("{NAME}.linear_proj"), config.vision.hidden, hidden, false)?,
+            norm: weights.take_layer_norm(&format!("{NAME}.norm1"), hidden, NORM_EPS)?,
             glu: SwiGlu::take(weights, NAME, shape)?,
             begin: weights.take("vision.boi", &[1, 1, hidden])?.squeeze(0)?,
             end: weights.take("vision.eoi", &[1, 1, hidden])?.squeeze(0)?,

@@ -4,11 +4,11 @@ use std::ops::Range;
 
 use candle_core::Tensor;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, Weights};
-use crate::mllm::decoder::{CausalAttention, DecoderLayer, KvCache, Pass, SwiGlu, rms_norm};
-use crate::mllm::linear::Linear;
-use crate::mllm::rms_norm::RmsNorm;
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, Weights};
+use crate::decoder::{CausalAttention, DecoderLayer, KvCache, Pass, SwiGlu, rms_norm};
+use planagent_kernels::Linear;
+use planagent_kernels::RmsNorm;
 
 /// Positions that an image takes: one for its beginning, one for all its patches, one for its end.
 pub(super) const IMAGE_POSITIONS: usize = 3;
@@ -38,8 +38,8 @@ impl Expert {
         let all = queries + 2 * config.kv_heads * config.head_dim;
         let attention = format!("{name}.self_attn.{kind}_expert");
         Ok(Self {
-            qkv: Linear::take(weights, &format!("{attention}_query_key_value"), config.hidden, all, false)?,
-            out: Linear::take(weights, &format!("{attention}_dense"), queries, config.hidden, false)?,
+            qkv: weights.take_linear(&format!("{attention}_query_key_value"), config.hidden, all, false)?,
+            out: weights.take_linear(&format!("{attention}_dense"), queries, config.hidden, false)?,
             mlp: SwiGlu::take_mlp(weights, &format!("{name}.mlp.{kind}_mlp"), config)?,
         })
     }

@@ -3,8 +3,8 @@
 use candle_core::Tensor;
 use image::RgbImage;
 
-use crate::mllm::MllmError;
-use crate::mllm::vision::{Filter, PixelScale, check_not_empty, resize};
+use crate::MllmError;
+use crate::vision::{Filter, PixelScale, check_not_empty, resize};
 
 /// Pixel values (3, side, side): bicubic, without a crop, with CLIP's mean and deviation (`image_transforms` in the model's
 /// code; its repositories have no preprocessor configuration).

@@ -9,12 +9,12 @@ use super::config::CogVlmConfig;
 use super::language::positions;
 use super::preprocess::pixel_values;
 use super::{CogVlm, FAMILY};
-use crate::mllm::family::ImageFeatures;
-use crate::mllm::local::test_faults::{Deviation, Fault, Parts, one_further};
-use crate::mllm::local::test_reference::{
+use crate::family::ImageFeatures;
+use crate::local::test_faults::{Deviation, Fault, Parts, one_further};
+use crate::local::test_reference::{
     FEATURE_TOLERANCE, Reference, Run, assert_chat, difference, feature_difference, fixture, synthetic, whole,
 };
-use crate::mllm::vision::{Filter, resize};
+use crate::vision::{Filter, resize};
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> CogVlm {

@@ -2,11 +2,12 @@
 
 use candle_core::Tensor;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, VisionConfig, Weights};
-use crate::mllm::layer_norm::LayerNorm;
-use crate::mllm::linear::Linear;
-use crate::mllm::vision::{Part, SelfAttention, embed, take_patch_embedding, unfold};
+use crate::MllmError;
+use crate::checkpoint::{VisionConfig, Weights};
+use crate::vision::{Part, SelfAttention, embed, take_patch_embedding, unfold};
+use planagent_kernels::Activation;
+use planagent_kernels::LayerNorm;
+use planagent_kernels::Linear;
 
 #[derive(Debug)]
 pub(super) struct EvaVisionTower {
@@ -60,17 +61,17 @@ impl Layer {
     fn take(weights: &mut Weights, config: &VisionConfig, name: &str) -> Result<Self, MllmError> {
         let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);
         let attention = SelfAttention {
-            qkv: Linear::take(weights, &format!("{name}.attention.query_key_value"), hidden, 3 * hidden, true)?,
-            out: Linear::take(weights, &format!("{name}.attention.dense"), hidden, hidden, true)?,
+            qkv: weights.take_linear(&format!("{name}.attention.query_key_value"), hidden, 3 * hidden, true)?,
+            out: weights.take_linear(&format!("{name}.attention.dense"), hidden, hidden, true)?,
             heads: config.heads,
         };
         Ok(Self {
             attention,
-            attention_norm: LayerNorm::take(weights, &format!("{name}.input_layernorm"), hidden, eps)?,
-            fc1: Linear::take(weights, &format!("{name}.mlp.fc1"), hidden, wide, true)?,
+            attention_norm: weights.take_layer_norm(&format!("{name}.input_layernorm"), hidden, eps)?,
+            fc1: weights.take_linear(&format!("{name}.mlp.fc1"), hidden, wide, true)?,
             act: config.act,
-            fc2: Linear::take(weights, &format!("{name}.mlp.fc2"), wide, hidden, true)?,
-            mlp_norm: LayerNorm::take(weights, &format!("{name}.post_attention_layernorm"), hidden, eps)?,
+            fc2: weights.take_linear(&format!("{name}.mlp.fc2"), wide, hidden, true)?,
+            mlp_norm: weights.take_layer_norm(&format!("{name}.post_attention_layernorm"), hidden, eps)?,
         })
     }
 

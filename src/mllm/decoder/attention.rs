@@ -4,8 +4,8 @@ use candle_core::Tensor;
 
 use super::cache::KvCache;
 use super::layer::Pass;
-use crate::mllm::attention::{AttentionMask, HeadShape, Projected, attend, exact_tokens};
-use crate::mllm::checkpoint::LlamaConfig;
+use crate::checkpoint::LlamaConfig;
+use planagent_kernels::attention::{AttentionMask, HeadShape, Projected, attend, exact_tokens};
 
 /// Causal attention of a layer, without the projections.
 #[derive(Debug, Clone, Copy)]

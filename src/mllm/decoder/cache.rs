@@ -2,7 +2,7 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::mllm::attention::{HeadShape, KeyValues, Precision, Projected};
+use planagent_kernels::attention::{HeadShape, KeyValues, Precision, Projected};
 
 /// Keys and values of every layer. It only grows and truncates, so an earlier state is a length. Growth moves no data. Clones
 /// share memory until one of them writes.

@@ -2,9 +2,9 @@
 
 use candle_core::Tensor;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, Weights};
-use crate::mllm::rms_norm::RmsNorm;
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, Weights};
+use planagent_kernels::RmsNorm;
 
 /// RMS norms of the queries and keys of a layer, before their rotation (`q_norm`, `k_norm`).
 #[derive(Debug)]
@@ -19,7 +19,7 @@ impl HeadNorms {
     /// Takes the norms of the layer called `name`.
     pub(super) fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError> {
         let mut norm = |part: &str| {
-            RmsNorm::take(weights, &format!("{name}.self_attn.{part}"), config.head_dim, config.rms_norm_eps)
+            weights.take_rms_norm(&format!("{name}.self_attn.{part}"), config.head_dim, config.rms_norm_eps)
         };
         let widths = [config.heads, config.kv_heads].map(|heads| heads * config.head_dim);
         Ok(Self { query: norm("q_norm")?, key: norm("k_norm")?, widths })

@@ -5,11 +5,12 @@ use std::ops::Range;
 use candle_core::Tensor;
 
 use super::cache::KvCache;
-use crate::mllm::MllmError;
-use crate::mllm::attention::RotaryRows;
-use crate::mllm::checkpoint::{Activation, LlamaConfig, Weights};
-use crate::mllm::linear::Linear;
-use crate::mllm::rms_norm::RmsNorm;
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, Weights};
+use planagent_kernels::Activation;
+use planagent_kernels::Linear;
+use planagent_kernels::RmsNorm;
+use planagent_kernels::attention::RotaryRows;
 
 pub(crate) trait DecoderLayer: Sized {
     fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError>;
@@ -54,8 +55,8 @@ impl SwiGlu {
         let [gate, up, down] = shape.names.map(|part| format!("{name}.{part}"));
         let wide = shape.intermediate;
         Ok(Self {
-            gate_up: Linear::take_fused(weights, &[(gate, wide), (up, wide)], shape.hidden, shape.bias)?,
-            down: Linear::take(weights, &down, wide, shape.hidden, shape.bias)?,
+            gate_up: weights.take_fused(&[(gate, wide), (up, wide)], shape.hidden, shape.bias)?,
+            down: weights.take_linear(&down, wide, shape.hidden, shape.bias)?,
         })
     }
 
@@ -82,5 +83,5 @@ impl SwiGlu {
 }
 
 pub(crate) fn rms_norm(weights: &mut Weights, name: &str, config: &LlamaConfig) -> Result<RmsNorm, MllmError> {
-    RmsNorm::take(weights, name, config.hidden, config.rms_norm_eps)
+    weights.take_rms_norm(name, config.hidden, config.rms_norm_eps)
 }

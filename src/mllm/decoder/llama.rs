@@ -6,10 +6,10 @@ use super::attention::CausalAttention;
 use super::cache::KvCache;
 use super::head_norms::HeadNorms;
 use super::layer::{DecoderLayer, Pass, SwiGlu, rms_norm};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, Weights};
-use crate::mllm::linear::Linear;
-use crate::mllm::rms_norm::RmsNorm;
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, Weights};
+use planagent_kernels::Linear;
+use planagent_kernels::RmsNorm;
 
 /// A Llama layer. Query, key and value projections are one matrix. Qwen 3 normalizes the queries and keys of each head.
 #[derive(Debug)]
@@ -31,11 +31,10 @@ impl DecoderLayer for LlamaLayer {
             .map(|(part, width)| (format!("{name}.self_attn.{part}"), width));
         Ok(Self {
             input_norm: rms_norm(weights, &format!("{name}.input_layernorm"), config)?,
-            qkv: Linear::take_fused(weights, &parts, config.hidden, config.attention_bias)?,
+            qkv: weights.take_fused(&parts, config.hidden, config.attention_bias)?,
             head_norms: if config.head_norms { Some(HeadNorms::take(weights, config, name)?) } else { None },
             attention: CausalAttention::new(config),
-            out: Linear::take(
-                weights,
+            out: weights.take_linear(
                 &format!("{name}.self_attn.o_proj"),
                 queries,
                 config.hidden,

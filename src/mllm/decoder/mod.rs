@@ -18,12 +18,13 @@ pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
 pub(crate) use llama::LlamaLayer;
 
 use super::MllmError;
-pub use super::attention::Position;
-use super::attention::{HeadShape, Precision, RotaryEmbedding};
-use super::checkpoint::{LlamaConfig, RopeScaling, Weights};
-use super::linear::Linear;
-use super::matrix::{Matrix, WeightFormat};
-use super::rms_norm::RmsNorm;
+use super::checkpoint::{LlamaConfig, Weights};
+use planagent_kernels::Linear;
+use planagent_kernels::RmsNorm;
+pub use planagent_kernels::attention::Position;
+use planagent_kernels::attention::RopeScaling;
+use planagent_kernels::attention::{HeadShape, Precision, RotaryEmbedding};
+use planagent_kernels::matrix::{Matrix, WeightFormat};
 
 #[derive(Debug)]
 pub(crate) struct Decoder<L> {
@@ -101,7 +102,7 @@ impl<L: DecoderLayer> Decoder<L> {
         // Beside rounded weights, f16 keys and values lose no relevant accuracy, and reads take half of the time.
         let single = weights.is_lossless() || embedding.weight_format() == WeightFormat::F32;
         let precision = if single { Precision::Single } else { Precision::Half };
-        let mut rotary = RotaryEmbedding::new(config);
+        let mut rotary = RotaryEmbedding::new(&config.rope, config.head_dim, config.context);
         let factors = format!("{prefix}rope_freqs.weight");
         // A configuration that says how frequencies are scaled comes first.
         if config.rope.scaling == RopeScaling::None && weights.contains(&factors) {

@@ -8,7 +8,7 @@ use image::{ImageFormat, RgbImage};
 use serde_json::{Map, Value, json};
 
 use super::grammar::{gbnf, pattern};
-use crate::mllm::{
+use crate::{
     Constraint, ConstraintUse, EndpointSettings, GrammarField, LimitField, MllmError, Request, Sampling, Turn,
 };
 

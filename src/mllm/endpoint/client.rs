@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use super::key::ApiKey;
 use super::reply::{Listen, Reply, error_message, read_stream, read_whole, shortened};
-use crate::mllm::{Deadline, EndpointFailure, EndpointSettings, MllmError};
+use crate::{Deadline, EndpointFailure, EndpointSettings, MllmError};
 
 /// Maximum wait before a retry, unless the server asks for a longer one.
 const MAX_WAIT: Duration = Duration::from_secs(30);

@@ -3,7 +3,7 @@
 
 use regex_syntax::hir::{Class, ClassUnicode, Hir, HirKind};
 
-use crate::mllm::Constraint;
+use crate::Constraint;
 
 /// Characters with a special meaning in a regular expression.
 const META: &str = r"\^$.|?*+()[]{}";

@@ -7,7 +7,7 @@ use std::fmt;
 
 use reqwest::header::HeaderValue;
 
-use crate::mllm::MllmError;
+use crate::MllmError;
 use forms::Forms;
 
 /// Replacement of the key in texts.

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use serde::Deserialize;
 
-use crate::mllm::{EndpointFailure, FinishReason, TokenCounts};
+use crate::{EndpointFailure, FinishReason, TokenCounts};
 
 /// Maximum bytes of a response. The longest sensible one, with a stream event for each token, takes a tenth of it.
 pub(super) const MAX_BYTES: u64 = 4 << 20;

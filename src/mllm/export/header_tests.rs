@@ -7,8 +7,8 @@ use proptest::prelude::*;
 use serde_json::{Value, json};
 
 use super::writer::{Layout, PlannedTensor};
-use crate::mllm::MllmError;
-use crate::mllm::gguf::Header;
+use crate::MllmError;
+use crate::gguf::Header;
 
 fn parse(bytes: &[u8]) -> Result<Header, MllmError> {
     Header::read(Path::new("m.gguf"), &mut &*bytes, bytes.len() as u64)

@@ -20,14 +20,14 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::MllmError;
-use super::attention::frequency_factors;
 use super::checkpoint::{LoadReport, ModelFiles, Weights, is_matrix, paired};
 use super::gguf::names::ROTARY;
 use super::gguf::{Entries, FILE, TOWER, WHOLE_MODEL, llama, tower_path};
 use super::local::Loading;
-use super::matrix::WeightFormat;
 use super::source::{Checkpoint, ModelPlace};
 use super::text::special_tokens;
+use planagent_kernels::attention::frequency_factors;
+use planagent_kernels::matrix::WeightFormat;
 use writer::{Layout, PlannedTensor};
 
 const FILES: [&str; 8] = [

@@ -11,17 +11,17 @@ use serde_json::{Value as Json, json};
 
 use super::writer::{Layout, PlannedTensor};
 use super::{GgufPart, export_model};
-use crate::mllm::checkpoint::paired;
-use crate::mllm::decoder::Logits;
-use crate::mllm::families::Families;
-use crate::mllm::family::{ImageSettings, VisionLanguageModel};
-use crate::mllm::gguf::{FILE, Header, open_header, tokenizer_tests, tower_path};
-use crate::mllm::local::test_prompts::{Prompts, is_unsplit};
-use crate::mllm::local::test_reference::{assert_chat, fixture, synthetic};
-use crate::mllm::local::{Loading, LocalModel, Sequence};
-use crate::mllm::matrix::{StoredFormat, WeightFormat};
-use crate::mllm::source::{Checkpoint, ModelPlace};
-use crate::mllm::{Constraint, Deadline, Mllm, PromptPrefix, Request, Sampling};
+use crate::checkpoint::paired;
+use crate::decoder::Logits;
+use crate::families::Families;
+use crate::family::{ImageSettings, VisionLanguageModel};
+use crate::gguf::{FILE, Header, open_header, tokenizer_tests, tower_path};
+use crate::local::test_prompts::{Prompts, is_unsplit};
+use crate::local::test_reference::{assert_chat, fixture, synthetic};
+use crate::local::{Loading, LocalModel, Sequence};
+use crate::source::{Checkpoint, ModelPlace};
+use crate::{Constraint, Deadline, Mllm, PromptPrefix, Request, Sampling};
+use planagent_kernels::matrix::{StoredFormat, WeightFormat};
 
 /// Exports a model folder to `m.gguf` in another folder.
 pub(super) fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {

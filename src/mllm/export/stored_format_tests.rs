@@ -9,12 +9,12 @@ use serde_json::json;
 
 use super::round_trip_tests::{edit, export, logits, widened};
 use super::writer::{Layout, PlannedTensor};
-use crate::mllm::MllmError;
-use crate::mllm::families::Families;
-use crate::mllm::gguf::{FILE, open_header};
-use crate::mllm::local::test_reference::fixture;
-use crate::mllm::matrix::{StoredFormat, WeightFormat, widen};
-use crate::mllm::source::{Checkpoint, ModelPlace};
+use crate::MllmError;
+use crate::families::Families;
+use crate::gguf::{FILE, open_header};
+use crate::local::test_reference::fixture;
+use crate::source::{Checkpoint, ModelPlace};
+use planagent_kernels::matrix::{StoredFormat, WeightFormat, widen};
 
 /// Rewrites the layers' matrices of a decoder in f32 with what `convert` makes of their values: a format and its blocks.
 fn convert(model: &Path, convert: impl Fn(Vec<f32>) -> (GgmlDType, Vec<u8>)) {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use serde_json::{Value as Json, json};
 
-use crate::mllm::gguf::{Entries, tokenizer::piece};
+use crate::gguf::{Entries, tokenizer::piece};
 
 /// The metadata of a byte-pair tokenizer for a model of `vocabulary` rows. `special` holds its special tokens by role
 /// (`bos_token`, ...). None for other kinds of tokenizers, for which llama.cpp has no such keys.

@@ -5,8 +5,8 @@ use std::io::{self, Write};
 use candle_core::quantized::GgmlDType;
 use serde_json::Value;
 
-use crate::mllm::checkpoint::in_four_dimensions;
-use crate::mllm::gguf::{DEFAULT_ALIGNMENT, Entries, number_of};
+use crate::checkpoint::in_four_dimensions;
+use crate::gguf::{DEFAULT_ALIGNMENT, Entries, number_of};
 
 /// A file without the tensors' data.
 #[derive(Debug, Default)]

@@ -6,7 +6,7 @@ use serde_json::{Map, Value as Json, json};
 
 use super::header::Header;
 use super::tokenizer::{Pieces, Special, TokenizerFiles, beginning, piece};
-use crate::mllm::MllmError;
+use crate::MllmError;
 
 /// How texts are split (`llm_tokenizer_bpe` of llama.cpp, and the models' own files).
 const QWEN2: &str =

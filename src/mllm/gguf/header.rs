@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 use candle_core::quantized::GgmlDType;
 use serde_json::{Number, Value};
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::TensorPlace;
-use crate::mllm::matrix::StoredFormat;
+use crate::MllmError;
+use crate::checkpoint::TensorPlace;
+use planagent_kernels::matrix::StoredFormat;
 
 const MAGIC: &[u8; 4] = b"GGUF";
 /// Supported versions. 3 allows big-endian files, which are not supported.

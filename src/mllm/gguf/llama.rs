@@ -4,8 +4,9 @@ use serde_json::{Value, json};
 
 use super::Entries;
 use super::header::Header;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, RopeScaling};
+use crate::MllmError;
+use crate::checkpoint::LlamaConfig;
+use planagent_kernels::attention::RopeScaling;
 
 /// The value of `general.architecture` of the decoders that this program writes.
 pub(crate) const ARCHITECTURE: &str = "llama";

@@ -5,7 +5,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use super::header::Header;
-use crate::mllm::MllmError;
+use crate::MllmError;
 
 /// Largest count in metadata, as in configurations.
 const MAX_COUNT: u64 = 1 << 22;

@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 
 use super::names::{Names, unswapped};
 use super::{Entries, GgufLayout, Header, TextFiles};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::ModelFiles;
+use crate::MllmError;
+use crate::checkpoint::ModelFiles;
 
 /// How llama.cpp's files hold a family that this program writes into a file of its own.
 pub(crate) struct ReadOnlyLayout {

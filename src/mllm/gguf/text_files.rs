@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use super::{Header, TEMPLATE, TOKENIZER, llama, tokenizer};
-use crate::mllm::MllmError;
+use crate::MllmError;
 
 /// Tokenizer, chat template and `text_config` of a decoder.
 pub(crate) struct TextFiles {

@@ -10,8 +10,8 @@ use serde_json::{Value as Json, json};
 
 use super::header::Header;
 use super::{TOKENIZER, byte_level};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::read_json;
+use crate::MllmError;
+use crate::checkpoint::read_json;
 
 /// Kinds of pieces (`llama_token_type`).
 pub(crate) mod piece {

@@ -9,7 +9,7 @@ use tokenizers::Tokenizer;
 
 use super::header::Header;
 use super::tokenizer;
-use crate::mllm::export::tokenizer_metadata;
+use crate::export::tokenizer_metadata;
 
 /// Words whose pieces overlap in many ways.
 const WORDS: [&str; 24] = [

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
+use planagent_kernels::Activation;
 
 /// An `InternVL`: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,7 +30,7 @@ impl InternVlConfig {
     pub(super) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
         let named = || -> Result<Option<u64>, MllmError> {
             let tokenizer = files.json("tokenizer.json")?;
-            Ok(tokenizer.and_then(|tokenizer| crate::mllm::gguf::tokenizer::added_id(&tokenizer, IMAGE)))
+            Ok(tokenizer.and_then(|tokenizer| crate::gguf::tokenizer::added_id(&tokenizer, IMAGE)))
         };
         Self::from_json(&files.path("config.json"), &files.required_json("config.json")?, named)
     }

@@ -3,9 +3,9 @@
 use serde_json::json;
 
 use super::config::IMAGE;
-use crate::mllm::MllmError;
-use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS};
-use crate::mllm::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
+use crate::MllmError;
+use crate::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS};
+use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
 
 const NAMES: Names = Names {
     single: &[

@@ -6,11 +6,11 @@ use serde_json::json;
 use super::config::InternVlConfig;
 use super::tiles::TileProcessor;
 use super::{FAMILY, InternVl, take};
-use crate::mllm::family::{ImageFeatures, ImageLayout, ImageSettings, VisionLanguageModel};
-use crate::mllm::local::test_faults::{Deviation, Fault, Parts};
-use crate::mllm::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
-use crate::mllm::local::test_reference::{Run, difference};
-use crate::mllm::tiled::Tiler;
+use crate::family::{ImageFeatures, ImageLayout, ImageSettings, VisionLanguageModel};
+use crate::local::test_faults::{Deviation, Fault, Parts};
+use crate::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
+use crate::local::test_reference::{Run, difference};
+use crate::tiled::Tiler;
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> InternVl {

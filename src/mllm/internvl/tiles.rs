@@ -6,10 +6,10 @@ use image::RgbImage;
 use serde::Deserialize;
 use serde_json::json;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
-use crate::mllm::tiled::{Grid, Tiler};
-use crate::mllm::vision::{Filter, PixelScale, read_processor, resize};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, ModelFiles};
+use crate::tiled::{Grid, Tiler};
+use crate::vision::{Filter, PixelScale, read_processor, resize};
 
 /// Maximum number of tiles of a configuration: a larger number means a broken one.
 const MAX_TILES: u32 = 64;

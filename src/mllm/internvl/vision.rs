@@ -3,12 +3,13 @@
 use candle_core::Tensor;
 
 use super::config::InternVlConfig;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, Weights};
-use crate::mllm::layer_norm::LayerNorm;
-use crate::mllm::linear::Linear;
-use crate::mllm::tiled::TileEncoder;
-use crate::mllm::vision::{Part, VisionLayer, embed, merge_blocks, take_patch_embedding, unfold};
+use crate::MllmError;
+use crate::checkpoint::Weights;
+use crate::tiled::TileEncoder;
+use crate::vision::{Part, VisionLayer, embed, merge_blocks, take_patch_embedding, unfold};
+use planagent_kernels::Activation;
+use planagent_kernels::LayerNorm;
+use planagent_kernels::Linear;
 
 /// Epsilon of the projector's norm, torch's default.
 const PROJECTOR_EPS: f64 = 1e-5;
@@ -45,9 +46,9 @@ impl ImageEncoder {
             layers: (0..vision.layers)
                 .map(|index| VisionLayer::take_scaled(weights, vision, &format!("vision_tower.encoder.layers.{index}")))
                 .collect::<Result<_, _>>()?,
-            projector_norm: LayerNorm::take(weights, &projector("layer_norm"), merged, PROJECTOR_EPS)?,
-            linear1: Linear::take(weights, &projector("linear_1"), merged, decoder, true)?,
-            linear2: Linear::take(weights, &projector("linear_2"), decoder, decoder, true)?,
+            projector_norm: weights.take_layer_norm(&projector("layer_norm"), merged, PROJECTOR_EPS)?,
+            linear1: weights.take_linear(&projector("linear_1"), merged, decoder, true)?,
+            linear2: weights.take_linear(&projector("linear_2"), decoder, decoder, true)?,
             patch_size: vision.patch_size,
             side: vision.image_size / vision.patch_size,
             scale: config.scale,

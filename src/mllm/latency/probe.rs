@@ -8,11 +8,11 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::step::{Step, StepTime};
-use crate::mllm::decoder::Logits;
-use crate::mllm::family::{ImageFeatures, VisionLanguageModel};
-use crate::mllm::local::Sequence;
-use crate::mllm::sampling::Sampler;
-use crate::mllm::{Deadline, Loading, MllmError, ModelPlace, Sampling, WeightFormat, milliseconds};
+use crate::decoder::Logits;
+use crate::family::{ImageFeatures, VisionLanguageModel};
+use crate::local::Sequence;
+use crate::sampling::Sampler;
+use crate::{Deadline, Loading, MllmError, ModelPlace, Sampling, WeightFormat, milliseconds};
 
 /// A model with one sequence of tokens, whose steps are timed.
 #[derive(Debug)]

@@ -11,8 +11,8 @@ use candle_transformers::models::llava::{LLaVA, config::LLaVAConfig};
 use serde_json::json;
 
 use super::Llava;
-use crate::mllm::family::VisionLanguageModel;
-use crate::mllm::local::test_reference::{
+use crate::family::VisionLanguageModel;
+use crate::local::test_reference::{
     LOGIT_TOLERANCE, Reference, difference, fixture, logits_deviation, open_checkpoint,
 };
 

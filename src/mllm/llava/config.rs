@@ -7,8 +7,9 @@ use std::path::Path;
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, ConfigObject, LlamaConfig, ModelFiles, OneOrMany, TowerType, VisionConfig};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, OneOrMany, TowerType, VisionConfig};
+use planagent_kernels::Activation;
 
 /// A LLaVA model: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
@@ -109,7 +110,7 @@ fn feature_layers(root: &ConfigObject<'_>, layers: usize) -> Result<Vec<usize>, 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::checkpoint::{Rope, RopeScaling};
+    use planagent_kernels::attention::{Rope, RopeScaling};
     use serde_json::json;
 
     fn parse(value: &Value) -> Result<LlavaConfig, MllmError> {

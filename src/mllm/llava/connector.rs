@@ -3,9 +3,10 @@
 use candle_core::{Result, Tensor};
 
 use super::config::LlavaConfig;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, Weights};
-use crate::mllm::linear::Linear;
+use crate::MllmError;
+use crate::checkpoint::Weights;
+use planagent_kernels::Activation;
+use planagent_kernels::Linear;
 
 /// The projector of LLaVA: two linear layers with an activation between (`multi_modal_projector`).
 #[derive(Debug)]
@@ -21,9 +22,9 @@ impl Projector {
         let features = config.vision.hidden * config.feature_layers.len();
         let bias = config.projector_bias;
         Ok(Self {
-            linear1: Linear::take(weights, "multi_modal_projector.linear_1", features, hidden, bias)?,
+            linear1: weights.take_linear("multi_modal_projector.linear_1", features, hidden, bias)?,
             act: config.projector_act,
-            linear2: Linear::take(weights, "multi_modal_projector.linear_2", hidden, hidden, bias)?,
+            linear2: weights.take_linear("multi_modal_projector.linear_2", hidden, hidden, bias)?,
         })
     }
 

@@ -9,15 +9,15 @@ use serde_json::json;
 
 use super::config::LlavaConfig;
 use super::{FAMILY, Llava};
-use crate::mllm::checkpoint::TowerType;
-use crate::mllm::family::{ImageFeatures, VisionLanguageModel};
-use crate::mllm::local::LocalModel;
-use crate::mllm::local::test_faults::{Deviation, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
-use crate::mllm::local::test_reference::{
+use crate::checkpoint::TowerType;
+use crate::family::{ImageFeatures, VisionLanguageModel};
+use crate::local::LocalModel;
+use crate::local::test_faults::{Deviation, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
+use crate::local::test_reference::{
     FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, Run, assert_chat, assert_greedy, assert_logits, difference,
     feature_difference, fixture, logits_deviation, open_checkpoint, whole,
 };
-use crate::mllm::vision::ClipImageProcessor;
+use crate::vision::ClipImageProcessor;
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> Llava {
@@ -91,7 +91,7 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_transformers() {
 
 #[test]
 fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/nano");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/nano");
     let reference = Reference::open(&fixture("nano_reference").join("reference.safetensors"));
     let model = open_llava(&folder);
     let image = image::open(fixture("nano_reference").join("image.png")).unwrap().into_rgb8();

@@ -4,9 +4,9 @@ use candle_core::{D, Tensor};
 
 use super::config::{FeatureSelect, LlavaConfig};
 use super::connector::Projector;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{TowerType, Weights};
-use crate::mllm::vision::{ClipVisionTower, SiglipVisionTower};
+use crate::MllmError;
+use crate::checkpoint::{TowerType, Weights};
+use crate::vision::{ClipVisionTower, SiglipVisionTower};
 
 /// Vision tower and projector, from pixel values to input rows of the decoder.
 #[derive(Debug)]

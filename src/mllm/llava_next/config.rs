@@ -5,9 +5,9 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::grid::{Resolution, TileGrids};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, ModelFiles, TowerType};
-use crate::mllm::llava::{FeatureSelect, LlavaConfig};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, ModelFiles, TowerType};
+use crate::llava::{FeatureSelect, LlavaConfig};
 
 /// A LLaVA-NeXT model: a LLaVA and the resolutions of its grids.
 #[derive(Debug, Clone, PartialEq)]

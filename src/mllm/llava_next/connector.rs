@@ -3,8 +3,8 @@
 use candle_core::{Device, Result, Tensor};
 
 use super::grid::{TileGrids, Tiling};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Weights;
+use crate::MllmError;
+use crate::checkpoint::Weights;
 
 /// Puts the features of tiles back into their grid, drops the border, and ends each row with a newline
 /// (`pack_image_features`).

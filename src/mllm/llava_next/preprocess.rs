@@ -5,9 +5,9 @@ use image::{RgbImage, imageops};
 
 use super::config::{PINPOINTS, pinpoints};
 use super::grid::{TileGrids, Tiling};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
-use crate::mllm::vision::{Filter, PixelScale, ProcessorKeys, check_not_empty, read_processor, resize};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, ModelFiles};
+use crate::vision::{Filter, PixelScale, ProcessorKeys, check_not_empty, read_processor, resize};
 
 /// Cuts images into tiles of the vision tower's size.
 #[derive(Debug, Clone, PartialEq)]

@@ -9,15 +9,15 @@ use super::config::LlavaNextConfig;
 use super::grid::{Resolution, TileGrids};
 use super::preprocess::AnyresImageProcessor;
 use super::{FAMILY, LlavaNext};
-use crate::mllm::checkpoint::read_json;
-use crate::mllm::family::{ImageFeatures, Tiles, VisionLanguageModel};
-use crate::mllm::llava::FeatureSelect;
-use crate::mllm::local::LocalModel;
-use crate::mllm::local::test_faults::{Deviation, Fault, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
-use crate::mllm::local::test_reference::{
+use crate::checkpoint::read_json;
+use crate::family::{ImageFeatures, Tiles, VisionLanguageModel};
+use crate::llava::FeatureSelect;
+use crate::local::LocalModel;
+use crate::local::test_faults::{Deviation, Fault, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
+use crate::local::test_reference::{
     Reference, Run, assert_chat, difference, fixture, open_checkpoint, synthetic, whole,
 };
-use crate::mllm::vision::{Filter, PixelScale};
+use crate::vision::{Filter, PixelScale};
 
 /// Opens a model from parts with a change of the validated configuration.
 fn assembled_after(parts: &Parts, change: impl FnOnce(&mut LlavaNextConfig)) -> LlavaNext {
@@ -153,7 +153,7 @@ fn tiles_of_odd_images_have_the_pixels_of_transformers() {
 fn raw_processor() -> AnyresImageProcessor {
     let path = Path::new("preprocessor_config.json");
     let raw = json!({"do_rescale": false, "do_normalize": false});
-    let object = crate::mllm::checkpoint::ConfigObject::root(path, &raw).unwrap();
+    let object = crate::checkpoint::ConfigObject::root(path, &raw).unwrap();
     AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::read(&object).unwrap() }
 }
 
@@ -203,7 +203,7 @@ fn broken_configurations_are_named() {
         let mut changed = config.clone();
         changed[key] = value;
         match LlavaNextConfig::from_json(&path, &changed) {
-            Err(crate::mllm::MllmError::Config { key: named, .. }) => assert_eq!(named, key),
+            Err(crate::MllmError::Config { key: named, .. }) => assert_eq!(named, key),
             other => panic!("{key}: {other:?}"),
         }
     }

@@ -9,13 +9,13 @@ use image::RgbImage;
 
 use super::LocalModel;
 use super::test_reference::{fixture, open_checkpoint};
-use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::decoder::{DecoderInput, KvCache, LanguageModel, Logits};
-use crate::mllm::family::{
+use crate::checkpoint::ModelFiles;
+use crate::decoder::{DecoderInput, KvCache, LanguageModel, Logits};
+use crate::family::{
     ChatFormat, ImageFeatures, ImageLayout, ModelInfo, PlacedImage, Positions, Tiles, VisionLanguageModel,
 };
-use crate::mllm::text::ChatTokenizer;
-use crate::mllm::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
+use crate::text::ChatTokenizer;
+use crate::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
 
 /// Rows of each pass, and number of images.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]

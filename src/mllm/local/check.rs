@@ -3,12 +3,12 @@
 use serde::Serialize;
 
 use super::{Loading, LocalModel, MemoryCheck, MemoryNeed, end_tokens, memory};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LoadReport, ModelFiles, WeightFormatPlan, Weights};
-use crate::mllm::families::Architecture;
-use crate::mllm::family::VisionLanguageModel;
-use crate::mllm::source::{Checkpoint, ModelPlace};
-use crate::mllm::text::ChatTokenizer;
+use crate::MllmError;
+use crate::checkpoint::{LoadReport, ModelFiles, WeightFormatPlan, Weights};
+use crate::families::Architecture;
+use crate::family::VisionLanguageModel;
+use crate::source::{Checkpoint, ModelPlace};
+use crate::text::ChatTokenizer;
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ModelCheck {

@@ -9,10 +9,10 @@ use image::RgbImage;
 use serde_json::{Value, json};
 
 use super::Sequence;
-use crate::mllm::checkpoint::{ModelFiles, Weights};
-use crate::mllm::decoder::Logits;
-use crate::mllm::families::{Architecture, Families};
-use crate::mllm::family::VisionLanguageModel;
+use crate::checkpoint::{ModelFiles, Weights};
+use crate::decoder::Logits;
+use crate::families::{Architecture, Families};
+use crate::family::VisionLanguageModel;
 
 /// Set in the child process of the test: the folder for its result.
 const FOLDER: &str = "PLANAGENT_TEST_FOLDER";

@@ -4,7 +4,7 @@
 use std::ops::RangeInclusive;
 
 use super::draft_model::Drafting;
-use crate::mllm::{Deadline, MllmError};
+use crate::{Deadline, MllmError};
 
 /// Longest draft, tokens.
 const MAX_DRAFT: usize = 16;

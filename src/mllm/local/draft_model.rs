@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use super::{Loading, Sequence};
-use crate::mllm::decoder::Logits;
-use crate::mllm::family::VisionLanguageModel;
-use crate::mllm::sampling::most_likely;
-use crate::mllm::source::ModelPlace;
-use crate::mllm::text::ChatTokenizer;
-use crate::mllm::{Deadline, MllmError};
+use crate::decoder::Logits;
+use crate::family::VisionLanguageModel;
+use crate::sampling::most_likely;
+use crate::source::ModelPlace;
+use crate::text::ChatTokenizer;
+use crate::{Deadline, MllmError};
 
 /// Longest draft of a model, tokens: each costs a pass of it.
 const MAX_DRAFT: usize = 8;

@@ -9,11 +9,11 @@ use super::ahead::Ahead;
 use super::draft::Drafter;
 use super::likeliest::Search;
 use super::sequence::Sequence;
-use crate::mllm::decoder::Logits;
-use crate::mllm::family::{ImageFeatures, VisionLanguageModel};
-use crate::mllm::sampling::Sampler;
-use crate::mllm::text::GrammarState;
-use crate::mllm::{Deadline, FinishReason, MllmError, milliseconds};
+use crate::decoder::Logits;
+use crate::family::{ImageFeatures, VisionLanguageModel};
+use crate::sampling::Sampler;
+use crate::text::GrammarState;
+use crate::{Deadline, FinishReason, MllmError, milliseconds};
 
 /// The tokens of an answer. Times are milliseconds.
 #[derive(Debug)]

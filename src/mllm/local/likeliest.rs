@@ -6,7 +6,7 @@
 
 use toktrie::SimpleVob;
 
-use crate::mllm::Answer;
+use crate::Answer;
 
 /// Alternatives to a chosen token that are kept: more than any choice in a planner code has.
 const MAX_ALTERNATIVES: usize = 64;

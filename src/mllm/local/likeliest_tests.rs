@@ -6,10 +6,10 @@ use candle_core::Tensor;
 
 use super::test_reference::fixture;
 use super::{Loading, LocalModel, Sequence};
-use crate::mllm::decoder::Logits;
-use crate::mllm::family::Chat;
-use crate::mllm::source::ModelPlace;
-use crate::mllm::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
+use crate::decoder::Logits;
+use crate::family::Chat;
+use crate::source::ModelPlace;
+use crate::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
 
 const PROMPT: &str = "What now?";
 

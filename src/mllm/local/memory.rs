@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, in_bytes};
-use crate::mllm::matrix::WeightFormat;
-use crate::mllm::source::Checkpoint;
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, in_bytes};
+use crate::source::Checkpoint;
+use planagent_kernels::matrix::WeightFormat;
 
 /// What to do with a model that needs more memory than is free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -149,7 +149,7 @@ fn inactive_file(stat: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::local::test_reference::{fixture, open_checkpoint};
+    use crate::local::test_reference::{fixture, open_checkpoint};
 
     #[test]
     fn the_kernels_tables_are_read() {

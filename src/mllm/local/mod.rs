@@ -41,10 +41,10 @@ use super::checkpoint::{ConfigObject, LoadReport, ModelFiles, OneOrMany};
 use super::decoder::Logits;
 use super::families::{Architecture, Families};
 use super::family::{Chat, ChatFormat, ImageLayout, ImageSettings, VisionLanguageModel};
-use super::matrix::WeightFormat;
 use super::source::{Checkpoint, ModelPlace};
 use super::text::{ChatTokenizer, GrammarEngine};
 use super::{Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
+use planagent_kernels::matrix::WeightFormat;
 
 /// Number of system prompts whose keys and values are cached; a run uses one or two.
 const KEPT_PREFIXES: usize = 8;

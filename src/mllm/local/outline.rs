@@ -1,11 +1,11 @@
 //! What a model is and needs, from its configuration and the headers of its weights alone.
 
 use super::MemoryNeed;
-use crate::mllm::MllmError;
-use crate::mllm::families::Families;
-use crate::mllm::family::ImageSettings;
-use crate::mllm::matrix::WeightFormat;
-use crate::mllm::source::{Checkpoint, ModelShape};
+use crate::MllmError;
+use crate::families::Families;
+use crate::family::ImageSettings;
+use crate::source::{Checkpoint, ModelShape};
+use planagent_kernels::matrix::WeightFormat;
 
 /// A model as it is known before its weights are read.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,9 +2,9 @@
 
 use candle_core::Tensor;
 
-use crate::mllm::decoder::{DecoderInput, KvCache, Logits};
-use crate::mllm::family::{ImageFeatures, PlacedImage, Positions, VisionLanguageModel};
-use crate::mllm::{Deadline, MllmError};
+use crate::decoder::{DecoderInput, KvCache, Logits};
+use crate::family::{ImageFeatures, PlacedImage, Positions, VisionLanguageModel};
+use crate::{Deadline, MllmError};
 
 /// Tokens of one pass: bounds the activations, and the time between two looks at the deadline.
 const MAX_TOKENS_IN_PASS: usize = 512;

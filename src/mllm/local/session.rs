@@ -11,9 +11,9 @@ use super::draft_model::Drafting;
 use super::generate::{End, Generated, generate};
 use super::likeliest::Search;
 use super::sequence::Sequence;
-use crate::mllm::family::{Chat, ImageFeatures, ImageLayout};
-use crate::mllm::sampling::{Sampler, answer_seed};
-use crate::mllm::{
+use crate::family::{Chat, ImageFeatures, ImageLayout};
+use crate::sampling::{Sampler, answer_seed};
+use crate::{
     Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, PromptPrefix, Request, RoundTime, Sampling,
     TokenCounts, Turn, milliseconds, prompt_hash,
 };

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use super::test_reference::fixture;
 use super::{Loading, LocalModel, Sequence};
-use crate::mllm::decoder::Logits;
-use crate::mllm::family::VisionLanguageModel;
-use crate::mllm::source::ModelPlace;
-use crate::mllm::{
+use crate::decoder::Logits;
+use crate::family::VisionLanguageModel;
+use crate::source::ModelPlace;
+use crate::{
     Answer, Constraint, Deadline, Mllm, ModelShape, PromptPrefix, Request, Sampling, TokenCounts, WeightFormat,
 };
 

@@ -13,9 +13,9 @@ use serde_json::{Value, json};
 use super::Sequence;
 use super::sequence::new_cache;
 use super::test_reference::{FEATURE_TOLERANCE, LOGIT_TOLERANCE, Run, feature_difference, whole};
-use crate::mllm::checkpoint::{Weights, read_json, safetensors_folder};
-use crate::mllm::decoder::{Decoder, DecoderInput, DecoderLayer, LanguageModel, Logits};
-use crate::mllm::family::{Family, ImageFeatures, Positions, VisionLanguageModel};
+use crate::checkpoint::{Weights, read_json, safetensors_folder};
+use crate::decoder::{Decoder, DecoderInput, DecoderLayer, LanguageModel, Logits};
+use crate::family::{Family, ImageFeatures, Positions, VisionLanguageModel};
 
 /// Smallest deviation of an error, in multiples of the parity tests' tolerance.
 const FAR: f32 = 100.0;

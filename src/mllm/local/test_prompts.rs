@@ -13,11 +13,11 @@ use super::test_reference::{
     FEATURE_TOLERANCE, Reference, assert_greedy, assert_logits, difference, feature_difference, fixture,
 };
 use super::{Loading, LocalModel, Sequence};
-use crate::mllm::checkpoint::read_json;
-use crate::mllm::decoder::{DecoderInput, Logits, Position};
-use crate::mllm::family::{Chat, ImageFeatures, ImageSettings, PlacedImage, VisionLanguageModel};
-use crate::mllm::source::ModelPlace;
-use crate::mllm::{MllmError, Turn};
+use crate::checkpoint::read_json;
+use crate::decoder::{DecoderInput, Logits, Position};
+use crate::family::{Chat, ImageFeatures, ImageSettings, PlacedImage, VisionLanguageModel};
+use crate::source::ModelPlace;
+use crate::{MllmError, Turn};
 
 /// A reference folder.
 pub(crate) struct Prompts {
@@ -152,7 +152,7 @@ impl Prompts {
         if name == "chat_" { vec![first] } else { Vec::new() }
     }
 
-    fn chat<'a>(&'a self, name: &str, layout: Option<&crate::mllm::ImageLayout>, turns: &'a [Turn]) -> Chat<'a> {
+    fn chat<'a>(&'a self, name: &str, layout: Option<&crate::ImageLayout>, turns: &'a [Turn]) -> Chat<'a> {
         let plain = name == "nosystem_";
         let prompt = usize::from(plain || name == "chat_");
         Chat {

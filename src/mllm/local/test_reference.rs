@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use candle_core::{Device, Tensor};
 
 use super::{LocalModel, Sequence};
-use crate::mllm::Turn;
-use crate::mllm::checkpoint::read_json;
-use crate::mllm::decoder::Logits;
-use crate::mllm::families::Families;
-use crate::mllm::family::{Chat, ImageFeatures, VisionLanguageModel};
-use crate::mllm::source::{Checkpoint, ModelPlace};
+use crate::Turn;
+use crate::checkpoint::read_json;
+use crate::decoder::Logits;
+use crate::families::Families;
+use crate::family::{Chat, ImageFeatures, VisionLanguageModel};
+use crate::source::{Checkpoint, ModelPlace};
 
 /// Tolerance for image features, relative to the largest feature. torch's own f32 results differ from its f64 results by up
 /// to 1e-5 where features reach 11 (`mllm_reference/llava_next`).
@@ -20,7 +20,7 @@ pub(crate) const LOGIT_TOLERANCE: f32 = 1e-4;
 
 /// A folder of `tests/fixtures`.
 pub(crate) fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures").join(name)
 }
 
 /// The checkpoint of a folder.

@@ -5,9 +5,10 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig};
-use crate::mllm::qwen3_vl::{image_token, text_config};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig};
+use crate::qwen3_vl::{image_token, text_config};
+use planagent_kernels::Activation;
 
 /// A Qwen2.5-VL: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,10 +2,10 @@
 
 use serde_json::json;
 
-use crate::mllm::MllmError;
-use crate::mllm::gguf::names::{DECODER_LAYERS, Names};
-use crate::mllm::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
-use crate::mllm::qwen3_vl::{IMAGE, LACKING, QWEN_NAMES, limits};
+use crate::MllmError;
+use crate::gguf::names::{DECODER_LAYERS, Names};
+use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
+use crate::qwen3_vl::{IMAGE, LACKING, QWEN_NAMES, limits};
 
 const NAMES: Names = Names {
     single: &QWEN_NAMES,

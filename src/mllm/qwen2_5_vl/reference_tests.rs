@@ -5,12 +5,12 @@ use serde_json::json;
 
 use super::config::Qwen25VlConfig;
 use super::{FAMILY, Qwen25Vl, take};
-use crate::mllm::checkpoint::ConfigObject;
-use crate::mllm::family::ImageSettings;
-use crate::mllm::local::test_faults::{Fault, Parts};
-use crate::mllm::local::test_prompts::{Prompts, SecondImage, assert_resized, raster_pixels};
-use crate::mllm::local::test_reference::difference;
-use crate::mllm::qwen3_vl::{PatchEncoder, PatchProcessor};
+use crate::checkpoint::ConfigObject;
+use crate::family::ImageSettings;
+use crate::local::test_faults::{Fault, Parts};
+use crate::local::test_prompts::{Prompts, SecondImage, assert_resized, raster_pixels};
+use crate::local::test_reference::difference;
+use crate::qwen3_vl::{PatchEncoder, PatchProcessor};
 
 /// A processor for images of so many pixels in patches of this side.
 fn processor(pixels: [u64; 2], patch: u32) -> PatchProcessor {

@@ -3,15 +3,15 @@
 use candle_core::{Device, Tensor};
 
 use super::config::Qwen25VlConfig;
-use crate::mllm::MllmError;
-use crate::mllm::attention::RotaryRows;
-use crate::mllm::checkpoint::{VisionConfig, Weights};
-use crate::mllm::decoder::{SwiGlu, SwiGluShape};
-use crate::mllm::family::{ImageFeatures, ImageLayout};
-use crate::mllm::linear::Linear;
-use crate::mllm::qwen3_vl::{PatchEncoder, PatchMerger, take_patch_embedding};
-use crate::mllm::rms_norm::RmsNorm;
-use crate::mllm::vision::{Part, SelfAttention, merge_blocks, unfold};
+use crate::MllmError;
+use crate::checkpoint::{VisionConfig, Weights};
+use crate::decoder::{SwiGlu, SwiGluShape};
+use crate::family::{ImageFeatures, ImageLayout};
+use crate::qwen3_vl::{PatchEncoder, PatchMerger, take_patch_embedding};
+use crate::vision::{Part, SelfAttention, merge_blocks, unfold};
+use planagent_kernels::Linear;
+use planagent_kernels::RmsNorm;
+use planagent_kernels::attention::RotaryRows;
 
 /// Base of the rotary embedding of patches.
 const ROTARY_BASE: f64 = 10_000.0;
@@ -87,7 +87,7 @@ impl ImageEncoder {
             layers: (0..vision.layers)
                 .map(|index| Layer::take(weights, vision, index, config.whole.contains(&index)))
                 .collect::<Result<_, _>>()?,
-            norm: RmsNorm::take(weights, &format!("{PROJECTOR}.norm"), hidden, vision.layer_norm_eps)?,
+            norm: weights.take_rms_norm(&format!("{PROJECTOR}.norm"), hidden, vision.layer_norm_eps)?,
             merger: PatchMerger::take(weights, PROJECTOR, merged, config.text.hidden)?,
             patch_size: vision.patch_size,
             head: hidden / vision.heads,
@@ -141,9 +141,9 @@ impl Layer {
             bias: true,
         };
         Ok(Self {
-            norm1: RmsNorm::take(weights, &format!("{name}.layer_norm1"), hidden, eps)?,
+            norm1: weights.take_rms_norm(&format!("{name}.layer_norm1"), hidden, eps)?,
             attention: SelfAttention::take(weights, &format!("{name}.self_attn"), hidden, config.heads)?,
-            norm2: RmsNorm::take(weights, &format!("{name}.layer_norm2"), hidden, eps)?,
+            norm2: weights.take_rms_norm(&format!("{name}.layer_norm2"), hidden, eps)?,
             mlp: SwiGlu::take(weights, &format!("{name}.mlp"), shape)?,
             whole,
         })

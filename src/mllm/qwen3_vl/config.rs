@@ -4,8 +4,9 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, RotarySections, VisionConfig};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig};
+use planagent_kernels::attention::RotarySections;
 
 /// A Qwen3-VL: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]

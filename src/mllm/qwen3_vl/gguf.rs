@@ -3,9 +3,9 @@
 use serde_json::{Value, json};
 
 use super::patches::PatchProcessor;
-use crate::mllm::MllmError;
-use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, Pair, VISION_LAYERS};
-use crate::mllm::gguf::{Header, ReadOnlyLayout, VisionFiles};
+use crate::MllmError;
+use crate::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, Pair, VISION_LAYERS};
+use crate::gguf::{Header, ReadOnlyLayout, VisionFiles};
 
 /// The tensors outside of layers that Qwen's vision-language models share.
 pub(crate) const QWEN_NAMES: [Pair; 13] = [

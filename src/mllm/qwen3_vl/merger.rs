@@ -2,9 +2,10 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, Weights};
-use crate::mllm::linear::Linear;
+use crate::MllmError;
+use crate::checkpoint::Weights;
+use planagent_kernels::Activation;
+use planagent_kernels::Linear;
 
 /// Two layers with GELU between, over the patches of a block side by side.
 #[derive(Debug)]
@@ -22,8 +23,8 @@ impl PatchMerger {
         hidden: usize,
     ) -> std::result::Result<Self, MllmError> {
         Ok(Self {
-            linear1: Linear::take(weights, &format!("{name}.linear_fc1"), merged, merged, true)?,
-            linear2: Linear::take(weights, &format!("{name}.linear_fc2"), merged, hidden, true)?,
+            linear1: weights.take_linear(&format!("{name}.linear_fc1"), merged, merged, true)?,
+            linear2: weights.take_linear(&format!("{name}.linear_fc2"), merged, hidden, true)?,
         })
     }
 

@@ -8,15 +8,15 @@ use image::RgbImage;
 
 use super::patches::PatchProcessor;
 use super::positions::positions;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, ModelFiles, Weights};
-use crate::mllm::decoder::{Decoder, LanguageModel, LlamaLayer};
-use crate::mllm::family::{
+use crate::MllmError;
+use crate::checkpoint::{LlamaConfig, ModelFiles, Weights};
+use crate::decoder::{Decoder, LanguageModel, LlamaLayer};
+use crate::family::{
     ChatFormat, ImageFeatures, ImageInfo, ImageLayout, ImageSettings, ModelInfo, PlacedImage, Positions, Tiles,
     VisionLanguageModel,
 };
-use crate::mllm::template_format::{ImageText, TemplateFormat};
-use crate::mllm::text::ChatTokenizer;
+use crate::template_format::{ImageText, TemplateFormat};
+use crate::text::ChatTokenizer;
 
 /// Side of the image that is drawn for a tower that takes any size, pixels.
 const DRAWN_SIDE: usize = 448;

@@ -5,12 +5,12 @@ use image::RgbImage;
 use serde::Deserialize;
 use serde_json::json;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, ModelFiles, Weights};
-use crate::mllm::family::{ImageLayout, ImageSettings, ModelInfo};
-use crate::mllm::linear::Linear;
-use crate::mllm::matrix::Matrix;
-use crate::mllm::vision::{Filter, PixelScale, check_not_empty, read_processor, resize};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, ModelFiles, Weights};
+use crate::family::{ImageLayout, ImageSettings, ModelInfo};
+use crate::vision::{Filter, PixelScale, check_not_empty, read_processor, resize};
+use planagent_kernels::Linear;
+use planagent_kernels::matrix::Matrix;
 
 /// Largest ratio of an image's sides (`smart_resize` in transformers).
 const MAX_RATIO: f64 = 200.0;

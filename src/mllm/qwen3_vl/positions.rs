@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::mllm::family::{PlacedImage, Positions};
+use crate::family::{PlacedImage, Positions};
 
 /// Where tokens of a chat with this image stand. An image takes one moment; its tokens stand at their rows and columns. The
 /// text behind it goes on after the longer side, not after the number of tokens (`get_rope_index` in transformers).
@@ -26,7 +26,7 @@ pub(crate) fn positions(tokens: Range<usize>, image: Option<PlacedImage>) -> Pos
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::family::ImageLayout;
+    use crate::family::ImageLayout;
 
     #[test]
     fn text_goes_on_behind_the_longer_side() {

@@ -6,11 +6,12 @@ use serde_json::json;
 use super::config::Qwen3VlConfig;
 use super::patches::PatchProcessor;
 use super::{FAMILY, PatchEncoder, Qwen3Vl, take};
-use crate::mllm::checkpoint::{ConfigObject, RotarySections};
-use crate::mllm::family::{ImageFeatures, ImageSettings};
-use crate::mllm::local::test_faults::{Fault, Parts};
-use crate::mllm::local::test_prompts::{Prompts, SecondImage, assert_resized, raster_pixels};
-use crate::mllm::local::test_reference::difference;
+use crate::checkpoint::ConfigObject;
+use crate::family::{ImageFeatures, ImageSettings};
+use crate::local::test_faults::{Fault, Parts};
+use crate::local::test_prompts::{Prompts, SecondImage, assert_resized, raster_pixels};
+use crate::local::test_reference::difference;
+use planagent_kernels::attention::RotarySections;
 
 /// A processor for images of so many pixels in patches of this side.
 fn processor(pixels: [u64; 2], patch: u32) -> PatchProcessor {

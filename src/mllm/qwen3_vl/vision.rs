@@ -6,13 +6,13 @@ use super::config::Qwen3VlConfig;
 use super::merger::PatchMerger;
 use super::model::PatchEncoder;
 use super::patches::take_patch_embedding;
-use crate::mllm::MllmError;
-use crate::mllm::attention::RotaryRows;
-use crate::mllm::checkpoint::Weights;
-use crate::mllm::family::{ImageFeatures, ImageLayout};
-use crate::mllm::layer_norm::LayerNorm;
-use crate::mllm::linear::Linear;
-use crate::mllm::vision::{Part, VisionLayer, merge_blocks, unfold};
+use crate::MllmError;
+use crate::checkpoint::Weights;
+use crate::family::{ImageFeatures, ImageLayout};
+use crate::vision::{Part, VisionLayer, merge_blocks, unfold};
+use planagent_kernels::LayerNorm;
+use planagent_kernels::Linear;
+use planagent_kernels::attention::RotaryRows;
 
 /// Base of the rotary embedding of patches.
 const ROTARY_BASE: f64 = 10_000.0;
@@ -46,7 +46,7 @@ impl ImageEncoder {
         let learned = weights.take("vision_tower.embeddings.position_embedding.weight", &positions)?;
         let deep = config.deep.iter().enumerate().map(|(index, layer)| {
             let name = format!("{PROJECTOR}.deepstack.{index}");
-            let norm = LayerNorm::take(weights, &format!("{name}.norm"), merged, eps)?;
+            let norm = weights.take_layer_norm(&format!("{name}.norm"), merged, eps)?;
             Ok((*layer, norm, PatchMerger::take(weights, &name, merged, decoder)?))
         });
         Ok(Self {
@@ -57,7 +57,7 @@ impl ImageEncoder {
             layers: (0..vision.layers)
                 .map(|index| VisionLayer::take(weights, vision, &format!("vision_tower.encoder.layers.{index}")))
                 .collect::<Result<_, _>>()?,
-            norm: LayerNorm::take(weights, &format!("{PROJECTOR}.norm"), hidden, eps)?,
+            norm: weights.take_layer_norm(&format!("{PROJECTOR}.norm"), hidden, eps)?,
             merger: PatchMerger::take(weights, PROJECTOR, merged, decoder)?,
             patch_size: vision.patch_size,
             hidden,

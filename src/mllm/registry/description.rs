@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::mllm::checkpoint::read_text;
-use crate::mllm::{Architecture, EndpointSettings, ImageSettings, MllmError, Sampling, WeightFormat};
+use crate::checkpoint::read_text;
+use crate::{Architecture, EndpointSettings, ImageSettings, MllmError, Sampling, WeightFormat};
 
 /// The description of a model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -279,7 +279,7 @@ fn endpoint_problem(text: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::{Families, GrammarField, LimitField};
+    use crate::{Families, GrammarField, LimitField};
 
     fn parse(text: &str) -> Result<ModelSpec, MllmError> {
         ModelSpec::parse(Path::new("models/x.toml"), text)

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 /// The folder that an environment variable names; else `name` in the working directory, beside the program, or in the package
 /// being run.
-pub(crate) fn data_folder(variable: &str, name: &str) -> PathBuf {
+pub fn data_folder(variable: &str, name: &str) -> PathBuf {
     if let Some(folder) = std::env::var_os(variable) {
         return folder.into();
     }

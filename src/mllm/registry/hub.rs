@@ -5,8 +5,8 @@ mod client;
 
 use std::path::{Path, PathBuf};
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::safetensors_folder::{has_safetensors, weight_files};
+use crate::MllmError;
+use crate::checkpoint::safetensors_folder::{has_safetensors, weight_files};
 
 /// The wanted part of a repository.
 #[derive(Debug, Clone)]

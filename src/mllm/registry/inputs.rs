@@ -1,8 +1,8 @@
 //! Digests of what determines a model's answers besides its weights.
 
 use super::{ModelRegistry, ModelSource, ModelSpec};
-use crate::mllm::trial::{hash_file, small_files};
-use crate::mllm::{MllmError, ModelPlace};
+use crate::trial::{hash_file, small_files};
+use crate::{MllmError, ModelPlace};
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;

@@ -3,6 +3,7 @@
 mod built_in;
 mod description;
 mod folder;
+#[cfg_attr(not(feature = "hub"), allow(dead_code, reason = "only downloads read what a repository has"))]
 mod hub;
 mod inputs;
 mod own_settings;
@@ -12,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
-pub(crate) use folder::data_folder;
+pub use folder::data_folder;
 use hub::HubFiles;
 pub use hub::{FetchListener, FetchProgress, HubAccess};
 pub use inputs::ModelInputs;
@@ -417,14 +418,14 @@ mod tests {
             registry.open(&registry.find("nano").unwrap()).unwrap().describe()
         };
         let nowhere = tempfile::tempdir().unwrap();
-        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
         assert_eq!(open(nowhere.path()), open(&repository));
     }
 
     #[test]
     fn the_descriptions_in_the_program_are_those_of_the_folder() {
         let nowhere = tempfile::tempdir().unwrap();
-        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
         let [bare, full] =
             [nowhere.path(), repository.as_path()].map(|models| ModelRegistry::new(models, HubAccess::default()));
         assert_eq!(bare.names().unwrap(), full.names().unwrap());
@@ -435,7 +436,7 @@ mod tests {
 
     #[test]
     fn every_description_that_ships_is_read() {
-        let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+        let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
         let registry = ModelRegistry::new(&models, HubAccess { offline: true, ..HubAccess::default() });
         let names = registry.names().unwrap();
         let servers = names.iter().filter(|name| match registry.find(name).unwrap().source {

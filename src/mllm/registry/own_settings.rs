@@ -6,8 +6,8 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::description::{GenerationSettings, PromptSet, with_new_name};
-use crate::mllm::MllmError;
-use crate::mllm::source::ModelPlace;
+use crate::MllmError;
+use crate::source::ModelPlace;
 
 /// Name of the file.
 pub(super) const OWN_SETTINGS: &str = "planagent.json";
@@ -77,11 +77,11 @@ impl Asking {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::{HubAccess, ModelRegistry};
+    use crate::{HubAccess, ModelRegistry};
     use std::path::Path;
 
     fn registry() -> ModelRegistry {
-        let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+        let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
         ModelRegistry::new(models, HubAccess { offline: true, ..HubAccess::default() })
     }
 
@@ -89,7 +89,7 @@ mod tests {
     fn the_folder_of_nano_says_what_its_description_says() {
         let registry = registry();
         let described = registry.asking(&registry.find("nano").unwrap()).unwrap();
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/nano");
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/nano");
         let own = registry.asking(&registry.find(folder.to_str().unwrap()).unwrap()).unwrap();
         assert_eq!((own.named_by, described.named_by), (NamedBy::ModelFiles, NamedBy::Description));
         assert_eq!(Asking { named_by: NamedBy::Description, ..own }, described);

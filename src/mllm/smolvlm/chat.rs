@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::mllm::family::ImageLayout;
+use crate::family::ImageLayout;
 
 const FRAME: &str = "<fake_token_around_image>";
 const WHOLE: &str = "<global-img>";

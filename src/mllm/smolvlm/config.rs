@@ -4,8 +4,8 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
 
 /// A `SmolVLM`: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]

@@ -18,9 +18,9 @@ use tiles::TileProcessor;
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::family::Family;
-use super::linear::Linear;
 use super::tiled::{TileEncoder, TiledFamily, TiledModel};
 use super::vision::{SiglipVisionTower, merge_blocks};
+use planagent_kernels::Linear;
 
 const NAME: &str = "smolvlm";
 
@@ -83,7 +83,7 @@ impl ImageEncoder {
         let SmolVlmConfig { vision, text, scale, .. } = config;
         let tower = SiglipVisionTower::take_whole(weights, vision)?;
         let merged = vision.hidden * scale * scale;
-        let projection = Linear::take(weights, "multi_modal_projector.proj", merged, text.hidden, false)?;
+        let projection = weights.take_linear("multi_modal_projector.proj", merged, text.hidden, false)?;
         Ok(Self { tower, projection, side: vision.image_size / vision.patch_size, scale: *scale })
     }
 }

@@ -6,12 +6,12 @@ use serde_json::json;
 use super::config::SmolVlmConfig;
 use super::tiles::TileProcessor;
 use super::{FAMILY, SmolVlm, take};
-use crate::mllm::checkpoint::ConfigObject;
-use crate::mllm::family::{ImageFeatures, ImageLayout, ImageSettings, VisionLanguageModel};
-use crate::mllm::local::test_faults::{Deviation, Fault, Parts};
-use crate::mllm::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
-use crate::mllm::local::test_reference::{Run, difference};
-use crate::mllm::tiled::{Grid, Tiler};
+use crate::checkpoint::ConfigObject;
+use crate::family::{ImageFeatures, ImageLayout, ImageSettings, VisionLanguageModel};
+use crate::local::test_faults::{Deviation, Fault, Parts};
+use crate::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
+use crate::local::test_reference::{Run, difference};
+use crate::tiled::{Grid, Tiler};
 
 /// A processor for these sizes, pixels.
 fn processor(longest: u64, tile: u32) -> TileProcessor {

@@ -4,10 +4,10 @@ use candle_core::Tensor;
 use image::RgbImage;
 use serde::Deserialize;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
-use crate::mllm::tiled::{Grid, Tiler};
-use crate::mllm::vision::{Filter, PixelScale, Side, read_processor, resize};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, ModelFiles};
+use crate::tiled::{Grid, Tiler};
+use crate::vision::{Filter, PixelScale, Side, read_processor, resize};
 
 /// Longest side of an image before it is cut, pixels (`MAX_IMAGE_SIZE` in transformers).
 const MAX_SIDE: u32 = 4096;

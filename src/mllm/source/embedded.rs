@@ -4,10 +4,10 @@ use std::fmt;
 use std::path::Path;
 
 use super::Checkpoint;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ModelFiles, safetensors_folder};
-use crate::mllm::families::Families;
-use crate::mllm::matrix::WeightFormat;
+use crate::MllmError;
+use crate::checkpoint::{ModelFiles, safetensors_folder};
+use crate::families::Families;
+use planagent_kernels::matrix::WeightFormat;
 
 /// A model whose files are compiled into the program.
 #[derive(PartialEq, Eq)]

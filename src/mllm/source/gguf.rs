@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use super::Checkpoint;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{FileKind, ModelFiles, RowOrder, WeightFile, WeightFormatPlan, Weights};
-use crate::mllm::families::Families;
-use crate::mllm::gguf::{
+use crate::MllmError;
+use crate::checkpoint::{FileKind, ModelFiles, RowOrder, WeightFile, WeightFormatPlan, Weights};
+use crate::families::Families;
+use crate::gguf::{
     GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, packed_files, row_order, tower_beside,
 };
-use crate::mllm::matrix::WeightFormat;
+use planagent_kernels::matrix::WeightFormat;
 
 /// The small file that every model of this program's own has.
 const CONFIG: &str = "config.json";

@@ -16,7 +16,7 @@ use super::checkpoint::{ModelFiles, Weights, safetensors_folder};
 use super::families::{Architecture, Families};
 use super::family::VisionLanguageModel;
 use super::gguf::{files as gguf_files, find as find_gguf, open_header, packed_files};
-use super::matrix::WeightFormat;
+use planagent_kernels::matrix::WeightFormat;
 
 /// Where the files of a model are.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -9,12 +9,12 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::Checkpoint;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{
+use crate::MllmError;
+use crate::checkpoint::{
     FileKind, ModelFiles, RowOrder, TensorPlace, TensorSource, WeightFormatPlan, Weights, held_as, is_matrix,
 };
-use crate::mllm::families::Families;
-use crate::mllm::matrix::{Matrix, WeightFormat};
+use crate::families::Families;
+use planagent_kernels::matrix::{Matrix, WeightFormat};
 
 /// Rows that the matrices of one width and format are composed of.
 const POOL: usize = 256;
@@ -135,7 +135,7 @@ pub(super) fn checkpoint(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::matrix::widen;
+    use planagent_kernels::matrix::widen;
 
     #[test]
     fn a_seed_gives_the_same_finite_numbers_in_every_format() {

@@ -6,10 +6,10 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::{Checkpoint, DEFAULT_RANDOM_FORMAT, random};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::families::Families;
-use crate::mllm::gguf::tokenizer::added_token;
+use crate::MllmError;
+use crate::checkpoint::ModelFiles;
+use crate::families::Families;
+use crate::gguf::tokenizer::added_token;
 
 /// A published model's configuration without its weights. Its outputs mean nothing, but it takes the same time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -120,8 +120,8 @@ fn tokenizer(vocabulary: usize, image: usize) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::matrix::WeightFormat;
-    use crate::mllm::source::ModelPlace;
+    use crate::source::ModelPlace;
+    use planagent_kernels::matrix::WeightFormat;
 
     /// Billions of weights by the sizes of decoders and towers that their papers and model cards give; the tower's last
     /// layer, which LLaVA leaves unused, is not among them.
@@ -166,7 +166,7 @@ mod tests {
     #[test]
     fn the_shape_of_nano_is_that_of_its_files() {
         let files = ModelShape::find("nano").unwrap().files(&Families::default()).unwrap();
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/nano");
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/nano");
         for name in ["config.json", "preprocessor_config.json"] {
             assert_eq!(files.json(name).unwrap(), ModelFiles::folder(&folder).unwrap().json(name).unwrap(), "{name}");
         }

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::ModelFiles;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, read_json};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, read_json};
 
 /// The configuration of a `LoRA` adapter.
 const ADAPTER: &str = "adapter_config.json";

@@ -10,7 +10,7 @@ use tokenizers::Tokenizer;
 use toktrie::{InferenceCapabilities, SimpleVob, TokEnv, TokRxInfo, TokTrie, TokenId, TokenizerEnv};
 
 use super::tokenizer::ChatTokenizer;
-use crate::mllm::{Constraint, MllmError};
+use crate::{Constraint, MllmError};
 
 /// Maximum compiled grammars in the cache. A run uses fewer than ten.
 const MAX_GRAMMARS: usize = 64;
@@ -232,7 +232,7 @@ fn first_line(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::checkpoint::ModelFiles;
+    use crate::checkpoint::ModelFiles;
     use serde_json::json;
 
     /// A tokenizer like that of Llama 2: adds a space before every text, writes `▁` for spaces, and unknown characters as bytes.

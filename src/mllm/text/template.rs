@@ -11,8 +11,8 @@ use serde::Deserialize;
 use super::template_bounds::{
     BoundedText, MAX_CALLS, MAX_SOURCE_BYTES, MAX_STEPS, MAX_TAG_BYTES, longest_tag, on_deep_stack,
 };
-use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
-use crate::mllm::{MllmError, Turn};
+use crate::checkpoint::{ConfigObject, ModelFiles};
+use crate::{MllmError, Turn};
 
 #[derive(Debug)]
 pub(crate) struct ChatTemplate {

@@ -8,8 +8,8 @@ use serde::Deserialize;
 use tokenizers::Tokenizer;
 
 use super::token_bytes::token_bytes;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, ModelFiles};
 
 /// The tokenizer of a model with the special tokens of its chat template.
 #[derive(Debug, Clone)]

@@ -4,11 +4,11 @@ use std::io::{self, Write};
 
 use super::TrialRequest;
 use super::child::Line;
-use crate::mllm::family::Chat;
-use crate::mllm::local::end_tokens;
-use crate::mllm::source::Checkpoint;
-use crate::mllm::text::{ChatTokenizer, GrammarEngine};
-use crate::mllm::{Constraint, MllmError, Turn};
+use crate::family::Chat;
+use crate::local::end_tokens;
+use crate::source::Checkpoint;
+use crate::text::{ChatTokenizer, GrammarEngine};
+use crate::{Constraint, MllmError, Turn};
 
 /// Repetitions of a word in a sample: a prompt with many agents has as many words.
 const REPEATED: usize = 500;
@@ -118,7 +118,7 @@ mod tests {
 
     #[test]
     fn a_model_is_tried_to_its_end_and_a_missing_file_is_named() {
-        let nano = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/nano");
+        let nano = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/nano");
         let lines = said(&nano);
         assert_eq!((lines.len(), lines.last()), (5, Some(&Line::Done(None))), "{lines:?}");
         let folder = tempfile::tempdir().unwrap();

@@ -17,7 +17,7 @@ use std::sync::Arc;
 pub use child::limit_this_process;
 pub use exercise::exercise;
 pub use request::TrialRequest;
-pub(in crate::mllm) use request::{hash_file, small_files};
+pub(crate) use request::{hash_file, small_files};
 
 use super::{Loading, MllmError, ModelPlace};
 use verdicts::Verdicts;
@@ -59,7 +59,7 @@ impl Trial {
             program: program.into(),
             arguments: arguments.iter().map(ToString::to_string).collect(),
             samples: samples.into_iter().collect(),
-            verdicts: crate::files::cache_folder().map(|folder| folder.join("models")),
+            verdicts: planagent_files::cache_folder().map(|folder| folder.join("models")),
         }
     }
 

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::files::serde_path;
-use crate::mllm::checkpoint::{MAX_SMALL_FILES, safetensors_folder, small_file_limit};
-use crate::mllm::gguf::{files as gguf_files, find as find_gguf, open_header};
-use crate::mllm::{Loading, MllmError, ModelPlace};
+use crate::checkpoint::{MAX_SMALL_FILES, safetensors_folder, small_file_limit};
+use crate::gguf::{files as gguf_files, find as find_gguf, open_header};
+use crate::{Loading, MllmError, ModelPlace};
+use planagent_files::serde_path;
 
 /// Incremented when a trial tries something else.
 const VERSION: u32 = 1;
@@ -105,7 +105,7 @@ fn add_files(hasher: &mut blake3::Hasher, files: &[PathBuf]) -> Result<(), MllmE
 ///
 /// # Errors
 /// When the folder cannot be read, has too many of them, or one is too large.
-pub(in crate::mllm) fn small_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
+pub(crate) fn small_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let failed = |source| MllmError::Read { path: folder.to_path_buf(), source };
     let mut files = Vec::new();
@@ -125,8 +125,8 @@ pub(in crate::mllm) fn small_files(folder: &Path) -> Result<Vec<PathBuf>, MllmEr
 }
 
 /// Adds a small file to a digest.
-pub(in crate::mllm) fn hash_file(path: &Path, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
+pub(crate) fn hash_file(path: &Path, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
     let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
-    hasher.update(&crate::files::read(path, small_file_limit(path)).map_err(failed)?);
+    hasher.update(&planagent_files::read(path, small_file_limit(path)).map_err(failed)?);
     Ok(())
 }

@@ -2,10 +2,10 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::mllm::MllmError;
-use crate::mllm::attention::{AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend};
-use crate::mllm::checkpoint::Weights;
-use crate::mllm::linear::Linear;
+use crate::MllmError;
+use crate::checkpoint::Weights;
+use planagent_kernels::Linear;
+use planagent_kernels::attention::{AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend};
 
 /// Attention among the tokens of each part of a batch. Query, key and value projections are one matrix.
 #[derive(Debug)]
@@ -46,8 +46,8 @@ impl SelfAttention {
             ["q_proj", "k_proj", "v_proj"].map(|part| (format!("{name}.{part}"), hidden)).to_vec()
         };
         Ok(Self {
-            qkv: Linear::take_fused(weights, &parts, hidden, true)?,
-            out: Linear::take(weights, &format!("{name}.out_proj"), hidden, hidden, true)?,
+            qkv: weights.take_fused(&parts, hidden, true)?,
+            out: weights.take_linear(&format!("{name}.out_proj"), hidden, hidden, true)?,
             heads,
         })
     }

@@ -5,10 +5,10 @@ use candle_core::Tensor;
 use super::attention::embed;
 use super::layer::{VisionLayer, hidden_states, take_layers};
 use super::patches::{take_patch_embedding, unfold};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{VisionConfig, Weights};
-use crate::mllm::layer_norm::LayerNorm;
-use crate::mllm::linear::Linear;
+use crate::MllmError;
+use crate::checkpoint::{VisionConfig, Weights};
+use planagent_kernels::LayerNorm;
+use planagent_kernels::Linear;
 
 /// The first layers of a CLIP vision tower.
 #[derive(Debug)]
@@ -36,7 +36,7 @@ impl ClipVisionTower {
             position_embedding: weights
                 .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches() + 1, hidden])?,
             // The misspelling is CLIP's own and is in every checkpoint.
-            pre_norm: LayerNorm::take(weights, "vision_tower.pre_layrnorm", hidden, config.layer_norm_eps)?,
+            pre_norm: weights.take_layer_norm("vision_tower.pre_layrnorm", hidden, config.layer_norm_eps)?,
             layers,
             patch_size: patch,
         })

@@ -3,10 +3,11 @@
 use candle_core::Tensor;
 
 use super::attention::{Part, SelfAttention};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, VisionConfig, Weights};
-use crate::mllm::layer_norm::LayerNorm;
-use crate::mllm::linear::Linear;
+use crate::MllmError;
+use crate::checkpoint::{VisionConfig, Weights};
+use planagent_kernels::Activation;
+use planagent_kernels::LayerNorm;
+use planagent_kernels::Linear;
 
 /// The `wanted` hidden states of a tower, each of shape (images, tokens of an image, hidden): 0 is `state`, its embeddings;
 /// n is the state after layer n.
@@ -68,11 +69,11 @@ impl VisionLayer {
     pub(crate) fn take(weights: &mut Weights, config: &VisionConfig, name: &str) -> Result<Self, MllmError> {
         let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);
         Ok(Self {
-            norm1: LayerNorm::take(weights, &format!("{name}.layer_norm1"), hidden, eps)?,
+            norm1: weights.take_layer_norm(&format!("{name}.layer_norm1"), hidden, eps)?,
             attention: SelfAttention::take(weights, &format!("{name}.self_attn"), hidden, config.heads)?,
-            norm2: LayerNorm::take(weights, &format!("{name}.layer_norm2"), hidden, eps)?,
-            fc1: Linear::take(weights, &format!("{name}.mlp.fc1"), hidden, wide, true)?,
-            fc2: Linear::take(weights, &format!("{name}.mlp.fc2"), wide, hidden, true)?,
+            norm2: weights.take_layer_norm(&format!("{name}.layer_norm2"), hidden, eps)?,
+            fc1: weights.take_linear(&format!("{name}.mlp.fc1"), hidden, wide, true)?,
+            fc2: weights.take_linear(&format!("{name}.mlp.fc2"), wide, hidden, true)?,
             act: config.act,
             scales: None,
         })

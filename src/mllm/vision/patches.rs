@@ -2,10 +2,10 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Weights;
-use crate::mllm::linear::Linear;
-use crate::mllm::matrix::Matrix;
+use crate::MllmError;
+use crate::checkpoint::Weights;
+use planagent_kernels::Linear;
+use planagent_kernels::matrix::Matrix;
 
 /// Takes the embedding of patches with `side` pixels, a convolution without overlap (`NAME.weight`, `NAME.bias`).
 pub(crate) fn take_patch_embedding(

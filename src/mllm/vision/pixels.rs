@@ -4,8 +4,8 @@ use candle_core::{Device, Tensor};
 use image::RgbImage;
 use serde::Deserialize;
 
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, positive};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, positive};
 
 /// Mean of the RGB channels in CLIP's training (`OPENAI_CLIP_MEAN` in transformers).
 const CLIP_MEAN: [f32; 3] = [0.481_454_66, 0.457_827_5, 0.408_210_73];

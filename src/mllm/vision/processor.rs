@@ -10,8 +10,8 @@ use serde_json::json;
 
 use super::pixels::{PixelScale, check_not_empty};
 use super::resample::{Filter, resize};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, ModelFiles};
 
 /// Default side of `CLIPImageProcessor`.
 const DEFAULT_SIDE: u32 = 224;

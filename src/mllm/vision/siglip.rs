@@ -5,10 +5,10 @@ use candle_core::Tensor;
 use super::attention::Part;
 use super::layer::{VisionLayer, hidden_states, take_layers};
 use super::patches::{take_patch_embedding, unfold};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{VisionConfig, Weights};
-use crate::mllm::layer_norm::LayerNorm;
-use crate::mllm::linear::Linear;
+use crate::MllmError;
+use crate::checkpoint::{VisionConfig, Weights};
+use planagent_kernels::LayerNorm;
+use planagent_kernels::Linear;
 
 /// A `SigLIP` tower.
 #[derive(Debug)]
@@ -40,7 +40,7 @@ impl SiglipVisionTower {
     /// Takes all layers and the norm behind them.
     pub(crate) fn take_whole(weights: &mut Weights, config: &VisionConfig) -> Result<Self, MllmError> {
         let tower = Self::take(weights, config, config.layers)?;
-        let norm = LayerNorm::take(weights, "vision_tower.post_layernorm", config.hidden, config.layer_norm_eps)?;
+        let norm = weights.take_layer_norm("vision_tower.post_layernorm", config.hidden, config.layer_norm_eps)?;
         Ok(Self { post_norm: Some(norm), ..tower })
     }
 

@@ -1,8 +1,8 @@
 //! The messages to a command that controls the other agents.
 
 use super::messages::{ExecEgo, ExecLight, ExecObject, lights};
-use crate::geometry::{OrientedBox, Pose, Vector};
-use crate::world::{EgoState, TrackToken, TrackedObject, TrafficLights};
+use planagent_world::geometry::{OrientedBox, Pose, Vector};
+use planagent_world::{EgoState, TrackToken, TrackedObject, TrafficLights};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -101,7 +101,7 @@ pub fn moved(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::ObjectKind;
+    use planagent_world::ObjectKind;
 
     fn object(track: u32, x: f64) -> TrackedObject {
         TrackedObject {

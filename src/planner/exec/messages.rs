@@ -2,9 +2,9 @@
 //! schema.
 
 use super::agents::{ExecAgent, ExecAgentsStep};
-use crate::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
 use crate::planner::{PlannerInitialization, PlannerInput};
-use crate::world::{
+use planagent_world::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
+use planagent_world::{
     EgoState, HistorySample, Lane, LaneMap, MICROS_PER_SECOND, PACIFICA, STEP_S, TrackedObject, TrafficLights,
     Trajectory, TrajectoryState,
 };

@@ -16,8 +16,8 @@ use super::{
     Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
     PlannerRegistry,
 };
-use crate::world::Trajectory;
 use messages::{ExecStep, trajectory};
+use planagent_world::Trajectory;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};

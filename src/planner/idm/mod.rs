@@ -5,9 +5,9 @@ mod route;
 
 use self::route::Road;
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
-use crate::dynamics::{IdmParameters, Lead, ProgressPath};
-use crate::geometry::{Corridor, OrientedBox, Polyline, wrap_angle};
-use crate::world::{EgoState, LaneId, LaneMap, PACIFICA, SceneView, TrackedObject, Trajectory, TrajectoryState};
+use planagent_world::dynamics::{IdmParameters, Lead, ProgressPath};
+use planagent_world::geometry::{Corridor, OrientedBox, Polyline, wrap_angle};
+use planagent_world::{EgoState, LaneId, LaneMap, PACIFICA, SceneView, TrackedObject, Trajectory, TrajectoryState};
 use std::sync::Arc;
 
 /// nuPlan's parameters; the target velocity is that of a lane without a limit.
@@ -180,9 +180,9 @@ impl IdmPath {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::test_road::{Stretch, ego_at, object, straight_road, whole_route};
-    use crate::geometry::Pose;
-    use crate::world::{History, ObjectKind, Route, SignalStatus, TrafficLights};
+    use crate::test_road::{Stretch, ego_at, object, straight_road, whole_route};
+    use planagent_world::geometry::Pose;
+    use planagent_world::{History, ObjectKind, Route, SignalStatus, TrafficLights};
 
     const ROAD: [Stretch; 3] = [Stretch::Lane(60.0), Stretch::Signal(20.0), Stretch::Lane(150.0)];
 
@@ -306,8 +306,10 @@ mod tests {
         let along = 5.0 + PACIFICA.rear_axle_to_center();
         let reach = 1.0 * 8.0 + PACIFICA.width / 2.0;
         let law = IdmParameters { target_velocity: 1.0, ..LAW };
-        let line =
-            Polyline::new([crate::geometry::Point::new(along, 0.0), crate::geometry::Point::new(along + 8.0, 0.0)]);
+        let line = Polyline::new([
+            planagent_world::geometry::Point::new(along, 0.0),
+            planagent_world::geometry::Point::new(along + 8.0, 0.0),
+        ]);
         let corridor = Corridor::with_square_caps(&line.unwrap(), PACIFICA.width / 2.0);
         let rear_at = |x: f64| OrientedBox::new(Pose::new(x + 2.0, 0.0, 0.0), 4.0, 2.0);
         assert!(

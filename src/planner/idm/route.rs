@@ -1,7 +1,7 @@
 //! Where the IDM planner goes: its first lane and the lanes to the end of the route (devkit `idm_planner.py`,
 //! `breadth_first_search.py`).
 
-use crate::world::{EgoState, LaneId, LaneMap, Route};
+use planagent_world::{EgoState, LaneId, LaneMap, Route};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -96,8 +96,8 @@ fn chain(end: LaneId, parents: &[BTreeMap<LaneId, LaneId>]) -> Vec<LaneId> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::test_road::{Stretch, straight_road, whole_route};
-    use crate::world::{Lane, MapParts, RoadblockId};
+    use crate::test_road::{Stretch, straight_road, whole_route};
+    use planagent_world::{Lane, MapParts, RoadblockId};
 
     fn road(map: LaneMap, route: Route) -> Road {
         let lanes = map.lanes().iter().map(|lane| lane.id).collect();

@@ -1,6 +1,6 @@
 //! Poses as the originals' features have them.
 
-use crate::geometry::{Pose, wrap_angle};
+use planagent_world::geometry::{Pose, wrap_angle};
 
 /// A number as f32 holds it.
 pub(super) fn single(value: f64) -> f64 {

@@ -1,6 +1,6 @@
 //! The recent past as the feature builders read it.
 
-use crate::world::{HistorySample, STEP_US, SceneView};
+use planagent_world::{HistorySample, STEP_US, SceneView};
 use std::sync::Arc;
 
 /// The last `count` samples, oldest first; the last is the present. nuPlan's buffer always holds enough. Where ours holds fewer,

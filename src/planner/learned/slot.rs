@@ -2,7 +2,6 @@
 
 use super::blocks::Weights;
 use super::checkpoint::{Checkpoint, CheckpointError};
-use crate::files;
 use crate::planner::{PlanAgentSettings, Planner, PlannerEntry, PlannerError, PlannerName, PlannerNeeds};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -54,7 +53,7 @@ pub(super) fn learned_entry<M: Send + Sync + 'static>(
                 planner: name,
                 key: format!("learned.{}", name.as_str().replace('-', "_")),
             })?;
-            Ok::<_, PlannerError>(slot.network(&files::path_of(checkpoint))?)
+            Ok::<_, PlannerError>(slot.network(&planagent_files::path_of(checkpoint))?)
         }
     };
     let network = Arc::new(network);

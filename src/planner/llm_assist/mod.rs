@@ -12,19 +12,19 @@ use super::attempts::{AttemptLimits, Attempts, Question, Trial};
 use super::clock::Clock;
 use super::record::{Decision, NoPlan, PlanningCall};
 use super::{PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName};
-use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::coordinates::llm_assist_text;
 use crate::environment::text::{self, Description};
 use crate::environment::{LaneGraph, TextForm};
-use crate::geometry::Pose;
-use crate::mllm::{Deadline, Mllm, milliseconds};
 use crate::pdm::{self, Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, PdmPlan, ReferencePath, plan_tuned};
 use crate::reasoning::{
     AssistParameters, AssistQuestion, AssistReasoning, AssistVariant, Assistance, Feedback, Names, PromptSet,
     ReasoningError, ReasoningSettings, ReasoningTrace, WAYPOINT_SECONDS,
 };
 use crate::reflection::Judge;
-use crate::world::{EgoState, STEP_S, SceneView, Trajectory};
+use planagent_mllm::{Deadline, Mllm, milliseconds};
+use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, STEP_S, SceneView, Trajectory};
 use std::sync::Arc;
 use std::time::Instant;
 

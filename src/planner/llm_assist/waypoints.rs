@@ -1,8 +1,8 @@
 //! The trajectory through a model's waypoints.
 
-use crate::geometry::{Point, Pose, Vector, wrap_angle};
 use crate::reasoning::{WAYPOINT_SECONDS, Waypoints};
-use crate::world::{EgoState, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError, TrajectoryState};
+use planagent_world::geometry::{Point, Pose, Vector, wrap_angle};
+use planagent_world::{EgoState, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError, TrajectoryState};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Steps of 0.1 s between two waypoints.
@@ -68,8 +68,8 @@ fn hermite([start, end]: [Vector; 2], [first, last]: [Vector; 2], u: f64) -> (Ve
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::test_road::ego_at;
     use crate::reasoning::Waypoint;
+    use crate::test_road::ego_at;
 
     fn plan(points: [(f64, f64); WAYPOINT_SECONDS]) -> Trajectory {
         let waypoints = Waypoints(points.map(|(ahead, left)| Waypoint { ahead, left }));

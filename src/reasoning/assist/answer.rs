@@ -1,11 +1,11 @@
 //! The answers: their parts, text, parser and grammar.
 
 use super::AssistVariant;
-use crate::mllm::Constraint;
 use crate::reasoning::call_parser::{Call, Signature};
 use crate::reasoning::code::{ACCEL_MAX, DECEL_MAX, Range};
 use crate::reasoning::code_parser::Parsed;
 use crate::reasoning::grammar::{ACCELERATIONS, DECELERATIONS, FASTEST, any_of, text};
+use planagent_mllm::Constraint;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

@@ -3,12 +3,12 @@
 use super::AssistVariant;
 use super::answer::{Assistance, grammar, parse_assistance};
 use super::prompts::AssistPrompts;
-use crate::mllm::{Constraint, Conversation, Deadline, Mark, Mllm, PromptPrefix, Request};
 use crate::reasoning::code_parser::Parsed;
 use crate::reasoning::engine::{Feedback, ReasoningSettings, ReasoningTrace, feedback_text, record};
 use crate::reasoning::error::ReasoningError;
 use crate::reasoning::prompt_set::PromptSet;
 use crate::reasoning::round::Round;
+use planagent_mllm::{Constraint, Conversation, Deadline, Mark, Mllm, PromptPrefix, Request};
 
 /// Minimum of the bound on an answer, tokens: small vocabularies spell names out.
 const MIN_TOKENS: usize = 128;

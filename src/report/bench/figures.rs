@@ -216,7 +216,7 @@ impl Spread {
 mod tests {
     use super::*;
     use crate::experiment::bench::TimedStep;
-    use crate::mllm::{Step, StepTime};
+    use planagent_mllm::{Step, StepTime};
 
     fn call(engine: EngineName, iteration: usize, ms: f64) -> Row {
         Row::Iteration(IterationRow {

@@ -8,7 +8,7 @@ use crate::report::replay::Sketch;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::summary::ScenarioSummary;
 use crate::report::timing::PlannerTiming;
-use crate::world::PACIFICA;
+use planagent_world::PACIFICA;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 

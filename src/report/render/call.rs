@@ -8,16 +8,16 @@ use super::legend::{Entry, Legend};
 use super::lettering::Lettering;
 use super::scene::DrawnScene;
 use crate::environment::bev::Palette;
-use crate::geometry::{Bounds, Point};
 use crate::planner::{Decision, PlanningCall};
 use crate::reflection::{ReflectionReport, Verdict};
 use crate::report::decision::decision_words;
 use crate::report::number::fixed;
 use crate::report::replay::DrawnMap;
 use crate::scenario::{Frame, Scenario};
-use crate::world::{MICROS_PER_SECOND, STEP_S, Trajectory};
 use image::imageops::{self, FilterType};
 use image::{GenericImage, RgbImage};
+use planagent_world::geometry::{Bounds, Point};
+use planagent_world::{MICROS_PER_SECOND, STEP_S, Trajectory};
 
 /// The scene of a call: 640 pixels for 64 m.
 const LOOK: Look = Look { pixels: 640, meters: 64.0 };

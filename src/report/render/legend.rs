@@ -4,7 +4,7 @@ use super::canvas::{Canvas, Pen};
 use super::colors::{COLORS, Rgb};
 use super::lettering::Lettering;
 use super::scene::DrawnScene;
-use crate::world::{ObjectKind, SignalStatus};
+use planagent_world::{ObjectKind, SignalStatus};
 
 /// Size of a swatch and the gap after it, and after an entry, in ems.
 const SWATCH_EM: (f32, f32) = (2.0, 0.9);

@@ -6,10 +6,10 @@ use super::colors::COLORS;
 use super::frame::Look;
 use super::scene::{DrawnScene, View, draw};
 use crate::environment::{BevError, BevView};
-use crate::geometry::Bounds;
 use crate::report::replay::DrawnMap;
-use crate::world::{SceneView, Trajectory};
 use image::RgbImage;
+use planagent_world::geometry::Bounds;
+use planagent_world::{SceneView, Trajectory};
 
 /// The scene with its lights, the trail of its history and a plan, ego-centered, the ego's heading up.
 ///

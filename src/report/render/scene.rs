@@ -4,9 +4,9 @@ use super::canvas::{Canvas, Pen, Pixel};
 use super::colors::{COLORS, Rgb};
 use super::lettering::Lettering;
 use super::score_labels;
-use crate::geometry::{OrientedBox, Point, Pose};
 use crate::report::replay::DrawnMap;
-use crate::world::{EgoState, ObjectKind, SignalStatus, TrackedObject};
+use planagent_world::geometry::{OrientedBox, Point, Pose};
+use planagent_world::{EgoState, ObjectKind, SignalStatus, TrackedObject};
 
 /// Place of the ego: share of the height below the upper edge.
 const EGO_AT: f64 = 0.6;

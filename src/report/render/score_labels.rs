@@ -4,8 +4,8 @@ use super::canvas::{Canvas, Pen, Pixel};
 use super::colors::COLORS;
 use super::lettering::Lettering;
 use super::scene::{DrawnScene, View};
-use crate::geometry::OrientedBox;
 use crate::report::number::fixed;
+use planagent_world::geometry::OrientedBox;
 
 /// Height of the letters and space around them, pixels of the page.
 const LETTERS: f32 = 12.0;

@@ -1,7 +1,7 @@
 //! Sequences of numbers as whole multiples of a unit. Each number is stored as its difference from the previous one, which is
 //! short as text and compresses well.
 
-use crate::geometry::Point;
+use planagent_world::geometry::Point;
 use serde::{Deserialize, Serialize};
 
 /// Unit of lengths, meters.

@@ -1,8 +1,8 @@
 //! The map along a simulation.
 
 use super::deltas::Points;
-use crate::geometry::{Bounds, Point, Polygon, simplified};
-use crate::world::{LaneId, LaneKind, LaneMap, Route};
+use planagent_world::geometry::{Bounds, Point, Polygon, simplified};
+use planagent_world::{LaneId, LaneKind, LaneMap, Route};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -2,7 +2,7 @@
 
 use super::Replay;
 use super::deltas::Points;
-use crate::geometry::{Point, simplified};
+use planagent_world::geometry::{Point, simplified};
 use serde::Serialize;
 
 /// Simplification removes points that are nearer than this to the remaining path, meters: less than a pixel of a thumbnail.

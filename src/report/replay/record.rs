@@ -5,9 +5,9 @@ use super::map::ReplayMap;
 use super::track::{AgentTrack, EgoTrack, LightTrack};
 use super::{CallTrack, FORMAT, PLAN_POINTS, PLAN_STEP_US, Replay};
 use crate::experiment::run::SimulationOutcome;
-use crate::geometry::{Bounds, Point};
 use crate::planner::{Attempt, PlanningCall};
-use crate::world::{STEP_US, Trajectory};
+use planagent_world::geometry::{Bounds, Point};
+use planagent_world::{STEP_US, Trajectory};
 
 /// The replay holds map and objects up to this distance from the paths of the ego and the recorded ego, meters.
 const REACH_M: f64 = 80.0;

@@ -4,8 +4,8 @@ use super::Replay;
 use super::deltas::Points;
 use super::map::DrawnMap;
 use super::track::{AgentTrack, LightTrack};
-use crate::geometry::Point;
-use crate::world::{EgoState, SignalStatus, TrackedObject};
+use planagent_world::geometry::Point;
+use planagent_world::{EgoState, SignalStatus, TrackedObject};
 
 /// A replay ready for drawing.
 #[derive(Debug, Clone)]

@@ -1,8 +1,8 @@
 //! Tracks of the ego, the agents and the lights.
 
 use super::deltas::{Deltas, LENGTH};
-use crate::geometry::{OrientedBox, Pose, Vector, unwrap_angles};
-use crate::world::{EgoState, HistorySample, LaneId, ObjectKind, SignalStatus, TrackToken, TrackedObject};
+use planagent_world::geometry::{OrientedBox, Pose, Vector, unwrap_angles};
+use planagent_world::{EgoState, HistorySample, LaneId, ObjectKind, SignalStatus, TrackToken, TrackedObject};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -5,8 +5,8 @@ use crate::metrics::{MetricList, distinct};
 use crate::report::number::fixed;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::visible::visible_line;
-use crate::world::InteractionKind;
 use console::style;
+use planagent_world::InteractionKind;
 use std::fmt::Write;
 
 /// Maximum number of rows; `summary.json` has all simulations.

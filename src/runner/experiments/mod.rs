@@ -14,12 +14,12 @@ use super::error::RunnerError;
 use super::event::{Event, Listener};
 use crate::experiment::study::{Quick, Study, find};
 use crate::experiment::twins::TwinResults;
-use crate::files::quoted;
 use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, SimulationRow, StudyFolder, StudyResults, SuiteSimulations,
     VariantSimulations, check_writable,
 };
 use crate::scenario::MissingTokens;
+use planagent_files::quoted;
 use runs::{PlannedRuns, RunName};
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -3,7 +3,6 @@
 use super::request::ExperimentsRequest;
 use crate::experiment::study::{Quick, Starts};
 use crate::experiment::suite::RECORDED;
-use crate::files::word_of;
 use crate::report::{DataFile, ScenarioList};
 use crate::runner::error::RunnerError;
 use crate::runner::event::{Event, Listener};
@@ -11,7 +10,8 @@ use crate::runner::inputs::data_files;
 use crate::runner::sample::Sample;
 use crate::runner::selection::{Selected, absolute, scenario_list, select};
 use crate::scenario::{DataRoots, RECORDINGS, Readers, ScenarioRef, absolute_path};
-use crate::world::STEP_S;
+use planagent_files::word_of;
+use planagent_world::STEP_S;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;

@@ -9,10 +9,10 @@ use super::category::{Meaning, of_annotation};
 use super::error::LogFault;
 use super::poses::{heading, isometries};
 use super::table::{Table, in_range};
-use crate::geometry::{OrientedBox, Point, Pose, Vector};
 use crate::scenario::recording::motion::{MAX_BOX, slopes};
-use crate::world::{ObjectKind, TrackToken, TrackedObject};
 use nalgebra::Isometry3;
+use planagent_world::geometry::{OrientedBox, Point, Pose, Vector};
+use planagent_world::{ObjectKind, TrackToken, TrackedObject};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A box in the map frame at a sweep.

@@ -85,7 +85,7 @@ fn broken_maps_are_reported() {
     let far = fault(&|map| lane(map, "right_lane_boundary", far.clone()));
     assert!(matches!(far, LogFault::Recording(RecordingFault::NoPlace { feature: 2, point: 0 })));
     let no_lanes = fault(&|map| map["lane_segments"] = json!({}));
-    assert!(matches!(no_lanes, LogFault::Recording(RecordingFault::Map(crate::world::MapError::NoLanes))));
+    assert!(matches!(no_lanes, LogFault::Recording(RecordingFault::Map(planagent_world::MapError::NoLanes))));
 }
 
 #[test]

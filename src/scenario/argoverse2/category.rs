@@ -6,7 +6,7 @@
 //! * `EGO_VEHICLE` is a row of `annotations_with_ego.feather`: the recording car at the origin of its own frame. Stop signs
 //!   belong to the map, not to nuPlan's objects.
 
-use crate::world::ObjectKind;
+use planagent_world::ObjectKind;
 
 /// A category in nuPlan's terms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -10,11 +10,11 @@ use super::error::{Argoverse2Error, LogFault};
 use super::map::{lane_count, lane_map};
 use super::map_file::MapFile;
 use super::table::{Table, in_range};
-use crate::geometry::{OrientedBox, Pose, Vector, wrap_angle};
 use crate::scenario::recording::motion::{self, MAX_SPEED};
 use crate::scenario::recording::window::{self, Recording, step_times};
 use crate::scenario::{Contents, Scenario};
-use crate::world::{ObjectKind, STEP_S, TrackToken, TrackedObject};
+use planagent_world::geometry::{OrientedBox, Pose, Vector, wrap_angle};
+use planagent_world::{ObjectKind, STEP_S, TrackToken, TrackedObject};
 use std::collections::BTreeMap;
 use std::path::Path;
 

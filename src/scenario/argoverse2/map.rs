@@ -14,13 +14,13 @@
 
 use super::error::LogFault;
 use super::map_file::{LaneSegment, LaneType, MapFile, Waypoint, places};
-use crate::geometry::{Point, Polygon, Polyline, Vector};
 use crate::scenario::recording::error::RecordingFault;
 use crate::scenario::recording::junctions::{Cluster, clusters, crossings};
 use crate::scenario::recording::lanes::{Beside, Ends, Places, RecordedLane, Sides};
 use crate::scenario::recording::map::{self, Layers, separate};
 use crate::scenario::recording::trace::{Place, Trace, local_points};
-use crate::world::LaneMap;
+use planagent_world::LaneMap;
+use planagent_world::geometry::{Point, Polygon, Polyline, Vector};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Minimum number of samples of a centerline: Argoverse's number.

@@ -1,7 +1,6 @@
 //! The vector map of a log: `log_map_archive_*.json`, as Argoverse 2 writes it.
 
 use super::error::Argoverse2Error;
-use crate::files;
 use crate::scenario::recording::trace::Place;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -67,7 +66,7 @@ pub(super) fn places(points: &[Waypoint]) -> Vec<Place> {
 impl MapFile {
     pub(super) fn read(path: &Path) -> Result<Self, Argoverse2Error> {
         let mut bytes = Vec::new();
-        let read = files::open(path).and_then(|mut file| file.read_to_end(&mut bytes));
+        let read = planagent_files::open(path).and_then(|mut file| file.read_to_end(&mut bytes));
         read.map_err(Argoverse2Error::at(path))?;
         serde_json::from_slice(&bytes).map_err(Argoverse2Error::at(path))
     }

@@ -2,8 +2,8 @@
 
 use super::files::LogFiles;
 use super::{contents, is_log, logs_in, name, open};
-use crate::files::{path_of, word_of};
 use crate::scenario::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
+use planagent_files::{path_of, word_of};
 use std::path::PathBuf;
 
 /// Takes folders that hold a log.

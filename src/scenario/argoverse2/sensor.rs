@@ -10,10 +10,10 @@ use super::map::{lane_count, lane_map};
 use super::map_file::MapFile;
 use super::poses::{EgoPoses, heading};
 use super::table::Table;
-use crate::geometry::{Pose, Vector};
 use crate::scenario::recording::motion::{self, slopes};
 use crate::scenario::recording::window::{self, Recording, step_times};
 use crate::scenario::{Contents, Scenario};
+use planagent_world::geometry::{Pose, Vector};
 
 const NANOS_PER_SECOND: f64 = 1e9;
 

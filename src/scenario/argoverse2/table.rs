@@ -2,7 +2,6 @@
 
 use super::error::{Argoverse2Error, LogFault};
 use super::{cells, ipc_bounds};
-use crate::files;
 use crate::scenario::recording::motion::MAX_COORDINATE;
 use arrow_array::{Array, RecordBatch};
 use arrow_ipc::reader::FileReader;
@@ -29,7 +28,7 @@ impl Table {
     /// Reads a Feather file of version 2 (an Arrow IPC file; uncompressed, LZ4 or ZSTD).
     pub(super) fn feather(path: &Path) -> Result<Self, Argoverse2Error> {
         let mut bytes = Vec::new();
-        let read = files::open(path).and_then(|mut file| file.read_to_end(&mut bytes));
+        let read = planagent_files::open(path).and_then(|mut file| file.read_to_end(&mut bytes));
         read.map_err(Argoverse2Error::at(path))?;
         let table =
             if bytes.starts_with(FEATHER_1) { Err(LogFault::OldFeather) } else { guarded(|| Self::of_ipc(&bytes)) };
@@ -38,7 +37,7 @@ impl Table {
 
     /// Reads a Parquet file (uncompressed or Snappy).
     pub(super) fn parquet(path: &Path) -> Result<Self, Argoverse2Error> {
-        let file = files::open(path).map_err(Argoverse2Error::at(path))?;
+        let file = planagent_files::open(path).map_err(Argoverse2Error::at(path))?;
         guarded(|| Self::of_parquet(&file)).map_err(Argoverse2Error::at(path))
     }
 

@@ -2,9 +2,9 @@
 
 use super::test_log::{CITY, line, log, set, time_ns, with};
 use super::*;
-use crate::geometry::Point;
-use crate::world::{Lane, LaneId, LaneKind, ObjectKind};
 use arrow_array::{Float64Array, Int64Array};
+use planagent_world::geometry::Point;
+use planagent_world::{Lane, LaneId, LaneKind, ObjectKind};
 
 fn lane_of(scenario: &Scenario, source_id: i64) -> &Lane {
     &scenario.map[scenario.map.lane_by_source(source_id).unwrap()]

@@ -13,7 +13,7 @@
 //! Its privileged knowledge: which vehicles stand permanently, and the task of the scenario type.
 
 use super::traffic::{DriverProfile, LaneCommand, Mover, Steering, Traffic};
-use crate::geometry::wrap_angle;
+use planagent_world::geometry::wrap_angle;
 
 pub(crate) const EXPERT: DriverProfile = DriverProfile {
     speed_factor: 0.97,

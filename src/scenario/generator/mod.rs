@@ -30,9 +30,9 @@ pub use scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
 pub use spec::{GeneratorError, SOURCE, Spec};
 
 use super::Scenario;
-use crate::world::Route;
 use expert::Expert;
 use log::PAST;
+use planagent_world::Route;
 use rng::SeededRng;
 use road::Roads;
 use scene::builder::{TrafficBuilder, prepare};

@@ -4,7 +4,7 @@ pub use super::rng::SeededRng;
 pub use super::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
 pub use super::scene::builder::{TrafficBuilder, VehicleKind};
 pub use super::scene::setting::{self, BEHIND, LIMITS, Setting};
-pub use crate::geometry::GeometryError;
+pub use planagent_world::geometry::GeometryError;
 
 pub(super) use super::expert::EXPERT;
 pub(super) use super::road::{Control, Course, Layout, Turn, YELLOW};

@@ -4,7 +4,7 @@ use super::log::GeneratedLog;
 use super::rng::SeededRng;
 use super::scene::builder::TrafficBuilder;
 use super::scene::setting::Setting;
-use crate::geometry::GeometryError;
+use planagent_world::geometry::GeometryError;
 use std::cmp::Ordering;
 use std::fmt;
 use std::hash::{Hash, Hasher};

@@ -1,7 +1,7 @@
 //! Names of interPlan's scenes: a token and pairs of a letter and a value (interPlan `scenario_utils.py`).
 
 use super::density::Density;
-use crate::world::{DriverBehavior, InteractionKind};
+use planagent_world::{DriverBehavior, InteractionKind};
 use std::fmt;
 
 /// What is wrong with a name. interPlan raises `IndexError`, `KeyError` and `ValueError`.

@@ -5,9 +5,9 @@ use super::draws::Draws;
 use super::error::ModifyError;
 use super::file::Modification;
 use super::lanes::{EgoLanes, LanePlace};
-use crate::geometry::{OrientedBox, Pose, Vector};
 use crate::scenario::Scenario;
-use crate::world::{
+use planagent_world::geometry::{OrientedBox, Pose, Vector};
+use planagent_world::{
     CrossingActor, DriverBehavior, EgoState, LaneId, ObjectKind, RoadblockId, TrackToken, TrackedObject,
 };
 use std::collections::BTreeSet;
@@ -40,7 +40,7 @@ pub(super) struct MovingVehicle {
 #[derive(Debug)]
 pub(super) struct GoalPath {
     /// The centerline of the lanes to the goal.
-    pub(super) path: crate::world::LanePath,
+    pub(super) path: planagent_world::LanePath,
     /// Where it is beside the ego's start, meters.
     pub(super) from_s: f64,
     /// How far the expert drives on it, meters.

@@ -1,7 +1,7 @@
 //! Why a scenario cannot be modified.
 
 use super::change::Fault;
-use crate::world::InteractionKind;
+use planagent_world::InteractionKind;
 
 /// Why a modification cannot be read, or does not fit a scenario.
 #[derive(Debug, thiserror::Error)]

@@ -3,9 +3,8 @@
 use super::change::{Change, Fault};
 use super::changes::Changes;
 use super::error::ModifyError;
-use crate::files;
 use crate::scenario::interplan::InterPlanName;
-use crate::world::InteractionKind;
+use planagent_world::InteractionKind;
 use std::path::Path;
 
 /// A modification: what it is called, how its scenes are scored, and its changes.
@@ -45,7 +44,7 @@ impl Modification {
     /// Reads a file; its name without the ending is the name of the modification, unless it says another.
     pub(super) fn read(path: &Path) -> Result<Self, ModifyError> {
         let place = path.display().to_string();
-        let text = files::read_text(path, files::MAX_SETTINGS_BYTES)
+        let text = planagent_files::read_text(path, planagent_files::MAX_SETTINGS_BYTES)
             .map_err(|source| ModifyError::Read { place: place.clone(), source })?;
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         Self::parse(&place, &stem, &text)

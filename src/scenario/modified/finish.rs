@@ -3,10 +3,10 @@
 use super::draft::{Draft, GoalPath, MovingVehicle};
 use super::error::ModifyError;
 use super::file::Modification;
-use crate::dynamics::{CrossingActors, InteractiveTraffic};
-use crate::geometry::{OrientedBox, Pose, Vector};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{
+use planagent_world::dynamics::{CrossingActors, InteractiveTraffic};
+use planagent_world::geometry::{OrientedBox, Pose, Vector};
+use planagent_world::{
     EgoState, Goal, Interaction, InteractionKind, MICROS_PER_SECOND, ObjectKind, PACIFICA, Route, STEP_S, TrackToken,
     TrackedObject,
 };
@@ -75,7 +75,7 @@ pub(super) fn finish(draft: Draft, modification: &Modification) -> Result<Scenar
 }
 
 /// What the ego has to pass, as its kind counts it: standing vehicles, cones, or the end points of the walkers.
-fn obstacles(draft: &Draft, kind: Option<InteractionKind>) -> Vec<crate::geometry::Point> {
+fn obstacles(draft: &Draft, kind: Option<InteractionKind>) -> Vec<planagent_world::geometry::Point> {
     use InteractionKind as Kind;
     let of = |wanted: ObjectKind| {
         let objects = draft.standing.iter().filter(move |object| object.kind == wanted);

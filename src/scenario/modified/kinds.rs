@@ -2,7 +2,7 @@
 
 use super::error::ModifyError;
 use super::file::Modification;
-use crate::world::InteractionKind;
+use planagent_world::InteractionKind;
 use std::sync::{Arc, OnceLock};
 
 /// The text of each kind's file, in the order of the kinds.

@@ -1,8 +1,8 @@
 //! Places relative to the ego's lane.
 
 use super::change::Fault;
-use crate::geometry::{Point, Polyline, Pose, wrap_angle};
-use crate::world::{EgoState, LaneId, LaneMap, LanePath, Route};
+use planagent_world::geometry::{Point, Polyline, Pose, wrap_angle};
+use planagent_world::{EgoState, LaneId, LaneMap, LanePath, Route};
 use serde::{Deserialize, Deserializer, de};
 use std::collections::BTreeSet;
 use std::f64::consts::FRAC_PI_2;

@@ -3,10 +3,10 @@
 use super::change::{Change, Fault};
 use super::draft::{Draft, GoalPath};
 use super::lanes::whole_lanes;
-use crate::dynamics::IDM_AGENT;
-use crate::geometry::wrap_angle;
 use crate::scenario::interplan::{Command, Density, InterPlanName, PythonRandom, Row, fill_row};
-use crate::world::{LaneId, LaneMap, LanePath, ObjectKind, PACIFICA, RoadblockId, STEP_S};
+use planagent_world::dynamics::IDM_AGENT;
+use planagent_world::geometry::wrap_angle;
+use planagent_world::{LaneId, LaneMap, LanePath, ObjectKind, PACIFICA, RoadblockId, STEP_S};
 use std::collections::{BTreeMap, VecDeque};
 use std::f64::consts::FRAC_PI_2;
 

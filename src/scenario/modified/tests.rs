@@ -4,7 +4,7 @@ use super::file::Modification;
 use super::kinds::kind_texts;
 use super::word::ModifiedName;
 use crate::scenario::{DataRoots, Readers, Scenario};
-use crate::world::{InteractionKind, ObjectKind};
+use planagent_world::{InteractionKind, ObjectKind};
 
 fn readers() -> Readers {
     Readers::new(&DataRoots::default())
@@ -114,7 +114,7 @@ fn drivers_change_lanes_where_that_gains() {
         let scenario = opened(&format!("generated/changing_lane/2~{path}"));
         let standing = &scenario.interaction.as_ref().unwrap().standing;
         let of = |frame: &crate::scenario::Frame| {
-            let driving = |object: &&crate::world::TrackedObject| {
+            let driving = |object: &&planagent_world::TrackedObject| {
                 object.kind == ObjectKind::Vehicle && !standing.contains(&object.token)
             };
             frame.objects.iter().find(driving).map(|object| object.shape.center)
@@ -136,7 +136,7 @@ fn interplans_letters_draw_its_traffic() {
         ("generated/changing_lane/2~dhom", "high_traffic_density")
     );
     assert!(scenario.frame(0).unwrap().objects.len() > 4);
-    assert_eq!(scenario.interaction.as_ref().unwrap().behavior, crate::world::DriverBehavior::Mixed);
+    assert_eq!(scenario.interaction.as_ref().unwrap().behavior, planagent_world::DriverBehavior::Mixed);
     let special = readers().find("generated/changing_lane/2~s3").unwrap_err().to_string();
     assert!(special.contains("special scene s3"), "{special}");
 }

@@ -4,11 +4,11 @@ use super::error::ModifyError;
 use super::file::Modification;
 use super::twin::Twin;
 use super::{kinds, modified};
-use crate::files::path_of;
 use crate::scenario::interplan::InterPlanName;
 use crate::scenario::reader::{OpenScenario, ReaderError, ScenarioRef, absolute_path};
 use crate::scenario::{Contents, Scenario};
-use crate::world::InteractionKind;
+use planagent_files::path_of;
+use planagent_world::InteractionKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

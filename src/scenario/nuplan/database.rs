@@ -5,7 +5,6 @@
 use super::error::{CellFault, CellPlace, FileFault, NuPlanError, RowName};
 use super::schema::Table;
 use super::token::{TOKEN_BYTES, Token};
-use crate::files;
 use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
 use rusqlite::types::ValueRef;
@@ -184,7 +183,7 @@ pub(super) fn harden(connection: &mut Connection, bytes: u64) -> rusqlite::Resul
 fn check_bytes(path: &Path) -> Result<(), NuPlanError> {
     let io = |source| NuPlanError::file(path, FileFault::Open(source));
     let mut start = Vec::with_capacity(MAGIC.len());
-    files::open(path).map_err(io)?.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(io)?;
+    planagent_files::open(path).map_err(io)?.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(io)?;
     if start == MAGIC { Ok(()) } else { Err(NuPlanError::file(path, FileFault::NotADatabase)) }
 }
 

@@ -3,8 +3,8 @@
 use super::Token;
 use super::geometry_blob::BlobError;
 use super::projection::ProjectionError;
-use crate::geometry::GeometryError;
-use crate::world::MapError;
+use planagent_world::MapError;
+use planagent_world::geometry::GeometryError;
 use std::fmt;
 use std::path::PathBuf;
 

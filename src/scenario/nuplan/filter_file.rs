@@ -5,7 +5,6 @@
 
 use super::filter::{Limit, ScenarioFilter, TokenSet};
 use super::token::Token;
-use crate::files;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_saphyr::{Error as YamlError, Spanned};
@@ -72,7 +71,7 @@ type Fault = (u64, FilterFault);
 
 impl FilterFile {
     pub fn open(path: &Path) -> Result<Self, FilterError> {
-        let text = files::read_text(path, files::MAX_LIST_BYTES)
+        let text = planagent_files::read_text(path, planagent_files::MAX_LIST_BYTES)
             .map_err(|source| FilterError::Io { path: path.to_owned(), source })?;
         Self::parse(&text).map_err(|(line, fault)| FilterError::Content { path: path.to_owned(), line, fault })
     }

@@ -15,9 +15,8 @@ use super::route::route_ids;
 use super::rows::{Rows, ego_of};
 use super::schema::EGO_POSE;
 use super::token::Token;
-use crate::files;
 use crate::scenario::UNKNOWN_TYPE;
-use crate::world::{EgoState, MICROS_PER_SECOND, STEP_S};
+use planagent_world::{EgoState, MICROS_PER_SECOND, STEP_S};
 use rand::SeedableRng;
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand_pcg::Pcg64Mcg;
@@ -156,7 +155,8 @@ fn apart(mut scenarios: Vec<LogScenario>, seconds: f64, scope: ThresholdScope) -
 
 fn read_token_set(set: &TokenSet) -> Result<(BTreeSet<Token>, f64), NuPlanError> {
     let failed = |reason: String| NuPlanError::file(&set.path, FileFault::TokenSet(reason));
-    let text = files::read_text(&set.path, files::MAX_LIST_BYTES).map_err(|error| failed(error.to_string()))?;
+    let text = planagent_files::read_text(&set.path, planagent_files::MAX_LIST_BYTES)
+        .map_err(|error| failed(error.to_string()))?;
     let words: Vec<String> = serde_json::from_str(&text).map_err(|error| failed(error.to_string()))?;
     let tokens = words.iter().map(|word| word.parse().map_err(|error| failed(format!("{error}"))));
     Ok((tokens.collect::<Result<_, _>>()?, set.fraction))

@@ -10,8 +10,8 @@
 
 use super::error::{CellFault, CellPlace, NuPlanError, RowName};
 use super::layers::{ConnectorRow, Layers, StopRow, largest};
-use crate::geometry::{Polygon, Polyline, Pose, Vector};
-use crate::world::{
+use planagent_world::geometry::{Polygon, Polyline, Pose, Vector};
+use planagent_world::{
     Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId,
 };
 use std::collections::BTreeMap;
@@ -335,7 +335,7 @@ fn stop_lines_of(baseline: &Polyline, named: &[StopLineId], stops: &[StopRow]) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Point;
+    use planagent_world::geometry::Point;
 
     fn stop(fid: i64, x: f64, y: f64) -> StopRow {
         let ring = [(x, y), (x + 1.0, y), (x + 1.0, y + 3.0), (x, y + 3.0)];

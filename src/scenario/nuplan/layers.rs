@@ -8,8 +8,8 @@ use super::schema::{
     BASELINE_PATHS, CARPARK_AREAS, CONNECTOR_AREAS, CROSSWALKS, GENERIC_DRIVABLE_AREAS, INTERSECTIONS, LANE_CONNECTORS,
     LANE_GROUP_CONNECTORS, LANE_GROUPS, LANES, META, PROJECTION_KEY, READ_LAYERS, ROAD_SEGMENTS, STOP_POLYGONS, Table,
 };
-use crate::geometry::{Point, Polygon, Polyline, Vector};
 use geo::{Coord, LineString};
+use planagent_world::geometry::{Point, Polygon, Polyline, Vector};
 use std::collections::BTreeMap;
 use std::path::Path;
 

@@ -5,7 +5,6 @@ use super::error::{FileFault, NuPlanError};
 use super::lane_map::{self, NuPlanMap};
 use super::schema::MAPS_INDEX;
 use super::side_index;
-use crate::files;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -102,7 +101,7 @@ impl MapStore {
     fn file(&self, location: &str) -> Result<(PathBuf, String), NuPlanError> {
         let root = self.root.as_deref().ok_or(NuPlanError::NoMapsRoot)?;
         let index = root.join(MAPS_INDEX);
-        let text = files::read_text(&index, files::MAX_LIST_BYTES)
+        let text = planagent_files::read_text(&index, planagent_files::MAX_LIST_BYTES)
             .map_err(|source| NuPlanError::file(&index, FileFault::NoMapsIndex(source)))?;
         let wrong = |reason: String| NuPlanError::file(&index, FileFault::MapsIndex(reason));
         let known: BTreeMap<String, Value> =

@@ -13,9 +13,9 @@ use super::schema::{CATEGORY, EGO_POSE, LIDAR_BOX, LIDAR_PC, TRACK, TRAFFIC_LIGH
 use super::side_index;
 use super::token::Token;
 use super::velocity;
-use crate::geometry::{OrientedBox, Pose, Vector};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{EgoState, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
+use planagent_world::geometry::{OrientedBox, Pose, Vector};
+use planagent_world::{EgoState, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

@@ -7,7 +7,7 @@ use super::logs::LogScenario;
 use super::rows::pose_of;
 use super::schema::{EGO_POSE, LIDAR_PC, SCENE};
 use super::token::Token;
-use crate::world::{RoadblockId, Route};
+use planagent_world::{RoadblockId, Route};
 
 /// The scene of a scenario's tagged row, its goal, and the ids of its route.
 pub(super) fn route_ids(database: &Database, token: Token) -> Result<(Token, Option<Token>, Vec<i64>), NuPlanError> {

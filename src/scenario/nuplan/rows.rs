@@ -6,9 +6,9 @@ use super::extraction::{Extraction, ROWS_PER_STEP};
 use super::logs::LogScenario;
 use super::schema::{CHANNEL, LIDAR, LIDAR_PC};
 use super::token::Token;
-use crate::geometry::{Pose, Vector};
 use crate::scenario::FUTURE_FRAMES;
-use crate::world::{EgoState, HISTORY_SAMPLES, MICROS_PER_SECOND};
+use planagent_world::geometry::{Pose, Vector};
+use planagent_world::{EgoState, HISTORY_SAMPLES, MICROS_PER_SECOND};
 
 /// Shorter scenarios end before the look-ahead of the metrics, s.
 const MIN_DURATION_S: f64 = 3.0;

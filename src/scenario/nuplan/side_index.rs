@@ -7,7 +7,6 @@
 use super::database::{Database, harden, immutable_uri};
 use super::error::{FileFault, NuPlanError};
 use super::schema::{EGO_POSE, LIDAR_BOX, TRACK, TRAFFIC_LIGHT_STATUS, Table};
-use crate::files;
 use rusqlite::{Connection, OpenFlags};
 use std::collections::BTreeMap;
 use std::fs;
@@ -239,5 +238,5 @@ fn remove_stale(folder: &Path, stem: &str, current: &str) {
 
 /// A folder in that of what can be made again.
 pub(super) fn default_folder() -> Option<PathBuf> {
-    files::cache_folder().map(|folder| folder.join("nuplan"))
+    planagent_files::cache_folder().map(|folder| folder.join("nuplan"))
 }

@@ -1,6 +1,6 @@
 //! Errors of recordings: where in which file, and what is wrong there.
 
-use crate::world::MapError;
+use planagent_world::MapError;
 use std::error::Error;
 use std::fmt;
 use std::path::{Path, PathBuf};

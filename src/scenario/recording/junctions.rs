@@ -6,7 +6,7 @@
 
 use super::lanes::RecordedLane;
 use super::trace::{SAME_LEVEL, Segments, Trace};
-use crate::geometry::{Bounds, Point, Polygon};
+use planagent_world::geometry::{Bounds, Point, Polygon};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Centerlines that meet at a smaller angle merge or run against each other, radians.

@@ -1,8 +1,8 @@
 //! Recorded lanes in local coordinates. Relations between them are indices.
 
 use super::trace::Trace;
-use crate::geometry::{Vector, wrap_angle};
-use crate::world::{LaneId, Neighbor};
+use planagent_world::geometry::{Vector, wrap_angle};
+use planagent_world::{LaneId, Neighbor};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The two sides of a lane.

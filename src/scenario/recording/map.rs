@@ -4,9 +4,9 @@ use super::junctions::{Cluster, intersections};
 use super::lanes::{RecordedLane, Side};
 use super::roadblocks::roadblocks;
 use super::trace::Trace;
-use crate::geometry::{Point, Polygon};
-use crate::world::{Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, StopLine, StopLineId};
 use geo::Simplify;
+use planagent_world::geometry::{Point, Polygon};
+use planagent_world::{Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, StopLine, StopLineId};
 use std::collections::BTreeSet;
 
 /// Layers of a map. Lanes are indices; the n-th element of every list belongs to the n-th lane.

@@ -7,7 +7,7 @@
 //!
 //! A source provides the connectors, the area of each lane and the drivable area beside the lanes.
 //!
-//! [`LaneMap`]: crate::world::LaneMap
+//! [`LaneMap`]: planagent_world::LaneMap
 
 pub(super) mod error;
 pub(super) mod junctions;

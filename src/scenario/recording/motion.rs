@@ -1,7 +1,7 @@
 //! Velocities and accelerations from samples, and bounds of plausible measurements.
 
-use crate::geometry::{Pose, Vector};
-use crate::world::EgoState;
+use planagent_world::EgoState;
+use planagent_world::geometry::{Pose, Vector};
 
 /// Coordinates beyond this are no place on Earth, meters.
 pub(crate) const MAX_COORDINATE: f64 = 1e8;

@@ -1,7 +1,7 @@
 //! The route beyond the end of the recording, so that no plan ends where the recorded drive ends.
 
-use crate::geometry::{Pose, wrap_angle};
-use crate::world::{LaneId, LaneMap, RoadblockId};
+use planagent_world::geometry::{Pose, wrap_angle};
+use planagent_world::{LaneId, LaneMap, RoadblockId};
 
 /// Minimum length of the route beyond the last recorded pose, meters: a trajectory of 8 s, from wherever a simulation of 15 s can
 /// have taken the ego.
@@ -64,8 +64,8 @@ fn turning(map: &LaneMap, lane: LaneId, length: f64, lanes: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Point;
-    use crate::world::MapBuilder;
+    use planagent_world::MapBuilder;
+    use planagent_world::geometry::Point;
 
     fn line(points: &[(f64, f64)]) -> Vec<Point> {
         points.iter().map(|&(x, y)| Point::new(x, y)).collect()

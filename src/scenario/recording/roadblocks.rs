@@ -5,8 +5,8 @@
 //! Connectors share a roadblock connector if they join the same roadblocks, or the same connectors where one follows another.
 
 use super::lanes::{RecordedLane, Side};
-use crate::geometry::Polygon;
-use crate::world::{LaneId, LaneKind, Roadblock, RoadblockId};
+use planagent_world::geometry::Polygon;
+use planagent_world::{LaneId, LaneKind, Roadblock, RoadblockId};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// An end of a connector: a roadblock, or a single other connector.

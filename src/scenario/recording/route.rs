@@ -5,8 +5,8 @@
 //! roadblocks, with those in between from the graph. It goes on beyond the recording (`onward`).
 
 use super::onward::onward;
-use crate::geometry::{Point, Pose, wrap_angle};
-use crate::world::{Lane, LaneId, LaneMap, RoadblockId};
+use planagent_world::geometry::{Point, Pose, wrap_angle};
+use planagent_world::{Lane, LaneId, LaneMap, RoadblockId};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Minimum distance between samples, meters.

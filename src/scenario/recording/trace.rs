@@ -1,7 +1,7 @@
 //! Lines of the map with heights, and rays that look for them.
 
 use super::error::RecordingFault;
-use crate::geometry::{Bounds, Point, Polyline, SpatialIndex, Vector};
+use planagent_world::geometry::{Bounds, Point, Polyline, SpatialIndex, Vector};
 
 /// A point of a recorded map: east, north, up, meters.
 pub(crate) type Place = nalgebra::Point3<f64>;

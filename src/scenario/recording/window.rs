@@ -5,9 +5,9 @@
 
 use super::error::RecordingFault;
 use super::route::route;
-use crate::geometry::Pose;
 use crate::scenario::{Contents, FUTURE_FRAMES, Frame, Scenario, UNKNOWN_TYPE};
-use crate::world::{EgoState, LaneMap, MICROS_PER_SECOND, Route, TrackedObject, TrafficLights};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, LaneMap, MICROS_PER_SECOND, Route, TrackedObject, TrafficLights};
 use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 

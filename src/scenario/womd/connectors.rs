@@ -13,8 +13,8 @@
 //! Connectors may overlap each other and lanes. Two lanes may not overlap, hence the rules 4 and 5.
 
 use super::features::MapFeatures;
-use crate::geometry::{Pose, wrap_angle};
 use crate::scenario::recording::lanes::{RecordedLane, Side};
+use planagent_world::geometry::{Pose, wrap_angle};
 use std::collections::BTreeSet;
 
 /// Maximum length of a connector, meters. The recordings' longest flagged lane is 55 m.

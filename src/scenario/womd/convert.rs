@@ -9,10 +9,10 @@ use super::map::lane_map;
 use super::proto;
 use super::signals::lights;
 use super::tracks::{ego_states, first_position, objects_at};
-use crate::geometry::Vector;
 use crate::scenario::Scenario;
 use crate::scenario::recording::error::RecordingFault;
 use crate::scenario::recording::window::{Recording, step_times, window};
+use planagent_world::geometry::Vector;
 use std::collections::BTreeSet;
 
 /// Converts a recording. Fails if it is too short, not at 10 Hz, contradicts itself, or has no lane.

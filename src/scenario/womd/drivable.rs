@@ -8,10 +8,10 @@
 
 use super::features::MapFeatures;
 use super::outline::{DEFAULT_HALF, Strip};
-use crate::geometry::{Point, Polygon};
 use crate::scenario::recording::junctions::Cluster;
 use crate::scenario::recording::lanes::{RecordedLane, Side};
 use crate::scenario::recording::trace::{Ray, Segments};
+use planagent_world::geometry::{Point, Polygon};
 use std::collections::BTreeMap;
 
 /// Maximum distance of a road edge from a centerline, meters: half a lane, a bike lane, a parking strip and a bay of the same

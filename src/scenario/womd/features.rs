@@ -8,10 +8,10 @@
 use super::proto::{
     Area, BoundarySegment, FeatureData, LaneCenter, LaneNeighbor, LaneType, MapFeature, MapPoint, StopSign,
 };
-use crate::geometry::{Point, Polygon, Vector};
 use crate::scenario::recording::error::RecordingFault;
 use crate::scenario::recording::lanes::{Beside, Ends, Places, RecordedLane, Sides};
 use crate::scenario::recording::trace::{Place, Trace, local_points};
+use planagent_world::geometry::{Point, Polygon, Vector};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A line along a part of a lane.

@@ -6,11 +6,11 @@ use super::features::MapFeatures;
 use super::outline::lane_areas;
 use super::proto::{DynamicMapState, MapFeature};
 use super::signals::{governed_lanes, stop_lines};
-use crate::geometry::Vector;
 use crate::scenario::recording::error::RecordingFault;
 use crate::scenario::recording::junctions::{clusters, crossings};
 use crate::scenario::recording::map::{self, Layers};
-use crate::world::LaneMap;
+use planagent_world::LaneMap;
+use planagent_world::geometry::Vector;
 use std::collections::BTreeSet;
 
 /// Derives the map; `origin` becomes the point (0, 0).

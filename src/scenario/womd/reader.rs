@@ -1,8 +1,8 @@
 //! Waymo recordings in the registry of readers.
 
 use super::{WomdError, contents, log_name, open_one};
-use crate::files::{path_of, word_of};
 use crate::scenario::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
+use planagent_files::{path_of, word_of};
 use std::path::{Path, PathBuf};
 
 /// What the names of recordings contain: Waymo's end in `.tfrecord-00000-of-01000`.

@@ -10,8 +10,8 @@
 use super::features::MapFeatures;
 use super::outline::DEFAULT_HALF;
 use super::proto::{DynamicMapState, SignalState, TrafficSignalLaneState};
-use crate::geometry::{OrientedBox, Point, Pose, Vector};
-use crate::world::{LaneId, LaneKind, LaneMap, SignalStatus, StopLine, TrafficLights};
+use planagent_world::geometry::{OrientedBox, Point, Pose, Vector};
+use planagent_world::{LaneId, LaneKind, LaneMap, SignalStatus, StopLine, TrafficLights};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -99,7 +99,7 @@ fn same_place(a: Pose, b: Pose) -> bool {
     a.distance(&b) < SAME
 }
 
-fn across(at: Pose) -> crate::geometry::Polygon {
+fn across(at: Pose) -> planagent_world::geometry::Polygon {
     /// Thickness of a painted stop line, meters.
     const THICKNESS: f64 = 0.5;
     OrientedBox::new(at, THICKNESS, 2.0 * DEFAULT_HALF).to_polygon()

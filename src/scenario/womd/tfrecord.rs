@@ -2,8 +2,6 @@
 //!
 //! A file is a sequence of records, each `{u64 length, u32 masked CRC32C of the length, payload, u32 masked CRC32C of the
 //! payload}`, little endian. Both checksums are verified, that of the length before the length is used.
-
-use crate::files;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
 use std::path::Path;
@@ -54,7 +52,7 @@ pub(super) struct Records<R> {
 
 impl Records<BufReader<File>> {
     pub(super) fn open(path: &Path) -> io::Result<Self> {
-        let file = files::open(path)?;
+        let file = planagent_files::open(path)?;
         let bytes = file.metadata()?.len();
         Ok(Self::new(BufReader::new(file), bytes))
     }

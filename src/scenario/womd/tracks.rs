@@ -8,9 +8,9 @@
 
 use super::error::WomdFault;
 use super::proto::{ObjectState, ObjectType, Track};
-use crate::geometry::{OrientedBox, Point, Pose, Vector, unwrap_angles, wrap_angle};
 use crate::scenario::recording::motion::{self, MAX_BOX, MAX_COORDINATE, MAX_SPEED, slope};
-use crate::world::{EgoState, MICROS_PER_SECOND, ObjectKind, PACIFICA, TrackToken, TrackedObject};
+use planagent_world::geometry::{OrientedBox, Point, Pose, Vector, unwrap_angles, wrap_angle};
+use planagent_world::{EgoState, MICROS_PER_SECOND, ObjectKind, PACIFICA, TrackToken, TrackedObject};
 use std::sync::Arc;
 
 /// Maximum gap of the ego that is interpolated, steps.

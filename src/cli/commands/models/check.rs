@@ -1,7 +1,7 @@
 //! `planagent models check`.
 
 use crate::cli::{Exit, Printer};
-use crate::mllm::{MllmError, ModelCheck, ModelRegistry, ModelSource, in_bytes};
+use planagent_mllm::{MllmError, ModelCheck, ModelRegistry, ModelSource, in_bytes};
 use serde::Serialize;
 
 /// The check of a model.
@@ -61,7 +61,7 @@ fn tell(row: &Row<'_>, printer: Printer) {
         printer.line(format!("{}: {}", row.model, row.missing.as_deref().unwrap_or_default()));
         return;
     };
-    let family = check.architecture.map_or("unknown family", crate::mllm::Architecture::name);
+    let family = check.architecture.map_or("unknown family", planagent_mllm::Architecture::name);
     let state = match check.problems.len() {
         0 => "can be opened".to_owned(),
         1 => "1 problem".to_owned(),

@@ -1,8 +1,8 @@
 //! `planagent models fetch`.
 
 use crate::cli::{Exit, Printer};
-use crate::mllm::{ModelRegistry, in_bytes};
 use anyhow::Context;
+use planagent_mllm::{ModelRegistry, in_bytes};
 
 /// Downloads models of the hub with their tokenizers, and prints the folder of each.
 pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {

@@ -2,7 +2,7 @@
 
 use super::row::{BUILT_IN, Row, rounded};
 use crate::cli::{Exit, Printer};
-use crate::mllm::{ModelRegistry, WeightFormat};
+use planagent_mllm::{ModelRegistry, WeightFormat};
 use std::collections::BTreeSet;
 
 /// The weight formats of the table.

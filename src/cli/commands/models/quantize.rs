@@ -3,9 +3,9 @@
 use crate::cli::args::QuantizeArguments;
 use crate::cli::picture::check_output;
 use crate::cli::{Exit, Printer};
-use crate::files::target;
-use crate::mllm::{CreateFile, GgufPart, LoadReport, MllmError, ModelRegistry, in_bytes};
 use anyhow::{Context, bail};
+use planagent_files::target;
+use planagent_mllm::{CreateFile, GgufPart, LoadReport, MllmError, ModelRegistry, in_bytes};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};

@@ -1,8 +1,8 @@
 //! What is known of a described model.
 
 use super::check::reason;
-use crate::mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec};
 use crate::reasoning;
+use planagent_mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -2,7 +2,7 @@
 
 use super::row::Row;
 use crate::cli::{Exit, Printer};
-use crate::mllm::{ModelRegistry, WeightFormat, in_bytes};
+use planagent_mllm::{ModelRegistry, WeightFormat, in_bytes};
 
 /// Shows what is known of a model.
 pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {

@@ -5,7 +5,6 @@ use crate::cli::picture::PictureFile;
 use crate::cli::{Exit, Printer};
 use crate::environment::{AgentName, LaneGraph};
 use crate::experiment::run::AgentParts;
-use crate::geometry::Pose;
 use crate::planner::{
     CallSettings, CodeSource, PlanAgentSettings, PlannerInitialization, PlannerName, PlannerRegistry,
 };
@@ -15,8 +14,9 @@ use crate::report::render::code_picture;
 use crate::report::{Judgement, decision_words, fixed};
 use crate::runner::Config;
 use crate::scenario::{Frame, Scenario};
-use crate::world::{EgoState, STEP_S};
 use anyhow::{Context, bail};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, STEP_S};
 use serde::Serialize;
 use serde_json::{Value, json};
 

@@ -13,8 +13,8 @@ use crate::report::render::call_picture;
 use crate::report::{CallRecord, CallTimes, attempt_markdown, decision_words, fixed};
 use crate::runner::{Config, load_model};
 use crate::scenario::{Frame, Scenario, generator};
-use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory};
 use anyhow::{Context, bail};
+use planagent_world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory};
 use serde_json::{Value, json};
 
 /// Runs one planning call at a time of the recorded scenario.

@@ -2,10 +2,10 @@
 
 use crate::cli::args::{ExportArguments, ExportFormat};
 use crate::cli::{Exit, Printer};
-use crate::geometry::Point;
 use crate::scenario::nuplan::export::{ExportChanges, ExportSettings, write_scenarios};
 use crate::scenario::{Scenario, ScenarioRef};
 use anyhow::bail;
+use planagent_world::geometry::Point;
 use rayon::prelude::*;
 
 /// Writes scenarios in another format. A failure leaves no files behind.

@@ -6,8 +6,8 @@ use crate::cli::{Exit, Printer};
 use crate::experiment::split::split;
 use crate::scenario::generator::{Spec, types};
 use crate::scenario::{Contents, Readers, ScenarioRef, UNKNOWN_TYPE};
-use crate::world::STEP_S;
 use anyhow::{anyhow, bail};
+use planagent_world::STEP_S;
 use serde::Serialize;
 use serde_json::json;
 

@@ -7,8 +7,8 @@ use crate::cli::{Exit, Printer};
 use crate::environment::{BevView, bev};
 use crate::report::fill;
 use crate::scenario::{Frame, Scenario};
-use crate::world::{History, HistorySample, LaneKind, STEP_S, SignalStatus};
 use image::RgbImage;
+use planagent_world::{History, HistorySample, LaneKind, STEP_S, SignalStatus};
 use serde_json::{Value, json};
 
 /// Side of the picture, pixels.

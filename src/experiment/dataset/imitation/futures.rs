@@ -1,9 +1,9 @@
 //! What happened after a moment: targets that several planners share.
 
 use super::{HORIZON, Moment};
-use crate::geometry::{Pose, wrap_angle};
 use crate::scenario::Frame;
-use crate::world::TrackToken;
+use planagent_world::TrackToken;
+use planagent_world::geometry::{Pose, wrap_angle};
 
 /// Frames between two poses half a second apart.
 const HALF_SECOND: usize = 5;

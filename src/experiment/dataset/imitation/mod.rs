@@ -15,7 +15,7 @@ use super::scenes::{MIX, SCENARIOS_PER_SEED};
 use super::shard::ShardError;
 use crate::scenario::generator::Spec;
 use crate::scenario::{Frame, Scenario, ScenarioRef};
-use crate::world::{EgoState, HISTORY_SAMPLES, History, HistorySample, SceneView};
+use planagent_world::{EgoState, HISTORY_SAMPLES, History, HistorySample, SceneView};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::fs;

@@ -4,7 +4,7 @@ use super::tensors::Columns;
 use super::{Moment, futures};
 use crate::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
 use crate::planner::learned::pdm_open::PdmFeatures;
-use crate::world::LaneId;
+use planagent_world::LaneId;
 
 /// Features and target (16, 3): the poses of the rear axle in its frame now. `None` off every route.
 pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {

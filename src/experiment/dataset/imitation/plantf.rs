@@ -3,10 +3,10 @@
 use super::futures::pose_in;
 use super::tensors::Columns;
 use super::{HORIZON, Moment};
-use crate::geometry::Pose;
 use crate::pdm::corrected_route;
 use crate::planner::learned::plantf::{AgentHistory, PlanTfFeatures, PolygonFeatures};
-use crate::world::{ObjectKind, TrackToken};
+use planagent_world::geometry::Pose;
+use planagent_world::{ObjectKind, TrackToken};
 
 /// Features and targets: the ego's poses (80, 3) minus the present one in its frame, and those of all agents with their masks. The
 /// category of an agent is that of its kind, as upstream in training.

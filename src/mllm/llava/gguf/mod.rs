@@ -8,13 +8,11 @@ use std::collections::BTreeMap;
 use serde_json::json;
 
 use super::config::{IMAGE_TOKEN_BEYOND, LlavaConfig};
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::gguf::names::{
-    DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS, unswapped,
-};
-use crate::mllm::gguf::{Entries, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, tokenizer};
-use crate::mllm::vision::{PixelScale, read_processor};
+use crate::MllmError;
+use crate::checkpoint::ModelFiles;
+use crate::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS, unswapped};
+use crate::gguf::{Entries, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, tokenizer};
+use crate::vision::{PixelScale, read_processor};
 
 /// The names of a LLaVA's tensors, and the newline of a LLaVA-NeXT.
 const NAMES: Names = Names {

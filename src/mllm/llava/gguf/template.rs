@@ -1,7 +1,7 @@
 //! Chat templates for GGUF files of LLaVA that have none.
 
-use crate::mllm::MllmError;
-use crate::mllm::gguf::{Header, TEMPLATE};
+use crate::MllmError;
+use crate::gguf::{Header, TEMPLATE};
 
 /// Vicuna's questions and answers behind the system prompt (LLaVA 1.5, and 1.6 on Vicuna).
 const VICUNA: &str = "\

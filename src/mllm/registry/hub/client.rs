@@ -8,12 +8,12 @@ use hf_hub::HFClientSync;
 use hf_hub::progress::{DownloadEvent, Progress, ProgressEvent, ProgressHandler};
 
 use super::{FetchListener, FetchProgress, HubAccess, HubFiles, split_id};
-use crate::mllm::MllmError;
+use crate::MllmError;
 
 impl HubAccess {
     /// The folder with the files of a repository. Missing files are downloaded, if this is allowed; an interrupted file starts
     /// from its beginning.
-    pub(in crate::mllm::registry) fn fetch(
+    pub(in crate::registry) fn fetch(
         &self,
         id: &str,
         revision: &str,

@@ -1,8 +1,8 @@
 //! Functions without parameters.
 
-use crate::mllm::Activation;
-pub(in crate::planner::learned) use crate::mllm::softmax;
 use candle_core::{Result, Tensor};
+use planagent_kernels::Activation;
+pub(in crate::planner::learned) use planagent_kernels::pointwise::softmax;
 
 /// max(x, 0).
 pub(in crate::planner::learned) fn relu(x: &Tensor) -> Result<Tensor> {

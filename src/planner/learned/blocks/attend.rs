@@ -1,8 +1,10 @@
 //! Attention with an additive bias, a few queries at a time: the logits of all queries are never stored.
 #![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
 
-use crate::mllm::{Instructions, Kernel, LANES, Simd, softmax_in_place, with_values};
 use candle_core::{Device, Result, Tensor, bail};
+use planagent_kernels::matrix::{Instructions, Kernel, LANES, Simd};
+use planagent_kernels::pointwise::softmax_in_place;
+use planagent_kernels::values::with_values;
 use rayon::prelude::*;
 
 /// Queries that a kernel computes at once, and vectors of keys.

@@ -1,8 +1,8 @@
 //! Affine layers.
 
 use super::{Weights, relu};
-use crate::mllm::Matrix;
 use candle_core::{Result, Tensor};
+use planagent_kernels::matrix::Matrix;
 
 /// y = x Wᵀ + b over the last dimension.
 #[derive(Debug, Clone)]

@@ -1,7 +1,6 @@
 //! Normalizations.
 
 use super::Weights;
-use crate::mllm;
 use candle_core::{Result, Tensor};
 
 /// PyTorch's default ε of both.
@@ -9,13 +8,13 @@ const EPSILON: f64 = 1e-5;
 
 /// Normalizes the last dimension.
 #[derive(Debug, Clone)]
-pub(in crate::planner::learned) struct LayerNorm(mllm::LayerNorm);
+pub(in crate::planner::learned) struct LayerNorm(planagent_kernels::LayerNorm);
 
 impl LayerNorm {
     /// Takes `NAME.weight` and `NAME.bias`.
     pub(in crate::planner::learned) fn take(weights: &mut Weights, name: &str, width: usize) -> Result<Self> {
         let mut vector = |part: &str| weights.take(&format!("{name}.{part}"), &[width])?.to_vec1();
-        Ok(Self(mllm::LayerNorm::new(vector("weight")?, vector("bias")?, EPSILON)))
+        Ok(Self(planagent_kernels::LayerNorm::new(vector("weight")?, vector("bias")?, EPSILON)))
     }
 
     /// Applies the norm to (…, width).

@@ -1,7 +1,7 @@
 //! Maxima over the rows of groups.
 
-use crate::mllm::with_values;
 use candle_core::{Result, Tensor, bail};
+use planagent_kernels::values::with_values;
 use rayon::prelude::*;
 
 /// Numbers for which other threads are worth waking.

@@ -2,8 +2,10 @@
 #![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
 
 use super::{Linear, Weights};
-use crate::mllm::{Instructions, Kernel, Simd, sigmoid, tanh, with_values};
 use candle_core::{DType, Device, IndexOp, Result, Tensor};
+use planagent_kernels::matrix::{Instructions, Kernel, Simd};
+use planagent_kernels::pointwise::{sigmoid, tanh};
+use planagent_kernels::values::with_values;
 
 /// Takes `NAME.weight_ih_lI`, `NAME.weight_hh_lI` and their biases for `gates` gates of this width.
 fn gates(weights: &mut Weights, name: &str, layer: usize, [inputs, width, gates]: [usize; 3]) -> Result<[Linear; 2]> {

@@ -4,7 +4,6 @@ mod pickle;
 mod torch_file;
 
 use super::blocks::{Mismatch, Weights};
-use crate::files;
 use candle_core::{DType, Device, Tensor};
 use std::collections::BTreeMap;
 use std::io::{self, Read};
@@ -91,7 +90,7 @@ impl Checkpoint {
 }
 
 fn read(path: &Path) -> io::Result<Vec<u8>> {
-    let file = files::open(path)?;
+    let file = planagent_files::open(path)?;
     let mut bytes = Vec::new();
     if file.take(MAX_BYTES + 1).read_to_end(&mut bytes)? as u64 > MAX_BYTES {
         return Err(io::Error::new(io::ErrorKind::InvalidData, format!("it has more than {MAX_BYTES} bytes")));

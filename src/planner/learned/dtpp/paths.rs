@@ -1,10 +1,10 @@
 //! DTPP's candidate paths (`MCZhi/DTPP` `trajectory_tree_planner.py`).
 
-use crate::geometry::{Corridor, Point, Polyline};
 use crate::planner::learned::lattice::{
     Course, MAX_ROWS, bent, candidates, course, curvature, every_tenth, long_enough, starting_block, starting_lanes,
 };
-use crate::world::{ObjectKind, PACIFICA, SceneView};
+use planagent_world::geometry::{Corridor, Point, Polyline};
+use planagent_world::{ObjectKind, PACIFICA, SceneView};
 
 /// Candidates of this length are long enough, meters.
 const ACCEPTABLE_LENGTH: f64 = 60.0;

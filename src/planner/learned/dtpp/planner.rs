@@ -7,7 +7,7 @@ use crate::planner::learned::gameformer::ActorFeatures;
 use crate::planner::learned::slot::{Slot, learned_entry};
 use crate::planner::learned::{network_failed, prediction};
 use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
-use crate::world::{STEP_US, Trajectory};
+use planagent_world::{STEP_US, Trajectory};
 use std::sync::Arc;
 
 /// Half side of the square of the map, meters.

@@ -1,14 +1,14 @@
 //! The features of GameFormer and DTPP (`MCZhi/GameFormer-Planner` `observation.py`, `MCZhi/DTPP` `obs_adapter.py`).
 
 use super::encoder::SceneInputs;
-use crate::geometry::{OrientedBox, Point, Pose, unwrap_angles};
 use crate::planner::learned::frame::{relative, rounded, single};
 use crate::planner::learned::past;
-use crate::world::{
+use candle_core::{Device, Result, Tensor};
+use planagent_world::geometry::{OrientedBox, Point, Pose, unwrap_angles};
+use planagent_world::{
     HISTORY_SAMPLES, HistorySample, Lane, LaneKind, MICROS_PER_SECOND, ObjectKind, RoadblockId, SceneView,
     SignalStatus, TrackToken, TrackedObject,
 };
-use candle_core::{Device, Result, Tensor};
 
 /// Steps of an actor: the oldest sample of the history is read but not given.
 const STEPS: usize = HISTORY_SAMPLES - 1;
@@ -91,7 +91,7 @@ impl ActorFeatures {
 /// Pose relative to now; velocity and acceleration in the frame of each step.
 fn ego(samples: &[HistorySample], frame: Pose) -> Vec<f32> {
     let steps = samples.iter().skip(samples.len() - STEPS).map(|sample| &sample.ego);
-    let row = |ego: &crate::world::EgoState| {
+    let row = |ego: &planagent_world::EgoState| {
         let [x, y, heading] = relative(frame, rounded(ego.rear_axle));
         let (v, a) = (ego.velocity, ego.acceleration);
         [x, y, heading, v.x as f32, v.y as f32, a.x as f32, a.y as f32]

@@ -2,7 +2,7 @@
 
 use super::reference_path::ReferencePath;
 use crate::planner::learned::lattice::{MAX_ROWS, ROW};
-use crate::world::PACIFICA;
+use planagent_world::PACIFICA;
 
 /// Steps that refinement reads, 0.1 s apart.
 pub const STEPS: usize = 30;

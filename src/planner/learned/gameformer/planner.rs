@@ -10,8 +10,8 @@ use crate::planner::learned::lattice::ROW;
 use crate::planner::learned::slot::{Slot, learned_entry};
 use crate::planner::learned::{network_failed, prediction};
 use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
-use crate::world::{STEP_S, STEP_US, Trajectory};
 use candle_core::{IndexOp, Result};
+use planagent_world::{STEP_S, STEP_US, Trajectory};
 use std::sync::Arc;
 
 /// Half side of the square of the map, meters.

@@ -1,11 +1,11 @@
 //! GameFormer's reference path (`MCZhi/GameFormer-Planner` `planner.py`, `state_lattice_path_planner.py`).
 
-use crate::geometry::{Corridor, OrientedBox, Point, Polyline, borders};
 use crate::planner::learned::lattice::{
     Candidate, Course, MAX_ROWS, bent, candidates, course, curvature, every_tenth, long_enough, relative_course,
     starting_block, starting_lanes,
 };
-use crate::world::{LaneId, ObjectKind, PACIFICA, RoadblockId, SceneView};
+use planagent_world::geometry::{Corridor, OrientedBox, Point, Polyline, borders};
+use planagent_world::{LaneId, ObjectKind, PACIFICA, RoadblockId, SceneView};
 
 /// A route farther away has no reference path, meters.
 const MAX_ROUTE_DISTANCE: f64 = 5.0;

@@ -2,9 +2,10 @@
 
 use super::encoder::{Encodings, WIDTH};
 use super::network::TRAVERSAL;
-use crate::mllm::{Instructions, Kernel, Simd, exp_or_zero};
 use crate::planner::learned::blocks::{Linear, MultiheadAttention, Weights};
 use candle_core::{Device, Result, Tensor};
+use planagent_kernels::matrix::{Instructions, Kernel, Simd};
+use planagent_kernels::pointwise::exp_or_zero;
 use rayon::prelude::*;
 
 /// Width and heads of the attention.

@@ -5,8 +5,8 @@ use super::network::GcPgpInputs;
 use crate::metrics::{MetricError, SavitzkyGolay};
 use crate::planner::learned::frame::relative;
 use crate::planner::learned::past;
-use crate::world::{HistorySample, MICROS_PER_SECOND, ObjectKind, SceneView, TrackedObject};
 use candle_core::{Device, Result, Tensor};
+use planagent_world::{HistorySample, MICROS_PER_SECOND, ObjectKind, SceneView, TrackedObject};
 
 /// Steps of an actor, and samples of the history between two.
 const STEPS: usize = 6;

@@ -1,8 +1,8 @@
 //! GC-PGP's lane graph (`tuplan_garage` `pgp_graph_map_feature_builder.py`).
 
-use crate::geometry::{OrientedBox, Point, Polygon, Pose, unwrap_angles, wrap_angle};
 use crate::pdm::corrected_route;
-use crate::world::{Lane, LaneId, LaneKind, SceneView, SignalStatus};
+use planagent_world::geometry::{OrientedBox, Point, Polygon, Pose, unwrap_angles, wrap_angle};
+use planagent_world::{Lane, LaneId, LaneKind, SceneView, SignalStatus};
 use std::collections::BTreeMap;
 
 /// Largest number of poses of a node, and the distance between two, meters.

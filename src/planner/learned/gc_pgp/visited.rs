@@ -2,7 +2,7 @@
 
 use super::lane_graph::LaneNodes;
 use super::network::TRAVERSAL;
-use crate::geometry::wrap_angle;
+use planagent_world::geometry::wrap_angle;
 
 /// A pose belongs to nodes at most this far away, meters, and turned by at most this much, radians.
 const DISTANCE: f64 = 2.0;

@@ -1,7 +1,7 @@
 //! Paths from the ego onto a lane.
 
 use super::route::Candidate;
-use crate::geometry::{Point, Pose};
+use planagent_world::geometry::{Point, Pose};
 
 /// Vertices of a candidate at which paths may reach it, and how many vertices it then has at least.
 const TARGETS: [(usize, usize); 4] = [(20, 22), (40, 42), (60, 62), (80, 82)];

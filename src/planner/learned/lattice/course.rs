@@ -1,6 +1,6 @@
 //! A smooth path: natural cubic splines over the length of its chords.
 
-use crate::geometry::{Point, Pose, wrap_angle};
+use planagent_world::geometry::{Point, Pose, wrap_angle};
 
 /// Distance between two rows, meters.
 pub(in crate::planner::learned) const ROW: f64 = 0.1;

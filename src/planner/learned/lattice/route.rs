@@ -1,7 +1,7 @@
 //! Chains of lanes along the route.
 
-use crate::geometry::{Point, Polyline, Pose};
-use crate::world::{Lane, LaneId, RoadblockId, SceneView};
+use planagent_world::geometry::{Point, Polyline, Pose};
+use planagent_world::{Lane, LaneId, RoadblockId, SceneView};
 use std::collections::BTreeSet;
 
 /// Distance between two vertices of a baseline as the originals assume it, meters.

@@ -5,8 +5,8 @@ use crate::metrics::{ComfortQuantity, MetricError};
 use crate::pdm::PdmPath;
 use crate::planner::learned::frame::relative;
 use crate::planner::learned::past;
-use crate::world::{EgoState, SceneView};
 use candle_core::{Device, Result, Tensor};
+use planagent_world::{EgoState, SceneView};
 
 /// Steps between two samples of the history.
 const STRIDE: usize = 2;

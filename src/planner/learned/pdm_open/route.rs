@@ -1,8 +1,8 @@
 //! The path that PDM's learned planners follow (`tuplan_garage` `abstract_pdm_planner.py`).
 
-use crate::geometry::GeometryError;
 use crate::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
-use crate::world::{LaneId, RoadblockId, SceneView};
+use planagent_world::geometry::GeometryError;
+use planagent_world::{LaneId, RoadblockId, SceneView};
 
 /// The route as it was repaired at the first iteration.
 #[derive(Debug, Default)]

@@ -1,6 +1,6 @@
 //! The three lines of a crosswalk: those of the smallest rectangle around it.
 
-use crate::geometry::{Point, Polygon};
+use planagent_world::geometry::{Point, Polygon};
 
 /// The middle line and the two edges beside it, each from start to end: the corners of the rectangle, taken as upstream takes
 /// them. Which corner comes first depends on shapely; this is its version 2.0 with GEOS 3.11, whose rounding decides between

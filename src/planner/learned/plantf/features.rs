@@ -2,10 +2,10 @@
 
 use super::map_features::MapFeatures;
 use super::network::{HISTORY, PlanTfInputs};
-use crate::geometry::{Point, Pose, Vector, wrap_angle};
 use crate::planner::learned::past;
-use crate::world::{EgoState, HistorySample, PACIFICA, RoadblockId, STEP_S, SceneView, TrackToken, TrackedObject};
 use candle_core::{Device, Result, Tensor};
+use planagent_world::geometry::{Point, Pose, Vector, wrap_angle};
+use planagent_world::{EgoState, HistorySample, PACIFICA, RoadblockId, STEP_S, SceneView, TrackToken, TrackedObject};
 use std::collections::BTreeMap;
 
 /// Maximum number of agents beside the ego.

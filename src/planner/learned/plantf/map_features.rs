@@ -2,9 +2,9 @@
 
 use super::crosswalk::crosswalk_edges;
 use super::network::PlanTfMap;
-use crate::geometry::{Borders, OrientedBox, Point, Polyline, Pose, borders};
-use crate::world::{Lane, LaneKind, RoadblockId, SceneView, SignalStatus};
 use candle_core::{Device, Result, Tensor};
+use planagent_world::geometry::{Borders, OrientedBox, Point, Polyline, Pose, borders};
+use planagent_world::{Lane, LaneKind, RoadblockId, SceneView, SignalStatus};
 
 /// Half side of the square of the map, meters.
 const RADIUS: f64 = 100.0;

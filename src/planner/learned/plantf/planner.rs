@@ -7,8 +7,8 @@ use crate::planner::learned::blocks::Probe;
 use crate::planner::learned::slot::{Slot, learned_entry};
 use crate::planner::learned::{network_failed, prediction};
 use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
-use crate::world::{STEP_US, Trajectory};
 use candle_core::Result;
+use planagent_world::{STEP_US, Trajectory};
 use std::sync::Arc;
 
 const NAME: &str = "plantf";

@@ -1,8 +1,8 @@
 //! Convolutions over images with their channels last, (images, rows, columns, channels), as products of windows and weights.
 
-use crate::mllm::with_values;
 use crate::planner::learned::blocks::{BatchNorm, Linear, Weights};
 use candle_core::{Device, Result, Tensor};
+use planagent_kernels::values::with_values;
 use rayon::prelude::*;
 
 /// Kernel and stride of the pooling.

@@ -1,9 +1,9 @@
 //! The raster (nuplan-devkit `raster_utils.py`).
 
 use super::drawing::{Canvas, Vertex};
-use crate::geometry::{Bounds, OrientedBox, Point, Polygon, Pose};
-use crate::world::{LaneKind, SceneView};
 use candle_core::{Device, Result, Tensor};
+use planagent_world::geometry::{Bounds, OrientedBox, Point, Polygon, Pose};
+use planagent_world::{LaneKind, SceneView};
 
 /// Pixels of a side.
 pub const SIDE: usize = 224;

@@ -6,7 +6,7 @@ use crate::planner::learned::blocks::Probe;
 use crate::planner::learned::slot::{Slot, learned_entry};
 use crate::planner::learned::{network_failed, prediction};
 use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
-use crate::world::Trajectory;
+use planagent_world::Trajectory;
 use std::sync::Arc;
 
 /// The planners `raster-model` and `raster-model-small`.

@@ -1,10 +1,10 @@
 //! UrbanDriver's features (nuplan-devkit `vector_set_map_feature_builder.py`, `generic_agents_feature_builder.py`).
 
 use super::elements::{FRAMES, MapPoint, POINTS, UrbanDriverFeatures};
-use crate::geometry::{Borders, OrientedBox, Point, Polygon, Pose, borders, unwrap_angles};
 use crate::planner::learned::frame::{relative, rounded, single};
 use crate::planner::learned::past;
-use crate::world::{
+use planagent_world::geometry::{Borders, OrientedBox, Point, Polygon, Pose, borders, unwrap_angles};
+use planagent_world::{
     HistorySample, Lane, LaneKind, MICROS_PER_SECOND, ObjectKind, RoadblockId, SceneView, SignalStatus, TrackToken,
     TrackedObject,
 };

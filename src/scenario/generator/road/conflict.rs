@@ -1,8 +1,8 @@
 //! Conflicts between the connectors of a junction, and which one yields.
 
 use super::network::{Conflict, Network};
-use crate::geometry::Point;
-use crate::world::LaneId;
+use planagent_world::LaneId;
+use planagent_world::geometry::Point;
 
 /// Two paths nearer than this conflict, meters: the width of a vehicle and a margin.
 const TOO_NEAR: f64 = 2.9;

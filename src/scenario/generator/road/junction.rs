@@ -3,8 +3,8 @@
 use super::line::connection;
 use super::network::{Network, Passage, RoadIndex};
 use super::signal::SignalPlan;
-use crate::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
-use crate::world::LaneId;
+use planagent_world::LaneId;
+use planagent_world::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
 use std::f64::consts::PI;
 
 /// An end of a road, by the direction of its line.

@@ -1,6 +1,6 @@
 //! Reference lines of roads and the curves that connect lanes across a junction.
 
-use crate::geometry::{Point, Pose, wrap_angle};
+use planagent_world::geometry::{Point, Pose, wrap_angle};
 
 /// Maximum turn between two samples of a line, radians. Chords stay within 0.01 rad of the tangent.
 const TURN_PER_SAMPLE: f64 = 0.02;

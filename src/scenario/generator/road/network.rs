@@ -2,8 +2,8 @@
 
 use super::line::shifted;
 use super::signal::SignalPlan;
-use crate::geometry::{GeometryError, Point, Polygon, Polyline, Pose};
-use crate::world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId};
+use planagent_world::geometry::{GeometryError, Point, Polygon, Polyline, Pose};
+use planagent_world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId};
 
 /// How much wider the lanes of a road are than its lane width, meters: along the line and against it, leftmost first.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -311,7 +311,7 @@ impl Network {
 
     /// Heading of the road's line at an end of a lane.
     fn tangent(&self, lane: LaneId, at_start: bool) -> f64 {
-        let turned = crate::geometry::wrap_angle;
+        let turned = planagent_world::geometry::wrap_angle;
         for road in &self.roads {
             let line = &road.plan.line;
             if road.forward.contains(&lane) {

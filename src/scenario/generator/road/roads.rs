@@ -3,8 +3,8 @@
 use super::layout::Layout;
 use super::network::{Passage, RoadIndex};
 use super::signal::SignalPlan;
-use crate::geometry::SpatialIndex;
-use crate::world::{LaneId, LaneKind, LaneMap, MapError, RoadblockId, TrafficLights};
+use planagent_world::geometry::SpatialIndex;
+use planagent_world::{LaneId, LaneKind, LaneMap, MapError, RoadblockId, TrafficLights};
 use std::sync::Arc;
 
 /// Why a layout cannot be used.
@@ -129,7 +129,7 @@ impl Roads {
         let mut chain = vec![lane];
         let bend = |&lane: &LaneId| {
             let line = &self.map[lane].centerline;
-            crate::geometry::wrap_angle(line.heading_at(line.length()) - line.heading_at(0.0)).abs()
+            planagent_world::geometry::wrap_angle(line.heading_at(line.length()) - line.heading_at(0.0)).abs()
         };
         while let Some(&next) =
             self.map[chain[chain.len() - 1]].outgoing.iter().min_by(|a, b| bend(a).total_cmp(&bend(b)))
@@ -151,7 +151,7 @@ impl Roads {
 /// Checks that no two roads overlap, and no road and a junction that it does not lead to.
 fn check_overlaps(
     roads: &[super::network::Road],
-    junctions: &[crate::geometry::Polygon],
+    junctions: &[planagent_world::geometry::Polygon],
     touching: &[Vec<RoadIndex>],
 ) -> Result<(), RoadsError> {
     let index = SpatialIndex::new(roads.iter().map(|road| road.outline.bounds()));

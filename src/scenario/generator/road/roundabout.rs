@@ -3,8 +3,8 @@
 use super::junction::{Arm, curb};
 use super::line::{arc, connection};
 use super::network::{Network, Passage, RoadIndex, RoadPlan};
-use crate::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
-use crate::world::LaneId;
+use planagent_world::LaneId;
+use planagent_world::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Parameters of a ring.

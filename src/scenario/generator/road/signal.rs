@@ -1,6 +1,6 @@
 //! Traffic lights with fixed phases.
 
-use crate::world::{LaneId, SignalStatus, TrafficLights};
+use planagent_world::{LaneId, SignalStatus, TrafficLights};
 
 /// Duration of yellow, seconds.
 pub(crate) const YELLOW: f64 = 3.0;

@@ -2,12 +2,12 @@
 
 use super::setting::{LEAD_IN, LanePick, LightTiming, Setting};
 use super::wide;
-use crate::geometry::{OrientedBox, Polygon, Pose};
 use crate::scenario::generator::expert::{EXPERT, ExpertTask};
 use crate::scenario::generator::rng::SeededRng;
 use crate::scenario::generator::road::Roads;
 use crate::scenario::generator::traffic::{DriverProfile, Mover, Shift, Track, Traffic, Walker};
-use crate::world::{LaneId, ObjectKind, SignalStatus, TrackToken, TrackedObject};
+use planagent_world::geometry::{OrientedBox, Polygon, Pose};
+use planagent_world::{LaneId, ObjectKind, SignalStatus, TrackToken, TrackedObject};
 use std::sync::Arc;
 
 /// Size of a vehicle.
@@ -216,7 +216,7 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
         let free = self.is_free(&shape, 0.3, 0.1);
         if free {
             let token = self.token();
-            let velocity = crate::geometry::Vector::zeros();
+            let velocity = planagent_world::geometry::Vector::zeros();
             self.traffic.fixtures.push(TrackedObject { token, kind, shape, velocity });
         }
         free

@@ -3,9 +3,9 @@
 use super::builder::{TrafficBuilder, VehicleKind};
 use super::setting::LEAD_IN;
 use super::wide;
-use crate::geometry::{OrientedBox, Point, Polygon, Pose, wrap_angle};
 use crate::scenario::generator::traffic::{Departure, Walker};
-use crate::world::{LaneId, ObjectKind, TrackToken};
+use planagent_world::geometry::{OrientedBox, Point, Polygon, Pose, wrap_angle};
+use planagent_world::{LaneId, ObjectKind, TrackToken};
 use std::f64::consts::PI;
 
 /// Minimum width of a parking strip, meters.

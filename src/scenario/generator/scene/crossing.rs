@@ -2,9 +2,9 @@
 
 use super::builder::TrafficBuilder;
 use super::setting::{self, LIMITS, LightTiming, Setting};
-use crate::geometry::GeometryError;
 use crate::scenario::generator::rng::SeededRng;
 use crate::scenario::generator::road::{Control, Turn};
+use planagent_world::geometry::GeometryError;
 
 /// A route over a crossing with this turn. `signals` is the probability of traffic lights.
 pub(crate) fn turn(rng: &mut SeededRng, turn: Turn, signals: f64) -> Result<Setting, GeometryError> {

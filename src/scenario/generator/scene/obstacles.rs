@@ -1,7 +1,7 @@
 //! What blocks the ego's lane.
 
 use super::builder::TrafficBuilder;
-use crate::world::ObjectKind;
+use planagent_world::ObjectKind;
 
 /// Closes the ego's lane about `ahead` meters before it, if that is a lane with room before the next junction. True if the
 /// lane is closed.

@@ -1,10 +1,10 @@
 //! Roads, where the ego starts on them, and what its traffic light shows.
 
 use super::wide;
-use crate::geometry::{GeometryError, Pose};
 use crate::scenario::generator::expert::ExpertTask;
 use crate::scenario::generator::rng::{EarlyDraw, SeededRng};
 use crate::scenario::generator::road::{CirclePlan, Control, Course, CrossingPlan, Layout, RoadStyle, Turn};
+use planagent_world::geometry::{GeometryError, Pose};
 use std::f64::consts::PI;
 
 /// Speed limits of city roads, m/s (20 to 45 mph).

@@ -7,7 +7,7 @@ use super::builder::{TrafficBuilder, VehicleKind};
 use crate::scenario::generator::rng::SeededRng;
 use crate::scenario::generator::road::{ExtraWidths, MAX_LANES, RoadStyle};
 use crate::scenario::generator::traffic::{Departure, Sway};
-use crate::world::{BASELINE_SPACING, LaneMap, MapError, SignalStatus};
+use planagent_world::{BASELINE_SPACING, LaneMap, MapError, SignalStatus};
 use std::f64::consts::PI;
 
 /// Maximum number of vehicles and cyclists that move.

@@ -1,9 +1,9 @@
 //! Behavior of other agents: the share of scenarios with difficult situations.
 
 use super::CORPUS;
-use crate::geometry::{Pose, wrap_angle};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{LaneKind, ObjectKind, TrackedObject};
+use planagent_world::geometry::{Pose, wrap_angle};
+use planagent_world::{LaneKind, ObjectKind, TrackedObject};
 
 fn share(shows: impl Fn(&Scenario) -> bool) -> f64 {
     CORPUS.iter().filter(|generated| shows(&generated.scenario)).count() as f64 / CORPUS.len() as f64

@@ -2,9 +2,9 @@
 
 use super::super::{Generated, log};
 use super::{CORPUS, one_each};
-use crate::geometry::{Point, Polygon};
-use crate::world::{EgoState, LaneKind, LaneMap, PACIFICA, STEP_US};
 use geo::Validation;
+use planagent_world::geometry::{Point, Polygon};
+use planagent_world::{EgoState, LaneKind, LaneMap, PACIFICA, STEP_US};
 use std::collections::BTreeSet;
 
 /// All polygons of a map with the layer of each.
@@ -34,7 +34,7 @@ fn frames_are_nuplans_window() {
         assert!(times.windows(2).all(|w| w[1] - w[0] == STEP_US), "{}", scenario.id);
         assert_eq!(scenario.iterations(), log::ITERATIONS);
         // With the present sample the history buffer holds 22 samples: 2.1 s.
-        assert_eq!(scenario.past().len() + 1, crate::world::HISTORY_SAMPLES);
+        assert_eq!(scenario.past().len() + 1, planagent_world::HISTORY_SAMPLES);
         assert_eq!(times[scenario.start] - times[0], 2_100_000);
     }
 }
@@ -158,7 +158,7 @@ fn baselines_are_dense_and_lead_to_each_other() {
         for lane in scenario.map.lanes() {
             let line = &lane.centerline;
             let longest = line.vertices().windows(2).map(|pair| (pair[1] - pair[0]).norm()).fold(0.0, f64::max);
-            assert!(longest < crate::world::BASELINE_SPACING + 1e-6, "{} {:?}: {longest} m", scenario.id, lane.id);
+            assert!(longest < planagent_world::BASELINE_SPACING + 1e-6, "{} {:?}: {longest} m", scenario.id, lane.id);
             for beside in lane.left.iter().chain(&lane.right).filter(|beside| beside.from_s <= 0.0) {
                 assert!(beside.to_s >= line.length(), "{} {:?}", scenario.id, lane.id);
             }

@@ -2,7 +2,7 @@
 
 use super::CORPUS;
 use crate::scenario::Scenario;
-use crate::world::{LaneKind, ObjectKind};
+use planagent_world::{LaneKind, ObjectKind};
 
 fn share(holds: impl Fn(&Scenario) -> bool) -> f64 {
     CORPUS.iter().filter(|generated| holds(&generated.scenario)).count() as f64 / CORPUS.len() as f64
@@ -42,7 +42,7 @@ fn scenarios_are_varied() {
     assert!(limits.len() >= 6);
     let bends = share(|s| {
         let headings: Vec<f64> = s.expert().map(|ego| ego.rear_axle.heading).collect();
-        headings.iter().any(|h| crate::geometry::wrap_angle(h - headings[0]).abs() > 0.3)
+        headings.iter().any(|h| planagent_world::geometry::wrap_angle(h - headings[0]).abs() > 0.3)
     });
     within("bends and turns", bends, 0.15, 0.8);
 }

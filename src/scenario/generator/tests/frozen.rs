@@ -2,8 +2,8 @@
 
 use super::super::{Spec, generate, types};
 use super::CORPUS;
-use crate::geometry::Point;
 use crate::scenario::Scenario;
+use planagent_world::geometry::Point;
 use rayon::prelude::*;
 
 /// BLAKE3 of the scenarios of the tests, one line each: name, length of the expert's path in centimeters, objects at the start.

@@ -2,9 +2,9 @@
 
 use super::super::{log, types};
 use super::{CORPUS, SEEDS};
-use crate::geometry::wrap_angle;
 use crate::scenario::Scenario;
-use crate::world::{LaneId, ObjectKind, STEP_S, STEP_US, SignalStatus};
+use planagent_world::geometry::wrap_angle;
+use planagent_world::{LaneId, ObjectKind, STEP_S, STEP_US, SignalStatus};
 
 #[test]
 fn every_type_and_seed_gives_a_full_log() {
@@ -81,13 +81,13 @@ fn the_expert_keeps_to_the_limit_and_stops_at_red() {
         let Scenario { map, frames, id, .. } = &generated.scenario;
         let mut before: Option<LaneId> = None;
         for frame in frames {
-            let front = frame.ego.rear_axle.translated(crate::world::PACIFICA.front_length, 0.0);
-            let center = map.lanes_of_kind_at(frame.ego.center().position(), crate::world::LaneKind::Lane);
+            let front = frame.ego.rear_axle.translated(planagent_world::PACIFICA.front_length, 0.0);
+            let center = map.lanes_of_kind_at(frame.ego.center().position(), planagent_world::LaneKind::Lane);
             if let Some(limit) = center.first().and_then(|&lane| map[lane].speed_limit) {
                 assert!(frame.ego.speed() < limit + 0.9, "{id}: {} over {limit}", frame.ego.speed());
             }
             // Between two frames the front comes onto a connector: one of those that start there must not be red.
-            let lane = map.lanes_of_kind_at(front.position(), crate::world::LaneKind::Lane).first().copied();
+            let lane = map.lanes_of_kind_at(front.position(), planagent_world::LaneKind::Lane).first().copied();
             if let (Some(from), None) = (before, lane) {
                 let onward = map[from].outgoing.iter().filter_map(|&connector| frame.lights.status(connector));
                 let statuses: Vec<SignalStatus> = onward.collect();

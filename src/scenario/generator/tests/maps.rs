@@ -1,8 +1,8 @@
 //! The maps: relations, joints, areas.
 
 use super::{CORPUS, one_each};
-use crate::geometry::{Point, wrap_angle};
-use crate::world::{LaneKind, LaneMap};
+use planagent_world::geometry::{Point, wrap_angle};
+use planagent_world::{LaneKind, LaneMap};
 
 #[test]
 fn relations_are_symmetric_and_kinds_alternate() {

@@ -2,7 +2,7 @@
 
 use super::super::{DEFAULT, GeneratorError, MAX_DRAWS, Spec, generate, types};
 use crate::scenario::Scenario;
-use crate::world::LaneMap;
+use planagent_world::LaneMap;
 use rayon::prelude::*;
 
 #[test]

@@ -4,8 +4,8 @@ use super::mover::{Mover, Steering};
 use super::right_of_way::Claims;
 use super::state::{Body, Traffic};
 use super::walker::Walker;
-use crate::dynamics::Lead;
-use crate::world::{PACIFICA, TrafficLights};
+use planagent_world::dynamics::Lead;
+use planagent_world::{PACIFICA, TrafficLights};
 
 /// Lateral clearance below which a body blocks the path, meters.
 const SIDE_MARGIN: f64 = 0.25;

@@ -3,7 +3,7 @@
 use super::mover::{Act, Mover, Shift};
 use super::state::{Body, Traffic};
 use super::track::Track;
-use crate::geometry::wrap_angle;
+use planagent_world::geometry::wrap_angle;
 use std::sync::Arc;
 
 /// What the expert does about the ego's lane.

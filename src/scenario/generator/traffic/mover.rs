@@ -1,9 +1,9 @@
 //! Vehicles and cyclists, each on its track.
 
 use super::track::Track;
-use crate::dynamics::IdmParameters;
-use crate::geometry::{OrientedBox, Pose, Vector, wrap_angle};
-use crate::world::{LaneId, ObjectKind, PACIFICA, STEP_S, TrackToken};
+use planagent_world::dynamics::IdmParameters;
+use planagent_world::geometry::{OrientedBox, Pose, Vector, wrap_angle};
+use planagent_world::{LaneId, ObjectKind, PACIFICA, STEP_S, TrackToken};
 use std::sync::Arc;
 
 /// Parameters of a driver.

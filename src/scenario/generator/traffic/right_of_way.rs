@@ -3,7 +3,7 @@
 use super::mover::Mover;
 use super::state::Traffic;
 use crate::scenario::generator::road::{Conflict, Passage};
-use crate::world::{SignalStatus, TrafficLights};
+use planagent_world::{SignalStatus, TrafficLights};
 
 /// Distance before a junction at which other drivers notice a vehicle, meters.
 const NOTICED: f64 = 70.0;

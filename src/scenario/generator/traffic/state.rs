@@ -2,9 +2,9 @@
 
 use super::mover::Mover;
 use super::walker::Walker;
-use crate::geometry::{OrientedBox, Vector};
 use crate::scenario::generator::road::Roads;
-use crate::world::{ObjectKind, TrackedObject, TrafficLights};
+use planagent_world::geometry::{OrientedBox, Vector};
+use planagent_world::{ObjectKind, TrackedObject, TrafficLights};
 
 /// A vehicle or object to keep clear of, as it is now.
 #[derive(Debug, Clone, Copy)]

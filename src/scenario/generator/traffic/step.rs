@@ -4,7 +4,7 @@ use super::lane_change::LaneCommand;
 use super::right_of_way::Claims;
 use super::state::{Body, Traffic};
 use super::walker::Walker;
-use crate::world::STEP_S;
+use planagent_world::STEP_S;
 
 impl Traffic<'_> {
     /// Advances everything by one step of 0.1 s.

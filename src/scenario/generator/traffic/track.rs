@@ -1,8 +1,8 @@
 //! The line that a driver follows, sampled evenly so that queries are cheap.
 
-use crate::geometry::{Point, Polyline, Pose, Vector, unwrap_angles};
 use crate::scenario::generator::road::Roads;
-use crate::world::{LaneId, LanePath};
+use planagent_world::geometry::{Point, Polyline, Pose, Vector, unwrap_angles};
+use planagent_world::{LaneId, LanePath};
 
 /// Distance between samples, meters.
 const SPACING: f64 = 1.0;

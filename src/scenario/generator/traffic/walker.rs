@@ -1,7 +1,7 @@
 //! Pedestrians: they wait, cross at crosswalks or between them, or walk along the road.
 
-use crate::geometry::{OrientedBox, Point, Pose, Vector};
-use crate::world::{STEP_S, TrackToken};
+use planagent_world::geometry::{OrientedBox, Point, Pose, Vector};
+use planagent_world::{STEP_S, TrackToken};
 
 /// When a pedestrian starts to walk. Times are seconds from iteration 0.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -30,7 +30,7 @@ fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
     let before = driven + rng.uniform(LEFT_AT_RED[0], LEFT_AT_RED[1]);
     let (layout, start) = setting::town(rng, &style, &plan, before)?;
     // The ego's position is that of its rear axle.
-    let mut setting = Setting::new(layout, start - crate::world::PACIFICA.front_length, 1.0);
+    let mut setting = Setting::new(layout, start - planagent_world::PACIFICA.front_length, 1.0);
     setting.light = LightTiming::GreenUntil(rng.early_draw(YELLOW_AT, YELLOW_AT));
     Ok(setting)
 }

@@ -4,7 +4,7 @@ use crate::scenario::modified::change::{Change, Fault};
 use crate::scenario::modified::draft::{CrossingWay, Draft};
 use crate::scenario::modified::lanes::LanePlace;
 use crate::scenario::modified::number::Number;
-use crate::world::ObjectKind;
+use planagent_world::ObjectKind;
 use serde::Deserialize;
 
 /// A vehicle beside the road that drives across it and stops there. It follows no lane and yields to nobody.

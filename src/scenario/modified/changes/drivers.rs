@@ -2,7 +2,7 @@
 
 use crate::scenario::modified::change::{Change, Fault};
 use crate::scenario::modified::draft::Draft;
-use crate::world::DriverBehavior;
+use planagent_world::DriverBehavior;
 use serde::Deserialize;
 
 /// Behavior of the reactive vehicles that name none of their own.

@@ -4,7 +4,7 @@ use crate::scenario::modified::change::{Change, Fault};
 use crate::scenario::modified::draft::{Draft, GoalPath};
 use crate::scenario::modified::lanes::LanePlace;
 use crate::scenario::modified::number::Number;
-use crate::world::{LanePath, RoadblockId, STEP_S};
+use planagent_world::{LanePath, RoadblockId, STEP_S};
 use serde::Deserialize;
 
 /// A goal that needs lane changes. The expert of the score drives to it, and the scene ends there.

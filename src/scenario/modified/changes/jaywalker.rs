@@ -4,7 +4,7 @@ use crate::scenario::modified::change::{Change, Fault};
 use crate::scenario::modified::draft::{CrossingWay, Draft};
 use crate::scenario::modified::lanes::LanePlace;
 use crate::scenario::modified::number::Number;
-use crate::world::{ObjectKind, WALKER_SIZE};
+use planagent_world::{ObjectKind, WALKER_SIZE};
 use serde::Deserialize;
 
 /// A person beside the ego's path.

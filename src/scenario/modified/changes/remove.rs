@@ -2,7 +2,7 @@
 
 use crate::scenario::modified::change::{Change, Fault};
 use crate::scenario::modified::draft::Draft;
-use crate::world::{ObjectKind, TrackedObject};
+use planagent_world::{ObjectKind, TrackedObject};
 use serde::Deserialize;
 
 /// Leaves out logged objects of these classes, everywhere or around a place.

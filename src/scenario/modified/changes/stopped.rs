@@ -4,7 +4,7 @@ use crate::scenario::modified::change::{Change, Fault};
 use crate::scenario::modified::draft::Draft;
 use crate::scenario::modified::lanes::LanePlace;
 use crate::scenario::modified::number::Number;
-use crate::world::ObjectKind;
+use planagent_world::ObjectKind;
 use serde::Deserialize;
 
 /// A parked or broken-down vehicle.

@@ -1,12 +1,12 @@
 //! `traffic`: vehicles in a row on each lane, with drawn gaps (interPlan `agents_modifier.py`).
 
 use super::stopped::{length, width};
-use crate::dynamics::IDM_AGENT;
 use crate::scenario::modified::change::{Change, Fault};
 use crate::scenario::modified::changes::drivers::behavior;
 use crate::scenario::modified::draft::Draft;
 use crate::scenario::modified::lanes::{OnLane, through};
 use crate::scenario::modified::number::Number;
+use planagent_world::dynamics::IDM_AGENT;
 use serde::Deserialize;
 
 /// Dense traffic. The ego takes a place in the row of its lane, and the speed of that place.

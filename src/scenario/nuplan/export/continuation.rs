@@ -4,9 +4,9 @@
 //! recorded states come first. Then, and for all others at once, the road users keep their last speed: along their lane where
 //! they are on one and head along it, else straight. They do not react to each other. Lights keep their last state.
 
-use crate::geometry::{Point, Polyline, Pose, Vector, wrap_angle};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND, ObjectKind, RoadblockId, STEP_US, TrackedObject};
+use planagent_world::geometry::{Point, Polyline, Pose, Vector, wrap_angle};
+use planagent_world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND, ObjectKind, RoadblockId, STEP_US, TrackedObject};
 
 /// Frames after the end: nine seconds at 10 Hz, one more than nuPlan's longest horizon.
 pub(super) const FRAMES_AFTER: usize = 90;

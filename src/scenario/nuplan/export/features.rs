@@ -5,10 +5,10 @@ use super::lane_order::{changed_neighbors, lane_indices};
 use super::package::{Feature, LayerRows};
 use super::placement::{Placement, ShapeError};
 use super::stops::{StopRow, stop_rows};
-use crate::geometry::{Polygon, Polyline, borders};
 use crate::scenario::nuplan::geometry_blob::StoredShape;
 use crate::scenario::nuplan::schema::{self, Table};
-use crate::world::{BASELINE_SPACING, LaneId, LaneKind, LaneMap};
+use planagent_world::geometry::{Polygon, Polyline, borders};
+use planagent_world::{BASELINE_SPACING, LaneId, LaneKind, LaneMap};
 use rusqlite::types::Value;
 use std::collections::BTreeMap;
 

@@ -16,8 +16,8 @@
 use super::ExportChanges;
 use super::ids::{FreeIds, feature_ids};
 use super::overlap::cut_inserted;
-use crate::geometry::{GeometryError, OrientedBox, Point, Polygon, Polyline};
-use crate::world::{Lane, LaneId, LaneMap, RoadblockId};
+use planagent_world::geometry::{GeometryError, OrientedBox, Point, Polygon, Polyline};
+use planagent_world::{Lane, LaneId, LaneMap, RoadblockId};
 use std::collections::BTreeMap;
 
 /// Length of a lane or connector that is cut off a predecessor, m.
@@ -145,7 +145,7 @@ impl<'m> GraphBuilder<'m> {
     }
 
     fn fit(mut self) -> Result<Graph, GeometryError> {
-        for block in self.map.roadblocks().iter().filter(|block| block.kind == crate::world::LaneKind::Lane) {
+        for block in self.map.roadblocks().iter().filter(|block| block.kind == planagent_world::LaneKind::Lane) {
             let fid = self.graph.block_fids[block.id.index()];
             self.graph.groups.push(GroupRow { fid, areas: block.areas.clone() });
         }
@@ -317,6 +317,6 @@ fn joint(lane: &Lane, next: &Lane) -> Result<Polyline, GeometryError> {
 fn strip(line: &Polyline) -> Result<Polygon, GeometryError> {
     let (from, to): (Point, Point) = (line.start(), line.end());
     let along = to - from;
-    let middle = crate::geometry::Pose::at(nalgebra::center(&from, &to), along.y.atan2(along.x));
+    let middle = planagent_world::geometry::Pose::at(nalgebra::center(&from, &to), along.y.atan2(along.x));
     Polygon::new(OrientedBox::new(middle, along.norm(), WIDTH).corners())
 }

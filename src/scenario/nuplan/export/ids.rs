@@ -1,6 +1,6 @@
 //! Feature ids of lanes and roadblocks.
 
-use crate::world::LaneKind;
+use planagent_world::LaneKind;
 use std::collections::BTreeSet;
 
 /// Ids for a list of lanes or roadblocks, by their kinds and ids in the source. The ids of the source are kept where they are

@@ -3,7 +3,7 @@
 //! In nuPlan two lanes are neighbors along their whole length and both ways. Where the map has neighbors for parts of a lane,
 //! the pair with the longest common part is kept; lanes that are no neighbors get indices that differ by more than one.
 
-use crate::world::{LaneId, LaneMap, Neighbor, Roadblock};
+use planagent_world::{LaneId, LaneMap, Neighbor, Roadblock};
 use std::collections::BTreeMap;
 
 /// Index of each lane of a roadblock.
@@ -58,7 +58,7 @@ pub(super) fn changed_neighbors(map: &LaneMap, indices: &BTreeMap<LaneId, i64>) 
         let numbers = indices.get(&lane).zip(indices.get(&neighbor.lane));
         whole && here.roadblock == map[neighbor.lane].roadblock && numbers.is_some_and(|(&a, &b)| b == a + step)
     };
-    let changed = |lane: &crate::world::Lane| {
+    let changed = |lane: &planagent_world::Lane| {
         let left = lane.left.iter().filter(|n| !kept(lane.id, n, -1)).count();
         left + lane.right.iter().filter(|n| !kept(lane.id, n, 1)).count()
     };

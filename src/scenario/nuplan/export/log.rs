@@ -2,15 +2,15 @@
 
 use super::naming::Tokens;
 use super::timeline::{Row, Timeline};
-use crate::geometry::{Point, Pose};
 use crate::scenario::Scenario;
 use crate::scenario::nuplan::schema::{
     CATEGORY, CHANNEL, EGO_POSE, LIDAR, LIDAR_BOX, LIDAR_PC, LOG, LOG_INDICES, LOG_TABLES, SCENARIO_TAG, SCENE, TRACK,
     TRAFFIC_LIGHT_STATUS,
 };
 use crate::scenario::nuplan::token::{TOKEN_BYTES, Token};
-use crate::world::{EgoState, LaneId, MICROS_PER_SECOND, ObjectKind, TrackToken, TrackedObject};
 use jiff::Timestamp;
+use planagent_world::geometry::{Point, Pose};
+use planagent_world::{EgoState, LaneId, MICROS_PER_SECOND, ObjectKind, TrackToken, TrackedObject};
 use rusqlite::types::Null;
 use rusqlite::{Connection, Transaction, params};
 use std::collections::BTreeMap;
@@ -130,8 +130,12 @@ impl Writer<'_> {
     /// Writes the goal as an ego pose after the last row; no row uses it.
     fn write_goal(&self, goal: Pose) -> rusqlite::Result<Token> {
         let after_us = self.timeline.rows.last().map_or(0, |row| row.ego.time_us) + MICROS_PER_SECOND as i64;
-        let state =
-            EgoState::from_log(after_us, goal, crate::geometry::Vector::zeros(), crate::geometry::Vector::zeros());
+        let state = EgoState::from_log(
+            after_us,
+            goal,
+            planagent_world::geometry::Vector::zeros(),
+            planagent_world::geometry::Vector::zeros(),
+        );
         self.write_ego(self.timeline.rows.len(), &state)
     }
 

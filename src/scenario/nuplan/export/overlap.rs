@@ -4,7 +4,7 @@
 //! Lanes of the map keep their areas. Connectors may overlap lanes and each other, as in nuPlan's maps.
 
 use super::graph::{GroupRow, LaneRow};
-use crate::geometry::{OrientedBox, Polygon, Polyline};
+use planagent_world::geometry::{OrientedBox, Polygon, Polyline};
 
 /// Smaller overlaps are rounding, m².
 const MIN_OVERLAP: f64 = 1e-6;

@@ -1,10 +1,10 @@
 //! Where on Earth the scenario's own coordinates lie, and its shapes as a map package stores them.
 
 use super::valid_area::valid_union;
-use crate::geometry::{Point, Polygon, Polyline};
 use crate::scenario::nuplan::geometry_blob::{BlobError, StoredShape, encode};
 use crate::scenario::nuplan::projection::{ProjectionError, Utm, WGS84};
 use geo::{Coord, LineString, MapCoords, MultiPolygon};
+use planagent_world::geometry::{Point, Polygon, Polyline};
 
 /// Why a shape cannot be written.
 #[derive(Debug, thiserror::Error)]

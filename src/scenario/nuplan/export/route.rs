@@ -1,8 +1,8 @@
 //! The route of a scenario in ids of the written map.
 
 use super::graph::Graph;
-use crate::geometry::wrap_angle;
-use crate::world::{LaneKind, LaneMap, RoadblockId};
+use planagent_world::geometry::wrap_angle;
+use planagent_world::{LaneKind, LaneMap, RoadblockId};
 use std::collections::{BTreeMap, VecDeque};
 
 /// Maximum number of inserted roadblocks between two of the route: a connector, or a connector, a lane and a connector.

@@ -4,8 +4,8 @@
 //! with lights but without a stop line gets one across its start.
 
 use super::graph::Graph;
-use crate::geometry::{OrientedBox, Polygon, Pose};
-use crate::world::{LaneId, LaneMap, StopLineId};
+use planagent_world::geometry::{OrientedBox, Polygon, Pose};
+use planagent_world::{LaneId, LaneMap, StopLineId};
 use std::collections::BTreeMap;
 
 /// Stop line types of nuPlan's enumeration: of a stop sign,

@@ -4,9 +4,9 @@ use super::graph::{ConnectorRow, Graph, LaneRow};
 use super::route::{extend_short, route_ids};
 use super::stops::stop_rows;
 use super::*;
-use crate::geometry::{OrientedBox, Polyline, Pose};
 use crate::scenario::generator::{ScenarioType, Spec, generate, types};
-use crate::world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId};
+use planagent_world::geometry::{OrientedBox, Polyline, Pose};
+use planagent_world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId};
 use rusqlite::Connection;
 
 /// A map of straight lanes along the x axis, each in its own roadblock: kind, start, end, and successors.
@@ -129,7 +129,7 @@ fn of_several_connectors_the_straightest_extends_a_route() {
     let graph = Graph::of(map).unwrap();
     let turn = |id: LaneId| {
         let line = &map[id].centerline;
-        crate::geometry::wrap_angle(line.heading_at(line.length()) - line.heading_at(0.0)).abs()
+        planagent_world::geometry::wrap_angle(line.heading_at(line.length()) - line.heading_at(0.0)).abs()
     };
     let choices = |block: &&Roadblock| block.kind == LaneKind::Lane && block.outgoing.len() > 1;
     let block = map.roadblocks().iter().find(choices).unwrap();

@@ -6,10 +6,10 @@
 //! the window would reach beyond the end, the log ends with the scenario: the end of the log is what cuts the window there.
 
 use super::continuation::frames_after;
-use crate::geometry::{Point, Pose, wrap_angle};
 use crate::scenario::nuplan::extraction::{Extraction, ROWS_PER_STEP};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{EgoState, TrackedObject, TrafficLights};
+use planagent_world::geometry::{Point, Pose, wrap_angle};
+use planagent_world::{EgoState, TrackedObject, TrafficLights};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -143,9 +143,9 @@ fn midway(from: Pose, to: Pose) -> Pose {
 mod tests {
     use super::super::continuation::FRAMES_AFTER;
     use super::*;
-    use crate::geometry::{OrientedBox, Vector};
     use crate::scenario::generator::{Spec, generate, types};
-    use crate::world::{ObjectKind, TrackToken};
+    use planagent_world::geometry::{OrientedBox, Vector};
+    use planagent_world::{ObjectKind, TrackToken};
     use std::f64::consts::PI;
 
     fn frame(time_us: i64, heading: f64, tracks: &[u32]) -> Frame {

@@ -4,11 +4,11 @@
 //! corners of their union change sides when they are rounded to degrees and back.
 
 use super::placement::ShapeError;
-use crate::geometry::{Point, Polygon};
 use geo::algorithm::buffer::{BufferStyle, LineJoin};
 use geo::bool_ops::FillRule;
 use geo::orient::Direction;
 use geo::{BooleanOps, Buffer, Coord, CoordsIter, LineString, LinesIter, MultiPolygon, Orient, Validation};
+use planagent_world::geometry::{Point, Polygon};
 
 /// Widths by which the outline of an invalid area is moved outward, m, until it is valid: slits close, and parts that meet in a
 /// point join.

@@ -1,0 +1,97 @@
+//! Queries, keys and values as the projections of a layer leave them.
+
+use candle_core::Tensor;
+
+use super::rotary::RotaryRows;
+use crate::matrix::LANES;
+use crate::values::with_contiguous;
+
+/// The heads of an attention.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct HeadShape {
+    /// A multiple of the key heads.
+    pub query_heads: usize,
+    /// Key heads, and value heads.
+    pub key_heads: usize,
+    /// Channels of a head.
+    pub width: usize,
+}
+
+impl HeadShape {
+    /// Query heads that share a key head.
+    pub(super) fn group(self) -> usize {
+        self.query_heads / self.key_heads
+    }
+
+    /// Head width rounded up to whole vectors.
+    pub(super) fn padded(self) -> usize {
+        self.width.next_multiple_of(LANES)
+    }
+
+    /// Numbers of a token's queries, keys and values together.
+    pub(super) fn row(self) -> usize {
+        (self.query_heads + 2 * self.key_heads) * self.width
+    }
+}
+
+/// Queries, keys and values of tokens before the rotary embedding, (tokens, (query heads + 2 · key heads) · head width).
+#[derive(Debug, Clone, Copy)]
+pub struct Projected<'a> {
+    values: &'a [f32],
+    shape: HeadShape,
+    rotary: Option<&'a RotaryRows>,
+}
+
+impl<'a> Projected<'a> {
+    /// Runs `read` on the rows of a tensor. `rotary` has the angles of queries and keys; `None` for no rotary embedding.
+    pub fn of<T>(
+        tensor: &Tensor,
+        shape: HeadShape,
+        rotary: Option<&'a RotaryRows>,
+        read: impl FnOnce(&Projected<'_>) -> candle_core::Result<T>,
+    ) -> candle_core::Result<T> {
+        let (tokens, width) = tensor.dims2()?;
+        if width != shape.row() || !shape.query_heads.is_multiple_of(shape.key_heads) {
+            candle_core::bail!("rows of {width} numbers do not hold queries, keys and values of {shape:?}");
+        }
+        if rotary.is_some_and(|rotary| !rotary.fits(tokens, shape.width)) {
+            candle_core::bail!("the rotary angles do not fit {tokens} tokens of {shape:?}");
+        }
+        with_contiguous(tensor, |values| read(&Projected { values, shape, rotary }))
+    }
+
+    pub(super) fn shape(&self) -> HeadShape {
+        self.shape
+    }
+
+    /// Number of tokens.
+    pub fn tokens(&self) -> usize {
+        self.values.len() / self.shape.row()
+    }
+
+    pub(super) fn heads(&self, token: usize, first: usize, count: usize) -> &'a [f32] {
+        let start = token * self.shape.row() + first * self.shape.width;
+        &self.values[start..start + count * self.shape.width]
+    }
+
+    /// The queries of the heads that share a key head.
+    pub(super) fn queries(&self, token: usize, head: usize) -> &'a [f32] {
+        self.heads(token, head * self.shape.group(), self.shape.group())
+    }
+
+    pub(super) fn key(&self, token: usize, head: usize) -> &'a [f32] {
+        self.heads(token, self.shape.query_heads + head, 1)
+    }
+
+    pub(super) fn value(&self, token: usize, head: usize) -> &'a [f32] {
+        self.heads(token, self.shape.query_heads + self.shape.key_heads + head, 1)
+    }
+
+    /// A query or key, rotated by its token's angles and scaled.
+    pub(super) fn rotated(&self, token: usize, head: &[f32], scale: f32, out: &mut [f32]) {
+        match self.rotary {
+            Some(rotary) => rotary.rotate(token, head, scale, out),
+            None => out.iter_mut().zip(head).for_each(|(out, value)| *out = value * scale),
+        }
+    }
+}

@@ -1,0 +1,15 @@
+//! The arithmetic of neural networks on the CPU: products with weights in every format, attention, norms and activation functions.
+
+mod activation;
+pub mod attention;
+mod layer_norm;
+mod linear;
+pub mod matrix;
+pub mod pointwise;
+mod rms_norm;
+pub mod values;
+
+pub use activation::Activation;
+pub use layer_norm::LayerNorm;
+pub use linear::Linear;
+pub use rms_norm::RmsNorm;

@@ -1,0 +1,199 @@
+//! Weight matrices in their stored weight format, and their products with rows of activations.
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
+
+mod blocks;
+mod float;
+mod format;
+mod line;
+mod packed_tiles;
+mod probe;
+mod product;
+mod quantized;
+mod simd;
+mod stored_format;
+#[cfg(test)]
+mod tests;
+mod weight_format;
+
+use std::io::{self, Write};
+use std::sync::Arc;
+
+use candle_core::quantized::QTensor;
+use candle_core::{Device, Result, Tensor, bail};
+use rayon::prelude::*;
+
+// Tests of other crates compare with it.
+#[doc(hidden)]
+pub use blocks::widen;
+pub use line::{CacheLine, LANES};
+use packed_tiles::PackedTiles;
+#[doc(hidden)]
+pub use probe::byte_operations;
+use product::Columns;
+pub use simd::{Instructions, Kernel, Simd};
+pub use stored_format::StoredFormat;
+pub use weight_format::{UnknownWeightFormat, WeightFormat};
+
+use super::values::{PIECE, with_values};
+
+/// A matrix W of shape (outputs, inputs); its product with rows x is x Wᵀ. Clones share one copy of the weights.
+#[derive(Debug, Clone)]
+pub struct Matrix {
+    inputs: usize,
+    outputs: usize,
+    /// Consecutive rows in one weight format. A stack of matrices may have more than one segment.
+    segments: Vec<Arc<PackedTiles>>,
+}
+
+impl Matrix {
+    /// Whether a weight format can hold a matrix of this shape.
+    pub fn fits(weight_format: WeightFormat, outputs: usize, inputs: usize) -> bool {
+        outputs > 0 && inputs > 0 && weight_format.matrix_bytes(outputs, inputs).is_some()
+    }
+
+    /// Quantizes row-major values with ggml's reference quantizers.
+    pub fn quantize(values: &[f32], outputs: usize, inputs: usize, weight_format: WeightFormat) -> Result<Self> {
+        check_shape(weight_format, outputs, inputs)?;
+        if outputs.checked_mul(inputs) != Some(values.len()) {
+            bail!("{} values do not fill a matrix of {outputs} x {inputs}", values.len());
+        }
+        let mut blocks = vec![0; values.len() / weight_format.block() * weight_format.block_bytes()];
+        let pieces = blocks.par_chunks_mut(PIECE / weight_format.block() * weight_format.block_bytes());
+        pieces.zip(values.par_chunks(PIECE)).try_for_each(|(blocks, values)| {
+            let tensor = Tensor::from_slice(values, values.len(), &Device::Cpu)?;
+            blocks.copy_from_slice(&QTensor::quantize(&tensor, weight_format.ggml())?.data()?);
+            Result::Ok(())
+        })?;
+        Self::from_blocks(weight_format, outputs, inputs, &blocks)
+    }
+
+    /// Takes ggml's row-major blocks as a GGUF file stores them.
+    pub fn from_blocks(weight_format: WeightFormat, outputs: usize, inputs: usize, bytes: &[u8]) -> Result<Self> {
+        check_shape(weight_format, outputs, inputs)?;
+        if weight_format.matrix_bytes(outputs, inputs) != Some(bytes.len()) {
+            bail!("{} bytes do not fill a {weight_format} matrix of {outputs} x {inputs}", bytes.len());
+        }
+        let tiles = PackedTiles::pack(weight_format, outputs, inputs, bytes);
+        Ok(Self { inputs, outputs, segments: vec![Arc::new(tiles)] })
+    }
+
+    /// Takes an f32 tensor of shape (outputs, inputs).
+    pub fn from_tensor(tensor: &Tensor) -> Result<Self> {
+        let (outputs, inputs) = tensor.dims2()?;
+        let bytes = |values: &[f32]| Ok(values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>());
+        Self::from_blocks(WeightFormat::F32, outputs, inputs, &with_values(tensor, bytes)?)
+    }
+
+    /// Concatenates the outputs of matrices with the same inputs, so that one product replaces several. Their weight
+    /// formats may differ.
+    pub fn stack(matrices: Vec<Self>) -> Result<Self> {
+        let Some(inputs) = matrices.first().map(|matrix| matrix.inputs) else {
+            bail!("cannot stack zero matrices");
+        };
+        if let Some(other) = matrices.iter().find(|matrix| matrix.inputs != inputs) {
+            bail!("cannot stack matrices of {inputs} and {} inputs", other.inputs);
+        }
+        let outputs = matrices.iter().map(|matrix| matrix.outputs).sum();
+        let mut segments: Vec<Arc<PackedTiles>> = Vec::new();
+        for segment in matrices.into_iter().flat_map(|matrix| matrix.segments) {
+            let last = segments.last_mut().and_then(Arc::get_mut);
+            if !last.is_some_and(|last| last.append(&segment)) {
+                segments.push(segment);
+            }
+        }
+        Ok(Self { inputs, outputs, segments })
+    }
+
+    /// Rows of the matrix: numbers of a product.
+    pub fn outputs(&self) -> usize {
+        self.outputs
+    }
+
+    /// Columns of the matrix: numbers of a row of activations.
+    pub fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    /// The weight format of the first segment.
+    pub fn weight_format(&self) -> WeightFormat {
+        self.segments.first().map_or_else(WeightFormat::default, |segment| segment.weight_format())
+    }
+
+    /// Size in memory, bytes.
+    pub fn bytes(&self) -> usize {
+        self.segments.iter().map(|segment| segment.bytes()).sum()
+    }
+
+    /// Writes the row-major blocks that [`Self::from_blocks`] takes, bit for bit, segment after segment.
+    pub fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
+        self.segments.iter().try_for_each(|segment| segment.write_blocks(out))
+    }
+
+    /// Reads rows of the matrix as f32, (ids, inputs), as an embedding needs them.
+    pub fn rows(&self, ids: &[u32]) -> Result<Tensor> {
+        let mut values = vec![0.0; ids.len() * self.inputs];
+        for (id, row) in ids.iter().zip(values.chunks_exact_mut(self.inputs)) {
+            let mut index = *id as usize;
+            let segment = self.segments.iter().find(|segment| {
+                let found = index < segment.outputs();
+                if !found {
+                    index -= segment.outputs();
+                }
+                found
+            });
+            let Some(segment) = segment else {
+                bail!("row {id} is out of range: the matrix has {} rows", self.outputs);
+            };
+            segment.read_row(index, row)?;
+        }
+        Tensor::from_vec(values, (ids.len(), self.inputs), &Device::Cpu)
+    }
+
+    /// Maps f32 rows (tokens, inputs) to (tokens, outputs).
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        self.forward_onto(x, None, None)
+    }
+
+    /// The product with rows (tokens, inputs) plus a bias (outputs) plus a residual (tokens, outputs).
+    pub fn forward_onto(&self, x: &Tensor, bias: Option<&Tensor>, residual: Option<&Tensor>) -> Result<Tensor> {
+        let (tokens, width) = x.dims2()?;
+        if width != self.inputs {
+            bail!("cannot multiply rows of {width} numbers with a matrix of {} inputs", self.inputs);
+        }
+        let read = |tensor: &Tensor, shape: &[usize]| {
+            if tensor.dims() == shape {
+                with_values(tensor, |values| Ok(values.to_vec()))
+            } else {
+                bail!("cannot add a tensor of {:?} to a product of {shape:?}", tensor.shape())
+            }
+        };
+        let bias = bias.map(|bias| read(bias, &[self.outputs])).transpose()?;
+        let mut result = match residual {
+            Some(residual) => read(residual, &[tokens, self.outputs])?,
+            None => vec![0.0; tokens * self.outputs],
+        };
+        with_values(x, |x| {
+            let mut first = 0;
+            for segment in &self.segments {
+                let bias = bias.as_deref().and_then(|bias| bias.get(first..first + segment.outputs()));
+                let columns = Columns::new(&mut result, self.outputs, first, segment.outputs(), bias);
+                first += segment.outputs();
+                if let Some(columns) = columns {
+                    product::multiply(segment, x, &columns, Instructions::best());
+                }
+            }
+            Ok(())
+        })?;
+        Tensor::from_vec(result, (tokens, self.outputs), &Device::Cpu)
+    }
+}
+
+fn check_shape(weight_format: WeightFormat, outputs: usize, inputs: usize) -> Result<()> {
+    if !Matrix::fits(weight_format, outputs, inputs) {
+        bail!(
+            "{weight_format} cannot hold a matrix of {outputs} x {inputs}: rows are in blocks of {}",
+            weight_format.block()
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,183 @@
+//! Number formats of tensors in files, and how those without a product become `q8_0`.
+
+use candle_core::Result;
+use candle_core::quantized::GgmlDType;
+use half::f16;
+
+use super::blocks::widen;
+
+/// Number format of a tensor in a file (ggml, `ggml-common.h`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StoredFormat {
+    /// A format that candle reads.
+    Ggml(GgmlDType),
+    /// 4 bits that choose from a table of bytes, with a scale for every 32.
+    Iq4Nl,
+    /// The same with a scale of 6 bits for every 32, in blocks of 256.
+    Iq4Xs,
+    /// 4-bit floats with an exponent for every 32 (OCP Microscaling).
+    Mxfp4,
+}
+
+/// The table of [`StoredFormat::Iq4Nl`] and [`StoredFormat::Iq4Xs`] (`kvalues_iq4nl`).
+const IQ4: [i8; 16] = [-127, -104, -83, -65, -49, -35, -22, -10, 1, 13, 25, 38, 53, 69, 89, 113];
+/// Twice the values of the 4-bit floats (`kvalues_mxfp4`).
+const MXFP4: [i8; 16] = [0, 1, 2, 3, 4, 6, 8, 12, 0, -1, -2, -3, -4, -6, -8, -12];
+/// Exponent of [`MXFP4`]'s scale for the stored byte 0: its bias, and one for the doubled table.
+const MXFP4_BIAS: i32 = 128;
+/// Largest exponent of a power of two in half precision.
+const MAX_HALF_EXPONENT: i32 = 15;
+/// Numbers in a block of `q8_0`.
+const BLOCK: usize = 32;
+
+impl From<GgmlDType> for StoredFormat {
+    fn from(format: GgmlDType) -> Self {
+        Self::Ggml(format)
+    }
+}
+
+impl StoredFormat {
+    /// Numbers in a block.
+    pub fn block_size(self) -> usize {
+        match self {
+            Self::Ggml(format) => format.block_size(),
+            Self::Iq4Nl | Self::Mxfp4 => BLOCK,
+            Self::Iq4Xs => 256,
+        }
+    }
+
+    /// Bytes of a block.
+    pub fn type_size(self) -> usize {
+        match self {
+            Self::Ggml(format) => format.type_size(),
+            Self::Iq4Nl => 18,
+            Self::Iq4Xs => 136,
+            Self::Mxfp4 => 17,
+        }
+    }
+
+    /// Its name in ggml, in lower case.
+    pub fn name(self) -> String {
+        match self {
+            Self::Ggml(format) => {
+                let name = format!("{format:?}").to_lowercase();
+                name.strip_suffix('k').map_or_else(|| name.clone(), |digits| format!("{digits}_k"))
+            }
+            Self::Iq4Nl => "iq4_nl".into(),
+            Self::Iq4Xs => "iq4_xs".into(),
+            Self::Mxfp4 => "mxfp4".into(),
+        }
+    }
+
+    /// Bits of a number, its share of scales included.
+    pub fn bits(self) -> f64 {
+        (8 * self.type_size()) as f64 / self.block_size() as f64
+    }
+
+    /// Whether `q8_0` holds its numbers: exactly, but for the rounding of `iq4_xs`'s scales to half precision.
+    pub fn is_within_q8_0(self) -> bool {
+        !matches!(self, Self::Ggml(_))
+    }
+
+    /// The values of whole blocks.
+    pub fn widen(self, bytes: Vec<u8>) -> Result<Vec<f32>> {
+        match (self, self.to_q8_0(&bytes)) {
+            (Self::Ggml(format), _) => widen(format, bytes),
+            (_, Some(blocks)) => widen(GgmlDType::Q8_0, blocks),
+            (format, None) => candle_core::bail!("{} is not widened to f32", format.name()),
+        }
+    }
+
+    /// Whole blocks as blocks of `q8_0`, where [`Self::is_within_q8_0`].
+    pub fn to_q8_0(self, bytes: &[u8]) -> Option<Vec<u8>> {
+        let mut out = Vec::with_capacity(bytes.len() / self.type_size() * self.block_size() / BLOCK * (BLOCK + 2));
+        match self {
+            Self::Iq4Nl => each::<18>(bytes, |block| put(&mut out, half(block, 0), &nibbles(&block[2..], &IQ4))),
+            Self::Iq4Xs => each::<136>(bytes, |block| iq4_xs(block, &mut out)),
+            Self::Mxfp4 => each::<17>(bytes, |block| mxfp4(block, &mut out)),
+            Self::Ggml(_) => return None,
+        }
+        Some(out)
+    }
+}
+
+fn each<const BYTES: usize>(bytes: &[u8], mut convert: impl FnMut(&[u8; BYTES])) {
+    bytes.as_chunks::<BYTES>().0.iter().for_each(&mut convert);
+}
+
+/// Writes a block of `q8_0`.
+fn put(out: &mut Vec<u8>, scale: f16, numbers: &[i8; BLOCK]) {
+    out.extend(scale.to_le_bytes());
+    out.extend(numbers.iter().map(|number| number.cast_unsigned()));
+}
+
+fn half(block: &[u8], at: usize) -> f16 {
+    block.get(at..at + 2).map_or(f16::ZERO, |bytes| f16::from_le_bytes([bytes[0], bytes[1]]))
+}
+
+/// The numbers of 16 bytes: of the low halves, then of the high ones.
+fn nibbles(bytes: &[u8], table: &[i8; 16]) -> [i8; BLOCK] {
+    let mut numbers = [0; BLOCK];
+    let (low, high) = numbers.split_at_mut(BLOCK / 2);
+    for ((low, high), byte) in low.iter_mut().zip(high).zip(bytes) {
+        (*low, *high) = (table[usize::from(byte & 15)], table[usize::from(byte >> 4)]);
+    }
+    numbers
+}
+
+fn iq4_xs(block: &[u8; 136], out: &mut Vec<u8>) {
+    let d = half(block, 0).to_f32();
+    let high = u16::from_le_bytes([block[2], block[3]]);
+    for part in 0..8 {
+        let low = block[4 + part / 2] >> (part % 2 * 4) & 15;
+        let scale = i16::from(low) | ((high >> (2 * part) & 3) << 4).cast_signed();
+        let numbers = nibbles(&block[8 + 16 * part..24 + 16 * part], &IQ4);
+        put(out, f16::from_f32(d * f32::from(scale - 32)), &numbers);
+    }
+}
+
+/// The scale is a power of two. One that is too large for half precision is divided by up to 8, which the numbers take.
+fn mxfp4(block: &[u8; 17], out: &mut Vec<u8>) {
+    let exponent = i32::from(block[0]) - MXFP4_BIAS;
+    let shift = (exponent - MAX_HALF_EXPONENT).clamp(0, 3);
+    let table = MXFP4.map(|number| number << shift);
+    put(out, f16::from_f32((f64::from(exponent - shift)).exp2() as f32), &nibbles(&block[1..], &table));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tables_and_exponents_are_read_as_in_ggml() {
+        let mut block = vec![0; 18];
+        block[..2].copy_from_slice(&f16::from_f32(0.5).to_le_bytes());
+        (block[2], block[17]) = (0x0f, 0x80);
+        let found = StoredFormat::Iq4Nl.widen(block).unwrap();
+        // Byte 0 holds numbers 0 and 16, byte 15 numbers 15 and 31.
+        assert_eq!([0, 16, 15, 31].map(|at| found[at].to_bits()), [56.5, -63.5, -63.5, 0.5].map(f32::to_bits));
+
+        for (exponent, scale) in [(127_u8, 0.5_f32), (120, 0.003_906_25), (146, 262_144.0)] {
+            let mut block = vec![0x72; 17];
+            block[0] = exponent;
+            let found = StoredFormat::Mxfp4.widen(block).unwrap();
+            let expected = [2.0 * scale, 12.0 * scale].map(f32::to_bits);
+            assert_eq!([0, 16].map(|at| found[at].to_bits()), expected, "{exponent}");
+        }
+
+        let mut block = vec![0; 136];
+        block[..2].copy_from_slice(&f16::from_f32(0.25).to_le_bytes());
+        // Scale 33 of the first part: low bits 1, high bits 2; scale 0 of the others.
+        (block[2], block[4]) = (2, 1);
+        let found = StoredFormat::Iq4Xs.widen(block).unwrap();
+        let expected = [0.25 * -127.0, 0.25 * -32.0 * -127.0].map(f32::to_bits);
+        assert_eq!([0, 32].map(|at| found[at].to_bits()), expected);
+    }
+
+    #[test]
+    fn names_are_ggmls() {
+        let names = [StoredFormat::Ggml(GgmlDType::Q3K), StoredFormat::Ggml(GgmlDType::BF16), StoredFormat::Iq4Nl];
+        assert_eq!(names.map(StoredFormat::name), ["q3_k", "bf16", "iq4_nl"]);
+        assert!((StoredFormat::Ggml(GgmlDType::Q4_0).bits() - 4.5).abs() < 1e-9);
+    }
+}

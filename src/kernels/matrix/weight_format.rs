@@ -1,0 +1,202 @@
+//! The weight formats of matrices.
+
+use std::fmt;
+use std::str::FromStr;
+
+use candle_core::quantized::GgmlDType;
+use serde::{Deserialize, Serialize};
+
+/// Number format of a weight matrix, by ggml's names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WeightFormat {
+    /// 32-bit floating point.
+    #[default]
+    F32,
+    /// 16-bit floating point, 5 bits of exponent.
+    F16,
+    /// 8 bits a number and a scale for every 32 (8.5 bits).
+    Q8_0,
+    /// 6 bits a number and a scale for every 16, in blocks of 256 (6.56 bits).
+    #[serde(rename = "q6_k")]
+    Q6K,
+    /// 5 bits a number, a scale and a minimum for every 32 (6 bits).
+    Q5_1,
+    /// 5 bits a number, a scale and a minimum for every 32, in blocks of 256 (5.5 bits).
+    #[serde(rename = "q5_k")]
+    Q5K,
+    /// 5 bits a number and a scale for every 32 (5.5 bits).
+    Q5_0,
+    /// 4 bits a number, a scale and a minimum for every 32 (5 bits).
+    Q4_1,
+    /// 4 bits a number, a scale and a minimum for every 32, in blocks of 256 (4.5 bits).
+    #[serde(rename = "q4_k")]
+    Q4K,
+    /// 4 bits a number and a scale for every 32 (4.5 bits).
+    Q4_0,
+    /// 3 bits a number and a scale for every 16, in blocks of 256 (3.44 bits).
+    #[serde(rename = "q3_k")]
+    Q3K,
+}
+
+impl WeightFormat {
+    /// From largest to smallest.
+    pub const ALL: [Self; 11] = [
+        Self::F32,
+        Self::F16,
+        Self::Q8_0,
+        Self::Q6K,
+        Self::Q5_1,
+        Self::Q5K,
+        Self::Q5_0,
+        Self::Q4_1,
+        Self::Q4K,
+        Self::Q4_0,
+        Self::Q3K,
+    ];
+
+    /// The name in configurations and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::F16 => "f16",
+            Self::Q8_0 => "q8_0",
+            Self::Q6K => "q6_k",
+            Self::Q5_1 => "q5_1",
+            Self::Q5K => "q5_k",
+            Self::Q5_0 => "q5_0",
+            Self::Q4_1 => "q4_1",
+            Self::Q4K => "q4_k",
+            Self::Q4_0 => "q4_0",
+            Self::Q3K => "q3_k",
+        }
+    }
+
+    /// Numbers in a block.
+    pub fn block(self) -> usize {
+        match self {
+            Self::F32 | Self::F16 => 1,
+            Self::Q8_0 | Self::Q5_1 | Self::Q5_0 | Self::Q4_1 | Self::Q4_0 => 32,
+            Self::Q6K | Self::Q5K | Self::Q4K | Self::Q3K => 256,
+        }
+    }
+
+    /// Bytes of a block (ggml, `ggml-common.h`).
+    pub fn block_bytes(self) -> usize {
+        match self {
+            Self::F32 => 4,
+            Self::F16 => 2,
+            Self::Q8_0 => 34,
+            Self::Q6K => 210,
+            Self::Q5_1 => 24,
+            Self::Q5K => 176,
+            Self::Q5_0 => 22,
+            Self::Q4_1 => 20,
+            Self::Q4K => 144,
+            Self::Q4_0 => 18,
+            Self::Q3K => 110,
+        }
+    }
+
+    /// Offsets of the half-precision numbers in a block: its scale, and its minimum or the scale of its minima.
+    pub fn halves(self) -> &'static [usize] {
+        match self {
+            Self::F32 => &[],
+            Self::F16 | Self::Q8_0 | Self::Q5_0 | Self::Q4_0 => &[0],
+            Self::Q5_1 | Self::Q5K | Self::Q4_1 | Self::Q4K => &[0, 2],
+            Self::Q6K => &[208],
+            Self::Q3K => &[108],
+        }
+    }
+
+    /// Bits of a number, its share of scales included.
+    pub fn bits(self) -> f64 {
+        (8 * self.block_bytes()) as f64 / self.block() as f64
+    }
+
+    /// Bytes of a matrix of this shape; `None` if the format cannot hold it or the number overflows.
+    pub fn matrix_bytes(self, outputs: usize, inputs: usize) -> Option<usize> {
+        let blocks = inputs.is_multiple_of(self.block()).then(|| inputs / self.block())?;
+        blocks.checked_mul(self.block_bytes())?.checked_mul(outputs)
+    }
+
+    /// This format if it can hold rows of `inputs` numbers, else the next finer one that can.
+    pub fn or_finer(self, inputs: usize) -> Self {
+        let finer = match self {
+            Self::Q3K | Self::Q4K | Self::Q5K | Self::Q6K => Self::Q8_0,
+            Self::Q8_0 | Self::Q5_1 | Self::Q5_0 | Self::Q4_1 | Self::Q4_0 => Self::F16,
+            Self::F16 | Self::F32 => return self,
+        };
+        if inputs.is_multiple_of(self.block()) { self } else { finer.or_finer(inputs) }
+    }
+
+    /// Candle's name of the same format.
+    pub fn ggml(self) -> GgmlDType {
+        match self {
+            Self::F32 => GgmlDType::F32,
+            Self::F16 => GgmlDType::F16,
+            Self::Q8_0 => GgmlDType::Q8_0,
+            Self::Q6K => GgmlDType::Q6K,
+            Self::Q5_1 => GgmlDType::Q5_1,
+            Self::Q5K => GgmlDType::Q5K,
+            Self::Q5_0 => GgmlDType::Q5_0,
+            Self::Q4_1 => GgmlDType::Q4_1,
+            Self::Q4K => GgmlDType::Q4K,
+            Self::Q4_0 => GgmlDType::Q4_0,
+            Self::Q3K => GgmlDType::Q3K,
+        }
+    }
+}
+
+impl fmt::Display for WeightFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A name that is not in [`WeightFormat::ALL`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("unknown weight format '{name}'; choose one of {}", WeightFormat::ALL.map(WeightFormat::name).join(", "))]
+pub struct UnknownWeightFormat {
+    name: String,
+}
+
+impl FromStr for WeightFormat {
+    type Err = UnknownWeightFormat;
+
+    fn from_str(name: &str) -> Result<Self, UnknownWeightFormat> {
+        Self::ALL
+            .into_iter()
+            .find(|weight_format| weight_format.name() == name)
+            .ok_or_else(|| UnknownWeightFormat { name: name.to_string() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_back() {
+        for weight_format in WeightFormat::ALL {
+            assert_eq!(weight_format.name().parse(), Ok(weight_format));
+            assert_eq!(serde_json::to_value(weight_format).unwrap(), weight_format.name());
+            assert_eq!(serde_json::from_value::<WeightFormat>(weight_format.name().into()).unwrap(), weight_format);
+            assert_eq!(weight_format.block_bytes(), weight_format.ggml().type_size());
+            assert_eq!(weight_format.block(), weight_format.ggml().block_size());
+        }
+        assert!("q2_k".parse::<WeightFormat>().unwrap_err().to_string().contains("q4_k"));
+    }
+
+    #[test]
+    fn odd_widths_fall_to_finer_storages() {
+        assert_eq!(WeightFormat::Q4K.or_finer(512), WeightFormat::Q4K);
+        assert_eq!(WeightFormat::Q4K.or_finer(96), WeightFormat::Q8_0);
+        assert_eq!(WeightFormat::Q6K.or_finer(7), WeightFormat::F16);
+        assert_eq!(
+            [96, 100].map(|inputs| WeightFormat::Q4_0.or_finer(inputs)),
+            [WeightFormat::Q4_0, WeightFormat::F16]
+        );
+        assert_eq!(WeightFormat::F32.or_finer(7), WeightFormat::F32);
+    }
+}

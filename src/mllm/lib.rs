@@ -1,0 +1,75 @@
+//! Multimodal language models, on the CPU of this process or on an HTTP server.
+//!
+//! A planning call opens a [`Conversation`] with an [`Mllm`] and asks round after round. [`ModelRegistry`] finds a model by
+//! name, folder, file or hub id. `Endpoint` asks a server with `OpenAI`'s interface. A [`LocalModel`] runs here:
+//! 1. `source` opens the files of a model: safetensors, GGUF or random weights ([`ModelPlace`]).
+//! 2. A [`Family`] turns them into a [`VisionLanguageModel`]. `families` lists them; they share
+//!    `vision` and `decoder`.
+//! 3. `local` tokenizes a chat, computes what is new of it, and generates the answer under a grammar.
+//!
+//! Below them, `checkpoint` and `gguf` read weights and configurations. The arithmetic is that of [`planagent_kernels`].
+
+#![allow(missing_docs, reason = "many names say all; the root describes what users see")]
+
+mod candle_qwen3_vl;
+mod checkpoint;
+mod cogvlm;
+mod conversation;
+mod deadline;
+mod decoder;
+#[cfg(feature = "endpoint")]
+mod endpoint;
+mod endpoint_settings;
+mod error;
+mod export;
+mod families;
+mod family;
+mod gguf;
+mod internvl;
+mod latency;
+mod llava;
+mod llava_next;
+mod local;
+mod qwen2_5_vl;
+mod qwen3_vl;
+mod registry;
+mod sampling;
+mod smolvlm;
+mod source;
+mod template_format;
+mod text;
+mod tiled;
+pub mod trial;
+mod vision;
+
+pub use checkpoint::in_bytes;
+pub use checkpoint::{LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights};
+pub use conversation::milliseconds;
+pub use conversation::{
+    Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription, PromptPrefix, Request,
+    RoundTime, Sampling, Server, TokenCounts, Turn, image_hash, prompt_hash,
+};
+pub use deadline::Deadline;
+pub use decoder::{DecoderInput, KvCache, LanguageModel, Logits, Position};
+#[cfg(feature = "endpoint")]
+pub use endpoint::Endpoint;
+pub use endpoint_settings::{EndpointSettings, GrammarField, LimitField};
+pub use error::{EndpointFailure, MllmError};
+pub use export::{CreateFile, GgufPart, export_model};
+pub use families::{Architecture, Families};
+pub use family::{
+    Chat, ChatFormat, Family, ImageFeatures, ImageLayout, ImageSettings, ModelInfo, OpenedModel, PlacedImage,
+    Positions, Tiles, VisionLanguageModel,
+};
+pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
+pub use latency::{LatencyProbe, PassTime, Step, StepTime};
+pub use local::{FormatOutline, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline};
+pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
+pub use registry::data_folder;
+pub use registry::{
+    Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs, ModelRegistry, ModelSource,
+    ModelSpec, NamedBy, PromptSet, RoundTokens,
+};
+pub use source::{EmbeddedModel, ModelPlace, ModelShape};
+pub use text::ChatTokenizer;
+pub use trial::Trust;
