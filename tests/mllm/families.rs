@@ -20,14 +20,14 @@ use super::{Copy, FIRST, SECOND, fixture, free, request};
 
 /// Every family's tiny checkpoint.
 const FAMILIES: [Tiny; 8] = [
-    Tiny { name: "tiny_llava", architecture: "llava", outside: false },
-    Tiny { name: "tiny_llava_next", architecture: "llava-next", outside: false },
-    Tiny { name: "tiny_llava_next_mistral", architecture: "llava-next", outside: false },
-    Tiny { name: "tiny_cogvlm", architecture: "cogvlm", outside: false },
-    Tiny { name: "smolvlm", architecture: "smolvlm", outside: true },
-    Tiny { name: "internvl3", architecture: "internvl", outside: true },
-    Tiny { name: "qwen3_vl", architecture: "qwen3-vl", outside: true },
-    Tiny { name: "qwen2_5_vl", architecture: "qwen2.5-vl", outside: true },
+    Tiny { name: "tiny_llava", architecture: "llava" },
+    Tiny { name: "tiny_llava_next", architecture: "llava-next" },
+    Tiny { name: "tiny_llava_next_mistral", architecture: "llava-next" },
+    Tiny { name: "tiny_cogvlm", architecture: "cogvlm" },
+    Tiny { name: "tiny_smolvlm", architecture: "smolvlm" },
+    Tiny { name: "tiny_internvl3", architecture: "internvl" },
+    Tiny { name: "tiny_qwen3_vl", architecture: "qwen3-vl" },
+    Tiny { name: "tiny_qwen2_5_vl", architecture: "qwen2.5-vl" },
 ];
 
 /// A tiny checkpoint with references.
@@ -35,16 +35,11 @@ struct Tiny {
     /// Its folder.
     name: &'static str,
     architecture: &'static str,
-    /// Whether the folder is one of the outside data, not of the fixtures.
-    outside: bool,
 }
 
-/// The checkpoints whose folders are here.
+/// The checkpoints and their folders.
 fn families() -> impl Iterator<Item = (&'static Tiny, PathBuf)> {
-    FAMILIES.iter().filter_map(|tiny| {
-        let outside = || crate::outside::data(&format!("mllm_reference/{}", tiny.name));
-        Some((tiny, if tiny.outside { outside()? } else { fixture(tiny.name) }))
-    })
+    FAMILIES.iter().map(|tiny| (tiny, fixture(tiny.name)))
 }
 
 #[test]
@@ -85,7 +80,7 @@ fn reference_answer(folder: &Path, name: &str) -> String {
 
 #[test]
 fn a_folder_is_opened_as_what_its_configuration_says_and_answers_as_the_reference() {
-    for (Tiny { name, architecture, .. }, folder) in families() {
+    for (Tiny { name, architecture }, folder) in families() {
         assert_eq!(Families::default().detect(&folder).unwrap().name(), *architecture);
         let model = open_folder(&folder);
         let about = model.describe();
@@ -107,7 +102,7 @@ fn a_folder_is_opened_as_what_its_configuration_says_and_answers_as_the_referenc
 #[test]
 fn rounds_and_rethinks_compute_the_image_once() {
     let code = r#"start: "Generate_IDM_Planner(c=" ("left" | "right") ", v0=" /[0-9]\.[0-9]/ ")""#;
-    for (Tiny { name, architecture, .. }, folder) in families() {
+    for (Tiny { name, architecture }, folder) in families() {
         let model = open_folder(&folder);
         let mut conversation = model.converse(&prefix(&folder), 7).unwrap();
         let start = conversation.mark();
@@ -290,7 +285,7 @@ fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
 
 #[test]
 fn the_agent_plans_with_every_family_and_nothing_else_changes() {
-    for (Tiny { name, architecture, .. }, folder) in families() {
+    for (Tiny { name, architecture }, folder) in families() {
         let copy = Copy::of_folder(&folder);
         // Random weights spell long answers in single bytes, so the chat needs more room than the reference's.
         copy.edit("config.json", |config| {

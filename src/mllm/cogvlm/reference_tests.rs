@@ -59,15 +59,18 @@ fn features_logits_and_greedy_tokens_are_those_of_the_references() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn positions_are_those_of_the_larger_reference() {
-    let Some(folder) = shared_reference("cogvlm") else {
-        return;
-    };
-    let path = folder.join("io.safetensors");
-    let run = Run::open(&path, 0);
-    let expected = Reference::open(&path).ids("position_ids", 0);
-    assert_eq!(positions(0..run.ids.len(), &(1..1 + run.features.dims()[0])), expected);
+fn positions_are_those_of_the_references() {
+    let tiny = Some((fixture("tiny_cogvlm").join("reference.safetensors"), &["", "chat_"][..]));
+    let larger = shared_reference("cogvlm").map(|folder| (folder.join("io.safetensors"), &[""][..]));
+    for (path, rounds) in [tiny, larger].into_iter().flatten() {
+        let reference = Reference::open(&path);
+        let image = 1..1 + Run::open(&path, 0).features.dims()[0];
+        for name in rounds {
+            let expected = reference.ids(&format!("{name}position_ids"), 0);
+            let count = reference.tensor(&format!("{name}input_ids")).elem_count();
+            assert_eq!(positions(0..count, &image), expected, "{name}");
+        }
+    }
 }
 
 /// Errors on the way from pixels to features.

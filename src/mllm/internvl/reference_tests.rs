@@ -1,4 +1,4 @@
-//! Parity with Hugging Face transformers and llama.cpp's files (`mllm_reference/internvl3`).
+//! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_internvl3`).
 
 use candle_core::Tensor;
 use serde_json::json;
@@ -15,13 +15,12 @@ use crate::mllm::tiled::Tiler;
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> InternVl {
     let config = InternVlConfig::from_json(&parts.path, &parts.config, || Ok(None)).unwrap();
-    take(&mut parts.weights(&FAMILY), &config, TileProcessor::new(56, 1, 12)).unwrap()
+    take(&mut parts.weights(&FAMILY), &config, TileProcessor::new(16, 1, 12)).unwrap()
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn features_logits_and_greedy_tokens_of_both_layouts_are_those_of_transformers() {
-    let Some(prompts) = Prompts::of("internvl3") else { return };
+    let prompts = Prompts::of("tiny_internvl3");
     for folder in [".", "original"] {
         prompts.check(&prompts.open(folder, ImageSettings::default()), |name| !is_unsplit(name));
         prompts.check(&prompts.open(folder, ONE_TILE), is_unsplit);
@@ -29,19 +28,17 @@ fn features_logits_and_greedy_tokens_of_both_layouts_are_those_of_transformers()
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn llama_cpps_files_give_the_same() {
-    let Some(prompts) = Prompts::of("internvl3") else { return };
+    let prompts = Prompts::of("tiny_internvl3");
     prompts.check(&prompts.open_gguf(ImageSettings::default()), |name| !is_unsplit(name));
     prompts.check(&prompts.open_gguf(ONE_TILE), is_unsplit);
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn views_have_the_pixels_of_transformers() {
-    let Some(prompts) = Prompts::of("internvl3") else { return };
+    let prompts = Prompts::of("tiny_internvl3");
     for (name, index, most) in [("", 0, 12), ("second_", 1, 12), ("unsplit_", 0, 1)] {
-        let views = TileProcessor::new(56, 1, most).views(&prompts.image(index)).unwrap();
+        let views = TileProcessor::new(16, 1, most).views(&prompts.image(index)).unwrap();
         let found =
             difference(&Tensor::stack(&views, 0).unwrap(), prompts.reference.tensor(&format!("{name}pixel_values")));
         assert!(found < 1e-6, "{name}: the pixels differ by {found}");
@@ -49,9 +46,8 @@ fn views_have_the_pixels_of_transformers() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn grids_of_tiles_are_those_of_transformers() {
-    let Some(prompts) = Prompts::of("internvl3") else { return };
+    let prompts = Prompts::of("tiny_internvl3");
     let tiles = json_of(&prompts.folder, "tiles.json");
     let cases = tiles["cases"].as_array().unwrap();
     assert!(cases.len() > 20);
@@ -97,7 +93,7 @@ const WRONG_ORDERS: [(&str, [usize; 5]); 3] = [
 
 /// Features of the first image.
 fn features(rows: Tensor) -> ImageFeatures {
-    ImageFeatures { rows, deep: Vec::new(), layout: ImageLayout { tokens: 52, rows: 3, columns: 4 } }
+    ImageFeatures { rows, deep: Vec::new(), layout: ImageLayout { tokens: 28, rows: 2, columns: 3 } }
 }
 
 fn encoded(model: &InternVl, views: &[Tensor]) -> ImageFeatures {
@@ -115,9 +111,8 @@ fn shuffled(model: &InternVl, views: &[Tensor], order: [usize; 5]) -> ImageFeatu
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn errors_that_are_easily_made_lead_far_away() {
-    let Some(Prompts { folder, .. }) = Prompts::of("internvl3") else { return };
+    let Prompts { folder, .. } = Prompts::of("tiny_internvl3");
     let run = Run::open(&folder.join("reference.safetensors"), 0);
     Deviation::print_heading(&folder);
     let right = assembled(&Parts::of(&folder));
@@ -138,5 +133,5 @@ fn errors_that_are_easily_made_lead_far_away() {
         let model = assembled(&Parts::wrong(&folder, fault));
         Deviation::of(&run, &model, &encoded(&model, &run.pixels)).assert_logits_far(what);
     }
-    assert_eq!(right.image_layout(75, 53).unwrap(), encoded(&right, &run.pixels).layout);
+    assert_eq!(right.image_layout(40, 24).unwrap(), encoded(&right, &run.pixels).layout);
 }

@@ -109,25 +109,24 @@ fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
     assert!(LocalModel::open("nano", &folder).is_ok());
 }
 
-/// A LLaVA with a `SigLIP` tower and a Qwen 2 decoder has the weights of a LLaVA-OneVision. Its first view is the whole image.
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn a_siglip_tower_and_a_qwen2_decoder_compute_what_transformers_computes() {
-    let Some(folder) = shared_reference("llava_onevision") else { return };
-    let reference = Reference::open(&folder.join("reference.safetensors"));
+    let folder = fixture("tiny_llava_siglip");
+    let path = folder.join("reference.safetensors");
+    let (reference, run) = (Reference::open(&path), Run::open(&path, 0));
     let parts = Parts::of(&folder);
     let model = assembled(&parts);
     assert_eq!((model.core.config.tower, model.info().max_image_tokens), (TowerType::Siglip, 16));
-    let view = reference.tensor("pixel_values").get(0).unwrap();
-    let rows = model.core.encoder.encode(&[view]).unwrap();
-    let found = feature_difference(&rows, &reference.tensor("features").narrow(0, 0, 16).unwrap());
-    assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
+    run.assert_same(&model, &features(&model, &run));
     let ids = reference.ids("text_input_ids", 0);
     assert_logits(&model, &ids, None, reference.tensor("text_logits"));
     assert_greedy(&model, &ids, None, &reference.ids("text_generated", 0));
 
     let mut clip = parts;
     clip.config["vision_config"]["hidden_act"] = json!("gelu");
-    let wrong = assembled(&clip).core.encoder.encode(&[reference.tensor("pixel_values").get(0).unwrap()]).unwrap();
-    assert!(feature_difference(&wrong, &rows) > 2.0 * FEATURE_TOLERANCE, "the other form of gelu is not noticed");
+    let wrong = features(&assembled(&clip), &run);
+    assert!(
+        feature_difference(&wrong.rows, &run.features) > 2.0 * FEATURE_TOLERANCE,
+        "the other form of gelu is not noticed"
+    );
 }

@@ -8,7 +8,7 @@ use candle_core::Tensor;
 use image::RgbImage;
 
 use super::LocalModel;
-use super::test_reference::{fixture, open_checkpoint, shared_reference};
+use super::test_reference::{fixture, open_checkpoint};
 use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::decoder::{DecoderInput, KvCache, LanguageModel, Logits};
 use crate::mllm::family::{
@@ -118,11 +118,9 @@ fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn families_of_today_compute_as_little() {
-    for name in ["smolvlm", "internvl3", "qwen3_vl", "qwen2_5_vl"] {
-        let Some(folder) = shared_reference(name) else { return };
-        check_planning_calls(name, &folder, true);
+    for name in ["tiny_smolvlm", "tiny_internvl3", "tiny_qwen3_vl", "tiny_qwen2_5_vl"] {
+        check_planning_calls(name, &fixture(name), true);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::test_reference::{fixture, shared_reference};
+use super::test_reference::fixture;
 use super::{Loading, LocalModel, Sequence};
 use crate::mllm::decoder::Logits;
 use crate::mllm::family::VisionLanguageModel;
@@ -15,12 +15,12 @@ const GREEDY: Sampling = Sampling::Greedy;
 const WARM: Sampling = Sampling::Sample { temperature: 1.5, top_p: 0.95 };
 const FORMATS: [WeightFormat; 3] = [WeightFormat::F32, WeightFormat::F16, WeightFormat::Q8_0];
 
-/// A checkpoint of every family, with its image. Those outside of the package are left out where they are missing.
+/// A checkpoint of every family, with its image.
 fn folders() -> Vec<(PathBuf, &'static str)> {
-    let own = ["tiny_llava", "tiny_llava_next", "tiny_llava_next_mistral", "tiny_cogvlm"];
-    let own = own.into_iter().map(|name| (fixture(name), "image.png"));
-    let shared = ["smolvlm", "internvl3", "qwen3_vl", "qwen2_5_vl"].into_iter().filter_map(shared_reference);
-    own.chain(shared.map(|folder| (folder, "image_0.png"))).collect()
+    let papers = ["tiny_llava", "tiny_llava_next", "tiny_llava_next_mistral", "tiny_cogvlm"];
+    let papers = papers.into_iter().map(|name| (fixture(name), "image.png"));
+    let todays = ["tiny_smolvlm", "tiny_internvl3", "tiny_qwen3_vl", "tiny_qwen2_5_vl"];
+    papers.chain(todays.map(|name| (fixture(name), "image_0.png"))).collect()
 }
 
 fn open(folder: &Path, quantize: Option<WeightFormat>) -> LocalModel {

@@ -1,14 +1,16 @@
-//! Parity with the references of today's families (`mllm_reference/MODERN.md`): two images, and several chats.
+//! Parity with the references of today's families (`tests/fixtures/make_modern.py`): two images, and several chats.
 
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::fs;
 use std::path::{Path, PathBuf};
 
-use candle_core::Tensor;
+use candle_core::{Device, Tensor};
 use image::RgbImage;
 use serde_json::Value;
 
 use super::test_faults::Deviation;
 use super::test_reference::{
-    FEATURE_TOLERANCE, Reference, assert_greedy, assert_logits, difference, feature_difference, shared_reference,
+    FEATURE_TOLERANCE, Reference, assert_greedy, assert_logits, difference, feature_difference, fixture,
 };
 use super::{Loading, LocalModel, Sequence};
 use crate::mllm::checkpoint::read_json;
@@ -39,17 +41,35 @@ impl Worst {
 }
 
 impl Prompts {
-    /// The reference of a family; none where the outside data is missing.
-    pub(crate) fn of(family: &str) -> Option<Self> {
-        let folder = shared_reference(family)?;
+    /// The reference in a folder of `tests/fixtures`.
+    pub(crate) fn of(name: &str) -> Self {
+        let folder = fixture(name);
         let texts = read_json(&folder.join("prompts.json")).unwrap();
         let reference = Reference::open(&folder.join("reference.safetensors"));
-        Some(Self { folder, texts, reference })
+        Self { folder, texts, reference }
     }
 
-    /// A model of the reference, from a folder below it.
-    pub(crate) fn open(&self, below: &str, image: ImageSettings) -> LocalModel {
-        Self::load(&ModelPlace::Folder(self.folder.join(below)), image)
+    /// The model in a layout: that of the folder, `.`, or of a folder below it.
+    pub(crate) fn open(&self, layout: &str, image: ImageSettings) -> LocalModel {
+        let copy = self.in_layout(layout);
+        Self::load(&ModelPlace::Folder(copy.path().to_path_buf()), image)
+    }
+
+    /// A copy of the folder in a layout: with the configuration of the folder below it, and tensors as its `names.json`
+    /// says.
+    pub(crate) fn in_layout(&self, layout: &str) -> tempfile::TempDir {
+        let copy = tempfile::tempdir().unwrap();
+        let other = self.folder.join(layout);
+        for entry in [&self.folder, &other].into_iter().flat_map(|folder| fs::read_dir(folder).unwrap()) {
+            let from = entry.unwrap().path();
+            if from.is_file() && !from.ends_with(NAMES) {
+                fs::copy(&from, copy.path().join(from.file_name().unwrap())).unwrap();
+            }
+        }
+        if other.join(NAMES).exists() {
+            rename(&copy.path().join("model.safetensors"), json_of(&other, NAMES));
+        }
+        copy
     }
 
     /// The model in llama.cpp's files.
@@ -66,7 +86,7 @@ impl Prompts {
         let folder = tempfile::tempdir().unwrap();
         for name in ["gguf/model.gguf", "gguf/mmproj-model.gguf", file] {
             let from = self.folder.join(name);
-            std::fs::copy(&from, folder.path().join(from.file_name().unwrap())).unwrap();
+            fs::copy(&from, folder.path().join(from.file_name().unwrap())).unwrap();
         }
         folder
     }
@@ -159,6 +179,23 @@ impl Prompts {
     }
 }
 
+/// The file that says which stored tensors are a tensor of another layout.
+const NAMES: &str = "names.json";
+
+/// Renames the tensors of a file: each name is given to some of them, one below the other. Tensors that are not named stay.
+fn rename(path: &Path, names: Value) {
+    let stored = candle_core::safetensors::load(path, &Device::Cpu).unwrap();
+    let names: BTreeMap<String, Vec<String>> = serde_json::from_value(names).unwrap();
+    let used: HashSet<&String> = names.values().flatten().collect();
+    let kept = stored.iter().filter(|(name, _)| !used.contains(name));
+    let mut tensors: HashMap<String, Tensor> = kept.map(|(name, tensor)| (name.clone(), tensor.clone())).collect();
+    tensors.extend(names.iter().map(|(name, parts)| {
+        let parts: Vec<&Tensor> = parts.iter().map(|part| &stored[part]).collect();
+        (name.clone(), Tensor::cat(&parts, 0).unwrap())
+    }));
+    candle_core::safetensors::save(&tensors, path).unwrap();
+}
+
 /// One view of each image in the place of tiles.
 pub(crate) const ONE_TILE: ImageSettings = ImageSettings { size: None, tiles: Some(1) };
 
@@ -173,13 +210,13 @@ pub(crate) fn json_of(folder: &Path, name: &str) -> Value {
 }
 
 /// The pixels of a run's image, (3, height, width), from the rows of patches that Qwen's processors write: blocks of 2 by 2
-/// patches in raster order, each patch as channel, frame, row and column.
-pub(crate) fn raster_pixels(reference: &Reference, name: &str, patch: usize) -> Tensor {
+/// patches in raster order, each patch as channel, row and column (the reference has the first of two equal frames).
+pub(crate) fn raster_pixels(reference: &Reference, name: &str, patch: u32) -> Tensor {
+    let patch = patch as usize;
     let grid = reference.tensor(&format!("{name}image_grid_thw")).flatten_all().unwrap().to_vec1::<i64>().unwrap();
     let [rows, columns] = [1, 2].map(|axis| usize::try_from(grid[axis]).unwrap());
-    let rows_of_patches = reference.tensor(&format!("{name}pixel_values"));
-    let still = rows_of_patches.reshape(((), 3, 2, patch * patch)).unwrap().narrow(2, 0, 1).unwrap();
-    still
+    let patches = reference.tensor(&format!("{name}pixel_values"));
+    patches
         .reshape(vec![rows / 2, columns / 2, 2, 2, 3, patch, patch])
         .unwrap()
         .permute(vec![4, 0, 2, 5, 1, 3, 6])

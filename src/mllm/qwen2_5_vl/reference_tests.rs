@@ -1,4 +1,4 @@
-//! Parity with Hugging Face transformers and llama.cpp's files (`mllm_reference/qwen2_5_vl`).
+//! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_qwen2_5_vl`).
 
 use candle_core::Tensor;
 use serde_json::json;
@@ -12,49 +12,48 @@ use crate::mllm::local::test_prompts::{Prompts, SecondImage, assert_resized, ras
 use crate::mllm::local::test_reference::difference;
 use crate::mllm::qwen3_vl::{PatchEncoder, PatchProcessor};
 
-/// A processor for images of so many pixels.
-fn processor(pixels: [u64; 2]) -> PatchProcessor {
+/// A processor for images of so many pixels in patches of this side.
+fn processor(pixels: [u64; 2], patch: u32) -> PatchProcessor {
     let keys = json!({"size": PatchProcessor::limits(pixels)});
-    PatchProcessor::read(&ConfigObject::root("".as_ref(), &keys).unwrap(), 14, 2).unwrap()
+    PatchProcessor::read(&ConfigObject::root("".as_ref(), &keys).unwrap(), patch, 2).unwrap()
 }
 
 /// The limits of the reference, pixels.
-const TINY: [u64; 2] = [3136, 37_632];
+const TINY: [u64; 2] = [1024, 12_288];
+/// The side of its patches, pixels.
+const PATCH: u32 = 8;
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> Qwen25Vl {
     let config = Qwen25VlConfig::from_json(&parts.path, &parts.config).unwrap();
-    take(&mut parts.weights(&FAMILY), &config, processor(TINY)).unwrap()
+    take(&mut parts.weights(&FAMILY), &config, processor(TINY, PATCH)).unwrap()
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn features_logits_and_greedy_tokens_of_both_layouts_are_those_of_transformers() {
-    let Some(prompts) = Prompts::of("qwen2_5_vl") else { return };
+    let prompts = Prompts::of("tiny_qwen2_5_vl");
     for folder in [".", "hub_style"] {
         prompts.check(&prompts.open(folder, ImageSettings::default()), |_| true);
     }
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn llama_cpps_files_give_the_same() {
-    let Some(prompts) = Prompts::of("qwen2_5_vl") else { return };
+    let prompts = Prompts::of("tiny_qwen2_5_vl");
     let folder = prompts.gguf_with("preprocessor_config.json");
     prompts.check(&Prompts::open_at(folder.path()), |_| true);
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn pixels_and_sizes_are_those_of_transformers() {
-    let Some(prompts) = Prompts::of("qwen2_5_vl") else { return };
+    let prompts = Prompts::of("tiny_qwen2_5_vl");
     for (name, index) in [("", 0), ("second_", 1)] {
-        let found = processor(TINY).process(&prompts.image(index)).unwrap();
-        let found = difference(&found, &raster_pixels(&prompts.reference, name, 14));
+        let found = processor(TINY, PATCH).process(&prompts.image(index)).unwrap();
+        let found = difference(&found, &raster_pixels(&prompts.reference, name, PATCH));
         assert!(found < 1e-6, "{name}: the pixels differ by {found}");
     }
-    assert_resized(&prompts.folder, "tiny", |width, height| processor(TINY).resized(width, height));
-    assert_resized(&prompts.folder, "real", |width, height| processor([3136, 1_003_520]).resized(width, height));
+    assert_resized(&prompts.folder, "tiny", |width, height| processor(TINY, PATCH).resized(width, height));
+    assert_resized(&prompts.folder, "real", |width, height| processor([3136, 1_003_520], 14).resized(width, height));
 }
 
 /// Errors in configuration and weights on the way from pixels to features. The second image has several windows.
@@ -86,11 +85,10 @@ const DECODER_FAULTS: [Fault; 3] = [
 ];
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn errors_that_are_easily_made_lead_far_away() {
-    let Some(prompts) = Prompts::of("qwen2_5_vl") else { return };
+    let prompts = Prompts::of("tiny_qwen2_5_vl");
     let run = SecondImage::of(&prompts);
-    let pixels = raster_pixels(&prompts.reference, "second_", 14);
+    let pixels = raster_pixels(&prompts.reference, "second_", PATCH);
     let right = assembled(&Parts::of(&prompts.folder));
     let features = right.encoder.encode(&pixels).unwrap();
     run.logits(&right, &features).assert_none("nothing wrong");

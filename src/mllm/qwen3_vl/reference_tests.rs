@@ -1,4 +1,4 @@
-//! Parity with Hugging Face transformers and llama.cpp's files (`mllm_reference/qwen3_vl`).
+//! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_qwen3_vl`).
 
 use candle_core::Tensor;
 use serde_json::json;
@@ -12,15 +12,17 @@ use crate::mllm::local::test_faults::{Fault, Parts};
 use crate::mllm::local::test_prompts::{Prompts, SecondImage, assert_resized, raster_pixels};
 use crate::mllm::local::test_reference::difference;
 
-/// A processor for images of so many pixels.
-fn processor(pixels: [u64; 2]) -> PatchProcessor {
+/// A processor for images of so many pixels in patches of this side.
+fn processor(pixels: [u64; 2], patch: u32) -> PatchProcessor {
     let keys =
         json!({"size": PatchProcessor::limits(pixels), "image_mean": [0.5, 0.5, 0.5], "image_std": [0.5, 0.5, 0.5]});
-    PatchProcessor::read(&ConfigObject::root("".as_ref(), &keys).unwrap(), 16, 2).unwrap()
+    PatchProcessor::read(&ConfigObject::root("".as_ref(), &keys).unwrap(), patch, 2).unwrap()
 }
 
 /// The limits of the reference, pixels.
-const TINY: [u64; 2] = [4096, 49_152];
+const TINY: [u64; 2] = [1024, 12_288];
+/// The side of its patches, pixels.
+const PATCH: u32 = 8;
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> Qwen3Vl {
@@ -31,37 +33,34 @@ fn assembled(parts: &Parts) -> Qwen3Vl {
 fn assembled_after(parts: &Parts, change: impl FnOnce(&mut Qwen3VlConfig)) -> Qwen3Vl {
     let mut config = Qwen3VlConfig::from_json(&parts.path, &parts.config).unwrap();
     change(&mut config);
-    take(&mut parts.weights(&FAMILY), &config, processor(TINY)).unwrap()
+    take(&mut parts.weights(&FAMILY), &config, processor(TINY, PATCH)).unwrap()
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn features_logits_and_greedy_tokens_of_both_layouts_are_those_of_transformers() {
-    let Some(prompts) = Prompts::of("qwen3_vl") else { return };
+    let prompts = Prompts::of("tiny_qwen3_vl");
     for folder in [".", "hub_style"] {
         prompts.check(&prompts.open(folder, ImageSettings::default()), |_| true);
     }
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn llama_cpps_files_give_the_same() {
-    let Some(prompts) = Prompts::of("qwen3_vl") else { return };
+    let prompts = Prompts::of("tiny_qwen3_vl");
     let folder = prompts.gguf_with("preprocessor_config.json");
     prompts.check(&Prompts::open_at(folder.path()), |_| true);
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn pixels_and_sizes_are_those_of_transformers() {
-    let Some(prompts) = Prompts::of("qwen3_vl") else { return };
+    let prompts = Prompts::of("tiny_qwen3_vl");
     for (name, index) in [("", 0), ("second_", 1)] {
-        let found = processor(TINY).process(&prompts.image(index)).unwrap();
-        let found = difference(&found, &raster_pixels(&prompts.reference, name, 16));
+        let found = processor(TINY, PATCH).process(&prompts.image(index)).unwrap();
+        let found = difference(&found, &raster_pixels(&prompts.reference, name, PATCH));
         assert!(found < 1e-6, "{name}: the pixels differ by {found}");
     }
-    assert_resized(&prompts.folder, "tiny", |width, height| processor(TINY).resized(width, height));
-    assert_resized(&prompts.folder, "real", |width, height| processor([65_536, 16_777_216]).resized(width, height));
+    assert_resized(&prompts.folder, "tiny", |width, height| processor(TINY, PATCH).resized(width, height));
+    assert_resized(&prompts.folder, "real", |width, height| processor([65_536, 16_777_216], 16).resized(width, height));
 }
 
 /// Errors in configuration and weights on the way from pixels to features.
@@ -76,7 +75,7 @@ const IMAGE_FAULTS: [Fault; 4] = [
     ("no learned positions", |parts| parts.change("pos_embed.weight", |tensor| tensor.zeros_like().unwrap())),
     ("the learned positions by columns", |parts| {
         parts.change("pos_embed.weight", |tensor| {
-            tensor.reshape((6, 6, 32)).unwrap().transpose(0, 1).unwrap().reshape((36, 32)).unwrap()
+            tensor.reshape((6, 6, 16)).unwrap().transpose(0, 1).unwrap().reshape((36, 16)).unwrap()
         });
     }),
 ];
@@ -92,11 +91,10 @@ const DECODER_FAULTS: [Fault; 2] = [
 ];
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn errors_that_are_easily_made_lead_far_away() {
-    let Some(prompts) = Prompts::of("qwen3_vl") else { return };
+    let prompts = Prompts::of("tiny_qwen3_vl");
     let run = SecondImage::of(&prompts);
-    let pixels = raster_pixels(&prompts.reference, "second_", 16);
+    let pixels = raster_pixels(&prompts.reference, "second_", PATCH);
     let parts = || Parts::of(&prompts.folder);
     let right = assembled(&parts());
     let features = right.encoder.encode(&pixels).unwrap();
@@ -118,7 +116,7 @@ fn errors_that_are_easily_made_lead_far_away() {
     let mut mixed = features.clone();
     mixed.deep.rotate_left(1);
     run.logits(&right, &mixed).assert_logits_far("the outputs of the tower's layers for other layers");
-    // A grid of 6 by 4 tokens for one of 4 by 6.
+    // A grid of 3 by 8 tokens for one of 8 by 3.
     let mut turned = features.clone();
     std::mem::swap(&mut turned.layout.rows, &mut turned.layout.columns);
     run.logits(&right, &turned).assert_logits_far("rows and columns exchanged");

@@ -1,4 +1,4 @@
-//! Parity with Hugging Face transformers and llama.cpp's files (`mllm_reference/smolvlm`).
+//! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_smolvlm`).
 
 use candle_core::Tensor;
 use serde_json::json;
@@ -23,13 +23,12 @@ fn processor(longest: u64, tile: u32) -> TileProcessor {
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> SmolVlm {
     let config = SmolVlmConfig::from_json(&parts.path, &parts.config).unwrap();
-    take(&mut parts.weights(&FAMILY), &config, processor(256, 64)).unwrap()
+    take(&mut parts.weights(&FAMILY), &config, processor(48, 16)).unwrap()
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn features_logits_and_greedy_tokens_are_those_of_transformers() {
-    let Some(prompts) = Prompts::of("smolvlm") else { return };
+    let prompts = Prompts::of("tiny_smolvlm");
     for folder in [".", "hub_style"] {
         prompts.check(&prompts.open(folder, ImageSettings::default()), |name| !is_unsplit(name));
         prompts.check(&prompts.open(folder, ONE_TILE), is_unsplit);
@@ -37,20 +36,18 @@ fn features_logits_and_greedy_tokens_are_those_of_transformers() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn llama_cpps_files_give_the_same() {
-    let Some(prompts) = Prompts::of("smolvlm") else { return };
+    let prompts = Prompts::of("tiny_smolvlm");
     prompts.check(&prompts.open_gguf(ImageSettings::default()), |name| !is_unsplit(name));
     prompts.check(&prompts.open_gguf(ONE_TILE), is_unsplit);
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn views_have_the_pixels_of_transformers() {
-    let Some(prompts) = Prompts::of("smolvlm") else { return };
-    let mut one = processor(256, 64);
+    let prompts = Prompts::of("tiny_smolvlm");
+    let mut one = processor(48, 16);
     one.set_tiles(1).unwrap();
-    let split = processor(256, 64);
+    let split = processor(48, 16);
     let cases = [("", 0, &split), ("second_", 1, &split), ("unsplit_", 0, &one), ("unsplit_second_", 1, &one)];
     for (name, index, processor) in cases {
         let views = Tensor::stack(&processor.views(&prompts.image(index)).unwrap(), 0).unwrap();
@@ -60,9 +57,8 @@ fn views_have_the_pixels_of_transformers() {
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn grids_of_tiles_are_those_of_transformers() {
-    let Some(prompts) = Prompts::of("smolvlm") else { return };
+    let prompts = Prompts::of("tiny_smolvlm");
     let tiles = json_of(&prompts.folder, "tiles.json");
     let cases = tiles["cases"].as_array().unwrap();
     assert!(cases.len() > 40);
@@ -108,13 +104,12 @@ fn shuffled(model: &SmolVlm, run: &Run, order: [usize; 5]) -> ImageFeatures {
 
 /// Features of the first image.
 fn features(rows: Tensor) -> ImageFeatures {
-    ImageFeatures { rows, deep: Vec::new(), layout: ImageLayout { tokens: 52, rows: 3, columns: 4 } }
+    ImageFeatures { rows, deep: Vec::new(), layout: ImageLayout { tokens: 28, rows: 2, columns: 3 } }
 }
 
 #[test]
-#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn errors_that_are_easily_made_lead_far_away() {
-    let Some(Prompts { folder, .. }) = Prompts::of("smolvlm") else { return };
+    let Prompts { folder, .. } = Prompts::of("tiny_smolvlm");
     let run = Run::open(&folder.join("reference.safetensors"), 0);
     Deviation::print_heading(&folder);
     let right = assembled(&Parts::of(&folder));
@@ -131,9 +126,9 @@ fn errors_that_are_easily_made_lead_far_away() {
     first.rotate_right(1);
     Deviation::of(&run, &right, &encoded(&right, &first)).assert_far("the whole view first");
     let picture = image::open(folder.join("image_0.png")).unwrap().into_rgb8();
-    let bicubic = json!({"size": {"longest_edge": 256}, "max_image_size": {"longest_edge": 64}, "resample": 3});
+    let bicubic = json!({"size": {"longest_edge": 48}, "max_image_size": {"longest_edge": 16}, "resample": 3});
     let root = ConfigObject::root("".as_ref(), &bicubic).unwrap();
-    let views = TileProcessor::read(&root, 64).unwrap().views(&picture).unwrap();
+    let views = TileProcessor::read(&root, 16).unwrap().views(&picture).unwrap();
     Deviation::of(&run, &right, &encoded(&right, &views)).assert_far("bicubic in the place of Lanczos");
     for (what, fault) in [
         (
@@ -147,5 +142,5 @@ fn errors_that_are_easily_made_lead_far_away() {
         let model = assembled(&Parts::wrong(&folder, fault));
         Deviation::of(&run, &model, &encoded(&model, &run.pixels)).assert_logits_far(what);
     }
-    assert_eq!(right.image_layout(75, 53).unwrap(), features(run.features.clone()).layout);
+    assert_eq!(right.image_layout(40, 24).unwrap(), features(run.features.clone()).layout);
 }
