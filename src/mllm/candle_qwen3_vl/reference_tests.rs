@@ -42,7 +42,7 @@ fn candles_qwen3_vl_is_right_for_texts_and_wrong_for_images() {
     let prompts = Prompts::of("tiny_qwen3_vl");
     let [ours, candles] = ["qwen3-vl", "candle-qwen3-vl"].map(|name| model(&prompts, name));
     // The last two numbers stand in docs/models.md: difference of candle's logits, and greedy tokens that are the same.
-    for (name, image, apart, same) in [("text_", None, 0.0, 20), ("", Some(0), 2.76, 1), ("second_", Some(1), 3.78, 7)]
+    for (name, image, apart, same) in [("text_", None, 0.0, 20), ("", Some(0), 3.91, 3), ("second_", Some(1), 4.42, 1)]
     {
         let ours = deviation(&*ours, &prompts, name, image);
         let candle = deviation(&*candles, &prompts, name, image);
