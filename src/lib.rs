@@ -48,9 +48,9 @@
 
 pub use api::{Agent, AgentBuilder, Error, Result, Run, Simulation, simulate};
 pub use metrics::Score;
+pub use planagent_scenario::Scenario;
 pub use planagent_world::{EgoState, Scene, SceneBuilder, Trajectory};
 pub use planner::Planner;
-pub use scenario::Scenario;
 pub use simulation::Challenge;
 
 /// Planners: their input and output, their registry, and the settings and records of the agent.
@@ -83,10 +83,10 @@ pub mod road {
 
 /// The ego, the objects around it, and who controls them in a simulation.
 pub mod traffic {
-    pub use crate::scenario::Frame;
     pub use crate::simulation::{
         AGENT_POLICIES, AgentPolicy, AgentPolicyError, AgentPolicyName, AgentPolicySpec, SimulationError, SimulationLog,
     };
+    pub use planagent_scenario::Frame;
     pub use planagent_world::dynamics::{TrackingError, follow};
     pub use planagent_world::{
         ObjectKind, PACIFICA, SignalStatus, TrackToken, TrackedObject, TrafficLights, VehicleParameters,
@@ -95,7 +95,7 @@ pub mod traffic {
 
 /// Sources of scenarios.
 pub mod sources {
-    pub use crate::scenario::{
+    pub use planagent_scenario::{
         Contents, DataRoots, OpenScenario, ReaderError, Readers, ScenarioReader, ScenarioRef, Split,
     };
 }
@@ -135,8 +135,6 @@ mod report;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod runner;
 #[cfg(not(feature = "internals"))]
-mod scenario;
-#[cfg(not(feature = "internals"))]
 mod simulation;
 
 #[cfg(feature = "internals")]
@@ -168,9 +166,6 @@ pub mod report;
 pub mod runner;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
-pub mod scenario;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
 pub mod simulation;
 
 /// What the Python package of this repository needs beyond the public API; not stable.
@@ -190,11 +185,11 @@ pub mod bindings {
     pub use crate::report::render::{Look, observed_picture};
     pub use crate::report::{CallRecord, ReportFault, SimulationRow};
     pub use crate::runner::{LoadedModel, RunnerError, Shard, load_model, merge, silent};
-    pub use crate::scenario::HeldScenario;
-    pub use crate::scenario::nuplan::export::{ExportSettings, write_scenario};
-    pub use crate::scenario::nuplan::{MapStore, NuPlanMap};
     pub use crate::simulation::ClosedLoop;
     pub use planagent_mllm::{Answer, Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request as Question};
+    pub use planagent_scenario::HeldScenario;
+    pub use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
+    pub use planagent_scenario::nuplan::{MapStore, NuPlanMap};
     pub use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
     pub use planagent_world::{HISTORY_SAMPLES, STEP_S, STEP_US};
 }
@@ -204,9 +199,9 @@ pub mod bindings {
 #[doc(hidden)]
 pub mod internals {
     pub use crate::{
-        cli, environment, experiment, metrics, pdm, planner, reasoning, reflection, report, runner, scenario,
-        simulation,
+        cli, environment, experiment, metrics, pdm, planner, reasoning, reflection, report, runner, simulation,
     };
+    pub use planagent_scenario as scenario;
     pub use planagent_world::{dynamics, geometry};
     pub use {
         planagent_files as files, planagent_kernels as kernels, planagent_mllm as mllm, planagent_world as world,

@@ -10,9 +10,9 @@ use crate::planner::{
     AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, PlannerNeeds,
     PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
 };
-use crate::scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
 use crate::simulation::{AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared};
 use planagent_files::shortened;
+use planagent_scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
 use planagent_world::EgoState;
 use rayon::prelude::*;
 use std::fmt;

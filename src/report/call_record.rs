@@ -328,8 +328,8 @@ pub(super) fn calls_in(folder: &Path) -> Result<Vec<CallRecord>, ReportError> {
 mod tests {
     use super::*;
     use crate::experiment::run::AgentParts;
-    use crate::scenario::generator::{self, DEFAULT};
     use crate::simulation::simulate;
+    use planagent_scenario::generator::{self, DEFAULT};
 
     #[test]
     fn the_calls_of_a_simulation_are_read_as_they_were_written() {

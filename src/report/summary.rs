@@ -3,9 +3,9 @@
 use super::simulation_row::{SimulationRow, is_zero};
 use crate::metrics::{AggregateRow, FINAL_SCORE, Weighting, aggregate, distinct};
 use crate::pdm::DrivableLayers;
-use crate::scenario::MissingTokens;
 use crate::simulation::Challenge;
 use planagent_mllm::ModelDescription;
+use planagent_scenario::MissingTokens;
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Map, Value, json};

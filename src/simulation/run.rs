@@ -6,7 +6,7 @@ use super::closed_loop::ClosedLoop;
 use super::error::SimulationError;
 use crate::metrics::{EvaluatedSimulation, Evaluation, MetricError, MetricRegistry};
 use crate::planner::Planner;
-use crate::scenario::{Frame, Scenario};
+use planagent_scenario::{Frame, Scenario};
 use planagent_world::{EgoState, HistorySample, Trajectory};
 use std::time::Instant;
 

@@ -3,8 +3,8 @@
 use super::results::VariantSimulations;
 use crate::metrics::distinct;
 use crate::report::simulation_row::SimulationRow;
-use crate::scenario::without_start;
 use crate::simulation::Challenge;
+use planagent_scenario::without_start;
 use serde::Serialize;
 
 /// Metric of collisions at the ego's fault.

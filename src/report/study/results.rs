@@ -7,9 +7,9 @@ use crate::experiment::study::{Benchmark, Column, PublishedModel, Quick, Rows, S
 use crate::metrics::distinct;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::{ModelFigures, Quantiles};
-use crate::scenario::modified::without_modification;
-use crate::scenario::without_start;
 use crate::simulation::Challenge;
+use planagent_scenario::modified::without_modification;
+use planagent_scenario::without_start;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
