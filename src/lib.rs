@@ -47,8 +47,8 @@
 #![cfg_attr(feature = "bindings", allow(missing_docs))]
 
 pub use api::{Agent, AgentBuilder, Error, Result, Run, Simulation, simulate};
-pub use metrics::Score;
 pub use planagent_scenario::Scenario;
+pub use planagent_score::metrics::Score;
 pub use planagent_world::{EgoState, Scene, SceneBuilder, Trajectory};
 pub use planner::Planner;
 pub use simulation::Challenge;
@@ -66,7 +66,7 @@ pub mod planning {
 
 /// Metrics and scores.
 pub mod evaluation {
-    pub use crate::metrics::{
+    pub use planagent_score::metrics::{
         EvaluatedSimulation, Evaluation, METRICS, MetricCategory, MetricError, MetricInput, MetricList, MetricRegistry,
         MetricResult, MetricSpec, Role, ScorePart, ScoreUnit, Statistic, StatisticKind, TimeSeries,
     };
@@ -121,10 +121,6 @@ mod environment;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod experiment;
 #[cfg(not(feature = "internals"))]
-mod metrics;
-#[cfg(not(feature = "internals"))]
-mod pdm;
-#[cfg(not(feature = "internals"))]
 mod planner;
 #[cfg(not(feature = "internals"))]
 mod reasoning;
@@ -143,12 +139,6 @@ pub mod environment;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod experiment;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod metrics;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod pdm;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod planner;
@@ -177,8 +167,6 @@ pub mod bindings {
     pub use crate::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
     pub use crate::experiment::panic_guard::{catch_panic, install_hook};
     pub use crate::experiment::run::{AgentParts, with_causes};
-    pub use crate::metrics::MetricList;
-    pub use crate::pdm::PdmMemory;
     pub use crate::planner::{ExecCommand, PlanAgent, kept, planner_code};
     pub use crate::reasoning::PlannerCode;
     pub use crate::reflection::{IdmPlan, Judge, PlanBuilder, ReflectionReport, steps_of};
@@ -190,6 +178,8 @@ pub mod bindings {
     pub use planagent_scenario::HeldScenario;
     pub use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
     pub use planagent_scenario::nuplan::{MapStore, NuPlanMap};
+    pub use planagent_score::metrics::MetricList;
+    pub use planagent_score::pdm::PdmMemory;
     pub use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
     pub use planagent_world::{HISTORY_SAMPLES, STEP_S, STEP_US};
 }
@@ -198,10 +188,10 @@ pub mod bindings {
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {
-    pub use crate::{
-        cli, environment, experiment, metrics, pdm, planner, reasoning, reflection, report, runner, simulation,
-    };
+    pub use crate::{cli, environment, experiment, planner, reasoning, reflection, report, runner, simulation};
     pub use planagent_scenario as scenario;
+    pub use planagent_score::metrics;
+    pub use planagent_score::pdm;
     pub use planagent_world::{dynamics, geometry};
     pub use {
         planagent_files as files, planagent_kernels as kernels, planagent_mllm as mllm, planagent_world as world,

@@ -1,11 +1,11 @@
 //! Why a call of the library fails.
 
-use crate::metrics::MetricError;
 use crate::planner::{PlannerError, UnknownPlanner};
 use crate::reasoning::PromptError;
 use crate::simulation::SimulationError;
 use planagent_mllm::MllmError;
 use planagent_scenario::{OpenError, ReaderError};
+use planagent_score::metrics::MetricError;
 use planagent_world::SceneError;
 
 /// Why a call of the library fails.

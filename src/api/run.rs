@@ -1,10 +1,10 @@
 //! One planner on one scenario.
 
 use super::Result;
-use crate::metrics::{Evaluation, MetricRegistry};
 use crate::planner::{Planner, PlanningCall};
 use crate::simulation::{AgentPolicy, Challenge, SimulationLog, simulate_with_agents};
 use planagent_scenario::{Frame, Scenario};
+use planagent_score::metrics::{Evaluation, MetricRegistry};
 use std::fmt;
 
 type MakeAgents<'a> = Box<dyn FnOnce(&Frame) -> Box<dyn AgentPolicy> + 'a>;

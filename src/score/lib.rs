@@ -1,0 +1,8 @@
+//! How good a drive is: nuPlan's metrics of a simulation, and PDM-Closed's score of a proposal.
+
+pub mod metrics;
+pub mod pdm;
+
+#[cfg(test)]
+#[path = "../../tests/outside.rs"]
+mod outside;
