@@ -47,10 +47,10 @@
 #![cfg_attr(feature = "bindings", allow(missing_docs))]
 
 pub use api::{Agent, AgentBuilder, Error, Result, Run, Simulation, simulate};
-pub use metrics::Score;
+pub use planagent_scenario::Scenario;
+pub use planagent_score::metrics::Score;
 pub use planagent_world::{EgoState, Scene, SceneBuilder, Trajectory};
 pub use planner::Planner;
-pub use scenario::Scenario;
 pub use simulation::Challenge;
 
 /// Planners: their input and output, their registry, and the settings and records of the agent.
@@ -66,7 +66,7 @@ pub mod planning {
 
 /// Metrics and scores.
 pub mod evaluation {
-    pub use crate::metrics::{
+    pub use planagent_score::metrics::{
         EvaluatedSimulation, Evaluation, METRICS, MetricCategory, MetricError, MetricInput, MetricList, MetricRegistry,
         MetricResult, MetricSpec, Role, ScorePart, ScoreUnit, Statistic, StatisticKind, TimeSeries,
     };
@@ -83,10 +83,10 @@ pub mod road {
 
 /// The ego, the objects around it, and who controls them in a simulation.
 pub mod traffic {
-    pub use crate::scenario::Frame;
     pub use crate::simulation::{
         AGENT_POLICIES, AgentPolicy, AgentPolicyError, AgentPolicyName, AgentPolicySpec, SimulationError, SimulationLog,
     };
+    pub use planagent_scenario::Frame;
     pub use planagent_world::dynamics::{TrackingError, follow};
     pub use planagent_world::{
         ObjectKind, PACIFICA, SignalStatus, TrackToken, TrackedObject, TrafficLights, VehicleParameters,
@@ -95,7 +95,7 @@ pub mod traffic {
 
 /// Sources of scenarios.
 pub mod sources {
-    pub use crate::scenario::{
+    pub use planagent_scenario::{
         Contents, DataRoots, OpenScenario, ReaderError, Readers, ScenarioReader, ScenarioRef, Split,
     };
 }
@@ -121,10 +121,6 @@ mod environment;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod experiment;
 #[cfg(not(feature = "internals"))]
-mod metrics;
-#[cfg(not(feature = "internals"))]
-mod pdm;
-#[cfg(not(feature = "internals"))]
 mod planner;
 #[cfg(not(feature = "internals"))]
 mod reasoning;
@@ -135,8 +131,6 @@ mod report;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod runner;
 #[cfg(not(feature = "internals"))]
-mod scenario;
-#[cfg(not(feature = "internals"))]
 mod simulation;
 
 #[cfg(feature = "internals")]
@@ -145,12 +139,6 @@ pub mod environment;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod experiment;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod metrics;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod pdm;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod planner;
@@ -168,9 +156,6 @@ pub mod report;
 pub mod runner;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
-pub mod scenario;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
 pub mod simulation;
 
 /// What the Python package of this repository needs beyond the public API; not stable.
@@ -182,19 +167,19 @@ pub mod bindings {
     pub use crate::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
     pub use crate::experiment::panic_guard::{catch_panic, install_hook};
     pub use crate::experiment::run::{AgentParts, with_causes};
-    pub use crate::metrics::MetricList;
-    pub use crate::pdm::PdmMemory;
     pub use crate::planner::{ExecCommand, PlanAgent, kept, planner_code};
     pub use crate::reasoning::PlannerCode;
     pub use crate::reflection::{IdmPlan, Judge, PlanBuilder, ReflectionReport, steps_of};
     pub use crate::report::render::{Look, observed_picture};
     pub use crate::report::{CallRecord, ReportFault, SimulationRow};
     pub use crate::runner::{LoadedModel, RunnerError, Shard, load_model, merge, silent};
-    pub use crate::scenario::HeldScenario;
-    pub use crate::scenario::nuplan::export::{ExportSettings, write_scenario};
-    pub use crate::scenario::nuplan::{MapStore, NuPlanMap};
     pub use crate::simulation::ClosedLoop;
     pub use planagent_mllm::{Answer, Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request as Question};
+    pub use planagent_scenario::HeldScenario;
+    pub use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
+    pub use planagent_scenario::nuplan::{MapStore, NuPlanMap};
+    pub use planagent_score::metrics::MetricList;
+    pub use planagent_score::pdm::PdmMemory;
     pub use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
     pub use planagent_world::{HISTORY_SAMPLES, STEP_S, STEP_US};
 }
@@ -203,10 +188,10 @@ pub mod bindings {
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {
-    pub use crate::{
-        cli, environment, experiment, metrics, pdm, planner, reasoning, reflection, report, runner, scenario,
-        simulation,
-    };
+    pub use crate::{cli, environment, experiment, planner, reasoning, reflection, report, runner, simulation};
+    pub use planagent_scenario as scenario;
+    pub use planagent_score::metrics;
+    pub use planagent_score::pdm;
     pub use planagent_world::{dynamics, geometry};
     pub use {
         planagent_files as files, planagent_kernels as kernels, planagent_mllm as mllm, planagent_world as world,

@@ -9,15 +9,14 @@ use std::path::{Path, PathBuf};
 use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 17] = [
+const RANKS: [(&str, u8); 16] = [
     ("files", 0),
     ("kernels", 0),
     ("world", 1),
     ("scenario", 3),
     ("environment", 3),
-    ("metrics", 3),
     ("mllm", 3),
-    ("pdm", 4),
+    ("score", 3),
     ("reasoning", 4),
     ("reflection", 5),
     ("planner", 6),
@@ -48,6 +47,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         "kernels",
         &[&["activation", "values"], &["matrix"], &["attention", "layer_norm", "linear", "pointwise", "rms_norm"]],
     ),
+    ("score", &[&["metrics"], &["pdm"]]),
     (
         "mllm",
         &[

@@ -184,7 +184,7 @@ fn declaration(item: &Item, name: &str) -> Option<Item> {
 fn implementation(item: &ItemImpl, name: &str) -> Option<Item> {
     let Type::Path(own) = &*item.self_ty else { return None };
     let own = own.path.segments.last().is_some_and(|segment| segment.ident == name);
-    if !own || says(&item.attrs, "cfg", "test") {
+    if !own || says(&item.attrs, "cfg", "test") || is_hidden(&item.attrs) {
         return None;
     }
     let mut item = item.clone();

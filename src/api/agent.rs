@@ -88,7 +88,7 @@ impl Planner for Agent {
         self.planner.take_calls()
     }
 
-    fn drivable_layers(&self) -> Option<crate::pdm::DrivableLayers> {
+    fn drivable_layers(&self) -> Option<planagent_score::pdm::DrivableLayers> {
         self.planner.drivable_layers()
     }
 }

@@ -1,11 +1,11 @@
 //! Why a call of the library fails.
 
-use crate::metrics::MetricError;
 use crate::planner::{PlannerError, UnknownPlanner};
 use crate::reasoning::PromptError;
-use crate::scenario::ReaderError;
 use crate::simulation::SimulationError;
 use planagent_mllm::MllmError;
+use planagent_scenario::{OpenError, ReaderError};
+use planagent_score::metrics::MetricError;
 use planagent_world::SceneError;
 
 /// Why a call of the library fails.
@@ -31,6 +31,16 @@ pub enum Error {
     Simulation(Box<SimulationError>),
     #[error(transparent)]
     Metrics(#[from] MetricError),
+}
+
+#[doc(hidden)]
+impl From<OpenError> for Error {
+    fn from(error: OpenError) -> Self {
+        match error {
+            OpenError::Reader(error) => Self::Scenario(error),
+            OpenError::ManyScenarios { word, count } => Self::ManyScenarios { word, count },
+        }
+    }
 }
 
 macro_rules! boxed {

@@ -1,41 +1,11 @@
 //! One planner on one scenario.
 
-use super::{Error, Result};
-use crate::metrics::{Evaluation, MetricRegistry};
+use super::Result;
 use crate::planner::{Planner, PlanningCall};
-use crate::scenario::{DataRoots, Frame, Readers, Scenario};
 use crate::simulation::{AgentPolicy, Challenge, SimulationLog, simulate_with_agents};
+use planagent_scenario::{Frame, Scenario};
+use planagent_score::metrics::{Evaluation, MetricRegistry};
 use std::fmt;
-
-impl Scenario {
-    /// Opens the scenario that a word names, as on the command line: a generated scenario (`generated/changing_lane/2`), a
-    /// Waymo TFRecord file of one scenario, a nuPlan log with a token, a folder of an Argoverse 2 scenario.
-    ///
-    /// ```
-    /// let scenario = planagent::Scenario::open("generated/changing_lane/2")?;
-    /// assert_eq!(scenario.scenario_type, "changing_lane");
-    /// # Ok::<(), planagent::Error>(())
-    /// ```
-    ///
-    /// # Errors
-    /// When the word names no scenario or several, or the scenario cannot be read.
-    pub fn open(word: &str) -> Result<Self> {
-        let found = Readers::new(&DataRoots::from_environment()).find(word)?;
-        match found.as_slice() {
-            [one] => Ok(one.open()?),
-            several => Err(Error::ManyScenarios { word: word.to_owned(), count: several.len() }),
-        }
-    }
-
-    /// Opens all scenarios that a word names, for example those of a folder, one by one.
-    ///
-    /// # Errors
-    /// When the word names no scenario.
-    pub fn open_all(word: &str) -> Result<impl Iterator<Item = Result<Self>>> {
-        let found = Readers::new(&DataRoots::from_environment()).find(word)?;
-        Ok(found.into_iter().map(|scenario| Ok(scenario.open()?)))
-    }
-}
 
 type MakeAgents<'a> = Box<dyn FnOnce(&Frame) -> Box<dyn AgentPolicy> + 'a>;
 

@@ -6,7 +6,7 @@ use crate::experiment::study;
 use crate::experiment::suite::Suite;
 use crate::planner::{PlannerName, PlannerRegistry};
 use crate::runner::{TOKENS, TWINS, build_commit};
-use crate::scenario::{DataRoots, Readers};
+use planagent_scenario::{DataRoots, Readers};
 use std::sync::LazyLock;
 
 /// Version of the program, with the commit of the build.

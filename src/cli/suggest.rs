@@ -8,9 +8,9 @@ use crate::planner::UnknownPlanner;
 use crate::report::render::RenderError;
 use crate::report::{NoPair, ReportError, ReportFault};
 use crate::runner::{NoSuchType, RunnerError};
-use crate::scenario::generator::{GeneratorError, types};
-use crate::scenario::{DataRoots, ReaderError, Readers};
 use planagent_mllm::MllmError;
+use planagent_scenario::generator::{GeneratorError, types};
+use planagent_scenario::{DataRoots, ReaderError, Readers};
 use std::error::Error;
 use std::path::Path;
 

@@ -2,10 +2,10 @@
 
 use super::dataset;
 use super::split::SplitError;
-use crate::scenario::generator::{Spec, types};
-use crate::scenario::modified::{ModifiedName, ReadModification, to_intersection};
-use crate::scenario::{MissingTokens, RECORDINGS, ReaderError, Readers, ScenarioRef, Split};
 use planagent_files::word_of;
+use planagent_scenario::generator::{Spec, types};
+use planagent_scenario::modified::{ModifiedName, ReadModification, to_intersection};
+use planagent_scenario::{MissingTokens, RECORDINGS, ReaderError, Readers, ScenarioRef, Split};
 use planagent_world::InteractionKind;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -75,7 +75,7 @@ pub fn split(name: &str, readers: &Readers) -> Option<Result<Split, SplitError>>
     };
     if name == GENERATED {
         let scenarios = found(words.into_iter().map(str::to_owned).collect());
-        return Some(scenarios.map(|scenarios| Split { scenarios, ..Split::default() }).map_err(Into::into));
+        return Some(scenarios.map(Split::of).map_err(Into::into));
     }
     let data = std::env::var_os(DATA).filter(|folder| !folder.is_empty()).map(PathBuf::from);
     let (mut here, mut absent) = (Vec::new(), Vec::new());
@@ -88,7 +88,7 @@ pub fn split(name: &str, readers: &Readers) -> Option<Result<Split, SplitError>>
     }
     let missing = MissingTokens { split: name.to_owned(), wanted: words.len(), absent, excluded: Vec::new() };
     let notes = if data.is_none() { vec![format!("${DATA} names the folder of the recordings")] } else { Vec::new() };
-    let split = |scenarios| Split { scenarios, missing, notes, ..Split::default() };
+    let split = |scenarios| Split::of(scenarios).lacking(missing, notes);
     Some(found(here).map(split).map_err(Into::into))
 }
 
@@ -176,7 +176,7 @@ fn listed(header: &str, words: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::DataRoots;
+    use planagent_scenario::DataRoots;
     use std::collections::BTreeSet;
 
     #[test]

@@ -4,15 +4,15 @@ use super::oracle::OracleAgent;
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
 use super::stoppable::{StopSwitch, Stoppable};
-use crate::metrics::{Evaluation, MetricResult, Score};
-use crate::pdm::DrivableLayers;
 use crate::planner::{
     AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, PlannerNeeds,
     PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
 };
-use crate::scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
 use crate::simulation::{AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared};
 use planagent_files::shortened;
+use planagent_scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
+use planagent_score::metrics::{Evaluation, MetricResult, Score};
+use planagent_score::pdm::DrivableLayers;
 use planagent_world::EgoState;
 use rayon::prelude::*;
 use std::fmt;
@@ -220,7 +220,7 @@ fn simulate_task(
         .and_then(|simulation| simulate_prepared(simulation, planner.as_mut(), challenge, &mut |p| on_iteration(p)))
         .map_err(|error| with_causes(&error))?;
     let (calls, drivable_layers) = (planner.take_calls(), planner.drivable_layers());
-    let Evaluation { score, metrics } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
+    let Evaluation { score, metrics, .. } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
     Ok(SimulationOutcome { scenario: Arc::clone(scenario), score, metrics, calls, drivable_layers, log })
 }
 

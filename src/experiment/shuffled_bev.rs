@@ -2,8 +2,8 @@
 
 use crate::environment::{BevView, bev};
 use crate::planner::BevSource;
-use crate::scenario::generator::{self, GeneratorError, Spec, types};
 use image::RgbImage;
+use planagent_scenario::generator::{self, GeneratorError, Spec, types};
 use planagent_world::History;
 use std::sync::Arc;
 

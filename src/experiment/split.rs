@@ -2,9 +2,9 @@
 
 use super::interactive;
 use super::suite::Suite;
-use crate::scenario::modified::ModifiedName;
-use crate::scenario::{OnProgress, ReaderError, Readers, Split};
 use planagent_files::{path_of, word_of};
+use planagent_scenario::modified::ModifiedName;
+use planagent_scenario::{OnProgress, ReaderError, Readers, Split};
 
 #[derive(Debug, thiserror::Error)]
 pub enum SplitError {
@@ -31,13 +31,13 @@ pub fn split(name: &str, readers: &Readers, on_progress: OnProgress<'_>) -> Resu
         let modification = modified.read().map_err(ReaderError::new)?;
         let of_base = split(base, readers, on_progress)?;
         // The list alone does not make the scenarios: the name of the file is not enough.
-        let file = of_base.file.map(|file| path_of(&modified.mark(&word_of(file.as_os_str()))));
-        let scenarios = of_base.scenarios.into_iter().map(|scenario| modification.of(scenario)).collect();
-        return Ok(Split { scenarios, file, ..of_base });
+        let file = of_base.file.as_ref().map(|file| path_of(&modified.mark(&word_of(file.as_os_str()))));
+        let scenarios = of_base.scenarios.iter().map(|scenario| modification.of(scenario.clone())).collect();
+        return Ok(of_base.with(scenarios, file));
     }
     if let Some(suite) = Suite::named(name) {
         let scenarios = suite.specs().into_iter().map(Into::into).collect();
-        return Ok(Split { scenarios, ..Split::default() });
+        return Ok(Split::of(scenarios));
     }
     if let Some(split) = interactive::split(name, readers) {
         return split;
@@ -56,7 +56,7 @@ pub fn split(name: &str, readers: &Readers, on_progress: OnProgress<'_>) -> Resu
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::DataRoots;
+    use planagent_scenario::DataRoots;
 
     fn readers() -> Readers {
         Readers::new(&DataRoots::default())

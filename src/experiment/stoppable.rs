@@ -1,7 +1,7 @@
 //! Ends the simulations of a run that its user stops.
 
-use crate::pdm::DrivableLayers;
 use crate::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlanningCall};
+use planagent_score::pdm::DrivableLayers;
 use planagent_world::Trajectory;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,7 +1,7 @@
 //! Suites: named lists of generated scenarios that never change, so that results stay comparable.
 
 use super::dataset;
-use crate::scenario::generator::{ScenarioType, Spec, types};
+use planagent_scenario::generator::{ScenarioType, Spec, types};
 use std::collections::BTreeMap;
 use std::ops::Range;
 

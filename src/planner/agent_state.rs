@@ -6,8 +6,8 @@ use super::record::{Decision, NoPlan, PlanningCall};
 use super::{PlanAgentSettings, PlannerError, PlannerName};
 use crate::environment::lane_graph::ReturnLane;
 use crate::environment::{LaneGraph, LaneGraphError};
-use crate::pdm::{PdmMemory, TRAJECTORY_STEPS};
 use crate::reflection::{IdmPlan, PlanBuilder};
+use planagent_score::pdm::{PdmMemory, TRAJECTORY_STEPS};
 use planagent_world::{STEP_S, SceneView};
 
 /// The plan that is executed.

@@ -1,9 +1,9 @@
 //! Why a planner gives no trajectory.
 
 use super::name::PlannerName;
-use crate::pdm::{NoReferencePath, PdmError};
 use crate::reasoning::ReasoningError;
 use crate::reflection::ReflectionError;
+use planagent_score::pdm::{NoReferencePath, PdmError};
 use planagent_world::TrajectoryError;
 use planagent_world::geometry::GeometryError;
 

@@ -4,8 +4,8 @@ use super::agent_state::ActivePlan;
 use super::layer::{AgentLayer, forward};
 use super::record::{Decision, PlanningCall};
 use super::{PlannerError, PlannerInput};
-use crate::pdm::{PdmMemory, plan_along};
 use planagent_mllm::milliseconds;
+use planagent_score::pdm::{PdmMemory, plan_along};
 use planagent_world::{SceneView, Trajectory};
 use std::time::Instant;
 

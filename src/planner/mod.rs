@@ -56,8 +56,8 @@ pub use settings::{
 pub use simple::SimplePlanner;
 
 use crate::environment::BevView;
-use crate::pdm::DrivableLayers;
 use image::RgbImage;
+use planagent_score::pdm::DrivableLayers;
 use planagent_world::{LaneMap, Route, SceneView, Trajectory};
 use std::sync::Arc;
 

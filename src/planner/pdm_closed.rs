@@ -1,7 +1,7 @@
 //! PDM-Closed as a planner (Dauner et al. 2023, "Parting with Misconceptions about Learning-based Vehicle Motion Planning").
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
-use crate::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
+use planagent_score::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
 use planagent_world::Trajectory;
 
 /// PDM-Closed: it chooses its reference path at the first iteration and keeps it, and scores fifteen proposals at every iteration.

@@ -3,8 +3,8 @@
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::lane_graph::Centerline;
 use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
-use crate::pdm::{DrivableLayers, Pass, PdmError, PdmMemory, ReferencePath, plan_among};
 use crate::reflection::{PassRules, allowed_pass};
+use planagent_score::pdm::{DrivableLayers, Pass, PdmError, PdmMemory, ReferencePath, plan_among};
 use planagent_world::geometry::{OrientedBox, Polyline, Pose, Vector};
 use planagent_world::{ObjectKind, PACIFICA, RoadblockId, SceneView, TrackToken, TrackedObject, Trajectory};
 

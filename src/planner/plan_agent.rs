@@ -13,10 +13,10 @@ use super::settings::{AfterMaxExec, PlanAgentSettings, ReflectionSettings};
 use super::stop::comfortable_stop;
 use super::{BevSource, PlannerError, PlannerInput, PlannerName};
 use crate::environment::LaneGraph;
-use crate::pdm::{TRAJECTORY_STEPS, emergency_brake, plan};
 use crate::reasoning::{AnswerHistory, ScenarioPrompt};
 use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
 use planagent_mllm::{Deadline, image_hash, milliseconds};
+use planagent_score::pdm::{TRAJECTORY_STEPS, emergency_brake, plan};
 use planagent_world::{SceneView, Trajectory};
 use std::time::Instant;
 

@@ -5,8 +5,8 @@ use super::reach::{MIN_REACH, Reach, is_compared, reach_of_lanes};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use super::rollout::{IdmPlan, Rollout, Version};
 use crate::environment::LaneGraph;
-use crate::metrics::MetricError;
-use crate::pdm::{
+use planagent_score::metrics::MetricError;
+use planagent_score::pdm::{
     self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PassVerdict, PdmInstant, PdmMemory, ProposalScore,
     ReferencePath, ScoringScene, no_at_fault_collisions, score_passing, score_proposals, simulate_proposals,
 };
@@ -36,7 +36,7 @@ pub fn steps_of(seconds: f64) -> usize {
 /// PDM's view of the scene along the reference path in `memory`; without one, along the lanes of the route. Drivable is what
 /// nuPlan's metric will find so ([`DrivableMap::judged_as_by_the_metric`]).
 ///
-/// [`DrivableMap::judged_as_by_the_metric`]: crate::pdm::DrivableMap::judged_as_by_the_metric
+/// [`DrivableMap::judged_as_by_the_metric`]: planagent_score::pdm::DrivableMap::judged_as_by_the_metric
 pub(super) fn observe<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
     let PdmMemory { reference_path, collided } = memory;
     if let Some(reference_path) = reference_path {

@@ -2,8 +2,8 @@
 
 use super::judge::{ReflectionError, observe, score_versions};
 use super::rollout::{IdmPlan, Version};
-use crate::metrics::MetricError;
-use crate::pdm::{PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake};
+use planagent_score::metrics::MetricError;
+use planagent_score::pdm::{PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::{EgoState, SceneView, Trajectory};
 

@@ -4,7 +4,7 @@ use super::plan_builder::PlanBuilder;
 use super::rollout::LeadPolicy;
 use crate::environment::lane_graph::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
 use crate::environment::{CenterlineName, LaneGraph};
-use crate::pdm::{FALLBACK_LIMIT, PassVerdict};
+use planagent_score::pdm::{FALLBACK_LIMIT, PassVerdict};
 use planagent_world::dynamics::IDM_AGENT;
 use planagent_world::geometry::{OrientedBox, Point, Pose};
 use planagent_world::{PACIFICA, STEP_S, SceneView};
@@ -134,8 +134,8 @@ fn is_over_border(way: &OncomingLane, ego: &OrientedBox) -> bool {
 mod tests {
     use super::*;
     use crate::environment::DEFAULT_NODE_LENGTH;
-    use crate::pdm::PdmMemory;
     use crate::reflection::{IdmPlan, Judge, MonitoredStep, PlanMonitor, ReflectionReport};
+    use planagent_score::pdm::PdmMemory;
     use planagent_world::{Scene, SceneBuilder};
     use std::f64::consts::PI;
 

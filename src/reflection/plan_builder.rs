@@ -3,8 +3,8 @@
 use super::pass::PassRules;
 use super::rollout::{IdmPlan, LeadPolicy};
 use crate::environment::{AgentName, CenterlineName, LaneGraph};
-use crate::pdm::FALLBACK_LIMIT;
 use crate::reasoning::PlannerCode;
+use planagent_score::pdm::FALLBACK_LIMIT;
 use planagent_world::SceneView;
 use planagent_world::geometry::GeometryError;
 

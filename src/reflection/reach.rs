@@ -4,7 +4,7 @@ use super::judge::{ReflectionError, score_versions};
 use super::plan_builder::PlanBuilder;
 use super::rollout::{LeadPolicy, Version};
 use crate::environment::{CenterlineName, LaneGraph};
-use crate::pdm::{ProposalScore, ScoringScene};
+use planagent_score::pdm::{ProposalScore, ScoringScene};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::{EgoState, SceneView};
 
@@ -92,8 +92,8 @@ pub(super) fn reach_of_lanes(
 mod tests {
     use super::*;
     use crate::environment::DEFAULT_NODE_LENGTH;
-    use crate::pdm::PdmMemory;
     use crate::reflection::{Judge, ProgressReference, ReflectionReport};
+    use planagent_score::pdm::PdmMemory;
     use planagent_world::{ObjectKind, Scene, SceneBuilder, SignalStatus};
 
     /// Two lanes to the east, the left one along y = 0, and behind them an intersection from x = 150 on.

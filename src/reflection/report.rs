@@ -1,6 +1,6 @@
 //! Reflection's report on a plan.
 
-use crate::pdm::DrivableLayers;
+use planagent_score::pdm::DrivableLayers;
 use planagent_world::EgoState;
 
 /// Whether a plan is executed (paper, section 3, Reflection).

@@ -4,8 +4,8 @@ use super::path::onto_centerline;
 use super::shift::shift;
 use crate::environment::lane_graph::OncomingLane;
 use crate::environment::{CenterlineName, LaneGraph};
-use crate::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
 use crate::reasoning::{DECELERATIONS, PlannerCode};
+use planagent_score::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
 use planagent_world::dynamics::{IdmParameters, Lead};
 use planagent_world::geometry::{Corridor, GeometryError, OrientedBox, Point, Polyline, Pose, Vector};
 use planagent_world::{

@@ -6,12 +6,12 @@ use super::layout::CALLS;
 use super::number::json_value;
 use super::times::CallTimes;
 use crate::environment::CenterlineName;
-use crate::pdm::DrivableLayers;
 use crate::planner::{Attempt, Decision, NoPlan, PlanningCall, Proposal};
 use crate::reasoning::{Assistance, MotionInstruction, ParseError, PlannerAnswer, RoundRecord};
 use crate::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use crate::simulation::Challenge;
 use planagent_mllm::RoundTime;
+use planagent_score::pdm::DrivableLayers;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -328,8 +328,8 @@ pub(super) fn calls_in(folder: &Path) -> Result<Vec<CallRecord>, ReportError> {
 mod tests {
     use super::*;
     use crate::experiment::run::AgentParts;
-    use crate::scenario::generator::{self, DEFAULT};
     use crate::simulation::simulate;
+    use planagent_scenario::generator::{self, DEFAULT};
 
     #[test]
     fn the_calls_of_a_simulation_are_read_as_they_were_written() {

@@ -114,9 +114,9 @@ impl Refused<'_> {
 mod tests {
     use super::*;
     use crate::environment::CenterlineName;
-    use crate::pdm::DrivableLayers;
     use crate::reasoning::PlannerCode;
     use crate::reflection::{ProgressReference, ReflectionReport};
+    use planagent_score::pdm::DrivableLayers;
 
     const CODE: PlannerCode = PlannerCode {
         centerline: CenterlineName::EgoLane,

@@ -11,7 +11,7 @@ use super::run_folder::RunFolder;
 use super::simulation_row::SimulationRow;
 use super::summary::{Summary, aggregated};
 use super::timing::Timing;
-use crate::metrics::distinct;
+use planagent_score::metrics::distinct;
 use serde::Serialize;
 
 impl RunFolder {

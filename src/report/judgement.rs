@@ -1,8 +1,8 @@
 //! Reflection's verdict on one plan in words: every part of its score, what each costs, and whether the plan is executed.
 
 use super::number::fixed;
-use crate::pdm::{WEIGHT_COMFORT, WEIGHT_PROGRESS, WEIGHT_TTC};
 use crate::reflection::{ProgressReference, ReflectionReport, Verdict};
+use planagent_score::pdm::{WEIGHT_COMFORT, WEIGHT_PROGRESS, WEIGHT_TTC};
 use serde::Serialize;
 
 /// How far PDM's scorer looks ahead for the time to collision, seconds.
@@ -152,8 +152,8 @@ fn costs(metrics: &[JudgedMetric]) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pdm::DrivableLayers;
     use crate::reflection::SubScores;
+    use planagent_score::pdm::DrivableLayers;
 
     fn report(parts: SubScores, score: f64) -> ReflectionReport {
         ReflectionReport {

@@ -1,8 +1,8 @@
 //! `manifest.toml`: what a run consists of, written before its first simulation.
 
 use super::inputs::{AcceptedChanges, Inputs};
-use crate::scenario::MissingTokens;
 use planagent_files::serde_path;
+use planagent_scenario::MissingTokens;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};

@@ -1,6 +1,6 @@
 //! Numbers in results: zero has no sign.
 
-use crate::metrics::MetricResult;
+use planagent_score::metrics::MetricResult;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -54,7 +54,7 @@ pub(super) fn positive_zero(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::{MetricSpec, Statistic, StatisticKind, TimeSeries};
+    use planagent_score::metrics::{MetricSpec, Statistic, StatisticKind, TimeSeries};
     use serde_json::json;
 
     #[test]

@@ -3,8 +3,8 @@
 use super::manifest::Manifest;
 use super::simulation_row::SimulationRow;
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
-use crate::metrics::distinct;
 use crate::simulation::Challenge;
+use planagent_score::metrics::distinct;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

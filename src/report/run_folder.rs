@@ -12,7 +12,7 @@ use super::simulation_folder;
 use super::simulation_row::SimulationRow;
 use super::writable::check_writable;
 use crate::experiment::run::{SimulationRecord, SimulationTask};
-use crate::metrics::MetricResult;
+use planagent_score::metrics::MetricResult;
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;

@@ -10,7 +10,7 @@ use super::run_folder::read_toml;
 use super::simulation_row::SimulationRow;
 use super::transcript::transcript;
 use crate::experiment::run::{SimulationOutcome, SimulationRecord};
-use crate::metrics::MetricResult;
+use planagent_score::metrics::MetricResult;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs;

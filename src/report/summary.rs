@@ -1,11 +1,11 @@
 //! `summary.json`: the scores, without wall times; equal seeds give equal bytes.
 
 use super::simulation_row::{SimulationRow, is_zero};
-use crate::metrics::{AggregateRow, FINAL_SCORE, Weighting, aggregate, distinct};
-use crate::pdm::DrivableLayers;
-use crate::scenario::MissingTokens;
 use crate::simulation::Challenge;
 use planagent_mllm::ModelDescription;
+use planagent_scenario::MissingTokens;
+use planagent_score::metrics::{AggregateRow, FINAL_SCORE, Weighting, aggregate, distinct};
+use planagent_score::pdm::DrivableLayers;
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Map, Value, json};

@@ -2,8 +2,8 @@
 
 use super::simulation_row::SimulationRow;
 use super::times::{CallTimes, Quantiles};
-use crate::metrics::distinct;
 use crate::simulation::Challenge;
+use planagent_score::metrics::distinct;
 use serde::Serialize;
 
 /// Quantiles of each part of the planning calls, milliseconds.

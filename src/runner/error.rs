@@ -9,9 +9,9 @@ use crate::experiment::twins::TwinError;
 use crate::planner::{ExecError, PlannerError, PlannerName, UnknownPlanner};
 use crate::reasoning::PromptError;
 use crate::report::ReportError;
-use crate::scenario::ReaderError;
 use crate::simulation::UnknownChallenge;
 use planagent_mllm::MllmError;
+use planagent_scenario::ReaderError;
 use std::path::PathBuf;
 
 /// Why runs cannot be merged.

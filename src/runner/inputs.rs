@@ -2,8 +2,8 @@
 
 use super::config::Config;
 use crate::report::{DataFile, Inputs};
-use crate::scenario::ScenarioRef;
 use planagent_files::{path_of, word_of};
+use planagent_scenario::ScenarioRef;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;

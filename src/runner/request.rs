@@ -8,7 +8,7 @@ use super::model::{LoadedModel, load_model};
 use super::shard::Shard;
 use crate::experiment::StopSwitch;
 use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, PlannerRegistry};
-use crate::scenario::{DataRoots, Readers};
+use planagent_scenario::{DataRoots, Readers};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;

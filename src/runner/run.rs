@@ -6,7 +6,7 @@ use super::machine::cpu;
 use crate::experiment::StopSwitch;
 use crate::experiment::run::{self, AgentParts, SimulationTask};
 use crate::report::{Manifest, RunFolder, SUMMARY, Session, SimulationRow, Summary, Timing};
-use crate::scenario::MissingTokens;
+use planagent_scenario::MissingTokens;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Instant;

@@ -1,6 +1,6 @@
 //! Which of the scenarios that words and splits name are simulated: types, order, number.
 
-use crate::scenario::{ScenarioRef, UNKNOWN_TYPE};
+use planagent_scenario::{ScenarioRef, UNKNOWN_TYPE};
 use std::collections::BTreeSet;
 
 /// What to take of the scenarios that are found.
@@ -106,8 +106,8 @@ pub(super) fn hash(salt: &[u8], text: &str) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::ReaderError;
-    use crate::scenario::modified::ModifiedName;
+    use planagent_scenario::ReaderError;
+    use planagent_scenario::modified::ModifiedName;
     use planagent_world::InteractionKind;
 
     fn scenario(kind: &str, seed: usize) -> ScenarioRef {

@@ -10,9 +10,9 @@ use crate::experiment::split::split;
 use crate::experiment::suite::Suite;
 use crate::planner::{PlannerName, PlannerRegistry};
 use crate::report::{Manifest, ScenarioList};
-use crate::scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
 use crate::simulation::{AgentPolicyName, Challenge};
 use planagent_files::word_of;
+use planagent_scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 

@@ -2,7 +2,7 @@
 
 use super::sample::{hash, key};
 use crate::report::ShardList;
-use crate::scenario::ScenarioRef;
+use planagent_scenario::ScenarioRef;
 use std::fmt;
 use std::str::FromStr;
 
@@ -119,7 +119,7 @@ impl Shard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::ReaderError;
+    use planagent_scenario::ReaderError;
 
     fn scenario(seed: usize) -> ScenarioRef {
         let word = format!("generated/a/{seed}");

@@ -87,7 +87,7 @@ impl ScenarioRef {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::{DataRoots, Readers};
+    use crate::{DataRoots, Readers};
 
     const WORD: &str = "generated/changing_lane/3";
 

@@ -19,6 +19,28 @@ pub struct Split {
     pub notes: Vec<String>,
 }
 
+impl Split {
+    /// A list of scenarios that all exist.
+    #[doc(hidden)]
+    pub fn of(scenarios: Vec<ScenarioRef>) -> Self {
+        Self { scenarios, ..Self::default() }
+    }
+
+    /// Other scenarios in the place of those that exist, and another file.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn with(self, scenarios: Vec<ScenarioRef>, file: Option<PathBuf>) -> Self {
+        Self { scenarios, file, ..self }
+    }
+
+    /// Those that are missing, and notes for the user.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn lacking(self, missing: MissingTokens, notes: Vec<String>) -> Self {
+        Self { missing, notes, ..self }
+    }
+}
+
 /// Scenarios that a list names and that do not exist.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -37,7 +59,9 @@ pub struct MissingTokens {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ExcludedToken {
+    /// The token.
     pub token: String,
+    /// Why it is no scenario.
     pub reason: String,
 }
 

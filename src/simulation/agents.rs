@@ -1,6 +1,6 @@
 //! The policies that control the agents around the ego.
 
-use crate::scenario::{Frame, Scenario};
+use planagent_scenario::{Frame, Scenario};
 use planagent_world::dynamics::{CrossingActors, IdmTraffic, InteractiveTraffic};
 use planagent_world::{EgoState, TrackedObject};
 use std::error::Error;

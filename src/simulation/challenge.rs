@@ -3,7 +3,7 @@
 use super::agent_name::AgentPolicyName;
 use super::agents::AgentPolicySpec;
 use super::controller::EgoController;
-use crate::metrics::MetricList;
+use planagent_score::metrics::MetricList;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use std::borrow::Cow;

@@ -5,7 +5,7 @@ use super::challenge::Challenge;
 use super::controller::EgoController;
 use super::error::SimulationError;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput};
-use crate::scenario::{Frame, HeldScenario, Scenario};
+use planagent_scenario::{Frame, HeldScenario, Scenario};
 use planagent_world::{EgoState, History, HistorySample, MICROS_PER_SECOND, SceneView, Trajectory};
 
 /// Minimum number of iterations of a simulation: the metrics' filters need them.

@@ -1,6 +1,6 @@
 //! The controllers that move the ego from one iteration to the next.
 
-use crate::scenario::Frame;
+use planagent_scenario::Frame;
 use planagent_world::dynamics::{TrackingError, follow};
 use planagent_world::{EgoState, Trajectory};
 

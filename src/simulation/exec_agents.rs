@@ -4,7 +4,7 @@
 use super::agent_name::AgentPolicyName;
 use super::agents::{AgentPolicy, AgentPolicyError};
 use crate::planner::{AnswerError, ExecAgentsStep, ExecReply, ExecRequest, ExecSession, PlannerInitialization, moved};
-use crate::scenario::{Frame, Scenario};
+use planagent_scenario::{Frame, Scenario};
 use planagent_world::{EgoState, TrackedObject};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;

@@ -1,5 +1,5 @@
 //! Stage 7: the closed loop at 10 Hz. [`simulate`] runs a [`Planner`](crate::planner::Planner) on a
-//! [`Scenario`](crate::scenario::Scenario) and returns a [`SimulationLog`].
+//! [`Scenario`](planagent_scenario::Scenario) and returns a [`SimulationLog`].
 //!
 //! One iteration k, as in the nuPlan devkit: the planner sees the history up to k and the logged lights of k and returns a
 //! trajectory; the sample of k is saved; the two-stage controller moves the ego to k+1 in the log's own time; the agents

@@ -4,9 +4,9 @@ use super::agents::AgentPolicy;
 use super::challenge::Challenge;
 use super::closed_loop::ClosedLoop;
 use super::error::SimulationError;
-use crate::metrics::{EvaluatedSimulation, Evaluation, MetricError, MetricRegistry};
 use crate::planner::Planner;
-use crate::scenario::{Frame, Scenario};
+use planagent_scenario::{Frame, Scenario};
+use planagent_score::metrics::{EvaluatedSimulation, Evaluation, MetricError, MetricRegistry};
 use planagent_world::{EgoState, HistorySample, Trajectory};
 use std::time::Instant;
 

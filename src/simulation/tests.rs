@@ -1,7 +1,7 @@
 use super::*;
 use crate::planner::{LogReplay, Planner, PlannerError, PlannerInitialization, PlannerInput};
-use crate::scenario::{Frame, Scenario};
 use crate::test_road::{Stretch, ego_at, object, straight_road, whole_route};
+use planagent_scenario::{Frame, Scenario};
 use planagent_world::geometry::Pose;
 use planagent_world::{
     HISTORY_SAMPLES, ObjectKind, STEP_S, STEP_US, TrackedObject, TrafficLights, Trajectory, TrajectoryState,

@@ -2,10 +2,10 @@
 
 use crate::cli::help;
 use crate::cli::words::path_word;
-use crate::scenario::modified::ModifiedName;
-use crate::scenario::{DataRoots, Readers, generator};
 use anyhow::Context;
 use clap::Args;
+use planagent_scenario::modified::ModifiedName;
+use planagent_scenario::{DataRoots, Readers, generator};
 use planagent_world::InteractionKind;
 use std::path::PathBuf;
 

@@ -11,10 +11,10 @@ use crate::reasoning::PromptSet;
 use crate::report::check_writable;
 use crate::runner::{Config, load_model};
 #[cfg(feature = "learned")]
-use crate::scenario::Readers;
-#[cfg(feature = "learned")]
 use anyhow::Context;
 use anyhow::bail;
+#[cfg(feature = "learned")]
+use planagent_scenario::Readers;
 #[cfg(feature = "learned")]
 use std::time::Instant;
 

@@ -56,7 +56,7 @@ impl Counts {
 
     fn add(&mut self, row: &Row) {
         self.states += 1;
-        self.modified += usize::from(row.state.contains(crate::scenario::modified::MARK) && row.twin.is_none());
+        self.modified += usize::from(row.state.contains(planagent_scenario::modified::MARK) && row.twin.is_none());
         self.wide += usize::from(row.state.contains("/wide/"));
         self.twins += usize::from(row.twin.is_some());
         if let Some(lateral) = row.facts.get("lateral") {

@@ -65,8 +65,8 @@ pub(super) mod tests {
     use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
     use crate::experiment::dataset::search::search;
     use crate::reflection::Verdict;
-    use crate::scenario::generator::{self, Spec, types};
     use crate::simulation::{Challenge, ClosedLoop};
+    use planagent_scenario::generator::{self, Spec, types};
 
     /// Candidates with these lanes, desired speeds and values, accepted by Reflection or not.
     pub(in crate::experiment::dataset) fn tried(planners: &[(&str, f64, f64, bool)]) -> Vec<Candidate> {

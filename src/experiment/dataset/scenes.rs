@@ -2,9 +2,9 @@
 
 use super::{DatasetError, Settings};
 use crate::environment::TextForm;
-use crate::scenario::Scenario;
-use crate::scenario::generator::{self, ScenarioType, Spec, types};
-use crate::scenario::modified::ModifiedName;
+use planagent_scenario::Scenario;
+use planagent_scenario::generator::{self, ScenarioType, Spec, types};
+use planagent_scenario::modified::ModifiedName;
 use planagent_world::InteractionKind;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;

@@ -2,12 +2,12 @@
 
 use crate::environment::lane_graph::{Centerline, GoalLane};
 use crate::environment::{CenterlineName, LaneGraph};
-use crate::metrics::{self, EvaluatedSimulation, MetricList};
-use crate::pdm::PdmMemory;
 use crate::planner::{DEFAULT_ACCELERATIONS, feedback, planner_code};
 use crate::reasoning::{Feedback, PlannerCode};
 use crate::reflection::{IdmPlan, Judge, LeadPolicy, PlanBuilder, PlanMonitor, ReflectionReport, Verdict, steps_of};
 use crate::simulation::ClosedLoop;
+use planagent_score::metrics::{self, EvaluatedSimulation, MetricList};
+use planagent_score::pdm::PdmMemory;
 use planagent_world::{EgoState, HistorySample, STEP_S};
 
 /// Horizon of the search, iterations: long enough for a lane change and its effect.

@@ -1,7 +1,7 @@
 //! Features of the agents near the ego.
 
 use super::{REACH, mean, spread};
-use crate::scenario::{Frame, Scenario};
+use planagent_scenario::{Frame, Scenario};
 use planagent_world::geometry::{OrientedBox, wrap_angle};
 use planagent_world::{LaneKind, LaneMap, ObjectKind, TrackToken, TrackedObject};
 use std::collections::BTreeMap;

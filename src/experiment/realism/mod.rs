@@ -9,9 +9,9 @@ mod roads;
 pub use classifier::{Accuracy, FOLDS};
 pub use feature::Feature;
 
-use crate::scenario::{Scenario, without_start};
 use classifier::{Sample, cross_validated, fitted};
 use feature::FEATURES;
+use planagent_scenario::{Scenario, without_start};
 use serde::Serialize;
 
 /// Distance from the ego within which roads and agents count, meters. Recordings are complete that far.
@@ -133,7 +133,7 @@ fn spread(values: &[f64]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::generator::{Spec, generate, types};
+    use planagent_scenario::generator::{Spec, generate, types};
 
     fn scene(id: &str, value: f64) -> MeasuredScene {
         MeasuredScene { id: id.to_owned(), values: vec![Some(value); FEATURES.len()] }

@@ -1,7 +1,7 @@
 //! Features of the roads around the start.
 
 use super::{REACH, mean, spread};
-use crate::scenario::Scenario;
+use planagent_scenario::Scenario;
 use planagent_world::geometry::wrap_angle;
 use planagent_world::{Lane, LaneKind};
 

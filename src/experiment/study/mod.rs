@@ -7,7 +7,7 @@ mod paper;
 pub use catalogue::{StudyError, all, find, names};
 pub use paper::{Benchmark, Published, PublishedModel, Reported, benchmark, reported_benchmarks};
 
-use crate::scenario::ScenarioRef;
+use planagent_scenario::ScenarioRef;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 

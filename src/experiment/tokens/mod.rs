@@ -14,7 +14,7 @@ pub use table::{TokenMean, TokenTable, TokenTableRow};
 use crate::environment::coordinates::{GptDriverText, llm_assist_text};
 use crate::environment::text::write;
 use crate::environment::{Description, LaneGraph, LaneGraphError, TextForm};
-use crate::scenario::Scenario;
+use planagent_scenario::Scenario;
 use planagent_world::{HISTORY_SAMPLES, History, HistorySample, SceneView};
 use serde::Serialize;
 

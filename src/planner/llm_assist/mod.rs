@@ -15,13 +15,15 @@ use super::{PlanAgentSettings, Planner, PlannerError, PlannerInitialization, Pla
 use crate::environment::coordinates::llm_assist_text;
 use crate::environment::text::{self, Description};
 use crate::environment::{LaneGraph, TextForm};
-use crate::pdm::{self, Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, PdmPlan, ReferencePath, plan_tuned};
 use crate::reasoning::{
     AssistParameters, AssistQuestion, AssistReasoning, AssistVariant, Assistance, Feedback, Names, PromptSet,
     ReasoningError, ReasoningSettings, ReasoningTrace, WAYPOINT_SECONDS,
 };
 use crate::reflection::Judge;
 use planagent_mllm::{Deadline, Mllm, milliseconds};
+use planagent_score::pdm::{
+    self, Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, PdmPlan, ReferencePath, plan_tuned,
+};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::geometry::Pose;
 use planagent_world::{EgoState, STEP_S, SceneView, Trajectory};

@@ -3,9 +3,9 @@
 
 use super::source::RunSimulations;
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
-use crate::metrics::distinct;
 use crate::report::simulation_row::SimulationRow;
 use crate::simulation::Challenge;
+use planagent_score::metrics::distinct;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};

@@ -3,11 +3,11 @@
 use super::comparison::{Comparison, comparisons};
 use super::simulation::{SimulationParts, four_digits};
 use super::source::RunSimulations;
-use crate::metrics::{MetricList, MetricSpec, Role, distinct};
 use crate::report::replay::Sketch;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::summary::ScenarioSummary;
 use crate::report::timing::PlannerTiming;
+use planagent_score::metrics::{MetricList, MetricSpec, Role, distinct};
 use planagent_world::PACIFICA;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -196,10 +196,7 @@ fn metrics() -> Vec<MetricEntry> {
         name: metric.name,
         label: metric.label,
         list,
-        weight: match metric.role {
-            Role::Weight(weight) => Some(weight),
-            Role::Multiplier | Role::Unscored => None,
-        },
+        weight: if let Role::Weight(weight) = metric.role { Some(weight) } else { None },
     };
     let of = |list: MetricList| list.scored().map(move |metric| entry(list, metric));
     of(MetricList::ClosedLoop).chain(of(MetricList::OpenLoop)).collect()

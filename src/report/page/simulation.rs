@@ -1,7 +1,6 @@
 //! The parts of one simulation: statistics for the histograms and, packed, the replay with calls and time series.
 
 use super::{packed_json, text_of};
-use crate::metrics::{MetricResult, Statistic};
 use crate::report::call_record::{CallRecord, calls_in};
 use crate::report::error::ReportError;
 use crate::report::key::{CompactParts, KeyTable};
@@ -11,6 +10,7 @@ use crate::report::simulation_folder;
 use crate::report::simulation_row::SimulationRow;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use planagent_score::metrics::{MetricResult, Statistic};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::fs;
@@ -130,7 +130,7 @@ fn simulation(
 impl<'a> Series<'a> {
     fn of(metric: &'a MetricResult) -> Option<Self> {
         let series = metric.time_series.as_ref()?;
-        let (low, high) = crate::metrics::metric(&metric.name).map_or((None, None), |spec| spec.bounds);
+        let (low, high) = planagent_score::metrics::metric(&metric.name).map_or((None, None), |spec| spec.bounds);
         Some(Self {
             metric: &metric.name,
             unit: &series.unit,

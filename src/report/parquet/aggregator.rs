@@ -2,8 +2,8 @@
 //! planner.
 
 use super::table::{Column, Columns, TableWriter};
-use crate::metrics::{AggregateRow, MetricList};
 use crate::report::ReportError;
+use planagent_score::metrics::{AggregateRow, MetricList};
 use std::collections::BTreeSet;
 use std::path::Path;
 

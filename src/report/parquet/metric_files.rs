@@ -1,8 +1,8 @@
 //! `metrics/METRIC.parquet`: a file for each metric, with a row for each simulation.
 
 use super::table::{Column, Columns, TableWriter};
-use crate::metrics::{MetricResult, ScoreUnit, Statistic, StatisticKind};
 use crate::report::{ReportError, SimulationRow};
+use planagent_score::metrics::{MetricResult, ScoreUnit, Statistic, StatisticKind};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -128,7 +128,7 @@ fn columns(schema: &Schema, rows: &[Row<'_>]) -> Columns {
         let found: Vec<Option<&Statistic>> =
             rows.iter().map(|(_, metric)| metric.statistics.iter().find(|s| s.name == *name)).collect();
         // Type and unit stand in every row, because nuBoard takes the unit of a planner's first row for all of its rows.
-        all.push((format!("{name}_stat_type"), Column::text(rows.iter().map(|_| kind_name(*kind)))));
+        all.push((format!("{name}_stat_type"), Column::text(rows.iter().map(|_| kind.name()))));
         all.push((format!("{name}_stat_unit"), Column::text(rows.iter().map(|_| unit.as_str()))));
         all.push((format!("{name}_stat_value"), values(*kind, &found)));
     }
@@ -164,25 +164,11 @@ fn time_series(rows: &[Row<'_>]) -> Columns {
     ]
 }
 
-/// nuPlan's `MetricStatisticsType`.
-fn kind_name(kind: StatisticKind) -> &'static str {
-    match kind {
-        StatisticKind::Max => "MAX",
-        StatisticKind::Min => "MIN",
-        StatisticKind::P90 => "P90",
-        StatisticKind::Mean => "MEAN",
-        StatisticKind::Count => "COUNT",
-        StatisticKind::Value => "VALUE",
-        StatisticKind::Ratio => "RATIO",
-        StatisticKind::Boolean => "BOOLEAN",
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::metric;
     use crate::simulation::Challenge;
+    use planagent_score::metrics::metric;
 
     #[test]
     fn a_statistic_that_a_simulation_lacks_has_no_value() {

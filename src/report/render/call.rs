@@ -13,9 +13,9 @@ use crate::reflection::{ReflectionReport, Verdict};
 use crate::report::decision::decision_words;
 use crate::report::number::fixed;
 use crate::report::replay::DrawnMap;
-use crate::scenario::{Frame, Scenario};
 use image::imageops::{self, FilterType};
 use image::{GenericImage, RgbImage};
+use planagent_scenario::{Frame, Scenario};
 use planagent_world::geometry::{Bounds, Point};
 use planagent_world::{MICROS_PER_SECOND, STEP_S, Trajectory};
 

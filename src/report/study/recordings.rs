@@ -1,10 +1,10 @@
 //! What a study of recordings adds to its results: each recording, and the planning calls.
 
 use super::results::VariantSimulations;
-use crate::metrics::distinct;
 use crate::report::simulation_row::SimulationRow;
-use crate::scenario::without_start;
 use crate::simulation::Challenge;
+use planagent_scenario::without_start;
+use planagent_score::metrics::distinct;
 use serde::Serialize;
 
 /// Metric of collisions at the ego's fault.

@@ -4,12 +4,12 @@ use super::agreement::{Agreement, agreements};
 use super::recordings::{CallShares, RecordingResults, recordings};
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use crate::experiment::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
-use crate::metrics::distinct;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::{ModelFigures, Quantiles};
-use crate::scenario::modified::without_modification;
-use crate::scenario::without_start;
 use crate::simulation::Challenge;
+use planagent_scenario::modified::without_modification;
+use planagent_scenario::without_start;
+use planagent_score::metrics::distinct;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -1,11 +1,11 @@
 //! The simulations of a run: their metrics, what made scores 0, which failed.
 
 use super::{Table, fill, or_dash, percent, short};
-use crate::metrics::{MetricList, distinct};
 use crate::report::number::fixed;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::visible::visible_line;
 use console::style;
+use planagent_score::metrics::{MetricList, distinct};
 use planagent_world::InteractionKind;
 use std::fmt::Write;
 
@@ -54,10 +54,7 @@ const INTERPLAN: &str = "Scenarios of interPlan's kinds have interPlan's score, 
 pub(super) fn legend(rows: &[SimulationRow], lists: &[MetricList], width: u16) -> String {
     let metrics = lists.iter().flat_map(|list| list.scored());
     let meanings = distinct(metrics.map(|metric| format!("{} = {}", metric.label, metric.name)));
-    let challenges = lists.iter().map(|list| match list {
-        MetricList::ClosedLoop => "NR, R = non-reactive, reactive agents  score = nuPlan's closed-loop score x 100",
-        MetricList::OpenLoop => "OLS = the ego replays the log  score = nuPlan's open-loop score x 100",
-    });
+    let challenges = lists.iter().map(|list| list.meaning());
     let of_kinds = rows.iter().any(|row| InteractionKind::named(&row.scenario_type).is_some());
     let of_kinds = of_kinds.then(|| INTERPLAN.to_owned());
     let own = distinct(rows.iter().filter_map(|row| row.challenge.own_agents()));

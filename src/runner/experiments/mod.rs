@@ -18,8 +18,8 @@ use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, SimulationRow, StudyFolder, StudyResults, SuiteSimulations,
     VariantSimulations, check_writable,
 };
-use crate::scenario::MissingTokens;
 use planagent_files::quoted;
+use planagent_scenario::MissingTokens;
 use runs::{PlannedRuns, RunName};
 use std::collections::BTreeMap;
 use std::path::PathBuf;

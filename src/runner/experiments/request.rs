@@ -1,7 +1,7 @@
 //! What experiments are asked for.
 
 use crate::planner::PlannerRegistry;
-use crate::scenario::DataRoots;
+use planagent_scenario::DataRoots;
 use std::path::PathBuf;
 
 /// What experiments are asked for.

@@ -8,7 +8,7 @@ use crate::runner::config::Config;
 use crate::runner::error::RunnerError;
 use crate::runner::event::{Event, Listener};
 use crate::runner::model::OpenModel;
-use crate::scenario::ScenarioRef;
+use planagent_scenario::ScenarioRef;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write as _;

@@ -12,7 +12,7 @@ use crate::runner::error::RunnerError;
 use crate::runner::event::{Event, Listener};
 use crate::runner::model::{OpenModel, agent_parts};
 use crate::runner::simulate::manifest;
-use crate::scenario::modified::TwinKind;
+use planagent_scenario::modified::TwinKind;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -9,7 +9,7 @@ use super::category::{Meaning, of_annotation};
 use super::error::LogFault;
 use super::poses::{heading, isometries};
 use super::table::{Table, in_range};
-use crate::scenario::recording::motion::{MAX_BOX, slopes};
+use crate::recording::motion::{MAX_BOX, slopes};
 use nalgebra::Isometry3;
 use planagent_world::geometry::{OrientedBox, Point, Pose, Vector};
 use planagent_world::{ObjectKind, TrackToken, TrackedObject};

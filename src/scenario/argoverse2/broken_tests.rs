@@ -2,7 +2,7 @@
 
 use super::test_log::{ANNOTATIONS, CITY, Log, MAP, POSES, log, set, time_ns, with};
 use super::*;
-use crate::scenario::recording::error::{FileError, RecordingFault};
+use crate::recording::error::{FileError, RecordingFault};
 use arrow_array::{Int64Array, StringArray};
 use proptest::prelude::*;
 use serde_json::{Value, json};

@@ -1,6 +1,6 @@
 //! Faults of Argoverse 2 logs.
 
-use crate::scenario::recording::error::{FileError, RecordingFault};
+use crate::recording::error::{FileError, RecordingFault};
 use arrow_schema::ArrowError;
 use parquet::errors::ParquetError;
 use std::io;

@@ -14,11 +14,11 @@
 
 use super::error::LogFault;
 use super::map_file::{LaneSegment, LaneType, MapFile, Waypoint, places};
-use crate::scenario::recording::error::RecordingFault;
-use crate::scenario::recording::junctions::{Cluster, clusters, crossings};
-use crate::scenario::recording::lanes::{Beside, Ends, Places, RecordedLane, Sides};
-use crate::scenario::recording::map::{self, Layers, separate};
-use crate::scenario::recording::trace::{Place, Trace, local_points};
+use crate::recording::error::RecordingFault;
+use crate::recording::junctions::{Cluster, clusters, crossings};
+use crate::recording::lanes::{Beside, Ends, Places, RecordedLane, Sides};
+use crate::recording::map::{self, Layers, separate};
+use crate::recording::trace::{Place, Trace, local_points};
 use planagent_world::LaneMap;
 use planagent_world::geometry::{Point, Polygon, Polyline, Vector};
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,7 +1,7 @@
 //! The vector map of a log: `log_map_archive_*.json`, as Argoverse 2 writes it.
 
 use super::error::Argoverse2Error;
-use crate::scenario::recording::trace::Place;
+use crate::recording::trace::Place;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::io::Read;

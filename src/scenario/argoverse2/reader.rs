@@ -2,7 +2,7 @@
 
 use super::files::LogFiles;
 use super::{contents, is_log, logs_in, name, open};
-use crate::scenario::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
+use crate::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
 use planagent_files::{path_of, word_of};
 use std::path::PathBuf;
 

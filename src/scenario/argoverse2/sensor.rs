@@ -10,9 +10,9 @@ use super::map::{lane_count, lane_map};
 use super::map_file::MapFile;
 use super::poses::{EgoPoses, heading};
 use super::table::Table;
-use crate::scenario::recording::motion::{self, slopes};
-use crate::scenario::recording::window::{self, Recording, step_times};
-use crate::scenario::{Contents, Scenario};
+use crate::recording::motion::{self, slopes};
+use crate::recording::window::{self, Recording, step_times};
+use crate::{Contents, Scenario};
 use planagent_world::geometry::{Pose, Vector};
 
 const NANOS_PER_SECOND: f64 = 1e9;

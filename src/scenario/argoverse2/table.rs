@@ -2,7 +2,7 @@
 
 use super::error::{Argoverse2Error, LogFault};
 use super::{cells, ipc_bounds};
-use crate::scenario::recording::motion::MAX_COORDINATE;
+use crate::recording::motion::MAX_COORDINATE;
 use arrow_array::{Array, RecordBatch};
 use arrow_ipc::reader::FileReader;
 use arrow_schema::{ArrowError, SchemaRef};

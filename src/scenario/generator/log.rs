@@ -3,7 +3,7 @@
 use super::expert::Expert;
 use super::scene::setting::SETTLING;
 use super::traffic::Traffic;
-use crate::scenario::{FUTURE_FRAMES, Frame};
+use crate::{FUTURE_FRAMES, Frame};
 use planagent_world::geometry::{Point, Vector, wrap_angle};
 use planagent_world::{
     EgoState, HISTORY_SAMPLES, LaneId, LaneMap, ObjectKind, PACIFICA, STEP_S, STEP_US, SignalStatus, TrackedObject,

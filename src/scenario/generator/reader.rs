@@ -1,7 +1,7 @@
 //! Generated scenarios in the registry of readers.
 
 use super::{SOURCE, Spec, generate};
-use crate::scenario::{ReaderError, ScenarioReader, ScenarioRef};
+use crate::{ReaderError, ScenarioReader, ScenarioRef};
 
 /// Takes words of the form `generated/TYPE/SEED[.TRAFFIC]`.
 pub struct GeneratedReader;

@@ -5,7 +5,7 @@ use super::draws::Draws;
 use super::error::ModifyError;
 use super::file::Modification;
 use super::lanes::{EgoLanes, LanePlace};
-use crate::scenario::Scenario;
+use crate::Scenario;
 use planagent_world::geometry::{OrientedBox, Pose, Vector};
 use planagent_world::{
     CrossingActor, DriverBehavior, EgoState, LaneId, ObjectKind, RoadblockId, TrackToken, TrackedObject,

@@ -3,7 +3,7 @@
 use super::change::{Change, Fault};
 use super::changes::Changes;
 use super::error::ModifyError;
-use crate::scenario::interplan::InterPlanName;
+use crate::interplan::InterPlanName;
 use planagent_world::InteractionKind;
 use std::path::Path;
 

@@ -3,7 +3,7 @@
 use super::draft::{Draft, GoalPath, MovingVehicle};
 use super::error::ModifyError;
 use super::file::Modification;
-use crate::scenario::{Frame, Scenario};
+use crate::{Frame, Scenario};
 use planagent_world::dynamics::{CrossingActors, InteractiveTraffic};
 use planagent_world::geometry::{OrientedBox, Pose, Vector};
 use planagent_world::{

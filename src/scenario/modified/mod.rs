@@ -23,7 +23,7 @@ mod word;
 pub use error::ModifyError;
 pub use kinds::kind_texts;
 pub use twin::{Twin, TwinKind, TwinPart, TwinSide};
-pub(crate) use word::without_modification;
+pub use word::without_modification;
 pub use word::{MARK, ModifiedName, ReadModification};
 
 use super::Scenario;

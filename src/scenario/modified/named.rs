@@ -3,7 +3,7 @@
 use super::change::{Change, Fault};
 use super::draft::{Draft, GoalPath};
 use super::lanes::whole_lanes;
-use crate::scenario::interplan::{Command, Density, InterPlanName, PythonRandom, Row, fill_row};
+use crate::interplan::{Command, Density, InterPlanName, PythonRandom, Row, fill_row};
 use planagent_world::dynamics::IDM_AGENT;
 use planagent_world::geometry::wrap_angle;
 use planagent_world::{LaneId, LaneMap, LanePath, ObjectKind, PACIFICA, RoadblockId, STEP_S};

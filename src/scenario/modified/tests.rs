@@ -3,7 +3,7 @@
 use super::file::Modification;
 use super::kinds::kind_texts;
 use super::word::ModifiedName;
-use crate::scenario::{DataRoots, Readers, Scenario};
+use crate::{DataRoots, Readers, Scenario};
 use planagent_world::{InteractionKind, ObjectKind};
 
 fn readers() -> Readers {
@@ -57,9 +57,8 @@ fn a_modified_scenario_has_what_its_file_says() {
     let ahead = first.ego.center().to_local(vehicles[0].shape.center.position()).x;
     assert!((ahead - 40.0).abs() < 2.0, "{ahead}");
     assert!(first.objects.iter().filter(|object| object.kind == ObjectKind::TrafficCone).count() > 5);
-    let people = |frame: &crate::scenario::Frame| {
-        frame.objects.iter().filter(|object| object.kind == ObjectKind::Pedestrian).count()
-    };
+    let people =
+        |frame: &crate::Frame| frame.objects.iter().filter(|object| object.kind == ObjectKind::Pedestrian).count();
     let of_base = people(base.frame(0).unwrap());
     assert_eq!(people(first), of_base, "unseen until the ego is near");
     assert!(modified.frames.iter().any(|frame| people(frame) > of_base));
@@ -113,7 +112,7 @@ fn drivers_change_lanes_where_that_gains() {
         ));
         let scenario = opened(&format!("generated/changing_lane/2~{path}"));
         let standing = &scenario.interaction.as_ref().unwrap().standing;
-        let of = |frame: &crate::scenario::Frame| {
+        let of = |frame: &crate::Frame| {
             let driving = |object: &&planagent_world::TrackedObject| {
                 object.kind == ObjectKind::Vehicle && !standing.contains(&object.token)
             };

@@ -4,9 +4,9 @@ use super::error::ModifyError;
 use super::file::Modification;
 use super::twin::Twin;
 use super::{kinds, modified};
-use crate::scenario::interplan::InterPlanName;
-use crate::scenario::reader::{OpenScenario, ReaderError, ScenarioRef, absolute_path};
-use crate::scenario::{Contents, Scenario};
+use crate::interplan::InterPlanName;
+use crate::reader::{OpenScenario, ReaderError, ScenarioRef, absolute_path};
+use crate::{Contents, Scenario};
 use planagent_files::path_of;
 use planagent_world::InteractionKind;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ pub const MARK: char = '~';
 const ENDING: &str = ".toml";
 
 /// A word without its modification.
-pub(crate) fn without_modification(word: &str) -> &str {
+pub fn without_modification(word: &str) -> &str {
     ModifiedName::in_word(word).map_or(word, |(base, _)| base)
 }
 

@@ -113,7 +113,7 @@ impl Extraction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::UNKNOWN_TYPE;
+    use crate::UNKNOWN_TYPE;
 
     #[test]
     fn the_mapping_covers_its_types_and_no_others() {

@@ -15,7 +15,7 @@ use super::route::route_ids;
 use super::rows::{Rows, ego_of};
 use super::schema::EGO_POSE;
 use super::token::Token;
-use crate::scenario::UNKNOWN_TYPE;
+use crate::UNKNOWN_TYPE;
 use planagent_world::{EgoState, MICROS_PER_SECOND, STEP_S};
 use rand::SeedableRng;
 use rand::seq::{IndexedRandom, SliceRandom};

@@ -172,7 +172,7 @@ impl GeomProcessor for Parts {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::nuplan::projection::WGS84;
+    use crate::nuplan::projection::WGS84;
     use geo::{MultiLineString, MultiPolygon};
     use proptest::prelude::*;
 

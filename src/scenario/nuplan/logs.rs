@@ -4,7 +4,7 @@ use super::database::Database;
 use super::error::{FileFault, NuPlanError};
 use super::schema::LOG_TABLES;
 use super::token::Token;
-use crate::scenario::DataRoots;
+use crate::DataRoots;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

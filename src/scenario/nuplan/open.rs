@@ -13,7 +13,7 @@ use super::schema::{CATEGORY, EGO_POSE, LIDAR_BOX, LIDAR_PC, TRACK, TRAFFIC_LIGH
 use super::side_index;
 use super::token::Token;
 use super::velocity;
-use crate::scenario::{Frame, Scenario};
+use crate::{Frame, Scenario};
 use planagent_world::geometry::{OrientedBox, Pose, Vector};
 use planagent_world::{EgoState, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
 use std::collections::BTreeMap;

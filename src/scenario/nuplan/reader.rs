@@ -8,7 +8,7 @@ use super::{
     Exclusion, Exclusions, LogScenario, Logs, MAX_FOLDER_DEPTH, MapStore, NuPlanError, ScenarioFilter, THRESHOLD_KEY,
     ThresholdScope, Token, TokenError, open,
 };
-use crate::scenario::{DataRoots, OnProgress, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef, Split};
+use crate::{DataRoots, OnProgress, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef, Split};
 use planagent_files::{path_of, word_of};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};

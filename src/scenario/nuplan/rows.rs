@@ -6,7 +6,7 @@ use super::extraction::{Extraction, ROWS_PER_STEP};
 use super::logs::LogScenario;
 use super::schema::{CHANNEL, LIDAR, LIDAR_PC};
 use super::token::Token;
-use crate::scenario::FUTURE_FRAMES;
+use crate::FUTURE_FRAMES;
 use planagent_world::geometry::{Pose, Vector};
 use planagent_world::{EgoState, HISTORY_SAMPLES, MICROS_PER_SECOND};
 

@@ -9,7 +9,7 @@ use super::logs::{Log, LogScenario, UnreadableLog};
 use super::map_store::MapStore;
 use super::schema::{EGO_POSE, LIDAR, LIDAR_PC, LOG, SCENARIO_TAG, SCENE};
 use super::token::Token;
-use crate::scenario::{OnProgress, UNKNOWN_TYPE};
+use crate::{OnProgress, UNKNOWN_TYPE};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

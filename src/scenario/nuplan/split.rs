@@ -2,7 +2,7 @@
 
 use super::search::SearchResult;
 use super::{Exclusions, FilterError, FilterFile, NuPlanError, ScenarioFilter, Token};
-use crate::scenario::{ExcludedToken, MissingTokens, ScenarioRef, Split};
+use crate::{ExcludedToken, MissingTokens, ScenarioRef, Split};
 use std::path::{Path, PathBuf};
 
 /// Folder of filter files that is searched first; then `splits`, then `splits` in `$PLANAGENT_DATA`.

@@ -1,7 +1,7 @@
 //! Velocities that a log lacks, from the positions of the track. nuPlan's tables allow NULL. A program that takes it for a
 //! number, or for standing still, judges traffic that the log does not hold.
 
-use crate::scenario::Frame;
+use crate::Frame;
 use planagent_world::geometry::{Point, Vector};
 use planagent_world::{MICROS_PER_SECOND, TrackToken};
 use std::collections::{BTreeMap, BTreeSet};

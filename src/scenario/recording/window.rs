@@ -5,7 +5,7 @@
 
 use super::error::RecordingFault;
 use super::route::route;
-use crate::scenario::{Contents, FUTURE_FRAMES, Frame, Scenario, UNKNOWN_TYPE};
+use crate::{Contents, FUTURE_FRAMES, Frame, Scenario, UNKNOWN_TYPE};
 use planagent_world::geometry::Pose;
 use planagent_world::{EgoState, LaneMap, MICROS_PER_SECOND, Route, TrackedObject, TrafficLights};
 use std::ops::{Range, RangeInclusive};

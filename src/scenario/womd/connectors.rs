@@ -13,7 +13,7 @@
 //! Connectors may overlap each other and lanes. Two lanes may not overlap, hence the rules 4 and 5.
 
 use super::features::MapFeatures;
-use crate::scenario::recording::lanes::{RecordedLane, Side};
+use crate::recording::lanes::{RecordedLane, Side};
 use planagent_world::geometry::{Pose, wrap_angle};
 use std::collections::BTreeSet;
 

@@ -9,9 +9,9 @@ use super::map::lane_map;
 use super::proto;
 use super::signals::lights;
 use super::tracks::{ego_states, first_position, objects_at};
-use crate::scenario::Scenario;
-use crate::scenario::recording::error::RecordingFault;
-use crate::scenario::recording::window::{Recording, step_times, window};
+use crate::Scenario;
+use crate::recording::error::RecordingFault;
+use crate::recording::window::{Recording, step_times, window};
 use planagent_world::geometry::Vector;
 use std::collections::BTreeSet;
 

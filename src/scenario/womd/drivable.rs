@@ -8,9 +8,9 @@
 
 use super::features::MapFeatures;
 use super::outline::{DEFAULT_HALF, Strip};
-use crate::scenario::recording::junctions::Cluster;
-use crate::scenario::recording::lanes::{RecordedLane, Side};
-use crate::scenario::recording::trace::{Ray, Segments};
+use crate::recording::junctions::Cluster;
+use crate::recording::lanes::{RecordedLane, Side};
+use crate::recording::trace::{Ray, Segments};
 use planagent_world::geometry::{Point, Polygon};
 use std::collections::BTreeMap;
 

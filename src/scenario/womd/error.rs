@@ -1,7 +1,7 @@
 //! Faults of Waymo recordings.
 
 use super::tfrecord::FramingFault;
-use crate::scenario::recording::error::{FileError, RecordingFault};
+use crate::recording::error::{FileError, RecordingFault};
 use std::io;
 
 /// Why a file of recordings cannot be read, with file, record and byte offset.

@@ -8,9 +8,9 @@
 use super::proto::{
     Area, BoundarySegment, FeatureData, LaneCenter, LaneNeighbor, LaneType, MapFeature, MapPoint, StopSign,
 };
-use crate::scenario::recording::error::RecordingFault;
-use crate::scenario::recording::lanes::{Beside, Ends, Places, RecordedLane, Sides};
-use crate::scenario::recording::trace::{Place, Trace, local_points};
+use crate::recording::error::RecordingFault;
+use crate::recording::lanes::{Beside, Ends, Places, RecordedLane, Sides};
+use crate::recording::trace::{Place, Trace, local_points};
 use planagent_world::geometry::{Point, Polygon, Vector};
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -10,9 +10,9 @@
 //! width of a connector changes linearly between the lanes that it joins.
 
 use super::features::MapFeatures;
-use crate::scenario::recording::lanes::{RecordedLane, Side, Sides};
-use crate::scenario::recording::map::{separate, simplified};
-use crate::scenario::recording::trace::{Ray, Segments};
+use crate::recording::lanes::{RecordedLane, Side, Sides};
+use crate::recording::map::{separate, simplified};
+use crate::recording::trace::{Ray, Segments};
 use planagent_world::geometry::{OrientedBox, Point, Polygon};
 
 /// Half of a lane's width without other information, meters.

@@ -1,7 +1,7 @@
 //! Waymo recordings in the registry of readers.
 
 use super::{WomdError, contents, log_name, open_one};
-use crate::scenario::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
+use crate::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
 use planagent_files::{path_of, word_of};
 use std::path::{Path, PathBuf};
 

@@ -6,7 +6,7 @@ use super::proto::{
 };
 use super::tfrecord::frame;
 use super::*;
-use crate::scenario::recording::error::RecordingFault;
+use crate::recording::error::RecordingFault;
 use planagent_world::geometry::Point;
 use planagent_world::{LaneId, LaneKind, SignalStatus};
 use proptest::prelude::*;
@@ -114,7 +114,7 @@ fn recording() -> proto::Scenario {
     }
 }
 
-fn lane_of(scenario: &crate::scenario::Scenario, source_id: i64) -> &planagent_world::Lane {
+fn lane_of(scenario: &crate::Scenario, source_id: i64) -> &planagent_world::Lane {
     &scenario.map[scenario.map.lane_by_source(source_id).unwrap()]
 }
 

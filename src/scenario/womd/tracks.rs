@@ -8,7 +8,7 @@
 
 use super::error::WomdFault;
 use super::proto::{ObjectState, ObjectType, Track};
-use crate::scenario::recording::motion::{self, MAX_BOX, MAX_COORDINATE, MAX_SPEED, slope};
+use crate::recording::motion::{self, MAX_BOX, MAX_COORDINATE, MAX_SPEED, slope};
 use planagent_world::geometry::{OrientedBox, Point, Pose, Vector, unwrap_angles, wrap_angle};
 use planagent_world::{EgoState, MICROS_PER_SECOND, ObjectKind, PACIFICA, TrackToken, TrackedObject};
 use std::sync::Arc;

@@ -12,8 +12,8 @@ use crate::reasoning::Interruption;
 use crate::report::render::call_picture;
 use crate::report::{CallRecord, CallTimes, attempt_markdown, decision_words, fixed};
 use crate::runner::{Config, load_model};
-use crate::scenario::{Frame, Scenario, generator};
 use anyhow::{Context, bail};
+use planagent_scenario::{Frame, Scenario, generator};
 use planagent_world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory};
 use serde_json::{Value, json};
 

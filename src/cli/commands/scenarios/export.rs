@@ -2,9 +2,9 @@
 
 use crate::cli::args::{ExportArguments, ExportFormat};
 use crate::cli::{Exit, Printer};
-use crate::scenario::nuplan::export::{ExportChanges, ExportSettings, write_scenarios};
-use crate::scenario::{Scenario, ScenarioRef};
 use anyhow::bail;
+use planagent_scenario::nuplan::export::{ExportChanges, ExportSettings, write_scenarios};
+use planagent_scenario::{Scenario, ScenarioRef};
 use planagent_world::geometry::Point;
 use rayon::prelude::*;
 

@@ -2,8 +2,8 @@
 
 use crate::cli::args::GenerateArguments;
 use crate::cli::{Exit, Printer};
-use crate::scenario::generator::{GeneratorError, Spec, generate, types};
 use anyhow::Context;
+use planagent_scenario::generator::{GeneratorError, Spec, generate, types};
 use serde_json::json;
 
 /// Generates scenarios and prints a line about the expert driver of each.

@@ -6,7 +6,7 @@ use crate::experiment::dataset::Split;
 use crate::experiment::interactive::{
     SCENARIOS, draw_generated, draw_recorded, generated_list, other_list, recorded_list,
 };
-use crate::scenario::{DataRoots, Readers};
+use planagent_scenario::{DataRoots, Readers};
 use serde_json::json;
 
 /// Prints the list, a scenario a line.

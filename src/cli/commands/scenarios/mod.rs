@@ -11,7 +11,7 @@ mod twins;
 
 use crate::cli::args::ScenariosCommand;
 use crate::cli::{Exit, Printer};
-use crate::scenario::Scenario;
+use planagent_scenario::Scenario;
 use serde::Serialize;
 
 /// Runs one of the subcommands.

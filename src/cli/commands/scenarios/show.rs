@@ -6,8 +6,8 @@ use crate::cli::commands::plan::{instant, scenario};
 use crate::cli::{Exit, Printer};
 use crate::environment::{BevView, bev};
 use crate::report::fill;
-use crate::scenario::{Frame, Scenario};
 use image::RgbImage;
+use planagent_scenario::{Frame, Scenario};
 use planagent_world::{History, HistorySample, LaneKind, STEP_S, SignalStatus};
 use serde_json::{Value, json};
 

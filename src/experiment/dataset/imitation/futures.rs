@@ -1,7 +1,7 @@
 //! What happened after a moment: targets that several planners share.
 
 use super::{HORIZON, Moment};
-use crate::scenario::Frame;
+use planagent_scenario::Frame;
 use planagent_world::TrackToken;
 use planagent_world::geometry::{Pose, wrap_angle};
 

@@ -13,8 +13,8 @@ mod urban_driver;
 use super::Split;
 use super::scenes::{MIX, SCENARIOS_PER_SEED};
 use super::shard::ShardError;
-use crate::scenario::generator::Spec;
-use crate::scenario::{Frame, Scenario, ScenarioRef};
+use planagent_scenario::generator::Spec;
+use planagent_scenario::{Frame, Scenario, ScenarioRef};
 use planagent_world::{EgoState, HISTORY_SAMPLES, History, HistorySample, SceneView};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -203,7 +203,7 @@ fn samples(planner: ImitationPlanner, log: &Scenario) -> Vec<Columns> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::generator;
+    use planagent_scenario::generator;
 
     #[test]
     fn seeds_stay_in_their_split() {

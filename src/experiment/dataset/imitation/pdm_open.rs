@@ -2,8 +2,8 @@
 
 use super::tensors::Columns;
 use super::{Moment, futures};
-use crate::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
 use crate::planner::learned::pdm_open::PdmFeatures;
+use planagent_score::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
 use planagent_world::LaneId;
 
 /// Features and target (16, 3): the poses of the rear axle in its frame now. `None` off every route.

@@ -3,8 +3,8 @@
 use super::futures::pose_in;
 use super::tensors::Columns;
 use super::{HORIZON, Moment};
-use crate::pdm::corrected_route;
 use crate::planner::learned::plantf::{AgentHistory, PlanTfFeatures, PolygonFeatures};
+use planagent_score::pdm::corrected_route;
 use planagent_world::geometry::Pose;
 use planagent_world::{ObjectKind, TrackToken};
 

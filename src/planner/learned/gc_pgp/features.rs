@@ -2,10 +2,10 @@
 
 use super::lane_graph::{LaneNodes, POSES};
 use super::network::GcPgpInputs;
-use crate::metrics::{MetricError, SavitzkyGolay};
 use crate::planner::learned::frame::relative;
 use crate::planner::learned::past;
 use candle_core::{Device, Result, Tensor};
+use planagent_score::metrics::{MetricError, SavitzkyGolay};
 use planagent_world::{HistorySample, MICROS_PER_SECOND, ObjectKind, SceneView, TrackedObject};
 
 /// Steps of an actor, and samples of the history between two.

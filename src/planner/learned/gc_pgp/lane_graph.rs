@@ -1,6 +1,6 @@
 //! GC-PGP's lane graph (`tuplan_garage` `pgp_graph_map_feature_builder.py`).
 
-use crate::pdm::corrected_route;
+use planagent_score::pdm::corrected_route;
 use planagent_world::geometry::{OrientedBox, Point, Polygon, Pose, unwrap_angles, wrap_angle};
 use planagent_world::{Lane, LaneId, LaneKind, SceneView, SignalStatus};
 use std::collections::BTreeMap;

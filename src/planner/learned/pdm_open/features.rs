@@ -1,11 +1,11 @@
 //! The features of PDM-Open and PDM-Offset (`tuplan_garage` `pdm_feature_builder.py`, `pdm_feature_utils.py`).
 
 use super::network::{CENTERLINE, HISTORY, POSES, PdmInputs};
-use crate::metrics::{ComfortQuantity, MetricError};
-use crate::pdm::PdmPath;
 use crate::planner::learned::frame::relative;
 use crate::planner::learned::past;
 use candle_core::{Device, Result, Tensor};
+use planagent_score::metrics::{ComfortQuantity, MetricError};
+use planagent_score::pdm::PdmPath;
 use planagent_world::{EgoState, SceneView};
 
 /// Steps between two samples of the history.

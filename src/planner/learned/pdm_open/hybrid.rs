@@ -4,12 +4,12 @@
 use super::features::PdmFeatures;
 use super::network::{HIDDEN, POSES, PdmNetwork};
 use super::route::PdmRoute;
-use crate::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
 use crate::planner::learned::blocks::Probe;
 use crate::planner::learned::frame::relative;
 use crate::planner::learned::slot::{Slot, learned_entry};
 use crate::planner::learned::{network_failed, prediction};
 use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_score::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
 use planagent_world::geometry::Pose;
 use planagent_world::{Trajectory, TrajectoryError};
 use std::sync::Arc;

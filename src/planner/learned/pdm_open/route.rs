@@ -1,6 +1,6 @@
 //! The path that PDM's learned planners follow (`tuplan_garage` `abstract_pdm_planner.py`).
 
-use crate::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
+use planagent_score::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
 use planagent_world::geometry::GeometryError;
 use planagent_world::{LaneId, RoadblockId, SceneView};
 

@@ -2,12 +2,12 @@
 
 use super::features::PlanTfFeatures;
 use super::network::{PlanTf, PlanTfConfig, PlanTfOutputs};
-use crate::pdm::corrected_route;
 use crate::planner::learned::blocks::Probe;
 use crate::planner::learned::slot::{Slot, learned_entry};
 use crate::planner::learned::{network_failed, prediction};
 use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use candle_core::Result;
+use planagent_score::pdm::corrected_route;
 use planagent_world::{STEP_US, Trajectory};
 use std::sync::Arc;
 

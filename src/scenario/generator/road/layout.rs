@@ -4,7 +4,7 @@ use super::junction::{Arm, Control, End, Turn};
 use super::line::{bend, straight, trace};
 use super::network::{ExtraWidths, Network, RoadIndex, RoadPlan, band};
 use super::roundabout::Ring;
-use crate::scenario::generator::rng::SeededRng;
+use crate::generator::rng::SeededRng;
 use planagent_world::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
 use std::f64::consts::{FRAC_PI_2, PI};
 

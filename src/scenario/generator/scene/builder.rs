@@ -2,10 +2,10 @@
 
 use super::setting::{LEAD_IN, LanePick, LightTiming, Setting};
 use super::wide;
-use crate::scenario::generator::expert::{EXPERT, ExpertTask};
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::road::Roads;
-use crate::scenario::generator::traffic::{DriverProfile, Mover, Shift, Track, Traffic, Walker};
+use crate::generator::expert::{EXPERT, ExpertTask};
+use crate::generator::rng::SeededRng;
+use crate::generator::road::Roads;
+use crate::generator::traffic::{DriverProfile, Mover, Shift, Track, Traffic, Walker};
 use planagent_world::geometry::{OrientedBox, Polygon, Pose};
 use planagent_world::{LaneId, ObjectKind, SignalStatus, TrackToken, TrackedObject};
 use std::sync::Arc;

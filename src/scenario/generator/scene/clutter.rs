@@ -3,7 +3,7 @@
 use super::builder::{TrafficBuilder, VehicleKind};
 use super::setting::LEAD_IN;
 use super::wide;
-use crate::scenario::generator::traffic::{Departure, Walker};
+use crate::generator::traffic::{Departure, Walker};
 use planagent_world::geometry::{OrientedBox, Point, Polygon, Pose, wrap_angle};
 use planagent_world::{LaneId, ObjectKind, TrackToken};
 use std::f64::consts::PI;

@@ -2,8 +2,8 @@
 
 use super::builder::TrafficBuilder;
 use super::setting::{self, LIMITS, LightTiming, Setting};
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::road::{Control, Turn};
+use crate::generator::rng::SeededRng;
+use crate::generator::road::{Control, Turn};
 use planagent_world::geometry::GeometryError;
 
 /// A route over a crossing with this turn. `signals` is the probability of traffic lights.

@@ -1,9 +1,9 @@
 //! Roads, where the ego starts on them, and what its traffic light shows.
 
 use super::wide;
-use crate::scenario::generator::expert::ExpertTask;
-use crate::scenario::generator::rng::{EarlyDraw, SeededRng};
-use crate::scenario::generator::road::{CirclePlan, Control, Course, CrossingPlan, Layout, RoadStyle, Turn};
+use crate::generator::expert::ExpertTask;
+use crate::generator::rng::{EarlyDraw, SeededRng};
+use crate::generator::road::{CirclePlan, Control, Course, CrossingPlan, Layout, RoadStyle, Turn};
 use planagent_world::geometry::{GeometryError, Pose};
 use std::f64::consts::PI;
 

@@ -3,9 +3,9 @@
 use super::builder::{TrafficBuilder, VehicleKind};
 use super::obstacles::close_ahead;
 use super::setting::{self, BEHIND, LIMITS, Setting};
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::road::{Control, Turn};
-use crate::scenario::generator::traffic::Act;
+use crate::generator::rng::SeededRng;
+use crate::generator::road::{Control, Turn};
+use crate::generator::traffic::Act;
 use planagent_world::geometry::GeometryError;
 
 /// A road with `own` lanes in the ego's direction. The ego starts with a share of the allowed speed.

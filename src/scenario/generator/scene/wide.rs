@@ -4,9 +4,9 @@
 //! of Waymo and Argoverse 2 less often.
 
 use super::builder::{TrafficBuilder, VehicleKind};
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::road::{ExtraWidths, MAX_LANES, RoadStyle};
-use crate::scenario::generator::traffic::{Departure, Sway};
+use crate::generator::rng::SeededRng;
+use crate::generator::road::{ExtraWidths, MAX_LANES, RoadStyle};
+use crate::generator::traffic::{Departure, Sway};
 use planagent_world::{BASELINE_SPACING, LaneMap, MapError, SignalStatus};
 use std::f64::consts::PI;
 

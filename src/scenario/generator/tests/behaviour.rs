@@ -1,7 +1,7 @@
 //! Behavior of other agents: the share of scenarios with difficult situations.
 
 use super::CORPUS;
-use crate::scenario::{Frame, Scenario};
+use crate::{Frame, Scenario};
 use planagent_world::geometry::{Pose, wrap_angle};
 use planagent_world::{LaneKind, ObjectKind, TrackedObject};
 

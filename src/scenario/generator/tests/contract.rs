@@ -145,8 +145,8 @@ fn the_ego_after_the_end_goes_on_where_the_scenario_ends() {
             let expected = f64::midpoint(pair[0].speed(), pair[1].speed()) * 0.1;
             assert!((moved - expected).abs() < 0.05, "{}: {moved} m, expected {expected} m", scenario.id);
         }
-        assert!(scenario.future.len() <= crate::scenario::FUTURE_FRAMES);
-        complete += usize::from(scenario.future.len() == crate::scenario::FUTURE_FRAMES);
+        assert!(scenario.future.len() <= crate::FUTURE_FRAMES);
+        complete += usize::from(scenario.future.len() == crate::FUTURE_FRAMES);
     }
     // Where the roads end, so do the states.
     assert!(complete * 10 >= CORPUS.len() * 7, "{complete} of {}", CORPUS.len());

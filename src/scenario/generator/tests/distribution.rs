@@ -1,7 +1,7 @@
 //! Variety: the share of scenarios with certain features.
 
 use super::CORPUS;
-use crate::scenario::Scenario;
+use crate::Scenario;
 use planagent_world::{LaneKind, ObjectKind};
 
 fn share(holds: impl Fn(&Scenario) -> bool) -> f64 {

@@ -2,7 +2,7 @@
 
 use super::super::{Spec, generate, types};
 use super::CORPUS;
-use crate::scenario::Scenario;
+use crate::Scenario;
 use planagent_world::geometry::Point;
 use rayon::prelude::*;
 

@@ -2,7 +2,7 @@
 
 use super::super::{log, types};
 use super::{CORPUS, SEEDS};
-use crate::scenario::Scenario;
+use crate::Scenario;
 use planagent_world::geometry::wrap_angle;
 use planagent_world::{LaneId, ObjectKind, STEP_S, STEP_US, SignalStatus};
 

@@ -1,7 +1,7 @@
 //! Names and determinism.
 
 use super::super::{DEFAULT, GeneratorError, MAX_DRAWS, Spec, generate, types};
-use crate::scenario::Scenario;
+use crate::Scenario;
 use planagent_world::LaneMap;
 use rayon::prelude::*;
 

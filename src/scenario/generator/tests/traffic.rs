@@ -3,7 +3,7 @@
 use super::super::{Spec, generate, generate_with_record, types};
 use super::CORPUS;
 use super::names::same_map;
-use crate::scenario::Scenario;
+use crate::Scenario;
 use rayon::prelude::*;
 
 #[test]

@@ -2,7 +2,7 @@
 
 use super::mover::Mover;
 use super::state::Traffic;
-use crate::scenario::generator::road::{Conflict, Passage};
+use crate::generator::road::{Conflict, Passage};
 use planagent_world::{SignalStatus, TrafficLights};
 
 /// Distance before a junction at which other drivers notice a vehicle, meters.

@@ -2,7 +2,7 @@
 
 use super::mover::Mover;
 use super::walker::Walker;
-use crate::scenario::generator::road::Roads;
+use crate::generator::road::Roads;
 use planagent_world::geometry::{OrientedBox, Vector};
 use planagent_world::{ObjectKind, TrackedObject, TrafficLights};
 

@@ -1,6 +1,6 @@
 //! The line that a driver follows, sampled evenly so that queries are cheap.
 
-use crate::scenario::generator::road::Roads;
+use crate::generator::road::Roads;
 use planagent_world::geometry::{Point, Polyline, Pose, Vector, unwrap_angles};
 use planagent_world::{LaneId, LanePath};
 

@@ -1,6 +1,6 @@
 //! The ego follows a truck or bus.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `behind_long_vehicle`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,6 +1,6 @@
 //! Second qualitative case of the paper: a light turns red when the ego can just no longer stop at PDM-Closed's rate.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `case_red_light`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

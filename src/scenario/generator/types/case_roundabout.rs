@@ -1,6 +1,6 @@
 //! First qualitative case of the paper: a vehicle waits at the entry of a roundabout, and the lane beside is free.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `case_roundabout`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,6 +1,6 @@
 //! The ego changes lanes: its own is closed, slow or leads off the route, or the expert changes for no reason.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `changing_lane`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

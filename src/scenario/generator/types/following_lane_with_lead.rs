@@ -1,6 +1,6 @@
 //! The ego follows a lead vehicle.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `following_lane_with_lead`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

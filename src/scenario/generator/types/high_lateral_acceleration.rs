@@ -1,6 +1,6 @@
 //! The ego drives through a bend with noticeable lateral acceleration.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `high_lateral_acceleration`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,6 +1,6 @@
 //! The ego drives fast.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `high_magnitude_speed`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,6 +1,6 @@
 //! The ego creeps in a traffic jam.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `low_magnitude_speed`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

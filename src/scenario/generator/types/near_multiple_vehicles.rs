@@ -1,6 +1,6 @@
 //! The ego drives in a platoon.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `near_multiple_vehicles`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

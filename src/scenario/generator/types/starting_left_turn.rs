@@ -1,6 +1,6 @@
 //! The ego turns left at a crossing.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `starting_left_turn`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

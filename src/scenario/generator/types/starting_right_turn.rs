@@ -1,6 +1,6 @@
 //! The ego turns right at a crossing.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `starting_right_turn`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,6 +1,6 @@
 //! The ego goes straight on at a crossing with traffic lights.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `starting_straight_traffic_light_intersection_traversal`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

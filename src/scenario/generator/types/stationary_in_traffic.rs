@@ -1,6 +1,6 @@
 //! The ego stands in a queue before a red light.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `stationary_in_traffic`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,6 +1,6 @@
 //! The ego comes to a stop behind a lead vehicle.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `stopping_with_lead`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,6 +1,6 @@
 //! The ego goes straight on at a crossing without traffic lights.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `traversing_intersection`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

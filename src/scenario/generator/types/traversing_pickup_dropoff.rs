@@ -1,6 +1,6 @@
 //! The ego passes a bay at the curb where people get in and out of cars.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `traversing_pickup_dropoff`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

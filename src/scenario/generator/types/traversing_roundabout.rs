@@ -1,6 +1,6 @@
 //! The ego drives through a roundabout; nuPlan has no type for it.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `traversing_roundabout`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

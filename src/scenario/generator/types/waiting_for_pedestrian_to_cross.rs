@@ -1,6 +1,6 @@
 //! The ego gives way to a pedestrian at a crosswalk.
 
-use crate::scenario::generator::prelude::*;
+use crate::generator::prelude::*;
 
 /// `waiting_for_pedestrian_to_cross`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,16 +1,16 @@
 //! `cones`: a line of cones, first across the lane, then along it.
 
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::Draft;
-use crate::scenario::modified::lanes::LanePlace;
-use crate::scenario::modified::number::Number;
+use crate::modified::change::{Change, Fault};
+use crate::modified::draft::Draft;
+use crate::modified::lanes::LanePlace;
+use crate::modified::number::Number;
 use planagent_world::ObjectKind;
 use serde::Deserialize;
 
 /// Cones that narrow or close a lane.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::scenario::modified) struct Cones {
+pub(in crate::modified) struct Cones {
     /// The first cone ahead of the ego's center, meters.
     ahead_m: Number,
     #[serde(default)]

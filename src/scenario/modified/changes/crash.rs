@@ -1,17 +1,17 @@
 //! `crash`: cars that ran into each other.
 
 use super::stopped::{length, width};
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::Draft;
-use crate::scenario::modified::lanes::LanePlace;
-use crate::scenario::modified::number::Number;
+use crate::modified::change::{Change, Fault};
+use crate::modified::draft::Draft;
+use crate::modified::lanes::LanePlace;
+use crate::modified::number::Number;
 use planagent_world::ObjectKind;
 use serde::Deserialize;
 
 /// Cars in a row that stand askew, each against the next.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::scenario::modified) struct Crash {
+pub(in crate::modified) struct Crash {
     /// Center of the first car ahead of the ego's center, meters.
     ahead_m: Number,
     #[serde(default)]

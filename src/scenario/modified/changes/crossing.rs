@@ -1,16 +1,16 @@
 //! `crossing`: a vehicle that drives straight across the ego's road from the start on.
 
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::{CrossingWay, Draft};
-use crate::scenario::modified::lanes::LanePlace;
-use crate::scenario::modified::number::Number;
+use crate::modified::change::{Change, Fault};
+use crate::modified::draft::{CrossingWay, Draft};
+use crate::modified::lanes::LanePlace;
+use crate::modified::number::Number;
 use planagent_world::ObjectKind;
 use serde::Deserialize;
 
 /// A vehicle beside the road that drives across it and stops there. It follows no lane and yields to nobody.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::scenario::modified) struct CrossingVehicle {
+pub(in crate::modified) struct CrossingVehicle {
     /// Its way ahead of the ego's center, meters.
     ahead_m: Number,
     #[serde(default)]

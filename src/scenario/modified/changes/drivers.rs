@@ -1,14 +1,14 @@
 //! `drivers`: how reactive vehicles treat the ego.
 
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::Draft;
+use crate::modified::change::{Change, Fault};
+use crate::modified::draft::Draft;
 use planagent_world::DriverBehavior;
 use serde::Deserialize;
 
 /// Behavior of the reactive vehicles that name none of their own.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::scenario::modified) struct Drivers {
+pub(in crate::modified) struct Drivers {
     /// default, assertive, cautious or mixed.
     behavior: Option<String>,
     /// Whether they change lanes.
@@ -17,7 +17,7 @@ pub(in crate::scenario::modified) struct Drivers {
 }
 
 /// The behavior of a word.
-pub(in crate::scenario::modified) fn behavior(field: &'static str, word: &str) -> Result<DriverBehavior, Fault> {
+pub(in crate::modified) fn behavior(field: &'static str, word: &str) -> Result<DriverBehavior, Fault> {
     word.parse().map_err(|()| Fault::new(field, format!("{word:?} is none of default, assertive, cautious, mixed")))
 }
 

@@ -1,16 +1,16 @@
 //! `goal`: a goal in another lane.
 
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::{Draft, GoalPath};
-use crate::scenario::modified::lanes::LanePlace;
-use crate::scenario::modified::number::Number;
+use crate::modified::change::{Change, Fault};
+use crate::modified::draft::{Draft, GoalPath};
+use crate::modified::lanes::LanePlace;
+use crate::modified::number::Number;
 use planagent_world::{LanePath, RoadblockId, STEP_S};
 use serde::Deserialize;
 
 /// A goal that needs lane changes. The expert of the score drives to it, and the scene ends there.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::scenario::modified) struct LaneGoal {
+pub(in crate::modified) struct LaneGoal {
     /// Number of lane changes.
     lane_changes: Number,
     /// left, right or either.

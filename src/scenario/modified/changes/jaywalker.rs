@@ -1,16 +1,16 @@
 //! `jaywalker`: a person who crosses as the ego comes near.
 
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::{CrossingWay, Draft};
-use crate::scenario::modified::lanes::LanePlace;
-use crate::scenario::modified::number::Number;
+use crate::modified::change::{Change, Fault};
+use crate::modified::draft::{CrossingWay, Draft};
+use crate::modified::lanes::LanePlace;
+use crate::modified::number::Number;
 use planagent_world::{ObjectKind, WALKER_SIZE};
 use serde::Deserialize;
 
 /// A person beside the ego's path.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::scenario::modified) struct CrossingPerson {
+pub(in crate::modified) struct CrossingPerson {
     /// The crossing ahead of the ego's center, meters.
     ahead_m: Number,
     #[serde(default)]

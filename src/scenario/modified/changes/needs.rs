@@ -1,13 +1,13 @@
 //! `needs`: what the scenario must have.
 
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::Draft;
+use crate::modified::change::{Change, Fault};
+use crate::modified::draft::Draft;
 use serde::Deserialize;
 
 /// Refuses scenarios that do not fit a modification.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::scenario::modified) struct Needs {
+pub(in crate::modified) struct Needs {
     /// Number of lanes of the ego's direction, from and to.
     own_lanes: Option<[usize; 2]>,
     /// Number of oncoming lanes, from and to.

@@ -1,7 +1,7 @@
 //! `remove`: logged objects that are left out.
 
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::Draft;
+use crate::modified::change::{Change, Fault};
+use crate::modified::draft::Draft;
 use planagent_world::{ObjectKind, TrackedObject};
 use serde::Deserialize;
 
@@ -9,7 +9,7 @@ use serde::Deserialize;
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(clippy::struct_excessive_bools, reason = "each is a field of the file")]
-pub(in crate::scenario::modified) struct Remove {
+pub(in crate::modified) struct Remove {
     #[serde(default)]
     vehicles: bool,
     #[serde(default)]

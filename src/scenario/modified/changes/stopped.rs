@@ -1,16 +1,16 @@
 //! `stopped`: a vehicle that never moves.
 
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::draft::Draft;
-use crate::scenario::modified::lanes::LanePlace;
-use crate::scenario::modified::number::Number;
+use crate::modified::change::{Change, Fault};
+use crate::modified::draft::Draft;
+use crate::modified::lanes::LanePlace;
+use crate::modified::number::Number;
 use planagent_world::ObjectKind;
 use serde::Deserialize;
 
 /// A parked or broken-down vehicle.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::scenario::modified) struct Stopped {
+pub(in crate::modified) struct Stopped {
     /// Its center ahead of the ego's center along the lane, meters.
     ahead_m: Number,
     #[serde(default)]

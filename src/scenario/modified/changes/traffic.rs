@@ -1,18 +1,18 @@
 //! `traffic`: vehicles in a row on each lane, with drawn gaps (interPlan `agents_modifier.py`).
 
 use super::stopped::{length, width};
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::changes::drivers::behavior;
-use crate::scenario::modified::draft::Draft;
-use crate::scenario::modified::lanes::{OnLane, through};
-use crate::scenario::modified::number::Number;
+use crate::modified::change::{Change, Fault};
+use crate::modified::changes::drivers::behavior;
+use crate::modified::draft::Draft;
+use crate::modified::lanes::{OnLane, through};
+use crate::modified::number::Number;
 use planagent_world::dynamics::IDM_AGENT;
 use serde::Deserialize;
 
 /// Dense traffic. The ego takes a place in the row of its lane, and the speed of that place.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::scenario::modified) struct Traffic {
+pub(in crate::modified) struct Traffic {
     /// own, beside, oncoming or all: the ego's lane, its direction without it, the other direction, every lane.
     lanes: String,
     /// From front to front, meters.

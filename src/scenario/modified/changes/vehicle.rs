@@ -1,17 +1,17 @@
 //! `vehicle`: a vehicle that drives along its lane.
 
 use super::stopped::{length, width};
-use crate::scenario::modified::change::{Change, Fault};
-use crate::scenario::modified::changes::drivers::behavior;
-use crate::scenario::modified::draft::Draft;
-use crate::scenario::modified::lanes::LanePlace;
-use crate::scenario::modified::number::Number;
+use crate::modified::change::{Change, Fault};
+use crate::modified::changes::drivers::behavior;
+use crate::modified::draft::Draft;
+use crate::modified::lanes::LanePlace;
+use crate::modified::number::Number;
 use serde::Deserialize;
 
 /// A vehicle under the intelligent driver model.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(in crate::scenario::modified) struct Vehicle {
+pub(in crate::modified) struct Vehicle {
     /// Its center ahead of the ego's center, meters.
     ahead_m: Number,
     #[serde(default)]

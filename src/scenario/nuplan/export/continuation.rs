@@ -4,7 +4,7 @@
 //! recorded states come first. Then, and for all others at once, the road users keep their last speed: along their lane where
 //! they are on one and head along it, else straight. They do not react to each other. Lights keep their last state.
 
-use crate::scenario::{Frame, Scenario};
+use crate::{Frame, Scenario};
 use planagent_world::geometry::{Point, Polyline, Pose, Vector, wrap_angle};
 use planagent_world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND, ObjectKind, RoadblockId, STEP_US, TrackedObject};
 
@@ -148,7 +148,7 @@ fn next_lane(map: &LaneMap, route: &[RoadblockId], lane: LaneId) -> Option<LaneI
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::generator::{Spec, generate, types};
+    use crate::generator::{Spec, generate, types};
 
     #[test]
     fn recorded_states_come_first_and_then_the_last_speed_goes_on() {

@@ -2,12 +2,12 @@
 
 use super::naming::Tokens;
 use super::timeline::{Row, Timeline};
-use crate::scenario::Scenario;
-use crate::scenario::nuplan::schema::{
+use crate::Scenario;
+use crate::nuplan::schema::{
     CATEGORY, CHANNEL, EGO_POSE, LIDAR, LIDAR_BOX, LIDAR_PC, LOG, LOG_INDICES, LOG_TABLES, SCENARIO_TAG, SCENE, TRACK,
     TRAFFIC_LIGHT_STATUS,
 };
-use crate::scenario::nuplan::token::{TOKEN_BYTES, Token};
+use crate::nuplan::token::{TOKEN_BYTES, Token};
 use jiff::Timestamp;
 use planagent_world::geometry::{Point, Pose};
 use planagent_world::{EgoState, LaneId, MICROS_PER_SECOND, ObjectKind, TrackToken, TrackedObject};

@@ -32,7 +32,7 @@ pub use timeline::TimelineError;
 use super::MAPS_INDEX;
 use super::projection::{ProjectionError, Utm};
 use super::token::Token;
-use crate::scenario::Scenario;
+use crate::Scenario;
 use graph::Graph;
 use log::LogHeader;
 use package::LayerRows;

@@ -1,6 +1,6 @@
 //! Names of tokens, files and locations. They depend on the content only: the same scenario gets the same names everywhere.
 
-use crate::scenario::nuplan::token::{TOKEN_BYTES, Token};
+use crate::nuplan::token::{TOKEN_BYTES, Token};
 use std::path::Path;
 
 /// The tokens of one log.

@@ -1,7 +1,7 @@
 //! The container of a map: a `GeoPackage`, that is a SQLite database with the tables of the OGC standard 12-128.
 
-use crate::scenario::nuplan::projection::WGS84;
-use crate::scenario::nuplan::schema::{META, Table};
+use crate::nuplan::projection::WGS84;
+use crate::nuplan::schema::{META, Table};
 use rusqlite::types::Value;
 use rusqlite::{Connection, Transaction, params, params_from_iter};
 use std::path::Path;

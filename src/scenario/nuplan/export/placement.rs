@@ -1,8 +1,8 @@
 //! Where on Earth the scenario's own coordinates lie, and its shapes as a map package stores them.
 
 use super::valid_area::valid_union;
-use crate::scenario::nuplan::geometry_blob::{BlobError, StoredShape, encode};
-use crate::scenario::nuplan::projection::{ProjectionError, Utm, WGS84};
+use crate::nuplan::geometry_blob::{BlobError, StoredShape, encode};
+use crate::nuplan::projection::{ProjectionError, Utm, WGS84};
 use geo::{Coord, LineString, MapCoords, MultiPolygon};
 use planagent_world::geometry::{Point, Polygon, Polyline};
 

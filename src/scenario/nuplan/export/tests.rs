@@ -4,7 +4,7 @@ use super::graph::{ConnectorRow, Graph, LaneRow};
 use super::route::{extend_short, route_ids};
 use super::stops::stop_rows;
 use super::*;
-use crate::scenario::generator::{ScenarioType, Spec, generate, types};
+use crate::generator::{ScenarioType, Spec, generate, types};
 use planagent_world::geometry::{OrientedBox, Polyline, Pose};
 use planagent_world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId};
 use rusqlite::Connection;

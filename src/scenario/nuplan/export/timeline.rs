@@ -6,8 +6,8 @@
 //! the window would reach beyond the end, the log ends with the scenario: the end of the log is what cuts the window there.
 
 use super::continuation::frames_after;
-use crate::scenario::nuplan::extraction::{Extraction, ROWS_PER_STEP};
-use crate::scenario::{Frame, Scenario};
+use crate::nuplan::extraction::{Extraction, ROWS_PER_STEP};
+use crate::{Frame, Scenario};
 use planagent_world::geometry::{Point, Pose, wrap_angle};
 use planagent_world::{EgoState, TrackedObject, TrafficLights};
 use std::collections::BTreeMap;
@@ -143,7 +143,7 @@ fn midway(from: Pose, to: Pose) -> Pose {
 mod tests {
     use super::super::continuation::FRAMES_AFTER;
     use super::*;
-    use crate::scenario::generator::{Spec, generate, types};
+    use crate::generator::{Spec, generate, types};
     use planagent_world::geometry::{OrientedBox, Vector};
     use planagent_world::{ObjectKind, TrackToken};
     use std::f64::consts::PI;

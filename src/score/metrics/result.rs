@@ -74,6 +74,23 @@ pub enum StatisticKind {
     Boolean,
 }
 
+impl StatisticKind {
+    /// nuPlan's word.
+    #[doc(hidden)]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Max => "MAX",
+            Self::Min => "MIN",
+            Self::P90 => "P90",
+            Self::Mean => "MEAN",
+            Self::Count => "COUNT",
+            Self::Value => "VALUE",
+            Self::Ratio => "RATIO",
+            Self::Boolean => "BOOLEAN",
+        }
+    }
+}
+
 /// One number about a simulation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Statistic {

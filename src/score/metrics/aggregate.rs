@@ -70,7 +70,7 @@ pub fn aggregate(rows: &[ScenarioRow], weighting: &Weighting) -> Vec<AggregateRo
 }
 
 /// The values in the order of their first occurrence.
-pub(crate) fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
+pub fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
     let mut seen: Vec<T> = Vec::new();
     for value in values {
         if !seen.contains(&value) {

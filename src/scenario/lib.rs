@@ -4,24 +4,33 @@ use planagent_world::{EgoState, History, Interaction, LaneMap, Route, SceneView,
 use std::sync::Arc;
 
 #[cfg(feature = "argoverse2")]
+#[allow(missing_docs, reason = "the root names none of it")]
 pub mod argoverse2;
+#[allow(missing_docs, reason = "the root names none of it")]
 pub mod generator;
 mod held;
+#[allow(missing_docs, reason = "the root names none of it")]
 pub mod interplan;
 mod later_start;
+#[allow(missing_docs, reason = "the root names none of it")]
 pub mod modified;
 #[cfg(feature = "nuplan")]
+#[allow(missing_docs, reason = "the root names none of it")]
 pub mod nuplan;
+mod open;
 mod reader;
 #[cfg(any(feature = "womd", feature = "argoverse2"))]
+#[allow(missing_docs, reason = "the messages say all")]
 mod recording;
 mod registry;
 mod split;
 #[cfg(feature = "womd")]
+#[allow(missing_docs, reason = "the root names none of it")]
 pub mod womd;
 
 pub use held::HeldScenario;
 pub use later_start::without_start;
+pub use open::OpenError;
 pub use reader::{DataRoots, OnProgress, OpenScenario, ReaderError, ScenarioReader, ScenarioRef, absolute_path};
 #[cfg(any(feature = "womd", feature = "argoverse2"))]
 pub use recording::error::{FileError, FilePlace, RecordingFault};

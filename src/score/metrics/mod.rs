@@ -36,7 +36,7 @@ mod spec;
 mod speed_limit_compliance;
 mod time_to_collision_within_bound;
 
-pub(crate) use aggregate::distinct;
+pub use aggregate::distinct;
 pub use aggregate::{AggregateRow, FINAL_SCORE, ScenarioRow, aggregate};
 pub use collision::{
     AHEAD_ANGLE, BEHIND_ANGLE, Collision, CollisionGroup, CollisionType, STOPPED_SPEED, classify_collision, delta_v,
