@@ -9,7 +9,7 @@ use super::values::row_by_row;
 
 impl Activation {
     pub(crate) fn forward(self, x: &Tensor) -> Result<Tensor> {
-        let width = x.dims().last().copied().unwrap_or(0);
+        let width = x.dim(D::Minus1)?;
         row_by_row(x, width, width, |out, values| {
             Instructions::best().run(EachKernel { activation: self, values, out });
         })
