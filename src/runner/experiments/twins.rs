@@ -56,7 +56,7 @@ pub(super) fn judge(
     let planners = vec![planner.to_string()];
     let manifest =
         manifest((planners, &Commands::default()), Vec::new(), (list, BTreeMap::new()), Some(&loaded), &settings)?;
-    let inputs = manifest.inputs.as_ref().map(|inputs| format!("{inputs:?}")).unwrap_or_default();
+    let inputs = format!("{:?}", manifest.inputs.as_ref().expect("a new manifest has its inputs"));
     let digest = ScenarioList::digest([manifest.digest(), inputs]);
     let folder = runs.join(format!("{name}-{}", digest.get(..DIGEST).unwrap_or(&digest)));
     let (records, completed) = TwinRecords::open(&folder)?;
