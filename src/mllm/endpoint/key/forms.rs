@@ -221,6 +221,15 @@ mod tests {
     }
 
     #[test]
+    fn a_key_of_long_letters_takes_no_text_with_it() {
+        const KEY: &str = "\u{e9}0123456789abcdef";
+        let shown = |text: &str| Forms::of(KEY).replaced(text, "[key]");
+        assert_eq!(shown(&format!("a {KEY} z")), "a [key] z");
+        // A letter that ends with the same byte.
+        assert_eq!(shown("a \u{129}0123456789abcdef z"), "a [key] z");
+    }
+
+    #[test]
     fn a_short_key_is_hidden_as_a_word() {
         let forms = Forms::of("none");
         assert_eq!(forms.replaced("key 'none' in nonesuch, Anone", "[key]"), "key '[key]' in nonesuch, Anone");
