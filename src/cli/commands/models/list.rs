@@ -35,7 +35,7 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
             "{}: {}",
             row.model,
             row.problem.as_deref().expect("a row without a source has its problem")
-        ))
+        ));
     });
     let sets = rows.iter().filter_map(|row| Some((row.prompt_set.as_deref()?, row.prompts.as_deref()?)));
     for (set, place) in sets.filter(|(_, place)| *place != BUILT_IN).collect::<BTreeSet<_>>() {
