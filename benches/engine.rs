@@ -1,10 +1,5 @@
 //! What the engine costs, part by part: `cargo bench`.
-#![allow(
-    missing_docs,
-    clippy::unwrap_used,
-    clippy::expect_used,
-    reason = "a benchmark is no interface and may stop at an error"
-)]
+#![allow(missing_docs, clippy::unwrap_used, reason = "a benchmark is no interface and may stop at an error")]
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use planagent::internals::dynamics::IdmTraffic;

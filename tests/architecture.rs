@@ -353,10 +353,54 @@ fn files_stay_readable() {
     assert!(long.is_empty(), "files over {MAX_LINES} lines:\n{}", long.join("\n"));
 }
 
+/// The reasons of the calls of `expect` in a source, each with its line; none where it is no text of the source.
+fn reasons(text: &str) -> Vec<(usize, Option<String>)> {
+    let lines: Vec<(usize, &str)> = code_lines(text).collect();
+    let mut found = Vec::new();
+    for (place, &(number, line)) in lines.iter().enumerate() {
+        for (at, call) in line.match_indices(".expect(") {
+            let rest = match &line[at + call.len()..] {
+                "" => lines.get(place + 1).map_or("", |(_, next)| next.trim_start()),
+                rest => rest,
+            };
+            let reason = rest.strip_prefix('"').and_then(|rest| rest.split('"').next());
+            found.push((number, reason.map(str::to_owned)));
+        }
+    }
+    found
+}
+
+#[test]
+fn an_invariant_says_why_it_holds() {
+    /// Fewer words only name what is missing.
+    const MIN_WORDS: usize = 4;
+    let mut wrong = Vec::new();
+    for (file, text) in sources() {
+        for (number, reason) in reasons(&text) {
+            if reason.as_ref().is_none_or(|reason| reason.split_whitespace().count() < MIN_WORDS) {
+                wrong.push(format!("{file}:{number}: {reason:?}"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "reasons of fewer than {MIN_WORDS} words; say why it holds:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn defaults_in_the_place_of_invariants_do_not_return() {
+    /// Each was read: absence means the default there. A new one takes the place of another, or of an error or an `expect`.
+    const MAX_DEFAULTS: usize = 72;
+    let lines = |text: &str| code_lines(text).filter(|(_, line)| line.contains(".unwrap_or_default()")).count();
+    let found: usize = sources().iter().map(|(_, text)| lines(text)).sum();
+    assert!(found <= MAX_DEFAULTS, "{found} lines with `unwrap_or_default()`, at most {MAX_DEFAULTS}");
+}
+
 #[test]
 fn the_scanner_sees_what_it_should() {
     assert_eq!(used_stages("use crate::{geometry::Pose, cli};"), ["geometry", "cli"]);
     assert_eq!(used_stages("    let x = crate::report::table();"), ["report"]);
     let text = "a\n// crate::cli\n#[cfg(test)]\nmod x;\nb\n#[cfg(test)]\nmod tests {\n    c\n}\nd";
     assert_eq!(code_lines(text).collect::<Vec<_>>(), [(1, "a"), (5, "b"), (10, "d")]);
+    let text = "a.expect(\"it is so\").b\n  .expect(\n    \"of two lines\",\n  )\nc.expect(d)";
+    let expected = [(1, Some("it is so".to_owned())), (2, Some("of two lines".to_owned())), (5, None)];
+    assert_eq!(reasons(text), expected);
 }

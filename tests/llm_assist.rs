@@ -2,7 +2,9 @@
 
 use crate::agent::{Script, reasoning, scenario, settings_with};
 use planagent::internals::mllm::{HubAccess, Mllm, ModelRegistry};
-use planagent::internals::planner::{Decision, LlmAssist, NoPlan, PdmClosed, PlanAgentSettings, Planner, PlannerName};
+use planagent::internals::planner::{
+    AskedModel, Decision, LlmAssist, NoPlan, PdmClosed, PlanAgentSettings, Planner, PlannerName,
+};
 use planagent::internals::reasoning::{AssistVariant, Assistance, PlannerAnswer, PromptSet, ReasoningSettings, Round};
 use planagent::internals::simulation::{Challenge, SimulationLog, simulate};
 use std::path::Path;
@@ -22,7 +24,8 @@ fn drive(
 ) -> (LlmAssist, SimulationLog, Vec<String>) {
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
     let model: Arc<dyn Mllm> = script.clone();
-    let asked = (model, Arc::new(PromptSet::open("paper").unwrap()), reasoning(&[Round::Code]));
+    let prompts = Arc::new(PromptSet::open("paper").unwrap());
+    let asked = AskedModel { model, prompts, reasoning: reasoning(&[Round::Code]) };
     let mut planner = LlmAssist::new(PlannerName::new("llm-assist"), variant, asked, settings);
     let log = simulate(&scenario(SCENE), &mut planner, Challenge::NonReactive).unwrap();
     let asked = script.asked.lock().unwrap().clone();
@@ -83,7 +86,8 @@ fn the_model_that_ships_answers_so_that_it_can_be_read() {
     let model: Arc<dyn Mllm> = Arc::from(registry.open(&spec).unwrap());
     for &variant in AssistVariant::ALL {
         let reasoning = ReasoningSettings { grammar: true, generation: spec.generation, ..reasoning(&[Round::Code]) };
-        let asked = (model.clone(), Arc::new(PromptSet::open("compact").unwrap()), reasoning);
+        let prompts = Arc::new(PromptSet::open("compact").unwrap());
+        let asked = AskedModel { model: model.clone(), prompts, reasoning };
         let mut planner = LlmAssist::new(PlannerName::new("llm-assist"), variant, asked, unreachable_threshold());
         simulate(&scenario(SCENE), &mut planner, Challenge::NonReactive).unwrap();
         assert_eq!(planner.calls().len(), 8);

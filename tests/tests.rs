@@ -1,5 +1,5 @@
 //! The one integration-test binary; a module a subject.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on fails")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 // Its `#[test]` stands before the compiler's, which would remove the functions.
 #[macro_use]

@@ -74,9 +74,9 @@ impl PictureFile {
 
     /// A file beside this one, with a word before the extension: `scene.png` and `scene.model.png`.
     pub(super) fn beside(&self, word: &str) -> Self {
-        let mut name = self.path.file_stem().unwrap_or_default().to_owned();
+        let mut name = self.path.file_stem().expect("a path with an ending has a stem").to_owned();
         name.push(format!(".{word}."));
-        name.push(self.path.extension().unwrap_or_default());
+        name.push(self.path.extension().expect("the ending of a picture names its format"));
         Self { path: self.path.with_file_name(name), format: self.format }
     }
 

@@ -176,7 +176,7 @@ fn shown(text: &str) -> Cow<'_, str> {
         out.push_str(&visible(before));
         let kept = EMPHASIS.into_iter().find(|emphasis| from.starts_with(emphasis));
         out.push_str(kept.unwrap_or("\\u001b"));
-        rest = from.get(kept.map_or(1, str::len)..).unwrap_or_default();
+        rest = from.get(kept.map_or(1, str::len)..).expect("`from` begins with the emphasis or the escape");
     }
     out.push_str(&visible(rest));
     Cow::Owned(out)

@@ -239,7 +239,7 @@ pub(super) fn keys() -> anyhow::Result<Vec<String>> {
         }
     }
     for optional in OPTIONAL {
-        let section = optional.split('.').next().unwrap_or_default();
+        let section = optional.split('.').next().expect("a split gives one part at least");
         let last = keys.iter().rposition(|key| key.split('.').next() == Some(section));
         keys.insert(last.map_or(keys.len(), |place| place + 1), optional.to_owned());
     }

@@ -24,6 +24,8 @@ mod sketch;
 pub use bev::{BevError, BevView};
 pub use choice::UnknownChoice;
 pub use facts::SceneFacts;
-pub use lane_graph::{AgentName, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, LaneGraphError, NodePlace};
+pub use lane_graph::{
+    AgentName, CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph, LaneGraphError, NodePlace,
+};
 pub use occupancy::OccupancyGrid;
 pub use text::{Description, TextForm};

@@ -14,9 +14,12 @@ pub fn shortened(text: &str) -> Cow<'_, str> {
         return Cow::Borrowed(text);
     }
     let left = MAX_SHOWN_BYTES - MARK_BYTES;
-    let head = (0..=left * 3 / 4).rev().find(|&at| text.is_char_boundary(at)).unwrap_or(0);
-    let tail = (text.len() - left / 4..=text.len()).find(|&at| text.is_char_boundary(at)).unwrap_or(text.len());
-    let (begin, end) = (text.get(..head).unwrap_or_default(), text.get(tail..).unwrap_or_default());
+    let head =
+        (0..=left * 3 / 4).rev().find(|&at| text.is_char_boundary(at)).expect("the begin of a text is a boundary");
+    let tail = (text.len() - left / 4..=text.len())
+        .find(|&at| text.is_char_boundary(at))
+        .expect("the end of a text is a boundary");
+    let (begin, end) = (&text[..head], &text[tail..]);
     Cow::Owned(format!("{begin} [{} bytes left out] {end}", tail - head))
 }
 

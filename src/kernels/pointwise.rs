@@ -8,9 +8,8 @@ use super::matrix::{Instructions, Kernel, LANES, Simd};
 use super::values::row_by_row;
 
 impl Activation {
-    /// Applies the function to each number.
     pub fn forward(self, x: &Tensor) -> Result<Tensor> {
-        let width = x.dims().last().copied().unwrap_or(0);
+        let width = x.dim(D::Minus1)?;
         row_by_row(x, width, width, |out, values| {
             Instructions::best().run(EachKernel { activation: self, values, out });
         })

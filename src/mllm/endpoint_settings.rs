@@ -138,7 +138,7 @@ impl EndpointSettings {
 
     fn host(&self) -> Option<&str> {
         let rest = self.endpoint.strip_prefix("http://").or_else(|| self.endpoint.strip_prefix("https://"))?;
-        let authority = rest.split('/').next().unwrap_or_default();
+        let authority = rest.split('/').next().expect("a split gives one part at least");
         let (host, _port) = match authority.strip_prefix('[') {
             Some(ipv6) => ipv6.split_once(']')?,
             None => authority.split_once(':').unwrap_or((authority, "")),

@@ -87,6 +87,11 @@ pub enum MllmError {
     PromptTooLong { tokens: usize, context: usize },
     #[error("the logit of token {token} at position {position} is {value}")]
     NonFiniteLogits { position: usize, token: usize, value: f32 },
+    #[error(
+        "the decoder gave no logits after {position} tokens of the chat; this is a fault of the program: please report it with \
+         the name of the model"
+    )]
+    MissingLogits { position: usize },
     #[error("{path}: {problem}")]
     Description { path: PathBuf, problem: String },
     #[error("unknown model '{name}': not a description in {models}, a folder or a hub id; described models: {known}")]

@@ -137,7 +137,7 @@ impl<P> Attempts<P> {
 
     /// The score of an attempt.
     pub(super) fn score(&self, index: usize) -> f64 {
-        self.tried.get(index).map_or(0.0, Tried::score)
+        self.tried[index].score()
     }
 
     /// The records of all attempts, and the plan of one.

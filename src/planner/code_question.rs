@@ -4,7 +4,7 @@ use super::PlannerError;
 use super::agent_state::AgentState;
 use super::attempts::{Question, Trial};
 use super::code_source::Codes;
-use crate::environment::LaneGraph;
+use crate::environment::{GraphedScene, LaneGraph};
 use crate::reasoning::{Feedback, PlannerCode, ReasoningError, ReasoningTrace};
 use crate::reflection::{IdmPlan, Judge};
 use planagent_world::SceneView;
@@ -12,8 +12,7 @@ use planagent_world::SceneView;
 /// The planner codes of a planning call, and Reflection on their plans.
 pub(super) struct CodeQuestion<'a> {
     pub(super) codes: Codes<'a>,
-    pub(super) scene: &'a SceneView<'a>,
-    pub(super) graph: &'a LaneGraph,
+    pub(super) seen: GraphedScene<'a>,
     pub(super) judge: Option<&'a Judge<'a>>,
     pub(super) state: &'a AgentState,
     /// λ of plans that keep the lane or change to the goal's, and of those that begin another lane change or stay in a blocked lane that
@@ -31,14 +30,15 @@ impl Question for CodeQuestion<'_> {
 
     fn try_out(&mut self, code: PlannerCode) -> Result<Option<Trial<IdmPlan>>, PlannerError> {
         let builder = &self.state.builder;
-        let Some(mut plan) = builder.build(self.scene, self.graph, code)? else { return Ok(None) };
+        let GraphedScene { scene, graph } = self.seen;
+        let Some(mut plan) = builder.build(scene, graph, code)? else { return Ok(None) };
         if let Some(active) = self.state.active_plan() {
-            plan = plan.after(active, self.scene, builder.horizon_s)?;
+            plan = plan.after(active, scene, builder.horizon_s)?;
         }
         let (lane_kept, lane_changed) = self.thresholds;
-        let changes_lane = begins_lane_change(&plan, self.scene, self.graph, self.state);
-        let is_towards_goal = self.graph.goal.is_some_and(|goal| goal.is_towards(code.centerline.lane_changes()));
-        let stays_behind = !changes_lane && plan.oncoming().is_none() && self.graph.stop_point().is_some();
+        let changes_lane = begins_lane_change(&plan, scene, graph, self.state);
+        let is_towards_goal = graph.goal.is_some_and(|goal| goal.is_towards(code.centerline.lane_changes()));
+        let stays_behind = !changes_lane && plan.oncoming().is_none() && graph.stop_point().is_some();
         let threshold =
             if stays_behind || (changes_lane && !is_towards_goal) { lane_kept.max(lane_changed) } else { lane_kept };
         let reflection = self.judge.map(|judge| judge.reflect(&plan, threshold)).transpose()?;

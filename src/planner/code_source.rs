@@ -88,14 +88,12 @@ impl CodeSource {
         }
     }
 
-    /// Begins a planning call of at most `attempts` attempts; a grid gives all of its codes. `history` has the answers of the
-    /// simulation so far.
+    /// Begins a planning call; a grid gives all of its codes. `history` has the answers of the simulation so far.
     pub(super) fn open<'a>(
         &'a self,
         scenario: &'a ScenarioPrompt,
         graph: &LaneGraph,
-        (seed, deadline): (u64, Deadline),
-        attempts: usize,
+        CodesAsked { seed, deadline, attempts }: CodesAsked,
         history: &'a mut AnswerHistory,
     ) -> Result<Codes<'a>, ReasoningError> {
         let codes = match self {
@@ -113,6 +111,15 @@ impl CodeSource {
         };
         Ok(Codes::Listed(codes.into_iter()))
     }
+}
+
+/// What a planning call asks for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CodesAsked {
+    pub(super) seed: u64,
+    pub(super) deadline: Deadline,
+    /// Maximum number of attempts.
+    pub(super) attempts: usize,
 }
 
 /// The codes of one planning call, one for each attempt.

@@ -41,7 +41,7 @@ pub use gated::Gated;
 pub use idm::IdmPlanner;
 pub use latency::Latency;
 pub use layer::AgentLayer;
-pub use llm_assist::LlmAssist;
+pub use llm_assist::{AskedModel, LlmAssist};
 pub use log_replay::LogReplay;
 pub use monitored::Monitored;
 pub use name::PlannerName;

@@ -4,7 +4,7 @@
 use super::agent_state::{ActivePlan, AgentState};
 use super::attempts::{AttemptLimits, Attempts};
 use super::code_question::{CodeQuestion, begins_lane_change};
-use super::code_source::CodeSource;
+use super::code_source::{CodeSource, CodesAsked};
 use super::layer::AgentLayer;
 use super::layered::with_layers;
 use super::model_input::ModelInput;
@@ -12,12 +12,12 @@ use super::record::{Decision, NoPlan, PlanningCall};
 use super::settings::{AfterMaxExec, PlanAgentSettings, ReflectionSettings};
 use super::stop::comfortable_stop;
 use super::{BevSource, PlannerError, PlannerInput, PlannerName};
-use crate::environment::LaneGraph;
+use crate::environment::GraphedScene;
 use crate::reasoning::{AnswerHistory, ScenarioPrompt};
 use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
 use planagent_mllm::{Deadline, image_hash, milliseconds};
 use planagent_score::pdm::{TRAJECTORY_STEPS, emergency_brake, plan};
-use planagent_world::{SceneView, Trajectory};
+use planagent_world::Trajectory;
 use std::time::Instant;
 
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
@@ -58,14 +58,15 @@ impl PlanAgent {
     /// Reasoning and Reflection: the attempts, and the score of the active plan where it may be kept instead of a refused one.
     fn attempt(
         &mut self,
-        (scene, graph): (&SceneView<'_>, &LaneGraph),
+        seen: GraphedScene<'_>,
         prompt: &ScenarioPrompt,
         seed: u64,
         deadline: Deadline,
     ) -> Result<(Attempts<IdmPlan>, Option<f64>), PlannerError> {
         let Self { state, source, settings, history, .. } = self;
+        let GraphedScene { scene, graph } = seen;
         let ReflectionSettings { threshold, lane_change_threshold, max_exec, .. } = settings.reflection;
-        let codes = source.open(prompt, graph, (seed, deadline), max_exec, history)?;
+        let codes = source.open(prompt, graph, CodesAsked { seed, deadline, attempts: max_exec }, history)?;
         let started = Instant::now();
         let judge = if settings.reflection.enabled {
             Some(Judge::new(scene, graph, settings.reflection.horizon_s, &mut state.memory)?)
@@ -74,7 +75,7 @@ impl PlanAgent {
         };
         let observation_ms = milliseconds(started.elapsed());
         let thresholds = (threshold, lane_change_threshold);
-        let mut question = CodeQuestion { codes, scene, graph, judge: judge.as_ref(), state, thresholds };
+        let mut question = CodeQuestion { codes, seen, judge: judge.as_ref(), state, thresholds };
         let limits = AttemptLimits { max_exec, threshold, compares: source.compares() };
         let attempts = Attempts::make(&mut question, limits, observation_ms)?;
         let active = match (&judge, state.active_plan()) {
@@ -142,7 +143,7 @@ impl AgentLayer for PlanAgent {
         let prompt = input.of(scene, &graph)?;
         let environment_ms = milliseconds(started.elapsed());
         let seed = self.settings.call_seed(iteration);
-        let (attempts, active) = self.attempt((scene, &graph), &prompt, seed, deadline)?;
+        let (attempts, active) = self.attempt(GraphedScene { scene, graph: &graph }, &prompt, seed, deadline)?;
         let decision = self.decide(&attempts, active);
         let (attempts, mut plan) = attempts.into_records(decision.attempt());
         let mut aborted_lane_change = None;

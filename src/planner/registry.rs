@@ -2,8 +2,8 @@
 //! own with [`PlannerRegistry::with`].
 
 use super::{
-    AgentLayer, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay, PdmClosed, PdmClosedPlus, PlanAgent,
-    PlanAgentSettings, Planner, PlannerError, PlannerName, SimplePlanner,
+    AgentLayer, AskedModel, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay, PdmClosed, PdmClosedPlus,
+    PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, SimplePlanner,
 };
 use crate::reasoning::AssistVariant;
 use planagent_world::EgoState;
@@ -238,7 +238,7 @@ fn llm_assist(parts: &PlannerParts<'_>, variant: AssistVariant) -> Built {
     let Some(CodeSource::Model { model, prompts, reasoning }) = parts.model.cloned() else {
         return Err(PlannerError::MissingPart { planner: parts.name, part: "a language model" });
     };
-    Ok(Box::new(LlmAssist::new(parts.name, variant, (model, prompts, reasoning), parts.settings.clone())))
+    Ok(Box::new(LlmAssist::new(parts.name, variant, AskedModel { model, prompts, reasoning }, parts.settings.clone())))
 }
 
 #[cfg(test)]

@@ -164,7 +164,7 @@ fn filled(code: &PlannerCode) -> [String; SLOTS] {
 /// The text before an argument, or behind the last.
 fn around(slot: usize) -> Constraint {
     let function = if slot == 0 { FUNCTION } else { "" };
-    text(format!("{function}{}", AROUND.get(slot).copied().unwrap_or_default()))
+    text(format!("{function}{}", AROUND.get(slot).copied().expect("texts stand around all arguments")))
 }
 
 /// A call from an argument on.

@@ -73,7 +73,7 @@ impl PromptFiles {
         if !name.is_empty() && !name.contains(['/', '\\', '.']) && override_folder.is_dir() {
             return Self::read(name, &override_folder, names);
         }
-        let first = names.first().copied().unwrap_or_default();
+        let first = names.first().copied().expect("a set has one file at least");
         let fits = |(_, files): &&BuiltIn| files.iter().any(|(file, _)| *file == first);
         if let Some(built_in) = BUILT_IN.iter().filter(fits).find(|(known, _)| *known == name) {
             return Ok(Self::built_in(built_in));

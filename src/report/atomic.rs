@@ -39,7 +39,7 @@ pub(super) fn folder(path: &Path) -> Result<(), ReportError> {
 pub(super) fn sweep(folder: &Path) -> Result<(), ReportError> {
     for entry in fs::read_dir(folder).map_err(ReportError::read(folder))? {
         let path = entry.map_err(ReportError::read(folder))?.path();
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = path.file_name().expect("an entry of a folder has a name").to_string_lossy().into_owned();
         if name.starts_with(UNFINISHED) {
             let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
             removed.map_err(ReportError::write(&path))?;

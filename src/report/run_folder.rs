@@ -218,7 +218,7 @@ impl RunFolder {
         for row in &completed.rows {
             let expected = tasks.get(row.number).map_or_else(|| "nothing".to_owned(), SimulationTask::to_string);
             if row.identity() != expected {
-                let folder = folders(&self.path)?.remove(&row.number).unwrap_or_default();
+                let folder = folders(&self.path)?.remove(&row.number).unwrap_or_else(|| self.path.join(SIMULATIONS));
                 return Err(wrong_record(&folder.join(RECORD), row, expected));
             }
         }
@@ -321,7 +321,7 @@ pub fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(&simulations).map_err(ReportError::read(&simulations))? {
         let path = entry.map_err(ReportError::read(&simulations))?.path();
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = path.file_name().expect("an entry of a folder has a name").to_string_lossy();
         let number = name.split_once('-').and_then(|(digits, _)| digits.parse().ok());
         if let Some(number) = number {
             found.insert(number, path);

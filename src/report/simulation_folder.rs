@@ -77,7 +77,7 @@ pub(super) fn is_whole(folder: &Path, row: &SimulationRow) -> bool {
 
 /// Copies the folder of a simulation below `parent`: all of it, or nothing.
 pub(super) fn copy(simulation: &Path, parent: &Path) -> Result<(), ReportError> {
-    let folder = parent.join(simulation.file_name().unwrap_or_default());
+    let folder = parent.join(simulation.file_name().expect("the folder of a simulation has a name"));
     let unfinished = atomic::unfinished(&folder);
     copy_all(simulation, &unfinished)?;
     fs::rename(&unfinished, &folder).map_err(ReportError::write(&folder))
@@ -88,7 +88,7 @@ fn copy_all(from: &Path, to: &Path) -> Result<(), ReportError> {
     atomic::folder(to)?;
     for entry in fs::read_dir(from).map_err(ReportError::read(from))? {
         let path = entry.map_err(ReportError::read(from))?.path();
-        let target = to.join(path.file_name().unwrap_or_default());
+        let target = to.join(path.file_name().expect("an entry of a folder has a name"));
         if path.is_dir() {
             copy_all(&path, &target)?;
         } else {

@@ -123,7 +123,7 @@ fn new_prompts<'a>(attempts: &'a [Attempt], of: usize, attempt: &'a Attempt) -> 
 
 /// A fenced block; its fence is longer than any run of backticks inside.
 fn fenced(text: &str) -> String {
-    let longest = text.split(|c| c != '`').map(str::len).max().unwrap_or(0);
+    let longest = text.split(|c| c != '`').map(str::len).max().expect("a split gives one part at least");
     let fence = "`".repeat(longest.max(2) + 1);
     format!("{fence}text\n{}\n{fence}", visible(text))
 }
@@ -139,7 +139,7 @@ fn one_line(text: &str) -> String {
 
 /// A code span; its marks are longer than any run of backticks inside.
 fn code(text: &str) -> String {
-    let longest = text.split(|c| c != '`').map(str::len).max().unwrap_or(0);
+    let longest = text.split(|c| c != '`').map(str::len).max().expect("a split gives one part at least");
     let (marks, space) = ("`".repeat(longest + 1), if longest > 0 { " " } else { "" });
     format!("{marks}{space}{}{space}{marks}", visible_line(text))
 }

@@ -29,6 +29,11 @@ pub enum MergeError {
     #[error("{}: the record of a simulation is damaged; repeat it with --resume {}", record.display(), run.display())]
     Damaged { record: PathBuf, run: PathBuf },
     #[error(
+        "{}: the folder of simulation {number} vanished while it was read; merge again when nothing else writes there",
+        run.display()
+    )]
+    Vanished { number: usize, run: PathBuf },
+    #[error(
         "{} and {} both hold simulation {number} ({simulation}), with different results; leave one of them out",
         first.display(), other.display()
     )]
@@ -88,6 +93,11 @@ pub enum RunnerError {
     Json(#[from] serde_json::Error),
     #[error("the model of the run in {} is not what this program writes: {source}", folder.display())]
     ManifestModel { folder: PathBuf, source: toml::de::Error },
+    #[error(
+        "{}: config.seed in manifest.toml is {found}, expected a whole number from 0 on; restore the file, or start a new run",
+        folder.display()
+    )]
+    ManifestSeed { folder: PathBuf, found: String },
     #[error(
         "two scenarios have the id {id}: {first} and {second}; simulate them in two runs, or, of modifications, give one a key name"
     )]

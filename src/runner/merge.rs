@@ -62,7 +62,7 @@ fn merged(parts: &[Part]) -> Result<Manifest, MergeError> {
     Ok(Manifest {
         inputs: whole.inputs.clone().map(|inputs| Inputs { data, ..inputs }),
         accepted: all().flat_map(|manifest| manifest.accepted.clone()).collect(),
-        started: all().map(|manifest| manifest.started.clone()).min().unwrap_or_default(),
+        started: all().map(|manifest| manifest.started.clone()).min().expect("a merge has one part at least"),
         commit: whole.commit.clone().filter(|_| one_commit),
         ..whole
     })
@@ -84,7 +84,9 @@ fn simulations(parts: &[Part]) -> Result<BTreeMap<usize, Simulation<'_>>, Runner
         }
         let mut folders = simulation_folders(&part.path)?;
         for row in completed.rows {
-            let folder = folders.remove(&row.number).unwrap_or_default();
+            let folder = folders
+                .remove(&row.number)
+                .ok_or_else(|| MergeError::Vanished { number: row.number, run: part.path.clone() })?;
             let own = Simulation { part, folder, row };
             match all.entry(own.row.number) {
                 Entry::Vacant(entry) => {
@@ -169,7 +171,7 @@ fn check_identities(
         .map(|simulation| &simulation.row.source);
     if ScenarioList::digest(sources) != manifest.scenarios.blake3 {
         return Err(MergeError::OtherScenarios {
-            run: parts.first().map(|part| part.path.clone()).unwrap_or_default(),
+            run: parts.first().map(|part| part.path.clone()).expect("a merge has one part at least"),
         });
     }
     Ok(())

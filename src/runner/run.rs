@@ -182,7 +182,13 @@ pub(super) fn finish(
     rows: Vec<SimulationRow>,
 ) -> Result<RunResults, RunnerError> {
     let path = folder.path().to_owned();
-    let seed = manifest.config.get("seed").and_then(toml::Value::as_integer).unwrap_or_default().unsigned_abs();
+    let seed = manifest.config.get("seed");
+    let seed = seed.and_then(toml::Value::as_integer).and_then(|seed| u64::try_from(seed).ok()).ok_or_else(|| {
+        RunnerError::ManifestSeed {
+            folder: path.clone(),
+            found: seed.map_or_else(|| "absent".to_owned(), ToString::to_string),
+        }
+    })?;
     let model = manifest.model.clone().map(toml::Table::try_into).transpose();
     let model = model.map_err(|source| RunnerError::ManifestModel { folder: path.clone(), source })?;
     let summary = Summary::new(seed, model, &manifest.scenarios.missing, &rows);

@@ -147,15 +147,24 @@ fn of_selection(
 ) -> Result<Manifest, RunnerError> {
     let planners = selection.planners.iter().map(ToString::to_string).collect();
     let challenges = selection.challenges.iter().map(ToString::to_string).collect();
-    manifest((planners, commands), challenges, (selection.list.clone(), data), loaded, config)
+    let subject = RunSubject { planners, commands, challenges, scenarios: selection.list.clone(), data };
+    manifest(subject, loaded, config)
 }
 
-/// What a run would be started with now; the planners stand beside the commands of those that are commands, the scenarios
-/// beside their files.
+/// What a run simulates.
+pub(super) struct RunSubject<'a> {
+    pub(super) planners: Vec<String>,
+    /// The commands of those planners that are commands.
+    pub(super) commands: &'a Commands,
+    pub(super) challenges: Vec<String>,
+    pub(super) scenarios: ScenarioList,
+    /// The files of the scenarios.
+    pub(super) data: BTreeMap<String, DataFile>,
+}
+
+/// What a run would be started with now.
 pub(super) fn manifest(
-    (planners, commands): (Vec<String>, &Commands),
-    challenges: Vec<String>,
-    (scenarios, data): (ScenarioList, BTreeMap<String, DataFile>),
+    RunSubject { planners, commands, challenges, scenarios, data }: RunSubject<'_>,
     loaded: Option<&LoadedModel>,
     config: &Config,
 ) -> Result<Manifest, RunnerError> {

@@ -45,8 +45,7 @@ impl LanePath {
             covered -= map[lanes[lanes.len() - 1]].centerline.length();
             lanes.pop();
         }
-        let single = Self { lanes: vec![first], starts: vec![0.0], centerline: map[first].centerline.clone() };
-        Self::of(map, lanes).unwrap_or(single)
+        Self::of(map, lanes).expect("the chain begins with the first lane")
     }
 
     /// The lane at arc length `s` of the joined centerline (clamped).

@@ -31,8 +31,10 @@ fn open(place: &str, text: &str) {
     let registry = ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() });
     let architecture = spec.architecture.map_or("llava", |architecture| architecture.name());
     let here = || ModelSource::Folder { folder: tiny(architecture) };
-    if !matches!(spec.source, ModelSource::Endpoint(_)) {
-        spec.source = here();
+    match &mut spec.source {
+        // The key is the reader's.
+        ModelSource::Endpoint(settings) => settings.key_env = None,
+        files => *files = here(),
     }
     for source in [&mut spec.tokenizer, &mut spec.draft_model].into_iter().flatten() {
         *source = here();

@@ -1,6 +1,6 @@
 //! The language model stage, through its public interface, on the complete tiny checkpoints of `fixtures/tiny_*`.
 
-#![expect(clippy::unwrap_used, clippy::expect_used, reason = "helpers of tests are tests")]
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 mod broken;
 mod commands;

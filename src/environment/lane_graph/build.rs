@@ -161,7 +161,7 @@ fn place(centerline: CenterlineName, offset: f64, node_length: f64) -> Option<No
 
 /// By centerline; those ahead before those behind; the nearest first; by track where all is equal.
 fn order(placed: &NodeObject<'_>) -> (usize, bool, f64, u32) {
-    let offset = placed.at_home().map_or(0.0, |relation| relation.offset);
+    let offset = placed.at_home().expect("an object is on its home").offset;
     (placed.home, offset < 0.0, offset.abs(), placed.object.token.0)
 }
 

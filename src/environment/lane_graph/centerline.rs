@@ -91,7 +91,7 @@ impl Centerline {
         let limit = map[lane].speed_limit.unwrap_or(UNKNOWN_LIMIT);
         let ahead = MIN_AHEAD.max(AHEAD_SECONDS * limit);
         let (path, ego_s) = path_through(map, scene.route, lane, ego, behind, ahead);
-        let ego_place = path.lanes.iter().position(|&l| l == lane).unwrap_or(0);
+        let ego_place = path.lanes.iter().position(|&l| l == lane).expect("the path leads through its lane");
         let speed_limit = path.lanes[ego_place..].iter().find_map(|&l| map[l].speed_limit);
         let light = light_ahead(scene, &path, ego_s);
         let turn = turn_ahead(map, &path, ego_s);
@@ -120,8 +120,9 @@ fn path_through(map: &LaneMap, route: &Route, lane: LaneId, point: Point, behind
         before.push(previous);
     }
     let lanes: Vec<LaneId> = before.into_iter().rev().chain(onward.lanes.iter().copied()).collect();
-    let path = LanePath::of(map, lanes).unwrap_or(onward);
-    let start = path.lanes.iter().position(|&l| l == lane).map_or(0.0, |place| path.starts[place]);
+    let path = LanePath::of(map, lanes).expect("the path leads through its lane");
+    let place = path.lanes.iter().position(|&l| l == lane).expect("the path leads through its lane");
+    let start = path.starts[place];
     let ego_s = start + on_lane;
     (path, ego_s)
 }

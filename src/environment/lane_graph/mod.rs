@@ -159,6 +159,13 @@ pub struct LaneGraph {
     pub goal: Option<GoalLane>,
 }
 
+/// A scene and the lane graph that was built of it.
+#[derive(Debug, Clone, Copy)]
+pub struct GraphedScene<'a> {
+    pub scene: &'a SceneView<'a>,
+    pub graph: &'a LaneGraph,
+}
+
 impl LaneGraph {
     /// Builds the graph of a scene with nodes of `node_length` meters ([`DEFAULT_NODE_LENGTH`] unless there is a reason).
     pub fn build(scene: &SceneView<'_>, node_length: f64) -> Result<Self, LaneGraphError> {

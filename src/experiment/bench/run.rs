@@ -114,7 +114,7 @@ impl Bench<'_> {
         }
         for accepted in if self.settings.speculation { 1..DRAFTED } else { 0..0 } {
             let workload = Workload::Call(CallBudget::of(self.candidate.prompts).with_drafts(accepted));
-            let own = engines.get_mut(..1).unwrap_or_default();
+            let own = engines.get_mut(..1).expect("the own engine comes first");
             rows.extend(self.alternate(&workload, own)?.into_iter().map(Row::Iteration));
         }
         let prompt_tokens = CallBudget::of(self.candidate.prompts).prompt_tokens();

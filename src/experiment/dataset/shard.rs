@@ -93,7 +93,7 @@ pub(super) fn complete(folder: &Path, split: &str, shard: usize) -> Option<usize
 pub(super) fn lines(folder: &Path, split: &str) -> Result<Vec<String>, ShardError> {
     let failed = |source| ShardError::Read { path: folder.to_owned(), source };
     let is_of_split = |path: &PathBuf| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = path.file_name().expect("an entry of a folder has a name").to_string_lossy();
         name.starts_with(&format!("{split}-")) && name.ends_with(".jsonl") && !name.contains(".unfinished")
     };
     let entries = fs::read_dir(folder).map_err(failed)?.collect::<Result<Vec<_>, _>>().map_err(failed)?;

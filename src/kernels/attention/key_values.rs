@@ -86,12 +86,22 @@ impl<N: StoredFloat> Block<N> {
 
     /// The keys of a head, (head width, vectors of positions).
     pub(super) fn keys(&self, shape: HeadShape, head: usize) -> &[[N; LANES]] {
-        self.keys.chunks_exact(shape.width * BLOCK_POSITIONS).nth(head).unwrap_or_default().as_chunks().0
+        self.keys
+            .chunks_exact(shape.width * BLOCK_POSITIONS)
+            .nth(head)
+            .expect("the head is one of the block")
+            .as_chunks()
+            .0
     }
 
     /// The values of a head, (positions, vectors of channels).
     pub(super) fn values(&self, shape: HeadShape, head: usize) -> &[[N; LANES]] {
-        self.values.chunks_exact(BLOCK_POSITIONS * shape.padded()).nth(head).unwrap_or_default().as_chunks().0
+        self.values
+            .chunks_exact(BLOCK_POSITIONS * shape.padded())
+            .nth(head)
+            .expect("the head is one of the block")
+            .as_chunks()
+            .0
     }
 
     /// Writes keys and values of `tokens` from index `first` of the block on.

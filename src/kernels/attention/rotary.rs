@@ -110,7 +110,11 @@ impl RotaryRows {
 
     /// The angles of some of the rows.
     pub fn of_rows(&self, rows: std::ops::Range<usize>) -> Self {
-        let angles = self.angles.get(rows.start * self.pairs..rows.end * self.pairs).unwrap_or_default().to_vec();
+        let angles = self
+            .angles
+            .get(rows.start * self.pairs..rows.end * self.pairs)
+            .expect("the rows are rows of the table")
+            .to_vec();
         Self { angles, pairs: self.pairs }
     }
 

@@ -143,7 +143,7 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
     ) -> usize {
         let shape = self.rows.shape();
         let seen: [Range<usize>; R] = std::array::from_fn(|r| self.seen(row + r, block.base));
-        let depth = seen.iter().map(|seen| seen.end).max().unwrap_or(0);
+        let depth = seen.iter().map(|seen| seen.end).max().expect("a pass takes one row at least");
         if seen.iter().all(Range::is_empty) {
             return R;
         }

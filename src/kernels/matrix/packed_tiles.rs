@@ -207,7 +207,7 @@ impl PackedTiles {
     /// The original blocks of a row.
     fn row_blocks(&self, index: usize) -> Vec<u8> {
         let mut bytes = vec![0; self.inputs / self.weight_format.block() * self.weight_format.block_bytes()];
-        let tile = self.lines.chunks_exact(self.tile_lines()).nth(index / LANES).unwrap_or_default();
+        let tile = self.lines.chunks_exact(self.tile_lines()).nth(index / LANES).expect("the row is one of the matrix");
         for (bytes, group) in bytes.chunks_mut(self.layout.row_bytes).zip(tile.chunks_exact(self.layout.lines)) {
             self.layout.unpack(index % LANES, bytes, group);
         }

@@ -90,7 +90,7 @@ impl CandleDecoder {
         while let Some(row) = rows.get(now.taken.len()) {
             let start = now.taken.len();
             let head = row.narrow(1, 0, HEAD)?.flatten_all()?.to_vec1::<f32>()?;
-            let [id, image_rows, columns] = [0, 1, 2].map(|index| head.get(index).map_or(0, |number| *number as u32));
+            let [id, image_rows, columns] = [0, 1, 2].map(|index| head[index] as u32);
             let is_image = id == self.image_token;
             let count = if is_image { (image_rows * columns).max(1) as usize } else { 1 };
             let Some(pass) = rows.get(start..start + count) else { break };

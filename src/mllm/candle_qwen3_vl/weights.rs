@@ -113,5 +113,5 @@ fn names(config: &Config) -> Vec<(String, Vec<usize>)> {
 /// A weight of this shape and its bias.
 fn biased(add: &mut impl FnMut(String, &[usize]), name: &str, shape: &[usize]) {
     add(format!("{name}.weight"), shape);
-    add(format!("{name}.bias"), shape.get(..1).unwrap_or_default());
+    add(format!("{name}.bias"), shape.get(..1).expect("a weight has one dimension at least"));
 }

@@ -86,9 +86,9 @@ impl TensorSource for MemoryFile {
     }
 
     fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
-        // The header was checked against the length.
         let begin = place.begin as usize;
-        Ok(self.bytes.get(begin..begin + place.bytes as usize).unwrap_or_default().to_vec())
+        let bytes = self.bytes.get(begin..begin + place.bytes as usize);
+        Ok(bytes.expect("the header was checked against the length").to_vec())
     }
 
     fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {

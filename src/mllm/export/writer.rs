@@ -41,7 +41,7 @@ impl Layout {
         header.extend((self.metadata.len() as u64).to_le_bytes());
         for (key, value) in &self.metadata {
             put_text(&mut header, key);
-            put_value(&mut header, value)?;
+            put_value(&mut header, value).map_err(|error| io::Error::other(format!("metadata {key}: {error}")))?;
         }
         let mut offset = 0_u64;
         for tensor in &self.tensors {
@@ -117,14 +117,16 @@ fn put_value(out: &mut Vec<u8>, value: &Value) -> io::Result<()> {
 
 /// Writes a value that is no list as `kind`.
 fn put_plain(out: &mut Vec<u8>, kind: u32, value: &Value) -> io::Result<()> {
+    let unfit =
+        || io::Error::other(format!("{value} does not fit the type of its list; write a list of one type of numbers"));
     match (kind, value) {
         (8, Value::String(text)) => put_text(out, text),
         (7, Value::Bool(flag)) => out.push(u8::from(*flag)),
-        (6, Value::Number(number)) => out.extend((number.as_f64().unwrap_or_default() as f32).to_le_bytes()),
-        (4, Value::Number(number)) => out.extend((number.as_u64().unwrap_or_default() as u32).to_le_bytes()),
-        (5, Value::Number(number)) => out.extend((number.as_i64().unwrap_or_default() as i32).to_le_bytes()),
-        (10, Value::Number(number)) => out.extend(number.as_u64().unwrap_or_default().to_le_bytes()),
-        (11, Value::Number(number)) => out.extend(number.as_i64().unwrap_or_default().to_le_bytes()),
+        (6, Value::Number(number)) => out.extend((number.as_f64().ok_or_else(unfit)? as f32).to_le_bytes()),
+        (4, Value::Number(number)) => out.extend((number.as_u64().ok_or_else(unfit)? as u32).to_le_bytes()),
+        (5, Value::Number(number)) => out.extend((number.as_i64().ok_or_else(unfit)? as i32).to_le_bytes()),
+        (10, Value::Number(number)) => out.extend(number.as_u64().ok_or_else(unfit)?.to_le_bytes()),
+        (11, Value::Number(number)) => out.extend(number.as_i64().ok_or_else(unfit)?.to_le_bytes()),
         _ => return Err(io::Error::other(format!("{value} has no type in GGUF"))),
     }
     Ok(())

@@ -26,7 +26,9 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
         return Err(header.error(PRE, problem));
     };
     let pieces = Pieces::read(header, vocabulary)?;
-    let merges: Vec<String> = header.list(MERGES, "a list of texts")?.unwrap_or_default();
+    let Some(merges) = header.list::<String>(MERGES, "a list of texts")? else {
+        return Err(header.error(MERGES, "the file has none; put the model's tokenizer.json beside it"));
+    };
     let Some(merges) = merges.iter().map(|merge| merge.split_once(' ')).collect::<Option<Vec<_>>>() else {
         return Err(header.error(MERGES, "expected pairs of tokens with a space between"));
     };

@@ -131,7 +131,7 @@ impl Reader<'_> {
             Err(None) => return Err(self.error(format!("tensor {name} has the unknown number format {number}"))),
         };
         // The first dimension of the file is the fastest, and rows consist of whole blocks.
-        let fastest = shape.first().copied().unwrap_or_default();
+        let fastest = shape.first().copied().expect("a tensor has one dimension at least");
         let elements = shape.iter().try_fold(1_u64, |product, side| product.checked_mul(*side));
         let bytes = elements
             .filter(|elements| *elements > 0 && fastest.is_multiple_of(format.block_size() as u64))

@@ -158,7 +158,7 @@ pub(crate) fn packed_files(header: &Header) -> Result<BTreeMap<String, String>, 
         .keys()
         .filter_map(|key| key.strip_prefix(FILE))
         .map(|name| {
-            let text = header.text(&format!("{FILE}{name}"))?.unwrap_or_default();
+            let text = header.text(&format!("{FILE}{name}"))?.expect("the name is from a key of the metadata");
             Ok((name.to_string(), text.to_string()))
         })
         .collect()
@@ -177,7 +177,7 @@ pub(crate) fn row_order(header: &Header, name: &str, place: &TensorPlace) -> Res
         _ => return Ok(RowOrder::Plain),
     };
     let heads = header.required_count(key)?;
-    let rows = place.shape.first().copied().unwrap_or_default();
+    let rows = place.shape.first().copied().expect("the header refuses tensors without dimensions");
     if rows.is_multiple_of(2 * heads) {
         return Ok(RowOrder::Paired { heads });
     }

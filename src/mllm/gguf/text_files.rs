@@ -18,7 +18,8 @@ impl TextFiles {
     pub(crate) fn read(decoder: &Header) -> Result<Self, MllmError> {
         const KEY: &str = "tokenizer.chat_template";
         let text_config = llama::text_config(decoder)?;
-        let vocabulary = text_config["vocab_size"].as_u64().unwrap_or_default() as usize;
+        let vocabulary =
+            text_config["vocab_size"].as_u64().expect("the configuration of a decoder says its vocabulary") as usize;
         let mut files = BTreeMap::new();
         let tokenizer = tokenizer::files(decoder, vocabulary, &mut files)?;
         files.insert(TOKENIZER.to_string(), tokenizer.to_string());

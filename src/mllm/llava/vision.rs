@@ -25,7 +25,7 @@ enum Tower {
 
 impl ImageEncoder {
     pub(crate) fn take(weights: &mut Weights, config: &LlavaConfig) -> Result<Self, MllmError> {
-        let depth = config.feature_layers.iter().copied().max().unwrap_or(0);
+        let depth = config.feature_layers.iter().copied().max().expect("the configuration names one layer at least");
         Ok(Self {
             tower: match config.tower {
                 TowerType::Clip => Tower::Clip(ClipVisionTower::take(weights, &config.vision, depth)?),

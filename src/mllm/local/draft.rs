@@ -69,7 +69,7 @@ fn behind_answer<'a>(earlier: &'a [u32], answer: &[u32]) -> &'a [u32] {
         let ends = earlier.windows(count).enumerate().filter(|(_, window)| *window == last);
         let ends = ends.map(|(start, _)| start + count).filter(|end| *end < earlier.len());
         if let Some(end) = ends.min_by_key(|end| end.abs_diff(answer.len())) {
-            return earlier.get(end..).unwrap_or_default();
+            return &earlier[end..];
         }
     }
     &[]
@@ -79,9 +79,9 @@ fn behind_answer<'a>(earlier: &'a [u32], answer: &[u32]) -> &'a [u32] {
 fn behind_last(chat: &[u32]) -> &[u32] {
     for count in CHAT_MATCH.rev() {
         let Some(start) = chat.len().checked_sub(count) else { continue };
-        let (before, last) = (chat.get(..chat.len() - 1).unwrap_or_default(), chat.get(start..).unwrap_or_default());
+        let (before, last) = (&chat[..chat.len() - 1], &chat[start..]);
         if let Some(found) = before.windows(count).rposition(|window| window == last) {
-            return chat.get(found + count..).unwrap_or_default();
+            return &chat[found + count..];
         }
     }
     &[]

@@ -207,7 +207,7 @@ impl Generation<'_> {
         self.out.drafted += draft.len();
         self.pending.clear();
         let mut rows = logits.as_ref().map_or_else(|| Ok(Vec::new()), Tensor::to_vec2)?.into_iter();
-        let first = rows.next().unwrap_or_default();
+        let first = rows.next().ok_or(MllmError::MissingLogits { position: self.sequence.ids().len() })?;
         self.ahead = Ahead::new(self.sequence.ids().len() - draft.len(), draft, rows.collect());
         Ok(first)
     }

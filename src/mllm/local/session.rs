@@ -189,7 +189,7 @@ impl LocalConversation<'_> {
         // The last token is always computed: its logits give the first token of the answer.
         let cached = agree.min(ids.len().saturating_sub(1));
         self.sequence.truncate(cached);
-        let rest = ids.get(cached..).unwrap_or_default();
+        let rest = &ids[cached..];
 
         let encode_start = Instant::now();
         let encoded_before = self.features.is_some();

@@ -75,7 +75,10 @@ impl ImageEncoder {
             for (above, by) in row {
                 for (left, weight) in column {
                     let start = (above * self.side + left) * self.hidden;
-                    let learned = self.position_embedding.get(start..start + self.hidden).unwrap_or_default();
+                    let learned = self
+                        .position_embedding
+                        .get(start..start + self.hidden)
+                        .expect("taps lie within the learned grid");
                     out.iter_mut().zip(learned).for_each(|(out, value)| *out += by * weight * value);
                 }
             }

@@ -83,7 +83,7 @@ fn description(spec: &ModelSpec) -> BTreeMap<String, String> {
 }
 
 fn digest_of(value: &impl Serialize) -> String {
-    digest(serde_json::to_string(value).unwrap_or_default().as_bytes())
+    digest(serde_json::to_string(value).expect("settings can be written as JSON").as_bytes())
 }
 
 fn digest(bytes: &[u8]) -> String {

@@ -67,7 +67,8 @@ fn no_files(spec: &ModelSpec, settings: &EndpointSettings) -> MllmError {
 fn without_panic<T>(place: &ModelPlace, work: impl FnOnce() -> Result<T, MllmError>) -> Result<T, MllmError> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or_else(|payload| {
         let text = payload.downcast_ref::<&str>().map(ToString::to_string);
-        let message = text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_default();
+        let message =
+            text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".to_owned());
         Err(MllmError::Panicked { place: place.path().to_path_buf(), message })
     })
 }

@@ -68,8 +68,7 @@ impl Asking {
     /// The file that says the same.
     pub(super) fn to_file(&self) -> (String, String) {
         let own = OwnSettings { prompt_set: self.prompt_set.clone(), generation: self.generation };
-        // Names and numbers: writing them as JSON cannot fail.
-        let text = serde_json::to_string_pretty(&own).unwrap_or_default();
+        let text = serde_json::to_string_pretty(&own).expect("names and numbers can be written as JSON");
         (OWN_SETTINGS.to_owned(), text + "\n")
     }
 }

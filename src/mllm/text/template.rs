@@ -133,7 +133,10 @@ impl ChatTemplate {
                 Err(error) => last = Some(describe(&error)),
             }
         }
-        Err(MllmError::ChatTemplate { path: self.path.clone(), problem: last.unwrap_or_default() })
+        Err(MllmError::ChatTemplate {
+            path: self.path.clone(),
+            problem: last.expect("one form of content at least was tried"),
+        })
     }
 }
 

@@ -62,7 +62,7 @@ fn tag_length(tag: &str) -> (usize, &str) {
             (None, b'"' | b'\'') => quote = Some(byte),
             (None, b'{') => braces += 1,
             (None, b'}') if braces > 0 => braces -= 1,
-            (None, b'}') => return (length, tag.get(at + 1..).unwrap_or_default()),
+            (None, b'}') => return (length, &tag[at + 1..]),
             (None, _) => length += 1,
         }
     }

@@ -112,7 +112,7 @@ fn is_cpu_limit(_: ExitStatus) -> bool {
 fn ending(status: ExitStatus, stderr: &Receiver<String>) -> String {
     let text = stderr.recv().unwrap_or_default();
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !is_noise(line)).collect();
-    let last = lines.get(lines.len().saturating_sub(MAX_STDERR_LINES)..).unwrap_or_default().join(" | ");
+    let last = lines[lines.len().saturating_sub(MAX_STDERR_LINES)..].join(" | ");
     let said = if last.is_empty() { String::new() } else { format!(", {last}") };
     format!("{status}{said} (memory is limited to {} GiB)", MAX_MEMORY >> 30)
 }

@@ -79,7 +79,7 @@ fn work(request: &TrialRequest, begins: &mut dyn FnMut(&str)) -> Result<(), Mllm
             let _ = format.ids(&tokenizer, &Chat { system, image, turns: &[], prompt });
         }
         for count in 1..=turns.len() {
-            let turns = turns.get(..count).unwrap_or_default();
+            let turns = &turns[..count];
             let _ = format.ids(&tokenizer, &Chat { system, image, turns, prompt: PHRASES[1] });
         }
     }

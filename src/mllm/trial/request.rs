@@ -84,8 +84,7 @@ impl TrialRequest {
 
 /// Adds a value to a digest, with its length.
 fn add(hasher: &mut blake3::Hasher, value: &impl Serialize) {
-    // Names, numbers and lists: writing them as JSON cannot fail.
-    let text = serde_json::to_vec(value).unwrap_or_default();
+    let text = serde_json::to_vec(value).expect("names, numbers and lists can be written as JSON");
     hasher.update(&(text.len() as u64).to_le_bytes());
     hasher.update(&text);
 }
@@ -95,7 +94,7 @@ fn add_files(hasher: &mut blake3::Hasher, files: &[PathBuf]) -> Result<(), MllmE
     for file in files {
         let mut content = blake3::Hasher::new();
         hash_file(file, &mut content)?;
-        let name = file.file_name().unwrap_or_default().to_string_lossy();
+        let name = file.file_name().expect("an entry of a folder has a name").to_string_lossy();
         add(hasher, &(name, content.finalize().to_hex().as_str()));
     }
     Ok(())

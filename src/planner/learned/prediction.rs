@@ -52,7 +52,7 @@ fn motion(plan: &[Pose], times: &[i64], scene: &SceneView<'_>) -> Result<Vec<[f6
         [.., before, last] => last - before,
         _ => return Ok(vec![[0.0; 4]; plan.len()]),
     };
-    let end = plan_stamps.last().copied().unwrap_or_default();
+    let end = plan_stamps.last().copied().expect("a plan begins with the present");
     let headings = unwrap_angles(&plan.iter().map(|pose| pose.heading).collect::<Vec<_>>());
     let rows: Vec<Sample> = plan.iter().zip(headings).map(|(pose, heading)| [pose.x, pose.y, heading]).collect();
     let count = (end / step).ceil().max(1.0) as usize - 1;

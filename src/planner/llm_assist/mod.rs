@@ -45,6 +45,13 @@ pub struct LlmAssist {
     calls: Vec<PlanningCall>,
 }
 
+/// The model that is asked, and how.
+pub struct AskedModel {
+    pub model: Arc<dyn Mllm>,
+    pub prompts: Arc<PromptSet>,
+    pub reasoning: ReasoningSettings,
+}
+
 /// What an answer stands for.
 #[derive(Debug, Clone)]
 enum Assisted {
@@ -59,7 +66,7 @@ impl LlmAssist {
     pub fn new(
         name: PlannerName,
         variant: AssistVariant,
-        (model, prompts, reasoning): (Arc<dyn Mllm>, Arc<PromptSet>, ReasoningSettings),
+        AskedModel { model, prompts, reasoning }: AskedModel,
         settings: PlanAgentSettings,
     ) -> Self {
         let (memory, clock, calls) = (PdmMemory::default(), Clock::default(), Vec::new());

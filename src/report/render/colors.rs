@@ -70,8 +70,8 @@ impl Colors {
 
 /// The colors of the light theme.
 pub(super) static COLORS: LazyLock<Colors> = LazyLock::new(|| {
-    let theme = STYLE.split('}').next().unwrap_or_default();
-    let color = |name: &str| color(theme, name).unwrap_or_default();
+    let theme = STYLE.split('}').next().expect("a split gives one part at least");
+    let color = |name: &str| color(theme, name).expect("the style sheet has every color");
     Colors {
         paper: color("paper"),
         panel: color("panel"),

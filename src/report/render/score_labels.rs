@@ -100,7 +100,7 @@ impl Area {
         let corners = [(ahead, aside), (ahead, -aside), (-ahead, aside), (-ahead, -aside)]
             .map(|(x, y)| view.pixel(shape.center.translated(x, y).position()));
         let of = |axis: fn(Pixel) -> f32, pick: fn(f32, f32) -> f32| corners.into_iter().map(axis).reduce(pick);
-        let bound = |axis, pick| of(axis, pick).unwrap_or_default();
+        let bound = |axis, pick| of(axis, pick).expect("a box has four corners");
         Self {
             left: bound(|p| p.0, f32::min),
             top: bound(|p| p.1, f32::min),

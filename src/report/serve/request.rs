@@ -62,12 +62,12 @@ impl Request {
             let words = format!("this server answers only as {}", OWN_NAMES.join(" or "));
             return Err(Response::words(Status::OtherHost, &words));
         }
-        let method = request.method.unwrap_or_default();
+        let method = request.method.expect("a complete request has a method");
         if !["GET", "HEAD"].contains(&method) {
             return Err(Response::words(Status::OtherMethod, "this server is read-only: GET and HEAD"));
         }
-        let target = request.path.unwrap_or_default();
-        let path = target.split(['?', '#']).next().unwrap_or_default();
+        let target = request.path.expect("a complete request has a target");
+        let path = target.split(['?', '#']).next().expect("a split gives one part at least");
         if !path.starts_with('/') {
             return Err(bad("the path of the request must start with /"));
         }

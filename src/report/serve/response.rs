@@ -127,7 +127,7 @@ fn send(mut stream: &TcpStream, bytes: &[u8], end: Instant) -> io::Result<()> {
             if count == 0 {
                 return Err(ErrorKind::WriteZero.into());
             }
-            left = left.get(count..).unwrap_or_default();
+            left = left.get(count..).expect("a write takes no more than it is given");
         }
     }
     Ok(())

@@ -167,7 +167,7 @@ impl StudyResults {
         bench: &[ModelFigures],
     ) -> Self {
         let bootstrap = Bootstrap::default();
-        let reference = study.variants.get(study.reference);
+        let reference = study.variants.get(study.reference).expect("a study checks its reference");
         let source = ResultSource { study, bootstrap, bench };
         Self {
             planagent: env!("CARGO_PKG_VERSION"),
@@ -177,7 +177,7 @@ impl StudyResults {
             quick,
             seed,
             bootstrap,
-            reference: reference.map(|variant| study.name_of(variant)).unwrap_or_default(),
+            reference: study.name_of(reference),
             suites: suites.iter().map(|suite| source.suite(suite)).collect(),
         }
     }

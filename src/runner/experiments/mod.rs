@@ -199,7 +199,7 @@ fn simulations(
 ) -> SuiteSimulations {
     let variant = |name: &RunName| match name {
         Ok(name) => {
-            let rows = rows.get(name).cloned().unwrap_or_default();
+            let rows = rows.get(name).cloned().expect("every run of the plan has ended");
             let outcome = Outcome::Simulated { run: format!("../{RUNS}/{name}"), rows };
             VariantSimulations { outcome, parameters: parameters.get(name).copied() }
         }

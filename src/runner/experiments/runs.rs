@@ -13,7 +13,7 @@ use crate::runner::event::{Event, Listener};
 use crate::runner::model::{self, OpenModel};
 use crate::runner::run::{Resume, Run, RunPlan};
 use crate::runner::selection::tasks;
-use crate::runner::simulate::manifest;
+use crate::runner::simulate::{RunSubject, manifest};
 use crate::simulation::Challenge;
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -74,9 +74,14 @@ impl<'a> PlannedRuns<'a> {
         let challenges = challenges_of(&suite.name);
         let named = challenges.iter().map(ToString::to_string).collect();
         let relevant = relevant(config, planner.as_str(), needs);
-        let planners = (vec![planner.to_string()], &commands);
-        let scenarios = (suite.list.clone(), suite.data.clone());
-        let manifest = manifest(planners, named, scenarios, loaded.as_ref(), &relevant)?;
+        let subject = RunSubject {
+            planners: vec![planner.to_string()],
+            commands: &commands,
+            challenges: named,
+            scenarios: suite.list.clone(),
+            data: suite.data.clone(),
+        };
+        let manifest = manifest(subject, loaded.as_ref(), &relevant)?;
         let digest = manifest.digest();
         let name = format!("{planner}-{}-{}", suite.name, digest.get(..DIGEST).unwrap_or(&digest));
         if let Some(loaded) = &loaded {

@@ -11,7 +11,7 @@ use crate::runner::config::Config;
 use crate::runner::error::RunnerError;
 use crate::runner::event::{Event, Listener};
 use crate::runner::model::{OpenModel, agent_parts};
-use crate::runner::simulate::manifest;
+use crate::runner::simulate::{RunSubject, manifest};
 use planagent_scenario::modified::TwinKind;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -54,9 +54,11 @@ pub(super) fn judge(
     let planner = PlannerName::PLAN_AGENT;
     let settings = relevant(config.clone(), planner.as_str(), PlannerNeeds::Model);
     let planners = vec![planner.to_string()];
-    let manifest =
-        manifest((planners, &Commands::default()), Vec::new(), (list, BTreeMap::new()), Some(&loaded), &settings)?;
-    let inputs = manifest.inputs.as_ref().map(|inputs| format!("{inputs:?}")).unwrap_or_default();
+    let commands = Commands::default();
+    let subject =
+        RunSubject { planners, commands: &commands, challenges: Vec::new(), scenarios: list, data: BTreeMap::new() };
+    let manifest = manifest(subject, Some(&loaded), &settings)?;
+    let inputs = format!("{:?}", manifest.inputs.as_ref().expect("a new manifest has its inputs"));
     let digest = ScenarioList::digest([manifest.digest(), inputs]);
     let folder = runs.join(format!("{name}-{}", digest.get(..DIGEST).unwrap_or(&digest)));
     let (records, completed) = TwinRecords::open(&folder)?;

@@ -59,7 +59,7 @@ fn map_in(folder: &Path) -> Result<Option<PathBuf>, Argoverse2Error> {
 /// The first file by name with this beginning and ending.
 fn first_named(folder: &Path, beginning: &str, ending: &str) -> Result<Option<PathBuf>, Argoverse2Error> {
     let fits = |path: &PathBuf| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = path.file_name().expect("an entry of a folder has a name").to_string_lossy();
         name.starts_with(beginning) && name.ends_with(ending)
     };
     Ok(entries(folder)?.into_iter().find(fits))

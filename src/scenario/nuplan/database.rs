@@ -225,7 +225,7 @@ impl Record<'_> {
 
     fn name(&self) -> RowName {
         let number = self.row.get::<_, i64>(self.columns.len()).unwrap_or_default();
-        let key = self.columns.first().copied().unwrap_or_default();
+        let key = self.columns.first().copied().expect("a query reads one column at least");
         match (key, self.value(key)) {
             (_, ValueRef::Blob(bytes)) => match <[u8; TOKEN_BYTES]>::try_from(bytes) {
                 Ok(bytes) => RowName::Token(Token::new(bytes)),

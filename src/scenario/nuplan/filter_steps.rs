@@ -198,7 +198,8 @@ fn excluded_by_rows(
         || filter.ego_start_speed_threshold.is_some()
         || filter.ego_stop_speed_threshold.is_some();
     if moves {
-        let duration = iterations.last().map_or(0, |last| last.time_us - start.time_us) as f64 / MICROS_PER_SECOND;
+        let duration = (iterations.last().expect("the window has its first row").time_us - start.time_us) as f64
+            / MICROS_PER_SECOND;
         let mut future = Vec::new();
         for place in future_rows(duration) {
             future.extend(ego(place)?);

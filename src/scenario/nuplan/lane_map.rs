@@ -179,7 +179,7 @@ impl<'a> Ids<'a> {
                 fault("lane_group_connector_fid", CellFault::Dangling { target, table: "lane_group_connectors" })
             })?;
             Ok(Lane {
-                id: self.connectors.get(&row.fid).copied().unwrap_or(LaneId(0)),
+                id: self.connectors.get(&row.fid).copied().expect("every row of the layer has its lane"),
                 source_id: row.fid,
                 kind: LaneKind::Connector,
                 centerline,

@@ -82,8 +82,8 @@ impl Rows {
 
     /// First and last time of all rows, µs.
     pub(super) fn times(&self) -> (i64, i64) {
-        let first = self.past.first().or(self.window.first()).map_or(0, |row| row.time_us);
-        (first, self.window.last().map_or(0, |row| row.time_us))
+        let first = self.past.first().or(self.window.first()).expect("a window has rows on both ends").time_us;
+        (first, self.window.last().expect("a window has rows on both ends").time_us)
     }
 
     /// The rows of the iterations.

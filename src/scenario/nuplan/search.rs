@@ -164,7 +164,7 @@ fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<Option<InLog>, 
                 token: candidate.token,
                 scenario_type: tag.cloned().unwrap_or_else(|| UNKNOWN_TYPE.to_owned()),
                 timestamp_us: candidate.time_us,
-                map_name: map_name.cloned().unwrap_or_default(),
+                map_name: map_name.cloned().expect("a row without a map is excluded"),
             }),
             Some(exclusion) => {
                 *in_log.counts.entry(exclusion).or_default() += 1;

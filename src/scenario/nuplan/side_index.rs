@@ -162,7 +162,7 @@ fn file_name(log: &Path) -> Result<(String, String), NuPlanError> {
     let file = fs::metadata(&real).map_err(io)?;
     let modified = file.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok()).unwrap_or_default();
     let stem = blake3::hash(real.as_os_str().as_encoded_bytes()).to_hex();
-    let stem = stem.get(..24).unwrap_or_default().to_owned();
+    let stem = stem.get(..24).expect("a digest has 64 hexadecimal digits").to_owned();
     let name = format!("{stem}-{}-{}.{VERSION}.{ENDING}", file.len(), modified.as_nanos());
     Ok((stem, name))
 }

@@ -35,7 +35,7 @@ pub(crate) fn roadblocks(
         };
         Roadblock {
             id: RoadblockId(number as u32),
-            source_id: members.first().map_or(0, |&lane| lanes[lane].id),
+            source_id: lanes[*members.first().expect("a group has one lane at least")].id,
             kind: if members.iter().any(|&lane| connector[lane]) { LaneKind::Connector } else { LaneKind::Lane },
             lanes: members.iter().map(|&lane| LaneId(lane as u32)).collect(),
             areas: members.iter().map(|&lane| areas[lane].clone()).collect(),

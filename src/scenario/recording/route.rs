@@ -130,7 +130,8 @@ fn matched_lanes(map: &LaneMap, samples: &[Pose]) -> Vec<LaneId> {
         layers.push(Layer { at: pose.position(), candidates: found, costs, from });
     }
     let Some(last) = layers.last() else { return Vec::new() };
-    let mut best = last.costs.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i);
+    let mut best =
+        last.costs.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)).expect("a layer has one candidate at least").0;
     let mut lanes = Vec::with_capacity(layers.len());
     for layer in layers.iter().rev() {
         lanes.push(layer.candidates[best].lane);

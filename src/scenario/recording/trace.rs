@@ -50,7 +50,7 @@ impl Trace {
     /// Arc length of a recorded point, clamped to the line.
     pub(crate) fn s_of(&self, point: i32) -> f64 {
         let last = self.point_s.len().saturating_sub(1);
-        self.point_s.get((point.max(0) as usize).min(last)).copied().unwrap_or(0.0)
+        self.point_s.get((point.max(0) as usize).min(last)).copied().expect("a line has one recorded point at least")
     }
 
     /// Height at an arc length, meters.

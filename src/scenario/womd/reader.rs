@@ -53,7 +53,7 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReaderError> {
 
 fn records(path: &Path) -> Result<Vec<ScenarioRef>, WomdError> {
     let reference = |(id, contents): (String, Contents)| {
-        let record = contents.record.unwrap_or_default();
+        let record = contents.record.expect("contents of a file name their record");
         let own = word_of(path.as_os_str());
         let word = if record == 0 { own } else { format!("{own} record {record}") };
         ScenarioRef::new(word, Recording { path: path.to_owned(), record, contents })

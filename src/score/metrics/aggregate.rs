@@ -116,7 +116,7 @@ fn type_row(scenario_type: &str, rows: &[&AggregateRow], columns: &[&String]) ->
         log_name: None,
         scenario_type: scenario_type.to_owned(),
         scenarios: Some(rows.len()),
-        planner: rows.first().map(|row| row.planner.clone()).unwrap_or_default(),
+        planner: rows.first().map(|row| row.planner.clone()).expect("a type is that of a row"),
         metrics: metrics.map(|(i, &c)| (c.clone(), column_sum(rows.iter().copied(), i))).collect(),
         score: rows.iter().map(|row| row.score).sum::<f64>() / rows.len() as f64,
     }

@@ -40,8 +40,8 @@ fn begun_at(map: &LaneMap, route: Vec<RoadblockId>, rear_axle: Pose) -> Vec<Road
     let Some(chain) = roadblock_chain(map, start.block, entries, SearchDirection::Forward, MAX_DEPTH_FORWARD) else {
         return route;
     };
-    let entry = route.iter().position(|block| chain.last() == Some(block)).map_or(0, |place| place + 1);
-    [&chain[..], &route[entry..]].concat()
+    let entry = route.iter().position(|block| chain.last() == Some(block)).expect("the chain ends on the route");
+    [&chain[..], &route[entry + 1..]].concat()
 }
 
 /// The route with the roadblocks that lead over each gap put in.

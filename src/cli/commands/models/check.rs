@@ -58,7 +58,7 @@ pub(super) fn reason(error: &MllmError, model: &str) -> String {
 
 fn tell(row: &Row<'_>, printer: Printer) {
     let Some(check) = &row.check else {
-        printer.line(format!("{}: {}", row.model, row.missing.as_deref().unwrap_or_default()));
+        printer.line(format!("{}: {}", row.model, row.missing.as_deref().expect("a row without a check says why")));
         return;
     };
     let family = check.architecture.map_or("unknown family", planagent_mllm::Architecture::name);

@@ -29,7 +29,13 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
         printer.line(of(row));
     }
     let broken = rows.iter().filter(|row| row.source.is_none());
-    broken.for_each(|row| printer.line(format!("{}: {}", row.model, row.problem.as_deref().unwrap_or_default())));
+    broken.for_each(|row| {
+        printer.line(format!(
+            "{}: {}",
+            row.model,
+            row.problem.as_deref().expect("a row without a source has its problem")
+        ));
+    });
     let sets = rows.iter().filter_map(|row| Some((row.prompt_set.as_deref()?, row.prompts.as_deref()?)));
     for (set, place) in sets.filter(|(_, place)| *place != BUILT_IN).collect::<BTreeSet<_>>() {
         printer.line(format!("{set} prompts in {place}"));

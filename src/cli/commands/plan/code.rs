@@ -130,7 +130,7 @@ impl SceneNames {
 
 /// The errors in a code, each with its column, the place marked below the code.
 fn in_words(line: &str, errors: &[ParseError]) -> String {
-    let column = |byte: usize| line.get(..byte).map_or(0, |before| before.chars().count());
+    let column = |byte: usize| line.get(..byte).expect("the span of an error lies within the code").chars().count();
     let one = |error: &ParseError| {
         let (start, end) = (column(error.span.start), column(error.span.end));
         let mark = "^".repeat(end.saturating_sub(start).max(1));

@@ -28,7 +28,7 @@ pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Re
                         .zip(scenario.expert().skip(1))
                         .map(|(a, b)| a.rear_axle.distance(&b.rear_axle))
                         .sum();
-                    let objects = scenario.frame(0).map_or(0, |frame| frame.objects.len());
+                    let objects = scenario.frame(0).expect("a generated scenario has frames").objects.len();
                     printer.named(&scenario.id, &format!("expert drives {way:6.1} m, {objects:>3} objects"));
                     if printer.is_json() {
                         printer.json(&json!({"id": scenario.id, "expert_m": way, "objects": objects}))?;

@@ -65,5 +65,5 @@ pub(super) fn samples_in(path: &Path) -> Option<usize> {
     let bytes = fs::read(path).ok()?;
     let file = SafeTensors::deserialize(&bytes).ok()?;
     // A shard whose scenarios were all discarded holds nothing.
-    Some(file.tensor(COUNTED).map_or(0, |target| target.shape().first().copied().unwrap_or_default()))
+    file.tensor(COUNTED).map_or(Some(0), |target| target.shape().first().copied())
 }

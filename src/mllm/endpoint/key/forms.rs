@@ -46,7 +46,10 @@ impl Forms {
                 let padded = [vec![0; before], key.as_bytes().to_vec()].concat();
                 let (from, to) = ((before * 8).div_ceil(6), padded.len() * 8 / 6);
                 for encoded in [STANDARD_NO_PAD.encode(&padded), URL_SAFE_NO_PAD.encode(&padded)] {
-                    add(encoded.as_bytes().get(from..to).unwrap_or_default().to_vec(), MIN_PART_BASE64);
+                    add(
+                        encoded.as_bytes().get(from..to).expect("the key's digits lie within the code").to_vec(),
+                        MIN_PART_BASE64,
+                    );
                 }
             }
             let digits = |upper: bool| {
@@ -70,13 +73,15 @@ impl Forms {
         spans.sort_unstable();
         let (mut out, mut copied) = (String::with_capacity(text.len()), 0);
         for (from, to) in spans {
+            // A key may have letters of several bytes: one that a span cuts is hidden whole.
+            let (from, to) = (text.floor_char_boundary(from), text.ceil_char_boundary(to));
             if from >= copied {
-                out.push_str(text.get(copied..from).unwrap_or_default());
+                out.push_str(&text[copied..from]);
                 out.push_str(mark);
             }
             copied = copied.max(to);
         }
-        out.push_str(text.get(copied..).unwrap_or_default());
+        out.push_str(&text[copied..]);
         out
     }
 
@@ -85,8 +90,8 @@ impl Forms {
         let bytes: Vec<u8> = units.iter().map(|unit| unit.byte).collect();
         let (mut spans, mut at) = (Vec::new(), 0);
         while at < units.len() {
-            let length = self.match_at(bytes.get(at..).unwrap_or_default());
-            let matched = units.get(at..at + length).unwrap_or_default();
+            let length = self.match_at(&bytes[at..]);
+            let matched = &units[at..at + length];
             if let (Some(first), Some(last)) = (matched.first(), matched.last()) {
                 spans.push((first.from, last.to));
             }
@@ -102,7 +107,7 @@ impl Forms {
         let of_form = |(form, min_part): &(Vec<u8>, usize)| {
             let starts = form.windows(GRAM).enumerate().filter(|(_, window)| **window == gram).map(|(start, _)| start);
             let common = |start: usize| {
-                let rest = form.get(start..).unwrap_or_default();
+                let rest = &form[start..];
                 rest.iter().zip(bytes).take_while(|(a, b)| a == b).count()
             };
             starts.map(common).max().filter(|length| length >= min_part).unwrap_or(0)
@@ -119,12 +124,12 @@ impl Forms {
             let before = text.get(..from).and_then(|before| before.chars().next_back());
             let after = text.get(to..).and_then(|after| after.chars().next());
             if ![before, after].into_iter().flatten().any(char::is_alphanumeric) {
-                out.push_str(text.get(copied..from).unwrap_or_default());
+                out.push_str(&text[copied..from]);
                 out.push_str(mark);
                 copied = to;
             }
         }
-        out.push_str(text.get(copied..).unwrap_or_default());
+        out.push_str(&text[copied..]);
         out
     }
 }
@@ -138,7 +143,7 @@ fn unescaped(text: &str) -> Vec<Unit> {
     let mut units = Vec::with_capacity(text.len());
     let mut from = 0;
     while let Some((&first, _)) = text.as_bytes().get(from..).and_then(<[u8]>::split_first) {
-        let rest = text.as_bytes().get(from..).unwrap_or_default();
+        let rest = &text.as_bytes()[from..];
         let (byte, length) = escape(rest).unwrap_or((first, 1));
         units.push(Unit { byte, from, to: from + length });
         from += length;
@@ -213,6 +218,15 @@ mod tests {
             assert_eq!(hidden(&KEY[KEY.len() - length..]), "[key]");
         }
         assert_eq!(hidden(&KEY[..4]), &KEY[..4]);
+    }
+
+    #[test]
+    fn a_key_of_long_letters_takes_no_text_with_it() {
+        const KEY: &str = "\u{e9}0123456789abcdef";
+        let shown = |text: &str| Forms::of(KEY).replaced(text, "[key]");
+        assert_eq!(shown(&format!("a {KEY} z")), "a [key] z");
+        // A letter that ends with the same byte.
+        assert_eq!(shown("a \u{129}0123456789abcdef z"), "a [key] z");
     }
 
     #[test]

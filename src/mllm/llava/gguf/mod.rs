@@ -61,7 +61,8 @@ impl GgufLayout for LlavaGguf {
         notes: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError> {
         let text = llama::text_config(decoder)?;
-        let vocabulary = text["vocab_size"].as_u64().unwrap_or_default() as usize;
+        let vocabulary =
+            text["vocab_size"].as_u64().expect("the configuration of a decoder says its vocabulary") as usize;
         let (mut config, note) = tower::config(tower, self.model_type)?;
         notes.extend(note);
         config["tie_word_embeddings"] = text["tie_word_embeddings"].clone();

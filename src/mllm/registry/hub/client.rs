@@ -51,7 +51,7 @@ impl HubAccess {
                     None => return Ok(folder),
                     Some(file) => file,
                 },
-                Err(_) => files.required.first().cloned().unwrap_or_default(),
+                Err(_) => files.required.first().cloned().expect("every choice of files requires one"),
             };
             if self.offline {
                 return Err(MllmError::NotInCache {

@@ -45,7 +45,7 @@ pub(super) fn tensors(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, TorchFil
         name.ends_with(PICKLE).then_some(name)
     });
     let entry = entry.ok_or(TorchFileError::NoPickle)?;
-    let folder = entry.strip_suffix(PICKLE).unwrap_or_default().to_owned();
+    let folder = entry.strip_suffix(PICKLE).expect("the entry was found by this ending").to_owned();
     let structure = read(&mut archive, &entry, MAX_PICKLE_BYTES)?;
     let mut storages: BTreeMap<Rc<str>, Vec<u8>> = BTreeMap::new();
     let mut left = bytes.len() as u64;
@@ -61,7 +61,7 @@ pub(super) fn tensors(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, TorchFil
             left -= stored.len() as u64;
             storages.insert(place.storage.clone(), stored);
         }
-        let stored = storages.get(&place.storage).map(Vec::as_slice).unwrap_or_default();
+        let stored = storages.get(&place.storage).map(Vec::as_slice).expect("the storage was read above");
         let values = values(stored, &place).ok_or_else(|| TorchFileError::OutsideStorage(name.clone()))?;
         let tensor = Tensor::from_vec(values, place.shape.as_slice(), &Device::Cpu);
         let tensor = tensor.map_err(|source| TorchFileError::Tensor { name: name.clone(), source })?;

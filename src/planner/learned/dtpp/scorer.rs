@@ -158,7 +158,7 @@ fn beside(branch: &[f32], future: &[f32], step: usize, size: &[f32]) -> [f32; RE
     let ([after_x, after_y], [before_x, before_y]) = (place(later), place(later - 1));
     let (vx, vy) = ((after_x - before_x) / STEP_S, (after_y - before_y) / STEP_S);
     let (sin, cos) = turn.sin_cos();
-    let size = |i: usize| size.get(i).copied().unwrap_or_default();
+    let size = |i: usize| *size.get(i).expect("a state ends with five sizes");
     [
         (now_x - x) * cos,
         (now_y - y) * sin,

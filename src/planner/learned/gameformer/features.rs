@@ -70,7 +70,9 @@ impl ActorFeatures {
     /// The ego now: pose, velocity, acceleration.
     pub fn present_ego(&self) -> [f32; 7] {
         let last = self.ego.len().saturating_sub(EGO);
-        std::array::from_fn(|column| self.ego.get(last + column).copied().unwrap_or_default())
+        std::array::from_fn(|column| {
+            self.ego.get(last + column).copied().expect("the history ends with the present row")
+        })
     }
 
     /// The present states of the other actors.

@@ -63,5 +63,9 @@ fn along(path: &ReferencePath, place: [f32; 2]) -> (f64, f64) {
 /// The nearest row of a path, the first of equally near ones, and its distance, meters.
 pub(super) fn nearest_row(path: &ReferencePath, [x, y]: [f32; 2]) -> (usize, f64) {
     let distance = |row: &[f32; 6]| f64::from(x - row[0]).hypot(f64::from(y - row[1]));
-    path.iter().map(distance).enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or_default()
+    path.iter()
+        .map(distance)
+        .enumerate()
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .expect("a reference path has rows at least")
 }

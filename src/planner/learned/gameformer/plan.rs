@@ -54,11 +54,13 @@ impl PlanHead {
 
 /// Poses of accelerations and curvatures from x, y, heading and velocity.
 fn rolled_out(controls: &[Vec<f32>], state: &[f32]) -> Vec<f32> {
-    let [x, y, heading, vx, vy] = std::array::from_fn(|i| state.get(i).copied().unwrap_or_default());
+    let [x, y, heading, vx, vy] =
+        std::array::from_fn(|i| state.get(i).copied().expect("a present state has five columns"));
     let (mut x, mut y, mut heading, mut speed) = (x, y, heading, vx.hypot(vy));
     let mut poses = Vec::with_capacity(3 * controls.len());
     for control in controls {
-        let [acceleration, curvature] = std::array::from_fn(|i| control.get(i).copied().unwrap_or_default());
+        let [acceleration, curvature] =
+            std::array::from_fn(|i| control.get(i).copied().expect("a control is acceleration and curvature"));
         speed += acceleration.clamp(-MAX_ACCELERATION, MAX_ACCELERATION) * STEP_S;
         // As upstream, the sum goes on below zero while the speed itself stays at zero.
         let driven = speed.max(0.0);

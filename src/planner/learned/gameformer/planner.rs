@@ -106,7 +106,8 @@ pub fn placed(path: &ReferencePath, speeds: &[f64]) -> Vec<[f32; 3]> {
     let pose = |speed: &f64| {
         place += f64::from(*speed as f32 * STEP_S as f32);
         let row = ((place as f32 * 10.0) as usize).min(path.len().saturating_sub(1));
-        path.get(row).map(|&[x, y, heading, ..]| [x, y, heading]).unwrap_or_default()
+        let &[x, y, heading, ..] = path.get(row).expect("a reference path has one row at least");
+        [x, y, heading]
     };
     speeds.iter().map(pose).collect()
 }

@@ -73,7 +73,7 @@ impl Refinement {
                 *speed += DAMPING * step;
             }
             residuals = self.residuals(&speeds, &occupied);
-            let (before, now) = (iterates.last().map_or(0.0, |iterate| iterate.1), objective(&residuals));
+            let (before, now) = (iterates.last().expect("the search begins with an iterate").1, objective(&residuals));
             iterates.push((speeds.clone(), now));
             let change = (before - now).abs();
             if change / before < RELATIVE_CHANGE || change < CHANGE {
@@ -86,7 +86,7 @@ impl Refinement {
     /// The occupied cells ahead of the network's place at each checked step.
     fn cleared(&self) -> Vec<Vec<f64>> {
         let cells = |&step: &usize| -> Vec<f64> {
-            let place = self.places.get(step).copied().unwrap_or_default().max(0.0);
+            let place = self.places.get(step).copied().expect("the plan is longer than the checked steps").max(0.0);
             let occupied = self.occupancy.get(step).into_iter().flatten();
             let cells = occupied.enumerate().filter(|&(cell, &occupied)| occupied && cell as f64 > place);
             cells.map(|(cell, _)| cell as f64).collect()
@@ -119,8 +119,13 @@ impl Refinement {
             residuals.push(Residual { value: negative * speed, derivatives: vec![(i, negative)] });
             let a = accelerations[i];
             residuals.push(Residual { value: ACCELERATION * a, derivatives: of_acceleration(i, ACCELERATION) });
-            let row = (self.places.get(i).copied().unwrap_or_default().max(0.0) as f32 * 10.0) as usize;
-            let limit = self.limits.get(row.min(self.limits.len().saturating_sub(1))).copied().unwrap_or_default();
+            let row = (self.places.get(i).copied().expect("a place stands beside every speed").max(0.0) as f32 * 10.0)
+                as usize;
+            let limit = self
+                .limits
+                .get(row.min(self.limits.len().saturating_sub(1)))
+                .copied()
+                .expect("a reference path has one row at least");
             residuals.push(Residual { value: LIMIT * (speed - limit), derivatives: vec![(i, LIMIT)] });
             let hard = if (MIN_ACCELERATION..=MAX_ACCELERATION).contains(&a) { 0.0 } else { SOFT };
             residuals.push(Residual { value: hard * a, derivatives: of_acceleration(i, hard) });
@@ -132,7 +137,7 @@ impl Refinement {
             residuals.push(Residual { value: JERK * (a - before) / STEP_S, derivatives });
         }
         for (&step, cells) in CHECKED.iter().zip(occupied) {
-            let front = places.get(step).copied().unwrap_or_default() + FRONT;
+            let front = places.get(step).copied().expect("the plan is longer than the checked steps") + FRONT;
             let over: Vec<f64> = cells.iter().map(|cell| front - cell).filter(|&over| over > 0.0).collect();
             let derivative = HARD * over.len() as f64 * STEP_S;
             residuals.push(Residual {
@@ -140,7 +145,8 @@ impl Refinement {
                 derivatives: (0..=step).map(|i| (i, derivative)).collect(),
             });
         }
-        let end = places.last().zip(self.places.last()).map_or(0.0, |(own, predicted)| own - predicted.max(0.0));
+        let (own, predicted) = places.last().zip(self.places.last()).expect("a plan has one step at least");
+        let end = own - predicted.max(0.0);
         let factor = if end.abs() > FREE_END { END } else { 0.0 };
         let derivatives = (0..count).map(|i| (i, factor * STEP_S)).collect();
         residuals.push(Residual { value: factor * end, derivatives });

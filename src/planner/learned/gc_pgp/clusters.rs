@@ -72,7 +72,7 @@ fn mean_variance(rows: &[Vec<f64>]) -> f64 {
 fn assigned(rows: &[Vec<f64>], centers: &[Vec<f64>]) -> Vec<usize> {
     let nearest = |row: &Vec<f64>| {
         let distances = centers.iter().map(|center| squared(row, center)).enumerate();
-        distances.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(center, _)| center)
+        distances.min_by(|a, b| a.1.total_cmp(&b.1)).expect("a partition has one center at least").0
     };
     rows.iter().map(nearest).collect()
 }

@@ -50,7 +50,7 @@ impl Planner for GcPgpPlanner {
             .map_err(|source| PlannerError::Failed { doing: "filtering the history", source: Box::new(source) })?;
         let plans =
             features.inputs().and_then(|inputs| self.network.plans(&features, &inputs)).map_err(network_failed)?;
-        let best = plans.first().map(|(_, places)| places.as_slice()).unwrap_or_default();
+        let best = plans.first().map(|(_, places)| places.as_slice()).expect("walks give one trajectory at least");
         prediction::trajectory(&poses(best, features.start_speed()), prediction::HALF_SECOND_US, &input.scene)
     }
 }

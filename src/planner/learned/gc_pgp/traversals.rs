@@ -22,8 +22,8 @@ impl Walks<'_> {
 
     fn one(&self, random: &mut impl Rng) -> [u32; TRAVERSAL] {
         let first = match self.initial.len() {
-            0 | 1 => self.initial.first().copied().unwrap_or_default(),
-            many => self.initial.get(random.random_range(0..many)).copied().unwrap_or_default(),
+            0 | 1 => self.initial.first().copied().expect("walks begin at one node at least"),
+            many => self.initial.get(random.random_range(0..many)).copied().expect("the draw is below the count"),
         };
         let mut walk = [first as u32; TRAVERSAL];
         for step in 1..TRAVERSAL {

@@ -26,7 +26,7 @@ pub struct Visited {
 
 /// The nodes along poses relative to the rear axle, half a second apart.
 pub fn visited(graph: &LaneNodes, poses: &[[f64; 3]]) -> Visited {
-    let mut node = poses.first().map_or(0, |&pose| assigned(graph, pose));
+    let mut node = assigned(graph, *poses.first().expect("a driver has one pose at least"));
     let mut nodes = vec![node];
     let mut edges = Vec::new();
     for &pose in poses.iter().skip(1) {
@@ -67,7 +67,7 @@ fn assigned(graph: &LaneNodes, pose: [f64; 3]) -> usize {
     least(&mut all.clone().filter(along).filter(|&node| places[node].0 <= DISTANCE))
         .or_else(|| least(&mut all.clone().filter(along)))
         .or_else(|| least(&mut all.clone()))
-        .unwrap_or_default()
+        .expect("a graph has one node at least")
 }
 
 #[cfg(test)]

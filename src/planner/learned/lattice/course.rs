@@ -25,11 +25,11 @@ pub fn course(points: &[Point]) -> Option<Course> {
         if chord <= 0.0 {
             return None;
         }
-        lengths.push(lengths.last().copied().unwrap_or_default() + chord);
+        lengths.push(lengths.last().copied().expect("the lengths begin with zero") + chord);
     }
     let column = |axis: usize| points.iter().map(|point| point[axis]).collect::<Vec<f64>>();
     let (x, y) = (Spline::new(&lengths, &column(0))?, Spline::new(&lengths, &column(1))?);
-    let end = lengths.last().copied().unwrap_or_default();
+    let end = lengths.last().copied().expect("the lengths begin with zero");
     let mut rows = Vec::with_capacity((end / ROW) as usize + 1);
     for s in (0..).map(|i: u32| f64::from(i) * ROW).take_while(|&s| s < end) {
         let piece = lengths.partition_point(|&length| length <= s).clamp(1, lengths.len() - 1) - 1;
@@ -82,7 +82,7 @@ impl Spline {
 
     /// Value and two derivatives.
     fn at(&self, piece: usize, u: f64) -> [f64; 3] {
-        let [a, b, c, d] = self.pieces.get(piece).copied().unwrap_or_default();
+        let [a, b, c, d] = self.pieces.get(piece).copied().expect("the piece is one of the spline");
         [a + u * (b + u * (c + u * d)), b + u * (2.0 * c + 3.0 * d * u), 2.0 * c + 6.0 * d * u]
     }
 }

@@ -197,7 +197,8 @@ impl Network {
         owner.map_or(3.5, |road| {
             let along = road.forward.iter().position(|&one| one == lane);
             let against = road.backward.iter().position(|&one| one == lane);
-            road.plan.lane_width + ExtraWidths::of(road.plan.extra, along.is_some(), along.or(against).unwrap_or(0))
+            road.plan.lane_width
+                + ExtraWidths::of(road.plan.extra, along.is_some(), along.or(against).expect("the owner has the lane"))
         })
     }
 

@@ -36,7 +36,7 @@ pub struct TrafficBuilder<'a, 'd> {
 /// Sets the traffic lights and picks the ego's lane: its chain of lanes, and its index on the first road.
 pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, rng: &mut SeededRng) -> (Vec<LaneId>, usize) {
     let first = &roads.route_lanes[0];
-    let best = first.iter().map(|&lane| roads.reach(0, lane)).max().unwrap_or(0);
+    let best = first.iter().map(|&lane| roads.reach(0, lane)).max().expect("a road has one lane at least");
     let good: Vec<usize> = (0..first.len()).filter(|&i| roads.reach(0, first[i]) == best).collect();
     let place = match setting.lane {
         LanePick::OnRoute => rng.situation(|rng| rng.choose(&good)),

@@ -276,7 +276,7 @@ impl<'m> GraphBuilder<'m> {
 
     /// The roadblock connector of `source` between the roadblocks of two lanes.
     fn group_connector(&mut self, source: Option<RoadblockId>, exit: i64, entry: i64, areas: &[Polygon]) -> i64 {
-        let group = |lane: i64| self.group_of_lane.get(&lane).copied().unwrap_or_default();
+        let group = |lane: i64| self.group_of_lane.get(&lane).copied().expect("every lane of the graph has a group");
         let (from, to) = (group(exit), group(entry));
         if let Some(&fid) = self.group_connectors.get(&(source, from, to)) {
             return fid;

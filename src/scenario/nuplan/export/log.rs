@@ -100,7 +100,7 @@ impl Writer<'_> {
     /// Writes log, lidar, categories, scenes and goal.
     fn write_header(&self, scenario: &Scenario) -> rusqlite::Result<()> {
         let log = self.tokens.of("log", 0);
-        let first_us = self.timeline.rows.first().map_or(0, |row| row.ego.time_us);
+        let first_us = self.timeline.rows.first().expect("a timeline has its anchor").ego.time_us;
         self.transaction.execute(
             &LOG.insert(),
             params![
@@ -129,7 +129,8 @@ impl Writer<'_> {
 
     /// Writes the goal as an ego pose after the last row; no row uses it.
     fn write_goal(&self, goal: Pose) -> rusqlite::Result<Token> {
-        let after_us = self.timeline.rows.last().map_or(0, |row| row.ego.time_us) + MICROS_PER_SECOND as i64;
+        let after_us =
+            self.timeline.rows.last().expect("a timeline has its anchor").ego.time_us + MICROS_PER_SECOND as i64;
         let state = EgoState::from_log(
             after_us,
             goal,
@@ -247,7 +248,7 @@ impl Writer<'_> {
 }
 
 fn height(kind: ObjectKind) -> f64 {
-    CATEGORIES.iter().find(|(listed, _)| *listed == kind).map_or(0.0, |&(_, height)| height)
+    CATEGORIES.iter().find(|(listed, _)| *listed == kind).expect("CATEGORIES lists every kind").1
 }
 
 /// The day of a Unix time, `YYYY-MM-DD`.
