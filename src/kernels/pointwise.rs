@@ -8,6 +8,7 @@ use super::matrix::{Instructions, Kernel, LANES, Simd};
 use super::values::row_by_row;
 
 impl Activation {
+    /// Applies the function to each number.
     pub fn forward(self, x: &Tensor) -> Result<Tensor> {
         let width = x.dim(D::Minus1)?;
         row_by_row(x, width, width, |out, values| {
