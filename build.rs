@@ -14,9 +14,11 @@ fn main() {
 
 /// The commit of the sources, with `+changes` where they differ from it; `None` outside a repository.
 fn commit(package: &Path) -> Option<String> {
-    // `cargo package` writes the commit into this file.
-    if let Ok(info) = std::fs::read_to_string(package.join(".cargo_vcs_info.json")) {
-        return info.split('"').find(|part| part.len() == 40).map(short);
+    // `git archive` writes the commit into this file.
+    if let Ok(text) = std::fs::read_to_string(package.join(".commit")) {
+        if text.trim().len() == 40 {
+            return Some(short(text.trim()));
+        }
     }
     for path in ["HEAD", "logs/HEAD"] {
         println!("cargo::rerun-if-changed={}", git(package, &["rev-parse", "--git-path", path])?);
