@@ -60,6 +60,7 @@ pub mod planning {
         PlanAgentSettings, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
         PlannerParts, PlannerRegistry, PlanningCall, SimplePlanner,
     };
+    pub use crate::planners::all_planners;
     pub use crate::reflection::LeadPolicy;
     pub use planagent_world::{History, HistorySample, SceneError, SceneView, TrajectoryError, TrajectoryState};
 }
@@ -120,8 +121,11 @@ pub mod cli;
 mod environment;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod experiment;
+#[cfg(all(feature = "learned", not(feature = "internals")))]
+mod learned;
 #[cfg(not(feature = "internals"))]
 mod planner;
+mod planners;
 #[cfg(not(feature = "internals"))]
 mod reasoning;
 #[cfg(not(feature = "internals"))]
@@ -139,6 +143,9 @@ pub mod environment;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod experiment;
+#[cfg(all(feature = "learned", feature = "internals"))]
+#[doc(hidden)]
+pub mod learned;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod planner;
@@ -188,7 +195,9 @@ pub mod bindings {
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {
-    pub use crate::{cli, environment, experiment, planner, reasoning, reflection, report, runner, simulation};
+    pub use crate::{
+        cli, environment, experiment, learned, planner, reasoning, reflection, report, runner, simulation,
+    };
     pub use planagent_scenario as scenario;
     pub use planagent_score::metrics;
     pub use planagent_score::pdm;

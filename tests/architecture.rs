@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 16] = [
+const RANKS: [(&str, u8); 18] = [
     ("files", 0),
     ("kernels", 0),
     ("world", 1),
@@ -20,12 +20,14 @@ const RANKS: [(&str, u8); 16] = [
     ("reasoning", 4),
     ("reflection", 5),
     ("planner", 6),
+    ("learned", 7),
     ("simulation", 7),
-    ("api", 8),
-    ("experiment", 8),
-    ("report", 9),
-    ("runner", 10),
-    ("cli", 11),
+    ("planners", 8),
+    ("api", 9),
+    ("experiment", 9),
+    ("report", 10),
+    ("runner", 11),
+    ("cli", 12),
 ];
 
 /// Rooms of a stage (its files and folders) by rank, lowest first: a room uses only rooms of a lower rank.

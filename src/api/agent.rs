@@ -3,8 +3,9 @@
 use super::Result;
 use crate::planner::{
     CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
-    PlannerParts, PlannerRegistry, PlanningCall,
+    PlannerParts, PlanningCall,
 };
+use crate::planners::all_planners;
 use crate::reasoning::ReasoningConfig;
 use planagent_mllm::{HubAccess, Mllm, ModelRegistry, Trust, data_folder};
 use planagent_world::{EgoState, LaneMap, MICROS_PER_SECOND, STEP_S, Scene, SceneView, Trajectory};
@@ -178,7 +179,7 @@ impl AgentBuilder {
     /// # Errors
     /// When there is no such model, planner or prompt set, the files of the model are broken, or nobody vouches for them.
     pub fn build(self) -> Result<Agent> {
-        let registry = PlannerRegistry::default();
+        let registry = all_planners();
         let entry = registry.find(&self.planner)?;
         let model = if entry.needs_model() { Some(self.code_source()?) } else { None };
         let (settings, model) = (&self.settings, model.as_ref());

@@ -35,9 +35,8 @@ pub enum PlannerError {
          one"
     )]
     NoCheckpoint { planner: PlannerName, key: String },
-    #[cfg(feature = "learned")]
     #[error(transparent)]
-    Checkpoint(Box<super::learned::CheckpointError>),
+    Checkpoint(Box<dyn std::error::Error + Send + Sync>),
     #[error("{doing} failed")]
     Failed { doing: &'static str, source: Box<dyn std::error::Error + Send + Sync> },
 }
@@ -48,13 +47,6 @@ impl From<PdmError> for PlannerError {
             PdmError::NoReferencePath(NoReferencePath::EmptyRoute) => Self::EmptyRoute,
             error => Self::Pdm(Box::new(error)),
         }
-    }
-}
-
-#[cfg(feature = "learned")]
-impl From<super::learned::CheckpointError> for PlannerError {
-    fn from(error: super::learned::CheckpointError) -> Self {
-        Self::Checkpoint(Box::new(error))
     }
 }
 

@@ -13,8 +13,6 @@ mod idm;
 mod latency;
 mod layer;
 mod layered;
-#[cfg(feature = "learned")]
-pub mod learned;
 mod llm_assist;
 mod log_replay;
 mod model_input;

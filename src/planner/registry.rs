@@ -1,5 +1,5 @@
-//! The planners that a run can name. A new planner is its file and one line of [`PlannerRegistry::default`]; a program adds its
-//! own with [`PlannerRegistry::with`].
+//! The planners that a run can name. A new planner is its file and one line of [`PlannerRegistry::default`]; crates above
+//! and programs add theirs with [`PlannerRegistry::with`].
 
 use super::{
     AgentLayer, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay, PdmClosed, PdmClosedPlus, PlanAgent,
@@ -73,8 +73,9 @@ impl PlannerEntry {
     }
 
     /// The same, with what a run does once before its first simulation.
-    #[cfg(feature = "learned")]
-    pub(super) fn prepared_by(
+    #[doc(hidden)]
+    #[must_use]
+    pub fn prepared_by(
         self,
         prepare: impl Fn(&PlanAgentSettings) -> Result<(), PlannerError> + Send + Sync + 'static,
     ) -> Self {
@@ -127,7 +128,7 @@ pub struct UnknownPlanner {
     pub known: Vec<String>,
 }
 
-/// The planners by name.
+/// The planners by name. Those of the default need no checkpoint.
 #[derive(Debug, Clone)]
 pub struct PlannerRegistry {
     entries: Vec<PlannerEntry>,
@@ -144,8 +145,7 @@ impl Default for PlannerRegistry {
             ..PlannerEntry::new(name, summary, Model, move |parts| llm_assist(parts, variant))
         };
         let name = PlannerName::new;
-        #[cfg_attr(not(feature = "learned"), allow(unused_mut))]
-        let mut registry = Self {
+        Self {
             entries: vec![
                 PlannerEntry::new(PlannerName::PLAN_AGENT, "the agent of the paper", Model, plan_agent),
                 PlannerEntry::new(name("log-replay"), "the recorded driver", Recording, |parts| {
@@ -186,10 +186,7 @@ impl Default for PlannerRegistry {
                     },
                 ),
             ],
-        };
-        #[cfg(feature = "learned")]
-        registry.entries.extend(super::learned::entries());
-        registry
+        }
     }
 }
 

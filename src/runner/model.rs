@@ -6,6 +6,7 @@ use super::event::{Event, Listener};
 use crate::api::models_folder;
 use crate::experiment::run::AgentParts;
 use crate::planner::{CodeSource, PlannerRegistry};
+use crate::planners::all_planners;
 use crate::reasoning::{PromptPlace, PromptSet, ReasoningSettings};
 use crate::report::{Inputs, PromptList};
 use planagent_mllm::{Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry};
@@ -47,7 +48,7 @@ pub fn load_model(config: &Config, listener: &Listener) -> Result<LoadedModel, R
 impl LoadedModel {
     /// The parts of an agent with this model.
     pub fn agent_parts(&self, config: &Config) -> AgentParts {
-        agent_parts(config, PlannerRegistry::default(), Some(self))
+        agent_parts(config, all_planners(), Some(self))
     }
 
     /// The model with its prompts and the way in which it samples.

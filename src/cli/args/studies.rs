@@ -7,7 +7,7 @@ use crate::cli::words::path_word;
 #[cfg(feature = "learned")]
 use crate::experiment::dataset::imitation::ImitationPlanner;
 use crate::experiment::suite::RECORDED;
-use crate::planner::PlannerRegistry;
+use crate::planners::all_planners;
 use crate::runner::ExperimentsRequest;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
@@ -136,7 +136,7 @@ impl ExperimentArguments {
         Ok(ExperimentsRequest {
             suites: self.suites.iter().map(modified).collect::<anyhow::Result<_>>()?,
             scenarios,
-            registry: PlannerRegistry::default(),
+            registry: all_planners(),
             roots: self.data.roots(),
             out: self.out.clone(),
             bench: self.bench.clone(),

@@ -69,7 +69,7 @@ pub(super) fn judge(
         total - left.len(),
         left.len()
     )));
-    let registry = crate::planner::PlannerRegistry::default();
+    let registry = crate::planners::all_planners();
     let parts = agent_parts(config, registry, Some(&loaded));
     let answer = |pair: &&PairName| -> Result<PairRecord, RunnerError> {
         let record = twins::judge(pair, &parts)?;

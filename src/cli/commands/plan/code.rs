@@ -5,9 +5,8 @@ use crate::cli::picture::PictureFile;
 use crate::cli::{Exit, Printer};
 use crate::environment::{AgentName, LaneGraph};
 use crate::experiment::run::AgentParts;
-use crate::planner::{
-    CallSettings, CodeSource, PlanAgentSettings, PlannerInitialization, PlannerName, PlannerRegistry,
-};
+use crate::planner::{CallSettings, CodeSource, PlanAgentSettings, PlannerInitialization, PlannerName};
+use crate::planners::all_planners;
 use crate::reasoning::{ParseError, PlannerCode};
 use crate::reflection::{LeadPolicy, ReflectionReport};
 use crate::report::render::code_picture;
@@ -34,7 +33,7 @@ pub(super) fn run(
     let settings = settings(config);
     let names = names(scenario, iteration, frame, &settings)?;
     let parts = AgentParts {
-        registry: PlannerRegistry::default(),
+        registry: all_planners(),
         model: Some(CodeSource::Written(line.to_owned())),
         settings,
         ..AgentParts::default()

@@ -2,8 +2,8 @@
 
 use super::tensors::Columns;
 use super::{Moment, futures};
-use crate::planner::learned::dtpp::{Step, first_stage, paths, second_stage};
-use crate::planner::learned::gameformer::ActorFeatures;
+use crate::learned::dtpp::{Step, first_stage, paths, second_stage};
+use crate::learned::gameformer::ActorFeatures;
 use candle_core::Tensor;
 
 /// Half sides of the squares of the map, meters.
