@@ -4,9 +4,9 @@ use super::args::ALL_EXPERIMENTS;
 use crate::experiment::interactive::NAMES as INTERACTIVE;
 use crate::experiment::study;
 use crate::experiment::suite::Suite;
-use crate::planner::PlannerName;
 use crate::planners::all_planners;
 use crate::runner::{TOKENS, TWINS, build_commit};
+use planagent_agent::planner::PlannerName;
 use planagent_scenario::{DataRoots, Readers};
 use std::sync::LazyLock;
 

@@ -6,9 +6,9 @@ use super::dataset::Split;
 use super::dataset::twins::{self, NoPair, PairName, TwinScene};
 use super::run::{AgentParts, with_causes};
 use super::statistics::wilson;
-use crate::environment::BevView;
-use crate::planner::{AgentLayer as _, CodeSource, Planner as _, PlannerInput};
-use crate::reasoning::{PlannerAnswer, PlannerCode, PromptError, PromptSet};
+use planagent_agent::environment::BevView;
+use planagent_agent::planner::{AgentLayer as _, CodeSource, Planner as _, PlannerInput};
+use planagent_agent::reasoning::{PlannerAnswer, PlannerCode, PromptError, PromptSet};
 use planagent_scenario::generator::ScenarioType;
 use planagent_scenario::modified::TwinKind;
 use rayon::prelude::*;
@@ -165,7 +165,7 @@ pub enum TwinError {
     #[error(transparent)]
     Prompt(#[from] PromptError),
     #[error(transparent)]
-    View(#[from] crate::environment::BevError),
+    View(#[from] planagent_agent::environment::BevError),
     #[error("there is no model to ask")]
     NoModel,
     #[error("{pair}: {fault}")]

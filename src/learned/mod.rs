@@ -23,7 +23,7 @@ pub use blocks::{Mismatch, Probe, Weights};
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use prediction::trajectory;
 
-use crate::planner::{PlannerEntry, PlannerError};
+use planagent_agent::planner::{PlannerEntry, PlannerError};
 
 /// The learned planners.
 pub fn entries() -> impl Iterator<Item = PlannerEntry> {

@@ -2,7 +2,7 @@
 
 use super::blocks::Weights;
 use super::checkpoint::{Checkpoint, CheckpointError};
-use crate::planner::{PlanAgentSettings, Planner, PlannerEntry, PlannerError, PlannerName, PlannerNeeds};
+use planagent_agent::planner::{PlanAgentSettings, Planner, PlannerEntry, PlannerError, PlannerName, PlannerNeeds};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 

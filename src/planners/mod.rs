@@ -1,6 +1,6 @@
 //! The one registry of all planners, for runs, the command line and the library.
 
-use crate::planner::PlannerRegistry;
+use planagent_agent::planner::PlannerRegistry;
 
 /// All planners, the learned ones among them.
 pub fn all_planners() -> PlannerRegistry {

@@ -1,7 +1,7 @@
 //! Commands that stand for planners or for the other agents of a run.
 
-use crate::planner::{ExecCommand, ExecError};
-use crate::simulation::{AgentCommand, AgentPolicyName};
+use planagent_agent::planner::{ExecCommand, ExecError};
+use planagent_agent::simulation::{AgentCommand, AgentPolicyName};
 use std::collections::BTreeMap;
 use std::time::Duration;
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// The token counts of a planning call. They are the same for every model and engine, whatever its answers would be.
 ///
-/// Rounds, fast-forwarded tokens and cached prefixes are those of [`Reasoning`](crate::reasoning::Reasoning) with grammars.
+/// Rounds, fast-forwarded tokens and cached prefixes are those of [`Reasoning`](planagent_agent::reasoning::Reasoning) with grammars.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CallBudget {

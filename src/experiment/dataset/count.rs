@@ -1,7 +1,7 @@
 //! Counts over a dataset: how often a state shows what a model must not overlook.
 
 use super::shard::{self, ShardError};
-use crate::environment::facts::Question;
+use planagent_agent::environment::facts::Question;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;

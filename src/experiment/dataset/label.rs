@@ -3,10 +3,10 @@
 use super::label_weights::DecisionWeights;
 use super::lessons::Lesson;
 use super::search::{Candidate, NEAR_LIMIT};
-use crate::environment::facts::{Ahead, Light, Question};
-use crate::environment::text::{self, Description, TextForm};
-use crate::environment::{CenterlineName, LaneGraph, SceneFacts};
-use crate::reasoning::{
+use planagent_agent::environment::facts::{Ahead, Light, Question};
+use planagent_agent::environment::text::{self, Description, TextForm};
+use planagent_agent::environment::{CenterlineName, LaneGraph, SceneFacts};
+use planagent_agent::reasoning::{
     Lateral, LateralReason, Longitudinal, LongitudinalReason, Names, PromptError, PromptSet, Round, round_prompt,
     system_prompt,
 };
@@ -50,7 +50,7 @@ pub struct LabeledState {
     /// Codes for expert iteration, the label among them; none where there is only one.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub tried: Vec<TriedCode>,
-    /// Occupancy grids now, 1 s and 2 s later, as 64 hexadecimal digits each (see [`OccupancyGrid`](crate::environment::OccupancyGrid)).
+    /// Occupancy grids now, 1 s and 2 s later, as 64 hexadecimal digits each (see [`OccupancyGrid`](planagent_agent::environment::OccupancyGrid)).
     pub occupancy: [String; 3],
     /// Name of the text-twin pair that this state is one half of.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -193,7 +193,7 @@ fn instruction_answer(instruction: Instruction, weights: DecisionWeights) -> Mes
 fn code_answer(best: &Candidate, weights: DecisionWeights) -> Message {
     let code = &best.code;
     Answer::default()
-        .fixed(&format!("{}(c=", crate::reasoning::FUNCTION))
+        .fixed(&format!("{}(c=", planagent_agent::reasoning::FUNCTION))
         .decided(code.centerline.as_str(), weights.lane)
         .fixed(", la=")
         // The lead agent on a centerline is a fact of the scene.

@@ -6,7 +6,7 @@
 
 use super::label_weights::{DEFAULT_GAIN, DecisionWeights, MAX_GAIN, RETRY_GAIN, rejects_faster};
 use super::search::Candidate;
-use crate::reasoning::PlannerCode;
+use planagent_agent::reasoning::PlannerCode;
 
 /// A code that may be the one to learn.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -21,9 +21,9 @@ pub use scenes::Split;
 pub use shard::{FORMAT, Meta, ShardError};
 
 use super::run::AgentParts;
-use crate::environment::{BevError, BevView};
-use crate::reasoning::{PromptError, PromptSet};
 use image::RgbImage;
+use planagent_agent::environment::{BevError, BevView};
+use planagent_agent::reasoning::{PromptError, PromptSet};
 use rayon::prelude::*;
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! Which scenarios a dataset is drawn from.
 
 use super::{DatasetError, Settings};
-use crate::environment::TextForm;
+use planagent_agent::environment::TextForm;
 use planagent_scenario::Scenario;
 use planagent_scenario::generator::{self, ScenarioType, Spec, types};
 use planagent_scenario::modified::ModifiedName;
@@ -114,13 +114,13 @@ mod tests {
 
     #[test]
     fn datasets_of_different_seeds_share_no_scenario_and_stay_in_their_split() {
-        let prompts = crate::reasoning::PromptSet::open("compact").unwrap();
+        let prompts = planagent_agent::reasoning::PromptSet::open("compact").unwrap();
         let last = (FIRST_OF_MODEL / SCENARIOS_PER_SHARD) as usize - 1;
         let scenes = |seed, shard| {
             let settings = Settings {
                 seed,
                 prompts: &prompts,
-                view: crate::environment::BevView::default(),
+                view: planagent_agent::environment::BevView::default(),
                 driver: None,
                 modified: 0.0,
             };

@@ -1,11 +1,13 @@
 //! Privileged search: simulates many planners from a state. The best one is the label.
 
-use crate::environment::lane_graph::{Centerline, GoalLane};
-use crate::environment::{CenterlineName, LaneGraph};
-use crate::planner::{DEFAULT_ACCELERATIONS, feedback, planner_code};
-use crate::reasoning::{Feedback, PlannerCode};
-use crate::reflection::{IdmPlan, Judge, LeadPolicy, PlanBuilder, PlanMonitor, ReflectionReport, Verdict, steps_of};
-use crate::simulation::ClosedLoop;
+use planagent_agent::environment::lane_graph::{Centerline, GoalLane};
+use planagent_agent::environment::{CenterlineName, LaneGraph};
+use planagent_agent::planner::{DEFAULT_ACCELERATIONS, feedback, planner_code};
+use planagent_agent::reasoning::{Feedback, PlannerCode};
+use planagent_agent::reflection::{
+    IdmPlan, Judge, LeadPolicy, PlanBuilder, PlanMonitor, ReflectionReport, Verdict, steps_of,
+};
+use planagent_agent::simulation::ClosedLoop;
 use planagent_score::metrics::{self, EvaluatedSimulation, MetricList};
 use planagent_score::pdm::PdmMemory;
 use planagent_world::{EgoState, HistorySample, STEP_S};

@@ -5,12 +5,12 @@ use super::label_weights::DecisionWeights;
 use super::lessons::lessons;
 use super::search::{self, Candidate};
 use super::{Settings, scenes};
-use crate::environment::{BevView, LaneGraph, OccupancyGrid, SceneFacts, bev};
-use crate::planner::{AgentLayer, Attempt, Planner, PlannerInput};
-use crate::reasoning::{Feedback, PromptError, feedback_text};
-use crate::reflection::Verdict;
-use crate::simulation::{Challenge, ClosedLoop};
 use image::RgbImage;
+use planagent_agent::environment::{BevView, LaneGraph, OccupancyGrid, SceneFacts, bev};
+use planagent_agent::planner::{AgentLayer, Attempt, Planner, PlannerInput};
+use planagent_agent::reasoning::{Feedback, PromptError, feedback_text};
+use planagent_agent::reflection::Verdict;
+use planagent_agent::simulation::{Challenge, ClosedLoop};
 use planagent_scenario::generator::Spec;
 use planagent_score::pdm::PdmMemory;
 use rand::seq::IndexedRandom;
@@ -39,7 +39,7 @@ pub(super) fn label_scenario(
     let mut states = Vec::new();
     loop {
         let scene = simulation.scene();
-        let Ok(mut graph) = LaneGraph::build(&scene, crate::environment::DEFAULT_NODE_LENGTH) else { break };
+        let Ok(mut graph) = LaneGraph::build(&scene, planagent_agent::environment::DEFAULT_NODE_LENGTH) else { break };
         let form = settings.prompts.forms().scene_text;
         if form.names_oncoming_lane() {
             graph = graph.with_oncoming_lane(&scene);

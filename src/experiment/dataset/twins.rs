@@ -9,11 +9,13 @@ use super::label_weights::DecisionWeights;
 use super::scenes::SCENARIOS_PER_SEED;
 use super::search::{self, Candidate};
 use super::{DatasetError, Settings, Split, states};
-use crate::environment::text::{self, Description};
-use crate::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, SceneFacts, TextForm, bev};
-use crate::reasoning::{Names, PlannerCode, PromptError, PromptSet, Round, round_prompt, system_prompt};
-use crate::simulation::{Challenge, ClosedLoop};
 use image::RgbImage;
+use planagent_agent::environment::text::{self, Description};
+use planagent_agent::environment::{
+    BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, SceneFacts, TextForm, bev,
+};
+use planagent_agent::reasoning::{Names, PlannerCode, PromptError, PromptSet, Round, round_prompt, system_prompt};
+use planagent_agent::simulation::{Challenge, ClosedLoop};
 use planagent_scenario::Scenario;
 use planagent_scenario::generator::{self, ScenarioType, Spec, types};
 use planagent_scenario::modified::{MARK, ModifiedName, Twin, TwinKind, TwinPart, TwinSide};

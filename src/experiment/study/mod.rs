@@ -72,7 +72,7 @@ pub struct Variant {
 }
 
 fn plan_agent() -> String {
-    crate::planner::PlannerName::PLAN_AGENT.to_string()
+    planagent_agent::planner::PlannerName::PLAN_AGENT.to_string()
 }
 
 /// The start times of a recording: the usual one, and later ones while enough is left.

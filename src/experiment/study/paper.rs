@@ -1,7 +1,7 @@
 //! The paper's numbers: closed-loop scores x 100 on nuPlan's Val14 and Test14-hard, with GPT-4V unless a row names another
 //! model. They stand beside ours to compare directions; the scenes differ.
 
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use serde::{Deserialize, Serialize};
 
 /// A benchmark of nuPlan.
@@ -82,7 +82,7 @@ fn of_challenge([nonreactive, reactive]: [f64; 2], challenge: Challenge) -> Opti
     match challenge {
         Challenge::NonReactive => Some(nonreactive),
         Challenge::Reactive => Some(reactive),
-        Challenge::OpenLoop | Challenge::OwnAgents(_) => None,
+        _ => None,
     }
 }
 

@@ -11,9 +11,9 @@ mod table;
 pub use counter::TokenCounter;
 pub use table::{TokenMean, TokenTable, TokenTableRow};
 
-use crate::environment::coordinates::{GptDriverText, llm_assist_text};
-use crate::environment::text::write;
-use crate::environment::{Description, LaneGraph, LaneGraphError, TextForm};
+use planagent_agent::environment::coordinates::{GptDriverText, llm_assist_text};
+use planagent_agent::environment::text::write;
+use planagent_agent::environment::{Description, LaneGraph, LaneGraphError, TextForm};
 use planagent_scenario::Scenario;
 use planagent_world::{HISTORY_SAMPLES, History, HistorySample, SceneView};
 use serde::Serialize;

@@ -4,8 +4,8 @@ mod pickle;
 mod torch_file;
 
 use super::blocks::{Mismatch, Weights};
-use crate::planner::PlannerError;
 use candle_core::{DType, Device, Tensor};
+use planagent_agent::planner::PlannerError;
 use std::collections::BTreeMap;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};

@@ -6,7 +6,7 @@ use super::tree::{TreeError, scored_tree};
 use crate::learned::gameformer::ActorFeatures;
 use crate::learned::slot::{Slot, learned_entry};
 use crate::learned::{network_failed, prediction};
-use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_world::{STEP_US, Trajectory};
 use std::sync::Arc;
 

@@ -9,8 +9,8 @@ use crate::learned::blocks::Probe;
 use crate::learned::lattice::ROW;
 use crate::learned::slot::{Slot, learned_entry};
 use crate::learned::{network_failed, prediction};
-use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use candle_core::{IndexOp, Result};
+use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_world::{STEP_S, STEP_US, Trajectory};
 use std::sync::Arc;
 

@@ -8,7 +8,7 @@ use crate::learned::blocks::Probe;
 use crate::learned::frame::relative;
 use crate::learned::slot::{Slot, learned_entry};
 use crate::learned::{network_failed, prediction};
-use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_score::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
 use planagent_world::geometry::Pose;
 use planagent_world::{Trajectory, TrajectoryError};

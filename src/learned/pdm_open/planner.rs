@@ -6,7 +6,7 @@ use super::route::PdmRoute;
 use crate::learned::blocks::Probe;
 use crate::learned::slot::{Slot, learned_entry};
 use crate::learned::{network_failed, prediction};
-use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_world::Trajectory;
 use std::sync::Arc;
 

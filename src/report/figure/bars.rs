@@ -3,7 +3,7 @@
 use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
 use crate::report::{StudyResults, SuiteResults, TypeResults};
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 
 const WIDTH: f64 = 980.0;
 /// Columns: names, then a panel for each challenge. The longest type has 54 letters.

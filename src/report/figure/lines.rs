@@ -4,7 +4,7 @@ use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
 use crate::experiment::study::Study;
 use crate::report::{StudyResults, SuiteResults};
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 400.0;

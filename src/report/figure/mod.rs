@@ -12,7 +12,7 @@ pub(super) use svg::escaped;
 
 use crate::experiment::study::{Figure, Study};
 use crate::report::StudyResults;
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 
 fn panel(challenge: Challenge) -> &'static str {
     match challenge {

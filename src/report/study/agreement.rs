@@ -4,7 +4,7 @@ use super::results::{SuiteSimulations, VariantSimulations};
 use crate::experiment::rank_correlation::RankCorrelation;
 use crate::experiment::statistics::Bootstrap;
 use crate::experiment::study::{Benchmark, Study, Variant, reported_benchmarks};
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -2,7 +2,7 @@
 
 use super::results::VariantSimulations;
 use crate::report::simulation_row::SimulationRow;
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use planagent_scenario::without_start;
 use planagent_score::metrics::distinct;
 use serde::Serialize;

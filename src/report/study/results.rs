@@ -6,7 +6,7 @@ use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use crate::experiment::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
 use crate::report::simulation_row::SimulationRow;
 use crate::report::{ModelFigures, Quantiles};
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use planagent_scenario::modified::without_modification;
 use planagent_scenario::without_start;
 use planagent_score::metrics::distinct;

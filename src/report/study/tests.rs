@@ -2,10 +2,10 @@
 
 use super::*;
 use crate::experiment::study::{Figure, Quick, Reported, find};
-use crate::planner::PlannerName;
 use crate::report::figure::figures;
 use crate::report::{MetricScore, SimulationRow, study_markdown, study_table};
-use crate::simulation::Challenge;
+use planagent_agent::planner::PlannerName;
+use planagent_agent::simulation::Challenge;
 
 /// A simulation of a scene; without a score it failed.
 fn simulation(scene: usize, challenge: Challenge, score: Option<f64>) -> SimulationRow {

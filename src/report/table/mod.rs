@@ -18,7 +18,7 @@ use super::simulation_row::SimulationRow;
 use super::summary::Summary;
 use super::timing::PlannerTiming;
 use super::visible::visible_line;
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::MetricList;
 
 pub use bench::{bench_markdown, bench_table};

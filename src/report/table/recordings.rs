@@ -4,7 +4,7 @@ use super::{Table, or_dash, short};
 use crate::experiment::study::Study;
 use crate::report::SuiteResults;
 use crate::report::number::fixed;
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::METRICS;
 
 /// A row for each recording: the scores of all variants in these challenges, and where the first loses most.

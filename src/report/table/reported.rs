@@ -4,7 +4,7 @@ use super::{Table, or_dash, short, signed};
 use crate::experiment::study::{Reported, Study};
 use crate::report::number::fixed;
 use crate::report::{StudyResults, SuiteResults};
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 
 /// Reported scores, a row for each planner that has some; none without any.
 pub(super) fn reported(study: &Study) -> Option<Table> {

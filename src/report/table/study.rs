@@ -8,7 +8,7 @@ use crate::experiment::study::{Column, Rows, Study, Variant};
 use crate::report::figure::AGREEMENT;
 use crate::report::number::fixed;
 use crate::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use std::fmt::Write as _;
 
 /// The tables for a terminal of 80 columns: one for each suite and challenge.

@@ -1,6 +1,6 @@
 //! What experiments are asked for.
 
-use crate::planner::PlannerRegistry;
+use planagent_agent::planner::PlannerRegistry;
 use planagent_scenario::DataRoots;
 use std::path::PathBuf;
 

@@ -4,7 +4,6 @@
 use super::suites::SelectedSuite;
 use crate::experiment::interactive;
 use crate::experiment::study::Variant;
-use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, LearnedSettings, PlannerNeeds, PlannerRegistry};
 use crate::report::{MANIFEST, RunFolder, SUMMARY, SimulationRow};
 use crate::runner::commands::Commands;
 use crate::runner::config::{Config, MllmConfig};
@@ -14,7 +13,10 @@ use crate::runner::model::{self, OpenModel};
 use crate::runner::run::{Resume, Run, RunPlan};
 use crate::runner::selection::tasks;
 use crate::runner::simulate::manifest;
-use crate::simulation::Challenge;
+use planagent_agent::planner::{
+    DEFAULT_EXEC_TIMEOUT, ExecCommand, LearnedSettings, PlannerNeeds, PlannerRegistry, UsedSettings,
+};
+use planagent_agent::simulation::Challenge;
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::Path;
@@ -197,11 +199,11 @@ impl OpenRuns<'_> {
 /// The part of a configuration that a planner's simulations depend on.
 pub(super) fn relevant(mut config: Config, planner: &str, needs: PlannerNeeds) -> Config {
     config.learned = config.learned.only(planner);
-    match needs {
-        PlannerNeeds::Model => (config.mllm.offline, config.mllm.ignore_memory) = (false, false),
-        PlannerNeeds::Settings | PlannerNeeds::Simulation => config.mllm = MllmConfig::default(),
-        PlannerNeeds::Nothing | PlannerNeeds::Recording => config = Config::default(),
-        PlannerNeeds::Checkpoint => config = Config { learned: config.learned, ..Config::default() },
+    match needs.settings() {
+        UsedSettings::AgentAndModel => (config.mllm.offline, config.mllm.ignore_memory) = (false, false),
+        UsedSettings::Agent => config.mllm = MllmConfig::default(),
+        UsedSettings::None => config = Config::default(),
+        UsedSettings::Checkpoint => config = Config { learned: config.learned, ..Config::default() },
     }
     config
 }

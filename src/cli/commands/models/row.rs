@@ -2,7 +2,7 @@
 
 use super::check::reason;
 use crate::experiment::bench::{CallBudget, ESTIMATED_FORMATS, estimated_seconds};
-use crate::reasoning;
+use planagent_agent::reasoning;
 use planagent_mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec, PromptSet};
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -42,7 +42,7 @@ type BuiltIn = (&'static str, &'static [(&'static str, &'static str)]);
 
 macro_rules! built_in {
     ($name:literal: $($file:literal),*) => {
-        ($name, &[$(($file, include_str!(concat!("../../prompts/", $name, "/", $file)))),*])
+        ($name, &[$(($file, include_str!(concat!("../../../prompts/", $name, "/", $file)))),*])
     };
 }
 

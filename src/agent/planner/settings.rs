@@ -184,7 +184,7 @@ impl LearnedSettings {
     }
 
     /// The checkpoint of one planner alone.
-    pub(crate) fn only(mut self, planner: &str) -> Self {
+    pub fn only(mut self, planner: &str) -> Self {
         self.places().into_iter().filter(|(name, _)| *name != planner).for_each(|(_, place)| *place = None);
         self
     }

@@ -28,6 +28,30 @@ pub enum PlannerNeeds {
     Simulation,
 }
 
+/// The settings that a planner depends on.
+#[doc(hidden)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs, reason = "a part of `PlannerNeeds`")]
+pub enum UsedSettings {
+    None,
+    Checkpoint,
+    Agent,
+    AgentAndModel,
+}
+
+impl PlannerNeeds {
+    /// The settings that a planner with these needs depends on.
+    #[doc(hidden)]
+    pub fn settings(self) -> UsedSettings {
+        match self {
+            Self::Nothing | Self::Recording => UsedSettings::None,
+            Self::Checkpoint => UsedSettings::Checkpoint,
+            Self::Settings | Self::Simulation => UsedSettings::Agent,
+            Self::Model => UsedSettings::AgentAndModel,
+        }
+    }
+}
+
 /// What a planner of one simulation is built from.
 #[derive(Clone, Copy)]
 pub struct PlannerParts<'a> {

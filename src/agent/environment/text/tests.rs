@@ -1,4 +1,4 @@
-#[path = "../../../tests/scene_text/mod.rs"]
+#[path = "../../../../tests/scene_text/mod.rs"]
 mod scene_text;
 
 use super::*;
@@ -45,7 +45,7 @@ fn golden_texts() {
     let narrow = sketch::straight(1, 1, 0, 0.0);
     for (name, drawn) in [("road", road()), ("crossing", crossing()), ("narrow", narrow)] {
         for &set in TextForm::ALL {
-            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/text/{name}.{set}.txt"));
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/golden/text/{name}.{set}.txt"));
             let text = write(&described(&drawn), set) + "\n";
             if update {
                 std::fs::create_dir_all(path.parent().unwrap()).unwrap();

@@ -136,7 +136,7 @@ mod tests {
 
     /// Rows `| name | template | type | meaning | example |` of the first table with these columns.
     fn documented() -> BTreeMap<(String, String), (String, String)> {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/prompts.md");
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/prompts.md");
         let text = std::fs::read_to_string(path).unwrap();
         let rows = text.lines().skip_while(|line| !line.starts_with("| variable | template")).skip(2);
         let rows = rows.take_while(|line| line.starts_with('|'));

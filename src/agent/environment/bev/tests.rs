@@ -28,7 +28,7 @@ fn crossing() -> Drawn {
 }
 
 fn golden(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/bev").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/bev").join(name)
 }
 
 /// Compares with the golden file, or writes it when `PLANAGENT_UPDATE_GOLDEN` is set.

@@ -27,7 +27,33 @@ pub enum Decision {
     Gated(f64),
 }
 
+/// All outcomes of a planning call, for records, which must know each.
+#[doc(hidden)]
+#[derive(Debug, Clone, Copy)]
+#[allow(missing_docs, reason = "those of `Decision`")]
+pub enum DecisionKind<'a> {
+    Execute(usize),
+    Exhausted(usize),
+    KeepActivePlan(&'a NoPlan),
+    Brake(&'a NoPlan),
+    RuleBased(&'a NoPlan),
+    Gated(f64),
+}
+
 impl Decision {
+    /// The outcome as one of all that there are.
+    #[doc(hidden)]
+    pub fn kind(&self) -> DecisionKind<'_> {
+        match self {
+            Self::Execute(attempt) => DecisionKind::Execute(*attempt),
+            Self::Exhausted(attempt) => DecisionKind::Exhausted(*attempt),
+            Self::KeepActivePlan(why) => DecisionKind::KeepActivePlan(why),
+            Self::Brake(why) => DecisionKind::Brake(why),
+            Self::RuleBased(why) => DecisionKind::RuleBased(why),
+            Self::Gated(score) => DecisionKind::Gated(*score),
+        }
+    }
+
     /// The attempt whose plan becomes active.
     pub fn attempt(&self) -> Option<usize> {
         match *self {
@@ -120,6 +146,21 @@ pub struct Proposal {
 }
 
 impl Attempt {
+    /// An attempt that ended after its rounds, for tests of records.
+    #[doc(hidden)]
+    pub fn of_rounds(rounds: Vec<RoundRecord>) -> Self {
+        Self {
+            rounds,
+            instruction: None,
+            answer: None,
+            errors: Vec::new(),
+            reflection: None,
+            proposals: Vec::new(),
+            path: Vec::new(),
+            reflection_ms: 0.0,
+        }
+    }
+
     /// The line as it was read, in text.
     pub fn line(&self) -> Option<String> {
         self.answer.as_ref().map(ToString::to_string)
@@ -164,7 +205,8 @@ pub struct PlanningCall {
     /// The lane-graph text.
     pub scene_text: Option<String>,
     /// The forms of scene text and answers; `None` where no model was asked.
-    pub(crate) forms: Option<PromptForms>,
+    #[doc(hidden)]
+    pub forms: Option<PromptForms>,
     /// The attempts, in order.
     pub attempts: Vec<Attempt>,
     /// The outcome.
@@ -184,7 +226,8 @@ pub struct PlanningCall {
 
 impl PlanningCall {
     /// A call at an iteration and a time that ended before the first attempt.
-    pub(super) fn without_attempts((iteration, at_s): (usize, f64), decision: Decision, total_ms: f64) -> Self {
+    #[doc(hidden)]
+    pub fn without_attempts((iteration, at_s): (usize, f64), decision: Decision, total_ms: f64) -> Self {
         Self {
             iteration,
             at_s,

@@ -46,8 +46,8 @@ pub use name::PlannerName;
 pub use pdm_closed::PdmClosed;
 pub use pdm_closed_plus::PdmClosedPlus;
 pub use plan_agent::PlanAgent;
-pub use record::{Attempt, Decision, NoPlan, PlanningCall, Proposal, feedback};
-pub use registry::{PlannerEntry, PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner};
+pub use record::{Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal, feedback};
+pub use registry::{PlannerEntry, PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner, UsedSettings};
 pub use settings::{
     AfterMaxExec, CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings,
 };
