@@ -119,8 +119,6 @@ pub mod cli;
 
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod experiment;
-#[cfg(all(feature = "learned", not(feature = "internals")))]
-mod learned;
 mod planners;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod report;
@@ -130,9 +128,6 @@ mod runner;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod experiment;
-#[cfg(all(feature = "learned", feature = "internals"))]
-#[doc(hidden)]
-pub mod learned;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod report;
@@ -170,12 +165,14 @@ pub mod bindings {
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {
-    pub use crate::{cli, experiment, learned, report, runner};
+    pub use crate::{cli, experiment, report, runner};
     pub use planagent_agent::environment;
     pub use planagent_agent::planner;
     pub use planagent_agent::reasoning;
     pub use planagent_agent::reflection;
     pub use planagent_agent::simulation;
+    #[cfg(feature = "learned")]
+    pub use planagent_learned as learned;
     pub use planagent_scenario as scenario;
     pub use planagent_score::metrics;
     pub use planagent_score::pdm;

@@ -6,6 +6,6 @@ use planagent_agent::planner::PlannerRegistry;
 pub fn all_planners() -> PlannerRegistry {
     let registry = PlannerRegistry::default();
     #[cfg(feature = "learned")]
-    let registry = crate::learned::entries().fold(registry, PlannerRegistry::with);
+    let registry = planagent_learned::entries().fold(registry, PlannerRegistry::with);
     registry
 }

@@ -17,7 +17,7 @@ const MIN_PARALLEL_PRODUCTS: usize = 1 << 18;
 
 /// Keys and values of heads, in the kernel's order; zeros fill the last vectors.
 #[derive(Debug)]
-pub(in crate::learned) struct Memory {
+pub(crate) struct Memory {
     batch: usize,
     heads: usize,
     /// Numbers of a head's key.
@@ -32,7 +32,7 @@ pub(in crate::learned) struct Memory {
 
 impl Memory {
     /// Of keys and values (B, K, heads · width).
-    pub(in crate::learned) fn pack(keys: &Tensor, values: &Tensor, heads: usize) -> Result<Self> {
+    pub(crate) fn pack(keys: &Tensor, values: &Tensor, heads: usize) -> Result<Self> {
         let (batch, count, all) = keys.dims3()?;
         let width = all / heads;
         if keys.dims() != values.dims() || width * heads != all || count == 0 {
@@ -76,7 +76,7 @@ impl Memory {
 
     /// What queries (B, Q, heads · width) hear, in their shape; `bias`, which has the shape (B, heads, Q, K) or ones in the place of
     /// the first three, is added to the logits.
-    pub(in crate::learned) fn hear(&self, queries: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
+    pub(crate) fn hear(&self, queries: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
         let (batch, count, all) = queries.dims3()?;
         if batch != self.batch || all != self.heads * self.width {
             bail!(

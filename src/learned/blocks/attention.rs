@@ -5,7 +5,7 @@ use candle_core::{Device, Result, Tensor};
 
 /// Attention of several heads with projections of queries, keys, values and the result.
 #[derive(Debug, Clone)]
-pub(in crate::learned) struct MultiheadAttention {
+pub(crate) struct MultiheadAttention {
     heads: usize,
     projections: [Linear; 3],
     output: Linear,
@@ -13,7 +13,7 @@ pub(in crate::learned) struct MultiheadAttention {
 
 impl MultiheadAttention {
     /// Takes `NAME.in_proj_weight`, `NAME.in_proj_bias` and `NAME.out_proj`.
-    pub(in crate::learned) fn take(weights: &mut Weights, name: &str, width: usize, heads: usize) -> Result<Self> {
+    pub(crate) fn take(weights: &mut Weights, name: &str, width: usize, heads: usize) -> Result<Self> {
         let weight = weights.take(&format!("{name}.in_proj_weight"), &[3 * width, width])?;
         let bias = weights.take(&format!("{name}.in_proj_bias"), &[3 * width])?;
         let part = |i: usize| {
@@ -25,37 +25,33 @@ impl MultiheadAttention {
 
     /// Queries (B, Q, E), keys and values (B, K, E); `bias`, which has the shape (B, heads, Q, K) or ones in the place of the first
     /// three, is added to the logits.
-    pub(in crate::learned) fn forward(
-        &self,
-        [query, key, value]: [&Tensor; 3],
-        bias: Option<&Tensor>,
-    ) -> Result<Tensor> {
+    pub(crate) fn forward(&self, [query, key, value]: [&Tensor; 3], bias: Option<&Tensor>) -> Result<Tensor> {
         self.hear(query, &self.memory(key, value)?, bias)
     }
 
     /// Keys and values (B, K, E) that several queries may hear.
-    pub(in crate::learned) fn memory(&self, key: &Tensor, value: &Tensor) -> Result<Memory> {
+    pub(crate) fn memory(&self, key: &Tensor, value: &Tensor) -> Result<Memory> {
         Memory::pack(&self.projected(1, key)?, &self.projected(2, value)?, self.heads)
     }
 
     /// As [`Self::forward`], of queries that hear a memory.
-    pub(in crate::learned) fn hear(&self, query: &Tensor, memory: &Memory, bias: Option<&Tensor>) -> Result<Tensor> {
+    pub(crate) fn hear(&self, query: &Tensor, memory: &Memory, bias: Option<&Tensor>) -> Result<Tensor> {
         self.output(&memory.hear(&self.projected(0, query)?, bias)?)
     }
 
     /// Rows (…, E) as queries (0), keys (1) or values (2) of all heads.
-    pub(in crate::learned) fn projected(&self, part: usize, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn projected(&self, part: usize, x: &Tensor) -> Result<Tensor> {
         self.projections[part].forward(x)
     }
 
     /// The result of what the heads heard (…, E); of zeros, where all keys are hidden.
-    pub(in crate::learned) fn output(&self, heard: &Tensor) -> Result<Tensor> {
+    pub(crate) fn output(&self, heard: &Tensor) -> Result<Tensor> {
         self.output.forward(heard)
     }
 }
 
 /// The bias (B, 1, 1, K) that hides the keys whose mask (B, K) is 0.
-pub(in crate::learned) fn key_bias(valid: &Tensor) -> Result<Tensor> {
+pub(crate) fn key_bias(valid: &Tensor) -> Result<Tensor> {
     let (batch, keys) = valid.dims2()?;
     let hidden = Tensor::full(f32::NEG_INFINITY, (batch, keys), &Device::Cpu)?;
     valid.where_cond(&hidden.zeros_like()?, &hidden)?.reshape((batch, 1, 1, keys))

@@ -8,12 +8,12 @@ use rayon::prelude::*;
 const MIN_PARALLEL: usize = 1 << 16;
 
 /// The largest numbers of each group (…, rows, width), column by column: (…, width).
-pub(in crate::learned) fn largest(x: &Tensor) -> Result<Tensor> {
+pub(crate) fn largest(x: &Tensor) -> Result<Tensor> {
     pooled(x, |_| None)
 }
 
 /// As [`largest`], where a row counts as `hidden` if its mask (…, rows) is 0.
-pub(in crate::learned) fn largest_where(x: &Tensor, mask: &Tensor, hidden: f32) -> Result<Tensor> {
+pub(crate) fn largest_where(x: &Tensor, mask: &Tensor, hidden: f32) -> Result<Tensor> {
     let mask = mask.flatten_all()?.to_vec1::<u8>()?;
     pooled(x, |row| (mask.get(row).copied() == Some(0)).then_some(hidden))
 }

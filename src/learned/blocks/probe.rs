@@ -23,7 +23,7 @@ impl Probe {
     }
 
     /// Notes a result. A name that is noted again gets `#1`, `#2` and so on.
-    pub(in crate::learned) fn note(&self, name: &str, result: &Tensor) {
+    pub(crate) fn note(&self, name: &str, result: &Tensor) {
         let Some(kept) = &self.kept else { return };
         let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
         let mut key = name.to_owned();
@@ -36,7 +36,7 @@ impl Probe {
     }
 
     /// Notes a result that nothing else needs.
-    pub(in crate::learned) fn note_with(
+    pub(crate) fn note_with(
         &self,
         name: &str,
         result: impl FnOnce() -> candle_core::Result<Tensor>,

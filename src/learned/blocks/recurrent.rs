@@ -19,18 +19,18 @@ fn gates(weights: &mut Weights, name: &str, layer: usize, [inputs, width, gates]
 
 /// PyTorch's `GRU` of one layer.
 #[derive(Debug, Clone)]
-pub(in crate::learned) struct Gru {
+pub(crate) struct Gru {
     width: usize,
     gates: [Linear; 2],
 }
 
 impl Gru {
-    pub(in crate::learned) fn take(weights: &mut Weights, name: &str, inputs: usize, width: usize) -> Result<Self> {
+    pub(crate) fn take(weights: &mut Weights, name: &str, inputs: usize, width: usize) -> Result<Self> {
         Ok(Self { width, gates: gates(weights, name, 0, [inputs, width, 3])? })
     }
 
     /// The state after the first `lengths` steps of each of the sequences (N, T, inputs), or after all; zeros for length 0.
-    pub(in crate::learned) fn last(&self, x: &Tensor, lengths: Option<&[usize]>) -> Result<Tensor> {
+    pub(crate) fn last(&self, x: &Tensor, lengths: Option<&[usize]>) -> Result<Tensor> {
         let (rows, steps, _) = x.dims3()?;
         let [of_input, of_state] = &self.gates;
         let inputs = of_input.forward(&x.transpose(0, 1)?)?;
@@ -86,24 +86,20 @@ impl<R: Fn(usize) -> bool> Kernel for GruCell<'_, R> {
 
 /// PyTorch's `LSTM` of several layers.
 #[derive(Debug, Clone)]
-pub(in crate::learned) struct Lstm {
+pub(crate) struct Lstm {
     width: usize,
     layers: Vec<[Linear; 2]>,
 }
 
 impl Lstm {
-    pub(in crate::learned) fn take(
-        weights: &mut Weights,
-        name: &str,
-        [inputs, width, layers]: [usize; 3],
-    ) -> Result<Self> {
+    pub(crate) fn take(weights: &mut Weights, name: &str, [inputs, width, layers]: [usize; 3]) -> Result<Self> {
         let inputs = |layer: usize| if layer == 0 { inputs } else { width };
         let layers = (0..layers).map(|layer| gates(weights, name, layer, [inputs(layer), width, 4]));
         Ok(Self { width, layers: layers.collect::<Result<_>>()? })
     }
 
     /// The output of the last step of sequences (N, T, inputs).
-    pub(in crate::learned) fn last(&self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn last(&self, x: &Tensor) -> Result<Tensor> {
         let (rows, steps, _) = x.dims3()?;
         let mut sequence = x.transpose(0, 1)?;
         let mut state = Tensor::zeros((rows, self.width), DType::F32, &Device::Cpu)?;

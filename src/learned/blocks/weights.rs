@@ -30,7 +30,7 @@ impl Weights {
     }
 
     /// The tensor of this name as f32. A missing one is noted, and zeros take its place until [`Weights::finish`].
-    pub(in crate::learned) fn take(&mut self, name: &str, shape: &[usize]) -> candle_core::Result<Tensor> {
+    pub(crate) fn take(&mut self, name: &str, shape: &[usize]) -> candle_core::Result<Tensor> {
         self.manifest.push((name.to_owned(), shape.to_vec()));
         match self.left.remove(name) {
             Some(tensor) if tensor.dims() == shape => return tensor.to_dtype(DType::F32)?.contiguous(),
@@ -43,7 +43,7 @@ impl Weights {
     }
 
     /// Takes a tensor that the network computes by itself; only its name and shape are checked.
-    pub(in crate::learned) fn skip(&mut self, name: &str, shape: &[usize]) -> candle_core::Result<()> {
+    pub(crate) fn skip(&mut self, name: &str, shape: &[usize]) -> candle_core::Result<()> {
         self.take(name, shape).map(|_| ())
     }
 

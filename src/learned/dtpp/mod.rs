@@ -9,6 +9,6 @@ mod tree;
 
 pub use network::{Dtpp, DtppConfig, DtppOutputs};
 pub use paths::{CostedPath, costed_paths, paths};
-pub(in crate::learned) use planner::entries;
+pub(crate) use planner::entries;
 pub use speed_profile::{NoTrajectory, Step, first_stage, profile, second_stage};
 pub use tree::{ScoredTree, TreeError, scored_tree};

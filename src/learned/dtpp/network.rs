@@ -1,8 +1,8 @@
 //! Futures of the other agents for each branch of a tree of ego trajectories, and the branches' scores.
 
 use super::scorer::Scorer;
-use crate::learned::blocks::{Linear, Mlp, Probe, Weights, largest};
-use crate::learned::gameformer::{Block, EncodedScene, HEADS, SceneEncoder, SceneInputs};
+use crate::blocks::{Linear, Mlp, Probe, Weights, largest};
+use crate::gameformer::{Block, EncodedScene, HEADS, SceneEncoder, SceneInputs};
 use candle_core::{D, Device, Result, Tensor};
 use rayon::prelude::*;
 

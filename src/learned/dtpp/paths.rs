@@ -1,6 +1,6 @@
 //! DTPP's candidate paths (`MCZhi/DTPP` `trajectory_tree_planner.py`).
 
-use crate::learned::lattice::{
+use crate::lattice::{
     Course, MAX_ROWS, bent, candidates, course, curvature, every_tenth, long_enough, starting_block, starting_lanes,
 };
 use planagent_world::geometry::{Corridor, Point, Polyline};

@@ -3,9 +3,9 @@
 use super::network::{Dtpp, DtppConfig, STEPS};
 use super::paths::paths;
 use super::tree::{TreeError, scored_tree};
-use crate::learned::gameformer::ActorFeatures;
-use crate::learned::slot::{Slot, learned_entry};
-use crate::learned::{network_failed, prediction};
+use crate::gameformer::ActorFeatures;
+use crate::slot::{Slot, learned_entry};
+use crate::{network_failed, prediction};
 use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_world::{STEP_US, Trajectory};
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 const RADIUS: f64 = 80.0;
 
 /// The planners `dtpp` and `dtpp-small`.
-pub(in crate::learned) fn entries() -> [PlannerEntry; 2] {
+pub(crate) fn entries() -> [PlannerEntry; 2] {
     let published = Slot::new("DTPP", |weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
     let small = Slot::new("DTPP (small)", |weights| Dtpp::take(weights, DtppConfig::SMALL));
     [("dtpp", "DTPP, a learned planner", published), ("dtpp-small", "DTPP in a small shape", small)].map(

@@ -1,7 +1,7 @@
 //! Scores of branches: comfort and progress by formula, interaction by a network, and nearness to the agents.
 
 use super::network::{COLUMNS, STEPS};
-use crate::learned::blocks::{Linear, Mlp, Probe, Weights, largest};
+use crate::blocks::{Linear, Mlp, Probe, Weights, largest};
 use candle_core::{D, Device, Result, Tensor};
 use rayon::prelude::*;
 

@@ -1,7 +1,7 @@
 //! Trajectories along a path with a cubic speed profile (`spline_planner.py`); in f32, as upstream.
 
 use super::network::COLUMNS;
-use crate::learned::lattice::{Course, ROW};
+use crate::lattice::{Course, ROW};
 
 /// A step: x, y, heading, speed, acceleration, curvature.
 pub type Step = [f32; COLUMNS];

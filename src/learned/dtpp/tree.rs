@@ -2,9 +2,9 @@
 
 use super::network::{COLUMNS, Dtpp, STEPS};
 use super::speed_profile::{FIRST_S, NoTrajectory, STEPS_PER_S, Step, first_stage, second_stage};
-use crate::learned::blocks::Probe;
-use crate::learned::gameformer::SceneInputs;
-use crate::learned::lattice::Course;
+use crate::blocks::Probe;
+use crate::gameformer::SceneInputs;
+use crate::lattice::Course;
 use candle_core::{Device, Tensor};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;

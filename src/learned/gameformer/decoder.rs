@@ -1,7 +1,7 @@
 //! GameFormer's decoder: futures of all actors, level by level; each level answers those of the level before.
 
 use super::encoder::{Block, EncodedScene};
-use crate::learned::blocks::{Linear, Mlp, Probe, Weights, key_bias, largest, softmax};
+use crate::blocks::{Linear, Mlp, Probe, Weights, key_bias, largest, softmax};
 use candle_core::{D, DType, Device, Result, Tensor};
 
 /// Poses of a future, 0.1 s apart.

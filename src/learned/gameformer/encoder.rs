@@ -1,12 +1,12 @@
 //! The encoder of GameFormer and DTPP: actors and pieces of map lines as tokens of one transformer.
 
-use crate::learned::blocks::{
+use crate::blocks::{
     LayerNorm, Linear, Lstm, Memory, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias, largest,
 };
 use candle_core::{D, Device, Result, Tensor};
 
 /// Heads of all attention layers.
-pub(in crate::learned) const HEADS: usize = 8;
+pub(crate) const HEADS: usize = 8;
 /// Layers of the LSTM of actors.
 const LSTM_LAYERS: usize = 2;
 /// Columns of a step of the ego and of another actor.
@@ -46,7 +46,7 @@ pub struct EncodedScene {
 
 /// Encodes a scene.
 #[derive(Debug, Clone)]
-pub(in crate::learned) struct SceneEncoder {
+pub(crate) struct SceneEncoder {
     neighbors: Lstm,
     ego: Lstm,
     lanes: MapEncoder,
@@ -56,7 +56,7 @@ pub(in crate::learned) struct SceneEncoder {
 
 impl SceneEncoder {
     /// Takes the parameters below a prefix, which ends with a dot or is empty.
-    pub(in crate::learned) fn take(weights: &mut Weights, prefix: &str, dim: usize, layers: usize) -> Result<Self> {
+    pub(crate) fn take(weights: &mut Weights, prefix: &str, dim: usize, layers: usize) -> Result<Self> {
         let mut lstm = |name: &str, inputs: usize| {
             Lstm::take(weights, &format!("{prefix}{name}.motion"), [inputs, dim, LSTM_LAYERS])
         };
@@ -76,7 +76,7 @@ impl SceneEncoder {
     ///
     /// # Errors
     /// When an input has another shape.
-    pub(in crate::learned) fn forward(&self, inputs: &SceneInputs, probe: &Probe) -> Result<EncodedScene> {
+    pub(crate) fn forward(&self, inputs: &SceneInputs, probe: &Probe) -> Result<EncodedScene> {
         let (batch, count, steps, columns) = inputs.neighbors.dims4()?;
         let histories = inputs.neighbors.reshape((batch * count, steps, columns))?;
         let map = || -> Result<_> {
@@ -184,19 +184,14 @@ impl Layer {
 
 /// Attention, and an MLP around which alone there is a residual; or with a residual around both.
 #[derive(Debug, Clone)]
-pub(in crate::learned) struct Block {
+pub(crate) struct Block {
     attention: MultiheadAttention,
     norms: [LayerNorm; 2],
     mlp: [Linear; 2],
 }
 
 impl Block {
-    pub(in crate::learned) fn take(
-        weights: &mut Weights,
-        name: &str,
-        attention: &str,
-        [dim, inner]: [usize; 2],
-    ) -> Result<Self> {
+    pub(crate) fn take(weights: &mut Weights, name: &str, attention: &str, [dim, inner]: [usize; 2]) -> Result<Self> {
         Ok(Self {
             attention: MultiheadAttention::take(weights, &format!("{name}.{attention}"), dim, HEADS)?,
             norms: [
@@ -211,22 +206,22 @@ impl Block {
     }
 
     /// Queries that hear a memory, without a residual around the attention.
-    pub(in crate::learned) fn cross(&self, query: &Tensor, memory: &Tensor, bias: &Tensor) -> Result<Tensor> {
+    pub(crate) fn cross(&self, query: &Tensor, memory: &Tensor, bias: &Tensor) -> Result<Tensor> {
         self.hear(query, &self.memory(memory)?, bias)
     }
 
     /// A memory that several queries may hear.
-    pub(in crate::learned) fn memory(&self, memory: &Tensor) -> Result<Memory> {
+    pub(crate) fn memory(&self, memory: &Tensor) -> Result<Memory> {
         self.attention.memory(memory, memory)
     }
 
     /// As [`Self::cross`].
-    pub(in crate::learned) fn hear(&self, query: &Tensor, memory: &Memory, bias: &Tensor) -> Result<Tensor> {
+    pub(crate) fn hear(&self, query: &Tensor, memory: &Memory, bias: &Tensor) -> Result<Tensor> {
         self.rest(&self.attention.hear(query, memory, Some(bias))?)
     }
 
     /// Tokens that hear each other.
-    pub(in crate::learned) fn own(&self, x: &Tensor, bias: &Tensor) -> Result<Tensor> {
+    pub(crate) fn own(&self, x: &Tensor, bias: &Tensor) -> Result<Tensor> {
         self.rest(&(x + self.attention.forward([x, x, x], Some(bias))?)?)
     }
 

@@ -1,8 +1,8 @@
 //! The features of GameFormer and DTPP (`MCZhi/GameFormer-Planner` `observation.py`, `MCZhi/DTPP` `obs_adapter.py`).
 
 use super::encoder::SceneInputs;
-use crate::learned::frame::{relative, rounded, single};
-use crate::learned::past;
+use crate::frame::{relative, rounded, single};
+use crate::past;
 use candle_core::{Device, Result, Tensor};
 use planagent_world::geometry::{OrientedBox, Point, Pose, unwrap_angles};
 use planagent_world::{

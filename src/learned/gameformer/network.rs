@@ -3,7 +3,7 @@
 use super::decoder::{Decoder, Level};
 use super::encoder::{SceneEncoder, SceneInputs};
 use super::plan::PlanHead;
-use crate::learned::blocks::{Probe, Weights};
+use crate::blocks::{Probe, Weights};
 use candle_core::{Result, Tensor};
 
 /// Widths and counts of a GameFormer.

@@ -1,7 +1,7 @@
 //! Where the predicted agents are along the reference path, and when (`occupancy_adapter.py`).
 
 use super::reference_path::ReferencePath;
-use crate::learned::lattice::{MAX_ROWS, ROW};
+use crate::lattice::{MAX_ROWS, ROW};
 use planagent_world::PACIFICA;
 
 /// Steps that refinement reads, 0.1 s apart.

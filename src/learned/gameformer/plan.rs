@@ -2,7 +2,7 @@
 
 use super::decoder::POSES;
 use super::encoder::{Block, MapEncoder};
-use crate::learned::blocks::{Linear, Probe, Weights, key_bias};
+use crate::blocks::{Linear, Probe, Weights, key_bias};
 use candle_core::{D, Device, IndexOp, Result, Tensor};
 
 /// Columns and points of a route lane.

@@ -5,10 +5,10 @@ use super::network::{GameFormer, GameFormerConfig, GameFormerOutputs};
 use super::occupancy::{PredictedAgent, nearest_row, occupancy};
 use super::reference_path::{ReferencePath, reference_path};
 use super::refinement::Refinement;
-use crate::learned::blocks::Probe;
-use crate::learned::lattice::ROW;
-use crate::learned::slot::{Slot, learned_entry};
-use crate::learned::{network_failed, prediction};
+use crate::blocks::Probe;
+use crate::lattice::ROW;
+use crate::slot::{Slot, learned_entry};
+use crate::{network_failed, prediction};
 use candle_core::{IndexOp, Result};
 use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_world::{STEP_S, STEP_US, Trajectory};
@@ -21,7 +21,7 @@ const SPEED: usize = 3;
 const ACCELERATION: usize = 5;
 
 /// The planners `gameformer` and `gameformer-small`.
-pub(in crate::learned) fn entries() -> [PlannerEntry; 2] {
+pub(crate) fn entries() -> [PlannerEntry; 2] {
     let published = Slot::new("GameFormer", |weights| GameFormer::take(weights, GameFormerConfig::PUBLISHED));
     let small = Slot::new("GameFormer (small)", |weights| GameFormer::take(weights, GameFormerConfig::SMALL));
     [

@@ -1,6 +1,6 @@
 //! GameFormer's reference path (`MCZhi/GameFormer-Planner` `planner.py`, `state_lattice_path_planner.py`).
 
-use crate::learned::lattice::{
+use crate::lattice::{
     Candidate, Course, MAX_ROWS, bent, candidates, course, curvature, every_tenth, long_enough, relative_course,
     starting_block, starting_lanes,
 };

@@ -2,7 +2,7 @@
 
 use super::encoder::{Encodings, WIDTH};
 use super::network::TRAVERSAL;
-use crate::learned::blocks::{Linear, MultiheadAttention, Weights};
+use crate::blocks::{Linear, MultiheadAttention, Weights};
 use candle_core::{Device, Result, Tensor};
 use planagent_kernels::matrix::{Instructions, Kernel, Simd};
 use planagent_kernels::pointwise::exp_or_zero;

@@ -1,7 +1,7 @@
 //! Encodings of the ego, the agents and the lane graph.
 
 use super::network::GcPgpInputs;
-use crate::learned::blocks::{Gru, Linear, MultiheadAttention, Probe, Weights, leaky_relu};
+use crate::blocks::{Gru, Linear, MultiheadAttention, Probe, Weights, leaky_relu};
 use candle_core::{D, DType, Device, Result, Tensor};
 
 /// Width of an embedded step, and of an encoding.

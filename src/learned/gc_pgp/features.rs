@@ -2,8 +2,8 @@
 
 use super::lane_graph::{LaneNodes, POSES};
 use super::network::GcPgpInputs;
-use crate::learned::frame::relative;
-use crate::learned::past;
+use crate::frame::relative;
+use crate::past;
 use candle_core::{Device, Result, Tensor};
 use planagent_score::metrics::{MetricError, SavitzkyGolay};
 use planagent_world::{HistorySample, MICROS_PER_SECOND, ObjectKind, SceneView, TrackedObject};

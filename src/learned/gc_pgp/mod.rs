@@ -16,7 +16,7 @@ pub use clusters::{Clusters, ranks, scores};
 pub use features::{AgentSteps, GcPgpFeatures};
 pub use lane_graph::{LaneNodes, Node};
 pub use network::{GcPgp, GcPgpInputs, GcPgpScene};
-pub(in crate::learned) use planner::entry;
+pub(crate) use planner::entry;
 pub use traversals::Walks;
 pub use visited::{Visited, visited};
 pub use waypoints::poses;

@@ -2,7 +2,7 @@
 
 use super::aggregator::{Aggregator, CONTEXT};
 use super::encoder::{Encoder, Encodings, WIDTH};
-use crate::learned::blocks::{Linear, Probe, Weights, leaky_relu};
+use crate::blocks::{Linear, Probe, Weights, leaky_relu};
 use candle_core::{D, DType, Device, Result, Tensor};
 
 /// Steps of a traversal.

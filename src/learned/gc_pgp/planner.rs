@@ -5,9 +5,9 @@ use super::features::GcPgpFeatures;
 use super::network::{GcPgp, GcPgpInputs, LATENT, POSES};
 use super::traversals::{Walks, normal};
 use super::waypoints::poses;
-use crate::learned::blocks::Probe;
-use crate::learned::slot::{Slot, learned_entry};
-use crate::learned::{network_failed, prediction};
+use crate::blocks::Probe;
+use crate::slot::{Slot, learned_entry};
+use crate::{network_failed, prediction};
 use candle_core::{Device, Result, Tensor};
 use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_world::Trajectory;
@@ -25,7 +25,7 @@ const SEED: u64 = 0;
 const NAME: &str = "gc-pgp";
 
 /// The planner `gc-pgp`.
-pub(in crate::learned) fn entry() -> PlannerEntry {
+pub(crate) fn entry() -> PlannerEntry {
     let slot = Slot::new("GC-PGP", GcPgp::take);
     learned_entry(NAME, "GC-PGP, a learned planner", slot, |network| Box::new(GcPgpPlanner { network }))
 }

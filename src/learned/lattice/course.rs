@@ -3,9 +3,9 @@
 use planagent_world::geometry::{Point, Pose, wrap_angle};
 
 /// Distance between two rows, meters.
-pub(in crate::learned) const ROW: f64 = 0.1;
+pub(crate) const ROW: f64 = 0.1;
 /// Maximum number of rows.
-pub(in crate::learned) const MAX_ROWS: usize = 1200;
+pub(crate) const MAX_ROWS: usize = 1200;
 /// One point in this many carries the spline.
 const STRIDE: usize = 10;
 
@@ -13,7 +13,7 @@ const STRIDE: usize = 10;
 pub type Course = Vec<[f64; 4]>;
 
 /// The points of a path that carry its spline.
-pub(in crate::learned) fn every_tenth(path: &[Point]) -> Vec<Point> {
+pub(crate) fn every_tenth(path: &[Point]) -> Vec<Point> {
     path.iter().step_by(STRIDE).copied().collect()
 }
 
@@ -41,7 +41,7 @@ pub fn course(points: &[Point]) -> Option<Course> {
 }
 
 /// A course in the frame of the ego, at most 120 m long.
-pub(in crate::learned) fn relative_course(course: &[[f64; 4]], ego: Pose) -> Course {
+pub(crate) fn relative_course(course: &[[f64; 4]], ego: Pose) -> Course {
     let local = |&[x, y, heading, curvature]: &[f64; 4]| {
         let place = ego.to_local(Point::new(x, y));
         [place.x, place.y, wrap_angle(heading - ego.heading), curvature]

@@ -8,6 +8,6 @@ mod route;
 
 pub use bent::{bent, curvature};
 pub use course::{Course, course};
-pub(in crate::learned) use course::{MAX_ROWS, ROW, every_tenth, relative_course};
-pub(in crate::learned) use route::long_enough;
+pub(crate) use course::{MAX_ROWS, ROW, every_tenth, relative_course};
+pub(crate) use route::long_enough;
 pub use route::{Candidate, candidates, starting_block, starting_lanes};

@@ -131,7 +131,7 @@ fn candidate(scene: &SceneView<'_>, lanes: Vec<LaneId>) -> Option<Candidate> {
 }
 
 /// Candidates of at least this length, meters; where all are shorter, the longest.
-pub(in crate::learned) fn long_enough(candidates: Vec<Candidate>, acceptable: f64) -> Vec<Candidate> {
+pub(crate) fn long_enough(candidates: Vec<Candidate>, acceptable: f64) -> Vec<Candidate> {
     let longest = candidates.iter().map(|candidate| candidate.length).fold(0.0, f64::max);
     candidates.into_iter().filter(|candidate| candidate.length >= acceptable.min(longest)).collect()
 }

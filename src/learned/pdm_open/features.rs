@@ -1,8 +1,8 @@
 //! The features of PDM-Open and PDM-Offset (`tuplan_garage` `pdm_feature_builder.py`, `pdm_feature_utils.py`).
 
 use super::network::{CENTERLINE, HISTORY, POSES, PdmInputs};
-use crate::learned::frame::relative;
-use crate::learned::past;
+use crate::frame::relative;
+use crate::past;
 use candle_core::{Device, Result, Tensor};
 use planagent_score::metrics::{ComfortQuantity, MetricError};
 use planagent_score::pdm::PdmPath;

@@ -4,10 +4,10 @@
 use super::features::PdmFeatures;
 use super::network::{HIDDEN, POSES, PdmNetwork};
 use super::route::PdmRoute;
-use crate::learned::blocks::Probe;
-use crate::learned::frame::relative;
-use crate::learned::slot::{Slot, learned_entry};
-use crate::learned::{network_failed, prediction};
+use crate::blocks::Probe;
+use crate::frame::relative;
+use crate::slot::{Slot, learned_entry};
+use crate::{network_failed, prediction};
 use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_score::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
 use planagent_world::geometry::Pose;
@@ -19,7 +19,7 @@ const UNCORRECTED_US: i64 = 2_000_000;
 const NAME: &str = "pdm-hybrid";
 
 /// The planner `pdm-hybrid`.
-pub(in crate::learned) fn entry() -> PlannerEntry {
+pub(crate) fn entry() -> PlannerEntry {
     let slot = Slot::new("PDM-Offset", |weights| PdmNetwork::offset(weights, HIDDEN));
     learned_entry(NAME, "PDM-Hybrid, PDM-Closed with a learned correction", slot, |network| {
         Box::new(PdmHybrid { network, memory: PdmMemory::default(), route: PdmRoute::default() })

@@ -8,7 +8,7 @@ mod planner;
 mod route;
 
 pub use features::PdmFeatures;
-pub(in crate::learned) use hybrid::entry as hybrid_entry;
+pub(crate) use hybrid::entry as hybrid_entry;
 pub use hybrid::{fused, sampled};
 pub use network::{HIDDEN, PdmInputs, PdmNetwork};
-pub(in crate::learned) use planner::entry;
+pub(crate) use planner::entry;

@@ -1,6 +1,6 @@
 //! The networks of PDM-Open and PDM-Offset (`tuplan_garage` `pdm_open_model.py`, `pdm_offset_model.py`).
 
-use crate::learned::blocks::{Linear, Probe, Weights, relu};
+use crate::blocks::{Linear, Probe, Weights, relu};
 use candle_core::{Result, Tensor};
 
 /// Samples of the ego's history.

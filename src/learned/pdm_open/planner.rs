@@ -3,9 +3,9 @@
 use super::features::PdmFeatures;
 use super::network::{HIDDEN, PdmNetwork};
 use super::route::PdmRoute;
-use crate::learned::blocks::Probe;
-use crate::learned::slot::{Slot, learned_entry};
-use crate::learned::{network_failed, prediction};
+use crate::blocks::Probe;
+use crate::slot::{Slot, learned_entry};
+use crate::{network_failed, prediction};
 use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_world::Trajectory;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use std::sync::Arc;
 const NAME: &str = "pdm-open";
 
 /// The planner `pdm-open`.
-pub(in crate::learned) fn entry() -> PlannerEntry {
+pub(crate) fn entry() -> PlannerEntry {
     let slot = Slot::new("PDM-Open", |weights| PdmNetwork::open(weights, HIDDEN));
     learned_entry(NAME, "PDM-Open, a learned planner", slot, |network| {
         Box::new(PdmOpen { network, route: PdmRoute::default() })

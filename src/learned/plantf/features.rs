@@ -2,7 +2,7 @@
 
 use super::map_features::MapFeatures;
 use super::network::{HISTORY, PlanTfInputs};
-use crate::learned::past;
+use crate::past;
 use candle_core::{Device, Result, Tensor};
 use planagent_world::geometry::{Point, Pose, Vector, wrap_angle};
 use planagent_world::{EgoState, HistorySample, PACIFICA, RoadblockId, STEP_S, SceneView, TrackToken, TrackedObject};

@@ -1,7 +1,7 @@
 //! PlanTF's encoder of an agent's history: neighborhood attention at three time scales, joined from coarse to fine.
 
 use super::network::{PlanTfInputs, names};
-use crate::learned::blocks::{Conv1d, LayerNorm, Linear, Memory, Probe, Weights, gelu};
+use crate::blocks::{Conv1d, LayerNorm, Linear, Memory, Probe, Weights, gelu};
 use candle_core::{D, DType, Device, Result, Tensor};
 
 /// Columns of a step: Δposition, Δvelocity, cosine and sine of the turn, width, length, seen.

@@ -1,7 +1,7 @@
 //! Tokens of lanes, connectors and crosswalks.
 
 use super::network::{PlanTfMap, names};
-use crate::learned::blocks::{BatchNorm, GroupLinear, Linear, Mlp, Probe, Weights, largest_where, relu};
+use crate::blocks::{BatchNorm, GroupLinear, Linear, Mlp, Probe, Weights, largest_where, relu};
 use candle_core::{DType, Result, Tensor};
 
 /// Columns of a point: offset from the center, vector, cosine and sine.

@@ -11,4 +11,4 @@ mod planner;
 pub use features::{AgentHistory, PlanTfFeatures};
 pub use map_features::{LineFeatures, MapFeatures, PolygonFeatures, VECTORS};
 pub use network::{PlanTf, PlanTfConfig, PlanTfInputs, PlanTfMap, PlanTfOutputs};
-pub(in crate::learned) use planner::entry;
+pub(crate) use planner::entry;

@@ -2,7 +2,7 @@
 
 use super::history_encoder::HistoryEncoder;
 use super::map_encoder::MapEncoder;
-use crate::learned::blocks::{LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias, relu};
+use crate::blocks::{LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias, relu};
 use candle_core::{D, DType, Result, Tensor};
 
 /// Samples of the history, 0.1 s apart, the present included.

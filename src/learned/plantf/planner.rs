@@ -2,9 +2,9 @@
 
 use super::features::PlanTfFeatures;
 use super::network::{PlanTf, PlanTfConfig, PlanTfOutputs};
-use crate::learned::blocks::Probe;
-use crate::learned::slot::{Slot, learned_entry};
-use crate::learned::{network_failed, prediction};
+use crate::blocks::Probe;
+use crate::slot::{Slot, learned_entry};
+use crate::{network_failed, prediction};
 use candle_core::Result;
 use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_score::pdm::corrected_route;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 const NAME: &str = "plantf";
 
 /// The planner `plantf`.
-pub(in crate::learned) fn entry() -> PlannerEntry {
+pub(crate) fn entry() -> PlannerEntry {
     let slot = Slot::new("PlanTF", |weights| PlanTf::take(weights, PlanTfConfig::PUBLISHED));
     learned_entry(NAME, "PlanTF, a learned planner", slot, |network| Box::new(PlanTfPlanner { network }))
 }

@@ -1,6 +1,6 @@
 //! Convolutions over images with their channels last, (images, rows, columns, channels), as products of windows and weights.
 
-use crate::learned::blocks::{BatchNorm, Linear, Weights};
+use crate::blocks::{BatchNorm, Linear, Weights};
 use candle_core::{Device, Result, Tensor};
 use planagent_kernels::values::with_values;
 use rayon::prelude::*;

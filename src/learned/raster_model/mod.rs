@@ -9,4 +9,4 @@ mod planner;
 pub use drawing::{Canvas, Vertex};
 pub use features::{Raster, SIDE};
 pub use network::{RasterModel, RasterModelConfig};
-pub(in crate::learned) use planner::entries;
+pub(crate) use planner::entries;

@@ -1,7 +1,7 @@
 //! A residual network of bottleneck blocks.
 
 use super::convolution::{Convolution, Shape, largest};
-use crate::learned::blocks::{Linear, Probe, Weights, relu};
+use crate::blocks::{Linear, Probe, Weights, relu};
 use candle_core::{Result, Tensor};
 
 /// Poses of the plan, 0.5 s apart.

@@ -2,15 +2,15 @@
 
 use super::features::Raster;
 use super::network::{RasterModel, RasterModelConfig};
-use crate::learned::blocks::Probe;
-use crate::learned::slot::{Slot, learned_entry};
-use crate::learned::{network_failed, prediction};
+use crate::blocks::Probe;
+use crate::slot::{Slot, learned_entry};
+use crate::{network_failed, prediction};
 use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_world::Trajectory;
 use std::sync::Arc;
 
 /// The planners `raster-model` and `raster-model-small`.
-pub(in crate::learned) fn entries() -> [PlannerEntry; 2] {
+pub(crate) fn entries() -> [PlannerEntry; 2] {
     let published = Slot::new("RasterModel", |weights| RasterModel::take(weights, RasterModelConfig::PUBLISHED));
     let small = Slot::new("RasterModel (small)", |weights| RasterModel::take(weights, RasterModelConfig::SMALL));
     [

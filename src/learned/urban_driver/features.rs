@@ -1,8 +1,8 @@
 //! UrbanDriver's features (nuplan-devkit `vector_set_map_feature_builder.py`, `generic_agents_feature_builder.py`).
 
 use super::elements::{FRAMES, MapPoint, POINTS, UrbanDriverFeatures};
-use crate::learned::frame::{relative, rounded, single};
-use crate::learned::past;
+use crate::frame::{relative, rounded, single};
+use crate::past;
 use planagent_world::geometry::{Borders, OrientedBox, Point, Polygon, Pose, borders, unwrap_angles};
 use planagent_world::{
     HistorySample, Lane, LaneKind, MICROS_PER_SECOND, ObjectKind, RoadblockId, SceneView, SignalStatus, TrackToken,

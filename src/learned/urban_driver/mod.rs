@@ -7,4 +7,4 @@ mod planner;
 
 pub use elements::{ElementLimits, Elements, FRAMES, LAYERS, MapPoint, POINTS, UrbanDriverFeatures};
 pub use network::{UrbanDriver, UrbanDriverConfig};
-pub(in crate::learned) use planner::entry;
+pub(crate) use planner::entry;

@@ -1,7 +1,7 @@
 //! UrbanDriver's network (nuplan-devkit `urban_driver_open_loop_model.py`).
 
 use super::elements::{Elements, KINDS, POINTS};
-use crate::learned::blocks::{
+use crate::blocks::{
     GroupLinear, LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, key_bias, largest_where, relu,
 };
 use candle_core::{D, Device, Result, Tensor};

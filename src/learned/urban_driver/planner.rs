@@ -2,9 +2,9 @@
 
 use super::elements::{ElementLimits, Elements, UrbanDriverFeatures};
 use super::network::{UrbanDriver, UrbanDriverConfig};
-use crate::learned::blocks::Probe;
-use crate::learned::slot::{Slot, learned_entry};
-use crate::learned::{network_failed, prediction};
+use crate::blocks::Probe;
+use crate::slot::{Slot, learned_entry};
+use crate::{network_failed, prediction};
 use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_world::Trajectory;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use std::sync::Arc;
 const NAME: &str = "urban-driver";
 
 /// The planner `urban-driver`.
-pub(in crate::learned) fn entry() -> PlannerEntry {
+pub(crate) fn entry() -> PlannerEntry {
     let slot = Slot::new("UrbanDriver", |weights| UrbanDriver::take(weights, UrbanDriverConfig::PUBLISHED));
     learned_entry(NAME, "UrbanDriver, a learned planner", slot, |network| Box::new(UrbanDriverPlanner { network }))
 }

@@ -2,9 +2,9 @@
 
 use super::tensors::Columns;
 use super::{Moment, futures};
-use crate::learned::dtpp::{Step, first_stage, paths, second_stage};
-use crate::learned::gameformer::ActorFeatures;
 use candle_core::Tensor;
+use planagent_learned::dtpp::{Step, first_stage, paths, second_stage};
+use planagent_learned::gameformer::ActorFeatures;
 
 /// Half sides of the squares of the map, meters.
 const GAMEFORMER_RADIUS: f64 = 60.0;

@@ -2,7 +2,7 @@
 
 use super::tensors::Columns;
 use super::{Moment, futures};
-use crate::learned::gc_pgp::{GcPgpFeatures, LaneNodes, visited};
+use planagent_learned::gc_pgp::{GcPgpFeatures, LaneNodes, visited};
 
 /// Edges of a node that are kept, the goal not among them: the most that two nodes beside another and their ends have.
 const EDGES: usize = 16;

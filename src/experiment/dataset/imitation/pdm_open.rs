@@ -2,7 +2,7 @@
 
 use super::tensors::Columns;
 use super::{Moment, futures};
-use crate::learned::pdm_open::PdmFeatures;
+use planagent_learned::pdm_open::PdmFeatures;
 use planagent_score::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
 use planagent_world::LaneId;
 

@@ -3,7 +3,7 @@
 use super::futures::pose_in;
 use super::tensors::Columns;
 use super::{HORIZON, Moment};
-use crate::learned::plantf::{AgentHistory, PlanTfFeatures, PolygonFeatures};
+use planagent_learned::plantf::{AgentHistory, PlanTfFeatures, PolygonFeatures};
 use planagent_score::pdm::corrected_route;
 use planagent_world::geometry::Pose;
 use planagent_world::{ObjectKind, TrackToken};
@@ -34,7 +34,7 @@ pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
     let of_agents = |read: fn(&AgentHistory) -> &[f32]| agents.iter().flat_map(read).copied().collect::<Vec<f32>>();
     let steps = agents.first()?.valid.len();
     let polygons = &map.polygons;
-    let points = crate::learned::plantf::VECTORS;
+    let points = planagent_learned::plantf::VECTORS;
     let of_lines = |read: fn(&PolygonFeatures) -> &[f32]| polygons.iter().flat_map(read).copied().collect::<Vec<f32>>();
     let flags = |read: fn(&PolygonFeatures) -> u8| polygons.iter().map(read).collect::<Vec<u8>>();
     Some(

@@ -2,7 +2,7 @@
 
 use super::tensors::Columns;
 use super::{Moment, futures};
-use crate::learned::raster_model::{Raster, SIDE};
+use planagent_learned::raster_model::{Raster, SIDE};
 
 /// The raster and the target (16, 3).
 pub(super) fn sample(moment: &Moment<'_>) -> Columns {

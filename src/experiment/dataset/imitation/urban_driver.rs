@@ -2,7 +2,7 @@
 
 use super::tensors::Columns;
 use super::{Moment, futures};
-use crate::learned::urban_driver::{ElementLimits, FRAMES, LAYERS, MapPoint, POINTS, UrbanDriverFeatures};
+use planagent_learned::urban_driver::{ElementLimits, FRAMES, LAYERS, MapPoint, POINTS, UrbanDriverFeatures};
 
 /// Columns of a map point: x, y, four of the light.
 const MAP: usize = 6;
