@@ -105,9 +105,8 @@ pub mod sources {
 #[cfg(feature = "report")]
 pub mod runs {
     pub use crate::experiment::StopSwitch;
-    pub use crate::runner::{
-        Config, Event, Experiments, ExperimentsRequest, Listener, Request, RunResults, resume, start,
-    };
+    pub use crate::lab::experiments::{Experiments, ExperimentsRequest};
+    pub use crate::runner::{Config, Event, Listener, Request, RunResults, resume, start};
 }
 
 mod api;
@@ -119,6 +118,8 @@ pub mod cli;
 
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod experiment;
+#[cfg(all(feature = "report", not(feature = "internals")))]
+mod lab;
 mod planners;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod report;
@@ -128,6 +129,9 @@ mod runner;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod experiment;
+#[cfg(all(feature = "report", feature = "internals"))]
+#[doc(hidden)]
+pub mod lab;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod report;
@@ -165,7 +169,7 @@ pub mod bindings {
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {
-    pub use crate::{cli, experiment, report, runner};
+    pub use crate::{cli, experiment, lab, report, runner};
     pub use planagent_agent::environment;
     pub use planagent_agent::planner;
     pub use planagent_agent::reasoning;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 14] = [
+const RANKS: [(&str, u8); 15] = [
     ("files", 0),
     ("kernels", 0),
     ("world", 1),
@@ -23,7 +23,8 @@ const RANKS: [(&str, u8); 14] = [
     ("experiment", 9),
     ("report", 10),
     ("runner", 11),
-    ("cli", 12),
+    ("lab", 12),
+    ("cli", 13),
 ];
 
 /// Rooms of a stage (its files and folders) by rank, lowest first: a room uses only rooms of a lower rank.
@@ -79,7 +80,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["selection"],
             &["run"],
             &["simulate"],
-            &["experiments", "merge"],
+            &["merge"],
         ],
     ),
     (
@@ -117,7 +118,7 @@ const MAX_CIRCLE: usize = 8;
 /// Modules that may write to disk, and nothing else may.
 const WRITERS: [&str; 6] = [
     "src/report/",
-    "src/experiment/dataset/",
+    "src/lab/",
     "src/cli/",
     "src/mllm/trial/verdicts.rs",
     "src/scenario/nuplan/side_index.rs",

@@ -3,10 +3,10 @@
 use crate::womd::recordings;
 use planagent::internals::environment::bev::Palette;
 use planagent::internals::environment::{DEFAULT_NODE_LENGTH, Description, LaneGraph, TextForm, text};
-use planagent::internals::experiment::tokens::{SceneText, TokenCounter, TokenRow, TokenTable, count};
+use planagent::internals::lab::report::token_markdown;
+use planagent::internals::lab::tokens::{SceneText, TokenCounter, TokenRow, TokenTable, count};
 use planagent::internals::mllm::{HubAccess, Mllm, ModelRegistry};
 use planagent::internals::reasoning::{Feedback, Names, PromptSet, Round, feedback_text, round_prompt, system_prompt};
-use planagent::internals::report::token_markdown;
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{self, Spec, types};
 use planagent::internals::world::History;

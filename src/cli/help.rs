@@ -2,10 +2,11 @@
 
 use super::args::ALL_EXPERIMENTS;
 use crate::experiment::interactive::NAMES as INTERACTIVE;
-use crate::experiment::study;
 use crate::experiment::suite::Suite;
+use crate::lab::experiments::{TOKENS, TWINS};
+use crate::lab::study;
 use crate::planners::all_planners;
-use crate::runner::{TOKENS, TWINS, build_commit};
+use crate::runner::build_commit;
 use planagent_agent::planner::PlannerName;
 use planagent_scenario::{DataRoots, Readers};
 use std::sync::LazyLock;

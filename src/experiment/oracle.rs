@@ -1,7 +1,7 @@
 //! `oracle-code`: the agent with the planner codes of the privileged search that labels datasets. A control: no model can do better
 //! by its codes, as far as six seconds tell.
 
-use super::dataset::search::{HORIZON, best, search_ahead};
+use super::search::{HORIZON, best, search_ahead};
 use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent_agent::planner::{
     AgentLayer, CodeSource, HandedCode, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerInitialization,

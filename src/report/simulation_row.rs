@@ -178,8 +178,8 @@ impl SimulationRow {
     }
 
     /// A row without metrics, as tests need it.
-    #[cfg(test)]
-    pub(super) fn example(kind: &str, seed: usize, planner: &str, challenge: Challenge, score: Option<f64>) -> Self {
+    #[doc(hidden)]
+    pub fn example(kind: &str, seed: usize, planner: &str, challenge: Challenge, score: Option<f64>) -> Self {
         let source = format!("generated/{kind}/{seed}");
         Self {
             number: seed,

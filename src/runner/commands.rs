@@ -23,9 +23,9 @@ pub enum CommandError {
 
 /// The commands of a request.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Commands {
+pub struct Commands {
     /// Those of planners, by name.
-    pub(super) planners: BTreeMap<String, String>,
+    pub planners: BTreeMap<String, String>,
     /// That of the other agents.
     pub(super) agents: Option<AgentCommand>,
 }

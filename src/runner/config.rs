@@ -227,7 +227,7 @@ fn collect_changes(prefix: &str, own: &toml::Table, default: &toml::Table, chang
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::study;
+    use crate::lab::study;
 
     #[test]
     fn settings_are_laid_over_and_checked() {

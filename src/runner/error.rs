@@ -4,8 +4,6 @@ use super::commands::CommandError;
 use super::config::ConfigError;
 use super::sample::NoSuchType;
 use crate::experiment::split::SplitError;
-use crate::experiment::study::StudyError;
-use crate::experiment::twins::TwinError;
 use crate::report::ReportError;
 use planagent_agent::planner::{ExecError, PlannerError, PlannerName, UnknownPlanner};
 use planagent_agent::reasoning::PromptError;
@@ -53,7 +51,7 @@ pub enum RunnerError {
     #[error(transparent)]
     Scenario(#[from] ReaderError),
     #[error(transparent)]
-    Study(#[from] StudyError),
+    Lab(Box<dyn std::error::Error + Send + Sync>),
     #[error(transparent)]
     Planner(#[from] UnknownPlanner),
     #[error(transparent)]
@@ -115,8 +113,6 @@ pub enum RunnerError {
     Unrecorded { missing: usize, total: usize, folder: PathBuf },
     #[error("suite {name}")]
     Suite { name: String, source: Box<Self> },
-    #[error(transparent)]
-    Twins(#[from] TwinError),
     #[error("unknown list of text twins '{name}'; there are {known}")]
     UnknownPairs { name: String, known: String },
     #[error("no recordings: name some by --scenario, or name a folder that holds {folders} by ${variable}")]

@@ -152,7 +152,7 @@ fn of_selection(
 
 /// What a run would be started with now; the planners stand beside the commands of those that are commands, the scenarios
 /// beside their files.
-pub(super) fn manifest(
+pub fn manifest(
     (planners, commands): (Vec<String>, &Commands),
     challenges: Vec<String>,
     (scenarios, data): (ScenarioList, BTreeMap<String, DataFile>),

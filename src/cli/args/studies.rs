@@ -4,11 +4,11 @@ use super::data::DataArguments;
 use super::model::ModelArguments;
 use crate::cli::help;
 use crate::cli::words::path_word;
-#[cfg(feature = "learned")]
-use crate::experiment::dataset::imitation::ImitationPlanner;
 use crate::experiment::suite::RECORDED;
+#[cfg(feature = "learned")]
+use crate::lab::dataset::imitation::ImitationPlanner;
+use crate::lab::experiments::ExperimentsRequest;
 use crate::planners::all_planners;
-use crate::runner::ExperimentsRequest;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;

@@ -3,9 +3,10 @@
 use crate::cli::args::{DatasetArguments, DatasetKind};
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer, interrupt};
+use crate::experiment::seeds::Split;
 #[cfg(feature = "learned")]
-use crate::experiment::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
-use crate::experiment::dataset::{Counts, Settings, Split, check_folder, write_split, write_twins};
+use crate::lab::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
+use crate::lab::dataset::{Counts, Settings, check_folder, write_split, write_twins};
 use crate::report::check_writable;
 use crate::runner::{Config, load_model};
 #[cfg(feature = "learned")]

@@ -1,7 +1,7 @@
 //! What is known of a described model.
 
 use super::check::reason;
-use crate::experiment::bench::{CallBudget, ESTIMATED_FORMATS, estimated_seconds};
+use crate::lab::bench::{CallBudget, ESTIMATED_FORMATS, estimated_seconds};
 use planagent_agent::reasoning;
 use planagent_mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec, PromptSet};
 use serde::Serialize;
