@@ -9,11 +9,11 @@ mod formats;
 use planagent::internals::environment::bev;
 use planagent::internals::environment::text::{TextForm, write as write_text};
 use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, Description, LaneGraph};
+use planagent::internals::learned::Checkpoint;
 use planagent::internals::mllm::{
     Constraint, Deadline, HubAccess, Loading, LocalModel, ModelPlace, ModelRegistry, ModelSpec, PromptPrefix, Request,
     Sampling,
 };
-use planagent::internals::planner::learned::Checkpoint;
 use planagent::internals::reasoning::{
     AssistVariant, Feedback, MotionInstruction, Names, PromptSet, Round, feedback_text, parse, parse_assistance,
     round_prompt, system_prompt,

@@ -47,20 +47,21 @@
 #![cfg_attr(feature = "bindings", allow(missing_docs))]
 
 pub use api::{Agent, AgentBuilder, Error, Result, Run, Simulation, simulate};
+pub use planagent_agent::planner::Planner;
+pub use planagent_agent::simulation::Challenge;
 pub use planagent_scenario::Scenario;
 pub use planagent_score::metrics::Score;
 pub use planagent_world::{EgoState, Scene, SceneBuilder, Trajectory};
-pub use planner::Planner;
-pub use simulation::Challenge;
 
 /// Planners: their input and output, their registry, and the settings and records of the agent.
 pub mod planning {
-    pub use crate::planner::{
+    pub use crate::planners::all_planners;
+    pub use planagent_agent::planner::{
         AfterMaxExec, Attempt, CodeSource, Decision, IdmPlanner, Latency, LogReplay, NoPlan, PdmClosed,
         PlanAgentSettings, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
         PlannerParts, PlannerRegistry, PlanningCall, SimplePlanner,
     };
-    pub use crate::reflection::LeadPolicy;
+    pub use planagent_agent::reflection::LeadPolicy;
     pub use planagent_world::{History, HistorySample, SceneError, SceneView, TrajectoryError, TrajectoryState};
 }
 
@@ -83,7 +84,7 @@ pub mod road {
 
 /// The ego, the objects around it, and who controls them in a simulation.
 pub mod traffic {
-    pub use crate::simulation::{
+    pub use planagent_agent::simulation::{
         AGENT_POLICIES, AgentPolicy, AgentPolicyError, AgentPolicyName, AgentPolicySpec, SimulationError, SimulationLog,
     };
     pub use planagent_scenario::Frame;
@@ -104,9 +105,8 @@ pub mod sources {
 #[cfg(feature = "report")]
 pub mod runs {
     pub use crate::experiment::StopSwitch;
-    pub use crate::runner::{
-        Config, Event, Experiments, ExperimentsRequest, Listener, Request, RunResults, resume, start,
-    };
+    pub use crate::lab::experiments::{Experiments, ExperimentsRequest};
+    pub use crate::runner::{Config, Event, Listener, Request, RunResults, resume, start};
 }
 
 mod api;
@@ -116,64 +116,45 @@ mod api;
 #[doc(hidden)]
 pub mod cli;
 
-#[cfg(not(feature = "internals"))]
-mod environment;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod experiment;
-#[cfg(not(feature = "internals"))]
-mod planner;
-#[cfg(not(feature = "internals"))]
-mod reasoning;
-#[cfg(not(feature = "internals"))]
-mod reflection;
+#[cfg(all(feature = "report", not(feature = "internals")))]
+mod lab;
+mod planners;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod report;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod runner;
-#[cfg(not(feature = "internals"))]
-mod simulation;
 
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod environment;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod experiment;
-#[cfg(feature = "internals")]
+#[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
-pub mod planner;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod reasoning;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod reflection;
+pub mod lab;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod report;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod runner;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod simulation;
 
 /// What the Python package of this repository needs beyond the public API; not stable.
 #[cfg(feature = "bindings")]
 #[doc(hidden)]
 pub mod bindings {
-    pub use crate::environment::bev::render as render_bev;
-    pub use crate::environment::text::write as write_lane_graph;
-    pub use crate::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
     pub use crate::experiment::panic_guard::{catch_panic, install_hook};
     pub use crate::experiment::run::{AgentParts, with_causes};
-    pub use crate::planner::{ExecCommand, PlanAgent, kept, planner_code};
-    pub use crate::reasoning::PlannerCode;
-    pub use crate::reflection::{IdmPlan, Judge, PlanBuilder, ReflectionReport, steps_of};
     pub use crate::report::render::{Look, observed_picture};
     pub use crate::report::{CallRecord, ReportFault, SimulationRow};
     pub use crate::runner::{LoadedModel, RunnerError, Shard, load_model, merge, silent};
-    pub use crate::simulation::ClosedLoop;
+    pub use planagent_agent::environment::bev::render as render_bev;
+    pub use planagent_agent::environment::text::write as write_lane_graph;
+    pub use planagent_agent::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
+    pub use planagent_agent::planner::{ExecCommand, PlanAgent, kept, planner_code};
+    pub use planagent_agent::reasoning::PlannerCode;
+    pub use planagent_agent::reflection::{IdmPlan, Judge, PlanBuilder, ReflectionReport, steps_of};
+    pub use planagent_agent::simulation::ClosedLoop;
     pub use planagent_mllm::{Answer, Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request as Question};
     pub use planagent_scenario::HeldScenario;
     pub use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
@@ -188,7 +169,14 @@ pub mod bindings {
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {
-    pub use crate::{cli, environment, experiment, planner, reasoning, reflection, report, runner, simulation};
+    pub use crate::{cli, experiment, lab, report, runner};
+    pub use planagent_agent::environment;
+    pub use planagent_agent::planner;
+    pub use planagent_agent::reasoning;
+    pub use planagent_agent::reflection;
+    pub use planagent_agent::simulation;
+    #[cfg(feature = "learned")]
+    pub use planagent_learned as learned;
     pub use planagent_scenario as scenario;
     pub use planagent_score::metrics;
     pub use planagent_score::pdm;

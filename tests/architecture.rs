@@ -9,23 +9,22 @@ use std::path::{Path, PathBuf};
 use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 16] = [
+const RANKS: [(&str, u8); 15] = [
     ("files", 0),
     ("kernels", 0),
     ("world", 1),
     ("scenario", 3),
-    ("environment", 3),
     ("mllm", 3),
     ("score", 3),
-    ("reasoning", 4),
-    ("reflection", 5),
-    ("planner", 6),
-    ("simulation", 7),
-    ("api", 8),
-    ("experiment", 8),
-    ("report", 9),
-    ("runner", 10),
-    ("cli", 11),
+    ("agent", 6),
+    ("learned", 7),
+    ("planners", 8),
+    ("api", 9),
+    ("experiment", 9),
+    ("report", 10),
+    ("runner", 11),
+    ("lab", 12),
+    ("cli", 13),
 ];
 
 /// Rooms of a stage (its files and folders) by rank, lowest first: a room uses only rooms of a lower rank.
@@ -48,6 +47,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         &[&["activation", "values"], &["matrix"], &["attention", "layer_norm", "linear", "pointwise", "rms_norm"]],
     ),
     ("score", &[&["metrics"], &["pdm"]]),
+    ("agent", &[&["environment"], &["reasoning"], &["reflection"], &["planner"], &["simulation"]]),
     (
         "mllm",
         &[
@@ -80,7 +80,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["selection"],
             &["run"],
             &["simulate"],
-            &["experiments", "merge"],
+            &["merge"],
         ],
     ),
     (
@@ -118,7 +118,7 @@ const MAX_CIRCLE: usize = 8;
 /// Modules that may write to disk, and nothing else may.
 const WRITERS: [&str; 6] = [
     "src/report/",
-    "src/experiment/dataset/",
+    "src/lab/",
     "src/cli/",
     "src/mllm/trial/verdicts.rs",
     "src/scenario/nuplan/side_index.rs",
@@ -318,8 +318,8 @@ fn only_the_printer_prints() {
 
 #[test]
 fn a_planner_input_holds_no_future() {
-    let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/planner/mod.rs")).unwrap();
-    let start = text.find("pub struct PlannerInput").expect("PlannerInput is defined in src/planner/mod.rs");
+    let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/agent/planner/mod.rs")).unwrap();
+    let start = text.find("pub struct PlannerInput").expect("PlannerInput is defined in src/agent/planner/mod.rs");
     let body = &text[start..start + text[start..].find('}').unwrap()];
     let fields: Vec<&str> =
         body.lines().filter(|line| line.trim_start().starts_with("pub ") && line.contains(':')).collect();
@@ -333,7 +333,7 @@ fn a_planner_input_holds_no_future() {
 #[test]
 fn the_simulator_knows_an_agent_only_by_the_trait() {
     let known = ["PlanAgent", "plan_agent", "IdmPlanner", "LogReplay", "reasoning", "reflection", "mllm"];
-    let simulation = sources().into_iter().filter(|(file, _)| stage(file) == Some("simulation"));
+    let simulation = sources().into_iter().filter(|(file, _)| file.starts_with("src/agent/simulation/"));
     for (file, text) in simulation {
         for (number, line) in code_lines(&text) {
             assert!(!known.iter().any(|name| line.contains(name)), "{file}:{number}: {line}");

@@ -39,7 +39,7 @@ fn says(attributes: &[Attribute], path: &str, word: &str) -> bool {
 fn flatten(tree: &UseTree, path: &[String], found: &mut Vec<Export>) {
     let mut export = |declared: String, name: String| {
         // A module of a crate of several stages is a stage; what stands at a crate's root has the crate for one.
-        let stage = path.iter().rfind(|part| *part != "crate").unwrap();
+        let stage = if path[0] == "crate" { &path[1] } else { path.last().unwrap() };
         let stage = stage.strip_prefix("planagent_").unwrap_or(stage).to_owned();
         found.push(Export { name, stage, declared });
     };

@@ -1,12 +1,13 @@
 //! The agent of the paper as a library type.
 
 use super::Result;
-use crate::planner::{
+use crate::planners::all_planners;
+use planagent_agent::planner::{
     CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
-    PlannerParts, PlannerRegistry, PlanningCall,
+    PlannerParts, PlanningCall,
 };
-use crate::reasoning::ReasoningConfig;
-use planagent_mllm::{HubAccess, Mllm, ModelRegistry, Trust, data_folder};
+use planagent_agent::reasoning::ReasoningConfig;
+use planagent_mllm::{HubAccess, Mllm, ModelRegistry, Trust, models_folder};
 use planagent_world::{EgoState, LaneMap, MICROS_PER_SECOND, STEP_S, Scene, SceneView, Trajectory};
 use std::fmt;
 use std::path::PathBuf;
@@ -14,10 +15,6 @@ use std::sync::Arc;
 
 /// The model that ships with the library.
 const DEFAULT_MODEL: &str = "nano";
-/// Folder of model descriptions, beside the working directory or the program.
-const MODELS: &str = "models";
-/// Environment variable that names it.
-const MODELS_VARIABLE: &str = "PLANAGENT_MODELS";
 
 /// A driving agent that plans with a vision-language model. It is a [`Planner`], so [`simulate`](crate::simulate) runs it;
 /// in a loop of your own, call [`Agent::plan`].
@@ -178,7 +175,7 @@ impl AgentBuilder {
     /// # Errors
     /// When there is no such model, planner or prompt set, the files of the model are broken, or nobody vouches for them.
     pub fn build(self) -> Result<Agent> {
-        let registry = PlannerRegistry::default();
+        let registry = all_planners();
         let entry = registry.find(&self.planner)?;
         let model = if entry.needs_model() { Some(self.code_source()?) } else { None };
         let (settings, model) = (&self.settings, model.as_ref());
@@ -197,9 +194,4 @@ impl AgentBuilder {
         let (prompts, reasoning) = (Arc::new(config.prompts(&asking.prompt_set)?), config.settings(asking.generation));
         Ok(CodeSource::Model { model, prompts, reasoning })
     }
-}
-
-/// `$PLANAGENT_MODELS`, else `models` in the working directory, else beside the program or the package being run.
-pub(crate) fn models_folder() -> PathBuf {
-    data_folder(MODELS_VARIABLE, MODELS)
 }

@@ -1,8 +1,8 @@
 //! Why a call of the library fails.
 
-use crate::planner::{PlannerError, UnknownPlanner};
-use crate::reasoning::PromptError;
-use crate::simulation::SimulationError;
+use planagent_agent::planner::{PlannerError, UnknownPlanner};
+use planagent_agent::reasoning::PromptError;
+use planagent_agent::simulation::SimulationError;
 use planagent_mllm::MllmError;
 use planagent_scenario::{OpenError, ReaderError};
 use planagent_score::metrics::MetricError;

@@ -4,7 +4,6 @@ mod agent;
 mod error;
 mod run;
 
-pub(crate) use agent::models_folder;
 pub use agent::{Agent, AgentBuilder};
 pub use error::{Error, Result};
 pub use run::{Run, Simulation, simulate};

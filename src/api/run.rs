@@ -1,8 +1,8 @@
 //! One planner on one scenario.
 
 use super::Result;
-use crate::planner::{Planner, PlanningCall};
-use crate::simulation::{AgentPolicy, Challenge, SimulationLog, simulate_with_agents};
+use planagent_agent::planner::{Planner, PlanningCall};
+use planagent_agent::simulation::{AgentPolicy, Challenge, SimulationLog, simulate_with_agents};
 use planagent_scenario::{Frame, Scenario};
 use planagent_score::metrics::{Evaluation, MetricRegistry};
 use std::fmt;
@@ -59,7 +59,7 @@ impl<'a> Simulation<'a> {
         let Self { scenario, challenge, metrics, agents } = self;
         let log = match agents {
             Some(agents) => simulate_with_agents(scenario, planner, challenge, agents)?,
-            None => crate::simulation::simulate(scenario, planner, challenge)?,
+            None => planagent_agent::simulation::simulate(scenario, planner, challenge)?,
         };
         let evaluation = log.evaluate_with(scenario, &metrics)?;
         Ok(Run { log, evaluation, calls: planner.calls().to_vec() })

@@ -2,10 +2,12 @@
 
 use super::args::ALL_EXPERIMENTS;
 use crate::experiment::interactive::NAMES as INTERACTIVE;
-use crate::experiment::study;
 use crate::experiment::suite::Suite;
-use crate::planner::{PlannerName, PlannerRegistry};
-use crate::runner::{TOKENS, TWINS, build_commit};
+use crate::lab::experiments::{TOKENS, TWINS};
+use crate::lab::study;
+use crate::planners::all_planners;
+use crate::runner::build_commit;
+use planagent_agent::planner::PlannerName;
 use planagent_scenario::{DataRoots, Readers};
 use std::sync::LazyLock;
 
@@ -23,7 +25,7 @@ pub(super) fn planners_short() -> String {
 }
 
 pub(super) fn planners() -> String {
-    let registry = PlannerRegistry::default();
+    let registry = all_planners();
     let names: Vec<&str> = registry.entries().iter().map(|entry| entry.name.as_str()).collect();
     format!(
         "Planners, separated by commas: {} [default: {}]. Or a command of your own, as exec:COMMAND or NAME=exec:COMMAND; it \

@@ -3,10 +3,10 @@
 use super::args::{Arguments, Command, SimulateArguments, TRIAL_PROCESS};
 use super::suggest::{nearest, similar_exists};
 use super::words::planner_words;
-use crate::planner::LearnedSettings;
-use crate::reasoning::built_in_prompts;
 use crate::runner::Config;
 use anyhow::{Context, bail};
+use planagent_agent::planner::LearnedSettings;
+use planagent_agent::reasoning::built_in_prompts;
 use planagent_mllm::Trust;
 use planagent_mllm::trial::Trial;
 use planagent_scenario::absolute_path;

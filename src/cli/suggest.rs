@@ -2,12 +2,12 @@
 
 use crate::experiment::interactive::NAMES;
 use crate::experiment::split::SplitError;
-use crate::experiment::study::StudyError;
 use crate::experiment::suite::Suite;
-use crate::planner::UnknownPlanner;
+use crate::lab::study::StudyError;
 use crate::report::render::RenderError;
 use crate::report::{NoPair, ReportError, ReportFault};
 use crate::runner::{NoSuchType, RunnerError};
+use planagent_agent::planner::UnknownPlanner;
 use planagent_mllm::MllmError;
 use planagent_scenario::generator::{GeneratorError, types};
 use planagent_scenario::{DataRoots, ReaderError, Readers};
@@ -79,7 +79,7 @@ fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
             RunnerError::Planner(error) => mistyped(error),
             RunnerError::Split(error) => mistyped(error),
             RunnerError::Scenario(error) => mistyped(error),
-            RunnerError::Study(error) => mistyped(error),
+            RunnerError::Lab(error) => mistyped(&**error),
             RunnerError::NoSuchType(error) => mistyped(error),
             RunnerError::FindModel(error) => mistyped(&**error),
             _ => None,

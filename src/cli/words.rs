@@ -1,8 +1,8 @@
 //! Words of the command line that are more than one value.
 
-use crate::planner::is_exec;
 use crate::runner::{NoShard, Shard, ShardEnvironmentError};
 use clap::builder::{OsStringValueParser, TypedValueParser};
+use planagent_agent::planner::is_exec;
 use planagent_files::word_of;
 use std::env;
 

@@ -1,6 +1,6 @@
 //! The interactive suites: modified scenarios of interPlan's eight kinds, drawn before any was simulated.
 
-use super::dataset;
+use super::seeds::Split as Seeds;
 use super::split::SplitError;
 use planagent_files::word_of;
 use planagent_scenario::generator::{Spec, types};
@@ -96,7 +96,7 @@ pub fn split(name: &str, readers: &Readers) -> Option<Result<Split, SplitError>>
 ///
 /// # Errors
 /// When too few fit a kind.
-pub fn draw_generated(seeds: dataset::Split, per_kind: usize) -> Result<Vec<String>, ReaderError> {
+pub fn draw_generated(seeds: Seeds, per_kind: usize) -> Result<Vec<String>, ReaderError> {
     let mut all = Vec::new();
     for (place, kind) in InteractionKind::ALL.into_iter().enumerate() {
         let modification = modification(kind)?;
@@ -155,7 +155,7 @@ pub fn generated_list(words: &[String]) -> String {
 }
 
 /// The text of a list of other seeds, or of another number of scenarios.
-pub fn other_list(words: &[String], seeds: dataset::Split, count: usize) -> String {
+pub fn other_list(words: &[String], seeds: Seeds, count: usize) -> String {
     let header = format!(
         "# Of each of the eight kinds the first {count} scenarios that it fits, seed by seed and type by type.\n\
          # Drawn by: planagent scenarios interactive --seeds {seeds} --count {count}\n",
@@ -189,8 +189,8 @@ mod tests {
                 let (base, name) = ModifiedName::in_word(word).unwrap();
                 assert_eq!(name, ModifiedName::of(kind));
                 let spec: Spec = base.parse().unwrap();
-                assert!(dataset::Split::Test.seeds().contains(&spec.seed) && seen.insert(spec), "{word}");
-                assert!(spec.seed >= dataset::Split::Test.seeds().start + FIRST_SEED, "{word}");
+                assert!(Seeds::Test.seeds().contains(&spec.seed) && seen.insert(spec), "{word}");
+                assert!(spec.seed >= Seeds::Test.seeds().start + FIRST_SEED, "{word}");
             }
         }
     }

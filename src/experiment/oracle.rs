@@ -1,13 +1,13 @@
 //! `oracle-code`: the agent with the planner codes of the privileged search that labels datasets. A control: no model can do better
 //! by its codes, as far as six seconds tell.
 
-use super::dataset::search::{HORIZON, best, search_ahead};
-use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
-use crate::planner::{
+use super::search::{HORIZON, best, search_ahead};
+use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
+use planagent_agent::planner::{
     AgentLayer, CodeSource, HandedCode, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerInitialization,
     PlannerInput, PlannerName, PlanningCall,
 };
-use crate::simulation::ClosedLoop;
+use planagent_agent::simulation::ClosedLoop;
 use planagent_world::Trajectory;
 
 /// An agent beside the simulation that it takes part in: before a planning call it tries its codes out there.

@@ -4,11 +4,12 @@ use super::oracle::OracleAgent;
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
 use super::stoppable::{StopSwitch, Stoppable};
-use crate::planner::{
+use crate::planners::all_planners;
+use planagent_agent::planner::{
     AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, PlannerNeeds,
     PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
 };
-use crate::simulation::{AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared};
+use planagent_agent::simulation::{AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared};
 use planagent_files::shortened;
 use planagent_scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
 use planagent_score::metrics::{Evaluation, MetricResult, Score};
@@ -20,7 +21,7 @@ use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// What the planners of a run are built from.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 pub struct AgentParts {
     pub registry: PlannerRegistry,
     /// The model, for planners that need one.
@@ -30,6 +31,13 @@ pub struct AgentParts {
     pub agents: Option<AgentCommand>,
     /// Ends the simulations early.
     pub stop: Option<StopSwitch>,
+}
+
+impl Default for AgentParts {
+    fn default() -> Self {
+        let (model, settings, agents, stop) = Default::default();
+        Self { registry: all_planners(), model, settings, agents, stop }
+    }
 }
 
 impl AgentParts {

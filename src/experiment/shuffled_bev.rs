@@ -1,8 +1,8 @@
 //! The shuffled-BEV ablation: the model gets the BEV image of an unrelated scene, to measure what the image is worth.
 
-use crate::environment::{BevView, bev};
-use crate::planner::BevSource;
 use image::RgbImage;
+use planagent_agent::environment::{BevView, bev};
+use planagent_agent::planner::BevSource;
 use planagent_scenario::generator::{self, GeneratorError, Spec, types};
 use planagent_world::History;
 use std::sync::Arc;

@@ -112,12 +112,12 @@ impl Bootstrap {
 }
 
 /// A number below `end`, by multiplication with a fraction of 32 bits. The sampling code of a library may change.
-pub(super) fn below(random: &mut Pcg64Mcg, end: usize) -> usize {
+pub fn below(random: &mut Pcg64Mcg, end: usize) -> usize {
     ((u64::from(random.next_u32()) * end as u64) >> 32) as usize
 }
 
 /// Linear between the two nearest of sorted values.
-pub(super) fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
+pub fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
     let place = share * (sorted.len().checked_sub(1)?) as f64;
     let (below, within) = (place.floor() as usize, place.fract());
     let low = *sorted.get(below)?;

@@ -1,6 +1,6 @@
 //! Ends the simulations of a run that its user stops.
 
-use crate::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlanningCall};
+use planagent_agent::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlanningCall};
 use planagent_score::pdm::DrivableLayers;
 use planagent_world::Trajectory;
 use std::sync::Arc;

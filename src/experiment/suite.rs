@@ -1,6 +1,6 @@
 //! Suites: named lists of generated scenarios that never change, so that results stay comparable.
 
-use super::dataset;
+use super::seeds::Split as Seeds;
 use planagent_scenario::generator::{ScenarioType, Spec, types};
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -80,7 +80,7 @@ impl Suite {
 }
 
 fn test_seeds(seeds: Range<u64>) -> Range<u64> {
-    let first = dataset::Split::Test.seeds().start;
+    let first = Seeds::Test.seeds().start;
     first + seeds.start..first + seeds.end
 }
 
@@ -142,7 +142,7 @@ mod tests {
         assert!(common.is_disjoint(&hard) && hard.is_subset(&seeds(Suite::CANDIDATES)));
         let wide = seeds(Suite::TEST14_WIDE);
         assert!(wide.is_disjoint(&common) && wide.is_disjoint(&seeds(Suite::CANDIDATES)));
-        let test = dataset::Split::Test.seeds();
+        let test = Seeds::Test.seeds();
         assert!(common.iter().chain(&hard).chain(&wide).all(|seed| test.contains(seed)));
     }
 

@@ -65,11 +65,11 @@ pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
 pub use local::{FormatOutline, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline};
 pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
-pub use registry::data_folder;
 pub use registry::{
     Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs, ModelRegistry, ModelSource,
     ModelSpec, NamedBy, PromptSet, RoundTokens,
 };
+pub use registry::{data_folder, models_folder};
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::ChatTokenizer;
 pub use trial::Trust;

@@ -15,7 +15,7 @@ pub(super) fn unfinished(path: &Path) -> PathBuf {
 }
 
 /// Writes a file at its temporary path, then renames it.
-pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
+pub fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
     let temporary = unfinished(path);
     create(&temporary, bytes)?;
     fs::rename(&temporary, path).map_err(ReportError::write(path))
@@ -31,7 +31,7 @@ pub(super) fn create(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
 }
 
 /// Creates a folder and its parents.
-pub(super) fn folder(path: &Path) -> Result<(), ReportError> {
+pub fn folder(path: &Path) -> Result<(), ReportError> {
     fs::create_dir_all(path).map_err(ReportError::write(path))
 }
 

@@ -5,11 +5,11 @@ use super::error::ReportError;
 use super::layout::CALLS;
 use super::number::json_value;
 use super::times::CallTimes;
-use crate::environment::CenterlineName;
-use crate::planner::{Attempt, Decision, NoPlan, PlanningCall, Proposal};
-use crate::reasoning::{Assistance, MotionInstruction, ParseError, PlannerAnswer, RoundRecord};
-use crate::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
-use crate::simulation::Challenge;
+use planagent_agent::environment::CenterlineName;
+use planagent_agent::planner::{Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal};
+use planagent_agent::reasoning::{Assistance, MotionInstruction, ParseError, PlannerAnswer, RoundRecord};
+use planagent_agent::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
+use planagent_agent::simulation::Challenge;
 use planagent_mllm::RoundTime;
 use planagent_score::pdm::DrivableLayers;
 use schemars::JsonSchema;
@@ -272,19 +272,19 @@ impl ReflectionRecord {
 impl DecisionRecord {
     pub(super) fn of(decision: &Decision) -> Self {
         let words = |why: &NoPlan| (why.cause().to_owned(), why.to_string());
-        match decision {
-            Decision::Execute(attempt) => Self::Execute { attempt: *attempt },
-            Decision::Exhausted(attempt) => Self::Exhausted { attempt: *attempt },
-            Decision::Gated(score) => Self::Gated { score: *score },
-            Decision::KeepActivePlan(why) => {
+        match decision.kind() {
+            DecisionKind::Execute(attempt) => Self::Execute { attempt },
+            DecisionKind::Exhausted(attempt) => Self::Exhausted { attempt },
+            DecisionKind::Gated(score) => Self::Gated { score },
+            DecisionKind::KeepActivePlan(why) => {
                 let (cause, why) = words(why);
                 Self::KeepActivePlan { cause, why }
             }
-            Decision::Brake(why) => {
+            DecisionKind::Brake(why) => {
                 let (cause, why) = words(why);
                 Self::Brake { cause, why }
             }
-            Decision::RuleBased(why) => {
+            DecisionKind::RuleBased(why) => {
                 let (cause, why) = words(why);
                 Self::RuleBased { cause, why }
             }
@@ -328,7 +328,7 @@ pub(super) fn calls_in(folder: &Path) -> Result<Vec<CallRecord>, ReportError> {
 mod tests {
     use super::*;
     use crate::experiment::run::AgentParts;
-    use crate::simulation::simulate;
+    use planagent_agent::simulation::simulate;
     use planagent_scenario::generator::{self, DEFAULT};
 
     #[test]

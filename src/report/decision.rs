@@ -2,8 +2,8 @@
 
 use super::call_record::{CallRecord, DecisionRecord};
 use super::number::fixed;
-use crate::planner::{Attempt, Decision, NoPlan, PlanningCall};
-use crate::reflection::{SubScores, Verdict};
+use planagent_agent::planner::{Attempt, Decision, NoPlan, PlanningCall};
+use planagent_agent::reflection::{SubScores, Verdict};
 
 /// Whether Reflection refused every attempt of a call.
 pub(super) fn all_refused(call: &PlanningCall) -> bool {
@@ -113,9 +113,9 @@ impl Refused<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::environment::CenterlineName;
-    use crate::reasoning::PlannerCode;
-    use crate::reflection::{ProgressReference, ReflectionReport};
+    use planagent_agent::environment::CenterlineName;
+    use planagent_agent::reasoning::PlannerCode;
+    use planagent_agent::reflection::{ProgressReference, ReflectionReport};
     use planagent_score::pdm::DrivableLayers;
 
     const CODE: PlannerCode = PlannerCode {
@@ -151,31 +151,14 @@ mod tests {
     }
 
     fn call(decision: Decision, scores: &[Option<f64>]) -> PlanningCall {
-        let attempt = |score: &Option<f64>| Attempt {
-            rounds: Vec::new(),
-            instruction: None,
-            answer: None,
-            errors: Vec::new(),
-            reflection: score.map(reflection),
-            path: Vec::new(),
-            proposals: Vec::new(),
-            reflection_ms: 0.0,
+        let attempt = |score: &Option<f64>| {
+            let mut attempt = Attempt::of_rounds(Vec::new());
+            attempt.reflection = score.map(reflection);
+            attempt
         };
-        PlanningCall {
-            iteration: 20,
-            at_s: 2.0,
-            image: None,
-            image_hash: None,
-            scene_text: None,
-            forms: None,
-            attempts: scores.iter().map(attempt).collect(),
-            decision,
-            emergency_brakes: 0,
-            aborted_lane_change: None,
-            active_from: None,
-            environment_ms: 0.0,
-            total_ms: 0.0,
-        }
+        let mut call = PlanningCall::without_attempts((20, 2.0), decision, 0.0);
+        call.attempts = scores.iter().map(attempt).collect();
+        call
     }
 
     #[test]
@@ -198,9 +181,11 @@ mod tests {
         let same = decision_words(&same);
         assert!(same.starts_with("all 3 attempts have the same code and were refused; attempt 2"), "{same}");
         assert!(same.ends_with("because there is no better plan"), "{same}");
-        let lane = PlanningCall { aborted_lane_change: Some(20), ..best.clone() };
+        let mut lane = best.clone();
+        lane.aborted_lane_change = Some(20);
         assert!(decision_words(&lane).contains("in the ego's lane"), "{}", decision_words(&lane));
-        let later = PlanningCall { aborted_lane_change: Some(25), ..best };
+        let mut later = best;
+        later.aborted_lane_change = Some(25);
         assert!(!decision_words(&later).contains("in the ego's lane"), "{}", decision_words(&later));
         let kept = decision_words(&call(Decision::KeepActivePlan(NoPlan::Worse), &[Some(0.2), None]));
         assert_eq!(

@@ -94,19 +94,19 @@ impl ReportFault {
 
 impl ReportError {
     /// For `map_err`: a fault at `place`.
-    pub(super) fn at<F: Into<ReportFault>>(place: &Path) -> impl FnOnce(F) -> Self {
+    pub fn at<F: Into<ReportFault>>(place: &Path) -> impl FnOnce(F) -> Self {
         let place = place.to_owned();
         move |fault| Self { place, fault: fault.into() }
     }
 
     /// For `map_err`: `place` cannot be read.
-    pub(super) fn read(place: &Path) -> impl FnOnce(io::Error) -> Self {
+    pub fn read(place: &Path) -> impl FnOnce(io::Error) -> Self {
         let at = Self::at(place);
         move |error| at(ReportFault::Read(error))
     }
 
     /// For `map_err`: `place` cannot be written.
-    pub(super) fn write(place: &Path) -> impl FnOnce(io::Error) -> Self {
+    pub fn write(place: &Path) -> impl FnOnce(io::Error) -> Self {
         let at = Self::at(place);
         move |error| at(ReportFault::Write(error))
     }

@@ -1,7 +1,7 @@
 //! Reflection's verdict on one plan in words: every part of its score, what each costs, and whether the plan is executed.
 
 use super::number::fixed;
-use crate::reflection::{ProgressReference, ReflectionReport, Verdict};
+use planagent_agent::reflection::{ProgressReference, ReflectionReport, Verdict};
 use planagent_score::pdm::{WEIGHT_COMFORT, WEIGHT_PROGRESS, WEIGHT_TTC};
 use serde::Serialize;
 
@@ -152,7 +152,7 @@ fn costs(metrics: &[JudgedMetric]) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reflection::SubScores;
+    use planagent_agent::reflection::SubScores;
     use planagent_score::pdm::DrivableLayers;
 
     fn report(parts: SubScores, score: f64) -> ReflectionReport {

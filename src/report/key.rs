@@ -2,14 +2,14 @@
 //! docs/prompts.md and the page have it.
 
 use super::call_record::CallRecord;
-use crate::environment::TextForm;
-use crate::environment::facts::{
+use planagent_agent::environment::TextForm;
+use planagent_agent::environment::facts::{
     Ahead, CORRIDOR_MARGIN, EgoSpeed, ONCOMING_ASIDE, ONCOMING_REACH, Question, SAME_SPEED, SIDE_GAP, STOPPED,
 };
-use crate::environment::lane_graph::CROSSING_SECONDS;
-use crate::environment::text::MAX_NUMBER;
-use crate::planner::PlanningCall;
-use crate::reasoning::{
+use planagent_agent::environment::lane_graph::CROSSING_SECONDS;
+use planagent_agent::environment::text::MAX_NUMBER;
+use planagent_agent::planner::PlanningCall;
+use planagent_agent::reasoning::{
     InstructionForm, Lateral, LateralReason, Longitudinal, LongitudinalReason, Round, UnderstandingForm,
 };
 use serde::Serialize;
@@ -231,8 +231,8 @@ fn prompts() -> Vec<(String, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reasoning::{Feedback, Names, PromptSet, feedback_text, round_prompt};
     use crate::report::CallTimes;
+    use planagent_agent::reasoning::{Feedback, Names, PromptSet, feedback_text, round_prompt};
     use planagent_mllm::TokenCounts;
     use std::collections::BTreeSet;
     use std::path::Path;
@@ -311,7 +311,7 @@ mod tests {
         for &round in Round::ALL {
             used.extend(words(&round_prompt(&set, round, &Names::default(), None, None).unwrap()));
         }
-        let parts = crate::reflection::SubScores {
+        let parts = planagent_agent::reflection::SubScores {
             no_collision: 0.0,
             drivable_area: 0.0,
             driving_direction: 0.0,

@@ -3,7 +3,7 @@
 use super::atomic;
 use super::error::ReportError;
 use super::layout::{NUBOARD, NUPLAN_AGGREGATOR, NUPLAN_METRICS, NUPLAN_SIMULATION_LOGS};
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use serde::Serialize;
 use serde_pickle::SerOptions;
 use std::io;

@@ -1,6 +1,6 @@
 //! Attempts that repeat an earlier one of the same planning call: models do, although the prompt says that it was refused.
 
-use crate::planner::Attempt;
+use planagent_agent::planner::Attempt;
 
 /// What an attempt repeats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

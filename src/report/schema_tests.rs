@@ -1,7 +1,7 @@
 //! The schemas of the records in `docs/schema/` have the structure of the types.
 
 use super::{CallRecord, Manifest, SimulationRow, Summary};
-use crate::planner::{ExecReply, ExecRequest};
+use planagent_agent::planner::{ExecReply, ExecRequest};
 use schemars::{JsonSchema, schema_for};
 use serde_json::Value;
 use std::path::Path;

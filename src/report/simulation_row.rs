@@ -4,9 +4,9 @@ use super::decision::{all_are_zero, all_refused, first_refused};
 use super::number::positive_zero;
 use super::times::{CallTimes, SimulationTime};
 use crate::experiment::run::SimulationRecord;
-use crate::planner::PlanningCall;
-use crate::reasoning::Interruption;
-use crate::simulation::Challenge;
+use planagent_agent::planner::PlanningCall;
+use planagent_agent::reasoning::Interruption;
+use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::{ScenarioRow, scored_names};
 use planagent_score::pdm::DrivableLayers;
 use planagent_world::InteractionKind;
@@ -178,8 +178,8 @@ impl SimulationRow {
     }
 
     /// A row without metrics, as tests need it.
-    #[cfg(test)]
-    pub(super) fn example(kind: &str, seed: usize, planner: &str, challenge: Challenge, score: Option<f64>) -> Self {
+    #[doc(hidden)]
+    pub fn example(kind: &str, seed: usize, planner: &str, challenge: Challenge, score: Option<f64>) -> Self {
         let source = format!("generated/{kind}/{seed}");
         Self {
             number: seed,

@@ -1,7 +1,7 @@
 //! `summary.json`: the scores, without wall times; equal seeds give equal bytes.
 
 use super::simulation_row::{SimulationRow, is_zero};
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use planagent_mllm::ModelDescription;
 use planagent_scenario::MissingTokens;
 use planagent_score::metrics::{AggregateRow, FINAL_SCORE, Weighting, aggregate, distinct};

@@ -1,6 +1,6 @@
 //! Wall times of simulations and planning calls.
 
-use crate::planner::PlanningCall;
+use planagent_agent::planner::PlanningCall;
 use serde::{Deserialize, Serialize};
 
 /// Wall time of a planning call by part, milliseconds.

@@ -2,7 +2,7 @@
 
 use super::simulation_row::SimulationRow;
 use super::times::{CallTimes, Quantiles};
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::distinct;
 use serde::Serialize;
 

@@ -7,8 +7,8 @@ use super::repeats::Repeat;
 use super::times::CallTimes;
 use super::visible::{in_markdown, visible, visible_line};
 use crate::experiment::run::{SimulationOutcome, SimulationRecord};
-use crate::planner::{Attempt, PlanningCall};
-use crate::reasoning::RoundRecord;
+use planagent_agent::planner::{Attempt, PlanningCall};
+use planagent_agent::reasoning::RoundRecord;
 use planagent_world::STEP_S;
 use std::fmt::Write;
 
@@ -147,8 +147,8 @@ fn code(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::environment::CenterlineName;
-    use crate::reasoning::{PlannerCode, Round};
+    use planagent_agent::environment::CenterlineName;
+    use planagent_agent::reasoning::{PlannerCode, Round};
     use planagent_mllm::{ConstraintUse, FinishReason, RoundTime, TokenCounts};
 
     fn attempt(prompt: &str, answer: &str, target_speed: f64) -> Attempt {
@@ -164,16 +164,9 @@ mod tests {
         };
         let (centerline, lead_agent) = (CenterlineName::EgoLane, None);
         let code = PlannerCode { centerline, lead_agent, target_speed, accel_max: 1.0, decel_max: 2.0 };
-        Attempt {
-            rounds: vec![round],
-            instruction: None,
-            answer: Some(code.into()),
-            errors: Vec::new(),
-            reflection: None,
-            path: Vec::new(),
-            proposals: Vec::new(),
-            reflection_ms: 0.0,
-        }
+        let mut attempt = Attempt::of_rounds(vec![round]);
+        attempt.answer = Some(code.into());
+        attempt
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Commands that stand for planners or for the other agents of a run.
 
-use crate::planner::{ExecCommand, ExecError};
-use crate::simulation::{AgentCommand, AgentPolicyName};
+use planagent_agent::planner::{ExecCommand, ExecError};
+use planagent_agent::simulation::{AgentCommand, AgentPolicyName};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -23,9 +23,9 @@ pub enum CommandError {
 
 /// The commands of a request.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Commands {
+pub struct Commands {
     /// Those of planners, by name.
-    pub(super) planners: BTreeMap<String, String>,
+    pub planners: BTreeMap<String, String>,
     /// That of the other agents.
     pub(super) agents: Option<AgentCommand>,
 }

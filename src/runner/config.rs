@@ -1,9 +1,11 @@
 //! The configuration of a run.
 
-use crate::environment::BevView;
-use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
-use crate::planner::{CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings};
-use crate::reasoning::{PromptSet, ReasoningConfig, Round};
+use planagent_agent::environment::BevView;
+use planagent_agent::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
+use planagent_agent::planner::{
+    CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings,
+};
+use planagent_agent::reasoning::{PromptSet, ReasoningConfig, Round};
 use planagent_mllm::{Trust, WeightFormat};
 use planagent_world::STEP_S;
 use serde::{Deserialize, Serialize};
@@ -225,7 +227,7 @@ fn collect_changes(prefix: &str, own: &toml::Table, default: &toml::Table, chang
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::study;
+    use crate::lab::study;
 
     #[test]
     fn settings_are_laid_over_and_checked() {

@@ -4,12 +4,10 @@ use super::commands::CommandError;
 use super::config::ConfigError;
 use super::sample::NoSuchType;
 use crate::experiment::split::SplitError;
-use crate::experiment::study::StudyError;
-use crate::experiment::twins::TwinError;
-use crate::planner::{ExecError, PlannerError, PlannerName, UnknownPlanner};
-use crate::reasoning::PromptError;
 use crate::report::ReportError;
-use crate::simulation::UnknownChallenge;
+use planagent_agent::planner::{ExecError, PlannerError, PlannerName, UnknownPlanner};
+use planagent_agent::reasoning::PromptError;
+use planagent_agent::simulation::UnknownChallenge;
 use planagent_mllm::MllmError;
 use planagent_scenario::ReaderError;
 use std::path::PathBuf;
@@ -58,7 +56,7 @@ pub enum RunnerError {
     #[error(transparent)]
     Scenario(#[from] ReaderError),
     #[error(transparent)]
-    Study(#[from] StudyError),
+    Lab(Box<dyn std::error::Error + Send + Sync>),
     #[error(transparent)]
     Planner(#[from] UnknownPlanner),
     #[error(transparent)]
@@ -125,8 +123,6 @@ pub enum RunnerError {
     Unrecorded { missing: usize, total: usize, folder: PathBuf },
     #[error("suite {name}")]
     Suite { name: String, source: Box<Self> },
-    #[error(transparent)]
-    Twins(#[from] TwinError),
     #[error("unknown list of text twins '{name}'; there are {known}")]
     UnknownPairs { name: String, known: String },
     #[error("no recordings: name some by --scenario, or name a folder that holds {folders} by ${variable}")]

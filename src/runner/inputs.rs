@@ -17,7 +17,7 @@ const MAX_DIGESTED_BYTES: u64 = 64 << 20;
 
 /// The files of the scenarios. A file with the size and time it had `before` keeps its digest. A file that cannot be read is
 /// left out: opening its scenario says why.
-pub(super) fn data_files<'a>(
+pub fn data_files<'a>(
     sources: impl IntoIterator<Item = &'a ScenarioRef>,
     before: Option<&Inputs>,
 ) -> BTreeMap<String, DataFile> {

@@ -2,28 +2,26 @@
 //! ends, resumes after an interruption, and writes its results once all simulations are completed. Experiments are runs
 //! on the same scenarios whose scores are compared.
 
-mod commands;
+pub mod commands;
 mod config;
 mod error;
 mod event;
-mod experiments;
-mod inputs;
+pub mod inputs;
 mod machine;
 mod merge;
-mod model;
+pub mod model;
 mod request;
 mod result_version;
-mod run;
-mod sample;
-mod selection;
+pub mod run;
+pub mod sample;
+pub mod selection;
 mod shard;
-mod simulate;
+pub mod simulate;
 
 pub use commands::CommandError;
 pub use config::{Config, ConfigError, MllmConfig};
 pub use error::{MergeError, RunnerError};
 pub use event::{Event, Listener, silent};
-pub use experiments::{Experiments, ExperimentsRequest, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
 pub use machine::{build_commit, cpu, memory};
 pub use merge::merge;
 pub use model::{LoadedModel, load_model, model_registry};

@@ -3,12 +3,14 @@
 use super::config::Config;
 use super::error::RunnerError;
 use super::event::{Event, Listener};
-use crate::api::models_folder;
 use crate::experiment::run::AgentParts;
-use crate::planner::{CodeSource, PlannerRegistry};
-use crate::reasoning::{PromptPlace, PromptSet, ReasoningSettings};
+use crate::planners::all_planners;
 use crate::report::{Inputs, PromptList};
-use planagent_mllm::{Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry};
+use planagent_agent::planner::{CodeSource, PlannerRegistry};
+use planagent_agent::reasoning::{PromptPlace, PromptSet, ReasoningSettings};
+use planagent_mllm::{
+    Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry, models_folder,
+};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -26,7 +28,7 @@ pub struct LoadedModel {
 }
 
 /// A model in memory, which can be asked in several ways.
-pub(super) struct OpenModel {
+pub struct OpenModel {
     model: Arc<dyn Mllm>,
     asking: Asking,
     inputs: ModelInputs,
@@ -47,7 +49,7 @@ pub fn load_model(config: &Config, listener: &Listener) -> Result<LoadedModel, R
 impl LoadedModel {
     /// The parts of an agent with this model.
     pub fn agent_parts(&self, config: &Config) -> AgentParts {
-        agent_parts(config, PlannerRegistry::default(), Some(self))
+        agent_parts(config, all_planners(), Some(self))
     }
 
     /// The model with its prompts and the way in which it samples.
@@ -78,7 +80,7 @@ impl LoadedModel {
 }
 
 impl OpenModel {
-    pub(super) fn open(config: &Config, listener: &Listener) -> Result<Self, RunnerError> {
+    pub fn open(config: &Config, listener: &Listener) -> Result<Self, RunnerError> {
         let started = Instant::now();
         let registry = model_registry(config, listener);
         let spec = registry.find(&config.mllm.model).map_err(|error| RunnerError::FindModel(Box::new(error)))?;
@@ -95,12 +97,12 @@ impl OpenModel {
         Ok(Self { model: Arc::from(model), asking, inputs, load_s })
     }
 
-    pub(super) fn model(&self) -> &dyn Mllm {
+    pub fn model(&self) -> &dyn Mllm {
         self.model.as_ref()
     }
 
     /// The model with the prompts and the decoding of a configuration.
-    pub(super) fn with_prompts(&self, config: &Config) -> Result<LoadedModel, RunnerError> {
+    pub fn with_prompts(&self, config: &Config) -> Result<LoadedModel, RunnerError> {
         let prompts = Arc::new(config.reasoning.prompts(&self.asking.prompt_set)?);
         let reasoning = config.reasoning.settings(self.asking.generation);
         let named_by = match &config.reasoning.prompt_set {
@@ -131,7 +133,7 @@ fn of_model(ModelInputs { files, description }: ModelInputs, prompts: &PromptSet
 }
 
 /// The parts of an agent, with the model where one is loaded.
-pub(super) fn agent_parts(config: &Config, registry: PlannerRegistry, loaded: Option<&LoadedModel>) -> AgentParts {
+pub fn agent_parts(config: &Config, registry: PlannerRegistry, loaded: Option<&LoadedModel>) -> AgentParts {
     AgentParts {
         registry,
         model: loaded.map(|loaded| loaded.code_source.clone()),

@@ -7,7 +7,8 @@ use super::event::Listener;
 use super::model::{LoadedModel, load_model};
 use super::shard::Shard;
 use crate::experiment::StopSwitch;
-use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, PlannerRegistry};
+use crate::planners::all_planners;
+use planagent_agent::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, PlannerRegistry};
 use planagent_scenario::{DataRoots, Readers};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -66,7 +67,7 @@ impl Default for Request {
             exec_timeout: DEFAULT_EXEC_TIMEOUT,
             challenges: Vec::new(),
             agents: None,
-            registry: PlannerRegistry::default(),
+            registry: all_planners(),
             readers: Readers::new,
             loader: |config, listener| load_model(config, listener).map(Arc::new),
             roots: DataRoots::default(),

@@ -13,23 +13,23 @@ use std::time::Instant;
 
 /// How a run is resumed.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Resume {
+pub struct Resume {
     /// Discard failed simulations, so that they are repeated.
-    pub(super) retry_failed: bool,
+    pub retry_failed: bool,
     /// Go on although inputs changed.
-    pub(super) accept_changes: bool,
+    pub accept_changes: bool,
 }
 
 /// What a run is made of, before it has a folder.
-pub(super) struct RunPlan {
-    pub(super) manifest: Manifest,
+pub struct RunPlan {
+    pub manifest: Manifest,
     /// The tasks of the run, those of other shards included.
-    pub(super) tasks: Vec<SimulationTask>,
+    pub tasks: Vec<SimulationTask>,
     /// Places of the tasks that are simulated.
-    pub(super) numbers: Vec<usize>,
-    pub(super) agent: AgentParts,
+    pub numbers: Vec<usize>,
+    pub agent: AgentParts,
     /// Time that the model took to load, seconds.
-    pub(super) load_s: Option<f64>,
+    pub load_s: Option<f64>,
 }
 
 /// The results of a run whose simulations are all completed.
@@ -49,7 +49,7 @@ pub struct RunResults {
 }
 
 /// A run in its folder.
-pub(super) struct Run {
+pub struct Run {
     plan: RunPlan,
     folder: RunFolder,
     /// Places in the tasks that are not completed.
@@ -64,19 +64,16 @@ pub(super) struct Run {
 
 impl Run {
     /// Starts a run in a new folder; without a name, in the next free `runs/NNNN`.
-    pub(super) fn create(path: Option<&Path>, plan: RunPlan) -> Result<Self, RunnerError> {
+    #[doc(hidden)]
+    pub fn create(path: Option<&Path>, plan: RunPlan) -> Result<Self, RunnerError> {
         let folder = RunFolder::create(path, &plan.manifest)?;
         let left = plan.numbers.clone();
         Ok(Self { plan, folder, left, rows: Vec::new(), simulated: 0, retried: 0 })
     }
 
     /// Resumes the run in a folder.
-    pub(super) fn resume(
-        path: &Path,
-        mut plan: RunPlan,
-        how: Resume,
-        listener: &Listener,
-    ) -> Result<Self, RunnerError> {
+    #[doc(hidden)]
+    pub fn resume(path: &Path, mut plan: RunPlan, how: Resume, listener: &Listener) -> Result<Self, RunnerError> {
         let recorded = RunFolder::manifest(path)?.inputs.is_some();
         let (folder, manifest, accepted) = RunFolder::resume(path, &plan.manifest, how.accept_changes)?;
         if !recorded {
@@ -111,12 +108,14 @@ impl Run {
     }
 
     /// Numbers of the tasks that are not completed.
-    pub(super) fn left(&self) -> &[usize] {
+    #[doc(hidden)]
+    pub fn left(&self) -> &[usize] {
         &self.left
     }
 
     /// How many tasks it simulates.
-    pub(super) fn total(&self) -> usize {
+    #[doc(hidden)]
+    pub fn total(&self) -> usize {
         self.plan.numbers.len()
     }
 
@@ -132,20 +131,23 @@ impl Run {
     }
 
     /// The tasks of its first scenario that are left.
-    pub(super) fn first(&self) -> Vec<usize> {
+    #[doc(hidden)]
+    pub fn first(&self) -> Vec<usize> {
         let source = |number: &usize| self.plan.tasks.get(*number).map(|task| &task.source);
         let first = self.left.first().and_then(source);
         self.left.iter().copied().take_while(|number| source(number) == first).collect()
     }
 
     /// Mean wall time of the completed simulations; none before the first.
-    pub(super) fn seconds_per_simulation(&self) -> Option<f64> {
+    #[doc(hidden)]
+    pub fn seconds_per_simulation(&self) -> Option<f64> {
         let seconds: f64 = self.rows.iter().map(|row| row.time.ended_s - row.time.started_s).sum();
         (!self.rows.is_empty()).then(|| seconds / self.rows.len() as f64)
     }
 
     /// Simulates some of the tasks that are left, and writes each as it ends.
-    pub(super) fn simulate(&mut self, numbers: &[usize], listener: &Listener) -> Result<(), RunnerError> {
+    #[doc(hidden)]
+    pub fn simulate(&mut self, numbers: &[usize], listener: &Listener) -> Result<(), RunnerError> {
         let folder = &self.folder;
         let is_stopped = || self.plan.agent.stop.as_ref().is_some_and(StopSwitch::is_stopped);
         run::run(&self.plan.tasks, numbers, &self.plan.agent, &|_| listener(Event::Stepped), &|number, record| {
@@ -164,7 +166,8 @@ impl Run {
     }
 
     /// Writes the results of a run whose simulations are all completed, and unlocks its folder.
-    pub(super) fn finish(self, started: Instant) -> Result<RunResults, RunnerError> {
+    #[doc(hidden)]
+    pub fn finish(self, started: Instant) -> Result<RunResults, RunnerError> {
         let Self { plan, folder, rows, simulated, .. } = self;
         let (total, path) = (plan.numbers.len(), folder.path().to_owned());
         if rows.len() != total {

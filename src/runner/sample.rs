@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 /// What to take of the scenarios that are found.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Sample {
+pub struct Sample {
     /// Only these types; without any, all.
     pub(super) types: Vec<String>,
     /// The seed of their order; without one, the order in which they are found.

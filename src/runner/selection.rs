@@ -8,9 +8,9 @@ use super::shard::Shard;
 use crate::experiment::run::SimulationTask;
 use crate::experiment::split::split;
 use crate::experiment::suite::Suite;
-use crate::planner::{PlannerName, PlannerRegistry};
 use crate::report::{Manifest, ScenarioList};
-use crate::simulation::{AgentPolicyName, Challenge};
+use planagent_agent::planner::{PlannerName, PlannerRegistry};
+use planagent_agent::simulation::{AgentPolicyName, Challenge};
 use planagent_files::word_of;
 use planagent_scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
 use std::collections::BTreeMap;
@@ -31,13 +31,13 @@ pub(super) struct Selection {
 }
 
 /// The scenarios that words and splits name.
-pub(super) struct Selected {
+pub struct Selected {
     /// The scenarios, each once.
-    pub(super) sources: Vec<ScenarioRef>,
+    pub sources: Vec<ScenarioRef>,
     /// Files of the splits, else their names.
-    pub(super) splits: Vec<String>,
+    pub splits: Vec<String>,
     /// Scenarios of the splits that the data does not hold.
-    pub(super) missing: Vec<MissingTokens>,
+    pub missing: Vec<MissingTokens>,
 }
 
 impl Selection {
@@ -162,7 +162,7 @@ fn check_commands(request: &Request, agents: Option<AgentPolicyName>, manifest: 
 
 /// Completes a manifest's list by the scenarios, and checks that their files exist: before the first simulation
 /// instead of in each.
-pub(super) fn scenario_list(
+pub fn scenario_list(
     sources: &[ScenarioRef],
     named: ScenarioList,
     roots: DataRoots,
@@ -183,7 +183,7 @@ fn roots(request: &Request, resumed: Option<&Manifest>) -> Result<DataRoots, Run
     })
 }
 
-pub(super) fn absolute(DataRoots { data, maps }: DataRoots) -> Result<DataRoots, RunnerError> {
+pub fn absolute(DataRoots { data, maps }: DataRoots) -> Result<DataRoots, RunnerError> {
     let absolute = |folder: Option<PathBuf>| {
         folder
             .map(|path| std::path::absolute(&path).map_err(|source| RunnerError::Absolute { path, source }))
@@ -193,7 +193,7 @@ pub(super) fn absolute(DataRoots { data, maps }: DataRoots) -> Result<DataRoots,
 }
 
 /// Finds the scenarios that words and splits name, or the default one where both are empty.
-pub(super) fn select(
+pub fn select(
     words: &[String],
     splits: &[String],
     sample: &Sample,
@@ -284,11 +284,7 @@ fn distinct<T: PartialEq>(values: Vec<T>) -> Vec<T> {
 }
 
 /// Every scenario with every planner in every challenge.
-pub(super) fn tasks(
-    sources: &[ScenarioRef],
-    planners: &[PlannerName],
-    challenges: &[Challenge],
-) -> Vec<SimulationTask> {
+pub fn tasks(sources: &[ScenarioRef], planners: &[PlannerName], challenges: &[Challenge]) -> Vec<SimulationTask> {
     let of_planner = |source: &ScenarioRef, planner: PlannerName| {
         let task = |&challenge: &Challenge| SimulationTask { source: source.clone(), planner, challenge };
         challenges.iter().map(task).collect::<Vec<_>>()

@@ -152,18 +152,18 @@ fn of_selection(
 }
 
 /// What a run simulates.
-pub(super) struct RunSubject<'a> {
-    pub(super) planners: Vec<String>,
+pub struct RunSubject<'a> {
+    pub planners: Vec<String>,
     /// The commands of those planners that are commands.
-    pub(super) commands: &'a Commands,
-    pub(super) challenges: Vec<String>,
-    pub(super) scenarios: ScenarioList,
+    pub commands: &'a Commands,
+    pub challenges: Vec<String>,
+    pub scenarios: ScenarioList,
     /// The files of the scenarios.
-    pub(super) data: BTreeMap<String, DataFile>,
+    pub data: BTreeMap<String, DataFile>,
 }
 
 /// What a run would be started with now.
-pub(super) fn manifest(
+pub fn manifest(
     RunSubject { planners, commands, challenges, scenarios, data }: RunSubject<'_>,
     loaded: Option<&LoadedModel>,
     config: &Config,

@@ -15,7 +15,7 @@ const DEFAULT_SPEED_LIMIT: f64 = 13.9;
 /// The world around the ego at one instant: map, route, ego, objects, lights, and the recent past.
 ///
 /// ```
-/// use planagent::Scene;
+/// use planagent_world::Scene;
 ///
 /// // A straight road of two lanes, and a slow car ahead.
 /// let scene = Scene::builder()
@@ -24,7 +24,7 @@ const DEFAULT_SPEED_LIMIT: f64 = 13.9;
 ///     .vehicle([30.0, -3.5], 0.0, 4.0)
 ///     .build()?;
 /// assert_eq!(scene.objects.len(), 1);
-/// # Ok::<(), planagent::Error>(())
+/// # Ok::<(), planagent_world::SceneError>(())
 /// ```
 #[derive(Debug, Clone)]
 #[non_exhaustive]

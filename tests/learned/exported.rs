@@ -2,14 +2,14 @@
 //! planners includes this file too.
 
 use candle_core::{DType, Device, Tensor};
-use planagent::internals::planner::learned::dtpp::{Dtpp, DtppConfig};
-use planagent::internals::planner::learned::gameformer::{GameFormer, GameFormerConfig, SceneInputs};
-use planagent::internals::planner::learned::gc_pgp::{GcPgp, GcPgpInputs};
-use planagent::internals::planner::learned::pdm_open::{HIDDEN, PdmInputs, PdmNetwork};
-use planagent::internals::planner::learned::plantf::{PlanTf, PlanTfConfig, PlanTfInputs, PlanTfMap};
-use planagent::internals::planner::learned::raster_model::{RasterModel, RasterModelConfig};
-use planagent::internals::planner::learned::urban_driver::{Elements, UrbanDriver, UrbanDriverConfig};
-use planagent::internals::planner::learned::{Checkpoint, Probe, Weights};
+use planagent::internals::learned::dtpp::{Dtpp, DtppConfig};
+use planagent::internals::learned::gameformer::{GameFormer, GameFormerConfig, SceneInputs};
+use planagent::internals::learned::gc_pgp::{GcPgp, GcPgpInputs};
+use planagent::internals::learned::pdm_open::{HIDDEN, PdmInputs, PdmNetwork};
+use planagent::internals::learned::plantf::{PlanTf, PlanTfConfig, PlanTfInputs, PlanTfMap};
+use planagent::internals::learned::raster_model::{RasterModel, RasterModelConfig};
+use planagent::internals::learned::urban_driver::{Elements, UrbanDriver, UrbanDriverConfig};
+use planagent::internals::learned::{Checkpoint, Probe, Weights};
 use std::collections::HashMap;
 use std::path::Path;
 

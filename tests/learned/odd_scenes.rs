@@ -4,15 +4,15 @@
 use super::vectors::network;
 use candle_core::Tensor;
 use planagent::internals::geometry::{OrientedBox, Pose, Vector};
-use planagent::internals::planner::learned::Probe;
-use planagent::internals::planner::learned::dtpp::{Dtpp, DtppConfig, paths, scored_tree};
-use planagent::internals::planner::learned::gameformer::{
+use planagent::internals::learned::Probe;
+use planagent::internals::learned::dtpp::{Dtpp, DtppConfig, paths, scored_tree};
+use planagent::internals::learned::gameformer::{
     ActorFeatures, GameFormer, GameFormerConfig, reference_path, refinement,
 };
-use planagent::internals::planner::learned::gc_pgp::{GcPgp, GcPgpFeatures, poses};
-use planagent::internals::planner::learned::plantf::PlanTfFeatures;
-use planagent::internals::planner::learned::raster_model::Raster;
-use planagent::internals::planner::learned::urban_driver::UrbanDriverFeatures;
+use planagent::internals::learned::gc_pgp::{GcPgp, GcPgpFeatures, poses};
+use planagent::internals::learned::plantf::PlanTfFeatures;
+use planagent::internals::learned::raster_model::Raster;
+use planagent::internals::learned::urban_driver::UrbanDriverFeatures;
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{self, Spec, types};
 use planagent::internals::world::{

@@ -4,9 +4,9 @@ use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network};
 use candle_core::{Device, Tensor};
 use planagent::internals::geometry::Pose;
+use planagent::internals::learned::pdm_open::{HIDDEN, PdmFeatures, PdmInputs, PdmNetwork, fused, sampled};
+use planagent::internals::learned::{Probe, trajectory};
 use planagent::internals::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
-use planagent::internals::planner::learned::pdm_open::{HIDDEN, PdmFeatures, PdmInputs, PdmNetwork, fused, sampled};
-use planagent::internals::planner::learned::{Probe, trajectory};
 use planagent::internals::world::{Scene, Trajectory, TrajectoryState};
 use serde_json::Value;
 

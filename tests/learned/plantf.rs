@@ -3,11 +3,11 @@
 use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, network};
 use candle_core::{DType, Tensor};
-use planagent::internals::pdm::corrected_route;
-use planagent::internals::planner::learned::Probe;
-use planagent::internals::planner::learned::plantf::{
+use planagent::internals::learned::Probe;
+use planagent::internals::learned::plantf::{
     LineFeatures, PlanTf, PlanTfConfig, PlanTfFeatures, PlanTfInputs, PlanTfMap,
 };
+use planagent::internals::pdm::corrected_route;
 use planagent::internals::world::ObjectKind;
 use planagent::{Scene, SceneBuilder};
 

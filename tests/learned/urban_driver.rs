@@ -3,8 +3,8 @@
 use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, network};
 use candle_core::DType;
-use planagent::internals::planner::learned::Probe;
-use planagent::internals::planner::learned::urban_driver::{
+use planagent::internals::learned::Probe;
+use planagent::internals::learned::urban_driver::{
     ElementLimits, Elements, UrbanDriver, UrbanDriverConfig, UrbanDriverFeatures,
 };
 

@@ -1,11 +1,12 @@
 //! Some simulations whose scores and planner codes are pinned: they guard `RESULT_VERSION`.
 
 use planagent::internals::experiment::run::{SimulationTask, run};
-use planagent::internals::planner::{PlanAgentSettings, PlannerRegistry};
+use planagent::internals::planner::PlanAgentSettings;
 use planagent::internals::runner::{Config, RESULT_VERSION, load_model, silent};
 use planagent::internals::scenario::ScenarioRef;
 use planagent::internals::scenario::generator::Spec;
 use planagent::internals::simulation::Challenge;
+use planagent::planning::all_planners;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::Path;
@@ -40,7 +41,7 @@ fn tasks() -> Vec<SimulationTask> {
             Challenge::CLOSED_LOOP.map(|challenge| SimulationTask { source: source.clone(), planner, challenge })
         };
         let settings = PlanAgentSettings::default();
-        let mut entries = PlannerRegistry::default().entries().to_vec();
+        let mut entries = all_planners().entries().to_vec();
         // Learned planners need a checkpoint of somebody.
         entries.retain(|entry| entry.prepare(&settings).is_ok());
         entries.into_iter().map(|entry| entry.name).flat_map(of_planner)

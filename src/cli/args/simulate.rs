@@ -6,10 +6,10 @@ use crate::cli::help;
 use crate::cli::picture::{PictureFile, picture_file};
 use crate::cli::words::{count, path_word, planner_words, shard_word};
 use crate::experiment::suite::Suite;
-use crate::planner::DEFAULT_EXEC_TIMEOUT;
 use crate::runner::{Request, Shard};
 use anyhow::Context;
 use clap::Args;
+use planagent_agent::planner::DEFAULT_EXEC_TIMEOUT;
 use std::path::PathBuf;
 use std::time::Duration;
 

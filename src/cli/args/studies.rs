@@ -4,11 +4,11 @@ use super::data::DataArguments;
 use super::model::ModelArguments;
 use crate::cli::help;
 use crate::cli::words::path_word;
-#[cfg(feature = "learned")]
-use crate::experiment::dataset::imitation::ImitationPlanner;
 use crate::experiment::suite::RECORDED;
-use crate::planner::PlannerRegistry;
-use crate::runner::ExperimentsRequest;
+#[cfg(feature = "learned")]
+use crate::lab::dataset::imitation::ImitationPlanner;
+use crate::lab::experiments::ExperimentsRequest;
+use crate::planners::all_planners;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -136,7 +136,7 @@ impl ExperimentArguments {
         Ok(ExperimentsRequest {
             suites: self.suites.iter().map(modified).collect::<anyhow::Result<_>>()?,
             scenarios,
-            registry: PlannerRegistry::default(),
+            registry: all_planners(),
             roots: self.data.roots(),
             out: self.out.clone(),
             bench: self.bench.clone(),

@@ -4,11 +4,10 @@ use crate::cli::args::{BENCH_PROCESS, BenchArguments, OtherEngine};
 use crate::cli::commands::models::quantize::write as write_gguf;
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer, interrupt};
-use crate::experiment::bench::protocol::{GgufPair, ModelChoice};
-use crate::experiment::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
-use crate::report::{
-    BenchFigures, BenchFolder, BenchMetadata, ReportError, bench_markdown, bench_table, check_writable, stamp,
-};
+use crate::lab::bench::protocol::{GgufPair, ModelChoice};
+use crate::lab::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
+use crate::lab::report::{BenchFigures, BenchFolder, BenchMetadata, bench_markdown, bench_table};
+use crate::report::{ReportError, check_writable, stamp};
 use crate::runner::{Config, build_commit, cpu, memory, model_registry};
 use anyhow::{Context, bail};
 use planagent_files::{quoted, word_of};

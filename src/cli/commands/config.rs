@@ -2,8 +2,8 @@
 
 use crate::cli::settings::{Setting, Settings};
 use crate::cli::{Exit, Printer};
-use crate::reasoning::PromptSet;
 use crate::runner::{Config, model_registry, silent};
+use planagent_agent::reasoning::PromptSet;
 use planagent_mllm::MllmError;
 
 /// Column of the origins, behind values that leave room for it.

@@ -3,10 +3,12 @@
 use crate::cli::args::{ALL_EXPERIMENTS, ExperimentArguments};
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer, interrupt};
-use crate::experiment::study::{self, StudyError};
-use crate::experiment::twins::TwinResults;
-use crate::report::{ChallengeResults, StudyResults, failures, study_table, token_table, twin_table};
-use crate::runner::{Config, Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
+use crate::lab::experiments::{Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
+use crate::lab::report::{ChallengeResults, StudyResults, study_table, token_table, twin_table};
+use crate::lab::study::{self, StudyError};
+use crate::lab::twins::TwinResults;
+use crate::report::failures;
+use crate::runner::Config;
 use anyhow::anyhow;
 use serde::Serialize;
 use std::path::Path;

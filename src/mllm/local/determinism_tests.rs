@@ -16,7 +16,7 @@ use crate::family::VisionLanguageModel;
 
 /// Set in the child process of the test: the folder for its result.
 const FOLDER: &str = "PLANAGENT_TEST_FOLDER";
-const TEST: &str = "mllm::local::determinism_tests::logits_are_the_same_bits_at_any_thread_count";
+const TEST: &str = "local::determinism_tests::logits_are_the_same_bits_at_any_thread_count";
 
 /// A model with random weights in the shape of a configuration.
 fn random(architecture: &str, config: &Value, processor: &Value) -> Box<dyn VisionLanguageModel> {

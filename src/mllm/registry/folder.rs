@@ -2,6 +2,16 @@
 
 use std::path::PathBuf;
 
+/// Folder of model descriptions, beside the working directory or the program.
+const MODELS: &str = "models";
+/// Environment variable that names it.
+const MODELS_VARIABLE: &str = "PLANAGENT_MODELS";
+
+/// `$PLANAGENT_MODELS`, else `models` in the working directory, else beside the program or the package being run.
+pub fn models_folder() -> PathBuf {
+    data_folder(MODELS_VARIABLE, MODELS)
+}
+
 /// The folder that an environment variable names; else `name` in the working directory, beside the program, or in the package
 /// being run.
 pub fn data_folder(variable: &str, name: &str) -> PathBuf {

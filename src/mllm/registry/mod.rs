@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
-pub use folder::data_folder;
+pub use folder::{data_folder, models_folder};
 use hub::HubFiles;
 pub use hub::{FetchListener, FetchProgress, HubAccess};
 pub use inputs::ModelInputs;

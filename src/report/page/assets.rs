@@ -1,6 +1,6 @@
 //! The page around the data: markup, styles and scripts from the files in `assets/`.
 
-use crate::report::figure::escaped;
+use crate::report::escaped;
 
 /// The markup, with placeholders in double braces.
 const MARKUP: &str = include_str!("assets/page.html");

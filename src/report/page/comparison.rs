@@ -4,7 +4,7 @@
 use super::source::RunSimulations;
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use crate::report::simulation_row::SimulationRow;
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::distinct;
 use rayon::prelude::*;
 use serde::Serialize;

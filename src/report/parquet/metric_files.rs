@@ -167,7 +167,7 @@ fn time_series(rows: &[Row<'_>]) -> Columns {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::Challenge;
+    use planagent_agent::simulation::Challenge;
     use planagent_score::metrics::metric;
 
     #[test]

@@ -1,7 +1,7 @@
 //! Why a simulation cannot be rendered.
 
-use crate::environment::BevError;
 use crate::report::ReportError;
+use planagent_agent::environment::BevError;
 use std::io;
 use std::path::{Path, PathBuf};
 

@@ -3,7 +3,7 @@
 use super::error::RenderError;
 use crate::report::run_folder::{RunFolder, folders};
 use crate::report::simulation_row::SimulationRow;
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 

@@ -8,13 +8,13 @@ use super::find::{SimulationChoice, words};
 use super::legend::{Entry, Legend};
 use super::lettering::Lettering;
 use super::scene::{self, DrawnScene, View};
-use crate::environment::bev::BevView;
 use crate::report::call_record::{CallRecord, DecisionRecord, LineRecord, calls_in};
 use crate::report::decision::recorded_words;
 use crate::report::number::fixed;
 use crate::report::replay::{Moment, Replay, ReplayedSimulation};
 use crate::report::simulation_row::SimulationRow;
 use image::{GenericImage, RgbImage};
+use planagent_agent::environment::bev::BevView;
 use planagent_world::geometry::Point;
 use std::path::Path;
 

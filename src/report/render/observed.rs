@@ -5,9 +5,9 @@ use super::canvas::Canvas;
 use super::colors::COLORS;
 use super::frame::Look;
 use super::scene::{DrawnScene, View, draw};
-use crate::environment::{BevError, BevView};
 use crate::report::replay::DrawnMap;
 use image::RgbImage;
+use planagent_agent::environment::{BevError, BevView};
 use planagent_world::geometry::Bounds;
 use planagent_world::{SceneView, Trajectory};
 

@@ -4,7 +4,7 @@ use super::{Alignment, Table};
 
 impl Table {
     /// The table with a line feed at its end.
-    pub(super) fn markdown(&self) -> String {
+    pub fn markdown(&self) -> String {
         let rule = |side: &Alignment| match side {
             Alignment::Left => "---".to_owned(),
             Alignment::Right => "---:".to_owned(),

@@ -1,37 +1,25 @@
 //! Tables of results, printed to the terminal or to Markdown.
 
-mod bench;
 mod markdown;
 mod overview;
 mod paired;
-mod realism;
-mod recordings;
-mod reported;
 mod simulations;
-mod study;
-mod terminal;
-mod tokens;
-mod twins;
+pub mod terminal;
 
 use super::number::fixed;
 use super::simulation_row::SimulationRow;
 use super::summary::Summary;
 use super::timing::PlannerTiming;
 use super::visible::visible_line;
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::MetricList;
 
-pub use bench::{bench_markdown, bench_table};
 pub use paired::comparison_table;
-pub use realism::realism_table;
 pub use simulations::failures;
-pub use study::{study_markdown, study_table};
 pub use terminal::fill;
-pub use tokens::{token_markdown, token_table};
-pub use twins::{twin_markdown, twin_table};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Table {
+pub struct Table {
     headers: Vec<String>,
     alignment: Vec<Alignment>,
     rows: Vec<Vec<String>>,
@@ -46,7 +34,7 @@ enum Alignment {
 
 impl Table {
     /// A table whose first `names` columns are text; the others are numbers.
-    fn new(
+    pub fn new(
         headers: impl IntoIterator<Item = impl Into<String>>,
         names: usize,
         rows: impl IntoIterator<Item = Vec<String>>,
@@ -75,7 +63,7 @@ pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[Simulat
 }
 
 /// Names of the challenges in tables, as papers write them.
-fn short(challenge: Challenge) -> &'static str {
+pub fn short(challenge: Challenge) -> &'static str {
     match challenge {
         Challenge::NonReactive => "NR",
         Challenge::Reactive => "R",
@@ -85,7 +73,7 @@ fn short(challenge: Challenge) -> &'static str {
 }
 
 /// The text of a value, or a dash.
-fn or_dash<T>(value: Option<T>, text: impl FnOnce(T) -> String) -> String {
+pub fn or_dash<T>(value: Option<T>, text: impl FnOnce(T) -> String) -> String {
     value.map_or_else(|| "-".to_owned(), text)
 }
 
@@ -95,13 +83,13 @@ fn percent(score: f64) -> String {
 }
 
 /// A difference of scores with its sign, unless it rounds to zero.
-fn signed(value: f64) -> String {
+pub fn signed(value: f64) -> String {
     let text = fixed(value, 2);
     if value > 0.0 && text != "0.00" { format!("+{text}") } else { text }
 }
 
 /// A measurement with three significant digits.
-fn three_digits(value: f64) -> String {
+pub fn three_digits(value: f64) -> String {
     let decimals = match value.abs() {
         size if size >= 100.0 => 0,
         size if size >= 10.0 => 1,
@@ -125,7 +113,7 @@ fn measurements(values: &[Option<f64>]) -> Vec<String> {
 }
 
 /// A number of weights in millions or billions.
-fn weights(count: u64) -> String {
+pub fn weights(count: u64) -> String {
     let (million, billion) = (1e6, 1e9);
     let count = count as f64;
     if count < billion { format!("{:.1} M", count / million) } else { format!("{:.2} B", count / billion) }

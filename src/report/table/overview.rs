@@ -3,7 +3,7 @@
 use super::{Table, measurements, or_dash, percent, short};
 use crate::report::summary::{Aggregate, Summary};
 use crate::report::timing::PlannerTiming;
-use crate::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::distinct;
 
 /// A row for each planner: its mean scores, the mean time of a step, the median time of a planning call, its simulations.

@@ -5,16 +5,16 @@ use comfy_table::{CellAlignment, presets};
 use console::{measure_text_width, style};
 
 /// Width of a terminal if nothing else is known, columns.
-pub(super) const COLUMNS: usize = 80;
+pub const COLUMNS: usize = 80;
 
 impl Table {
     /// The table without a frame.
-    pub(super) fn terminal(&self) -> String {
+    pub fn terminal(&self) -> String {
         self.lines().join("\n")
     }
 
     /// The table with the first cell of each row on a line of its own, once for equal neighbors: long names take no width.
-    pub(super) fn terminal_below_names(mut self) -> String {
+    pub fn terminal_below_names(mut self) -> String {
         let header_lines = self.headers.iter().map(|header| header.split('\n').count()).max().unwrap_or(1);
         let rows = std::iter::once(&mut self.headers).chain(&mut self.rows).filter(|row| !row.is_empty());
         let mut names: Vec<String> = rows.map(|row| row.remove(0)).collect();
@@ -51,7 +51,7 @@ pub fn fill(words: impl IntoIterator<Item = String>, width: usize) -> Vec<String
 }
 
 /// A sentence in lines of [`COLUMNS`].
-pub(super) fn wrapped(text: &str) -> Vec<String> {
+pub fn wrapped(text: &str) -> Vec<String> {
     joined(text.split_whitespace().map(str::to_owned), " ", COLUMNS)
 }
 

@@ -9,7 +9,7 @@ const MAX_ERROR: f64 = 1e-6;
 
 /// A file of the vectors, which `tests/fixtures/vectors/interplan/README.md` describes.
 fn vectors(name: &str) -> Value {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/vectors/interplan").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/vectors/interplan").join(name);
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 

@@ -1,7 +1,7 @@
 //! What is known of a described model.
 
 use super::check::reason;
-use crate::reasoning;
+use planagent_agent::reasoning;
 use planagent_mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec};
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -3,17 +3,16 @@
 use super::{compute, history};
 use crate::cli::picture::PictureFile;
 use crate::cli::{Exit, Printer};
-use crate::environment::{AgentName, LaneGraph};
 use crate::experiment::run::AgentParts;
-use crate::planner::{
-    CallSettings, CodeSource, PlanAgentSettings, PlannerInitialization, PlannerName, PlannerRegistry,
-};
-use crate::reasoning::{ParseError, PlannerCode};
-use crate::reflection::{LeadPolicy, ReflectionReport};
+use crate::planners::all_planners;
 use crate::report::render::code_picture;
 use crate::report::{Judgement, decision_words, fixed};
 use crate::runner::Config;
 use anyhow::{Context, bail};
+use planagent_agent::environment::{AgentName, LaneGraph};
+use planagent_agent::planner::{CallSettings, CodeSource, PlanAgentSettings, PlannerInitialization, PlannerName};
+use planagent_agent::reasoning::{ParseError, PlannerCode};
+use planagent_agent::reflection::{LeadPolicy, ReflectionReport};
 use planagent_scenario::{Frame, Scenario};
 use planagent_world::geometry::Pose;
 use planagent_world::{EgoState, STEP_S};
@@ -34,7 +33,7 @@ pub(super) fn run(
     let settings = settings(config);
     let names = names(scenario, iteration, frame, &settings)?;
     let parts = AgentParts {
-        registry: PlannerRegistry::default(),
+        registry: all_planners(),
         model: Some(CodeSource::Written(line.to_owned())),
         settings,
         ..AgentParts::default()
@@ -121,10 +120,10 @@ fn names(
 
 impl SceneNames {
     fn followed(&self, code: PlannerCode, policy: LeadPolicy) -> Option<AgentName> {
-        match policy {
-            LeadPolicy::Named => code.lead_agent,
-            LeadPolicy::Nearest => self.0.lead_agent(code.centerline).map(|agent| agent.name),
+        if policy == LeadPolicy::Named {
+            return code.lead_agent;
         }
+        self.0.lead_agent(code.centerline).map(|agent| agent.name)
     }
 }
 

@@ -6,13 +6,13 @@ use crate::cli::args::{DataArguments, PlanArguments};
 use crate::cli::picture::check_output;
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
-use crate::planner::PlannerName;
-use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
-use crate::reasoning::Interruption;
 use crate::report::render::call_picture;
 use crate::report::{CallRecord, CallTimes, attempt_markdown, decision_words, fixed};
 use crate::runner::{Config, load_model};
 use anyhow::{Context, bail};
+use planagent_agent::planner::PlannerName;
+use planagent_agent::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
+use planagent_agent::reasoning::Interruption;
 use planagent_scenario::{Frame, Scenario, generator};
 use planagent_world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory};
 use serde_json::{Value, json};
@@ -36,8 +36,8 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
     agent.initialize(&PlannerInitialization { map: &scenario.map, route: &scenario.route })?;
     let trajectory = compute(&scenario, iteration, frame, agent.as_mut())?;
     // The planner starts at iteration 0; the record has the iteration of the scenario.
-    let call = agent.calls().last().context("the planner made no call")?;
-    let call = PlanningCall { iteration, at_s: iteration as f64 * STEP_S, ..call.clone() };
+    let mut call = agent.calls().last().context("the planner made no call")?.clone();
+    (call.iteration, call.at_s) = (iteration, iteration as f64 * STEP_S);
     if let Some(file) = &flags.image {
         file.save(&call_picture(&scenario, frame, &call, &trajectory))?;
         if let Some(image) = &call.image {

@@ -3,9 +3,9 @@
 use crate::cli::completed::completed;
 use crate::cli::{Exit, Printer};
 use crate::experiment::suite::{Suite, hard_list, hard_scenarios};
-use crate::planner::PlannerName;
-use crate::simulation::Challenge;
 use anyhow::Context;
+use planagent_agent::planner::PlannerName;
+use planagent_agent::simulation::Challenge;
 use serde_json::json;
 use std::path::Path;
 

@@ -2,9 +2,9 @@
 
 use crate::cli::args::{DataArguments, StatisticsArguments};
 use crate::cli::{Exit, Printer};
-use crate::experiment::realism::{MeasuredScene, SceneComparison};
 use crate::experiment::split::{SplitError, split};
-use crate::report::{realism_figure, realism_table};
+use crate::lab::realism::{MeasuredScene, SceneComparison};
+use crate::lab::report::{realism_figure, realism_table};
 use anyhow::{Context, bail};
 use planagent_files::path_of;
 use planagent_scenario::{ReaderError, Readers, ScenarioRef};

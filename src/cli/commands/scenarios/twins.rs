@@ -2,8 +2,8 @@
 
 use crate::cli::args::TwinArguments;
 use crate::cli::{Exit, Printer};
-use crate::experiment::dataset::Split;
-use crate::experiment::twins::{TEST_PAIRS, VALIDATION_PAIRS, draw, list_text};
+use crate::experiment::seeds::Split;
+use crate::lab::twins::{TEST_PAIRS, VALIDATION_PAIRS, draw, list_text};
 use serde_json::json;
 use std::collections::BTreeMap;
 

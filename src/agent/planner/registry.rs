@@ -1,0 +1,290 @@
+//! The planners that a run can name. A new planner is its file and one line of [`PlannerRegistry::default`]; crates above
+//! and programs add theirs with [`PlannerRegistry::with`].
+
+use super::{
+    AgentLayer, AskedModel, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay, PdmClosed, PdmClosedPlus,
+    PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, SimplePlanner,
+};
+use crate::reasoning::AssistVariant;
+use planagent_world::EgoState;
+use std::fmt;
+use std::sync::Arc;
+
+/// What a planner is built from. Runs load a model only for a planner that needs one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum PlannerNeeds {
+    /// Nothing but the scenario's map and route.
+    Nothing,
+    /// The recorded ego states.
+    Recording,
+    /// The agent's settings.
+    Settings,
+    /// The agent's settings and a model.
+    Model,
+    /// A file with the weights of a network.
+    Checkpoint,
+    /// The agent's settings and the simulation itself, in which it looks ahead. Only runs have one to give.
+    Simulation,
+}
+
+/// The settings that a planner depends on.
+#[doc(hidden)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs, reason = "a part of `PlannerNeeds`")]
+pub enum UsedSettings {
+    None,
+    Checkpoint,
+    Agent,
+    AgentAndModel,
+}
+
+impl PlannerNeeds {
+    /// The settings that a planner with these needs depends on.
+    #[doc(hidden)]
+    pub fn settings(self) -> UsedSettings {
+        match self {
+            Self::Nothing | Self::Recording => UsedSettings::None,
+            Self::Checkpoint => UsedSettings::Checkpoint,
+            Self::Settings | Self::Simulation => UsedSettings::Agent,
+            Self::Model => UsedSettings::AgentAndModel,
+        }
+    }
+}
+
+/// What a planner of one simulation is built from.
+#[derive(Clone, Copy)]
+pub struct PlannerParts<'a> {
+    /// Name under which the planner is registered.
+    pub name: PlannerName,
+    /// Settings of agents; the seed is that of the simulation.
+    pub settings: &'a PlanAgentSettings,
+    /// The model of a planner that needs one.
+    pub model: Option<&'a CodeSource>,
+    /// The recorded ego states from iteration 0 on, for a planner that needs them.
+    pub recording: &'a [EgoState],
+    /// Images of other scenes, for the ablation that shows them to the model.
+    pub shuffled_bev: Option<&'a BevSource>,
+}
+
+type Built = Result<Box<dyn Planner>, PlannerError>;
+type Prepare = dyn Fn(&PlanAgentSettings) -> Result<(), PlannerError> + Send + Sync;
+
+/// A planner in the registry.
+#[derive(Clone)]
+pub struct PlannerEntry {
+    /// Its name.
+    pub name: PlannerName,
+    /// One line about it.
+    pub summary: &'static str,
+    /// What it is built from.
+    pub needs: PlannerNeeds,
+    build: Arc<dyn Fn(&PlannerParts<'_>) -> Built + Send + Sync>,
+    unsupported: fn(&PlanAgentSettings) -> Option<&'static str>,
+    prepare: Arc<Prepare>,
+}
+
+impl PlannerEntry {
+    /// A planner that `build` makes for each simulation.
+    pub fn new(
+        name: PlannerName,
+        summary: &'static str,
+        needs: PlannerNeeds,
+        build: impl Fn(&PlannerParts<'_>) -> Built + Send + Sync + 'static,
+    ) -> Self {
+        let prepare = Arc::new(|_: &PlanAgentSettings| Ok(()));
+        Self { name, summary, needs, build: Arc::new(build), unsupported: |_| None, prepare }
+    }
+
+    /// The same, with what a run does once before its first simulation.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn prepared_by(
+        self,
+        prepare: impl Fn(&PlanAgentSettings) -> Result<(), PlannerError> + Send + Sync + 'static,
+    ) -> Self {
+        Self { prepare: Arc::new(prepare), ..self }
+    }
+
+    /// Prepares for the simulations of a run: loads the checkpoint of a planner that needs one.
+    ///
+    /// # Errors
+    /// When it has none, or one that cannot be used.
+    pub fn prepare(&self, settings: &PlanAgentSettings) -> Result<(), PlannerError> {
+        (self.prepare)(settings)
+    }
+
+    /// Whether it asks the configured model.
+    pub fn needs_model(&self) -> bool {
+        self.needs == PlannerNeeds::Model
+    }
+
+    /// The configuration key that is set and that this planner does not support.
+    pub fn unsupported(&self, settings: &PlanAgentSettings) -> Option<&'static str> {
+        (self.unsupported)(settings)
+    }
+
+    /// The planner of one simulation.
+    ///
+    /// # Errors
+    /// When a part is missing.
+    pub fn build(&self, parts: &PlannerParts<'_>) -> Result<Box<dyn Planner>, PlannerError> {
+        if self.needs_model() && parts.model.is_none() {
+            return Err(PlannerError::MissingPart { planner: self.name, part: "a model" });
+        }
+        (self.build)(parts)
+    }
+}
+
+impl fmt::Debug for PlannerEntry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("PlannerEntry").field("name", &self.name).field("needs", &self.needs).finish_non_exhaustive()
+    }
+}
+
+/// A name that no planner has.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("unknown planner '{name}'; known planners are {}", known.join(", "))]
+pub struct UnknownPlanner {
+    /// The name.
+    pub name: String,
+    /// The names of all planners.
+    pub known: Vec<String>,
+}
+
+/// The planners by name. Those of the default need no checkpoint.
+#[derive(Debug, Clone)]
+pub struct PlannerRegistry {
+    entries: Vec<PlannerEntry>,
+}
+
+impl Default for PlannerRegistry {
+    fn default() -> Self {
+        use PlannerNeeds::{Model, Nothing, Recording, Settings, Simulation};
+        let control = |name, summary, source: CodeSource| {
+            PlannerEntry::new(name, summary, Settings, move |parts| boxed(agent(parts, source.clone())))
+        };
+        let assist = |name, summary, variant| PlannerEntry {
+            unsupported: |settings| (settings.agent.latency != Latency::None).then_some("agent.latency"),
+            ..PlannerEntry::new(name, summary, Model, move |parts| llm_assist(parts, variant))
+        };
+        let name = PlannerName::new;
+        Self {
+            entries: vec![
+                PlannerEntry::new(PlannerName::PLAN_AGENT, "the agent of the paper", Model, plan_agent),
+                PlannerEntry::new(name("log-replay"), "the recorded driver", Recording, |parts| {
+                    boxed(LogReplay::new(parts.recording.to_vec()))
+                }),
+                PlannerEntry::new(name("idm"), "nuPlan's IDM planner", Nothing, |_| boxed(IdmPlanner::default())),
+                PlannerEntry::new(name("simple"), "nuPlan's planner that drives straight ahead", Nothing, |_| {
+                    boxed(SimplePlanner::default())
+                }),
+                PlannerEntry::new(PlannerName::PDM_CLOSED, "PDM-Closed", Nothing, |_| boxed(PdmClosed::new())),
+                PlannerEntry::new(
+                    name("pdm-closed-plus"),
+                    "PDM-Closed with proposals on every centerline (a control)",
+                    Nothing,
+                    |_| boxed(PdmClosedPlus::new()),
+                ),
+                assist(name("llm-assist-unc"), "LLM-ASSIST; the model gives waypoints", AssistVariant::Unconstrained),
+                assist(name("llm-assist-par"), "LLM-ASSIST; the model tunes PDM-Closed", AssistVariant::Parameters),
+                control(name("random-code"), "the agent with random codes (a control)", CodeSource::Random),
+                control(name("fixed-code"), "the agent with one fixed code (a control)", CodeSource::Fixed),
+                control(name("grid-code"), "the agent with the best code of a grid (a control)", CodeSource::Grid),
+                control(
+                    name("random-code-four"),
+                    "the agent with the best of four random codes (a control)",
+                    CodeSource::RandomFour,
+                ),
+                control(
+                    name("grid-code-four"),
+                    "the agent with the best of four fixed codes (a control)",
+                    CodeSource::GridFour,
+                ),
+                PlannerEntry::new(
+                    PlannerName::ORACLE_CODE,
+                    "the agent with codes tried out ahead (a control)",
+                    Simulation,
+                    |parts| {
+                        Err(PlannerError::MissingPart { planner: parts.name, part: "a simulation to look ahead in" })
+                    },
+                ),
+            ],
+        }
+    }
+}
+
+impl PlannerRegistry {
+    /// The same with one more planner, in place of an earlier one of the same name.
+    #[must_use]
+    pub fn with(mut self, entry: PlannerEntry) -> Self {
+        self.entries.retain(|earlier| earlier.name != entry.name);
+        self.entries.push(entry);
+        self
+    }
+
+    /// All planners.
+    pub fn entries(&self) -> &[PlannerEntry] {
+        &self.entries
+    }
+
+    /// The planner of a name.
+    ///
+    /// # Errors
+    /// When no planner has it.
+    pub fn find(&self, name: &str) -> Result<&PlannerEntry, UnknownPlanner> {
+        self.entries.iter().find(|entry| entry.name.as_str() == name).ok_or_else(|| {
+            let known = self.entries.iter().map(|entry| entry.name.to_string()).collect();
+            UnknownPlanner { name: name.to_owned(), known }
+        })
+    }
+}
+
+#[allow(clippy::unnecessary_wraps, reason = "the shape of a build function")]
+fn boxed(planner: impl Planner + 'static) -> Built {
+    Ok(Box::new(planner))
+}
+
+fn agent(parts: &PlannerParts<'_>, source: CodeSource) -> Box<dyn AgentLayer> {
+    let agent = PlanAgent::new(parts.name, source, parts.settings.clone());
+    agent.with_shuffled_bev(parts.shuffled_bev.cloned()).layered()
+}
+
+fn plan_agent(parts: &PlannerParts<'_>) -> Built {
+    let missing = PlannerError::MissingPart { planner: parts.name, part: "a model" };
+    Ok(Box::new(agent(parts, parts.model.cloned().ok_or(missing)?)))
+}
+
+fn llm_assist(parts: &PlannerParts<'_>, variant: AssistVariant) -> Built {
+    let Some(CodeSource::Model { model, prompts, reasoning }) = parts.model.cloned() else {
+        return Err(PlannerError::MissingPart { planner: parts.name, part: "a language model" });
+    };
+    Ok(Box::new(LlmAssist::new(parts.name, variant, AskedModel { model, prompts, reasoning }, parts.settings.clone())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn names_are_different_and_fit_into_file_names() {
+        let registry = PlannerRegistry::default();
+        let names: BTreeSet<PlannerName> = registry.entries().iter().map(|entry| entry.name).collect();
+        assert_eq!(names.len(), registry.entries().len());
+        let fits = |name: &PlannerName| name.as_str().chars().all(|c| c.is_ascii_lowercase() || c == '-');
+        assert!(names.iter().all(fits), "{names:?}");
+    }
+
+    #[test]
+    fn a_later_entry_replaces_an_earlier_one_of_its_name() {
+        let own = PlannerEntry::new(PlannerName::new("idm"), "mine", PlannerNeeds::Settings, |_| {
+            Ok(Box::new(SimplePlanner::default()))
+        });
+        let registry = PlannerRegistry::default().with(own);
+        assert_eq!(registry.find("idm").unwrap().summary, "mine");
+        assert_eq!(registry.entries().len(), PlannerRegistry::default().entries().len());
+        let error = registry.find("imd").unwrap_err().to_string();
+        assert!(error.starts_with("unknown planner 'imd'; known planners are plan-agent, log-replay"), "{error}");
+    }
+}

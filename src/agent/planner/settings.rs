@@ -1,0 +1,246 @@
+//! Settings of the agent, in the sections of the configuration file. The defaults are those of the published results; where
+//! they differ from the paper, `docs/decisions` says why.
+
+use super::latency::Latency;
+use crate::environment::DEFAULT_NODE_LENGTH;
+use crate::reflection::{LeadPolicy, PlanMonitor, steps_of};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// Which plan becomes active when all attempts were refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum AfterMaxExec {
+    /// The last one (the paper).
+    Last,
+    /// The one with the best score; the active plan is kept where it scores more.
+    #[default]
+    Best,
+}
+
+/// Section `agent`: a planning call as a whole.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CallSettings {
+    /// Wall time after which a planning call is interrupted and the active plan is kept, milliseconds; `None` for no limit. The
+    /// image and a running reflection are completed all the same.
+    pub deadline_ms: Option<u64>,
+    /// Predicted score of PDM-Closed from which on the model is not asked and PDM-Closed is executed; `None` always asks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gate: Option<f64>,
+    /// How long a planning call lasts in simulated time.
+    pub latency: Latency,
+}
+
+/// Section `environment`: the input of the model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnvironmentSettings {
+    /// Whether the model gets the BEV image.
+    pub bev: bool,
+    /// Whether that image is of an unrelated scene, a new one at each planning call (an ablation).
+    pub shuffled_bev: bool,
+    /// Whether the model gets the lane-graph text.
+    pub lane_graph: bool,
+    /// Side of the square that the BEV image shows, meters; its pixels are those of the model's vision tower.
+    pub view_m: f64,
+    /// Length of a lane-graph node, meters.
+    pub node_length_m: f64,
+    /// Whether codes may name the oncoming lane to pass what blocks the ego's; `None` as the prompt set says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub oncoming_lane: Option<bool>,
+}
+
+impl Default for EnvironmentSettings {
+    fn default() -> Self {
+        let (view_m, node_length_m) = (64.0, DEFAULT_NODE_LENGTH);
+        Self { bev: true, shuffled_bev: false, lane_graph: true, view_m, node_length_m, oncoming_lane: None }
+    }
+}
+
+/// Section `reflection`: how plans are scored and executed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReflectionSettings {
+    /// Whether plans are scored; without, the first plan that can be read becomes active.
+    pub enabled: bool,
+    /// λ: a plan that scores this becomes active (the paper: 0.75).
+    pub threshold: f64,
+    /// λ of a plan that begins a lane change, where it is higher. In 350 validation scenes, most lane changes that scored less
+    /// than 0.98 lowered the score of the simulation. A change towards the goal's lane needs λ alone. A plan that stays in a blocked lane
+    /// which the ego can leave needs this too, so that other lanes are tried.
+    pub lane_change_threshold: f64,
+    /// Maximum number of attempts of a planning call (the paper: 3).
+    pub max_exec: usize,
+    /// Length of the roll-outs, seconds. 4 s are PDM-Closed's.
+    pub horizon_s: f64,
+    /// Which plan becomes active when all attempts were refused.
+    pub after_max_exec: AfterMaxExec,
+    /// Which objects a plan follows.
+    pub lead_policy: LeadPolicy,
+    /// Whether the active plan is monitored between planning calls. At every step it is scored with its slower and lateral
+    /// versions and a stop, and one of them is executed. A lane change whose score falls is aborted. Without monitoring the plan
+    /// is executed as the model wrote it (the paper).
+    pub monitoring: bool,
+    /// Whether the ego may brake hard against the active plan: by PDM-Closed's emergency brake, and under monitoring by the stop.
+    pub emergency_brake: bool,
+}
+
+impl Default for ReflectionSettings {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            threshold: 0.75,
+            lane_change_threshold: 0.98,
+            max_exec: 3,
+            horizon_s: 4.0,
+            after_max_exec: AfterMaxExec::Best,
+            lead_policy: LeadPolicy::Nearest,
+            monitoring: true,
+            emergency_brake: true,
+        }
+    }
+}
+
+/// Section `learned`: the checkpoint of each learned planner, a file.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearnedSettings {
+    /// PDM-Open's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pdm_open: Option<String>,
+    /// PDM-Hybrid's, of PDM-Offset.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pdm_hybrid: Option<String>,
+    /// PlanTF's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plantf: Option<String>,
+    /// UrbanDriver's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub urban_driver: Option<String>,
+    /// RasterModel's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub raster_model: Option<String>,
+    /// That of `raster-model-small`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub raster_model_small: Option<String>,
+    /// GC-PGP's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gc_pgp: Option<String>,
+    /// GameFormer's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gameformer: Option<String>,
+    /// That of `gameformer-small`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gameformer_small: Option<String>,
+    /// DTPP's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dtpp: Option<String>,
+    /// That of `dtpp-small`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dtpp_small: Option<String>,
+}
+
+impl LearnedSettings {
+    /// The checkpoint of a planner, by the planner's name; `None` where none is set, or the planner needs none.
+    pub fn checkpoint(&self, planner: &str) -> Option<&str> {
+        match planner {
+            "pdm-open" => self.pdm_open.as_deref(),
+            "pdm-hybrid" => self.pdm_hybrid.as_deref(),
+            "plantf" => self.plantf.as_deref(),
+            "urban-driver" => self.urban_driver.as_deref(),
+            "raster-model" => self.raster_model.as_deref(),
+            "raster-model-small" => self.raster_model_small.as_deref(),
+            "gc-pgp" => self.gc_pgp.as_deref(),
+            "gameformer" => self.gameformer.as_deref(),
+            "gameformer-small" => self.gameformer_small.as_deref(),
+            "dtpp" => self.dtpp.as_deref(),
+            "dtpp-small" => self.dtpp_small.as_deref(),
+            _ => None,
+        }
+    }
+
+    /// The place for each planner's checkpoint, with the planner's name.
+    fn places(&mut self) -> [(&'static str, &mut Option<String>); 11] {
+        [
+            ("pdm-open", &mut self.pdm_open),
+            ("pdm-hybrid", &mut self.pdm_hybrid),
+            ("plantf", &mut self.plantf),
+            ("urban-driver", &mut self.urban_driver),
+            ("raster-model", &mut self.raster_model),
+            ("raster-model-small", &mut self.raster_model_small),
+            ("gc-pgp", &mut self.gc_pgp),
+            ("gameformer", &mut self.gameformer),
+            ("gameformer-small", &mut self.gameformer_small),
+            ("dtpp", &mut self.dtpp),
+            ("dtpp-small", &mut self.dtpp_small),
+        ]
+    }
+
+    /// The place for a planner's checkpoint; `None` for a planner that needs none.
+    pub fn checkpoint_mut(&mut self, planner: &str) -> Option<&mut Option<String>> {
+        self.places().into_iter().find_map(|(name, place)| (name == planner).then_some(place))
+    }
+
+    /// The checkpoint of one planner alone.
+    pub fn only(mut self, planner: &str) -> Self {
+        self.places().into_iter().filter(|(name, _)| *name != planner).for_each(|(_, place)| *place = None);
+        self
+    }
+
+    /// All checkpoints.
+    pub fn all_mut(&mut self) -> impl Iterator<Item = &mut String> {
+        self.places().into_iter().filter_map(|(_, place)| place.as_mut())
+    }
+
+    /// Whether no checkpoint is set.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Settings of the agent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanAgentSettings {
+    /// Section `agent`.
+    pub agent: CallSettings,
+    /// Section `environment`.
+    pub environment: EnvironmentSettings,
+    /// Section `reflection`.
+    pub reflection: ReflectionSettings,
+    /// Section `learned`.
+    pub learned: LearnedSettings,
+    /// Time between planning calls, seconds (the paper: 2).
+    pub plan_interval_s: f64,
+    /// Time between planning calls while something blocks the ego's lane or its lead agent stands, seconds (the paper: 2).
+    pub blocked_interval_s: f64,
+    /// Seed of the simulation; each planning call draws from a stream of its own.
+    pub seed: u64,
+}
+
+impl Default for PlanAgentSettings {
+    fn default() -> Self {
+        let (agent, environment) = (CallSettings::default(), EnvironmentSettings::default());
+        let (reflection, learned) = Default::default();
+        Self { agent, environment, reflection, learned, plan_interval_s: 2.0, blocked_interval_s: 0.5, seed: 0 }
+    }
+}
+
+impl PlanAgentSettings {
+    /// The deadline of a planning call, if there is one.
+    pub(super) fn deadline(&self) -> Option<Duration> {
+        self.agent.deadline_ms.map(Duration::from_millis)
+    }
+
+    /// How the active plan is monitored; `None` where it is not.
+    pub(super) fn monitor(&self) -> Option<PlanMonitor> {
+        let ReflectionSettings { enabled, monitoring, horizon_s, threshold, emergency_brake, .. } = self.reflection;
+        (enabled && monitoring).then(|| PlanMonitor { steps: steps_of(horizon_s), threshold, emergency_brake })
+    }
+
+    /// The seed of the planning call at an iteration.
+    pub(super) fn call_seed(&self, iteration: usize) -> u64 {
+        self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64)
+    }
+}

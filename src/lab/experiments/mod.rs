@@ -1,0 +1,226 @@
+//! Experiments: the runs of studies, and what their comparison gives.
+
+mod request;
+mod runs;
+mod suites;
+mod tokens;
+mod twins;
+
+pub use request::ExperimentsRequest;
+pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
+
+use crate::lab::report::{
+    BenchFigures, BenchFolder, ModelFigures, Outcome, StudyFolder, StudyResults, SuiteSimulations, VariantSimulations,
+};
+use crate::lab::study::{Quick, Study, StudyError, find};
+use crate::lab::twins::{TwinError, TwinResults};
+use crate::report::{SimulationRow, check_writable};
+use crate::runner::Config;
+use crate::runner::RunnerError;
+use crate::runner::{Event, Listener};
+use planagent_files::quoted;
+use planagent_scenario::MissingTokens;
+use runs::{PlannedRuns, RunName};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::rc::Rc;
+use std::time::Instant;
+use suites::{SelectedSuite, Suites};
+
+/// Name of the experiment that counts tokens and simulates nothing.
+pub const TOKENS: &str = "tokens";
+/// Name of the experiment that asks the model in text twins.
+pub const TWINS: &str = "twins";
+/// Folder of the runs, beside those of the results.
+const RUNS: &str = "runs";
+
+/// A session of experiments, which share their suites and runs.
+pub struct Experiments<'a> {
+    request: &'a ExperimentsRequest,
+    config: &'a Config,
+    listener: &'a Listener,
+    suites: Suites<'a>,
+}
+
+/// What studies came to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StudyOutcome {
+    /// The studies with their results and the folders of these.
+    pub studies: Vec<(Study, StudyResults, PathBuf)>,
+    /// The simulations that failed.
+    pub failed: Vec<SimulationRow>,
+    /// Planning calls without an answer.
+    pub failed_calls: usize,
+    /// Scenarios that the suites name and the data does not hold.
+    pub missing: Vec<MissingTokens>,
+}
+
+/// A study with its suites, and for each of them the names of its variants' runs.
+struct Planned {
+    study: Study,
+    suites: Vec<(Rc<SelectedSuite>, Vec<RunName>)>,
+}
+
+impl<'a> Experiments<'a> {
+    /// Starts a session.
+    pub fn new(
+        request: &'a ExperimentsRequest,
+        config: &'a Config,
+        listener: &'a Listener,
+    ) -> Result<Self, RunnerError> {
+        Ok(Self { request, config, listener, suites: Suites::new(request, listener)? })
+    }
+
+    /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
+    pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
+        check_writable(&self.folder(TOKENS))?;
+        let suites = self.suites.of(TOKENS, tokens::SUITES, None)?;
+        self.suites.note_lacking();
+        let counted = tokens::count_all(&suites, self.config, self.listener)?;
+        let folder = StudyFolder::new(self.folder(TOKENS));
+        tokens::write(&folder, &counted, &self.command(TOKENS)?)?;
+        Ok((counted, folder.path().to_owned()))
+    }
+
+    /// Asks the model in the text twins that are left, and writes the results; gives the folder of these.
+    pub fn ask_twins(&mut self) -> Result<(Vec<TwinResults>, PathBuf), RunnerError> {
+        let (runs, folder) = (self.request.out.join(RUNS), StudyFolder::new(self.folder(TWINS)));
+        check_writable(&runs)?;
+        check_writable(folder.path())?;
+        let lists = twins::lists(self.request)?;
+        let results = lists.iter().map(|list| twins::judge(list, self.config, &runs, self.listener));
+        let results = results.collect::<Result<Vec<_>, _>>()?;
+        twins::write(&folder, &results, &self.command(TWINS)?)?;
+        Ok((results, folder.path().to_owned()))
+    }
+
+    /// Simulates what is left of the studies' runs, and writes the results. A word is the name of a study or the path of its
+    /// file.
+    pub fn simulate<'w>(&mut self, words: impl IntoIterator<Item = &'w str>) -> Result<StudyOutcome, RunnerError> {
+        let started = Instant::now();
+        let studies = words.into_iter().map(find).collect::<Result<Vec<_>, _>>()?;
+        let bench = self.bench()?;
+        // Planning loads the models, which takes long: what is wrong with a folder is said before.
+        check_writable(&self.request.out.join(RUNS))?;
+        studies.iter().try_for_each(|study| check_writable(&self.folder(&study.name)))?;
+        let mut runs = PlannedRuns::new(self.config, &self.request.registry, self.listener);
+        let mut planned = Vec::new();
+        for study in studies {
+            let mut suites = Vec::new();
+            for suite in self.suites.of(&study.name, &study.suites, study.starts)? {
+                let names = study.variants.iter().map(|variant| runs.add(&suite, variant));
+                let names = names.collect::<Result<_, RunnerError>>()?;
+                suites.push((suite, names));
+            }
+            planned.push(Planned { study, suites });
+        }
+        if planned.iter().all(|planned| planned.suites.is_empty()) {
+            return Err(suites::no_recordings());
+        }
+        self.suites.note_lacking();
+        let parameters = runs.parameters();
+        let mut open = runs.open(&self.request.out.join(RUNS), self.request.retry_failed)?;
+        let (runs, completed, left) = open.counts();
+        (self.listener)(Event::Planned { runs, completed, left });
+        if left > 0 {
+            open.simulate_first()?;
+            let left = open.counts().2;
+            if left > 0 {
+                (self.listener)(Event::Estimated { left, time: open.time_left() });
+            }
+        }
+        let rows = open.complete(started)?;
+
+        let mut results = Vec::new();
+        let mut missing: Vec<MissingTokens> = Vec::new();
+        for Planned { study, suites } in planned {
+            for list in suites.iter().flat_map(|(suite, _)| &suite.list.missing) {
+                if !missing.contains(list) {
+                    missing.push(list.clone());
+                }
+            }
+            let simulated: Vec<SuiteSimulations> =
+                suites.iter().map(|(suite, names)| simulations(suite, names, &rows, &parameters)).collect();
+            let quick = self.request.quick.then_some(Quick::DEFAULT);
+            let of_study = StudyResults::new(&study, &simulated, quick, self.config.seed, &bench);
+            let folder = StudyFolder::new(self.folder(&study.name));
+            folder.write(&study, &of_study, &self.command(&study.word)?)?;
+            results.push((study, of_study, folder.path().to_owned()));
+        }
+        let all = || rows.values().flatten();
+        Ok(StudyOutcome {
+            studies: results,
+            failed: all().filter(|row| row.error.is_some()).cloned().collect(),
+            failed_calls: all().map(|row| row.failed_calls).sum(),
+            missing,
+        })
+    }
+
+    /// The models of the bench that is named.
+    fn bench(&self) -> Result<Vec<ModelFigures>, RunnerError> {
+        let Some(path) = &self.request.bench else { return Ok(Vec::new()) };
+        let figures = BenchFigures::of(&BenchFolder::read(path)?);
+        if figures.models.is_empty() {
+            return Err(RunnerError::EmptyBench(path.clone()));
+        }
+        Ok(figures.models)
+    }
+
+    /// The folder of a study's results.
+    fn folder(&self, name: &str) -> PathBuf {
+        self.request.out.join(if self.request.quick { format!("{name}-quick") } else { name.to_owned() })
+    }
+
+    /// The command that makes the results of a study. Settings of files and of options are those of `--set`.
+    fn command(&self, name: &str) -> Result<String, RunnerError> {
+        let mut words = vec!["planagent experiment".to_owned(), name.to_owned()];
+        words.extend(self.request.quick.then(|| "--quick".to_owned()));
+        if !self.request.suites.is_empty() {
+            words.push(format!("--suite {}", self.request.suites.join(",")));
+        }
+        if !self.request.scenarios.is_empty() {
+            let scenarios = self.request.scenarios.iter().map(|word| quoted(word)).collect::<Vec<_>>();
+            words.push(format!("--scenario {}", scenarios.join(" ")));
+        }
+        for (key, value) in self.config.changes()? {
+            let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            words.push(format!("--set {}", quoted(&format!("{key}={value}"))));
+        }
+        Ok(words.join(" "))
+    }
+}
+
+/// The simulations of a suite, variant by variant.
+fn simulations(
+    suite: &SelectedSuite,
+    names: &[RunName],
+    rows: &BTreeMap<String, Vec<SimulationRow>>,
+    parameters: &BTreeMap<String, u64>,
+) -> SuiteSimulations {
+    let variant = |name: &RunName| match name {
+        Ok(name) => {
+            let rows = rows.get(name).cloned().expect("every run of the plan has ended");
+            let outcome = Outcome::Simulated { run: format!("../{RUNS}/{name}"), rows };
+            VariantSimulations { outcome, parameters: parameters.get(name).copied() }
+        }
+        Err(why) => VariantSimulations { outcome: Outcome::NotSimulated(why), parameters: None },
+    };
+    SuiteSimulations {
+        name: suite.name.clone(),
+        scenes: suite.sources.len(),
+        blake3: suite.list.blake3.clone(),
+        variants: names.iter().map(variant).collect(),
+    }
+}
+
+impl From<StudyError> for RunnerError {
+    fn from(error: StudyError) -> Self {
+        Self::Lab(Box::new(error))
+    }
+}
+
+impl From<TwinError> for RunnerError {
+    fn from(error: TwinError) -> Self {
+        Self::Lab(Box::new(error))
+    }
+}

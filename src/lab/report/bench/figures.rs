@@ -1,0 +1,241 @@
+//! Statistics of a benchmark.
+
+use crate::lab::bench::{DRAFTED, EngineName, IterationRow, ModelRow, Row};
+use crate::report::{Quantiles, Spread};
+use serde::Serialize;
+
+/// Statistics of a benchmark.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BenchFigures {
+    /// One entry for each model and engine.
+    pub models: Vec<ModelFigures>,
+    /// This program compared with llama.cpp; empty without llama.cpp.
+    pub comparisons: Vec<Comparison>,
+    /// Failed models with the reason.
+    pub failed: Vec<(String, String)>,
+}
+
+/// Cost of a model. Times are medians over the measured iterations.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ModelFigures {
+    #[serde(flatten)]
+    pub about: ModelRow,
+    /// Measured planning calls.
+    pub calls: usize,
+    /// Preprocessing, vision tower and projector, milliseconds.
+    pub image_encode_ms: Option<f64>,
+    /// Tokens a second of the first prompt, image included.
+    pub prefill_tokens_per_s: Option<f64>,
+    /// From the start of a call to the first sampled token, milliseconds.
+    pub first_token_ms: Option<f64>,
+    /// Tokens a second in passes of one token.
+    pub decode_tokens_per_s: Option<f64>,
+    /// Planning call, milliseconds.
+    pub call_ms: Option<Quantiles>,
+    /// Planning call with drafts; empty where none were measured.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub drafted_calls: Vec<DraftedCall>,
+}
+
+/// Planning calls whose answers are drafted.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct DraftedCall {
+    /// Share of drafted tokens that is accepted.
+    pub acceptance: f64,
+    /// Median, milliseconds.
+    pub ms: f64,
+}
+
+/// One measurement of this program and of llama.cpp, iteration by iteration.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    pub model: String,
+    pub what: String,
+    /// `tok/s` or `ms`.
+    pub unit: &'static str,
+    /// Median of this program.
+    pub ours: f64,
+    /// Median of llama.cpp.
+    pub theirs: f64,
+    /// Speed of this program relative to llama.cpp.
+    pub ratio: Spread,
+}
+
+/// Unit where more is faster.
+const TOKENS_PER_S: &str = "tok/s";
+/// Unit where less is faster.
+const MS: &str = "ms";
+
+/// The workload of the table of models.
+const CALL: &str = "call";
+/// The start of the names of calls with drafts.
+const DRAFTED_CALL: &str = "call-accepted-";
+
+impl BenchFigures {
+    pub fn of(rows: &[Row]) -> Self {
+        let iterations: Vec<&IterationRow> = rows
+            .iter()
+            .filter_map(|row| match row {
+                Row::Iteration(row) if !row.warm_up => Some(row),
+                _ => None,
+            })
+            .collect();
+        let mut figures = Self { models: Vec::new(), comparisons: Vec::new(), failed: Vec::new() };
+        for row in rows {
+            match row {
+                Row::Model(about) => {
+                    figures.models.push(ModelFigures::of(about, &iterations));
+                    if about.engine == EngineName::PlanAgent {
+                        figures.comparisons.extend(comparisons(&about.model, &iterations));
+                    }
+                }
+                Row::Failed(row) => figures.failed.push((row.model.clone(), row.problem.clone())),
+                Row::Iteration(_) => {}
+            }
+        }
+        figures
+    }
+}
+
+impl ModelFigures {
+    fn of(about: &ModelRow, iterations: &[&IterationRow]) -> Self {
+        let of = |workload: &str| -> Vec<&IterationRow> {
+            let same = |row: &&&IterationRow| {
+                row.model == about.model && row.engine == about.engine && row.workload == workload
+            };
+            iterations.iter().filter(same).copied().collect()
+        };
+        let calls = of(CALL);
+        let drafted_calls = (1..DRAFTED).filter_map(|accepted| {
+            let acceptance = accepted as f64 / DRAFTED as f64;
+            let calls = of(&format!("{DRAFTED_CALL}{acceptance}"));
+            let ms = Spread::of(calls.iter().map(|row| row.total_ms()).collect())?.median;
+            Some(DraftedCall { acceptance, ms })
+        });
+        let median = |of: &dyn Fn(&IterationRow) -> Option<f64>| {
+            Spread::of(calls.iter().filter_map(|row| of(row)).collect()).map(|spread| spread.median)
+        };
+        Self {
+            about: about.clone(),
+            calls: calls.len(),
+            image_encode_ms: median(&IterationRow::image_encode_ms),
+            prefill_tokens_per_s: median(&|row| row.prefill().rate()),
+            first_token_ms: median(&IterationRow::first_token_ms),
+            decode_tokens_per_s: median(&|row| row.decode().rate()),
+            call_ms: Quantiles::of(calls.iter().map(|row| row.total_ms()).collect()),
+            drafted_calls: drafted_calls.collect(),
+        }
+    }
+}
+
+/// Name, unit and value of a compared measurement.
+type Compared = (String, &'static str, fn(&IterationRow) -> Option<f64>);
+
+fn comparisons(model: &str, iterations: &[&IterationRow]) -> Vec<Comparison> {
+    let mut workloads: Vec<&str> = Vec::new();
+    // llama.cpp makes no calls with drafts.
+    let shared = |row: &&&IterationRow| !row.workload.starts_with(DRAFTED_CALL);
+    for row in iterations.iter().filter(|row| row.model == model).filter(shared) {
+        if !workloads.contains(&row.workload.as_str()) {
+            workloads.push(&row.workload);
+        }
+    }
+    let mut all = Vec::new();
+    for workload in workloads {
+        let of = |engine| {
+            iterations
+                .iter()
+                .filter(move |row| row.model == model && row.workload == workload && row.engine == engine)
+                .copied()
+        };
+        let pairs: Vec<_> = of(EngineName::PlanAgent).zip(of(EngineName::LlamaCpp)).collect();
+        for (what, unit, read) in compared(workload) {
+            all.extend(Comparison::of(model, what, unit, read, &pairs));
+        }
+    }
+    all
+}
+
+fn compared(workload: &str) -> Vec<Compared> {
+    match workload.strip_prefix("depth-") {
+        Some(depth) => vec![
+            (format!("prefill {depth}"), TOKENS_PER_S, |row| row.prefill().rate()),
+            (format!("decode at {depth}"), TOKENS_PER_S, |row| row.decode().rate()),
+        ],
+        None => vec![
+            ("image encode".to_owned(), MS, IterationRow::image_encode_ms),
+            ("first token".to_owned(), MS, IterationRow::first_token_ms),
+            ("planning call".to_owned(), MS, |row| Some(row.total_ms())),
+        ],
+    }
+}
+
+impl Comparison {
+    fn of(
+        model: &str,
+        what: String,
+        unit: &'static str,
+        read: fn(&IterationRow) -> Option<f64>,
+        pairs: &[(&IterationRow, &IterationRow)],
+    ) -> Option<Self> {
+        let values: Vec<(f64, f64)> =
+            pairs.iter().filter_map(|(ours, theirs)| Some((read(ours)?, read(theirs)?))).collect();
+        let faster = |&(ours, theirs): &(f64, f64)| if unit == MS { theirs / ours } else { ours / theirs };
+        Some(Self {
+            model: model.to_owned(),
+            what,
+            unit,
+            ours: Spread::of(values.iter().map(|pair| pair.0).collect())?.median,
+            theirs: Spread::of(values.iter().map(|pair| pair.1).collect())?.median,
+            ratio: Spread::of(values.iter().map(faster).collect())?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lab::bench::TimedStep;
+    use planagent_mllm::{Step, StepTime};
+
+    fn call(engine: EngineName, iteration: usize, ms: f64) -> Row {
+        Row::Iteration(IterationRow {
+            model: "m".into(),
+            engine,
+            workload: CALL.into(),
+            iteration,
+            warm_up: iteration == 0,
+            steps: vec![TimedStep { step: Step::Compute, time: StepTime { ms, ..StepTime::default() } }],
+        })
+    }
+
+    #[test]
+    fn the_middle_of_an_even_number_is_a_mean() {
+        let spread = Spread::of(vec![3.0, 1.0, 2.0, 10.0]).unwrap();
+        assert_eq!(spread, Spread { median: 2.5, min: 1.0, max: 10.0 });
+        assert_eq!(Spread::of(vec![7.0]), Some(Spread { median: 7.0, min: 7.0, max: 7.0 }));
+        assert_eq!(Spread::of(vec![]), None);
+    }
+
+    #[test]
+    fn ratios_are_of_pairs_and_warm_up_does_not_count() {
+        let rows: Vec<Row> = [(100.0, 1.0), (10.0, 20.0), (20.0, 30.0), (10.0, 30.0)]
+            .into_iter()
+            .enumerate()
+            .flat_map(|(i, (ours, theirs))| {
+                [call(EngineName::PlanAgent, i, ours), call(EngineName::LlamaCpp, i, theirs)]
+            })
+            .collect();
+        let iterations: Vec<&IterationRow> = rows
+            .iter()
+            .filter_map(|row| match row {
+                Row::Iteration(row) if !row.warm_up => Some(row),
+                _ => None,
+            })
+            .collect();
+        let found = comparisons("m", &iterations);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert_eq!((found[0].ours, found[0].theirs), (10.0, 30.0));
+        assert_eq!(found[0].ratio, Spread { median: 2.0, min: 1.5, max: 3.0 });
+    }
+}

@@ -1,0 +1,15 @@
+//! Tables of the lab's results.
+
+mod bench;
+mod realism;
+mod recordings;
+mod reported;
+mod study;
+mod tokens;
+mod twins;
+
+pub use bench::{bench_markdown, bench_table};
+pub use realism::realism_table;
+pub use study::{study_markdown, study_table};
+pub use tokens::{token_markdown, token_table};
+pub use twins::{twin_markdown, twin_table};

@@ -1,0 +1,74 @@
+//! Records of text twins: a line of JSON for each pair that was answered, kept as it comes.
+
+use crate::lab::twins::PairRecord;
+use crate::report::ReportError;
+use crate::report::atomic;
+use std::fs::{self, File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+/// Name of the file.
+const PAIRS: &str = "pairs.jsonl";
+
+/// The records of a run, in the order in which they came.
+#[derive(Debug)]
+pub struct TwinRecords {
+    path: PathBuf,
+    file: Mutex<File>,
+}
+
+impl TwinRecords {
+    /// Begins or resumes the records in a folder; gives those that are complete.
+    pub fn open(folder: &Path) -> Result<(Self, Vec<PairRecord>), ReportError> {
+        atomic::folder(folder)?;
+        let path = folder.join(PAIRS);
+        let text = match fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+            Err(error) => return Err(ReportError::read(&path)(error)),
+        };
+        // A process that was killed may leave the first part of a line.
+        let complete: String = text.split_inclusive('\n').filter(|line| line.ends_with('\n')).collect();
+        let records =
+            complete.lines().map(serde_json::from_str).collect::<Result<_, _>>().map_err(ReportError::at(&path))?;
+        if complete.len() < text.len() {
+            atomic::write(&path, complete.as_bytes())?;
+        }
+        let file = OpenOptions::new().append(true).create(true).open(&path).map_err(ReportError::write(&path))?;
+        Ok((Self { path, file: Mutex::new(file) }, records))
+    }
+
+    /// Adds a record.
+    pub fn add(&self, record: &PairRecord) -> Result<(), ReportError> {
+        let line = serde_json::to_string(record).map_err(ReportError::at(&self.path))? + "\n";
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        file.write_all(line.as_bytes()).map_err(ReportError::write(&self.path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_part_of_a_line_is_dropped() {
+        let folder = tempfile::tempdir().unwrap();
+        let record = |pair: &str| PairRecord {
+            pair: pair.to_owned(),
+            kind: "taper".to_owned(),
+            dropped: Some("the prompts differ".to_owned()),
+            scenes: Vec::new(),
+        };
+        let (records, before) = TwinRecords::open(folder.path()).unwrap();
+        assert!(before.is_empty());
+        records.add(&record("one")).unwrap();
+        let path = folder.path().join(PAIRS);
+        let whole = fs::read_to_string(&path).unwrap();
+        fs::write(&path, format!("{whole}{}", &whole[..10])).unwrap();
+        let (records, before) = TwinRecords::open(folder.path()).unwrap();
+        assert_eq!(before, [record("one")]);
+        records.add(&record("two")).unwrap();
+        assert_eq!(TwinRecords::open(folder.path()).unwrap().1, [record("one"), record("two")]);
+    }
+}

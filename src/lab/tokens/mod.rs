@@ -1,0 +1,140 @@
+//! Token counts of scene descriptions (the paper's table of token utilization): our texts, and those of GPT-Driver
+//! and LLM-ASSIST of the same scenes, counted with OpenAI's `cl100k_base` (that of GPT-3.5 and GPT-4) and with the tokenizer of
+//! a model at hand.
+//!
+//! The scenes are the recorded states of scenarios at the iterations at which PlanAgent would call its model. A description is
+//! the text about the scene alone, without system prompt, question and image.
+
+mod counter;
+mod table;
+
+pub use counter::TokenCounter;
+pub use table::{TokenMean, TokenTable, TokenTableRow};
+
+use planagent_agent::environment::coordinates::{GptDriverText, llm_assist_text};
+use planagent_agent::environment::text::write;
+use planagent_agent::environment::{Description, LaneGraph, LaneGraphError, TextForm};
+use planagent_scenario::Scenario;
+use planagent_world::{HISTORY_SAMPLES, History, HistorySample, SceneView};
+use serde::Serialize;
+
+/// A way of describing a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SceneText {
+    /// Our lane-graph text for general models.
+    Paper,
+    /// Our lane-graph text for small models.
+    Compact,
+    /// GPT-Driver's user message.
+    GptDriver,
+    /// Its list of objects alone.
+    GptDriverObjects,
+    /// LLM-ASSIST's facts as far as they are known.
+    LlmAssist,
+}
+
+impl SceneText {
+    /// All of them, in the order of the table.
+    pub const ALL: [Self; 5] = [Self::GptDriver, Self::GptDriverObjects, Self::LlmAssist, Self::Paper, Self::Compact];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "PlanAgent, lane graph (paper prompts)",
+            Self::Compact => "PlanAgent, lane graph (compact prompts)",
+            Self::GptDriver => "GPT-Driver, whole user message",
+            Self::GptDriverObjects => "GPT-Driver, objects alone",
+            Self::LlmAssist => "LLM-ASSIST, rewritten",
+        }
+    }
+
+    pub fn definition(self) -> &'static str {
+        match self {
+            Self::Paper => {
+                "the node of the ego and its eight neighbors; every agent on them with distance and speed; the lights of all \
+                 lanes; the ego's speed and limit; the route. Numbers are whole meters and m/s"
+            }
+            Self::Compact => "the same nodes, each with its nearest agent and the number of others, at fixed positions",
+            Self::GptDriver => {
+                "its published facts in our sentences: objects within 20 m ahead, now and in 3 s at constant velocity; the \
+                 ego's motion in six lines; four past positions; the goal. Coordinates have two decimals"
+            }
+            Self::GptDriverObjects => "only the objects",
+            Self::LlmAssist => {
+                "its prompts are not public, so we chose the facts: the ego's motion; the centerlines of its lane and the \
+                 adjacent lanes at five points; lights; the ten nearest objects within 50 m with position, heading, speed \
+                 and size"
+            }
+        }
+    }
+
+    /// What the paper counts for it on nuPlan; of GPT-Driver's text it does not say which part.
+    pub fn published(self) -> Option<f64> {
+        match self {
+            Self::Paper => Some(141.32),
+            Self::GptDriver => Some(448.66),
+            Self::LlmAssist => Some(425.81),
+            Self::Compact | Self::GptDriverObjects => None,
+        }
+    }
+
+    pub fn of(self, scene: &SceneView<'_>, graph: &LaneGraph) -> String {
+        let turn = graph.ego_lane().turn;
+        match self {
+            Self::Paper => write(&Description::of(graph), TextForm::Paper),
+            Self::Compact => write(&Description::of(graph), TextForm::Compact),
+            Self::GptDriver => GptDriverText::of(scene, turn).whole(),
+            Self::GptDriverObjects => GptDriverText::of(scene, turn).objects,
+            Self::LlmAssist => llm_assist_text(scene, graph),
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Tokens {
+    /// By `cl100k_base`.
+    pub cl100k: usize,
+    /// By the tokenizer of the model at hand.
+    pub model: Option<usize>,
+}
+
+/// The token counts of one recorded state.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TokenRow {
+    pub scenario: String,
+    pub iteration: usize,
+    /// Agents and obstacles on the nine nodes.
+    pub agents: usize,
+    /// In the order of [`SceneText::ALL`].
+    pub tokens: [Tokens; SceneText::ALL.len()],
+}
+
+/// Counts the descriptions of a scenario's recorded states, one every `interval` iterations; an error for a state without a
+/// lane graph.
+pub fn count(
+    scenario: &Scenario,
+    interval: usize,
+    node_length_m: f64,
+    counter: &TokenCounter<'_>,
+) -> Vec<Result<TokenRow, LaneGraphError>> {
+    let iterations = (0..scenario.iterations()).step_by(interval.max(1));
+    iterations.map(|iteration| count_at(scenario, iteration, node_length_m, counter)).collect()
+}
+
+fn count_at(
+    scenario: &Scenario,
+    iteration: usize,
+    node_length_m: f64,
+    counter: &TokenCounter<'_>,
+) -> Result<TokenRow, LaneGraphError> {
+    let now = scenario.start + iteration;
+    let frame = &scenario.frames[now];
+    let mut history = History::default();
+    for past in &scenario.frames[now.saturating_sub(HISTORY_SAMPLES - 1)..=now] {
+        history.push(HistorySample { ego: past.ego, objects: past.objects.clone() });
+    }
+    let scene = scenario.scene(frame, &history);
+    let graph = LaneGraph::build(&scene, node_length_m)?;
+    let tokens = SceneText::ALL.map(|kind| counter.count(&kind.of(&scene, &graph)));
+    Ok(TokenRow { scenario: scenario.id.clone(), iteration, agents: graph.agents.len(), tokens })
+}
