@@ -1,4 +1,4 @@
-//! Tells the compiler which commit is built and whether the outside data of the tests is there.
+//! The build script of planagent-runs, which writes it into records: tells the compiler which commit is built.
 #![allow(clippy::print_stdout, reason = "Cargo reads its instructions from stdout")]
 
 use std::env;
@@ -6,30 +6,20 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn main() {
-    println!("cargo::rustc-check-cfg=cfg(outside_data)");
-    println!("cargo::rerun-if-env-changed=PLANAGENT_DATA");
-    let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default());
-    let data = env::var_os("PLANAGENT_DATA").map_or_else(|| package.join("../shared/data"), PathBuf::from);
-    if data.is_dir() {
-        println!("cargo::rustc-cfg=outside_data");
-    }
-    if let Some(commit) = commit(&package) {
+    let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default()).join("../..");
+    if let Some(commit) = commit(&root) {
         println!("cargo::rustc-env=PLANAGENT_COMMIT={commit}");
     }
 }
 
 /// The commit of the sources, with `+changes` where they differ from it; `None` outside a repository.
-fn commit(package: &Path) -> Option<String> {
-    // `cargo package` writes the commit into this file.
-    if let Ok(info) = std::fs::read_to_string(package.join(".cargo_vcs_info.json")) {
-        return info.split('"').find(|part| part.len() == 40).map(short);
-    }
+fn commit(root: &Path) -> Option<String> {
     for path in ["HEAD", "logs/HEAD"] {
-        println!("cargo::rerun-if-changed={}", git(package, &["rev-parse", "--git-path", path])?);
+        println!("cargo::rerun-if-changed={}", root.join(git(root, &["rev-parse", "--git-path", path])?).display());
     }
-    println!("cargo::rerun-if-changed=src");
-    let head = git(package, &["rev-parse", "HEAD"])?;
-    let changes = git(package, &["status", "--porcelain", "--untracked-files=no", "--", "src", "Cargo.toml"])?;
+    println!("cargo::rerun-if-changed={}", root.join("src").display());
+    let head = git(root, &["rev-parse", "HEAD"])?;
+    let changes = git(root, &["status", "--porcelain", "--untracked-files=no", "--", "src", "Cargo.toml"])?;
     Some(if changes.is_empty() { short(&head) } else { format!("{}+changes", short(&head)) })
 }
 
@@ -37,7 +27,7 @@ fn short(commit: &str) -> String {
     commit.chars().take(12).collect()
 }
 
-fn git(package: &Path, arguments: &[&str]) -> Option<String> {
-    let output = Command::new("git").current_dir(package).args(arguments).output().ok()?;
+fn git(folder: &Path, arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").current_dir(folder).args(arguments).output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }

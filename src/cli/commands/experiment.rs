@@ -7,9 +7,9 @@ use crate::lab::experiments::{Experiments, StudyOutcome, SuiteTokens, TOKENS, TO
 use crate::lab::report::{ChallengeResults, StudyResults, study_table, token_table, twin_table};
 use crate::lab::study::{self, StudyError};
 use crate::lab::twins::TwinResults;
-use crate::report::failures;
-use crate::runner::Config;
 use anyhow::anyhow;
+use planagent_runs::report::failures;
+use planagent_runs::runner::Config;
 use serde::Serialize;
 use std::path::Path;
 

@@ -14,11 +14,11 @@ use crate::lab::report::{
 };
 use crate::lab::study::{Quick, Study, StudyError, find};
 use crate::lab::twins::{TwinError, TwinResults};
-use crate::report::{SimulationRow, check_writable};
-use crate::runner::Config;
-use crate::runner::RunnerError;
-use crate::runner::{Event, Listener};
 use planagent_files::quoted;
+use planagent_runs::report::{SimulationRow, check_writable};
+use planagent_runs::runner::Config;
+use planagent_runs::runner::RunnerError;
+use planagent_runs::runner::{Event, Listener};
 use planagent_scenario::MissingTokens;
 use runs::{PlannedRuns, RunName};
 use std::collections::BTreeMap;

@@ -1,7 +1,7 @@
 //! Statistics of a benchmark.
 
 use crate::lab::bench::{DRAFTED, EngineName, IterationRow, ModelRow, Row};
-use crate::report::{Quantiles, Spread};
+use planagent_runs::report::{Quantiles, Spread};
 use serde::Serialize;
 
 /// Statistics of a benchmark.

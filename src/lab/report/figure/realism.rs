@@ -2,7 +2,7 @@
 
 use super::svg::{Anchor, Picture, Scale, color};
 use crate::lab::realism::{Distribution, SceneComparison};
-use crate::report::fixed;
+use planagent_runs::report::fixed;
 
 const WIDTH: f64 = 760.0;
 /// Columns: names, then the percentiles between their extremes.

@@ -4,9 +4,9 @@ use super::results::StudyResults;
 use crate::lab::report::figure::figures;
 use crate::lab::report::study_markdown;
 use crate::lab::study::Study;
-use crate::report::ReportError;
-use crate::report::atomic;
-use crate::report::json_value;
+use planagent_runs::report::ReportError;
+use planagent_runs::report::atomic;
+use planagent_runs::report::json_value;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -4,9 +4,9 @@ use super::*;
 use crate::lab::report::figure::figures;
 use crate::lab::report::{study_markdown, study_table};
 use crate::lab::study::{Figure, Quick, Reported, find};
-use crate::report::{MetricScore, SimulationRow};
 use planagent_agent::planner::PlannerName;
 use planagent_agent::simulation::Challenge;
+use planagent_runs::report::{MetricScore, SimulationRow};
 
 /// A simulation of a scene; without a score it failed.
 fn simulation(scene: usize, challenge: Challenge, score: Option<f64>) -> SimulationRow {

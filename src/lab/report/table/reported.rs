@@ -2,9 +2,9 @@
 
 use crate::lab::report::{StudyResults, SuiteResults};
 use crate::lab::study::{Reported, Study};
-use crate::report::fixed;
-use crate::report::table::{Table, or_dash, short, signed};
 use planagent_agent::simulation::Challenge;
+use planagent_runs::report::fixed;
+use planagent_runs::report::table::{Table, or_dash, short, signed};
 
 /// Reported scores, a row for each planner that has some; none without any.
 pub(super) fn reported(study: &Study) -> Option<Table> {
