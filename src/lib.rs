@@ -104,7 +104,7 @@ pub mod sources {
 /// Runs of many simulations in a folder, resumed after an interruption, and the experiments that compare them.
 #[cfg(feature = "report")]
 pub mod runs {
-    pub use crate::lab::experiments::{Experiments, ExperimentsRequest};
+    pub use planagent_lab::experiments::{Experiments, ExperimentsRequest};
     pub use planagent_runs::runner::{Config, Event, Listener, Request, RunResults, resume, start};
     pub use planagent_runs::worker::StopSwitch;
 }
@@ -115,13 +115,6 @@ mod api;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
-
-#[cfg(all(feature = "report", not(feature = "internals")))]
-mod lab;
-
-#[cfg(all(feature = "report", feature = "internals"))]
-#[doc(hidden)]
-pub mod lab;
 
 /// What the Python package of this repository needs beyond the public API; not stable.
 #[cfg(feature = "bindings")]
@@ -153,12 +146,14 @@ pub mod bindings {
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {
-    pub use crate::{cli, lab};
+    pub use crate::cli;
     pub use planagent_agent::environment;
     pub use planagent_agent::planner;
     pub use planagent_agent::reasoning;
     pub use planagent_agent::reflection;
     pub use planagent_agent::simulation;
+    #[cfg(feature = "report")]
+    pub use planagent_lab as lab;
     #[cfg(feature = "learned")]
     pub use planagent_learned as learned;
     #[cfg(feature = "report")]
@@ -175,11 +170,3 @@ pub mod internals {
         planagent_files as files, planagent_kernels as kernels, planagent_mllm as mllm, planagent_world as world,
     };
 }
-
-// Unit tests look for outside data, and say what they skip, as the integration tests do.
-#[cfg(test)]
-#[path = "../tests/outside.rs"]
-mod outside;
-#[cfg(test)]
-#[path = "world/dynamics/test_road.rs"]
-mod test_road;

@@ -66,6 +66,16 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["registry"],
         ],
     ),
+    (
+        "lab",
+        &[
+            &["rank_correlation", "study"],
+            &["bench", "dataset", "tokens"],
+            &["realism", "twins"],
+            &["report"],
+            &["experiments"],
+        ],
+    ),
     ("runs", &[&["worker"], &["report"], &["runner"]]),
     (
         "runs/runner",

@@ -1,9 +1,9 @@
 //! Help texts: what the registries hold, and examples.
 
 use super::args::ALL_EXPERIMENTS;
-use crate::lab::experiments::{TOKENS, TWINS};
-use crate::lab::study;
 use planagent_agent::planner::PlannerName;
+use planagent_lab::experiments::{TOKENS, TWINS};
+use planagent_lab::study;
 use planagent_planners::all_planners;
 use planagent_runs::runner::build_commit;
 use planagent_runs::worker::interactive::NAMES as INTERACTIVE;

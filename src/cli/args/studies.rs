@@ -4,11 +4,11 @@ use super::data::DataArguments;
 use super::model::ModelArguments;
 use crate::cli::help;
 use crate::cli::words::path_word;
-#[cfg(feature = "learned")]
-use crate::lab::dataset::imitation::ImitationPlanner;
-use crate::lab::experiments::ExperimentsRequest;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
+#[cfg(feature = "learned")]
+use planagent_lab::dataset::imitation::ImitationPlanner;
+use planagent_lab::experiments::ExperimentsRequest;
 use planagent_planners::all_planners;
 use planagent_runs::worker::suite::RECORDED;
 use std::path::PathBuf;

@@ -4,13 +4,13 @@ use crate::cli::args::{DatasetArguments, DatasetKind};
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer, interrupt};
 #[cfg(feature = "learned")]
-use crate::lab::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
-use crate::lab::dataset::{Counts, Settings, check_folder, write_split, write_twins};
-#[cfg(feature = "learned")]
 use anyhow::Context;
 use anyhow::bail;
 use planagent_agent::environment::BevView;
 use planagent_agent::reasoning::PromptSet;
+#[cfg(feature = "learned")]
+use planagent_lab::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
+use planagent_lab::dataset::{Counts, Settings, check_folder, write_split, write_twins};
 use planagent_runs::report::check_writable;
 use planagent_runs::runner::{Config, load_model};
 use planagent_runs::worker::seeds::Split;

@@ -69,7 +69,7 @@ pub(super) mod tests {
     use planagent_scenario::generator::{self, Spec, types};
 
     /// Candidates with these lanes, desired speeds and values, accepted by Reflection or not.
-    pub(in crate::lab::dataset) fn tried(planners: &[(&str, f64, f64, bool)]) -> Vec<Candidate> {
+    pub(in crate::dataset) fn tried(planners: &[(&str, f64, f64, bool)]) -> Vec<Candidate> {
         let scenario = generator::generate(&Spec::new(types::changing_lane::TYPE, 3)).unwrap();
         let simulation = ClosedLoop::new(&scenario, Challenge::CLOSED_LOOP[0]).unwrap();
         let graph = LaneGraph::build(&simulation.scene(), DEFAULT_NODE_LENGTH).unwrap();

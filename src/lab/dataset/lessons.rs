@@ -72,7 +72,7 @@ impl<'a> Decision<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lab::dataset::label_weights::tests::tried as tried_of;
+    use crate::dataset::label_weights::tests::tried as tried_of;
     use planagent_runs::worker::search;
 
     fn all(tried: &[Candidate], after_rejection: bool) -> Vec<Lesson<'_>> {

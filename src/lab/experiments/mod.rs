@@ -9,11 +9,11 @@ mod twins;
 pub use request::ExperimentsRequest;
 pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
 
-use crate::lab::report::{
+use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, StudyFolder, StudyResults, SuiteSimulations, VariantSimulations,
 };
-use crate::lab::study::{Quick, Study, StudyError, find};
-use crate::lab::twins::{TwinError, TwinResults};
+use crate::study::{Quick, Study, StudyError, find};
+use crate::twins::{TwinError, TwinResults};
 use planagent_files::quoted;
 use planagent_runs::report::{SimulationRow, check_writable};
 use planagent_runs::runner::Config;

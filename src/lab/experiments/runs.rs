@@ -2,7 +2,7 @@
 //! experiments share equal runs and resume interrupted ones.
 
 use super::suites::SelectedSuite;
-use crate::lab::study::Variant;
+use crate::study::Variant;
 use planagent_agent::planner::{
     DEFAULT_EXEC_TIMEOUT, ExecCommand, LearnedSettings, PlannerNeeds, PlannerRegistry, UsedSettings,
 };

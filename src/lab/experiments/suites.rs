@@ -1,7 +1,7 @@
 //! The suites of experiments.
 
 use super::request::ExperimentsRequest;
-use crate::lab::study::{Quick, Starts};
+use crate::study::{Quick, Starts};
 use planagent_files::word_of;
 use planagent_runs::report::{DataFile, ScenarioList};
 use planagent_runs::runner::RunnerError;

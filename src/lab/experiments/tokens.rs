@@ -1,8 +1,8 @@
 //! The experiment `tokens`: how many tokens the description of a scene takes.
 
 use super::suites::SelectedSuite;
-use crate::lab::report::{StudyFolder, token_markdown};
-use crate::lab::tokens::{TokenCounter, TokenRow, TokenTable, count};
+use crate::report::{StudyFolder, token_markdown};
+use crate::tokens::{TokenCounter, TokenRow, TokenTable, count};
 use planagent_runs::report::json_value;
 use planagent_runs::runner::Config;
 use planagent_runs::runner::RunnerError;

@@ -2,9 +2,9 @@
 
 use super::request::ExperimentsRequest;
 use super::runs::{DIGEST, relevant};
-use crate::lab::dataset::twins::PairName;
-use crate::lab::report::{StudyFolder, TwinRecords, twin_markdown};
-use crate::lab::twins::{self, NAMES, PairRecord, TwinResults};
+use crate::dataset::twins::PairName;
+use crate::report::{StudyFolder, TwinRecords, twin_markdown};
+use crate::twins::{self, NAMES, PairRecord, TwinResults};
 use planagent_agent::planner::{PlannerName, PlannerNeeds};
 use planagent_runs::report::{ScenarioList, json_value};
 use planagent_runs::runner::Config;

@@ -1,6 +1,6 @@
 //! Records of text twins: a line of JSON for each pair that was answered, kept as it comes.
 
-use crate::lab::twins::PairRecord;
+use crate::twins::PairRecord;
 use planagent_runs::report::ReportError;
 use planagent_runs::report::atomic;
 use std::fs::{self, File, OpenOptions};

@@ -126,7 +126,7 @@ impl Published {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lab::study::find;
+    use crate::study::find;
 
     /// The paper's source; says so when it is missing.
     fn paper() -> Option<String> {

@@ -2,7 +2,7 @@
 
 use super::row::{BUILT_IN, Row, rounded};
 use crate::cli::{Exit, Printer};
-use crate::lab::bench::ESTIMATED_ON;
+use planagent_lab::bench::ESTIMATED_ON;
 use planagent_mllm::{ModelRegistry, WeightFormat};
 use std::collections::BTreeSet;
 

@@ -1,8 +1,8 @@
 //! What is known of a described model.
 
 use super::check::reason;
-use crate::lab::bench::{CallBudget, ESTIMATED_FORMATS, estimated_seconds};
 use planagent_agent::reasoning;
+use planagent_lab::bench::{CallBudget, ESTIMATED_FORMATS, estimated_seconds};
 use planagent_mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec, PromptSet};
 use serde::Serialize;
 use std::collections::BTreeMap;

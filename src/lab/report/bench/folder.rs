@@ -1,6 +1,6 @@
 //! The folder of a benchmark: `metadata.json`, `rows.jsonl`, and at the end `figures.json` and `table.md`.
 
-use crate::lab::bench::Row;
+use crate::bench::Row;
 use planagent_runs::report::atomic;
 use planagent_runs::report::{ReportError, ReportFault, check_writable};
 use serde::{Deserialize, Serialize};

@@ -1,8 +1,8 @@
 //! How far the order of planners here agrees with that of reported scores.
 
 use super::results::{SuiteSimulations, VariantSimulations};
-use crate::lab::rank_correlation::{RankCorrelation, rank_correlation};
-use crate::lab::study::{Benchmark, Study, Variant, reported_benchmarks};
+use crate::rank_correlation::{RankCorrelation, rank_correlation};
+use crate::study::{Benchmark, Study, Variant, reported_benchmarks};
 use planagent_agent::simulation::Challenge;
 use planagent_runs::worker::statistics::Bootstrap;
 use serde::Serialize;

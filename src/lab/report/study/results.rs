@@ -2,8 +2,8 @@
 
 use super::agreement::{Agreement, agreements};
 use super::recordings::{CallShares, RecordingResults, recordings};
-use crate::lab::report::ModelFigures;
-use crate::lab::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
+use crate::report::ModelFigures;
+use crate::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
 use planagent_agent::simulation::Challenge;
 use planagent_runs::report::Quantiles;
 use planagent_runs::report::SimulationRow;

@@ -1,7 +1,7 @@
 //! The tables of a bench.
 
-use crate::lab::bench::EngineName;
-use crate::lab::report::{BenchFigures, Comparison, ModelFigures};
+use crate::bench::EngineName;
+use crate::report::{BenchFigures, Comparison, ModelFigures};
 use planagent_runs::report::table::terminal::COLUMNS;
 use planagent_runs::report::table::{Table, fill, or_dash, three_digits, weights};
 use std::fmt::Write as _;

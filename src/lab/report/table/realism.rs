@@ -1,6 +1,6 @@
 //! The table of two sets of scenes.
 
-use crate::lab::realism::{Distribution, FOLDS, SceneComparison};
+use crate::realism::{Distribution, FOLDS, SceneComparison};
 use planagent_runs::report::fixed;
 use planagent_runs::report::table::terminal::wrapped;
 use planagent_runs::report::table::{Table, or_dash, signed};

@@ -1,7 +1,7 @@
 //! The tables that a study of recordings adds: each recording, and the planning calls.
 
-use crate::lab::report::SuiteResults;
-use crate::lab::study::Study;
+use crate::report::SuiteResults;
+use crate::study::Study;
 use planagent_agent::simulation::Challenge;
 use planagent_runs::report::fixed;
 use planagent_runs::report::table::{Table, or_dash, short};

@@ -1,7 +1,7 @@
 //! Reported scores of planners, and how far the order here agrees with theirs.
 
-use crate::lab::report::{StudyResults, SuiteResults};
-use crate::lab::study::{Reported, Study};
+use crate::report::{StudyResults, SuiteResults};
+use crate::study::{Reported, Study};
 use planagent_agent::simulation::Challenge;
 use planagent_runs::report::fixed;
 use planagent_runs::report::table::{Table, or_dash, short, signed};
@@ -35,7 +35,7 @@ pub(super) fn agreement(results: &StudyResults) -> Option<Table> {
             .agreement
             .iter()
             .map(|found| {
-                let interval = |kendall: crate::lab::rank_correlation::RankCorrelation| {
+                let interval = |kendall: crate::rank_correlation::RankCorrelation| {
                     format!("{} to {}", signed(kendall.low), signed(kendall.high))
                 };
                 vec![

@@ -1,9 +1,9 @@
 //! The tables of an experiment.
 
 use super::{recordings, reported};
-use crate::lab::report::figure::AGREEMENT;
-use crate::lab::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
-use crate::lab::study::{Column, Rows, Study, Variant};
+use crate::report::figure::AGREEMENT;
+use crate::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
+use crate::study::{Column, Rows, Study, Variant};
 use planagent_agent::simulation::Challenge;
 use planagent_runs::report::fixed;
 use planagent_runs::report::table::terminal::wrapped;

@@ -1,6 +1,6 @@
 //! The tables of tokens that scene descriptions take.
 
-use crate::lab::tokens::{TokenMean, TokenTable};
+use crate::tokens::{TokenMean, TokenTable};
 use planagent_runs::report::fixed;
 use planagent_runs::report::table::{Table, or_dash};
 use std::fmt::Write as _;

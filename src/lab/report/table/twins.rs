@@ -1,6 +1,6 @@
 //! The table of text twins.
 
-use crate::lab::twins::TwinResults;
+use crate::twins::TwinResults;
 use planagent_runs::report::fixed;
 use planagent_runs::report::table::Table;
 use std::fmt::Write as _;
