@@ -55,13 +55,13 @@ pub use planagent_world::{EgoState, Scene, SceneBuilder, Trajectory};
 
 /// Planners: their input and output, their registry, and the settings and records of the agent.
 pub mod planning {
-    pub use crate::planners::all_planners;
     pub use planagent_agent::planner::{
         AfterMaxExec, Attempt, CodeSource, Decision, IdmPlanner, Latency, LogReplay, NoPlan, PdmClosed,
         PlanAgentSettings, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
         PlannerParts, PlannerRegistry, PlanningCall, SimplePlanner,
     };
     pub use planagent_agent::reflection::LeadPolicy;
+    pub use planagent_planners::all_planners;
     pub use planagent_world::{History, HistorySample, SceneError, SceneView, TrajectoryError, TrajectoryState};
 }
 
@@ -104,9 +104,9 @@ pub mod sources {
 /// Runs of many simulations in a folder, resumed after an interruption, and the experiments that compare them.
 #[cfg(feature = "report")]
 pub mod runs {
-    pub use crate::experiment::StopSwitch;
-    pub use crate::lab::experiments::{Experiments, ExperimentsRequest};
-    pub use crate::runner::{Config, Event, Listener, Request, RunResults, resume, start};
+    pub use planagent_lab::experiments::{Experiments, ExperimentsRequest};
+    pub use planagent_runs::runner::{Config, Event, Listener, Request, RunResults, resume, start};
+    pub use planagent_runs::worker::StopSwitch;
 }
 
 mod api;
@@ -116,38 +116,10 @@ mod api;
 #[doc(hidden)]
 pub mod cli;
 
-#[cfg(all(feature = "report", not(feature = "internals")))]
-mod experiment;
-#[cfg(all(feature = "report", not(feature = "internals")))]
-mod lab;
-mod planners;
-#[cfg(all(feature = "report", not(feature = "internals")))]
-mod report;
-#[cfg(all(feature = "report", not(feature = "internals")))]
-mod runner;
-
-#[cfg(all(feature = "report", feature = "internals"))]
-#[doc(hidden)]
-pub mod experiment;
-#[cfg(all(feature = "report", feature = "internals"))]
-#[doc(hidden)]
-pub mod lab;
-#[cfg(all(feature = "report", feature = "internals"))]
-#[doc(hidden)]
-pub mod report;
-#[cfg(all(feature = "report", feature = "internals"))]
-#[doc(hidden)]
-pub mod runner;
-
 /// What the Python package of this repository needs beyond the public API; not stable.
 #[cfg(feature = "bindings")]
 #[doc(hidden)]
 pub mod bindings {
-    pub use crate::experiment::panic_guard::{catch_panic, install_hook};
-    pub use crate::experiment::run::{AgentParts, with_causes};
-    pub use crate::report::render::{Look, observed_picture};
-    pub use crate::report::{CallRecord, ReportFault, SimulationRow};
-    pub use crate::runner::{LoadedModel, RunnerError, Shard, load_model, merge, silent};
     pub use planagent_agent::environment::bev::render as render_bev;
     pub use planagent_agent::environment::text::write as write_lane_graph;
     pub use planagent_agent::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
@@ -156,6 +128,11 @@ pub mod bindings {
     pub use planagent_agent::reflection::{IdmPlan, Judge, PlanBuilder, ReflectionReport, steps_of};
     pub use planagent_agent::simulation::ClosedLoop;
     pub use planagent_mllm::{Answer, Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request as Question};
+    pub use planagent_runs::report::render::{Look, observed_picture};
+    pub use planagent_runs::report::{CallRecord, ReportFault, SimulationRow};
+    pub use planagent_runs::runner::{LoadedModel, RunnerError, Shard, load_model, merge, silent};
+    pub use planagent_runs::worker::panic_guard::{catch_panic, install_hook};
+    pub use planagent_runs::worker::run::{AgentParts, with_causes};
     pub use planagent_scenario::HeldScenario;
     pub use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
     pub use planagent_scenario::nuplan::{MapStore, NuPlanMap};
@@ -169,14 +146,22 @@ pub mod bindings {
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {
-    pub use crate::{cli, experiment, lab, report, runner};
+    pub use crate::cli;
     pub use planagent_agent::environment;
     pub use planagent_agent::planner;
     pub use planagent_agent::reasoning;
     pub use planagent_agent::reflection;
     pub use planagent_agent::simulation;
+    #[cfg(feature = "report")]
+    pub use planagent_lab as lab;
     #[cfg(feature = "learned")]
     pub use planagent_learned as learned;
+    #[cfg(feature = "report")]
+    pub use planagent_runs::report;
+    #[cfg(feature = "report")]
+    pub use planagent_runs::runner;
+    #[cfg(feature = "report")]
+    pub use planagent_runs::worker as experiment;
     pub use planagent_scenario as scenario;
     pub use planagent_score::metrics;
     pub use planagent_score::pdm;
@@ -185,7 +170,3 @@ pub mod internals {
         planagent_files as files, planagent_kernels as kernels, planagent_mllm as mllm, planagent_world as world,
     };
 }
-
-#[cfg(test)]
-#[path = "world/dynamics/test_road.rs"]
-mod test_road;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 15] = [
+const RANKS: [(&str, u8); 13] = [
     ("files", 0),
     ("kernels", 0),
     ("world", 1),
@@ -20,9 +20,7 @@ const RANKS: [(&str, u8); 15] = [
     ("learned", 7),
     ("planners", 8),
     ("api", 9),
-    ("experiment", 9),
-    ("report", 10),
-    ("runner", 11),
+    ("runs", 9),
     ("lab", 12),
     ("cli", 13),
 ];
@@ -69,7 +67,18 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         ],
     ),
     (
-        "runner",
+        "lab",
+        &[
+            &["rank_correlation", "study"],
+            &["bench", "dataset", "tokens"],
+            &["realism", "twins"],
+            &["report"],
+            &["experiments"],
+        ],
+    ),
+    ("runs", &[&["worker"], &["report"], &["runner"]]),
+    (
+        "runs/runner",
         &[
             &["sample"],
             &["commands", "event", "machine", "result_version", "shard"],
@@ -117,7 +126,7 @@ const MAX_CIRCLE: usize = 8;
 
 /// Modules that may write to disk, and nothing else may.
 const WRITERS: [&str; 6] = [
-    "src/report/",
+    "src/runs/report/",
     "src/lab/",
     "src/cli/",
     "src/mllm/trial/verdicts.rs",

@@ -1,13 +1,13 @@
 //! The agent of the paper as a library type.
 
 use super::Result;
-use crate::planners::all_planners;
 use planagent_agent::planner::{
     CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
     PlannerParts, PlanningCall,
 };
 use planagent_agent::reasoning::ReasoningConfig;
 use planagent_mllm::{HubAccess, Mllm, ModelRegistry, Trust, models_folder};
+use planagent_planners::all_planners;
 use planagent_world::{EgoState, LaneMap, MICROS_PER_SECOND, STEP_S, Scene, SceneView, Trajectory};
 use std::fmt;
 use std::path::PathBuf;

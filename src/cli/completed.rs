@@ -1,7 +1,7 @@
 //! The completed simulations of a run that a command reads.
 
 use super::Printer;
-use crate::report::{RunFolder, SimulationRow};
+use planagent_runs::report::{RunFolder, SimulationRow};
 use std::path::{Path, PathBuf};
 
 /// The completed simulations of a run. Says which are damaged, and so left out.

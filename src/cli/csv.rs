@@ -1,6 +1,6 @@
 //! Rows as CSV.
 
-use crate::report::json_value;
+use planagent_runs::report::json_value;
 use serde::Serialize;
 use serde_json::Value;
 

@@ -1,13 +1,13 @@
 //! Help texts: what the registries hold, and examples.
 
 use super::args::ALL_EXPERIMENTS;
-use crate::experiment::interactive::NAMES as INTERACTIVE;
-use crate::experiment::suite::Suite;
-use crate::lab::experiments::{TOKENS, TWINS};
-use crate::lab::study;
-use crate::planners::all_planners;
-use crate::runner::build_commit;
 use planagent_agent::planner::PlannerName;
+use planagent_lab::experiments::{TOKENS, TWINS};
+use planagent_lab::study;
+use planagent_planners::all_planners;
+use planagent_runs::runner::build_commit;
+use planagent_runs::worker::interactive::NAMES as INTERACTIVE;
+use planagent_runs::worker::suite::Suite;
 use planagent_scenario::{DataRoots, Readers};
 use std::sync::LazyLock;
 

@@ -15,10 +15,10 @@ mod settings;
 mod suggest;
 mod words;
 
-use crate::experiment::panic_guard;
 use anyhow::bail;
 use args::{Arguments, Command};
 use clap::{CommandFactory, FromArgMatches};
+use planagent_runs::worker::panic_guard;
 use settings::Settings;
 use std::process::ExitCode;
 

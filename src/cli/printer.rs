@@ -4,10 +4,10 @@
 
 use super::csv::csv_text;
 use super::suggest;
-use crate::report::{json_value, visible, visible_line};
 use console::{Style, Term, measure_text_width};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use planagent_files::shortened;
+use planagent_runs::report::{json_value, visible, visible_line};
 use std::borrow::Cow;
 use std::io::{ErrorKind, Write};
 use std::sync::atomic::{AtomicBool, Ordering};

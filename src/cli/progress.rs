@@ -1,10 +1,10 @@
 //! Progress of a run: bars on a terminal, a line now and then elsewhere.
 
 use super::{Printer, interrupt};
-use crate::runner::{Event, Listener};
 use console::Term;
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 use planagent_files::{quoted, word_of};
+use planagent_runs::runner::{Event, Listener};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -63,6 +63,8 @@ impl Console {
                 let (time, threads) = (HumanDuration(time), rayon::current_num_threads());
                 self.printer.note(format!("about {time} for {left} simulations on {threads} threads"));
             }
+            // An event that nobody knows yet is none of the terminal's.
+            _ => {}
         }
     }
 

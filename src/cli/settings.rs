@@ -3,12 +3,12 @@
 use super::args::{Arguments, Command, SimulateArguments, TRIAL_PROCESS};
 use super::suggest::{nearest, similar_exists};
 use super::words::planner_words;
-use crate::runner::Config;
 use anyhow::{Context, bail};
 use planagent_agent::planner::LearnedSettings;
 use planagent_agent::reasoning::built_in_prompts;
 use planagent_mllm::Trust;
 use planagent_mllm::trial::Trial;
+use planagent_runs::runner::Config;
 use planagent_scenario::absolute_path;
 use serde::Serialize;
 use std::path::{Path, PathBuf};

@@ -1,14 +1,14 @@
 //! The known name that a mistyped one is closest to.
 
-use crate::experiment::interactive::NAMES;
-use crate::experiment::split::SplitError;
-use crate::experiment::suite::Suite;
-use crate::lab::study::StudyError;
-use crate::report::render::RenderError;
-use crate::report::{NoPair, ReportError, ReportFault};
-use crate::runner::{NoSuchType, RunnerError};
 use planagent_agent::planner::UnknownPlanner;
+use planagent_lab::study::StudyError;
 use planagent_mllm::MllmError;
+use planagent_runs::report::render::RenderError;
+use planagent_runs::report::{NoPair, ReportError, ReportFault};
+use planagent_runs::runner::{NoSuchType, RunnerError};
+use planagent_runs::worker::interactive::NAMES;
+use planagent_runs::worker::split::SplitError;
+use planagent_runs::worker::suite::Suite;
 use planagent_scenario::generator::{GeneratorError, types};
 use planagent_scenario::{DataRoots, ReaderError, Readers};
 use std::error::Error;

@@ -1,9 +1,9 @@
 //! Words of the command line that are more than one value.
 
-use crate::runner::{NoShard, Shard, ShardEnvironmentError};
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use planagent_agent::planner::is_exec;
 use planagent_files::word_of;
+use planagent_runs::runner::{NoShard, Shard, ShardEnvironmentError};
 use std::env;
 
 /// Takes a path that need not be UTF-8, or another word.

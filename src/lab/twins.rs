@@ -3,12 +3,12 @@
 //! The privileged search drew the lists before any model answered.
 
 use super::dataset::twins::{self, NoPair, PairName, TwinScene};
-use crate::experiment::run::{AgentParts, with_causes};
-use crate::experiment::seeds::Split;
-use crate::experiment::statistics::wilson;
 use planagent_agent::environment::BevView;
 use planagent_agent::planner::{AgentLayer as _, CodeSource, Planner as _, PlannerInput};
 use planagent_agent::reasoning::{PlannerAnswer, PlannerCode, PromptError, PromptSet};
+use planagent_runs::worker::run::{AgentParts, with_causes};
+use planagent_runs::worker::seeds::Split;
+use planagent_runs::worker::statistics::wilson;
 use planagent_scenario::generator::ScenarioType;
 use planagent_scenario::modified::TwinKind;
 use rayon::prelude::*;

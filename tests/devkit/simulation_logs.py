@@ -47,7 +47,7 @@ try:
 except ModuleNotFoundError:  # before Python 3.11
     import tomli as tomllib
 
-# The format of replay.json.gz (src/report/replay/mod.rs), and its units.
+# The format of replay.json.gz (src/runs/report/replay/mod.rs), and its units.
 FORMAT = 2
 LENGTH, ANGLE, EGO_RATE, AGENT_VELOCITY = 0.01, 0.001, 0.01, 0.1
 # Time between the points of a plan, microseconds.

@@ -3,7 +3,7 @@
 
 use super::text::{Block, blocks};
 use super::{docs, name, read, root};
-use planagent::internals::experiment::study;
+use planagent::internals::lab::study;
 use planagent::internals::mllm::{HubAccess, ModelRegistry, ModelSource, ModelSpec, Trust};
 use planagent::internals::runner::Config;
 use std::fs;

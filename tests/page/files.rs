@@ -55,7 +55,7 @@ fn pages_hold_runs_and_name_what_is_missing() {
 
 /// A larger picture has the page's colors and a legend.
 fn looks_like_the_page(run_folder: &str, png: &str) {
-    let style = include_str!("../../src/report/page/assets/theme.css");
+    let style = include_str!("../../src/runs/report/page/assets/theme.css");
     let color = |name: &str| {
         let (_, after) = style.split_once(&format!("--{name}: #")).unwrap();
         [0, 2, 4].map(|i| u8::from_str_radix(&after[i..i + 2], 16).unwrap())

@@ -85,7 +85,7 @@ fn results_change_only_with_their_version() {
     assert!(
         differing.is_empty() && pinned.simulations.len() == now.simulations.len(),
         "results changed: {differing:#?}\n\
-         If the change is meant, raise RESULT_VERSION in src/runner/result_version.rs and pin again by {UPDATE}=1.",
+         If the change is meant, raise RESULT_VERSION in src/runs/runner/result_version.rs and pin again by {UPDATE}=1.",
     );
     assert_eq!(
         pinned.result_version, RESULT_VERSION,

@@ -4,8 +4,8 @@ use super::data::{DataArguments, SplitArguments};
 use crate::cli::help;
 use crate::cli::picture::{PictureFile, picture_file};
 use crate::cli::words::path_word;
-use crate::experiment::interactive::SCENARIOS;
 use clap::{Args, Subcommand, ValueEnum};
+use planagent_runs::worker::interactive::SCENARIOS;
 use std::path::PathBuf;
 
 /// Subcommands of `scenarios`.

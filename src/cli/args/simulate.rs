@@ -5,11 +5,11 @@ use super::model::ModelArguments;
 use crate::cli::help;
 use crate::cli::picture::{PictureFile, picture_file};
 use crate::cli::words::{count, path_word, planner_words, shard_word};
-use crate::experiment::suite::Suite;
-use crate::runner::{Request, Shard};
 use anyhow::Context;
 use clap::Args;
 use planagent_agent::planner::DEFAULT_EXEC_TIMEOUT;
+use planagent_runs::runner::{Request, Shard};
+use planagent_runs::worker::suite::Suite;
 use std::path::PathBuf;
 use std::time::Duration;
 

@@ -4,13 +4,13 @@ use super::data::DataArguments;
 use super::model::ModelArguments;
 use crate::cli::help;
 use crate::cli::words::path_word;
-use crate::experiment::suite::RECORDED;
-#[cfg(feature = "learned")]
-use crate::lab::dataset::imitation::ImitationPlanner;
-use crate::lab::experiments::ExperimentsRequest;
-use crate::planners::all_planners;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
+#[cfg(feature = "learned")]
+use planagent_lab::dataset::imitation::ImitationPlanner;
+use planagent_lab::experiments::ExperimentsRequest;
+use planagent_planners::all_planners;
+use planagent_runs::worker::suite::RECORDED;
 use std::path::PathBuf;
 
 /// Word for every experiment.

@@ -3,8 +3,8 @@
 use crate::cli::args::CompareArguments;
 use crate::cli::completed::completed;
 use crate::cli::{Exit, Printer};
-use crate::report::{PlannerPair, RunComparison, RunFolder, comparison_table};
 use anyhow::bail;
+use planagent_runs::report::{PlannerPair, RunComparison, RunFolder, comparison_table};
 
 /// Compares two runs; the table goes to stdout.
 pub(in crate::cli) fn run(flags: &CompareArguments, printer: Printer) -> anyhow::Result<Exit> {

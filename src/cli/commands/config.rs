@@ -2,9 +2,9 @@
 
 use crate::cli::settings::{Setting, Settings};
 use crate::cli::{Exit, Printer};
-use crate::runner::{Config, model_registry, silent};
 use planagent_agent::reasoning::PromptSet;
 use planagent_mllm::MllmError;
+use planagent_runs::runner::{Config, model_registry, silent};
 
 /// Column of the origins, behind values that leave room for it.
 const ORIGIN: usize = 43;

@@ -3,17 +3,17 @@
 use crate::cli::args::{DatasetArguments, DatasetKind};
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer, interrupt};
-use crate::experiment::seeds::Split;
-#[cfg(feature = "learned")]
-use crate::lab::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
-use crate::lab::dataset::{Counts, Settings, check_folder, write_split, write_twins};
-use crate::report::check_writable;
-use crate::runner::{Config, load_model};
 #[cfg(feature = "learned")]
 use anyhow::Context;
 use anyhow::bail;
 use planagent_agent::environment::BevView;
 use planagent_agent::reasoning::PromptSet;
+#[cfg(feature = "learned")]
+use planagent_lab::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
+use planagent_lab::dataset::{Counts, Settings, check_folder, write_split, write_twins};
+use planagent_runs::report::check_writable;
+use planagent_runs::runner::{Config, load_model};
+use planagent_runs::worker::seeds::Split;
 #[cfg(feature = "learned")]
 use planagent_scenario::Readers;
 #[cfg(feature = "learned")]

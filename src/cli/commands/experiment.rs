@@ -3,13 +3,13 @@
 use crate::cli::args::{ALL_EXPERIMENTS, ExperimentArguments};
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer, interrupt};
-use crate::lab::experiments::{Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
-use crate::lab::report::{ChallengeResults, StudyResults, study_table, token_table, twin_table};
-use crate::lab::study::{self, StudyError};
-use crate::lab::twins::TwinResults;
-use crate::report::failures;
-use crate::runner::Config;
 use anyhow::anyhow;
+use planagent_lab::experiments::{Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
+use planagent_lab::report::{ChallengeResults, StudyResults, study_table, token_table, twin_table};
+use planagent_lab::study::{self, StudyError};
+use planagent_lab::twins::TwinResults;
+use planagent_runs::report::failures;
+use planagent_runs::runner::Config;
 use serde::Serialize;
 use std::path::Path;
 

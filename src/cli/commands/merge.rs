@@ -3,7 +3,7 @@
 use super::simulate::show;
 use crate::cli::args::MergeArguments;
 use crate::cli::{Exit, Printer};
-use crate::runner;
+use planagent_runs::runner;
 
 /// Merges shards to one run; its table goes to stdout.
 pub(in crate::cli) fn run(flags: &MergeArguments, printer: Printer) -> anyhow::Result<Exit> {

@@ -4,9 +4,9 @@ use crate::cli::args::ReportArguments;
 use crate::cli::completed::note_damage;
 use crate::cli::picture::{check_output, target_of};
 use crate::cli::{Exit, Printer};
-use crate::report::page::{self, PAGE, PageSettings};
-use crate::report::{RunFolder, last_run};
 use anyhow::{Context, bail};
+use planagent_runs::report::page::{self, PAGE, PageSettings};
+use planagent_runs::report::{RunFolder, last_run};
 
 /// Bytes of a megabyte.
 const MEGABYTE: f64 = 1e6;

@@ -3,10 +3,10 @@
 use crate::cli::args::ServeArguments;
 use crate::cli::interrupt::PAUSE;
 use crate::cli::{Exit, Printer};
-use crate::report::last_run;
-use crate::report::page::LivePage;
-use crate::report::serve::Server;
 use anyhow::Context;
+use planagent_runs::report::last_run;
+use planagent_runs::report::page::LivePage;
+use planagent_runs::report::serve::Server;
 use serde_json::json;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;

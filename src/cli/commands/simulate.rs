@@ -3,9 +3,9 @@
 use crate::cli::args::SimulateArguments;
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
-use crate::report::{SimulationRow, failures, main_table};
-use crate::runner::{self, Config, RunResults};
 use anyhow::anyhow;
+use planagent_runs::report::{SimulationRow, failures, main_table};
+use planagent_runs::runner::{self, Config, RunResults};
 
 /// Runs simulations; the results go to a folder, the table to stdout.
 pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
@@ -20,7 +20,7 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
 /// Prints tables to stdout, folder and failures to stderr. Success if every simulation ended and every planning call was
 /// answered.
 pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow::Result<Exit> {
-    let RunResults { folder, summary, timing, rows, missing } = results;
+    let RunResults { folder, summary, timing, rows, missing, .. } = results;
     if csv {
         printer.csv(&summary.scenarios)?;
     } else if printer.is_json() {

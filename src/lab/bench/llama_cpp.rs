@@ -24,7 +24,7 @@ impl LlamaCpp {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lab::bench::budget::Layout;
+    use crate::bench::budget::Layout;
     use planagent_mllm::Step;
 
     #[test]

@@ -2,7 +2,6 @@
 
 use super::label_weights::DecisionWeights;
 use super::lessons::Lesson;
-use crate::experiment::search::{Candidate, NEAR_LIMIT};
 use planagent_agent::environment::facts::{Ahead, Light, Question};
 use planagent_agent::environment::text::{self, Description, TextForm};
 use planagent_agent::environment::{CenterlineName, LaneGraph, SceneFacts};
@@ -10,6 +9,7 @@ use planagent_agent::reasoning::{
     Lateral, LateralReason, Longitudinal, LongitudinalReason, Names, PromptError, PromptSet, Round, round_prompt,
     system_prompt,
 };
+use planagent_runs::worker::search::{Candidate, NEAR_LIMIT};
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -3,8 +3,8 @@
 //! A label is the best of one future, but a model cannot predict which future comes. A pedestrian who steps onto the road in one
 //! of three futures would be no reason to slow down. Weighted by their gains, the likeliest answer is the best on average.
 
-use crate::experiment::search::Candidate;
 use planagent_agent::reasoning::PlannerCode;
+use planagent_runs::worker::search::Candidate;
 
 /// Gain of a decision without a tried alternative: about the progress bonus of a third of the limit.
 pub(super) const DEFAULT_GAIN: f64 = 0.06;
@@ -62,14 +62,14 @@ fn gain<'a>(best: &Candidate, others: impl Iterator<Item = &'a Candidate>) -> f6
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::experiment::search::search;
     use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
     use planagent_agent::reflection::Verdict;
     use planagent_agent::simulation::{Challenge, ClosedLoop};
+    use planagent_runs::worker::search::search;
     use planagent_scenario::generator::{self, Spec, types};
 
     /// Candidates with these lanes, desired speeds and values, accepted by Reflection or not.
-    pub(in crate::lab::dataset) fn tried(planners: &[(&str, f64, f64, bool)]) -> Vec<Candidate> {
+    pub(in crate::dataset) fn tried(planners: &[(&str, f64, f64, bool)]) -> Vec<Candidate> {
         let scenario = generator::generate(&Spec::new(types::changing_lane::TYPE, 3)).unwrap();
         let simulation = ClosedLoop::new(&scenario, Challenge::CLOSED_LOOP[0]).unwrap();
         let graph = LaneGraph::build(&simulation.scene(), DEFAULT_NODE_LENGTH).unwrap();

@@ -5,8 +5,8 @@
 //! learns so has the highest mean value.
 
 use super::label_weights::{DEFAULT_GAIN, DecisionWeights, MAX_GAIN, RETRY_GAIN, rejects_faster};
-use crate::experiment::search::Candidate;
 use planagent_agent::reasoning::PlannerCode;
+use planagent_runs::worker::search::Candidate;
 
 /// A code that may be the one to learn.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,8 +72,8 @@ impl<'a> Decision<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::search;
-    use crate::lab::dataset::label_weights::tests::tried as tried_of;
+    use crate::dataset::label_weights::tests::tried as tried_of;
+    use planagent_runs::worker::search;
 
     fn all(tried: &[Candidate], after_rejection: bool) -> Vec<Lesson<'_>> {
         lessons(search::best(tried).unwrap(), tried, after_rejection)

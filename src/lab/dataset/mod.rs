@@ -18,11 +18,11 @@ pub use count::Counts;
 pub use label::LabeledState;
 pub use shard::{FORMAT, Meta, ShardError};
 
-use crate::experiment::run::AgentParts;
-use crate::experiment::seeds::Split;
 use image::RgbImage;
 use planagent_agent::environment::{BevError, BevView};
 use planagent_agent::reasoning::{PromptError, PromptSet};
+use planagent_runs::worker::run::AgentParts;
+use planagent_runs::worker::seeds::Split;
 use rayon::prelude::*;
 use std::path::Path;
 

@@ -8,7 +8,6 @@ use super::label::{self, LabeledState};
 use super::label_weights::DecisionWeights;
 use super::scenes::SCENARIOS_PER_SEED;
 use super::{DatasetError, Settings, Split, states};
-use crate::experiment::search::{self, Candidate};
 use image::RgbImage;
 use planagent_agent::environment::text::{self, Description};
 use planagent_agent::environment::{
@@ -16,6 +15,7 @@ use planagent_agent::environment::{
 };
 use planagent_agent::reasoning::{Names, PlannerCode, PromptError, PromptSet, Round, round_prompt, system_prompt};
 use planagent_agent::simulation::{Challenge, ClosedLoop};
+use planagent_runs::worker::search::{self, Candidate};
 use planagent_scenario::Scenario;
 use planagent_scenario::generator::{self, ScenarioType, Spec, types};
 use planagent_scenario::modified::{MARK, ModifiedName, Twin, TwinKind, TwinPart, TwinSide};

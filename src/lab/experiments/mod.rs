@@ -9,16 +9,16 @@ mod twins;
 pub use request::ExperimentsRequest;
 pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
 
-use crate::lab::report::{
+use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, StudyFolder, StudyResults, SuiteSimulations, VariantSimulations,
 };
-use crate::lab::study::{Quick, Study, StudyError, find};
-use crate::lab::twins::{TwinError, TwinResults};
-use crate::report::{SimulationRow, check_writable};
-use crate::runner::Config;
-use crate::runner::RunnerError;
-use crate::runner::{Event, Listener};
+use crate::study::{Quick, Study, StudyError, find};
+use crate::twins::{TwinError, TwinResults};
 use planagent_files::quoted;
+use planagent_runs::report::{SimulationRow, check_writable};
+use planagent_runs::runner::Config;
+use planagent_runs::runner::RunnerError;
+use planagent_runs::runner::{Event, Listener};
 use planagent_scenario::MissingTokens;
 use runs::{PlannedRuns, RunName};
 use std::collections::BTreeMap;

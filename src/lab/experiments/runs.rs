@@ -2,21 +2,21 @@
 //! experiments share equal runs and resume interrupted ones.
 
 use super::suites::SelectedSuite;
-use crate::experiment::interactive;
-use crate::lab::study::Variant;
-use crate::report::{MANIFEST, RunFolder, SUMMARY, SimulationRow};
-use crate::runner::RunnerError;
-use crate::runner::commands::Commands;
-use crate::runner::model::{self, OpenModel};
-use crate::runner::run::{Resume, Run, RunPlan};
-use crate::runner::selection::tasks;
-use crate::runner::simulate::{RunSubject, manifest};
-use crate::runner::{Config, MllmConfig};
-use crate::runner::{Event, Listener};
+use crate::study::Variant;
 use planagent_agent::planner::{
     DEFAULT_EXEC_TIMEOUT, ExecCommand, LearnedSettings, PlannerNeeds, PlannerRegistry, UsedSettings,
 };
 use planagent_agent::simulation::Challenge;
+use planagent_runs::report::{MANIFEST, RunFolder, SUMMARY, SimulationRow};
+use planagent_runs::runner::RunnerError;
+use planagent_runs::runner::commands::Commands;
+use planagent_runs::runner::model::{self, OpenModel};
+use planagent_runs::runner::run::{Resume, Run, RunPlan};
+use planagent_runs::runner::selection::tasks;
+use planagent_runs::runner::simulate::{RunSubject, manifest};
+use planagent_runs::runner::{Config, MllmConfig};
+use planagent_runs::runner::{Event, Listener};
+use planagent_runs::worker::interactive;
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::Path;

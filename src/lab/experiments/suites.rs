@@ -1,15 +1,15 @@
 //! The suites of experiments.
 
 use super::request::ExperimentsRequest;
-use crate::experiment::suite::RECORDED;
-use crate::lab::study::{Quick, Starts};
-use crate::report::{DataFile, ScenarioList};
-use crate::runner::RunnerError;
-use crate::runner::inputs::data_files;
-use crate::runner::sample::Sample;
-use crate::runner::selection::{Selected, absolute, scenario_list, select};
-use crate::runner::{Event, Listener};
+use crate::study::{Quick, Starts};
 use planagent_files::word_of;
+use planagent_runs::report::{DataFile, ScenarioList};
+use planagent_runs::runner::RunnerError;
+use planagent_runs::runner::inputs::data_files;
+use planagent_runs::runner::sample::Sample;
+use planagent_runs::runner::selection::{Selected, absolute, scenario_list, select};
+use planagent_runs::runner::{Event, Listener};
+use planagent_runs::worker::suite::RECORDED;
 use planagent_scenario::{DataRoots, RECORDINGS, Readers, ScenarioRef, absolute_path};
 use planagent_world::STEP_S;
 use std::collections::BTreeMap;

@@ -1,14 +1,14 @@
 //! The experiment `tokens`: how many tokens the description of a scene takes.
 
 use super::suites::SelectedSuite;
-use crate::experiment::suite::{RECORDED, Suite};
-use crate::lab::report::{StudyFolder, token_markdown};
-use crate::lab::tokens::{TokenCounter, TokenRow, TokenTable, count};
-use crate::report::json_value;
-use crate::runner::Config;
-use crate::runner::RunnerError;
-use crate::runner::model::OpenModel;
-use crate::runner::{Event, Listener};
+use crate::report::{StudyFolder, token_markdown};
+use crate::tokens::{TokenCounter, TokenRow, TokenTable, count};
+use planagent_runs::report::json_value;
+use planagent_runs::runner::Config;
+use planagent_runs::runner::RunnerError;
+use planagent_runs::runner::model::OpenModel;
+use planagent_runs::runner::{Event, Listener};
+use planagent_runs::worker::suite::{RECORDED, Suite};
 use planagent_scenario::ScenarioRef;
 use rayon::prelude::*;
 use serde::Serialize;

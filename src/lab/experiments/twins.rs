@@ -2,17 +2,17 @@
 
 use super::request::ExperimentsRequest;
 use super::runs::{DIGEST, relevant};
-use crate::lab::dataset::twins::PairName;
-use crate::lab::report::{StudyFolder, TwinRecords, twin_markdown};
-use crate::lab::twins::{self, NAMES, PairRecord, TwinResults};
-use crate::report::{ScenarioList, json_value};
-use crate::runner::Config;
-use crate::runner::RunnerError;
-use crate::runner::commands::Commands;
-use crate::runner::model::{OpenModel, agent_parts};
-use crate::runner::simulate::{RunSubject, manifest};
-use crate::runner::{Event, Listener};
+use crate::dataset::twins::PairName;
+use crate::report::{StudyFolder, TwinRecords, twin_markdown};
+use crate::twins::{self, NAMES, PairRecord, TwinResults};
 use planagent_agent::planner::{PlannerName, PlannerNeeds};
+use planagent_runs::report::{ScenarioList, json_value};
+use planagent_runs::runner::Config;
+use planagent_runs::runner::RunnerError;
+use planagent_runs::runner::commands::Commands;
+use planagent_runs::runner::model::{OpenModel, agent_parts};
+use planagent_runs::runner::simulate::{RunSubject, manifest};
+use planagent_runs::runner::{Event, Listener};
 use planagent_scenario::modified::TwinKind;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -72,7 +72,7 @@ pub(super) fn judge(
         total - left.len(),
         left.len()
     )));
-    let registry = crate::planners::all_planners();
+    let registry = planagent_planners::all_planners();
     let parts = agent_parts(config, registry, Some(&loaded));
     let answer = |pair: &&PairName| -> Result<PairRecord, RunnerError> {
         let record = twins::judge(pair, &parts)?;

@@ -1,7 +1,7 @@
 //! A logistic regression that tells scenes of two sets apart, and how often it is right about unseen scenes.
 
-use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use nalgebra::{DMatrix, DVector};
+use planagent_runs::worker::statistics::{Bootstrap, PairedDifference};
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -1,8 +1,8 @@
 //! Records of text twins: a line of JSON for each pair that was answered, kept as it comes.
 
-use crate::lab::twins::PairRecord;
-use crate::report::ReportError;
-use crate::report::atomic;
+use crate::twins::PairRecord;
+use planagent_runs::report::ReportError;
+use planagent_runs::report::atomic;
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -109,4 +109,13 @@ mod tests {
         assert!(find("mian").unwrap_err().to_string().contains("scenario-types"));
         assert!(find("nowhere.toml").unwrap_err().to_string().contains("nowhere.toml"));
     }
+
+    #[test]
+    fn every_variant_of_an_experiment_can_be_configured() {
+        for study in super::super::all().unwrap() {
+            for variant in &study.variants {
+                planagent_runs::runner::Config::default().overlaid(&variant.settings).unwrap();
+            }
+        }
+    }
 }

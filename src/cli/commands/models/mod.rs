@@ -10,7 +10,7 @@ mod show;
 use crate::cli::args::ModelsCommand;
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
-use crate::runner::{Config, model_registry};
+use planagent_runs::runner::{Config, model_registry};
 
 /// Lists, shows, checks, fetches or quantizes models.
 pub(in crate::cli) fn run(command: &ModelsCommand, config: &Config, printer: Printer) -> anyhow::Result<Exit> {

@@ -2,10 +2,10 @@
 
 use crate::cli::completed::completed;
 use crate::cli::{Exit, Printer};
-use crate::experiment::suite::{Suite, hard_list, hard_scenarios};
 use anyhow::Context;
 use planagent_agent::planner::PlannerName;
 use planagent_agent::simulation::Challenge;
+use planagent_runs::worker::suite::{Suite, hard_list, hard_scenarios};
 use serde_json::json;
 use std::path::Path;
 

@@ -2,10 +2,10 @@
 
 use crate::cli::args::InteractiveArguments;
 use crate::cli::{Exit, Printer};
-use crate::experiment::interactive::{
+use planagent_runs::worker::interactive::{
     SCENARIOS, draw_generated, draw_recorded, generated_list, other_list, recorded_list,
 };
-use crate::experiment::seeds::Split;
+use planagent_runs::worker::seeds::Split;
 use planagent_scenario::{DataRoots, Readers};
 use serde_json::json;
 

@@ -3,8 +3,8 @@
 use super::{About, Details};
 use crate::cli::args::ListArguments;
 use crate::cli::{Exit, Printer};
-use crate::experiment::split::split;
 use anyhow::{anyhow, bail};
+use planagent_runs::worker::split::split;
 use planagent_scenario::generator::{Spec, types};
 use planagent_scenario::{Contents, Readers, ScenarioRef, UNKNOWN_TYPE};
 use planagent_world::STEP_S;

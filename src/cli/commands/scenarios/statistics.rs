@@ -2,11 +2,11 @@
 
 use crate::cli::args::{DataArguments, StatisticsArguments};
 use crate::cli::{Exit, Printer};
-use crate::experiment::split::{SplitError, split};
-use crate::lab::realism::{MeasuredScene, SceneComparison};
-use crate::lab::report::{realism_figure, realism_table};
 use anyhow::{Context, bail};
 use planagent_files::path_of;
+use planagent_lab::realism::{MeasuredScene, SceneComparison};
+use planagent_lab::report::{realism_figure, realism_table};
+use planagent_runs::worker::split::{SplitError, split};
 use planagent_scenario::{ReaderError, Readers, ScenarioRef};
 use rayon::prelude::*;
 use serde_json::json;

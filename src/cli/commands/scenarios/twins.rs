@@ -2,8 +2,8 @@
 
 use crate::cli::args::TwinArguments;
 use crate::cli::{Exit, Printer};
-use crate::experiment::seeds::Split;
-use crate::lab::twins::{TEST_PAIRS, VALIDATION_PAIRS, draw, list_text};
+use planagent_lab::twins::{TEST_PAIRS, VALIDATION_PAIRS, draw, list_text};
+use planagent_runs::worker::seeds::Split;
 use serde_json::json;
 use std::collections::BTreeMap;
 

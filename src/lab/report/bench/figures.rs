@@ -1,7 +1,7 @@
 //! Statistics of a benchmark.
 
-use crate::lab::bench::{DRAFTED, EngineName, IterationRow, ModelRow, Row};
-use crate::report::{Quantiles, Spread};
+use crate::bench::{DRAFTED, EngineName, IterationRow, ModelRow, Row};
+use planagent_runs::report::{Quantiles, Spread};
 use serde::Serialize;
 
 /// Statistics of a benchmark.
@@ -195,7 +195,7 @@ impl Comparison {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lab::bench::TimedStep;
+    use crate::bench::TimedStep;
     use planagent_mllm::{Step, StepTime};
 
     fn call(engine: EngineName, iteration: usize, ms: f64) -> Row {

@@ -1,8 +1,8 @@
 //! The folder of a benchmark: `metadata.json`, `rows.jsonl`, and at the end `figures.json` and `table.md`.
 
-use crate::lab::bench::Row;
-use crate::report::atomic;
-use crate::report::{ReportError, ReportFault, check_writable};
+use crate::bench::Row;
+use planagent_runs::report::atomic;
+use planagent_runs::report::{ReportError, ReportFault, check_writable};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fs;

@@ -2,7 +2,7 @@
 
 use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
-use crate::lab::report::{Agreement, StudyResults};
+use crate::report::{Agreement, StudyResults};
 
 const WIDTH: f64 = 880.0;
 /// Room for the ticks at the left, and between the panels.

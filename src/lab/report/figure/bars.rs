@@ -2,7 +2,7 @@
 
 use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
-use crate::lab::report::{StudyResults, SuiteResults, TypeResults};
+use crate::report::{StudyResults, SuiteResults, TypeResults};
 use planagent_agent::simulation::Challenge;
 
 const WIDTH: f64 = 980.0;

@@ -2,8 +2,8 @@
 
 use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
-use crate::lab::report::{ChallengeResults, StudyResults, SuiteResults};
-use crate::lab::study::Study;
+use crate::report::{ChallengeResults, StudyResults, SuiteResults};
+use crate::study::Study;
 
 const WIDTH: f64 = 880.0;
 /// Columns: names, then a panel for each challenge.

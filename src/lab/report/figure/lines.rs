@@ -2,8 +2,8 @@
 
 use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
-use crate::lab::report::{StudyResults, SuiteResults};
-use crate::lab::study::Study;
+use crate::report::{StudyResults, SuiteResults};
+use crate::study::Study;
 use planagent_agent::simulation::Challenge;
 
 const WIDTH: f64 = 640.0;

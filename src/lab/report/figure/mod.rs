@@ -9,8 +9,8 @@ mod svg;
 
 pub use realism::realism_figure;
 
-use crate::lab::report::StudyResults;
-use crate::lab::study::{Figure, Study};
+use crate::report::StudyResults;
+use crate::study::{Figure, Study};
 use planagent_agent::simulation::Challenge;
 
 fn panel(challenge: Challenge) -> &'static str {

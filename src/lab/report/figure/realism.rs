@@ -1,8 +1,8 @@
 //! Two sets of scenes: percentiles of each feature, a row for each.
 
 use super::svg::{Anchor, Picture, Scale, color};
-use crate::lab::realism::{Distribution, SceneComparison};
-use crate::report::fixed;
+use crate::realism::{Distribution, SceneComparison};
+use planagent_runs::report::fixed;
 
 const WIDTH: f64 = 760.0;
 /// Columns: names, then the percentiles between their extremes.

@@ -1,6 +1,6 @@
 //! An SVG picture of lines, points and text.
 
-use crate::report::escaped;
+use planagent_runs::report::escaped;
 use std::fmt::Write as _;
 
 /// Colors of the series: blue, orange, green, purple of Okabe and Ito's palette, which color-blind readers can tell apart.
@@ -168,7 +168,7 @@ impl Scale {
         (0..=count).map(move |i| {
             // Whole multiples of the step: no tick misses zero by a rounding error.
             let value = ((low / step).round() + i as f64) * step;
-            (value, crate::report::fixed(value, decimals))
+            (value, planagent_runs::report::fixed(value, decimals))
         })
     }
 }

@@ -1,10 +1,10 @@
 //! How far the order of planners here agrees with that of reported scores.
 
 use super::results::{SuiteSimulations, VariantSimulations};
-use crate::experiment::statistics::Bootstrap;
-use crate::lab::rank_correlation::RankCorrelation;
-use crate::lab::study::{Benchmark, Study, Variant, reported_benchmarks};
+use crate::rank_correlation::{RankCorrelation, rank_correlation};
+use crate::study::{Benchmark, Study, Variant, reported_benchmarks};
 use planagent_agent::simulation::Challenge;
+use planagent_runs::worker::statistics::Bootstrap;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -63,6 +63,6 @@ fn agreement(
         benchmark,
         challenge,
         planners: ranked.collect(),
-        kendall: bootstrap.rank_correlation(&scores, &reported),
+        kendall: rank_correlation(&bootstrap, &scores, &reported),
     }
 }

@@ -1,12 +1,12 @@
 //! The folder of an experiment's results: `results.json`, `results.md` and figures. Each time it is written from the runs.
 
 use super::results::StudyResults;
-use crate::lab::report::figure::figures;
-use crate::lab::report::study_markdown;
-use crate::lab::study::Study;
-use crate::report::ReportError;
-use crate::report::atomic;
-use crate::report::json_value;
+use crate::report::figure::figures;
+use crate::report::study_markdown;
+use crate::study::Study;
+use planagent_runs::report::ReportError;
+use planagent_runs::report::atomic;
+use planagent_runs::report::json_value;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,8 +1,8 @@
 //! What a study of recordings adds to its results: each recording, and the planning calls.
 
 use super::results::VariantSimulations;
-use crate::report::SimulationRow;
 use planagent_agent::simulation::Challenge;
+use planagent_runs::report::SimulationRow;
 use planagent_scenario::without_start;
 use planagent_score::metrics::distinct;
 use serde::Serialize;

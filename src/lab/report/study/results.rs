@@ -2,12 +2,12 @@
 
 use super::agreement::{Agreement, agreements};
 use super::recordings::{CallShares, RecordingResults, recordings};
-use crate::experiment::statistics::{Bootstrap, PairedDifference};
-use crate::lab::report::ModelFigures;
-use crate::lab::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
-use crate::report::Quantiles;
-use crate::report::SimulationRow;
+use crate::report::ModelFigures;
+use crate::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
 use planagent_agent::simulation::Challenge;
+use planagent_runs::report::Quantiles;
+use planagent_runs::report::SimulationRow;
+use planagent_runs::worker::statistics::{Bootstrap, PairedDifference};
 use planagent_scenario::modified::without_modification;
 use planagent_scenario::without_start;
 use planagent_score::metrics::distinct;

@@ -1,12 +1,12 @@
 //! Results and tables of example simulations.
 
 use super::*;
-use crate::lab::report::figure::figures;
-use crate::lab::report::{study_markdown, study_table};
-use crate::lab::study::{Figure, Quick, Reported, find};
-use crate::report::{MetricScore, SimulationRow};
+use crate::report::figure::figures;
+use crate::report::{study_markdown, study_table};
+use crate::study::{Figure, Quick, Reported, find};
 use planagent_agent::planner::PlannerName;
 use planagent_agent::simulation::Challenge;
+use planagent_runs::report::{MetricScore, SimulationRow};
 
 /// A simulation of a scene; without a score it failed.
 fn simulation(scene: usize, challenge: Challenge, score: Option<f64>) -> SimulationRow {
@@ -163,7 +163,7 @@ fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
 #[test]
 fn markdown_has_both_challenges_and_the_paper_and_every_study_has_a_figure() {
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
-    for study in crate::lab::study::all().unwrap() {
+    for study in crate::study::all().unwrap() {
         let variants = vec![full.clone(); study.variants.len()];
         let results = StudyResults::new(&study, &[suite("generated-test14-hard", variants)], None, 0, &[]);
         let drawn = figures(&study, &results);

@@ -1,9 +1,9 @@
 //! The tables of a bench.
 
-use crate::lab::bench::EngineName;
-use crate::lab::report::{BenchFigures, Comparison, ModelFigures};
-use crate::report::table::terminal::COLUMNS;
-use crate::report::table::{Table, fill, or_dash, three_digits, weights};
+use crate::bench::EngineName;
+use crate::report::{BenchFigures, Comparison, ModelFigures};
+use planagent_runs::report::table::terminal::COLUMNS;
+use planagent_runs::report::table::{Table, fill, or_dash, three_digits, weights};
 use std::fmt::Write as _;
 
 const MEBI: f64 = (1 << 20) as f64;

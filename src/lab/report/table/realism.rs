@@ -1,9 +1,9 @@
 //! The table of two sets of scenes.
 
-use crate::lab::realism::{Distribution, FOLDS, SceneComparison};
-use crate::report::fixed;
-use crate::report::table::terminal::wrapped;
-use crate::report::table::{Table, or_dash, signed};
+use crate::realism::{Distribution, FOLDS, SceneComparison};
+use planagent_runs::report::fixed;
+use planagent_runs::report::table::terminal::wrapped;
+use planagent_runs::report::table::{Table, or_dash, signed};
 
 /// Mean and standard deviation of each feature in both sets, and what tells them apart. `names` are those of the sets.
 pub fn realism_table(comparison: &SceneComparison, names: [&str; 2]) -> String {

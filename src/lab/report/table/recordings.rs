@@ -1,10 +1,10 @@
 //! The tables that a study of recordings adds: each recording, and the planning calls.
 
-use crate::lab::report::SuiteResults;
-use crate::lab::study::Study;
-use crate::report::fixed;
-use crate::report::table::{Table, or_dash, short};
+use crate::report::SuiteResults;
+use crate::study::Study;
 use planagent_agent::simulation::Challenge;
+use planagent_runs::report::fixed;
+use planagent_runs::report::table::{Table, or_dash, short};
 use planagent_score::metrics::METRICS;
 
 /// A row for each recording: the scores of all variants in these challenges, and where the first loses most.

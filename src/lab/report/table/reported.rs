@@ -1,10 +1,10 @@
 //! Reported scores of planners, and how far the order here agrees with theirs.
 
-use crate::lab::report::{StudyResults, SuiteResults};
-use crate::lab::study::{Reported, Study};
-use crate::report::fixed;
-use crate::report::table::{Table, or_dash, short, signed};
+use crate::report::{StudyResults, SuiteResults};
+use crate::study::{Reported, Study};
 use planagent_agent::simulation::Challenge;
+use planagent_runs::report::fixed;
+use planagent_runs::report::table::{Table, or_dash, short, signed};
 
 /// Reported scores, a row for each planner that has some; none without any.
 pub(super) fn reported(study: &Study) -> Option<Table> {
@@ -35,7 +35,7 @@ pub(super) fn agreement(results: &StudyResults) -> Option<Table> {
             .agreement
             .iter()
             .map(|found| {
-                let interval = |kendall: crate::lab::rank_correlation::RankCorrelation| {
+                let interval = |kendall: crate::rank_correlation::RankCorrelation| {
                     format!("{} to {}", signed(kendall.low), signed(kendall.high))
                 };
                 vec![

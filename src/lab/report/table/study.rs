@@ -1,14 +1,14 @@
 //! The tables of an experiment.
 
 use super::{recordings, reported};
-use crate::experiment::statistics::PairedDifference;
-use crate::lab::report::figure::AGREEMENT;
-use crate::lab::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
-use crate::lab::study::{Column, Rows, Study, Variant};
-use crate::report::fixed;
-use crate::report::table::terminal::wrapped;
-use crate::report::table::{Table, or_dash, short, signed, three_digits, weights};
+use crate::report::figure::AGREEMENT;
+use crate::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
+use crate::study::{Column, Rows, Study, Variant};
 use planagent_agent::simulation::Challenge;
+use planagent_runs::report::fixed;
+use planagent_runs::report::table::terminal::wrapped;
+use planagent_runs::report::table::{Table, or_dash, short, signed, three_digits, weights};
+use planagent_runs::worker::statistics::PairedDifference;
 use std::fmt::Write as _;
 
 /// The tables for a terminal of 80 columns: one for each suite and challenge.

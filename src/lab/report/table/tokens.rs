@@ -1,8 +1,8 @@
 //! The tables of tokens that scene descriptions take.
 
-use crate::lab::tokens::{TokenMean, TokenTable};
-use crate::report::fixed;
-use crate::report::table::{Table, or_dash};
+use crate::tokens::{TokenMean, TokenTable};
+use planagent_runs::report::fixed;
+use planagent_runs::report::table::{Table, or_dash};
 use std::fmt::Write as _;
 
 /// The table for a terminal.

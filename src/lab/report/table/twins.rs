@@ -1,8 +1,8 @@
 //! The table of text twins.
 
-use crate::lab::twins::TwinResults;
-use crate::report::fixed;
-use crate::report::table::Table;
+use crate::twins::TwinResults;
+use planagent_runs::report::fixed;
+use planagent_runs::report::table::Table;
 use std::fmt::Write as _;
 
 /// The table for a terminal.

@@ -9,7 +9,7 @@ use super::replay::Replay;
 use super::run_folder::read_toml;
 use super::simulation_row::SimulationRow;
 use super::transcript::transcript;
-use crate::experiment::run::{SimulationOutcome, SimulationRecord};
+use crate::worker::run::{SimulationOutcome, SimulationRecord};
 use planagent_score::metrics::MetricResult;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -4,7 +4,7 @@ use super::deltas::{Deltas, Points};
 use super::map::ReplayMap;
 use super::track::{AgentTrack, EgoTrack, LightTrack};
 use super::{CallTrack, FORMAT, PLAN_POINTS, PLAN_STEP_US, Replay};
-use crate::experiment::run::SimulationOutcome;
+use crate::worker::run::SimulationOutcome;
 use planagent_agent::planner::{Attempt, PlanningCall};
 use planagent_world::geometry::{Bounds, Point};
 use planagent_world::{STEP_US, Trajectory};

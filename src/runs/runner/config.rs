@@ -227,7 +227,6 @@ fn collect_changes(prefix: &str, own: &toml::Table, default: &toml::Table, chang
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lab::study;
 
     #[test]
     fn settings_are_laid_over_and_checked() {
@@ -252,14 +251,5 @@ mod tests {
         assert_eq!(keys, ["environment.bev", "learned.plantf", "mllm.quantize", "seed"]);
         let lines: Vec<String> = changes.iter().map(|(key, value)| format!("{key} = {value}")).collect();
         assert_eq!(Config::default().overlaid(&lines.join("\n").parse().unwrap()).unwrap(), changed);
-    }
-
-    #[test]
-    fn every_variant_of_an_experiment_can_be_configured() {
-        for study in study::all().unwrap() {
-            for variant in &study.variants {
-                Config::default().overlaid(&variant.settings).unwrap();
-            }
-        }
     }
 }

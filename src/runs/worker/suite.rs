@@ -21,7 +21,7 @@ const CANDIDATE_TRAFFIC: u64 = 1;
 /// Traffic seed of the hard scenarios. It differs, so that bad luck in the selection does not carry over.
 const HARD_TRAFFIC: u64 = 2;
 /// [`Suite::TEST14_HARD`] as [`hard_list`] writes it.
-const HARD_LIST: &str = include_str!("../../suites/generated-test14-hard.txt");
+const HARD_LIST: &str = include_str!("../../../suites/generated-test14-hard.txt");
 const HARD_HEADER: &str = "\
 # generated-test14-hard: of each type the 20 of 100 scenarios with the lowest scores of PDM-Closed with non-reactive agents.
 # Selected with traffic seed 1, simulated with traffic seed 2; equal scores are ordered by seed. Made by:

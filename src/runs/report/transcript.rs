@@ -6,7 +6,7 @@ use super::number::fixed;
 use super::repeats::Repeat;
 use super::times::CallTimes;
 use super::visible::{in_markdown, visible, visible_line};
-use crate::experiment::run::{SimulationOutcome, SimulationRecord};
+use crate::worker::run::{SimulationOutcome, SimulationRecord};
 use planagent_agent::planner::{Attempt, PlanningCall};
 use planagent_agent::reasoning::RoundRecord;
 use planagent_world::STEP_S;

@@ -3,8 +3,8 @@
 use super::commands::CommandError;
 use super::config::ConfigError;
 use super::sample::NoSuchType;
-use crate::experiment::split::SplitError;
 use crate::report::ReportError;
+use crate::worker::split::SplitError;
 use planagent_agent::planner::{ExecError, PlannerError, PlannerName, UnknownPlanner};
 use planagent_agent::reasoning::PromptError;
 use planagent_agent::simulation::UnknownChallenge;

@@ -3,7 +3,7 @@
 use super::decision::{all_are_zero, all_refused, first_refused};
 use super::number::positive_zero;
 use super::times::{CallTimes, SimulationTime};
-use crate::experiment::run::SimulationRecord;
+use crate::worker::run::SimulationRecord;
 use planagent_agent::planner::PlanningCall;
 use planagent_agent::reasoning::Interruption;
 use planagent_agent::simulation::Challenge;

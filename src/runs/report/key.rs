@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn the_documented_key_is_that_of_transcripts() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/prompts.md");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/prompts.md");
         let text = std::fs::read_to_string(&path).unwrap();
         let (before, rest) = text.split_once(BEGIN).unwrap();
         let (documented, after) = rest.split_once(END).unwrap();
@@ -296,7 +296,7 @@ mod tests {
         let key = CompactParts::ALL.key();
         let quoted: BTreeSet<String> = key.split('`').skip(1).step_by(2).flat_map(words).collect();
         let mut used = BTreeSet::new();
-        let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/text");
+        let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/text");
         for scene in ["crossing", "narrow", "road"] {
             used.extend(words(&std::fs::read_to_string(golden.join(format!("{scene}.compact.txt"))).unwrap()));
         }

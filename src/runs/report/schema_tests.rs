@@ -10,7 +10,7 @@ use std::{env, fs};
 /// Compares a schema with its file, or writes the file if `PLANAGENT_UPDATE_GOLDEN` is set. Descriptions may differ, because
 /// they are the comments of several stages.
 fn check<T: JsonSchema>(name: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("docs/schema/{name}.schema.json"));
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../docs/schema/{name}.schema.json"));
     let text = serde_json::to_string_pretty(&schema_for!(T)).unwrap() + "\n";
     if env::var_os("PLANAGENT_UPDATE_GOLDEN").is_some() {
         fs::write(&path, &text).unwrap();

@@ -3,9 +3,9 @@
 use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::machine::cpu;
-use crate::experiment::StopSwitch;
-use crate::experiment::run::{self, AgentParts, SimulationTask};
 use crate::report::{Manifest, RunFolder, SUMMARY, Session, SimulationRow, Summary, Timing};
+use crate::worker::StopSwitch;
+use crate::worker::run::{self, AgentParts, SimulationTask};
 use planagent_scenario::MissingTokens;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

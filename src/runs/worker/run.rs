@@ -4,13 +4,13 @@ use super::oracle::OracleAgent;
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
 use super::stoppable::{StopSwitch, Stoppable};
-use crate::planners::all_planners;
 use planagent_agent::planner::{
     AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, PlannerNeeds,
     PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
 };
 use planagent_agent::simulation::{AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared};
 use planagent_files::shortened;
+use planagent_planners::all_planners;
 use planagent_scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
 use planagent_score::metrics::{Evaluation, MetricResult, Score};
 use planagent_score::pdm::DrivableLayers;

@@ -2,7 +2,7 @@
 
 use super::manifest::Manifest;
 use super::simulation_row::SimulationRow;
-use crate::experiment::statistics::{Bootstrap, PairedDifference};
+use crate::worker::statistics::{Bootstrap, PairedDifference};
 use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::distinct;
 use serde::Serialize;

@@ -3,14 +3,14 @@
 use super::config::Config;
 use super::error::RunnerError;
 use super::event::{Event, Listener};
-use crate::experiment::run::AgentParts;
-use crate::planners::all_planners;
 use crate::report::{Inputs, PromptList};
+use crate::worker::run::AgentParts;
 use planagent_agent::planner::{CodeSource, PlannerRegistry};
 use planagent_agent::reasoning::{PromptPlace, PromptSet, ReasoningSettings};
 use planagent_mllm::{
     Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry, models_folder,
 };
+use planagent_planners::all_planners;
 use std::sync::Arc;
 use std::time::Instant;
 

@@ -40,8 +40,8 @@ const BATCH: usize = 28;
 /// Environment variable that names a folder of recordings.
 const DATA: &str = "PLANAGENT_DATA";
 
-const GENERATED_LIST: &str = include_str!("../../suites/interactive-generated.txt");
-const RECORDED_LIST: &str = include_str!("../../suites/interactive-recorded.txt");
+const GENERATED_LIST: &str = include_str!("../../../suites/interactive-generated.txt");
+const RECORDED_LIST: &str = include_str!("../../../suites/interactive-recorded.txt");
 const GENERATED_HEADER: &str = "\
 # interactive-generated: of each of the eight kinds the first 100 scenarios that it fits, with room for its maneuver before the next
 # intersection, seed by seed and type by type.

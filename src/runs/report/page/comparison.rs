@@ -2,8 +2,8 @@
 //! An entrant is a planner of a run.
 
 use super::source::RunSimulations;
-use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use crate::report::simulation_row::SimulationRow;
+use crate::worker::statistics::{Bootstrap, PairedDifference};
 use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::distinct;
 use rayon::prelude::*;

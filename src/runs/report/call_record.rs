@@ -327,7 +327,7 @@ pub(super) fn calls_in(folder: &Path) -> Result<Vec<CallRecord>, ReportError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::run::AgentParts;
+    use crate::worker::run::AgentParts;
     use planagent_agent::simulation::simulate;
     use planagent_scenario::generator::{self, DEFAULT};
 

@@ -11,7 +11,7 @@ use super::manifest::{FORMAT_VERSION, Manifest};
 use super::simulation_folder;
 use super::simulation_row::SimulationRow;
 use super::writable::check_writable;
-use crate::experiment::run::{SimulationRecord, SimulationTask};
+use crate::worker::run::{SimulationRecord, SimulationTask};
 use planagent_score::metrics::MetricResult;
 use rayon::prelude::*;
 use serde::Deserialize;

@@ -1,0 +1,20 @@
+//! The lab: studies, datasets, text twins, realism, tokens and the bench of planning calls, with their results.
+
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod bench;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod dataset;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod experiments;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod rank_correlation;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod realism;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod report;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod study;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod tokens;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod twins;
