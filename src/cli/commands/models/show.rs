@@ -1,7 +1,7 @@
 //! `planagent models show`.
 
 use super::row::{Row, rounded};
-use crate::cli::{Exit, Printer};
+use crate::{Exit, Printer};
 use planagent_lab::bench::ESTIMATED_ON;
 use planagent_mllm::{ModelRegistry, WeightFormat, in_bytes};
 
