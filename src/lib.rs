@@ -41,8 +41,6 @@
 //!
 //! The folder `examples/` has a program for each.
 
-// Stages are public for this package's tests only; see `internals`.
-#![cfg_attr(not(feature = "internals"), allow(unreachable_pub, dead_code, unused_imports))]
 // What the Python package uses becomes public with it.
 #![cfg_attr(feature = "bindings", allow(missing_docs))]
 
@@ -111,11 +109,6 @@ pub mod runs {
 
 mod api;
 
-/// The command line of the `planagent` program.
-#[cfg(feature = "cli")]
-#[doc(hidden)]
-pub mod cli;
-
 /// What the Python package of this repository needs beyond the public API; not stable.
 #[cfg(feature = "bindings")]
 #[doc(hidden)]
@@ -146,12 +139,13 @@ pub mod bindings {
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {
-    pub use crate::cli;
     pub use planagent_agent::environment;
     pub use planagent_agent::planner;
     pub use planagent_agent::reasoning;
     pub use planagent_agent::reflection;
     pub use planagent_agent::simulation;
+    #[cfg(feature = "cli")]
+    pub use planagent_cli as cli;
     #[cfg(feature = "report")]
     pub use planagent_lab as lab;
     #[cfg(feature = "learned")]

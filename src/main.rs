@@ -1,4 +1,4 @@
-//! The `planagent` program; everything lives in the library.
+//! The `planagent` program; everything lives in the crate of the command line.
 
 use mimalloc::MiMalloc;
 
@@ -9,7 +9,7 @@ static ALLOCATOR: MiMalloc = MiMalloc;
 
 fn main() -> std::process::ExitCode {
     name_threads();
-    planagent::cli::run()
+    planagent_cli::run()
 }
 
 /// candle asks for its number of threads at each product. Without this variable it reads `/proc/cpuinfo` each time, which took a

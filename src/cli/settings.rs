@@ -279,7 +279,7 @@ mod tests {
 
     #[test]
     fn the_keys_are_those_of_the_configuration_file() {
-        let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/planagent.toml")).unwrap();
+        let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../planagent.toml")).unwrap();
         // Optional keys are shown as comments.
         let mut section = String::new();
         let mut shown = BTreeSet::new();

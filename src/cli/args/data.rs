@@ -1,7 +1,7 @@
 //! Where scenarios come from.
 
-use crate::cli::help;
-use crate::cli::words::path_word;
+use crate::help;
+use crate::words::path_word;
 use anyhow::Context;
 use clap::Args;
 use planagent_scenario::modified::ModifiedName;
@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 /// Folders of nuPlan's data.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct DataArguments {
+pub(crate) struct DataArguments {
     /// Folder of nuPlan's logs, with subfolders [default: `$NUPLAN_DATA_ROOT`].
     #[arg(long, value_name = "FOLDER", hide_short_help = true)]
     data_root: Option<PathBuf>,
@@ -28,12 +28,12 @@ pub(in crate::cli) struct DataArguments {
 
 impl DataArguments {
     /// Whether there is a modification.
-    pub(in crate::cli) fn modifies(&self) -> bool {
+    pub(crate) fn modifies(&self) -> bool {
         self.modify.is_some()
     }
 
     /// The words of scenarios or splits, with the modification.
-    pub(in crate::cli) fn modified(&self, words: &[String]) -> anyhow::Result<Vec<String>> {
+    pub(crate) fn modified(&self, words: &[String]) -> anyhow::Result<Vec<String>> {
         let Some(word) = &self.modify else { return Ok(words.to_vec()) };
         let known = || InteractionKind::ALL.map(InteractionKind::name).join(", ");
         let name = ModifiedName::parse(word).with_context(|| {
@@ -43,7 +43,7 @@ impl DataArguments {
     }
 
     /// The scenarios of a command, with the modification; it applies to the default scenario where no word names one.
-    pub(in crate::cli) fn modified_or_default(&self, words: &[String]) -> anyhow::Result<Vec<String>> {
+    pub(crate) fn modified_or_default(&self, words: &[String]) -> anyhow::Result<Vec<String>> {
         match &self.modify {
             Some(_) if words.is_empty() => self.modified(&[generator::DEFAULT.to_string()]),
             _ => self.modified(words),
@@ -51,22 +51,22 @@ impl DataArguments {
     }
 
     /// The folders of these flags, else of the environment.
-    pub(in crate::cli) fn roots(&self) -> DataRoots {
+    pub(crate) fn roots(&self) -> DataRoots {
         let known = DataRoots::from_environment();
         DataRoots { data: self.data_root.clone().or(known.data), maps: self.maps_root.clone().or(known.maps) }
     }
 
     /// The scenario readers, with nuPlan's data in these folders.
-    pub(in crate::cli) fn readers(&self) -> Readers {
+    pub(crate) fn readers(&self) -> Readers {
         Readers::new(&self.roots())
     }
 }
 
 /// Named lists of scenarios.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct SplitArguments {
+pub(crate) struct SplitArguments {
     #[arg(long = "split", value_name = "NAME", help = help::SPLITS_SHORT, long_help = help::splits())]
-    pub(in crate::cli) splits: Vec<String>,
+    pub(crate) splits: Vec<String>,
     #[command(flatten)]
-    pub(in crate::cli) data: DataArguments,
+    pub(crate) data: DataArguments,
 }

@@ -9,19 +9,19 @@ const HEADING: &str = "Model";
 
 /// What the options say; empty for a command without such options.
 #[derive(Debug, Default)]
-pub(in crate::cli) struct ModelFlags {
-    pub(in crate::cli) model: Option<String>,
-    pub(in crate::cli) prompt_set: Option<String>,
-    pub(in crate::cli) quantize: Option<WeightFormat>,
-    pub(in crate::cli) context: Option<usize>,
-    pub(in crate::cli) ignore_memory: bool,
-    pub(in crate::cli) offline: bool,
-    pub(in crate::cli) trust_model: bool,
+pub(crate) struct ModelFlags {
+    pub(crate) model: Option<String>,
+    pub(crate) prompt_set: Option<String>,
+    pub(crate) quantize: Option<WeightFormat>,
+    pub(crate) context: Option<usize>,
+    pub(crate) ignore_memory: bool,
+    pub(crate) offline: bool,
+    pub(crate) trust_model: bool,
 }
 
 /// The model of a command.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct ModelArguments {
+pub(crate) struct ModelArguments {
     /// Model: a name of `models list`, a folder, a GGUF file, a hub id, or a description.
     ///
     /// A name of models/, a folder in Hugging Face's layout, a GGUF file, a hub id (ORG/NAME or ORG/NAME/FILE.gguf), or a
@@ -46,7 +46,7 @@ pub(in crate::cli) struct ModelArguments {
 
 /// Whether the user vouches for the files of the model.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct TrustArgument {
+pub(crate) struct TrustArgument {
     /// Trust the model's files: open its tokenizer and chat template without a trial.
     ///
     /// Both are programs by nature. By default, a child process with limits of memory and time tries them first, once for each
@@ -57,7 +57,7 @@ pub(in crate::cli) struct TrustArgument {
 
 /// The format of weights in memory.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct FormatArgument {
+pub(crate) struct FormatArgument {
     /// Weight format in memory: `f32`, `f16`, `q8_0`, `q6_k`, `q5_1`, `q5_k`, `q5_0`, `q4_1`, `q4_k`, `q4_0` or `q3_k`.
     ///
     /// The default is that of the model's description, else of the files; bf16 becomes f32.
@@ -67,7 +67,7 @@ pub(in crate::cli) struct FormatArgument {
 
 /// How much memory a model may need, and what to do without enough.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct MemoryArgument {
+pub(crate) struct MemoryArgument {
     /// Longest chat, tokens: prompts, image and answers [default: the model's].
     ///
     /// It bounds the memory of keys and values. A prompt that does not fit is an error; an answer ends there.
@@ -80,7 +80,7 @@ pub(in crate::cli) struct MemoryArgument {
 
 /// Whether the network may be used.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct NetworkArgument {
+pub(crate) struct NetworkArgument {
     /// Do not use the network: models of the hub must be in the cache.
     #[arg(long, help_heading = HEADING, hide_short_help = true)]
     offline: bool,

@@ -1,14 +1,14 @@
 //! `models`.
 
 use super::model::{FormatArgument, MemoryArgument, ModelFlags, NetworkArgument, TrustArgument};
-use crate::cli::help;
+use crate::help;
 use clap::{Args, Subcommand};
 use planagent_mllm::WeightFormat;
 use std::path::PathBuf;
 
 /// Subcommands of `models`.
 #[derive(Debug, Subcommand)]
-pub(in crate::cli) enum ModelsCommand {
+pub(crate) enum ModelsCommand {
     /// List the described models: size, license, image tokens, memory.
     ///
     /// `--json` and `--csv` have all that is known of them, bytes and sources among it.
@@ -58,21 +58,21 @@ pub(in crate::cli) enum ModelsCommand {
 
 /// Arguments of `models quantize`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct QuantizeArguments {
+pub(crate) struct QuantizeArguments {
     /// The model, as `--model` takes it.
     #[arg(value_name = "MODEL")]
-    pub(in crate::cli) source: String,
+    pub(crate) source: String,
     /// Weight format: `f32`, `f16`, `q8_0`, `q6_k`, `q5_1`, `q5_k`, `q5_0`, `q4_1`, `q4_k`, `q4_0` or `q3_k`.
     #[arg(long, value_name = "KIND")]
-    pub(in crate::cli) to: WeightFormat,
+    pub(crate) to: WeightFormat,
     /// The file, NAME.gguf.
     ///
     /// The vision tower of a LLaVA is written beside it as mmproj-NAME.gguf.
     #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Overwrite existing files.
     #[arg(long)]
-    pub(in crate::cli) force: bool,
+    pub(crate) force: bool,
     #[command(flatten)]
     memory: MemoryArgument,
     #[command(flatten)]

@@ -1,16 +1,16 @@
 //! `scenarios`.
 
 use super::data::{DataArguments, SplitArguments};
-use crate::cli::help;
-use crate::cli::picture::{PictureFile, picture_file};
-use crate::cli::words::path_word;
+use crate::help;
+use crate::picture::{PictureFile, picture_file};
+use crate::words::path_word;
 use clap::{Args, Subcommand, ValueEnum};
 use planagent_runs::worker::interactive::SCENARIOS;
 use std::path::PathBuf;
 
 /// Subcommands of `scenarios`.
 #[derive(Debug, Subcommand)]
-pub(in crate::cli) enum ScenariosCommand {
+pub(crate) enum ScenariosCommand {
     /// List scenarios: the records of files and folders, or the types that can be generated.
     #[command(after_long_help = help::SCENARIOS_LIST)]
     List(ListArguments),
@@ -42,97 +42,97 @@ pub(in crate::cli) enum ScenariosCommand {
 
 /// Arguments of `scenarios interactive`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct InteractiveArguments {
+pub(crate) struct InteractiveArguments {
     /// Seeds of generated scenarios: train, validation or test.
     #[arg(long, value_name = "SPLIT", default_value = "validation", value_parser = ["train", "validation", "test"])]
-    pub(in crate::cli) seeds: String,
+    pub(crate) seeds: String,
     /// Scenarios of each kind.
     #[arg(long, value_name = "N", default_value_t = SCENARIOS)]
-    pub(in crate::cli) count: usize,
+    pub(crate) count: usize,
     /// A folder with recordings in place of generated scenarios.
     #[arg(long, value_name = "FOLDER", conflicts_with = "seeds")]
-    pub(in crate::cli) recordings: Option<PathBuf>,
+    pub(crate) recordings: Option<PathBuf>,
 }
 
 /// Arguments of `scenarios twins`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct TwinArguments {
+pub(crate) struct TwinArguments {
     /// Seeds of generated scenarios: train, validation or test.
     #[arg(long, value_name = "SPLIT", default_value = "validation", value_parser = ["train", "validation", "test"])]
-    pub(in crate::cli) seeds: String,
+    pub(crate) seeds: String,
     /// Pairs of each kind [default: those of the list].
     #[arg(long, value_name = "N")]
-    pub(in crate::cli) count: Option<usize>,
+    pub(crate) count: Option<usize>,
     /// Draw from so many candidates alone.
     #[arg(long, value_name = "N")]
-    pub(in crate::cli) candidates: Option<u64>,
+    pub(crate) candidates: Option<u64>,
 }
 
 /// Arguments of `scenarios list`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct ListArguments {
+pub(crate) struct ListArguments {
     /// Scenarios, as `simulate` takes them [default: the types that can be generated].
     #[arg(value_name = "SCENARIO", value_parser = path_word())]
-    pub(in crate::cli) sources: Vec<String>,
+    pub(crate) sources: Vec<String>,
     #[command(flatten)]
-    pub(in crate::cli) split: SplitArguments,
+    pub(crate) split: SplitArguments,
     /// Print data on stdout as CSV.
     #[arg(long, conflicts_with = "json")]
-    pub(in crate::cli) csv: bool,
+    pub(crate) csv: bool,
 }
 
 /// Arguments of `scenarios generate`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct GenerateArguments {
+pub(crate) struct GenerateArguments {
     /// Types, separated by commas [default: all].
     #[arg(long = "type", value_name = "TYPES", value_delimiter = ',')]
-    pub(in crate::cli) types: Vec<String>,
+    pub(crate) types: Vec<String>,
     /// First seed.
     #[arg(long, value_name = "SEED", default_value_t = 0)]
-    pub(in crate::cli) from: u64,
+    pub(crate) from: u64,
     /// Number of seeds of each type.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
-    pub(in crate::cli) count: u64,
+    pub(crate) count: u64,
     /// Traffic seed.
     ///
     /// Another one keeps roads, route and situation of a seed, and draws other traffic around them.
     #[arg(long, value_name = "SEED", default_value_t = 0)]
-    pub(in crate::cli) traffic: u64,
+    pub(crate) traffic: u64,
 }
 
 /// Arguments of `scenarios show`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct ShowArguments {
+pub(crate) struct ShowArguments {
     /// The scenario, as `simulate` takes it.
     #[arg(value_parser = path_word())]
-    pub(in crate::cli) scenario: String,
+    pub(crate) scenario: String,
     #[command(flatten)]
-    pub(in crate::cli) data: DataArguments,
+    pub(crate) data: DataArguments,
     /// Seconds after the start of the window.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
-    pub(in crate::cli) at: f64,
+    pub(crate) at: f64,
     /// Write a BEV picture to this file, a .png or .jpg.
     #[arg(long, value_name = "FILE", value_parser = picture_file())]
-    pub(in crate::cli) image: Option<PictureFile>,
+    pub(crate) image: Option<PictureFile>,
     /// Side of the picture, meters.
     #[arg(long, value_name = "METERS", default_value_t = 128.0)]
-    pub(in crate::cli) view: f64,
+    pub(crate) view: f64,
 }
 
 /// Arguments of `scenarios statistics`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct StatisticsArguments {
+pub(crate) struct StatisticsArguments {
     /// Scenarios, as `simulate` takes them, or a split; several are separated by commas.
     #[arg(value_name = "A", value_parser = path_word())]
-    pub(in crate::cli) a: String,
+    pub(crate) a: String,
     /// The scenarios that they are compared with.
     #[arg(value_name = "B", value_parser = path_word())]
-    pub(in crate::cli) b: String,
+    pub(crate) b: String,
     #[command(flatten)]
-    pub(in crate::cli) data: DataArguments,
+    pub(crate) data: DataArguments,
     /// Write a figure to this file, an SVG.
     #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) figure: Option<PathBuf>,
+    pub(crate) figure: Option<PathBuf>,
 }
 
 /// Arguments of `scenarios export`.
@@ -141,40 +141,40 @@ pub(in crate::cli) struct StatisticsArguments {
 #[command(
     override_usage = "planagent scenarios export [OPTIONS] --format <FORMAT> --out <FOLDER>\n       <SCENARIO>..."
 )]
-pub(in crate::cli) struct ExportArguments {
+pub(crate) struct ExportArguments {
     /// Scenarios, as `simulate` takes them.
     #[arg(required = true, value_name = "SCENARIO", value_parser = path_word())]
-    pub(in crate::cli) scenarios: Vec<String>,
+    pub(crate) scenarios: Vec<String>,
     #[command(flatten)]
-    pub(in crate::cli) data: DataArguments,
+    pub(crate) data: DataArguments,
     /// Format: nuplan writes a log for each scenario and a package for each map.
     #[arg(long, value_enum)]
-    pub(in crate::cli) format: ExportFormat,
+    pub(crate) format: ExportFormat,
     /// Folder for the files, new or empty.
     #[arg(long, value_name = "FOLDER")]
-    pub(in crate::cli) out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Name of the map [default: a digest of its content].
     #[arg(long, value_name = "NAME")]
-    pub(in crate::cli) location: Option<String>,
+    pub(crate) location: Option<String>,
     /// Write empty maps for those of nuPlan's locations that are missing.
     ///
     /// The devkit opens no folder without its four locations.
     #[arg(long, hide_short_help = true)]
-    pub(in crate::cli) stand_in_maps: bool,
+    pub(crate) stand_in_maps: bool,
     /// Scenario type of all logs [default: that of each scenario].
     #[arg(long, value_name = "TYPE", hide_short_help = true)]
-    pub(in crate::cli) scenario_type: Option<String>,
+    pub(crate) scenario_type: Option<String>,
     /// UTM zone of the scenarios, as an EPSG code.
     #[arg(long, value_name = "CODE", default_value_t = 32_611, hide_short_help = true)]
-    pub(in crate::cli) epsg: u32,
+    pub(crate) epsg: u32,
     /// Easting and northing of their origin, meters.
     #[arg(long, value_name = "METERS", num_args = 2, default_values_t = [664_000.0, 3_998_000.0], hide_short_help = true)]
-    pub(in crate::cli) origin: Vec<f64>,
+    pub(crate) origin: Vec<f64>,
 }
 
 /// Format of `scenarios export`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum ExportFormat {
+pub(crate) enum ExportFormat {
     /// nuPlan's log databases and map packages.
     Nuplan,
 }

@@ -2,9 +2,9 @@
 
 use super::data::{DataArguments, SplitArguments};
 use super::model::ModelArguments;
-use crate::cli::help;
-use crate::cli::picture::{PictureFile, picture_file};
-use crate::cli::words::{count, path_word, planner_words, shard_word};
+use crate::help;
+use crate::picture::{PictureFile, picture_file};
+use crate::words::{count, path_word, planner_words, shard_word};
 use anyhow::Context;
 use clap::Args;
 use planagent_agent::planner::DEFAULT_EXEC_TIMEOUT;
@@ -15,25 +15,25 @@ use std::time::Duration;
 
 /// Arguments of `simulate`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct SimulateArguments {
+pub(crate) struct SimulateArguments {
     /// Scenarios: files, folders, or generated/TYPE/SEED[.TRAFFIC].
     ///
     /// TFRecord files of Waymo Open Motion, nuPlan logs (LOG.db, or one scenario as LOG.db#TOKEN), Argoverse 2 logs, folders
     /// of these, or generated/TYPE/SEED[.TRAFFIC]. The default is one generated scenario.
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word())]
-    pub(in crate::cli) scenarios: Vec<String>,
+    pub(crate) scenarios: Vec<String>,
     #[command(flatten)]
-    pub(in crate::cli) split: SplitArguments,
+    pub(crate) split: SplitArguments,
     #[command(flatten)]
-    pub(in crate::cli) sample: SampleArguments,
+    pub(crate) sample: SampleArguments,
     #[arg(long, value_name = "NAMES", help = help::planners_short(), long_help = help::planners())]
-    pub(in crate::cli) planner: Vec<String>,
+    pub(crate) planner: Vec<String>,
     /// The checkpoint of a learned planner, or PLANNER=FILE for each of several.
     ///
     /// A Lightning .ckpt, a .pth or .safetensors file; its names and shapes must be those of the planner's authors. The setting
     /// learned.PLANNER says the same.
     #[arg(long, value_name = "FILE", value_parser = path_word(), hide_short_help = true)]
-    pub(in crate::cli) checkpoint: Vec<String>,
+    pub(crate) checkpoint: Vec<String>,
     /// With a command as planner or agents: seconds that it may take for a step.
     #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_EXEC_TIMEOUT.as_secs_f64(), hide_short_help = true)]
     exec_timeout: f64,
@@ -42,7 +42,7 @@ pub(in crate::cli) struct SimulateArguments {
     /// Separated by commas. nonreactive: agents replay the log. reactive: agents are controlled by IDM. both: these two.
     /// open-loop: plans are compared with the log. The default is nonreactive.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    pub(in crate::cli) challenge: Vec<String>,
+    pub(crate) challenge: Vec<String>,
     /// A command that controls the other agents: exec:COMMAND or NAME=exec:COMMAND.
     ///
     /// The closed loop with these agents is no challenge of nuPlan's: NAME stands in its place in tables and files. Without
@@ -51,29 +51,29 @@ pub(in crate::cli) struct SimulateArguments {
     agents: Option<String>,
     /// Folder for the results, new or empty [default: the next free runs/NNNN].
     #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
-    pub(in crate::cli) out: Option<PathBuf>,
+    pub(crate) out: Option<PathBuf>,
     /// Resume the run in this folder with its own settings; completed simulations stay.
     #[arg(long, value_name = "FOLDER")]
-    pub(in crate::cli) resume: Option<PathBuf>,
+    pub(crate) resume: Option<PathBuf>,
     /// With --resume: repeat failed simulations.
     #[arg(long, requires = "resume", hide_short_help = true)]
-    pub(in crate::cli) retry_failed: bool,
+    pub(crate) retry_failed: bool,
     /// With --resume: go on although prompts, model files or recordings changed.
     ///
     /// The manifest then lists the changes. Without this option such a run is refused, because its table would mix two
     /// experiments.
     #[arg(long, requires = "resume", hide_short_help = true)]
-    pub(in crate::cli) accept_changes: bool,
+    pub(crate) accept_changes: bool,
     /// Print the simulations on stdout as CSV.
     #[arg(long, conflicts_with = "json")]
-    pub(in crate::cli) csv: bool,
+    pub(crate) csv: bool,
     #[command(flatten)]
     pub(super) model: ModelArguments,
 }
 
 /// Which of the scenarios are simulated.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct SampleArguments {
+pub(crate) struct SampleArguments {
     /// Only scenarios of these types.
     ///
     /// Separated by commas. Without --scenario and --split, of the split generated.
@@ -103,7 +103,7 @@ impl SampleArguments {
 }
 
 impl SimulateArguments {
-    pub(in crate::cli) fn request(&self) -> anyhow::Result<Request> {
+    pub(crate) fn request(&self) -> anyhow::Result<Request> {
         let exec_timeout = Duration::try_from_secs_f64(self.exec_timeout).ok().filter(|time| !time.is_zero());
         let exec_timeout = exec_timeout
             .with_context(|| format!("--exec-timeout is {}; it must be a number greater than 0", self.exec_timeout))?;
@@ -137,25 +137,25 @@ impl SimulateArguments {
 
 /// Arguments of `plan`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct PlanArguments {
+pub(crate) struct PlanArguments {
     /// The scenario, as `simulate` takes it [default: one generated scenario].
     #[arg(long, value_name = "SCENARIO", value_parser = path_word())]
-    pub(in crate::cli) scenario: Option<String>,
+    pub(crate) scenario: Option<String>,
     #[command(flatten)]
-    pub(in crate::cli) data: DataArguments,
+    pub(crate) data: DataArguments,
     /// Seconds after the start of the window.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
-    pub(in crate::cli) at: f64,
+    pub(crate) at: f64,
     /// Judge this planner code, quoted as one word, instead of asking a model.
     ///
     /// Reflection scores it as it scores the agent's own, with the settings of the section reflection. Prints every part of the
     /// score, and whether the code would be executed. No model is loaded.
     #[arg(long, value_name = "CODE", conflicts_with_all = ["model", "prompt_set", "quantize", "offline", "context", "ignore_memory", "trust_model"])]
-    pub(in crate::cli) code: Option<String>,
+    pub(crate) code: Option<String>,
     /// Write a picture of the call to this file, a .png or .jpg: the scene with its plans, and the model's own picture beside
     /// it. The model's picture as the model sees it goes to NAME.model.EXTENSION.
     #[arg(long, value_name = "FILE", value_parser = picture_file())]
-    pub(in crate::cli) image: Option<PictureFile>,
+    pub(crate) image: Option<PictureFile>,
     #[command(flatten)]
     pub(super) model: ModelArguments,
 }

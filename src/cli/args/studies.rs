@@ -2,8 +2,8 @@
 
 use super::data::DataArguments;
 use super::model::ModelArguments;
-use crate::cli::help;
-use crate::cli::words::path_word;
+use crate::help;
+use crate::words::path_word;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
 #[cfg(feature = "learned")]
@@ -14,58 +14,58 @@ use planagent_runs::worker::suite::RECORDED;
 use std::path::PathBuf;
 
 /// Word for every experiment.
-pub(in crate::cli) const ALL_EXPERIMENTS: &str = "all";
+pub(crate) const ALL_EXPERIMENTS: &str = "all";
 
 /// Name of the hidden subcommand in which `bench` measures.
-pub(in crate::cli) const BENCH_PROCESS: &str = "bench-process";
+pub(crate) const BENCH_PROCESS: &str = "bench-process";
 
 /// Arguments of `dataset`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct DatasetArguments {
+pub(crate) struct DatasetArguments {
     /// What is trained: a vision-language model (labels), or a learned planner (imitation).
     ///
     /// labels: images and planner codes, for a vision-language model. imitation: the features of a learned planner and what the
     /// logged driver did, a sample a second, as safetensors.
     #[arg(long = "for", value_name = "KIND", value_enum, default_value_t = DatasetKind::Labels)]
-    pub(in crate::cli) kind: DatasetKind,
+    pub(crate) kind: DatasetKind,
     /// With --for imitation: the learned planner [default: plantf].
     #[cfg(feature = "learned")]
     #[arg(long, value_name = "NAME", value_parser = imitation_planner(), hide_short_help = true)]
-    pub(in crate::cli) planner: Option<String>,
+    pub(crate) planner: Option<String>,
     /// With --for imitation: logs, as `simulate` takes them [default: generated ones of training seeds].
     #[cfg(feature = "learned")]
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word(), hide_short_help = true)]
-    pub(in crate::cli) scenarios: Vec<String>,
+    pub(crate) scenarios: Vec<String>,
     #[cfg(feature = "learned")]
     #[command(flatten)]
-    pub(in crate::cli) data: DataArguments,
+    pub(crate) data: DataArguments,
     /// Folder for the shards; an interrupted run continues where it stopped.
     #[arg(long, value_name = "FOLDER")]
-    pub(in crate::cli) out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Labeled states for training.
     ///
     /// There may be more, because shards are written whole.
     #[arg(long, default_value_t = 20_000)]
-    pub(in crate::cli) states: usize,
+    pub(crate) states: usize,
     /// Labeled states for validation, from seeds of their own.
     #[arg(long, default_value_t = 2_000)]
-    pub(in crate::cli) validation: usize,
+    pub(crate) validation: usize,
     /// Share of the scenarios that are modified, from 0 to 1: interPlan's kinds, as far as one fits.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share, hide_short_help = true)]
-    pub(in crate::cli) modified: f64,
+    pub(crate) modified: f64,
     /// Pairs of text twins for training: two states with the same prompts, other pictures and other best codes.
     ///
     /// Their shards lie beside the others. The two states of a pair follow each other and have its name in `twin`.
     #[arg(long, value_name = "PAIRS", default_value_t = 0, conflicts_with = "driven", hide_short_help = true)]
-    pub(in crate::cli) twins: usize,
+    pub(crate) twins: usize,
     /// Pairs of text twins for validation.
     #[arg(long, value_name = "PAIRS", default_value_t = 0, conflicts_with = "driven", hide_short_help = true)]
-    pub(in crate::cli) validation_twins: usize,
+    pub(crate) validation_twins: usize,
     /// Label the states that PlanAgent reaches with the model in control.
     ///
     /// For training only. These shards may lie in the same folder as others.
     #[arg(long)]
-    pub(in crate::cli) driven: bool,
+    pub(crate) driven: bool,
     #[command(flatten)]
     pub(super) model: ModelArguments,
 }
@@ -78,7 +78,7 @@ fn share(text: &str) -> Result<f64, String> {
 
 /// What a dataset is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum DatasetKind {
+pub(crate) enum DatasetKind {
     Labels,
     Imitation,
 }
@@ -90,40 +90,40 @@ fn imitation_planner() -> clap::builder::PossibleValuesParser {
 
 /// Arguments of `experiment`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct ExperimentArguments {
+pub(crate) struct ExperimentArguments {
     #[arg(value_name = "NAME", help = help::experiments_short(), long_help = help::experiments())]
-    pub(in crate::cli) name: String,
+    pub(crate) name: String,
     /// Only 2 scenes of each type and 14 recordings: a first look, in minutes.
     #[arg(long)]
-    pub(in crate::cli) quick: bool,
+    pub(crate) quick: bool,
     /// Suites, separated by commas [default: those of the experiment].
     ///
     /// Splits as `simulate` takes them, or recorded, the recordings of --scenario.
     #[arg(long = "suite", value_name = "NAMES", value_delimiter = ',')]
-    pub(in crate::cli) suites: Vec<String>,
+    pub(crate) suites: Vec<String>,
     /// Scenarios of the suite recorded, as `simulate` takes them [default: the recordings in `$PLANAGENT_DATA`].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word())]
-    pub(in crate::cli) scenarios: Vec<String>,
+    pub(crate) scenarios: Vec<String>,
     #[command(flatten)]
-    pub(in crate::cli) data: DataArguments,
+    pub(crate) data: DataArguments,
     /// Folder for results and runs; completed simulations in it are not repeated.
     #[arg(long, value_name = "FOLDER", default_value = "runs/experiments")]
-    pub(in crate::cli) out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Folder of a bench with the times of models whose weights are not on this machine.
     #[arg(long, value_name = "FOLDER", hide_short_help = true)]
-    pub(in crate::cli) bench: Option<PathBuf>,
+    pub(crate) bench: Option<PathBuf>,
     /// Repeat failed simulations.
     #[arg(long, hide_short_help = true)]
-    pub(in crate::cli) retry_failed: bool,
+    pub(crate) retry_failed: bool,
     /// Print the scores on stdout as CSV.
     #[arg(long, conflicts_with = "json")]
-    pub(in crate::cli) csv: bool,
+    pub(crate) csv: bool,
     #[command(flatten)]
     pub(super) model: ModelArguments,
 }
 
 impl ExperimentArguments {
-    pub(in crate::cli) fn request(&self) -> anyhow::Result<ExperimentsRequest> {
+    pub(crate) fn request(&self) -> anyhow::Result<ExperimentsRequest> {
         let modified = |suite: &String| match suite.as_str() {
             // The words of its recordings carry the modification.
             RECORDED => Ok(suite.clone()),
@@ -148,53 +148,53 @@ impl ExperimentArguments {
 
 /// Arguments of `bench`.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct BenchArguments {
+pub(crate) struct BenchArguments {
     /// Models, as `--model` takes them [default: that of --model].
     ///
     /// With --random-weights, none by default.
     #[arg(value_name = "MODEL")]
-    pub(in crate::cli) models: Vec<String>,
+    pub(crate) models: Vec<String>,
     /// Shapes of known models to fill with random weights, separated by commas.
     ///
     /// Nothing is downloaded. A wrong name lists the shapes.
     #[arg(long, value_name = "SHAPES", value_delimiter = ',', hide_short_help = true)]
-    pub(in crate::cli) random_weights: Vec<String>,
+    pub(crate) random_weights: Vec<String>,
     /// Planning calls of each model before the measurement.
     #[arg(long, value_name = "N", default_value_t = 1, hide_short_help = true)]
-    pub(in crate::cli) warm_up: usize,
+    pub(crate) warm_up: usize,
     /// Measured planning calls of each model.
     #[arg(long, value_name = "N", default_value_t = 5)]
-    pub(in crate::cli) iterations: usize,
+    pub(crate) iterations: usize,
     /// Prompt sets whose planning calls are measured, separated by commas [default: that of the model].
     ///
     /// A call with brief has one attempt, with paper and compact two.
     #[arg(long, value_name = "SETS", value_delimiter = ',', conflicts_with = "prompt_set", hide_short_help = true)]
-    pub(in crate::cli) calls: Vec<String>,
+    pub(crate) calls: Vec<String>,
     /// Also measure calls with drafts of four tokens, of which a quarter, half and three quarters are accepted.
     #[arg(long, hide_short_help = true)]
-    pub(in crate::cli) speculation: bool,
+    pub(crate) speculation: bool,
     /// Compare with another engine on the same GGUF files, in alternation.
     #[arg(long, value_name = "ENGINE", value_enum)]
-    pub(in crate::cli) vs: Option<OtherEngine>,
+    pub(crate) vs: Option<OtherEngine>,
     /// Python interpreter with the package llama-cpp-python [default: `$PLANAGENT_LLAMA_PYTHON`, else python3].
     #[arg(long, value_name = "FILE", requires = "vs", hide_short_help = true)]
-    pub(in crate::cli) llama_python: Option<PathBuf>,
+    pub(crate) llama_python: Option<PathBuf>,
     /// Folder for the GGUF files of random weights for --vs [default: weights in the folder of the results].
     #[arg(long, value_name = "FOLDER", requires = "vs", hide_short_help = true)]
-    pub(in crate::cli) weights: Option<PathBuf>,
+    pub(crate) weights: Option<PathBuf>,
     /// Folder for the results, new or empty [default: runs/bench-DATE].
     #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
-    pub(in crate::cli) out: Option<PathBuf>,
+    pub(crate) out: Option<PathBuf>,
     /// Resume the bench in this folder; measured models stay.
     #[arg(long, value_name = "FOLDER")]
-    pub(in crate::cli) resume: Option<PathBuf>,
+    pub(crate) resume: Option<PathBuf>,
     #[command(flatten)]
     pub(super) model: ModelArguments,
 }
 
 /// Engines that `bench` compares with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum OtherEngine {
+pub(crate) enum OtherEngine {
     /// llama.cpp through the low-level interface of llama-cpp-python.
     #[value(name = "llama.cpp")]
     LlamaCpp,

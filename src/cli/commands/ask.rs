@@ -1,10 +1,10 @@
 //! `planagent ask`.
 
-use crate::cli::args::AskArguments;
-use crate::cli::commands::plan::{history, instant, scenario};
-use crate::cli::picture::check_output;
-use crate::cli::progress::listener;
-use crate::cli::{Exit, Printer};
+use crate::args::AskArguments;
+use crate::commands::plan::{history, instant, scenario};
+use crate::picture::check_output;
+use crate::progress::listener;
+use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_agent::environment::bev::{Palette, render};
 use planagent_agent::environment::text::write;
@@ -37,7 +37,7 @@ struct Record<'a> {
 }
 
 /// Puts a question about a recorded scene to the model, and prints the answer as it is generated.
-pub(in crate::cli) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     if flags.question.trim().is_empty() {
         bail!("the question is empty; write it as one word of the command line, in quotes");
     }

@@ -1,9 +1,9 @@
 //! `planagent bench`.
 
-use crate::cli::args::{BENCH_PROCESS, BenchArguments, OtherEngine};
-use crate::cli::commands::models::quantize::write as write_gguf;
-use crate::cli::progress::listener;
-use crate::cli::{Exit, Printer, interrupt};
+use crate::args::{BENCH_PROCESS, BenchArguments, OtherEngine};
+use crate::commands::models::quantize::write as write_gguf;
+use crate::progress::listener;
+use crate::{Exit, Printer, interrupt};
 use anyhow::{Context, bail};
 use planagent_files::{quoted, word_of};
 use planagent_lab::bench::protocol::{GgufPair, ModelChoice};
@@ -22,7 +22,7 @@ use std::time::SystemTime;
 const LLAMA_PYTHON: &str = "PLANAGENT_LLAMA_PYTHON";
 
 /// Measures models. Prints the table and writes all results to a folder. A model that fails is a row, not an error.
-pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     if flags.iterations == 0 {
         bail!("--iterations is 0; it must be at least 1");
     }
@@ -98,7 +98,7 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
 }
 
 /// The measuring process; runs until stdin ends.
-pub(in crate::cli) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     // It measures nothing for a caller that was killed.
     #[cfg(target_os = "linux")]
     rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))

@@ -1,13 +1,13 @@
 //! `planagent compare`.
 
-use crate::cli::args::CompareArguments;
-use crate::cli::completed::completed;
-use crate::cli::{Exit, Printer};
+use crate::args::CompareArguments;
+use crate::completed::completed;
+use crate::{Exit, Printer};
 use anyhow::bail;
 use planagent_runs::report::{PlannerPair, RunComparison, RunFolder, comparison_table};
 
 /// Compares two runs; the table goes to stdout.
-pub(in crate::cli) fn run(flags: &CompareArguments, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(flags: &CompareArguments, printer: Printer) -> anyhow::Result<Exit> {
     let [first, second] = [&flags.first, &flags.second];
     let manifests = [RunFolder::manifest(first)?, RunFolder::manifest(second)?];
     let rows = [completed(first, printer)?, completed(second, printer)?];

@@ -1,12 +1,12 @@
 //! `planagent completions`.
 
-use crate::cli::args::Arguments;
-use crate::cli::{Exit, Printer};
+use crate::args::Arguments;
+use crate::{Exit, Printer};
 use clap::CommandFactory;
 use clap_complete::{Shell, generate};
 
 /// Prints the script that completes commands in a shell.
-pub(in crate::cli) fn run(shell: Shell, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(shell: Shell, printer: Printer) -> anyhow::Result<Exit> {
     let mut command = Arguments::command();
     let name = command.get_name().to_owned();
     let mut script = Vec::new();

@@ -1,7 +1,7 @@
 //! `planagent config`.
 
-use crate::cli::settings::{Setting, Settings};
-use crate::cli::{Exit, Printer};
+use crate::settings::{Setting, Settings};
+use crate::{Exit, Printer};
 use planagent_agent::reasoning::PromptSet;
 use planagent_mllm::MllmError;
 use planagent_runs::runner::{Config, model_registry, silent};
@@ -14,7 +14,7 @@ const PROMPT_SET: &str = "reasoning.prompt_set";
 const DEFAULT: &str = "default";
 
 /// Prints every setting with its origin, as a configuration file.
-pub(in crate::cli) fn run(settings: &Settings, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(settings: &Settings, printer: Printer) -> anyhow::Result<Exit> {
     let mut section = None;
     for mut setting in settings.list()? {
         if setting.key == PROMPT_SET {

@@ -1,8 +1,8 @@
 //! `planagent dataset`.
 
-use crate::cli::args::{DatasetArguments, DatasetKind};
-use crate::cli::progress::listener;
-use crate::cli::{Exit, Printer, interrupt};
+use crate::args::{DatasetArguments, DatasetKind};
+use crate::progress::listener;
+use crate::{Exit, Printer, interrupt};
 #[cfg(feature = "learned")]
 use anyhow::Context;
 use anyhow::bail;
@@ -26,7 +26,7 @@ const PROMPT_SET: &str = "compact";
 const DEFAULT_PLANNER: &str = "plantf";
 
 /// Writes labeled states.
-pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     check_writable(&flags.out)?;
     interrupt::advise("the same command goes on", printer)?;
     check_options(flags)?;

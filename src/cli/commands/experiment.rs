@@ -1,8 +1,8 @@
 //! `planagent experiment`.
 
-use crate::cli::args::{ALL_EXPERIMENTS, ExperimentArguments};
-use crate::cli::progress::listener;
-use crate::cli::{Exit, Printer, interrupt};
+use crate::args::{ALL_EXPERIMENTS, ExperimentArguments};
+use crate::progress::listener;
+use crate::{Exit, Printer, interrupt};
 use anyhow::anyhow;
 use planagent_lab::experiments::{Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
 use planagent_lab::report::{ChallengeResults, StudyResults, study_table, token_table, twin_table};
@@ -14,7 +14,7 @@ use serde::Serialize;
 use std::path::Path;
 
 /// Runs the simulations of experiments that are not completed; the results go to a folder, the tables to stdout.
-pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(flags: &ExperimentArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     check_name(&flags.name)?;
     interrupt::advise("the same command goes on", printer)?;
     let (request, listener) = (flags.request()?, listener(printer));

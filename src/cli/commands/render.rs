@@ -1,9 +1,9 @@
 //! `planagent render`.
 
-use crate::cli::args::RenderArguments;
-use crate::cli::completed::completed;
-use crate::cli::film::FilmFile;
-use crate::cli::{Exit, Printer};
+use crate::args::RenderArguments;
+use crate::completed::completed;
+use crate::film::FilmFile;
+use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_agent::simulation::Challenge;
 use planagent_runs::report::render::{Film, Look, RenderError, SimulationChoice, named, words, write_gif, write_mp4};
@@ -20,7 +20,7 @@ const MAX_LISTED: usize = 10;
 const DEFAULT_RATE: NonZeroU32 = NonZeroU32::new(5).unwrap();
 
 /// Writes simulations as films or pictures: one to a file, or all that are chosen to a folder.
-pub(in crate::cli) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::Result<Exit> {
     let output = flags.output.film().context("name the output by --gif, --mp4 or --png")?;
     let is_file = output.is_file()?;
     let (run, simulation) = run_and_simulation(flags, printer)?;

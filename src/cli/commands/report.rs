@@ -1,9 +1,9 @@
 //! `planagent report`.
 
-use crate::cli::args::ReportArguments;
-use crate::cli::completed::note_damage;
-use crate::cli::picture::{check_output, target_of};
-use crate::cli::{Exit, Printer};
+use crate::args::ReportArguments;
+use crate::completed::note_damage;
+use crate::picture::{check_output, target_of};
+use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_runs::report::page::{self, PAGE, PageSettings};
 use planagent_runs::report::{RunFolder, last_run};
@@ -12,7 +12,7 @@ use planagent_runs::report::{RunFolder, last_run};
 const MEGABYTE: f64 = 1e6;
 
 /// Writes the page of one or more runs.
-pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<Exit> {
     if !flags.max_mb.is_finite() || flags.max_mb <= 0.0 {
         bail!("--max-mb is {}; it must be greater than 0", flags.max_mb);
     }

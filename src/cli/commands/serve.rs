@@ -1,8 +1,8 @@
 //! `planagent serve`.
 
-use crate::cli::args::ServeArguments;
-use crate::cli::interrupt::PAUSE;
-use crate::cli::{Exit, Printer};
+use crate::args::ServeArguments;
+use crate::interrupt::PAUSE;
+use crate::{Exit, Printer};
 use anyhow::Context;
 use planagent_runs::report::last_run;
 use planagent_runs::report::page::LivePage;
@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 /// Serves the page of one or more runs until Ctrl-C.
-pub(in crate::cli) fn run(flags: &ServeArguments, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(flags: &ServeArguments, printer: Printer) -> anyhow::Result<Exit> {
     let mut runs = flags.runs.clone();
     if runs.is_empty() {
         runs.push(last_run()?);

@@ -1,14 +1,14 @@
 //! `planagent simulate`.
 
-use crate::cli::args::SimulateArguments;
-use crate::cli::progress::listener;
-use crate::cli::{Exit, Printer};
+use crate::args::SimulateArguments;
+use crate::progress::listener;
+use crate::{Exit, Printer};
 use anyhow::anyhow;
 use planagent_runs::report::{SimulationRow, failures, main_table};
 use planagent_runs::runner::{self, Config, RunResults};
 
 /// Runs simulations; the results go to a folder, the table to stdout.
-pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let (request, listener) = (flags.request()?, listener(printer));
     let results = match &flags.resume {
         Some(folder) => runner::resume(folder, &request, config, &listener)?,

@@ -1,6 +1,6 @@
 //! The process that tries the files of a model, within limits.
 
-use crate::cli::Exit;
+use crate::Exit;
 use anyhow::Context;
 use planagent_mllm::trial::{TrialRequest, exercise, limit_this_process};
 use std::io::{self, BufRead, Read};
@@ -9,7 +9,7 @@ use std::io::{self, BufRead, Read};
 const MAX_REQUEST_BYTES: u64 = 4 << 20;
 
 /// Tries the files of the request on stdin.
-pub(in crate::cli) fn run() -> anyhow::Result<Exit> {
+pub(crate) fn run() -> anyhow::Result<Exit> {
     limit_this_process().context("cannot limit memory and time")?;
     let mut line = String::new();
     io::stdin().lock().take(MAX_REQUEST_BYTES).read_line(&mut line).context("cannot read the request")?;

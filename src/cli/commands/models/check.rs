@@ -1,6 +1,6 @@
 //! `planagent models check`.
 
-use crate::cli::{Exit, Printer};
+use crate::{Exit, Printer};
 use planagent_mllm::{MllmError, ModelCheck, ModelRegistry, ModelSource, in_bytes};
 use serde::Serialize;
 

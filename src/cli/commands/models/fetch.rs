@@ -1,6 +1,6 @@
 //! `planagent models fetch`.
 
-use crate::cli::{Exit, Printer};
+use crate::{Exit, Printer};
 use anyhow::Context;
 use planagent_mllm::{ModelRegistry, in_bytes};
 

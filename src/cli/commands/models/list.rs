@@ -1,7 +1,7 @@
 //! `planagent models list`.
 
 use super::row::{BUILT_IN, Row, rounded};
-use crate::cli::{Exit, Printer};
+use crate::{Exit, Printer};
 use planagent_mllm::{ModelRegistry, WeightFormat};
 use std::collections::BTreeSet;
 

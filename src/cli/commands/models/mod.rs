@@ -3,17 +3,17 @@
 mod check;
 mod fetch;
 mod list;
-pub(in crate::cli) mod quantize;
+pub(crate) mod quantize;
 mod row;
 mod show;
 
-use crate::cli::args::ModelsCommand;
-use crate::cli::progress::listener;
-use crate::cli::{Exit, Printer};
+use crate::args::ModelsCommand;
+use crate::progress::listener;
+use crate::{Exit, Printer};
 use planagent_runs::runner::{Config, model_registry};
 
 /// Lists, shows, checks, fetches or quantizes models.
-pub(in crate::cli) fn run(command: &ModelsCommand, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(command: &ModelsCommand, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let registry = model_registry(config, &listener(printer));
     match command {
         ModelsCommand::List { csv } => list::run(&registry, *csv, printer),

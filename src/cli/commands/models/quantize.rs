@@ -1,8 +1,8 @@
 //! `planagent models quantize`.
 
-use crate::cli::args::QuantizeArguments;
-use crate::cli::picture::check_output;
-use crate::cli::{Exit, Printer};
+use crate::args::QuantizeArguments;
+use crate::picture::check_output;
+use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_files::target;
 use planagent_mllm::{CreateFile, GgufPart, LoadReport, MllmError, ModelRegistry, in_bytes};
@@ -44,7 +44,7 @@ pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: 
 
 /// Writes a model's GGUF files with a bar, and gives the report of the tensors and each file with its length. The files get
 /// their names when they are complete; a failure leaves none behind.
-pub(in crate::cli) fn write(
+pub(crate) fn write(
     out: &Path,
     printer: Printer,
     export: impl FnOnce(&mut CreateFile<'_>, &mut dyn FnMut(u64, u64)) -> Result<LoadReport, MllmError>,

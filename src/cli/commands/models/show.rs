@@ -1,7 +1,7 @@
 //! `planagent models show`.
 
 use super::row::Row;
-use crate::cli::{Exit, Printer};
+use crate::{Exit, Printer};
 use planagent_mllm::{ModelRegistry, WeightFormat, in_bytes};
 
 /// Shows what is known of a model.

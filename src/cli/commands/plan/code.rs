@@ -1,8 +1,8 @@
 //! `planagent plan --code`: Reflection's verdict on a planner code that a person wrote.
 
 use super::{compute, history};
-use crate::cli::picture::PictureFile;
-use crate::cli::{Exit, Printer};
+use crate::picture::PictureFile;
+use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_agent::environment::{AgentName, LaneGraph};
 use planagent_agent::planner::{CallSettings, CodeSource, PlanAgentSettings, PlannerInitialization, PlannerName};

@@ -2,10 +2,10 @@
 
 mod code;
 
-use crate::cli::args::{DataArguments, PlanArguments};
-use crate::cli::picture::check_output;
-use crate::cli::progress::listener;
-use crate::cli::{Exit, Printer};
+use crate::args::{DataArguments, PlanArguments};
+use crate::picture::check_output;
+use crate::progress::listener;
+use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_agent::planner::PlannerName;
 use planagent_agent::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
@@ -18,7 +18,7 @@ use planagent_world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Traject
 use serde_json::{Value, json};
 
 /// Runs one planning call at a time of the recorded scenario.
-pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let scenario = scenario(flags.scenario.as_deref(), &flags.data)?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
     if let Some(file) = &flags.image {
@@ -54,7 +54,7 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
 }
 
 /// The one scenario that a word names.
-pub(in crate::cli) fn scenario(word: Option<&str>, data: &DataArguments) -> anyhow::Result<Scenario> {
+pub(crate) fn scenario(word: Option<&str>, data: &DataArguments) -> anyhow::Result<Scenario> {
     let words: Vec<String> = word.iter().map(ToString::to_string).collect();
     let mut sources = match data.modified_or_default(&words)?.first() {
         Some(word) => data.readers().find(word)?,
@@ -67,7 +67,7 @@ pub(in crate::cli) fn scenario(word: Option<&str>, data: &DataArguments) -> anyh
 }
 
 /// The iteration nearest to a time in seconds after the start of the window, with its frame.
-pub(in crate::cli) fn instant(scenario: &Scenario, at: f64) -> anyhow::Result<(usize, &Frame)> {
+pub(crate) fn instant(scenario: &Scenario, at: f64) -> anyhow::Result<(usize, &Frame)> {
     let iteration = (at / STEP_S).round();
     let in_window = (0.0..scenario.iterations() as f64).contains(&iteration);
     in_window.then_some(iteration as usize).and_then(|i| Some((i, scenario.frame(i)?))).with_context(|| {
@@ -88,7 +88,7 @@ fn compute(
 }
 
 /// The recorded past up to an iteration.
-pub(in crate::cli) fn history(scenario: &Scenario, iteration: usize) -> History {
+pub(crate) fn history(scenario: &Scenario, iteration: usize) -> History {
     let mut history = History::default();
     for frame in scenario.frames.iter().take(scenario.start + iteration + 1) {
         history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });

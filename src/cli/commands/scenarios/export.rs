@@ -1,7 +1,7 @@
 //! `planagent scenarios export`.
 
-use crate::cli::args::{ExportArguments, ExportFormat};
-use crate::cli::{Exit, Printer};
+use crate::args::{ExportArguments, ExportFormat};
+use crate::{Exit, Printer};
 use anyhow::bail;
 use planagent_scenario::nuplan::export::{ExportChanges, ExportSettings, write_scenarios};
 use planagent_scenario::{Scenario, ScenarioRef};

@@ -1,7 +1,7 @@
 //! `planagent scenarios generate`.
 
-use crate::cli::args::GenerateArguments;
-use crate::cli::{Exit, Printer};
+use crate::args::GenerateArguments;
+use crate::{Exit, Printer};
 use anyhow::Context;
 use planagent_scenario::generator::{GeneratorError, Spec, generate, types};
 use serde_json::json;

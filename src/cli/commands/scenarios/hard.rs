@@ -1,7 +1,7 @@
 //! `planagent scenarios hard`: selects the scenarios of generated-test14-hard from a run.
 
-use crate::cli::completed::completed;
-use crate::cli::{Exit, Printer};
+use crate::completed::completed;
+use crate::{Exit, Printer};
 use anyhow::Context;
 use planagent_agent::planner::PlannerName;
 use planagent_agent::simulation::Challenge;

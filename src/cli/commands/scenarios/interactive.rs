@@ -1,7 +1,7 @@
 //! `planagent scenarios interactive`: draws the scenarios of an interactive suite.
 
-use crate::cli::args::InteractiveArguments;
-use crate::cli::{Exit, Printer};
+use crate::args::InteractiveArguments;
+use crate::{Exit, Printer};
 use planagent_runs::worker::interactive::{
     SCENARIOS, draw_generated, draw_recorded, generated_list, other_list, recorded_list,
 };

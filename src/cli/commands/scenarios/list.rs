@@ -1,8 +1,8 @@
 //! `planagent scenarios list`: one scenario after another, as far as each is known before opening.
 
 use super::{About, Details};
-use crate::cli::args::ListArguments;
-use crate::cli::{Exit, Printer};
+use crate::args::ListArguments;
+use crate::{Exit, Printer};
 use anyhow::{anyhow, bail};
 use planagent_runs::worker::split::split;
 use planagent_scenario::generator::{Spec, types};

@@ -9,13 +9,13 @@ mod show;
 mod statistics;
 mod twins;
 
-use crate::cli::args::ScenariosCommand;
-use crate::cli::{Exit, Printer};
+use crate::args::ScenariosCommand;
+use crate::{Exit, Printer};
 use planagent_scenario::Scenario;
 use serde::Serialize;
 
 /// Runs one of the subcommands.
-pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(command: &ScenariosCommand, printer: Printer) -> anyhow::Result<Exit> {
     match command {
         ScenariosCommand::List(arguments) => list::run(arguments, printer),
         ScenariosCommand::Show(arguments) => show::run(arguments, printer),

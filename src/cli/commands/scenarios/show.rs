@@ -1,9 +1,9 @@
 //! `planagent scenarios show`.
 
 use super::{About, Details};
-use crate::cli::args::ShowArguments;
-use crate::cli::commands::plan::{instant, scenario};
-use crate::cli::{Exit, Printer};
+use crate::args::ShowArguments;
+use crate::commands::plan::{instant, scenario};
+use crate::{Exit, Printer};
 use image::RgbImage;
 use planagent_agent::environment::{BevView, bev};
 use planagent_runs::report::fill;

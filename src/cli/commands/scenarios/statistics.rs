@@ -1,7 +1,7 @@
 //! `planagent scenarios statistics`: compares two sets of scenes.
 
-use crate::cli::args::{DataArguments, StatisticsArguments};
-use crate::cli::{Exit, Printer};
+use crate::args::{DataArguments, StatisticsArguments};
+use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_files::path_of;
 use planagent_lab::realism::{MeasuredScene, SceneComparison};

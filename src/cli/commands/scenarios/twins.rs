@@ -1,7 +1,7 @@
 //! `planagent scenarios twins`: draws text twins.
 
-use crate::cli::args::TwinArguments;
-use crate::cli::{Exit, Printer};
+use crate::args::TwinArguments;
+use crate::{Exit, Printer};
 use planagent_lab::twins::{TEST_PAIRS, VALIDATION_PAIRS, draw, list_text};
 use planagent_runs::worker::seeds::Split;
 use serde_json::json;
