@@ -1,7 +1,7 @@
 //! Filter files: errors name file and line.
 
 use crate::outside::data;
-use planagent::internals::scenario::nuplan::FilterFile;
+use planagent_scenario::nuplan::FilterFile;
 
 fn error_of(content: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
