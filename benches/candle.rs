@@ -19,8 +19,8 @@ use candle_core::quantized::{GgmlDType, QMatMul, QStorage, QTensor};
 use candle_core::{DType, Device, Module, Tensor};
 use candle_nn::attention::{AttnMask, flash_attn};
 use half::f16;
-use planagent::internals::kernels::attention::AttentionProbe;
-use planagent::internals::mllm::{Matrix, WeightFormat};
+use planagent_kernels::attention::AttentionProbe;
+use planagent_mllm::{Matrix, WeightFormat};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 

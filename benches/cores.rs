@@ -7,11 +7,11 @@
     reason = "a benchmark is no interface and may stop at an error"
 )]
 
-use planagent::internals::experiment::run::{AgentParts, SimulationTask, run};
-use planagent::internals::planner::PlannerName;
-use planagent::internals::scenario::ScenarioRef;
-use planagent::internals::scenario::generator::{Spec, types};
-use planagent::internals::simulation::Challenge;
+use planagent_agent::planner::PlannerName;
+use planagent_agent::simulation::Challenge;
+use planagent_runs::worker::run::{AgentParts, SimulationTask, run};
+use planagent_scenario::ScenarioRef;
+use planagent_scenario::generator::{Spec, types};
 use std::time::Instant;
 
 /// Pairs of runs.

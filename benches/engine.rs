@@ -2,23 +2,21 @@
 #![allow(missing_docs, clippy::unwrap_used, reason = "a benchmark is no interface and may stop at an error")]
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use planagent::internals::dynamics::IdmTraffic;
-use planagent::internals::environment::text::{self, Description};
-use planagent::internals::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, bev};
-use planagent::internals::geometry::{OrientedBox, Vector};
-use planagent::internals::pdm::{
+use planagent_agent::environment::text::{self, Description};
+use planagent_agent::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, bev};
+use planagent_agent::planner::{IdmPlanner, LogReplay, Planner, PlannerInput};
+use planagent_agent::reasoning::PlannerCode;
+use planagent_agent::reflection::{Judge, LeadPolicy, PlanBuilder};
+use planagent_agent::simulation::{Challenge, ClosedLoop, simulate};
+use planagent_scenario::generator::{DEFAULT, generate};
+use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
+use planagent_scenario::{DataRoots, Readers};
+use planagent_score::pdm::{
     Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, ReferencePath, plan_along, score_proposals, simulate_proposals,
 };
-use planagent::internals::planner::{IdmPlanner, LogReplay, Planner, PlannerInput};
-use planagent::internals::reasoning::PlannerCode;
-use planagent::internals::reflection::{Judge, LeadPolicy, PlanBuilder};
-use planagent::internals::scenario::generator::{DEFAULT, generate};
-use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
-use planagent::internals::scenario::{DataRoots, Readers};
-use planagent::internals::simulation::{Challenge, ClosedLoop, simulate};
-use planagent::internals::world::{
-    EgoState, LaneMap, ObjectKind, STEP_S, SceneView, TrackToken, TrackedObject, TrafficLights,
-};
+use planagent_world::dynamics::IdmTraffic;
+use planagent_world::geometry::{OrientedBox, Vector};
+use planagent_world::{EgoState, LaneMap, ObjectKind, STEP_S, SceneView, TrackToken, TrackedObject, TrafficLights};
 use std::hint::black_box;
 use std::sync::Arc;
 

@@ -16,8 +16,8 @@ use std::time::{Duration, Instant};
 
 use candle_core::{Device, Tensor};
 use half::f16;
-use planagent::internals::kernels::matrix::byte_operations;
-use planagent::internals::mllm::{Matrix, WeightFormat};
+use planagent_kernels::matrix::byte_operations;
+use planagent_mllm::{Matrix, WeightFormat};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;

@@ -6,26 +6,26 @@
 
 mod formats;
 
-use planagent::internals::environment::bev;
-use planagent::internals::environment::text::{TextForm, write as write_text};
-use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, Description, LaneGraph};
-use planagent::internals::learned::Checkpoint;
-use planagent::internals::mllm::{
-    Constraint, Deadline, HubAccess, Loading, LocalModel, ModelPlace, ModelRegistry, ModelSpec, PromptPrefix, Request,
-    Sampling,
-};
-use planagent::internals::reasoning::{
+use planagent_agent::environment::bev;
+use planagent_agent::environment::text::{TextForm, write as write_text};
+use planagent_agent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, Description, LaneGraph};
+use planagent_agent::reasoning::{
     AssistVariant, Feedback, MotionInstruction, Names, PromptSet, Round, feedback_text, parse, parse_assistance,
     round_prompt, system_prompt,
 };
-use planagent::internals::report::RunFolder;
-use planagent::internals::report::page::{self, PageSettings};
-use planagent::internals::runner::Config;
-use planagent::internals::scenario::generator::{Spec, generate, types};
-use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
-use planagent::internals::scenario::nuplan::{FilterFile, MapStore};
-use planagent::internals::scenario::{DataRoots, Readers};
-use planagent::internals::world::{ObjectKind, Scene};
+use planagent_learned::Checkpoint;
+use planagent_mllm::{
+    Constraint, Deadline, HubAccess, Loading, LocalModel, ModelPlace, ModelRegistry, ModelSpec, PromptPrefix, Request,
+    Sampling,
+};
+use planagent_runs::report::RunFolder;
+use planagent_runs::report::page::{self, PageSettings};
+use planagent_runs::runner::Config;
+use planagent_scenario::generator::{Spec, generate, types};
+use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
+use planagent_scenario::nuplan::{FilterFile, MapStore};
+use planagent_scenario::{DataRoots, Readers};
+use planagent_world::{ObjectKind, Scene};
 use std::cell::OnceCell;
 use std::fs;
 use std::io::{Read, Write};

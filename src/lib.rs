@@ -134,33 +134,3 @@ pub mod bindings {
     pub use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
     pub use planagent_world::{HISTORY_SAMPLES, STEP_S, STEP_US};
 }
-
-/// All stages, for the tests and benches of this package; not stable.
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod internals {
-    pub use planagent_agent::environment;
-    pub use planagent_agent::planner;
-    pub use planagent_agent::reasoning;
-    pub use planagent_agent::reflection;
-    pub use planagent_agent::simulation;
-    #[cfg(feature = "cli")]
-    pub use planagent_cli as cli;
-    #[cfg(feature = "report")]
-    pub use planagent_lab as lab;
-    #[cfg(feature = "learned")]
-    pub use planagent_learned as learned;
-    #[cfg(feature = "report")]
-    pub use planagent_runs::report;
-    #[cfg(feature = "report")]
-    pub use planagent_runs::runner;
-    #[cfg(feature = "report")]
-    pub use planagent_runs::worker as experiment;
-    pub use planagent_scenario as scenario;
-    pub use planagent_score::metrics;
-    pub use planagent_score::pdm;
-    pub use planagent_world::{dynamics, geometry};
-    pub use {
-        planagent_files as files, planagent_kernels as kernels, planagent_mllm as mllm, planagent_world as world,
-    };
-}

@@ -1,24 +1,22 @@
 //! The agent with a scripted model and answers of every kind.
 
-use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
-use planagent::internals::mllm::{
-    Answer, ConstraintUse, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, ModelDescription,
-    PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
-};
-use planagent::internals::pdm::PdmMemory;
-use planagent::internals::planner::{
+use planagent_agent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
+use planagent_agent::planner::{
     AfterMaxExec, AgentLayer, CodeSource, Decision, NoPlan, PlanAgent, PlanAgentSettings, Planner, PlannerInput,
     PlannerName, PlanningCall,
 };
-use planagent::internals::reasoning::{
+use planagent_agent::reasoning::{
     Interruption, PlannerCode, PromptSet, Proposals, ReasoningSettings, Round, Speculation,
 };
-use planagent::internals::reflection::{
-    Judge, LeadPolicy, PlanBuilder, ProgressReference, Verdict, needs_emergency_brake,
+use planagent_agent::reflection::{Judge, LeadPolicy, PlanBuilder, ProgressReference, Verdict, needs_emergency_brake};
+use planagent_agent::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
+use planagent_mllm::{
+    Answer, ConstraintUse, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, ModelDescription,
+    PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
 };
-use planagent::internals::scenario::{Scenario, generator};
-use planagent::internals::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
-use planagent::internals::world::{Route, SceneView};
+use planagent_scenario::{Scenario, generator};
+use planagent_score::pdm::PdmMemory;
+use planagent_world::{Route, SceneView};
 use std::sync::{Arc, Mutex};
 
 /// Answers the n-th question with the n-th answer, from the start again at the end; remembers the questions.
@@ -49,7 +47,7 @@ impl Mllm for Script {
             vocabulary: 0,
             context: 0,
             weights_blake3: String::new(),
-            load: planagent::internals::mllm::LoadReport::default(),
+            load: planagent_mllm::LoadReport::default(),
             server: None,
         }
     }
@@ -247,7 +245,7 @@ pub(crate) fn planner_at<'a>(
     graph: &LaneGraph,
     target_speed: f64,
     lead_policy: LeadPolicy,
-) -> planagent::internals::reflection::IdmPlan {
+) -> planagent_agent::reflection::IdmPlan {
     let code = PlannerCode {
         centerline: CenterlineName::EgoLane,
         lead_agent: None,
@@ -321,7 +319,7 @@ fn a_roll_out_stops_before_a_red_light() {
         let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
         let scene = drive.scene();
         let Ok(graph) = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH) else { continue };
-        let red = graph.ego_lane().light.filter(|light| light.status == planagent::internals::world::SignalStatus::Red);
+        let red = graph.ego_lane().light.filter(|light| light.status == planagent_world::SignalStatus::Red);
         let Some(light) = red.filter(|light| light.distance > 12.0) else { continue };
         seen += 1;
         let planner = planner_at(&drive, &graph, 15.0, LeadPolicy::Nearest);

@@ -1,11 +1,11 @@
 //! The paper's two cases: what PDM-Closed does in them, and what the agent's planner code can do.
 
 use crate::agent::{drive, scenario, settings_with};
-use planagent::internals::planner::PdmClosed;
-use planagent::internals::reasoning::Round;
-use planagent::internals::scenario::Scenario;
-use planagent::internals::simulation::{Challenge, SimulationLog, simulate};
-use planagent::internals::world::{EgoState, ObjectKind, SignalStatus};
+use planagent_agent::planner::PdmClosed;
+use planagent_agent::reasoning::Round;
+use planagent_agent::simulation::{Challenge, SimulationLog, simulate};
+use planagent_scenario::Scenario;
+use planagent_world::{EgoState, ObjectKind, SignalStatus};
 
 const ROUNDABOUT: &str = "generated/case_roundabout/0";
 const RED_LIGHT: &str = "generated/case_red_light/0";

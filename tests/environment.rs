@@ -5,14 +5,15 @@ mod scene_text;
 
 use crate::outside::Needy;
 use crate::womd::recordings;
-use planagent::internals::environment::facts::Question;
-use planagent::internals::environment::{
+use planagent_agent::environment;
+use planagent_agent::environment::facts::Question;
+use planagent_agent::environment::{
     BevView, DEFAULT_NODE_LENGTH, Description, LaneGraph, SceneFacts, TextForm, bev, text,
 };
-use planagent::internals::scenario::generator::{self, Spec, types};
-use planagent::internals::scenario::{Frame, Scenario};
-use planagent::internals::world::History;
-use planagent::internals::{environment, world};
+use planagent_scenario::generator::{self, Spec, types};
+use planagent_scenario::{Frame, Scenario};
+use planagent_world as world;
+use planagent_world::History;
 use scene_text::{COMPACT_WORDS, parse};
 use std::collections::BTreeSet;
 

@@ -1,10 +1,10 @@
 //! Generated scenarios under log replay: how well the tracker follows the expert. And a scenario type from outside the crate.
 
-use planagent::internals::planner::LogReplay;
-use planagent::internals::scenario::Scenario;
-use planagent::internals::scenario::generator::prelude::*;
-use planagent::internals::scenario::generator::{Spec, generate, types};
-use planagent::internals::simulation::{Challenge, simulate};
+use planagent_agent::planner::LogReplay;
+use planagent_agent::simulation::{Challenge, simulate};
+use planagent_scenario::Scenario;
+use planagent_scenario::generator::prelude::*;
+use planagent_scenario::generator::{Spec, generate, types};
 use proptest::prelude::*;
 use rayon::prelude::*;
 

@@ -1,12 +1,12 @@
 //! LLM-ASSIST with a scripted model and with the one that ships.
 
 use crate::agent::{Script, reasoning, scenario, settings_with};
-use planagent::internals::mllm::{HubAccess, Mllm, ModelRegistry};
-use planagent::internals::planner::{
+use planagent_agent::planner::{
     AskedModel, Decision, LlmAssist, NoPlan, PdmClosed, PlanAgentSettings, Planner, PlannerName,
 };
-use planagent::internals::reasoning::{AssistVariant, Assistance, PlannerAnswer, PromptSet, ReasoningSettings, Round};
-use planagent::internals::simulation::{Challenge, SimulationLog, simulate};
+use planagent_agent::reasoning::{AssistVariant, Assistance, PlannerAnswer, PromptSet, ReasoningSettings, Round};
+use planagent_agent::simulation::{Challenge, SimulationLog, simulate};
+use planagent_mllm::{HubAccess, Mllm, ModelRegistry};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 

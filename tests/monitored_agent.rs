@@ -1,14 +1,14 @@
 //! Monitoring: which version of the active plan is executed, when it stops, when a lane change is aborted.
 
 use crate::agent::{Script, code_source, planner_at, scenario, settings_with};
-use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
-use planagent::internals::geometry::{OrientedBox, Pose, Vector};
-use planagent::internals::pdm::PdmMemory;
-use planagent::internals::planner::{AgentLayer, PlanAgent, Planner, PlannerInput, PlannerName};
-use planagent::internals::reasoning::Round;
-use planagent::internals::reflection::{LeadPolicy, PlanMonitor, Version};
-use planagent::internals::simulation::{Challenge, ClosedLoop};
-use planagent::internals::world::{EgoState, LanePath, ObjectKind, STEP_US, SceneView, TrackToken, TrackedObject};
+use planagent_agent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
+use planagent_agent::planner::{AgentLayer, PlanAgent, Planner, PlannerInput, PlannerName};
+use planagent_agent::reasoning::Round;
+use planagent_agent::reflection::{LeadPolicy, PlanMonitor, Version};
+use planagent_agent::simulation::{Challenge, ClosedLoop};
+use planagent_score::pdm::PdmMemory;
+use planagent_world::geometry::{OrientedBox, Pose, Vector};
+use planagent_world::{EgoState, LanePath, ObjectKind, STEP_US, SceneView, TrackToken, TrackedObject};
 use std::sync::{Arc, Mutex};
 
 /// How often each version of a plan was chosen: the plan itself, another one on its path, one beside it, and the stop.

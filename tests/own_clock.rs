@@ -1,9 +1,9 @@
 //! The agent's clock runs in seconds: an agent plans at the same times at any step length of the simulator.
 
 use crate::agent::{Script, code_source, scenario, settings};
-use planagent::internals::planner::{PlanAgent, Planner, PlannerInput, PlannerName};
-use planagent::internals::reasoning::Round;
-use planagent::internals::world::{EgoState, History, SceneView, Trajectory};
+use planagent_agent::planner::{PlanAgent, Planner, PlannerInput, PlannerName};
+use planagent_agent::reasoning::Round;
+use planagent_world::{EgoState, History, SceneView, Trajectory};
 use std::sync::{Arc, Mutex};
 
 /// Times of the planning calls, and where the ego is after 6 s, in a simulator of one's own that follows the trajectories exactly.

@@ -1,14 +1,14 @@
 //! A planner of one's own: registered by name from outside the crate, run, recorded and summarized like those that are built in.
 
-use planagent::internals::experiment::run::{AgentParts, SimulationTask, run};
-use planagent::internals::planner::{
+use planagent_agent::planner::{
     Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
     PlannerRegistry, SimplePlanner,
 };
-use planagent::internals::report::{SimulationRow, Summary};
-use planagent::internals::scenario::generator;
-use planagent::internals::simulation::Challenge;
-use planagent::internals::world::Trajectory;
+use planagent_agent::simulation::Challenge;
+use planagent_runs::report::{SimulationRow, Summary};
+use planagent_runs::worker::run::{AgentParts, SimulationTask, run};
+use planagent_scenario::generator;
+use planagent_world::Trajectory;
 use std::sync::Mutex;
 
 /// Drives straight ahead at half the speed of nuPlan's simple planner.

@@ -1,10 +1,10 @@
 //! A scenario reader from outside the crate: its scenarios are found and simulated as those of the package.
 
-use planagent::internals::experiment::run::{self as runner, AgentParts, SimulationTask};
-use planagent::internals::planner::PlannerName;
-use planagent::internals::scenario::generator::{self, Spec};
-use planagent::internals::scenario::{DataRoots, ReaderError, Readers, Scenario, ScenarioReader, ScenarioRef};
-use planagent::internals::simulation::Challenge;
+use planagent_agent::planner::PlannerName;
+use planagent_agent::simulation::Challenge;
+use planagent_runs::worker::run::{self as runner, AgentParts, SimulationTask};
+use planagent_scenario::generator::{self, Spec};
+use planagent_scenario::{DataRoots, ReaderError, Readers, Scenario, ScenarioReader, ScenarioRef};
 use std::sync::Mutex;
 
 /// Takes words of the form `mirror:generated/TYPE/SEED`.

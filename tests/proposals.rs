@@ -1,10 +1,10 @@
 //! Several codes an attempt, and codes that were refused.
 
 use crate::agent::{Script, code_source, scenario, settings_with};
-use planagent::internals::mllm::{HubAccess, ModelRegistry};
-use planagent::internals::planner::{Attempt, CodeSource, PlanAgent, Planner, PlannerName, Proposal};
-use planagent::internals::reasoning::{PlannerAnswer, PromptSet, Proposals, ReasoningConfig, Round};
-use planagent::internals::simulation::{Challenge, simulate};
+use planagent_agent::planner::{Attempt, CodeSource, PlanAgent, Planner, PlannerName, Proposal};
+use planagent_agent::reasoning::{PlannerAnswer, PromptSet, Proposals, ReasoningConfig, Round};
+use planagent_agent::simulation::{Challenge, simulate};
+use planagent_mllm::{HubAccess, ModelRegistry};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 

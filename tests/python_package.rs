@@ -21,8 +21,8 @@ fn locked(lock: &toml::Table) -> BTreeMap<&str, BTreeSet<&str>> {
 #[test]
 fn the_python_package_has_the_profiles_of_the_program() {
     let (root, python) = (read("Cargo.toml"), read("python/Cargo.toml"));
-    assert_eq!(root["lints"], python["lints"]);
-    assert_eq!(root["package"]["version"], python["package"]["version"]);
+    assert_eq!(root["workspace"]["lints"], python["lints"]);
+    assert_eq!(root["workspace"]["package"]["version"], python["package"]["version"]);
     let lock = read("python/Cargo.lock");
     let used = locked(&lock);
     let mut expected = root["profile"].clone();

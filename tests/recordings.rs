@@ -1,7 +1,7 @@
 //! What `docs/recordings.md` says of all recordings.
 
 use crate::outside::{Needy, data};
-use planagent::internals::scenario::{DataRoots, Frame, Readers, Scenario};
+use planagent_scenario::{DataRoots, Frame, Readers, Scenario};
 
 const FOLDERS: [&str; 4] = ["womd", "argoverse2", "womd_validation", "argoverse2_validation"];
 

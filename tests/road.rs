@@ -1,7 +1,7 @@
 //! Small hand-made maps and drives on them.
 
-use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
-use planagent::internals::world::{
+use planagent_world::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
+use planagent_world::{
     EgoState, HistorySample, Lane, LaneId, LaneKind, LaneMap, MapParts, ObjectKind, PACIFICA, Roadblock, RoadblockId,
     StopLine, StopLineId, TrackToken, TrackedObject,
 };

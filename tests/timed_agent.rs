@@ -1,9 +1,9 @@
 //! The agent with calls that last in simulated time, and behind a gate.
 
 use crate::agent::{drive, scenario, settings_with};
-use planagent::internals::planner::{Decision, Latency, PdmClosed, PlanAgentSettings, Planner};
-use planagent::internals::reasoning::Round;
-use planagent::internals::simulation::{Challenge, simulate};
+use planagent_agent::planner::{Decision, Latency, PdmClosed, PlanAgentSettings, Planner};
+use planagent_agent::reasoning::Round;
+use planagent_agent::simulation::{Challenge, simulate};
 use std::time::Duration;
 
 const SCENE: &str = "generated/high_magnitude_speed/1";

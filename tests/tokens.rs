@@ -2,15 +2,15 @@
 
 use crate::outside::Needy;
 use crate::womd::recordings;
-use planagent::internals::environment::bev::Palette;
-use planagent::internals::environment::{DEFAULT_NODE_LENGTH, Description, LaneGraph, TextForm, text};
-use planagent::internals::lab::report::token_markdown;
-use planagent::internals::lab::tokens::{SceneText, TokenCounter, TokenRow, TokenTable, count};
-use planagent::internals::mllm::{HubAccess, Mllm, ModelRegistry};
-use planagent::internals::reasoning::{Feedback, Names, PromptSet, Round, feedback_text, round_prompt, system_prompt};
-use planagent::internals::scenario::Scenario;
-use planagent::internals::scenario::generator::{self, Spec, types};
-use planagent::internals::world::History;
+use planagent_agent::environment::bev::Palette;
+use planagent_agent::environment::{DEFAULT_NODE_LENGTH, Description, LaneGraph, TextForm, text};
+use planagent_agent::reasoning::{Feedback, Names, PromptSet, Round, feedback_text, round_prompt, system_prompt};
+use planagent_lab::report::token_markdown;
+use planagent_lab::tokens::{SceneText, TokenCounter, TokenRow, TokenTable, count};
+use planagent_mllm::{HubAccess, Mllm, ModelRegistry};
+use planagent_scenario::Scenario;
+use planagent_scenario::generator::{self, Spec, types};
+use planagent_world::History;
 use std::path::Path;
 
 /// Iterations between planning calls.

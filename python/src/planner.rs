@@ -9,7 +9,7 @@ use crate::work::{guarded, lock, long};
 use planagent::Planner as LibraryPlanner;
 use planagent::bindings::{AgentParts, CallRecord, with_causes};
 use planagent::planning::{
-    PlannerInitialization, PlannerInput, PlannerNeeds, PlannerParts, PlannerRegistry, PlanningCall,
+    PlannerInitialization, PlannerInput, PlannerNeeds, PlannerParts, PlanningCall, all_planners,
 };
 use planagent::road::LaneMap;
 use pyo3::prelude::*;
@@ -41,14 +41,14 @@ impl Planner {
 /// The names of the library's planners with a line about each, and whether it needs a model.
 #[pyfunction]
 pub(crate) fn planners() -> Vec<(&'static str, &'static str, bool)> {
-    let registry = PlannerRegistry::default();
+    let registry = all_planners();
     registry.entries().iter().map(|entry| (entry.name.as_str(), entry.summary, entry.needs_model())).collect()
 }
 
 /// The parts of planners by settings as JSON; the model is loaded where the planner needs one.
 fn parts(name: &str, settings: &str) -> Outcome<AgentParts> {
     let config = config(settings)?;
-    let registry = PlannerRegistry::default();
+    let registry = all_planners();
     let entry = registry.find(name).map_err(|error| Failure::argument(error.to_string()))?;
     let agent_settings = config.agent_settings();
     if let Some(key) = entry.unsupported(&agent_settings) {
@@ -70,7 +70,7 @@ impl Planner {
         let word = name.clone();
         let built = move || {
             let parts = parts(&word, &settings)?;
-            let registry = PlannerRegistry::default();
+            let registry = all_planners();
             let entry = registry.find(&word).map_err(|error| Failure::argument(error.to_string()))?;
             let failed = |error: &dyn std::error::Error| Failure::new("PlannerError", with_causes(error));
             let planner = match &scenario {

@@ -6,7 +6,7 @@ use crate::settings::{config, shared_model};
 use crate::table::Table;
 use crate::work::{lock, long};
 use planagent::bindings::{Shard, SimulationRow, merge as merge_runs};
-use planagent::planning::PlannerRegistry;
+use planagent::planning::{PlannerRegistry, all_planners};
 use planagent::runs::{Config, Event, Request, RunResults as Finished, StopSwitch, resume, start};
 use planagent::sources::DataRoots;
 use pyo3::prelude::*;
@@ -141,8 +141,8 @@ pub(crate) fn run(
     let (stop, hearing) = (switch.clone(), Arc::clone(&heard));
     let work = move || {
         let asked: Asked = serde_json::from_str(&asked).map_err(|error| Failure::argument(error.to_string()))?;
-        let built_in = PlannerRegistry::default();
-        let mut registry = PlannerRegistry::default();
+        let built_in = all_planners();
+        let mut registry = all_planners();
         for (name, make) in planners {
             if built_in.find(&name).is_ok() {
                 let text = format!("'{name}' is the name of a planner of the library; give yours another");

@@ -3,13 +3,13 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 use crate::outside::{Missing, Needy, data};
-use planagent::internals::geometry::wrap_angle;
-use planagent::internals::metrics;
-use planagent::internals::planner::{IdmPlanner, LogReplay, Planner};
-use planagent::internals::scenario::argoverse2;
-use planagent::internals::scenario::{DataRoots, Readers, Scenario, ScenarioRef};
-use planagent::internals::simulation::{Challenge, simulate};
-use planagent::internals::world::{BASELINE_SPACING, EgoState, LaneKind, PACIFICA};
+use planagent_agent::planner::{IdmPlanner, LogReplay, Planner};
+use planagent_agent::simulation::{Challenge, simulate};
+use planagent_scenario::argoverse2;
+use planagent_scenario::{DataRoots, Readers, Scenario, ScenarioRef};
+use planagent_score::metrics;
+use planagent_world::geometry::wrap_angle;
+use planagent_world::{BASELINE_SPACING, EgoState, LaneKind, PACIFICA};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 

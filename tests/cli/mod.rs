@@ -437,9 +437,9 @@ fn plan_agent_simulates_every_recording() -> Needy {
 #[test]
 fn the_example_configuration_shows_every_default() {
     let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/planagent.toml")).unwrap();
-    let example: planagent::internals::runner::Config = toml::from_str(&text).unwrap();
-    assert_eq!(example, planagent::internals::runner::Config::default());
-    let defaults: toml::Table = toml::Table::try_from(planagent::internals::runner::Config::default()).unwrap();
+    let example: planagent_runs::runner::Config = toml::from_str(&text).unwrap();
+    assert_eq!(example, planagent_runs::runner::Config::default());
+    let defaults: toml::Table = toml::Table::try_from(planagent_runs::runner::Config::default()).unwrap();
     let shown: toml::Table = toml::from_str(&text).unwrap();
     for (section, value) in &defaults {
         let keys = value.as_table().map(|table| table.keys().cloned().collect::<Vec<_>>()).unwrap_or_default();

@@ -3,9 +3,9 @@
 
 use super::text::{Block, blocks};
 use super::{docs, name, read, root};
-use planagent::internals::lab::study;
-use planagent::internals::mllm::{HubAccess, ModelRegistry, ModelSource, ModelSpec, Trust};
-use planagent::internals::runner::Config;
+use planagent_lab::study;
+use planagent_mllm::{HubAccess, ModelRegistry, ModelSource, ModelSpec, Trust};
+use planagent_runs::runner::Config;
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;

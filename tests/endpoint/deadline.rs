@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use planagent::internals::mllm::{Constraint, Deadline, LocalModel, Mllm, MllmError, PromptPrefix, Request};
+use planagent_mllm::{Constraint, Deadline, LocalModel, Mllm, MllmError, PromptPrefix, Request};
 
 use super::request;
 

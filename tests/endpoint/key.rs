@@ -2,7 +2,7 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::{STANDARD, URL_SAFE_NO_PAD};
-use planagent::internals::mllm::{Constraint, Endpoint, EndpointSettings};
+use planagent_mllm::{Constraint, Endpoint, EndpointSettings};
 
 use super::server::{Reaction, Server, completion, error, response, stream};
 use super::{ask, request, settings};

@@ -8,9 +8,7 @@ pub(crate) mod server;
 mod simulation;
 mod troubles;
 
-use planagent::internals::mllm::{
-    Constraint, Deadline, Endpoint, EndpointSettings, Mllm, MllmError, Request, Sampling,
-};
+use planagent_mllm::{Constraint, Deadline, Endpoint, EndpointSettings, Mllm, MllmError, Request, Sampling};
 use server::Server;
 use toml::toml;
 
@@ -36,6 +34,6 @@ fn request(constraint: Constraint) -> Request {
 }
 
 /// Asks one question.
-fn ask(endpoint: &Endpoint, request: &Request) -> Result<planagent::internals::mllm::Answer, MllmError> {
-    endpoint.converse(&planagent::internals::mllm::PromptPrefix::default(), 0).unwrap().ask("Which lane?", request)
+fn ask(endpoint: &Endpoint, request: &Request) -> Result<planagent_mllm::Answer, MllmError> {
+    endpoint.converse(&planagent_mllm::PromptPrefix::default(), 0).unwrap().ask("Which lane?", request)
 }

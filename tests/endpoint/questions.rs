@@ -2,7 +2,7 @@
 
 use base64::Engine;
 use image::RgbImage;
-use planagent::internals::mllm::{
+use planagent_mllm::{
     Constraint, ConstraintUse, Endpoint, FinishReason, GrammarField, LimitField, Mllm, MllmError, PromptPrefix,
     Request, Sampling, TokenCounts,
 };

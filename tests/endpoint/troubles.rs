@@ -2,9 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use planagent::internals::mllm::{
-    Constraint, Deadline, Endpoint, EndpointFailure, Mllm, MllmError, PromptPrefix, Request,
-};
+use planagent_mllm::{Constraint, Deadline, Endpoint, EndpointFailure, Mllm, MllmError, PromptPrefix, Request};
 
 use super::server::{Reaction, Server, completion, error, response, stream};
 use super::{EndpointSettings, ask, open, request, settings};

@@ -1,7 +1,7 @@
 //! The numbers of the paper that stand in the studies.
 
 use crate::outside::{Missing, Needy, data};
-use planagent::internals::lab::study::{Published, PublishedModel, find};
+use planagent_lab::study::{Published, PublishedModel, find};
 
 /// The paper's source.
 fn paper() -> Result<String, Missing> {

@@ -2,8 +2,8 @@
 
 use super::vectors::{fixture, manifest_of, tensors};
 use candle_core::{DType, Device, Tensor};
-use planagent::internals::learned::Checkpoint;
-use planagent::internals::learned::pdm_open::{HIDDEN, PdmNetwork};
+use planagent_learned::Checkpoint;
+use planagent_learned::pdm_open::{HIDDEN, PdmNetwork};
 use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::Path;

@@ -7,11 +7,11 @@ use super::vectors::{
 };
 use crate::outside::Needy;
 use candle_core::{Device, Tensor};
-use planagent::internals::learned::Probe;
-use planagent::internals::learned::dtpp::{
+use planagent_learned::Probe;
+use planagent_learned::dtpp::{
     Dtpp, DtppConfig, Step, costed_paths, first_stage, paths, profile, scored_tree, second_stage,
 };
-use planagent::internals::learned::gameformer::{ActorFeatures, SceneInputs};
+use planagent_learned::gameformer::{ActorFeatures, SceneInputs};
 
 /// The tiny variant divides the width of the inner layer by sixteen twice.
 const TINY: DtppConfig = DtppConfig { dim: 16, inner: 4, encoder_layers: 2, neighbors: 4, branches: 6 };

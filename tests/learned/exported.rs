@@ -2,14 +2,14 @@
 //! planners includes this file too.
 
 use candle_core::{DType, Device, Tensor};
-use planagent::internals::learned::dtpp::{Dtpp, DtppConfig};
-use planagent::internals::learned::gameformer::{GameFormer, GameFormerConfig, SceneInputs};
-use planagent::internals::learned::gc_pgp::{GcPgp, GcPgpInputs};
-use planagent::internals::learned::pdm_open::{HIDDEN, PdmInputs, PdmNetwork};
-use planagent::internals::learned::plantf::{PlanTf, PlanTfConfig, PlanTfInputs, PlanTfMap};
-use planagent::internals::learned::raster_model::{RasterModel, RasterModelConfig};
-use planagent::internals::learned::urban_driver::{Elements, UrbanDriver, UrbanDriverConfig};
-use planagent::internals::learned::{Checkpoint, Probe, Weights};
+use planagent_learned::dtpp::{Dtpp, DtppConfig};
+use planagent_learned::gameformer::{GameFormer, GameFormerConfig, SceneInputs};
+use planagent_learned::gc_pgp::{GcPgp, GcPgpInputs};
+use planagent_learned::pdm_open::{HIDDEN, PdmInputs, PdmNetwork};
+use planagent_learned::plantf::{PlanTf, PlanTfConfig, PlanTfInputs, PlanTfMap};
+use planagent_learned::raster_model::{RasterModel, RasterModelConfig};
+use planagent_learned::urban_driver::{Elements, UrbanDriver, UrbanDriverConfig};
+use planagent_learned::{Checkpoint, Probe, Weights};
 use std::collections::HashMap;
 use std::path::Path;
 

@@ -6,13 +6,13 @@ use super::vectors::{
 };
 use crate::outside::Needy;
 use candle_core::Tensor;
-use planagent::internals::learned::Probe;
-use planagent::internals::learned::gameformer::{
+use planagent_learned::Probe;
+use planagent_learned::gameformer::{
     ActorFeatures, GameFormer, GameFormerConfig, PredictedAgent, STEPS, SceneInputs, costed_paths, placed,
     reference_path, refinement,
 };
-use planagent::internals::learned::lattice::starting_block;
-use planagent::internals::world::{Scene, TrafficLights};
+use planagent_learned::lattice::starting_block;
+use planagent_world::{Scene, TrafficLights};
 
 const TINY: GameFormerConfig = GameFormerConfig { dim: 16, encoder_layers: 2, levels: 2, modes: 3, neighbors: 4 };
 

@@ -3,8 +3,8 @@
 use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network, numbers};
 use candle_core::{DType, Device, Tensor};
-use planagent::internals::learned::Probe;
-use planagent::internals::learned::gc_pgp::{Clusters, GcPgp, GcPgpFeatures, GcPgpInputs, poses, ranks, scores};
+use planagent_learned::Probe;
+use planagent_learned::gc_pgp::{Clusters, GcPgp, GcPgpFeatures, GcPgpInputs, poses, ranks, scores};
 use serde_json::Value;
 
 fn inputs(file: &Vectors) -> GcPgpInputs {

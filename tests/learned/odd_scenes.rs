@@ -3,21 +3,17 @@
 
 use super::vectors::network;
 use candle_core::Tensor;
-use planagent::internals::geometry::{OrientedBox, Pose, Vector};
-use planagent::internals::learned::Probe;
-use planagent::internals::learned::dtpp::{Dtpp, DtppConfig, paths, scored_tree};
-use planagent::internals::learned::gameformer::{
-    ActorFeatures, GameFormer, GameFormerConfig, reference_path, refinement,
-};
-use planagent::internals::learned::gc_pgp::{GcPgp, GcPgpFeatures, poses};
-use planagent::internals::learned::plantf::PlanTfFeatures;
-use planagent::internals::learned::raster_model::Raster;
-use planagent::internals::learned::urban_driver::UrbanDriverFeatures;
-use planagent::internals::scenario::Scenario;
-use planagent::internals::scenario::generator::{self, Spec, types};
-use planagent::internals::world::{
-    History, HistorySample, ObjectKind, SceneView, TrackToken, TrackedObject, TrafficLights,
-};
+use planagent_learned::Probe;
+use planagent_learned::dtpp::{Dtpp, DtppConfig, paths, scored_tree};
+use planagent_learned::gameformer::{ActorFeatures, GameFormer, GameFormerConfig, reference_path, refinement};
+use planagent_learned::gc_pgp::{GcPgp, GcPgpFeatures, poses};
+use planagent_learned::plantf::PlanTfFeatures;
+use planagent_learned::raster_model::Raster;
+use planagent_learned::urban_driver::UrbanDriverFeatures;
+use planagent_scenario::Scenario;
+use planagent_scenario::generator::{self, Spec, types};
+use planagent_world::geometry::{OrientedBox, Pose, Vector};
+use planagent_world::{History, HistorySample, ObjectKind, SceneView, TrackToken, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
 const TINY_DTPP: DtppConfig = DtppConfig { dim: 16, inner: 4, encoder_layers: 1, neighbors: 10, branches: 30 };
@@ -65,7 +61,7 @@ fn each(check: impl Fn(&str, &SceneView<'_>)) {
             check(&format!("{word} without history"), &log.scene(&frame, &history(None, 1)));
             for count in [0, 200] {
                 let objects = crowd(frame.ego.rear_axle, count);
-                let frame = planagent::internals::scenario::Frame { objects: objects.clone(), ..frame.clone() };
+                let frame = planagent_scenario::Frame { objects: objects.clone(), ..frame.clone() };
                 check(&format!("{word} with {count} agents"), &log.scene(&frame, &history(Some(&objects), 22)));
             }
             let mut dark = frame.clone();

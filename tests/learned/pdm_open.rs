@@ -3,11 +3,11 @@
 use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network};
 use candle_core::{Device, Tensor};
-use planagent::internals::geometry::Pose;
-use planagent::internals::learned::pdm_open::{HIDDEN, PdmFeatures, PdmInputs, PdmNetwork, fused, sampled};
-use planagent::internals::learned::{Probe, trajectory};
-use planagent::internals::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
-use planagent::internals::world::{Scene, Trajectory, TrajectoryState};
+use planagent_learned::pdm_open::{HIDDEN, PdmFeatures, PdmInputs, PdmNetwork, fused, sampled};
+use planagent_learned::{Probe, trajectory};
+use planagent_score::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
+use planagent_world::geometry::Pose;
+use planagent_world::{Scene, Trajectory, TrajectoryState};
 use serde_json::Value;
 
 /// Hidden width of the tiny variants.

@@ -3,13 +3,11 @@
 use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, network};
 use candle_core::{DType, Tensor};
-use planagent::internals::learned::Probe;
-use planagent::internals::learned::plantf::{
-    LineFeatures, PlanTf, PlanTfConfig, PlanTfFeatures, PlanTfInputs, PlanTfMap,
-};
-use planagent::internals::pdm::corrected_route;
-use planagent::internals::world::ObjectKind;
 use planagent::{Scene, SceneBuilder};
+use planagent_learned::Probe;
+use planagent_learned::plantf::{LineFeatures, PlanTf, PlanTfConfig, PlanTfFeatures, PlanTfInputs, PlanTfMap};
+use planagent_score::pdm::corrected_route;
+use planagent_world::ObjectKind;
 
 const TINY: PlanTfConfig = PlanTfConfig { dim: 32, depth: 2, heads: 4, modes: 3 };
 /// Intermediates of the files of the tiny network alone.

@@ -3,10 +3,10 @@
 use super::vectors::{fixture, manifest_of, tensors};
 use assert_cmd::Command;
 use candle_core::Tensor;
-use planagent::internals::learned::dtpp::{Dtpp, DtppConfig};
-use planagent::internals::learned::gameformer::{GameFormer, GameFormerConfig};
-use planagent::internals::learned::gc_pgp::GcPgp;
-use planagent::internals::learned::pdm_open::{HIDDEN, PdmNetwork};
+use planagent_learned::dtpp::{Dtpp, DtppConfig};
+use planagent_learned::gameformer::{GameFormer, GameFormerConfig};
+use planagent_learned::gc_pgp::GcPgp;
+use planagent_learned::pdm_open::{HIDDEN, PdmNetwork};
 use std::collections::HashMap;
 use std::path::Path;
 

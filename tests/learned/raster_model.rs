@@ -3,8 +3,8 @@
 use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, manifest_of, network};
 use candle_core::{DType, Tensor};
-use planagent::internals::learned::Probe;
-use planagent::internals::learned::raster_model::{Canvas, Raster, RasterModel, RasterModelConfig, Vertex};
+use planagent_learned::Probe;
+use planagent_learned::raster_model::{Canvas, Raster, RasterModel, RasterModelConfig, Vertex};
 
 const TINY: RasterModelConfig = RasterModelConfig { widths: [4, 8, 16, 32] };
 

@@ -1,8 +1,8 @@
 //! The two scenes of the vectors.
 
 use super::vectors::json;
-use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
-use planagent::internals::world::{
+use planagent_world::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
+use planagent_world::{
     EgoState, History, HistorySample, Lane, LaneId, LaneKind, LaneMap, MapParts, Neighbor, ObjectKind, Roadblock,
     RoadblockId, Route, Scene, SignalStatus, StopLine, TrackToken, TrackedObject, TrafficLights,
 };

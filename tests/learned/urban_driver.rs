@@ -3,10 +3,8 @@
 use super::scene::scene;
 use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, network};
 use candle_core::DType;
-use planagent::internals::learned::Probe;
-use planagent::internals::learned::urban_driver::{
-    ElementLimits, Elements, UrbanDriver, UrbanDriverConfig, UrbanDriverFeatures,
-};
+use planagent_learned::Probe;
+use planagent_learned::urban_driver::{ElementLimits, Elements, UrbanDriver, UrbanDriverConfig, UrbanDriverFeatures};
 
 const TINY: UrbanDriverConfig = UrbanDriverConfig { embedding: 32, layers: 2 };
 const TINY_LIMITS: ElementLimits = ElementLimits { vehicles: 6, layers: [8, 8, 8, 3, 4, 6] };

@@ -2,7 +2,7 @@
 
 use crate::outside::{Missing, data};
 use candle_core::{DType, Device, Tensor};
-use planagent::internals::learned::Weights;
+use planagent_learned::Weights;
 use safetensors::{Dtype, SafeTensors};
 use serde_json::Value;
 use std::collections::BTreeMap;

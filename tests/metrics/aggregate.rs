@@ -1,6 +1,6 @@
 //! The aggregation over scenarios: the devkit's own test (`test_weighted_average_metric_aggregator.py`).
 
-use planagent::internals::metrics::{AggregateRow, FINAL_SCORE, ScenarioRow, Weighting, aggregate};
+use planagent_score::metrics::{AggregateRow, FINAL_SCORE, ScenarioRow, Weighting, aggregate};
 
 fn row(planner: &str, scenario: &str, scenario_type: &str, dummy: f64, second: Option<f64>) -> ScenarioRow {
     ScenarioRow {

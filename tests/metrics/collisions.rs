@@ -1,12 +1,12 @@
 //! Collisions and times to collision on a hand-made road with two lanes (centered at y = 0 and y = 4, each 4 m wide).
 
 use crate::road::{Road, cruise, object, rectangle, samples, straight, two_lanes};
-use planagent::internals::geometry::Pose;
-use planagent::internals::metrics::{
+use planagent_score::metrics::{
     Collision, CollisionType, DrivenLanes, TTC_HORIZON_S, find_collisions, no_ego_at_fault_collisions,
     time_to_collision, time_to_collision_within_bound,
 };
-use planagent::internals::world::{EgoState, LaneMap, ObjectKind, TrackedObject};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, LaneMap, ObjectKind, TrackedObject};
 
 const CAR: (f64, f64) = (4.0, 2.0);
 

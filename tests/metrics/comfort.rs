@@ -1,8 +1,8 @@
 //! The smoothing filters and the signals of comfort beside scipy 1.9.1 and the devkit's extractors.
 
-use planagent::internals::geometry::{Pose, Vector};
-use planagent::internals::metrics::{ComfortQuantity, SavitzkyGolay, ego_is_comfortable};
-use planagent::internals::world::EgoState;
+use planagent_score::metrics::{ComfortQuantity, SavitzkyGolay, ego_is_comfortable};
+use planagent_world::EgoState;
+use planagent_world::geometry::{Pose, Vector};
 use serde_json::Value;
 
 fn numbers(value: &Value) -> Vec<f64> {

@@ -1,11 +1,11 @@
 //! Drivable area, driving direction and speed limit on hand-made roads, each a number worked out by hand.
 
 use crate::road::{Road, cruise, ego, rectangle, straight};
-use planagent::internals::metrics::{
+use planagent_score::metrics::{
     DrivenLanes, MetricResult, corners_in_drivable_area, drivable_area_compliance, driving_direction_compliance,
     speed_limit_compliance,
 };
-use planagent::internals::world::{EgoState, LaneKind, LaneMap};
+use planagent_world::{EgoState, LaneKind, LaneMap};
 
 /// Half the width of the ego, meters.
 const HALF_WIDTH: f64 = 1.1485;

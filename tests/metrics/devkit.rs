@@ -2,7 +2,8 @@
 
 use super::vectors::{expert, history, states, vector, worst_deviation};
 use crate::outside::{Missing, Needy};
-use planagent::internals::metrics::{
+use planagent_agent::planner::SimplePlanner;
+use planagent_score::metrics::{
     Bound, ComfortQuantity, CornerAgreement, DrivenLanes, MetricError, MetricResult, PlannerExpertErrors, Statistic,
     compare_with_expert, ego_expert_l2_error, ego_expert_l2_error_with_yaw, ego_is_comfortable, ego_mean_speed,
     find_collisions, no_ego_at_fault_collisions, planner_expert_average_heading_error_within_bound,
@@ -10,8 +11,7 @@ use planagent::internals::metrics::{
     planner_expert_final_l2_error_within_bound, planner_miss_rate_within_bound, time_to_collision,
     time_to_collision_within_bound,
 };
-use planagent::internals::planner::SimplePlanner;
-use planagent::internals::world::{EgoState, LaneId, Trajectory};
+use planagent_world::{EgoState, LaneId, Trajectory};
 use std::collections::BTreeSet;
 
 /// Upstream's own tolerance; its expectations are written with two decimals.

@@ -1,11 +1,11 @@
 //! Which lanes a driven path used, and whether the corners of the ego agree.
 
 use crate::road::{Road, cruise, ego, two_lanes};
-use planagent::internals::geometry::Pose;
-use planagent::internals::metrics::{
+use planagent_score::metrics::{
     CornerAgreement, DrivenLanes, driven_route, ego_lane_change, find_lane_changes, lanes_at,
 };
-use planagent::internals::world::{EgoState, LaneId};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, LaneId};
 use std::collections::BTreeSet;
 
 fn shared(ids: &[LaneId]) -> CornerAgreement {

@@ -2,11 +2,11 @@
 //! (60–200 m).
 
 use crate::road::{Road, cruise};
-use planagent::internals::geometry::{Point, Pose};
-use planagent::internals::metrics::{
+use planagent_score::metrics::{
     RouteProgress, ego_is_making_progress, ego_progress_along_expert_route, progress_ratio,
 };
-use planagent::internals::world::{EgoState, LaneMap};
+use planagent_world::geometry::{Point, Pose};
+use planagent_world::{EgoState, LaneMap};
 
 fn chain() -> LaneMap {
     let mut road = Road::default();

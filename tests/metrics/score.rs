@@ -1,11 +1,11 @@
 //! Whole drives on a hand-made road: what `evaluate` says of them, and what it refuses.
 
 use crate::road::{cruise, ego, object, samples, straight};
-use planagent::internals::geometry::Pose;
-use planagent::internals::metrics::{
+use planagent_score::metrics::{
     EvaluatedSimulation, Evaluation, MetricError, MetricList, MetricRegistry, MetricSpec, ScoreUnit, evaluate,
 };
-use planagent::internals::world::{EgoState, LaneMap, ObjectKind, TrackedObject};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, LaneMap, ObjectKind, TrackedObject};
 
 const PROGRESS: &str = "ego_progress_along_expert_route";
 

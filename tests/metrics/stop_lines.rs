@@ -1,9 +1,9 @@
 //! `ego_stop_at_stop_line` on a lane of 60 m with a stop line from 58 to 58.5 m.
 
 use crate::road::{Road, ego, object, samples};
-use planagent::internals::geometry::Pose;
-use planagent::internals::metrics::{MetricCategory, MetricResult, ego_stop_at_stop_line};
-use planagent::internals::world::{EgoState, LaneKind, LaneMap, ObjectKind, TrackedObject};
+use planagent_score::metrics::{MetricCategory, MetricResult, ego_stop_at_stop_line};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, LaneKind, LaneMap, ObjectKind, TrackedObject};
 
 /// From the center of the ego to its front edge, meters.
 const FRONT: f64 = 2.588;

@@ -1,9 +1,9 @@
 //! Reading the devkit's own metric vectors and comparing results with them.
 
 use crate::outside::{Missing, data};
-use planagent::internals::geometry::{OrientedBox, Point, Pose, Vector};
-use planagent::internals::metrics::{MetricResult, StatisticKind};
-use planagent::internals::world::{EgoState, HistorySample, ObjectKind, TrackToken, TrackedObject};
+use planagent_score::metrics::{MetricResult, StatisticKind};
+use planagent_world::geometry::{OrientedBox, Point, Pose, Vector};
+use planagent_world::{EgoState, HistorySample, ObjectKind, TrackToken, TrackedObject};
 use serde_json::Value;
 
 /// Reads a vector.

@@ -1,6 +1,6 @@
 //! Broken checkpoints give typed errors that name the cause, and never a panic.
 
-use planagent::internals::mllm::{Mllm, MllmError};
+use planagent_mllm::{Mllm, MllmError};
 use proptest::prelude::*;
 use safetensors::Dtype;
 use serde_json::{Value, json};
@@ -22,7 +22,7 @@ fn every_file_that_is_needed_is_missed() {
             }
         }
     }
-    let nowhere = planagent::internals::mllm::LocalModel::open("x", std::path::Path::new("/nonexistent/model"));
+    let nowhere = planagent_mllm::LocalModel::open("x", std::path::Path::new("/nonexistent/model"));
     assert!(matches!(nowhere, Err(MllmError::MissingFile { .. })));
 }
 

@@ -1,8 +1,6 @@
 //! Answers under a constraint.
 
-use planagent::internals::mllm::{
-    Answer, Constraint, ConstraintUse, Deadline, FinishReason, Mllm, MllmError, Request, Sampling,
-};
+use planagent_mllm::{Answer, Constraint, ConstraintUse, Deadline, FinishReason, Mllm, MllmError, Request, Sampling};
 
 use super::{FIRST, open, prefix, request};
 

@@ -1,6 +1,6 @@
 //! Conversations: rounds, marks, seeds, counts.
 
-use planagent::internals::mllm::{Constraint, FinishReason, Mllm, MllmError, PromptPrefix, Sampling, prompt_hash};
+use planagent_mllm::{Constraint, FinishReason, Mllm, MllmError, PromptPrefix, Sampling, prompt_hash};
 
 use super::{FIRST, SECOND, free, open, prefix, request, tiny};
 

@@ -4,16 +4,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use image::RgbImage;
-use planagent::internals::mllm::{
+use planagent_agent::planner::{
+    AfterMaxExec, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerName, ReflectionSettings,
+};
+use planagent_agent::reasoning::{PromptSet, Proposals, ReasoningSettings, Round, Speculation};
+use planagent_agent::simulation::{Challenge, simulate};
+use planagent_mllm::{
     Architecture, Constraint, Families, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry,
     ModelSource, PromptPrefix, RoundTokens, Sampling, Trust,
 };
-use planagent::internals::planner::{
-    AfterMaxExec, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerName, ReflectionSettings,
-};
-use planagent::internals::reasoning::{PromptSet, Proposals, ReasoningSettings, Round, Speculation};
-use planagent::internals::scenario::generator;
-use planagent::internals::simulation::{Challenge, simulate};
+use planagent_scenario::generator;
 use serde_json::json;
 
 use super::{Copy, FIRST, SECOND, fixture, free, request};

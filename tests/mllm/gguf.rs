@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use planagent::internals::mllm::{
+use planagent_mllm::{
     GgufPart, HubAccess, LoadReport, MemoryCheck, Mllm, MllmError, ModelRegistry, ModelSource, Trust, WeightFormat,
 };
 
@@ -211,7 +211,7 @@ fn a_check_tells_everything_at_once() {
     let check = || registry.check(&registry.find(copy.folder().to_str().unwrap()).unwrap()).unwrap();
     let sound = check();
     assert_eq!(
-        (sound.problems.as_slice(), sound.architecture.map(planagent::internals::mllm::Architecture::name)),
+        (sound.problems.as_slice(), sound.architecture.map(planagent_mllm::Architecture::name)),
         (&[][..], Some("llava"))
     );
     assert!(sound.memory.unwrap().weights > 280_000 && sound.parameters > 70_000);

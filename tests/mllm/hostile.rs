@@ -6,8 +6,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use assert_cmd::Command;
-use planagent::internals::mllm::trial::Trial;
-use planagent::internals::mllm::{GgufPart, HubAccess, MllmError, ModelRegistry, Trust, WeightFormat};
+use planagent_mllm::trial::Trial;
+use planagent_mllm::{GgufPart, HubAccess, MllmError, ModelRegistry, Trust, WeightFormat};
 use serde_json::{Value, json};
 
 use super::{Copy, fixture};
@@ -147,9 +147,8 @@ fn without_a_trial_somebody_has_to_vouch_for_a_folder() {
     let registry = ModelRegistry::new("models", HubAccess::default());
     let spec = registry.find(folder.to_str().unwrap()).unwrap();
     assert!(matches!(registry.open(&spec), Err(MllmError::Untrusted { .. })));
-    let trusted = registry
-        .find(folder.to_str().unwrap())
-        .map(|spec| planagent::internals::mllm::ModelSpec { trusted: true, ..spec });
+    let trusted =
+        registry.find(folder.to_str().unwrap()).map(|spec| planagent_mllm::ModelSpec { trusted: true, ..spec });
     assert!(registry.open(&trusted.unwrap()).is_ok());
     assert!(registry.clone().with_trust(Trust::Caller).open(&spec).is_ok());
     let agent = |builder: planagent::AgentBuilder| builder.model(folder.to_str().unwrap()).prompts("compact").build();

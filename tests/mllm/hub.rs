@@ -7,9 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-use planagent::internals::mllm::{
-    FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, Trust, WeightFormat,
-};
+use planagent_mllm::{FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, Trust, WeightFormat};
 
 use super::{FIRST, free, prefix, tiny};
 

@@ -1,7 +1,7 @@
 //! The same checkpoint gives the same answers in every layout of transformers.
 
 use half::{bf16, f16};
-use planagent::internals::mllm::{LocalModel, Mllm};
+use planagent_mllm::{LocalModel, Mllm};
 use safetensors::Dtype;
 use serde_json::json;
 

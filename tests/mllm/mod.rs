@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use planagent::internals::mllm::{Constraint, Deadline, LocalModel, MllmError, PromptPrefix, Request, Sampling};
+use planagent_mllm::{Constraint, Deadline, LocalModel, MllmError, PromptPrefix, Request, Sampling};
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::Value;
 use tempfile::TempDir;

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use image::RgbImage;
-use planagent::internals::mllm::{
+use planagent_mllm::{
     Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, ImageFeatures, ImageLayout, LanguageModel,
     Mllm, MllmError, ModelFiles, ModelInfo, ModelRegistry, PlacedImage, Positions, Tiles, Trust, VisionLanguageModel,
 };

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use planagent::internals::mllm::{HubAccess, MemoryCheck, ModelRegistry, Trust};
+use planagent_mllm::{HubAccess, MemoryCheck, ModelRegistry, Trust};
 use safetensors::Dtype;
 use serde_json::json;
 

@@ -1,8 +1,8 @@
 //! Compares a scenario with the one that comes back from nuPlan's formats.
 
-use planagent::internals::geometry::{Point, Polygon, Polyline, Pose, Vector, wrap_angle};
-use planagent::internals::scenario::{Frame, Scenario};
-use planagent::internals::world::{Lane, LaneId, LaneMap, RoadblockId, StopLineId, TrackToken};
+use planagent_scenario::{Frame, Scenario};
+use planagent_world::geometry::{Point, Polygon, Polyline, Pose, Vector, wrap_angle};
+use planagent_world::{Lane, LaneId, LaneMap, RoadblockId, StopLineId, TrackToken};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximal change of a coordinate, m.
@@ -89,7 +89,7 @@ impl Pair<'_> {
         assert_eq!(lanes(before, &lane.outgoing), lanes(after, &twin.outgoing), "{name}");
         // nuPlan has neighbors among the lanes of a roadblock, not among connectors.
         for (a, b) in [(&lane.left, &twin.left), (&lane.right, &twin.right)] {
-            let ids = |map: &LaneMap, list: &[planagent::internals::world::Neighbor]| {
+            let ids = |map: &LaneMap, list: &[planagent_world::Neighbor]| {
                 lanes(map, &list.iter().map(|n| n.lane).collect::<Vec<_>>())
             };
             if lane.is_connector() {

@@ -3,11 +3,11 @@
 
 use super::round_trip::{SimulatedPlanner, generated, read_back, simulated};
 use crate::outside::{Missing, Needy};
-use planagent::internals::metrics::{Evaluation, MetricResult};
-use planagent::internals::scenario::Scenario;
-use planagent::internals::scenario::generator::types;
-use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenarios};
-use planagent::internals::simulation::Challenge;
+use planagent_agent::simulation::Challenge;
+use planagent_scenario::Scenario;
+use planagent_scenario::generator::types;
+use planagent_scenario::nuplan::export::{ExportSettings, write_scenarios};
+use planagent_score::metrics::{Evaluation, MetricResult};
 use rayon::prelude::*;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};

@@ -5,11 +5,11 @@ use super::compare::Pair;
 use super::round_trip::{SimulatedPlanner, check_scores, read_back};
 use crate::outside::Needy;
 use crate::womd::recordings;
-use planagent::internals::geometry::{Polygon, Polyline};
-use planagent::internals::scenario::Scenario;
-use planagent::internals::scenario::nuplan::export::{ExportSettings, ExportedLog, STITCH, write_scenarios};
-use planagent::internals::simulation::Challenge;
-use planagent::internals::world::{Lane, LaneKind, LaneMap, RoadblockId};
+use planagent_agent::simulation::Challenge;
+use planagent_scenario::Scenario;
+use planagent_scenario::nuplan::export::{ExportSettings, ExportedLog, STITCH, write_scenarios};
+use planagent_world::geometry::{Polygon, Polyline};
+use planagent_world::{Lane, LaneKind, LaneMap, RoadblockId};
 use rayon::prelude::*;
 
 /// Inserted pieces change the progress: by at most 2e-4, measured.
@@ -19,8 +19,7 @@ const SAME_LOG_REPLAY: f64 = 2e-2;
 
 /// nuPlan's rules: a connector leads from one lane to one lane, and lanes are joined by connectors only.
 fn check_graph(map: &LaneMap) {
-    let kind_of =
-        |lanes: &[planagent::internals::world::LaneId]| lanes.iter().map(|&id| map[id].kind).collect::<Vec<_>>();
+    let kind_of = |lanes: &[planagent_world::LaneId]| lanes.iter().map(|&id| map[id].kind).collect::<Vec<_>>();
     for lane in map.lanes() {
         if lane.is_connector() {
             assert_eq!(

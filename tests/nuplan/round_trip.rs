@@ -1,15 +1,15 @@
 //! Scenarios written in nuPlan's formats and read again.
 
 use super::compare::{Pair, blocks};
-use planagent::internals::geometry::{Point, Vector};
-use planagent::internals::metrics::Evaluation;
-use planagent::internals::planner::{IdmPlanner, LogReplay, PdmClosed, Planner, SimplePlanner};
-use planagent::internals::scenario::Scenario;
-use planagent::internals::scenario::generator::{ScenarioType, Spec, generate, types};
-use planagent::internals::scenario::nuplan::export::{ExportChanges, ExportSettings, Exported, write_scenarios};
-use planagent::internals::scenario::nuplan::{Logs, MapStore, ScenarioFilter, SearchResult, open, search};
-use planagent::internals::simulation::{Challenge, simulate};
-use planagent::internals::world::LaneAreas;
+use planagent_agent::planner::{IdmPlanner, LogReplay, PdmClosed, Planner, SimplePlanner};
+use planagent_agent::simulation::{Challenge, simulate};
+use planagent_scenario::Scenario;
+use planagent_scenario::generator::{ScenarioType, Spec, generate, types};
+use planagent_scenario::nuplan::export::{ExportChanges, ExportSettings, Exported, write_scenarios};
+use planagent_scenario::nuplan::{Logs, MapStore, ScenarioFilter, SearchResult, open, search};
+use planagent_score::metrics::Evaluation;
+use planagent_world::LaneAreas;
+use planagent_world::geometry::{Point, Vector};
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -106,7 +106,7 @@ fn every_generated_type_comes_back_with_its_scores() {
                 scenario.route.roadblocks.iter().map(|&block| scenario.map[block].source_id).collect()
             };
             assert_eq!(names(before), names(after), "{}", before.id);
-            let connectors_beside = |lane: &&planagent::internals::world::Lane| lane.is_connector();
+            let connectors_beside = |lane: &&planagent_world::Lane| lane.is_connector();
             let lost: usize =
                 before.map.lanes().iter().filter(connectors_beside).map(|l| l.left.len() + l.right.len()).sum();
             // Of a type that nuPlan does not map, the log ends with the scenario.
@@ -117,8 +117,8 @@ fn every_generated_type_comes_back_with_its_scores() {
             assert_eq!(log.changes, expected, "{}", before.id);
             for (a, b) in before.frames.iter().zip(&after.frames) {
                 let lights = |scenario: &Scenario,
-                              frame: &planagent::internals::scenario::Frame|
-                 -> Vec<(i64, planagent::internals::world::SignalStatus)> {
+                              frame: &planagent_scenario::Frame|
+                 -> Vec<(i64, planagent_world::SignalStatus)> {
                     frame.lights.iter().map(|(lane, status)| (scenario.map[lane].source_id, status)).collect()
                 };
                 assert_eq!(lights(before, a), lights(after, b));

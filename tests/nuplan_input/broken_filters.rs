@@ -1,7 +1,7 @@
 //! Filter files: errors name file and line.
 
 use crate::outside::{Needy, data};
-use planagent::internals::scenario::nuplan::{FilterFile, PUBLISHED_SPLITS};
+use planagent_scenario::nuplan::{FilterFile, PUBLISHED_SPLITS};
 
 fn error_of(content: &str) -> String {
     let folder = tempfile::tempdir().unwrap();

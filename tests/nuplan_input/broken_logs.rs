@@ -1,7 +1,7 @@
 //! Every fault of a log is an error that names the place.
 
 use super::fixture::{DataSet, LOCATION};
-use planagent::internals::scenario::nuplan::{Exclusion, NuPlanError, ScenarioFault, ScenarioFilter};
+use planagent_scenario::nuplan::{Exclusion, NuPlanError, ScenarioFault, ScenarioFilter};
 use std::io::{Seek, SeekFrom, Write};
 
 /// SQL for the time at which the window of the scenario begins: 3 s before the tag.
@@ -178,7 +178,7 @@ fn a_token_that_is_not_in_the_log() {
     let set = DataSet::new();
     let mut found = set.found().unwrap();
     found.token = "00000000000000aa".parse().unwrap();
-    match planagent::internals::scenario::nuplan::open(&set.maps(), &found) {
+    match planagent_scenario::nuplan::open(&set.maps(), &found) {
         Err(NuPlanError::Scenario { fault: ScenarioFault::NotInLog, .. }) => {}
         other => panic!("{other:?}"),
     }

@@ -2,10 +2,10 @@
 
 use super::fixture::{DataSet, LOCATION, run};
 use geo::{LineString, MultiPolygon, Polygon};
-use planagent::internals::geometry::Point;
-use planagent::internals::scenario::nuplan::geometry_blob::encode;
-use planagent::internals::scenario::nuplan::projection::{Utm, WGS84};
-use planagent::internals::scenario::nuplan::{MAPS_INDEX, MapStore};
+use planagent_scenario::nuplan::geometry_blob::encode;
+use planagent_scenario::nuplan::projection::{Utm, WGS84};
+use planagent_scenario::nuplan::{MAPS_INDEX, MapStore};
+use planagent_world::geometry::Point;
 use rusqlite::Connection;
 
 #[test]
@@ -13,7 +13,7 @@ fn the_maps_folder() {
     let set = DataSet::new();
     let index = set.folder.path().join("maps").join(MAPS_INDEX);
     let found = set.found().unwrap();
-    let nowhere = planagent::internals::scenario::nuplan::open(&MapStore::with_cache(None, None), &found).unwrap_err();
+    let nowhere = planagent_scenario::nuplan::open(&MapStore::with_cache(None, None), &found).unwrap_err();
     assert!(nowhere.to_string().contains("NUPLAN_MAPS_ROOT"), "{nowhere}");
     std::fs::write(&index, format!("{{\"{LOCATION}\": {{\"version\": \"9.9\"}}}}")).unwrap();
     set.assert_error_has(&["9.9/map.gpkg: missing", "version 1.0 there"]);

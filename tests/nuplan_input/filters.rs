@@ -1,7 +1,7 @@
 //! Filters take the scenarios that the devkit takes, in its order.
 
 use super::fixture::{DataSet, LOCATION};
-use planagent::internals::scenario::nuplan::{Limit, LogScenario, ScenarioFilter, Token, TokenSet};
+use planagent_scenario::nuplan::{Limit, LogScenario, ScenarioFilter, Token, TokenSet};
 use std::collections::BTreeSet;
 
 /// Every second row is tagged `behind_bike`, every third `changing_lane`; all rows lie in a valid scene.

@@ -1,11 +1,11 @@
 //! A small nuPlan data set: an exported scene, written once and copied for each test.
 
-use planagent::internals::scenario::generator::{Spec, generate, types};
-use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
-use planagent::internals::scenario::nuplan::{
+use planagent_scenario::generator::{Spec, generate, types};
+use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
+use planagent_scenario::nuplan::{
     LogScenario, Logs, MapStore, NuPlanError, ScenarioFilter, SearchResult, Token, open, search,
 };
-use planagent::internals::scenario::{DataRoots, Scenario};
+use planagent_scenario::{DataRoots, Scenario};
 use rusqlite::Connection;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;

@@ -3,7 +3,7 @@
 use super::fixture::{DataSet, run};
 use crate::cli;
 use crate::outside::{Needy, data};
-use planagent::internals::scenario::nuplan::ScenarioFilter;
+use planagent_scenario::nuplan::ScenarioFilter;
 use std::fs;
 use std::time::{Duration, Instant};
 

@@ -1,7 +1,7 @@
 //! Logs without indices: an index is written to a file of its own, never to the log.
 
 use super::fixture::{DataSet, run};
-use planagent::internals::scenario::nuplan::{MapStore, open};
+use planagent_scenario::nuplan::{MapStore, open};
 use rusqlite::Connection;
 use std::path::{Path, PathBuf};
 

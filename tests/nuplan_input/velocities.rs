@@ -1,11 +1,11 @@
 //! Agents without a velocity: NULL in the log.
 
 use super::fixture::DataSet;
-use planagent::internals::planner::IdmPlanner;
-use planagent::internals::scenario::Scenario;
-use planagent::internals::scenario::nuplan::open;
-use planagent::internals::simulation::{Challenge, simulate};
-use planagent::internals::world::TrackedObject;
+use planagent_agent::planner::IdmPlanner;
+use planagent_agent::simulation::{Challenge, simulate};
+use planagent_scenario::Scenario;
+use planagent_scenario::nuplan::open;
+use planagent_world::TrackedObject;
 
 /// Largest difference between a velocity from positions and the log's, m/s: an acceleration of 2 m/s² over a step and a half.
 const TOLERANCE: f64 = 0.4;

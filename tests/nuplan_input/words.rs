@@ -1,9 +1,9 @@
 //! Words of the command line that name nuPlan scenarios, and splits.
 
 use super::fixture::DataSet;
-use planagent::internals::experiment::split::split;
-use planagent::internals::scenario::nuplan::ScenarioFilter;
-use planagent::internals::scenario::{DataRoots, Readers};
+use planagent_runs::worker::split::split;
+use planagent_scenario::nuplan::ScenarioFilter;
+use planagent_scenario::{DataRoots, Readers};
 
 fn found(word: &str, readers: &Readers) -> Vec<String> {
     readers.find(word).unwrap().iter().map(ToString::to_string).collect()

@@ -3,8 +3,8 @@
 use super::{scenes, simulate};
 use crate::cli::refused;
 use flate2::read::GzDecoder;
-use planagent::internals::report::page::LivePage;
-use planagent::internals::report::serve::{Server, Stopper};
+use planagent_runs::report::page::LivePage;
+use planagent_runs::report::serve::{Server, Stopper};
 use serde_json::Value;
 use std::fs::{self, File};
 use std::io::{Read, Write};

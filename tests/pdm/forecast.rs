@@ -1,9 +1,9 @@
 //! What the forecast keeps, and where it puts it.
 
 use crate::road::{Road, cruise, ego, object, rectangle, straight};
-use planagent::internals::geometry::{Point, Pose, Vector};
-use planagent::internals::pdm::{Collided, DrivableLayers, DrivableMap, Forecast};
-use planagent::internals::world::{
+use planagent_score::pdm::{Collided, DrivableLayers, DrivableMap, Forecast};
+use planagent_world::geometry::{Point, Pose, Vector};
+use planagent_world::{
     EgoState, LaneId, LaneMap, MapBuilder, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights,
 };
 use std::collections::BTreeSet;

@@ -1,10 +1,10 @@
 //! PDM-Closed beside the record of `tuplan_garage`'s own run: 9 cases, every proposal, every term, what is driven.
 
 use super::town::Town;
-use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
-use planagent::internals::pdm::{Collided, DrivableLayers, PdmPlan, ReferencePath, braking_speed, plan_along};
-use planagent::internals::planner::{PdmClosed, Planner, PlannerInitialization, PlannerInput};
-use planagent::internals::world::{
+use planagent_agent::planner::{PdmClosed, Planner, PlannerInitialization, PlannerInput};
+use planagent_score::pdm::{Collided, DrivableLayers, PdmPlan, ReferencePath, braking_speed, plan_along};
+use planagent_world::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
+use planagent_world::{
     EgoState, History, LaneId, LaneKind, LaneMap, ObjectKind, RoadblockId, Route, SceneView, SignalStatus, TrackToken,
     TrackedObject, TrafficLights, Trajectory,
 };

@@ -1,11 +1,11 @@
 //! Worked cases of the repair of the route and of the search for the centreline.
 
 use super::town::{Town, blocks, route};
-use planagent::internals::geometry::{Point, Pose, Vector};
-use planagent::internals::pdm::{
+use planagent_score::pdm::{
     SearchDirection, centerline_poses, corrected_route, current_lane, lane_chain, roadblock_chain, starting_block,
 };
-use planagent::internals::world::{EgoState, LaneId, LaneMap, RoadblockId};
+use planagent_world::geometry::{Point, Pose, Vector};
+use planagent_world::{EgoState, LaneId, LaneMap, RoadblockId};
 
 fn corrected(map: &LaneMap, given: &[LaneId], x: f64, y: f64) -> Vec<u32> {
     corrected_route(map, &blocks(given), Pose::new(x, y, 0.0)).iter().map(|block| block.0).collect()

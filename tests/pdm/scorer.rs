@@ -1,12 +1,12 @@
 //! The scorer of proposals on a straight road.
 
 use crate::road::{cruise, ego, object, straight};
-use planagent::internals::geometry::Pose;
-use planagent::internals::metrics::MetricError;
-use planagent::internals::pdm::{
+use planagent_score::metrics::MetricError;
+use planagent_score::pdm::{
     Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals,
 };
-use planagent::internals::world::{EgoState, LaneId, ObjectKind, TrackedObject, TrafficLights};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, LaneId, ObjectKind, TrackedObject, TrafficLights};
 use std::collections::BTreeSet;
 
 /// Scores straight proposals (a horizon of `states` states at constant speed) on an empty straight road.

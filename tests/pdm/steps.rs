@@ -1,13 +1,13 @@
 //! Hand-worked cases of what happens over several steps, and of the branches that the record does not reach.
 
 use super::town::{Town, route};
-use planagent::internals::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
-use planagent::internals::pdm::{
+use planagent_agent::planner::{PdmClosed, Planner, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_score::pdm::{
     Collided, DrivableLayers, EgoAreas, Forecast, NoReferencePath, PdmError, PdmMemory, ReferencePath, plan,
     plan_along, time_to_collision,
 };
-use planagent::internals::planner::{PdmClosed, Planner, PlannerError, PlannerInitialization, PlannerInput};
-use planagent::internals::world::{
+use planagent_world::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
+use planagent_world::{
     EgoState, History, LaneAreas, LaneId, LaneKind, LaneMap, Neighbor, ObjectKind, Route, SceneView, TrackToken,
     TrackedObject, TrafficLights,
 };
@@ -77,7 +77,7 @@ fn the_way_is_kept_while_target_velocities_follow_the_lane() {
     let first = plan(&mut memory, &around.scene(&ego(10.0, 5.0), &[])).unwrap();
     let reference_path = memory.reference_path.clone();
     let later = plan(&mut memory, &around.scene(&ego(250.0, 5.0), &[])).unwrap();
-    let targets = |targets: [f64; 5], plan: &planagent::internals::pdm::PdmPlan| {
+    let targets = |targets: [f64; 5], plan: &planagent_score::pdm::PdmPlan| {
         plan.proposals.iter().zip(targets.iter().cycle()).all(|(p, t)| (p.target_velocity - t).abs() < 1e-12)
     };
     assert!(targets([2.0, 4.0, 6.0, 8.0, 10.0], &first) && targets([4.0, 8.0, 12.0, 16.0, 20.0], &later));

@@ -1,7 +1,7 @@
 //! Small hand-made maps of straight pieces, each a lane in a roadblock of its own.
 
-use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline};
-use planagent::internals::world::{Lane, LaneId, LaneKind, LaneMap, MapParts, Roadblock, RoadblockId, Route};
+use planagent_world::geometry::{OrientedBox, Point, Polygon, Polyline};
+use planagent_world::{Lane, LaneId, LaneKind, LaneMap, MapParts, Roadblock, RoadblockId, Route};
 
 /// Lane of every hand-made map: 4 m wide.
 const LANE_WIDTH: f64 = 4.0;

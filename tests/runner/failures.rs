@@ -3,11 +3,11 @@
 use super::parquet::{aggregator_table, table};
 use super::{assert_same_results, simulations};
 use crate::cli::{read_json, run};
-use planagent::internals::experiment::panic_guard;
-use planagent::internals::experiment::run::{self as runner, AgentParts, SimulationRecord, SimulationTask};
-use planagent::internals::planner::PlannerName;
-use planagent::internals::scenario::{ScenarioRef, generator};
-use planagent::internals::simulation::Challenge;
+use planagent_agent::planner::PlannerName;
+use planagent_agent::simulation::Challenge;
+use planagent_runs::worker::panic_guard;
+use planagent_runs::worker::run::{self as runner, AgentParts, SimulationRecord, SimulationTask};
+use planagent_scenario::{ScenarioRef, generator};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;

@@ -1,12 +1,12 @@
 //! Some simulations whose scores and planner codes are pinned: they guard `RESULT_VERSION`.
 
-use planagent::internals::experiment::run::{SimulationTask, run};
-use planagent::internals::planner::PlanAgentSettings;
-use planagent::internals::runner::{Config, RESULT_VERSION, load_model, silent};
-use planagent::internals::scenario::ScenarioRef;
-use planagent::internals::scenario::generator::Spec;
-use planagent::internals::simulation::Challenge;
 use planagent::planning::all_planners;
+use planagent_agent::planner::PlanAgentSettings;
+use planagent_agent::simulation::Challenge;
+use planagent_runs::runner::{Config, RESULT_VERSION, load_model, silent};
+use planagent_runs::worker::run::{SimulationTask, run};
+use planagent_scenario::ScenarioRef;
+use planagent_scenario::generator::Spec;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::Path;

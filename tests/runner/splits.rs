@@ -2,12 +2,12 @@
 
 use super::simulations;
 use crate::cli::{read_json, refused, run};
-use planagent::internals::experiment::interactive::{GENERATED, RECORDED, suite_words};
-use planagent::internals::experiment::suite::Suite;
-use planagent::internals::report::ScenarioList;
-use planagent::internals::scenario::generator::{Spec, generate, types};
-use planagent::internals::scenario::modified::kind_texts;
-use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
+use planagent_runs::report::ScenarioList;
+use planagent_runs::worker::interactive::{GENERATED, RECORDED, suite_words};
+use planagent_runs::worker::suite::Suite;
+use planagent_scenario::generator::{Spec, generate, types};
+use planagent_scenario::modified::kind_texts;
+use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
 use serde_json::{Value, json};
 use std::fs;
 use tempfile::TempDir;

@@ -2,9 +2,9 @@
 
 use super::{bystander, car, ego, long_lane, object};
 use crate::road::Road;
-use planagent::internals::dynamics::IdmTraffic;
-use planagent::internals::geometry::Pose;
-use planagent::internals::world::{LaneKind, ObjectKind, STEP_S, TrafficLights};
+use planagent_world::dynamics::IdmTraffic;
+use planagent_world::geometry::Pose;
+use planagent_world::{LaneKind, ObjectKind, STEP_S, TrafficLights};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
@@ -30,7 +30,7 @@ fn of_several_lanes_the_nearest_heading_counts_without_wrapping() {
 #[test]
 fn a_snapped_box_that_meets_anything_accepted_before_is_left_out() {
     let map = long_lane();
-    let seen = |objects: &[planagent::internals::world::TrackedObject], ego| {
+    let seen = |objects: &[planagent_world::TrackedObject], ego| {
         IdmTraffic::new(&map, objects, &ego).objects().iter().map(|o| o.token.0).collect::<Vec<_>>()
     };
     // 4.7 m apart: cars of 4.6 m pass each other. 1.5 m to the side they would, but both are snapped to the lane.

@@ -2,9 +2,9 @@
 
 use super::{bystander, car, ego, law, lights, long_lane, object};
 use crate::road::Road;
-use planagent::internals::dynamics::IdmTraffic;
-use planagent::internals::geometry::{Point, Polyline, Pose};
-use planagent::internals::world::{
+use planagent_world::dynamics::IdmTraffic;
+use planagent_world::geometry::{Point, Polyline, Pose};
+use planagent_world::{
     EgoState, LaneId, LaneKind, LaneMap, ObjectKind, STEP_S, SignalStatus, TrackedObject, TrafficLights,
 };
 use std::f64::consts::PI;

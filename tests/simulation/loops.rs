@@ -2,15 +2,15 @@
 
 use super::{car, ego};
 use crate::road::Road;
-use planagent::internals::geometry::Pose;
-use planagent::internals::planner::{
+use planagent_agent::planner::{
     IdmPlanner, LogReplay, Planner, PlannerError, PlannerInitialization, PlannerInput, SimplePlanner,
 };
-use planagent::internals::scenario::{FUTURE_FRAMES, Frame, Scenario};
-use planagent::internals::simulation::{
+use planagent_agent::simulation::{
     AGENT_POLICIES, AgentPolicy, AgentPolicyError, Challenge, simulate, simulate_with_agents,
 };
-use planagent::internals::world::{EgoState, LaneId, LaneKind, Route, SignalStatus, TrackedObject, Trajectory};
+use planagent_scenario::{FUTURE_FRAMES, Frame, Scenario};
+use planagent_world::geometry::Pose;
+use planagent_world::{EgoState, LaneId, LaneKind, Route, SignalStatus, TrackedObject, Trajectory};
 use std::sync::{Arc, Mutex};
 
 const PAST: usize = 21;

@@ -6,8 +6,8 @@ mod agents_on_their_way;
 mod loops;
 
 use crate::road::Road;
-use planagent::internals::geometry::{OrientedBox, Pose};
-use planagent::internals::world::{
+use planagent_world::geometry::{OrientedBox, Pose};
+use planagent_world::{
     EgoState, LaneId, LaneKind, LaneMap, ObjectKind, PACIFICA, SignalStatus, TrackToken, TrackedObject, TrafficLights,
 };
 use std::sync::Arc;
@@ -26,8 +26,8 @@ fn object(token: u32, kind: ObjectKind, center: Pose, (length, width): (f64, f64
 
 /// An ego whose box is centered at a pose.
 fn ego(center: Pose, speed: f64) -> EgoState {
-    let velocity = planagent::internals::geometry::Vector::new(speed, 0.0);
-    EgoState::from_log(0, PACIFICA.rear_axle_of(center), velocity, planagent::internals::geometry::Vector::zeros())
+    let velocity = planagent_world::geometry::Vector::new(speed, 0.0);
+    EgoState::from_log(0, PACIFICA.rear_axle_of(center), velocity, planagent_world::geometry::Vector::zeros())
 }
 
 /// An ego that stands beside every road.

@@ -3,10 +3,10 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 use crate::outside::{Missing, Needy, data};
-use planagent::internals::geometry::{Point, wrap_angle};
-use planagent::internals::scenario::womd::{self, WomdError, WomdFault};
-use planagent::internals::scenario::{Frame, Scenario};
-use planagent::internals::world::{LaneId, LaneKind, LaneMap, Neighbor, SignalStatus};
+use planagent_scenario::womd::{self, WomdError, WomdFault};
+use planagent_scenario::{Frame, Scenario};
+use planagent_world::geometry::{Point, wrap_angle};
+use planagent_world::{LaneId, LaneKind, LaneMap, Neighbor, SignalStatus};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

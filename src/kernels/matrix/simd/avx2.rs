@@ -12,6 +12,7 @@ use crate::matrix::line::{CacheLine, LANES};
 pub(in crate::matrix) struct Avx2(());
 
 impl Avx2 {
+    #[inline]
     pub(in crate::matrix) fn detect() -> Option<Self> {
         let all =
             is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") && is_x86_feature_detected!("f16c");

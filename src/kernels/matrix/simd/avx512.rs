@@ -12,6 +12,7 @@ use crate::matrix::line::{CacheLine, LANES};
 pub(in crate::matrix) struct Avx512(());
 
 impl Avx512 {
+    #[inline]
     pub(in crate::matrix) fn detect() -> Option<Self> {
         let all = is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512bw")

@@ -13,6 +13,7 @@ use crate::matrix::line::{CacheLine, LANES};
 pub(in crate::matrix) struct Neon(());
 
 impl Neon {
+    #[inline]
     pub(in crate::matrix) fn detect() -> Option<Self> {
         let all = is_aarch64_feature_detected!("neon") && is_aarch64_feature_detected!("dotprod");
         all.then_some(Self(()))

@@ -9,10 +9,12 @@ use crate::matrix::line::{CacheLine, LANES};
 pub(in crate::matrix) struct Portable;
 
 /// The four signed bytes of packed activations.
+#[inline]
 fn activations(packed: i32) -> [i32; 4] {
     packed.to_le_bytes().map(|byte| i32::from(byte.cast_signed()))
 }
 
+#[inline]
 fn dot(sum: [i32; LANES], weights: [u8; 64], bias: i32, packed: i32) -> [i32; LANES] {
     let activations = activations(packed);
     let mut sum = sum;
@@ -30,28 +32,35 @@ impl Simd for Portable {
     type Bytes = [u8; 64];
     const REGISTERS: usize = 8;
 
+    #[inline]
     fn run<K: Kernel>(self, kernel: K) {
         kernel.run(self);
     }
 
+    #[inline]
     fn prefetch(self, _: *const CacheLine) {}
 
+    #[inline]
     fn bytes(self, line: &CacheLine) -> [u8; 64] {
         line.0
     }
 
+    #[inline]
     fn store_bytes(self, bytes: [u8; 64], line: &mut CacheLine) {
         line.0 = bytes;
     }
 
+    #[inline]
     fn low(self, bytes: [u8; 64]) -> [u8; 64] {
         bytes.map(|byte| byte & 15)
     }
 
+    #[inline]
     fn high(self, bytes: [u8; 64]) -> [u8; 64] {
         bytes.map(|byte| byte >> 4)
     }
 
+    #[inline]
     fn with_high_bits<const FROM: u32, const MASK: u8>(self, low: [u8; 64], high: [u8; 64]) -> [u8; 64] {
         let mut both = low;
         for (both, high) in both.iter_mut().zip(high) {
@@ -60,22 +69,27 @@ impl Simd for Portable {
         both
     }
 
+    #[inline]
     fn ints(self, value: i32) -> [i32; LANES] {
         [value; LANES]
     }
 
+    #[inline]
     fn dot(self, sum: [i32; LANES], weights: [u8; 64], activations: i32) -> [i32; LANES] {
         dot(sum, weights, 0, activations)
     }
 
+    #[inline]
     fn biased_start(self, _: i32) -> [i32; LANES] {
         [0; LANES]
     }
 
+    #[inline]
     fn dot_biased(self, sum: [i32; LANES], weights: [u8; 64], activations: i32) -> [i32; LANES] {
         dot(sum, weights, 128, activations)
     }
 
+    #[inline]
     fn dot_pairs(self, sum: [i32; LANES], weights: [i32; LANES], activations: i32) -> [i32; LANES] {
         let halves = |pair: i32| [i32::from(pair as i16), pair >> 16];
         let [first, second] = halves(activations);
@@ -86,63 +100,78 @@ impl Simd for Portable {
         sum
     }
 
+    #[inline]
     fn load_ints(self, values: &[i32; LANES]) -> [i32; LANES] {
         *values
     }
 
+    #[inline]
     fn to_floats(self, values: [i32; LANES]) -> [f32; LANES] {
         values.map(|value| value as f32)
     }
 
+    #[inline]
     fn floats(self, value: f32) -> [f32; LANES] {
         [value; LANES]
     }
 
+    #[inline]
     fn load(self, values: &[f32; LANES]) -> [f32; LANES] {
         *values
     }
 
+    #[inline]
     fn store(self, values: [f32; LANES], out: &mut [f32; LANES]) {
         *out = values;
     }
 
+    #[inline]
     fn load_half(self, values: &[u16; LANES]) -> [f32; LANES] {
         values.map(|bits| f16::from_bits(bits).to_f32())
     }
 
+    #[inline]
     fn load_signed(self, values: &[u8; LANES]) -> [f32; LANES] {
         values.map(|byte| f32::from(byte.cast_signed()))
     }
 
+    #[inline]
     fn load_unsigned(self, values: &[u8; LANES]) -> [i32; LANES] {
         values.map(i32::from)
     }
 
+    #[inline]
     fn mul(self, a: [f32; LANES], b: [f32; LANES]) -> [f32; LANES] {
         std::array::from_fn(|lane| a[lane] * b[lane])
     }
 
     // Rounds twice: without the instruction, a fused operation is a slow function call.
+    #[inline]
     fn mul_add(self, a: [f32; LANES], b: [f32; LANES], c: [f32; LANES]) -> [f32; LANES] {
         std::array::from_fn(|lane| a[lane] * b[lane] + c[lane])
     }
 
+    #[inline]
     fn mul_sub_from(self, a: [f32; LANES], b: [f32; LANES], c: [f32; LANES]) -> [f32; LANES] {
         std::array::from_fn(|lane| c[lane] - a[lane] * b[lane])
     }
 
+    #[inline]
     fn add(self, a: [f32; LANES], b: [f32; LANES]) -> [f32; LANES] {
         std::array::from_fn(|lane| a[lane] + b[lane])
     }
 
+    #[inline]
     fn max(self, a: [f32; LANES], b: [f32; LANES]) -> [f32; LANES] {
         std::array::from_fn(|lane| if a[lane] > b[lane] { a[lane] } else { b[lane] })
     }
 
+    #[inline]
     fn round(self, a: [f32; LANES]) -> [f32; LANES] {
         a.map(f32::round_ties_even)
     }
 
+    #[inline]
     fn two_to_the(self, n: [f32; LANES]) -> [f32; LANES] {
         n.map(|n| f32::from_bits(((n as i32 + 127) << 23).cast_unsigned()))
     }
