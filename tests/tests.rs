@@ -34,7 +34,6 @@ mod page;
 mod pdm;
 mod proposals;
 mod public_api;
-mod python_package;
 mod recordings;
 mod road;
 mod runner;
