@@ -41,9 +41,6 @@
 //!
 //! The folder `examples/` has a program for each.
 
-// What the Python package uses becomes public with it.
-#![cfg_attr(feature = "bindings", allow(missing_docs))]
-
 pub use api::{Agent, AgentBuilder, Error, Result, Run, Simulation, simulate};
 pub use planagent_agent::planner::Planner;
 pub use planagent_agent::simulation::Challenge;
@@ -108,29 +105,3 @@ pub mod runs {
 }
 
 mod api;
-
-/// What the Python package of this repository needs beyond the public API; not stable.
-#[cfg(feature = "bindings")]
-#[doc(hidden)]
-pub mod bindings {
-    pub use planagent_agent::environment::bev::render as render_bev;
-    pub use planagent_agent::environment::text::write as write_lane_graph;
-    pub use planagent_agent::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
-    pub use planagent_agent::planner::{ExecCommand, PlanAgent, kept, planner_code};
-    pub use planagent_agent::reasoning::PlannerCode;
-    pub use planagent_agent::reflection::{IdmPlan, Judge, PlanBuilder, ReflectionReport, steps_of};
-    pub use planagent_agent::simulation::ClosedLoop;
-    pub use planagent_mllm::{Answer, Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request as Question};
-    pub use planagent_runs::report::render::{Look, observed_picture};
-    pub use planagent_runs::report::{CallRecord, ReportFault, SimulationRow};
-    pub use planagent_runs::runner::{LoadedModel, RunnerError, Shard, load_model, merge, silent};
-    pub use planagent_runs::worker::panic_guard::{catch_panic, install_hook};
-    pub use planagent_runs::worker::run::{AgentParts, with_causes};
-    pub use planagent_scenario::HeldScenario;
-    pub use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
-    pub use planagent_scenario::nuplan::{MapStore, NuPlanMap};
-    pub use planagent_score::metrics::MetricList;
-    pub use planagent_score::pdm::PdmMemory;
-    pub use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
-    pub use planagent_world::{HISTORY_SAMPLES, STEP_S, STEP_US};
-}

@@ -55,7 +55,7 @@ mod _core {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        planagent::bindings::install_hook();
+        planagent_runs::worker::panic_guard::install_hook();
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

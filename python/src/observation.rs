@@ -5,14 +5,20 @@ use crate::scenario::{ego_numbers, lanes};
 use crate::trajectory::{Trajectory, array, packed, poses, through};
 use crate::work::{long, quick};
 use image::RgbImage;
-use planagent::bindings::{
-    BevView, CenterlineName, Description, HISTORY_SAMPLES, JerkPenalty, Judge, LaneGraph, Look, PdmMemory, PlanBuilder,
-    STEP_S, TextForm, observed_picture, planner_code, render_bev, simulate_proposal, with_causes, write_lane_graph,
-};
 use planagent::planning::LeadPolicy;
 use planagent::road::{Lane, Pose};
 use planagent::traffic::{ObjectKind, TrackedObject};
 use planagent::{EgoState, Scene};
+use planagent_agent::environment::bev::render as render_bev;
+use planagent_agent::environment::text::write as write_lane_graph;
+use planagent_agent::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
+use planagent_agent::planner::planner_code;
+use planagent_agent::reflection::{Judge, PlanBuilder};
+use planagent_runs::report::render::{Look, observed_picture};
+use planagent_runs::worker::run::with_causes;
+use planagent_score::pdm::PdmMemory;
+use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
+use planagent_world::{HISTORY_SAMPLES, STEP_S};
 use pyo3::prelude::*;
 use pyo3::types::{PyByteArray, PyDict};
 use std::sync::Arc;

@@ -7,11 +7,12 @@ use crate::settings::{config, model};
 use crate::trajectory::Trajectory;
 use crate::work::{guarded, lock, long};
 use planagent::Planner as LibraryPlanner;
-use planagent::bindings::{AgentParts, CallRecord, with_causes};
 use planagent::planning::{
     PlannerInitialization, PlannerInput, PlannerNeeds, PlannerParts, PlanningCall, all_planners,
 };
 use planagent::road::LaneMap;
+use planagent_runs::report::CallRecord;
+use planagent_runs::worker::run::{AgentParts, with_causes};
 use pyo3::prelude::*;
 use std::sync::{Arc, Mutex};
 

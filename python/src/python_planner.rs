@@ -2,10 +2,10 @@
 
 use crate::observation::Observation;
 use crate::trajectory::Trajectory;
-use planagent::bindings::kept;
 use planagent::planning::{PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds};
 use planagent::road::LaneMap;
 use planagent::{Planner, Scene, Trajectory as Planned};
+use planagent_agent::planner::kept;
 use pyo3::prelude::*;
 use pyo3::types::PyTraceback;
 use std::sync::Arc;

@@ -2,8 +2,8 @@
 
 use crate::errors::{Failure, Outcome};
 use crate::work::lock;
-use planagent::bindings::{LoadedModel, RunnerError, load_model, silent};
 use planagent::runs::{Config, Listener};
+use planagent_runs::runner::{LoadedModel, RunnerError, load_model, silent};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -12,7 +12,7 @@ pub(crate) fn config(settings: &str) -> Outcome<Config> {
     let invalid = |text: String| Failure::argument(text);
     let table: toml::Table =
         serde_json::from_str(settings).map_err(|error| invalid(format!("the settings: {error}")))?;
-    Config::default().overlaid(&table).map_err(|error| invalid(planagent::bindings::with_causes(&error)))
+    Config::default().overlaid(&table).map_err(|error| invalid(planagent_runs::worker::run::with_causes(&error)))
 }
 
 type Slot = Arc<Mutex<Option<Arc<LoadedModel>>>>;

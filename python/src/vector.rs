@@ -5,13 +5,17 @@ use crate::scenario::Scenario;
 use crate::simulation::challenge;
 use crate::trajectory::{array, numbers, packed, through};
 use crate::work::{guarded, lock, pooled};
-use planagent::bindings::{
-    CenterlineName, ClosedLoop, HeldScenario, LaneGraph, PdmMemory, PlanBuilder, STEP_S, planner_code,
-};
 use planagent::planning::{LeadPolicy, SceneView};
 use planagent::road::{Point, Polyline, Pose};
 use planagent::traffic::{TrackToken, TrackedObject};
 use planagent::{Challenge, EgoState, Scenario as Opened, Trajectory};
+use planagent_agent::environment::{CenterlineName, LaneGraph};
+use planagent_agent::planner::planner_code;
+use planagent_agent::reflection::PlanBuilder;
+use planagent_agent::simulation::ClosedLoop;
+use planagent_scenario::HeldScenario;
+use planagent_score::pdm::PdmMemory;
+use planagent_world::STEP_S;
 use pyo3::prelude::*;
 use pyo3::types::PyByteArray;
 use rayon::prelude::*;

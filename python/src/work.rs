@@ -1,7 +1,7 @@
 //! Work without the GIL: on one thread pool a process, open to signals, with panics as exceptions.
 
 use crate::errors::{Failure, Outcome, Raise};
-use planagent::bindings::catch_panic;
+use planagent_runs::worker::panic_guard::catch_panic;
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::num::NonZero;
