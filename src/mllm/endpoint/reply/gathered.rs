@@ -120,13 +120,13 @@ impl Gathered {
             None if marked && self.has_text() => FinishReason::EndOfSequence,
             None => return Err(EndpointFailure::Closed("the stream ended before the answer".into())),
         };
-        let (text, thought) = match answer(&self.content) {
+        let (text, reasoned) = match answer(&self.content) {
             Found::Answer(text) if listen.whole => (after_end(text), text.len() < self.content.len()),
             Found::Answer(text) => (text, text.len() < self.content.len()),
             Found::Thinking => ("", true),
             Found::Undecided => (self.content.as_str(), false),
         };
-        if text.trim().is_empty() && (thought || !self.reasoning.trim().is_empty()) {
+        if text.trim().is_empty() && (reasoned || !self.reasoning.trim().is_empty()) {
             return Err(EndpointFailure::NoAnswer(ALL_REASONING.to_owned()));
         }
         // Only the whole answer: an event may end within the key.

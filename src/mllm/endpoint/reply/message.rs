@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 /// Members with the reasoning of a model: vLLM, `SGLang`, llama.cpp's server and LM Studio; Ollama and `OpenRouter`; others.
-const REASONING: [&str; 5] = ["reasoning_content", "reasoning", "thinking", "thought", "reasoning_details"];
+const REASONING: [&str; 4] = ["reasoning_content", "reasoning", "thinking", "reasoning_details"];
 /// Types of parts with text of the answer.
 const TEXT_PARTS: [&str; 2] = ["text", "output_text"];
 /// Types of parts with reasoning: Mistral, `OpenRouter`, others.
@@ -30,7 +30,7 @@ impl Said {
             said.add(message.get("content").unwrap_or(&Value::Null))?;
             if said.reasoning.is_empty() {
                 let fields = REASONING.iter().filter_map(|name| message.get(name));
-                said.reasoning = fields.map(thought).find(|text| !text.is_empty()).unwrap_or_default();
+                said.reasoning = fields.map(reasoning_of).find(|text| !text.is_empty()).unwrap_or_default();
             }
             if let Some(refusal) = message.get("refusal").and_then(Value::as_str) {
                 said.refusal.push_str(refusal);
@@ -67,7 +67,7 @@ impl Said {
         if TEXT_PARTS.contains(&kind) {
             self.text.push_str(part.get("text").map(text_of).unwrap_or_default());
         } else if REASONING_PARTS.contains(&kind) {
-            self.reasoning.push_str(&thought(part));
+            self.reasoning.push_str(&reasoning_of(part));
         } else if kind == "refusal" {
             self.refusal.push_str(part.get("refusal").map(text_of).unwrap_or_default());
         }
@@ -80,16 +80,16 @@ fn text_of(text: &Value) -> &str {
 }
 
 /// Reasoning, which may be a text, a part or a list of parts. JSON is parsed to a limited depth, so this ends.
-fn thought(value: &Value) -> String {
+fn reasoning_of(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),
-        Value::Array(parts) => parts.iter().map(thought).collect(),
+        Value::Array(parts) => parts.iter().map(reasoning_of).collect(),
         Value::Object(part) => {
             let names = ["thinking", "reasoning", "reasoning_content", "text", "content", "summary"];
             names
                 .iter()
                 .filter_map(|name| part.get(*name))
-                .map(thought)
+                .map(reasoning_of)
                 .find(|text| !text.is_empty())
                 .unwrap_or_default()
         }

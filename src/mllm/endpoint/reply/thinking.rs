@@ -18,8 +18,8 @@ pub(super) enum Found<'a> {
 pub(super) fn answer(content: &str) -> Found<'_> {
     let text = content.trim_start();
     for (begin, end) in MARKS {
-        if let Some(thought) = text.strip_prefix(begin) {
-            return thought.split_once(end).map_or(Found::Thinking, |(_, answer)| Found::Answer(answer.trim_start()));
+        if let Some(rest) = text.strip_prefix(begin) {
+            return rest.split_once(end).map_or(Found::Thinking, |(_, answer)| Found::Answer(answer.trim_start()));
         }
     }
     if MARKS.iter().any(|(begin, _)| begin.starts_with(text)) { Found::Undecided } else { Found::Answer(content) }

@@ -41,6 +41,11 @@ fn errors_are_told_in_the_servers_words() {
         ("Gemini", r#"[{"error": {"code": 400, "message": "bad name", "status": "INVALID_ARGUMENT"}}]"#, "bad name"),
         ("Anthropic", r#"{"type": "error", "error": {"type": "not_found_error", "message": "model: x"}}"#, "model: x"),
         ("problem details", r#"{"title": "Bad Request", "status": 400, "detail": "no body"}"#, "no body"),
+        (
+            "Mistral",
+            r#"{"object": "error", "message": {"detail": [{"loc": ["body", "seed"], "msg": "Extra inputs are not permitted"}]}}"#,
+            "body.seed: Extra inputs are not permitted",
+        ),
         ("an error in an error", r#"{"error": {"error": {"msg": "deep"}}}"#, "deep"),
         ("Spring", r#"{"status": 400, "error": "Bad Request", "message": "no route"}"#, "no route"),
         ("no words", r#"{"error": {"code": 3}}"#, r#"{"code":3}"#),

@@ -5,8 +5,8 @@ use std::io::Read;
 use reqwest::StatusCode;
 use serde_json::Value;
 
-use super::reply::{Hide, MAX_BYTES, shortened};
 use crate::EndpointFailure;
+use crate::endpoint::reply::{Hide, MAX_BYTES, shortened};
 
 /// Members with the words of a failure, in the order in which they are looked for.
 const WORDS: [&str; 10] =
@@ -196,5 +196,4 @@ pub(super) fn in_words(text: &str) -> String {
 }
 
 #[cfg(test)]
-#[path = "trouble_tests.rs"]
 mod tests;
