@@ -7,14 +7,16 @@ use serde_json::{Map, Value};
 
 /// Accepted sides of the image, pixels.
 const IMAGE_SIZES: std::ops::RangeInclusive<u32> = 32..=4096;
+/// The path of chat completions, after the version.
+const CHAT: &str = "/chat/completions";
 
 /// A model behind a server with OpenAI's chat completions.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EndpointSettings {
-    /// The server's address up to the version, such as `http://127.0.0.1:8080/v1`.
+    /// The server's address up to the version, such as `http://127.0.0.1:8080/v1`; `/chat/completions` may follow.
     pub endpoint: String,
-    /// The server's name of the model.
+    /// The server's name of the model; empty for the only one that it offers.
     pub model: String,
     /// The environment variable with the API key; `None` for a server that needs no key.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -64,6 +66,10 @@ pub enum GrammarField {
     StructuredOutputs,
     /// `guided_regex`: vLLM before 0.12.
     GuidedRegex,
+    /// `regex`: `SGLang`.
+    Regex,
+    /// `grammar` as an object with a regular expression: mistral.rs.
+    TaggedRegex,
 }
 
 /// The request field that limits the tokens of an answer.
@@ -104,18 +110,60 @@ fn first_wait_ms() -> u64 {
 }
 
 impl EndpointSettings {
-    /// The address of chat completions.
+    /// The settings for an address on the command line, `ADDRESS` or `ADDRESS#MODEL`; `None` for a word that is none. Without
+    /// a model it stands for the only one that the server offers. An address without a path gets `/v1`, which all servers on
+    /// people's machines have.
+    pub(crate) fn of_address(word: &str) -> Option<Self> {
+        let (address, model) = word.split_once('#').unwrap_or((word, ""));
+        let is_network = scheme(address).is_some();
+        let has_port = || authority(address).rsplit_once(':').is_some_and(|(_, port)| port.parse::<u16>().is_ok());
+        if !(is_network || is_this_machine(address) && has_port()) {
+            return None;
+        }
+        let (_, rest) = scheme(address).unwrap_or(("http://", address));
+        let bare = rest.trim_end_matches('/');
+        let endpoint =
+            if bare.contains('/') { address.to_owned() } else { format!("{}/v1", address.trim_end_matches('/')) };
+        Some(Self {
+            endpoint,
+            model: model.to_owned(),
+            key_env: None,
+            grammar: GrammarField::None,
+            limit: LimitField::default(),
+            stream: stream(),
+            image_size: image_size(),
+            connect_timeout_ms: connect_timeout_ms(),
+            timeout_ms: timeout_ms(),
+            retries: retries(),
+            first_wait_ms: first_wait_ms(),
+            omit: Vec::new(),
+            extra: Map::new(),
+        })
+    }
+
+    /// Checks settings that a description wrote. It names the model: a list may be another tomorrow.
+    pub(crate) fn described(&self) -> Result<(), String> {
+        if self.model.trim().is_empty() {
+            return Err("model is empty; write the server's name of the model".into());
+        }
+        self.url().map(drop)
+    }
+
+    /// Model and server in words.
+    pub(crate) fn in_words(&self) -> String {
+        let model = if self.model.is_empty() { "the model" } else { &self.model };
+        format!("{model} at {}", self.endpoint)
+    }
+
+    /// The address of chat completions. The description may name it, or what comes before.
     pub(crate) fn url(&self) -> Result<String, String> {
         if self.endpoint.contains(['@', '?', '#']) {
             return Err("endpoint must be a plain address; key_env names the environment variable of the key".into());
         }
         let plain = |character: char| character.is_ascii_alphanumeric() || "-._~%:/[]".contains(character);
-        if self.host().is_none() || !self.endpoint.chars().all(plain) {
+        if self.host().is_none() || !self.endpoint.trim().chars().all(plain) {
             let endpoint = &self.endpoint;
             return Err(format!("endpoint '{endpoint}' is not an address with http:// or https:// and a host"));
-        }
-        if self.model.trim().is_empty() {
-            return Err("model is empty".into());
         }
         if !IMAGE_SIZES.contains(&self.image_size) {
             let (min, max) = (IMAGE_SIZES.start(), IMAGE_SIZES.end());
@@ -126,25 +174,58 @@ impl EndpointSettings {
                 return Err(format!("{name} is 0; it must be at least 1"));
             }
         }
-        Ok(format!("{}/chat/completions", self.endpoint.trim_end_matches('/')))
+        let address = self.endpoint.trim().trim_end_matches('/');
+        let base = address.strip_suffix(CHAT).unwrap_or(address).trim_end_matches('/');
+        let (scheme, rest) = scheme(base).unwrap_or(("http://", base));
+        Ok(format!("{}{rest}{CHAT}", scheme.to_ascii_lowercase()))
     }
 
     /// Whether the server runs on this machine, so that requests do not use the network.
     pub(crate) fn is_local(&self) -> bool {
-        self.host().is_some_and(|host| {
-            host.eq_ignore_ascii_case("localhost") || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
-        })
+        self.host().is_some_and(is_own_host)
     }
 
+    /// The host. Only one of this machine may stand without a scheme: of another it is not known.
     fn host(&self) -> Option<&str> {
-        let rest = self.endpoint.strip_prefix("http://").or_else(|| self.endpoint.strip_prefix("https://"))?;
-        let authority = rest.split('/').next().expect("a split gives one part at least");
-        let (host, _port) = match authority.strip_prefix('[') {
-            Some(ipv6) => ipv6.split_once(']')?,
-            None => authority.split_once(':').unwrap_or((authority, "")),
+        let address = self.endpoint.trim();
+        let rest = match scheme(address) {
+            Some((_, rest)) => rest,
+            None if is_this_machine(address) => address,
+            None => return None,
         };
-        (!host.is_empty()).then_some(host)
+        host_of(authority(rest)).filter(|host| !host.is_empty())
     }
+}
+
+/// Splits `http://` or `https://` from an address.
+fn scheme(address: &str) -> Option<(&str, &str)> {
+    let mut schemes = ["http://", "https://"].into_iter();
+    let length =
+        schemes.find(|name| address.get(..name.len()).is_some_and(|text| text.eq_ignore_ascii_case(name)))?.len();
+    address.split_at_checked(length)
+}
+
+/// Host and port of an address without a scheme.
+fn authority(rest: &str) -> &str {
+    rest.split_once('/').map_or(rest, |(authority, _)| authority)
+}
+
+fn host_of(authority: &str) -> Option<&str> {
+    match authority.strip_prefix('[') {
+        Some(ipv6) => ipv6.split_once(']').map(|(host, _port)| host),
+        None => Some(authority.split_once(':').map_or(authority, |(host, _port)| host)),
+    }
+}
+
+/// Whether an address without a scheme is one of this machine.
+fn is_this_machine(address: &str) -> bool {
+    host_of(authority(address)).is_some_and(is_own_host)
+}
+
+/// Servers name `0.0.0.0` when they listen; a client reaches this machine by it.
+fn is_own_host(host: &str) -> bool {
+    let is_own = |address: IpAddr| address.is_loopback() || address.is_unspecified();
+    host.eq_ignore_ascii_case("localhost") || host.parse::<IpAddr>().is_ok_and(is_own)
 }
 
 #[cfg(test)]
@@ -167,6 +248,51 @@ mod tests {
             let settings = serde_json::json!({"endpoint": endpoint, "model": "m", "grammar": "none"});
             let settings: EndpointSettings = serde_json::from_value(settings).unwrap();
             assert_eq!(settings.url().is_ok().then(|| settings.is_local()), local, "{endpoint}");
+        }
+    }
+
+    #[test]
+    fn an_address_is_asked_in_every_form_that_people_write() {
+        let url = |endpoint: &str| {
+            let settings = serde_json::json!({"endpoint": endpoint, "model": "m", "grammar": "none"});
+            serde_json::from_value::<EndpointSettings>(settings).unwrap().url()
+        };
+        let asked = "http://127.0.0.1:8080/v1/chat/completions";
+        for endpoint in [
+            "http://127.0.0.1:8080/v1",
+            "http://127.0.0.1:8080/v1/",
+            "http://127.0.0.1:8080/v1//",
+            "http://127.0.0.1:8080/v1/chat/completions",
+            "http://127.0.0.1:8080/v1/chat/completions/",
+            " HTTP://127.0.0.1:8080/v1 ",
+            "127.0.0.1:8080/v1",
+        ] {
+            assert_eq!(url(endpoint).as_deref(), Ok(asked), "{endpoint}");
+        }
+        assert_eq!(url("http://127.0.0.1:1234").as_deref(), Ok("http://127.0.0.1:1234/chat/completions"));
+        assert_eq!(url("localhost").as_deref(), Ok("http://localhost/chat/completions"));
+        assert_eq!(url("[::1]:80/v1").as_deref(), Ok("http://[::1]:80/v1/chat/completions"));
+        for endpoint in ["api.example.com/v1", "", "/v1", "ftp://localhost/v1", "http:/localhost"] {
+            assert!(url(endpoint).unwrap_err().contains("http://"), "{endpoint}");
+        }
+    }
+
+    #[test]
+    fn an_address_needs_no_description() {
+        for (word, endpoint, model) in [
+            ("http://127.0.0.1:8080/v1", "http://127.0.0.1:8080/v1", ""),
+            ("http://127.0.0.1:8080", "http://127.0.0.1:8080/v1", ""),
+            ("http://127.0.0.1:8080/", "http://127.0.0.1:8080/v1", ""),
+            ("https://a.example/openai#org/eye:7b", "https://a.example/openai", "org/eye:7b"),
+            ("localhost:11434#eye", "localhost:11434/v1", "eye"),
+            ("0.0.0.0:8080/v1", "0.0.0.0:8080/v1", ""),
+        ] {
+            let settings = EndpointSettings::of_address(word).unwrap();
+            assert_eq!((settings.endpoint.as_str(), settings.model.as_str()), (endpoint, model), "{word}");
+            assert!(settings.url().is_ok(), "{word}");
+        }
+        for word in ["nano", "localhost/model", "org/model", "a.example:80/v1", "localhost:main", "./http", "", "#x"] {
+            assert_eq!(EndpointSettings::of_address(word), None, "{word}");
         }
     }
 }

@@ -115,6 +115,11 @@ pub enum MllmError {
     Offline { endpoint: String },
     #[error("model '{name}' has no files, because {endpoint} runs it")]
     NoFiles { name: String, endpoint: String },
+    #[error("'{address}' is no address of a server: {problem}")]
+    Address { address: String, problem: String },
+    /// Nobody named a model, and the server's list does not decide.
+    #[error("{endpoint} offers {offered}; name one of its models behind the address, as in {endpoint}#NAME")]
+    ChooseModel { endpoint: String, offered: String },
     #[error("{endpoint}: {failure}")]
     Endpoint { endpoint: String, failure: EndpointFailure },
     #[error("tensor operation failed: {0}")]
@@ -127,7 +132,9 @@ impl MllmError {
     pub fn is_transient(&self) -> bool {
         match self {
             Self::Deadline => true,
-            Self::Endpoint { failure, .. } => !matches!(failure, EndpointFailure::Refused { .. }),
+            Self::Endpoint { failure, .. } => {
+                !matches!(failure, EndpointFailure::Refused { .. } | EndpointFailure::Unusable(_))
+            }
             _ => false,
         }
     }
@@ -146,10 +153,25 @@ pub enum EndpointFailure {
     Unavailable { status: u16, message: String },
     #[error("status {status}: the server asks for a wait of {seconds} s (Retry-After), longer than timeout_ms")]
     Wait { status: u16, seconds: u64 },
+    /// The server says that it loads its model.
+    #[error(
+        "status {status}: {message}; the server still loaded its model after {waited:.0?}: start again when it is ready, or \
+         raise timeout_ms"
+    )]
+    Loading { status: u16, message: String, waited: std::time::Duration },
     #[error("status {status}: {message}")]
     Refused { status: u16, message: String },
     #[error("the answer is not a chat completion: {0}")]
     InvalidReply(String),
+    /// A filter or the model itself refuses this prompt, and perhaps no other.
+    #[error("no answer: {0}")]
+    Withheld(String),
+    /// A complete reply has no text of an answer.
+    #[error("no answer: {0}")]
+    NoAnswer(String),
+    /// The first reply was of one of these kinds: the server or its address is not what the description says.
+    #[error("{0}; no request was answered before, so no other is sent")]
+    Unusable(String),
     #[error("the answer is longer than {0} bytes")]
     TooLong(u64),
 }

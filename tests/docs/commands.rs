@@ -90,6 +90,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "planagent simulate --planner plantf,pdm-open,idm --checkpoint plantf=plantf.ckpt --checkpoint pdm-open=pdm_open.ckpt",
         CHECKPOINT,
     ),
+    ("docs/endpoint.md", "planagent simulate --model http://127.0.0.1:8080/v1", SERVER),
     ("docs/endpoint.md", "planagent simulate --model local-server", SERVER),
     ("docs/endpoint.md", "OPENAI_API_KEY=… planagent simulate --model openai", SERVER),
     ("docs/endpoint.md", "planagent simulate --model path/to/description.toml", SERVER),
@@ -191,6 +192,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     ("docs/models.md", "planagent simulate --model llava-v1.5-7b-Q4_K_M.gguf", WEIGHTS),
     ("docs/models.md", "planagent simulate --model llava-hf/llava-1.5-7b-hf", WEIGHTS),
+    ("docs/models.md", "planagent simulate --model http://127.0.0.1:8080/v1", SERVER),
     ("docs/models.md", "planagent simulate --model local-server", SERVER),
     ("docs/models.md", "planagent ask \"What blocks the ego's lane?\" --model llava-1.5-7b", WEIGHTS),
     (

@@ -90,6 +90,8 @@ fn every_field_for_constraints_is_filled_as_its_servers_read_it() {
         (GrammarField::JsonSchema, "upwards", ConstraintUse::Violated),
         (GrammarField::StructuredOutputs, "left", ConstraintUse::Satisfied),
         (GrammarField::GuidedRegex, "left", ConstraintUse::Satisfied),
+        (GrammarField::Regex, "left", ConstraintUse::Satisfied),
+        (GrammarField::TaggedRegex, "left", ConstraintUse::Satisfied),
     ];
     let server = Server::start(move |number, _| completion(answers[number].1));
     for (grammar, sent, constraint) in answers {
@@ -99,18 +101,20 @@ fn every_field_for_constraints_is_filled_as_its_servers_read_it() {
         assert_eq!((answer.text.as_str(), answer.constraint), (text, constraint), "{grammar:?}");
     }
     let received = server.received();
-    let fields = ["grammar", "response_format", "structured_outputs", "guided_regex"];
+    let fields = ["grammar", "response_format", "structured_outputs", "guided_regex", "regex"];
     let present: Vec<usize> = received
         .iter()
         .map(|request| fields.iter().filter(|field| request.body.get(field).is_some()).count())
         .collect();
-    assert_eq!(present, [0, 1, 1, 1, 1, 1, 1], "one field and no other");
+    assert_eq!(present, [0, 1, 1, 1, 1, 1, 1, 1, 1], "one field and no other");
     assert_eq!(received[1].body["grammar"], r#"root ::= ("left" | "right")"#);
     let format = &received[3].body["response_format"];
     assert_eq!((&format["type"], &format["json_schema"]["strict"]), (&json!("json_schema"), &json!(true)));
     assert_eq!(format["json_schema"]["schema"]["properties"]["answer"]["pattern"], "^(left|right)$");
     assert_eq!(received[5].body["structured_outputs"], json!({"regex": "(left|right)"}));
     assert_eq!(received[6].body["guided_regex"], "(left|right)");
+    assert_eq!(received[7].body["regex"], "(left|right)");
+    assert_eq!(received[8].body["grammar"], json!({"type": "regex", "value": "(left|right)"}));
 }
 
 #[test]

@@ -136,7 +136,9 @@ fn read(stream: &mut TcpStream) -> Option<Received> {
             Ok(count) => body.extend_from_slice(&buffer[..count]),
         }
     }
-    Some(Received { head, body: serde_json::from_slice(&body).unwrap() })
+    // A list of models is asked for without a body.
+    let body = if body.is_empty() { Value::Null } else { serde_json::from_slice(&body).unwrap() };
+    Some(Received { head, body })
 }
 
 /// A response with additional header lines, each ended by `\r\n`.
@@ -168,6 +170,12 @@ pub(crate) fn stream(parts: &[&str], ended: bool) -> Reaction {
         body.push_str("data: [DONE]\n\n");
     }
     Reaction::Send(body.into_bytes())
+}
+
+/// A list of models, owned by a server of this name.
+pub(crate) fn models(names: &[&str], owner: &str) -> Reaction {
+    let models: Vec<Value> = names.iter().map(|name| json!({"id": name, "owned_by": owner})).collect();
+    Reaction::Send(response("200 OK", "", &json!({"object": "list", "data": models}).to_string()))
 }
 
 /// An error response in `OpenAI`'s form.

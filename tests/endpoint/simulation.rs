@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use super::server::{Reaction, Server, completion, error, response, stream};
+use super::server::{Reaction, Server, completion, error, models, response, stream};
 use crate::cli::{planagent, read_json};
 
 /// A generated scene of 15 s; a planning call every 2 s.
@@ -171,6 +171,43 @@ fn a_refused_key_fails_the_simulation_and_a_missing_one_the_start() {
     let run = Run::with(&away, "[mllm]\noffline = true\n");
     assert_eq!(run.code, 2, "{}", run.stderr);
     assert!(run.stderr.contains("mllm.offline forbids"), "{}", run.stderr);
+}
+
+#[test]
+fn a_fault_that_no_retry_mends_fails_the_simulation_at_the_first_call() {
+    let reasoning =
+        r#"{"choices": [{"message": {"content": null, "reasoning_content": "Hm."}, "finish_reason": "stop"}]}"#;
+    for (reply, told) in
+        [(reasoning, "reasoning parser"), (r#"{"error": "Unexpected endpoint"}"#, "Unexpected endpoint")]
+    {
+        let server = Server::always(move || Reaction::Send(response("200 OK", "", reply)));
+        let run = Run::with(&description(&server, ""), "");
+        assert_eq!(run.code, 1, "{}", run.stderr);
+        let row = &run.summary()["scenarios"][0];
+        let error = row["error"].as_str().unwrap();
+        assert!(row["succeeded"] == false && error.contains(told), "{error}");
+        assert_eq!(server.received().len(), 1);
+    }
+}
+
+#[test]
+fn a_server_is_simulated_by_its_address_alone() {
+    let server = Server::start(|_, received| {
+        if received.head.starts_with("GET /v1/models ") { models(&["eye"], "library") } else { completion(ANSWER) }
+    });
+    let config = "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n";
+    for address in [server.url(), server.url().replace("/v1", "")] {
+        let run = Run::of(TempDir::new().unwrap(), &address, config);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        assert_eq!(run.summary()["scenarios"][0]["failed_calls"], 0);
+        let manifest = fs::read_to_string(run.path().join("manifest.toml")).unwrap();
+        assert!(manifest.contains("eye"), "the record names the model:\n{manifest}");
+    }
+    assert_eq!(server.received()[1].body["model"], "eye");
+    let several = Server::always(|| models(&["eye", "ear"], "library"));
+    let run = Run::of(TempDir::new().unwrap(), &several.url(), config);
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    assert!(run.stderr.contains("offers eye, ear") && run.stderr.contains("/v1#NAME"), "{}", run.stderr);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use planagent_mllm::{Constraint, Deadline, Endpoint, EndpointFailure, Mllm, MllmError, PromptPrefix, Request};
 
-use super::server::{Reaction, Server, completion, error, response, stream};
+use super::server::{Reaction, Server, completion, error, models, response, stream};
 use super::{EndpointSettings, ask, open, request, settings};
 
 /// The failure of a server and the number of requests.
@@ -74,8 +74,17 @@ fn invalid_replies_are_reported_and_not_retried() {
     for invalid in ["{\"choices\": [", "<html>Welcome</html>", "{\"choices\": []}", "null"] {
         let server = Server::always(move || Reaction::Send(response("200 OK", "", invalid)));
         let (failure, requests) = trouble(&server);
-        assert!(matches!(failure, EndpointFailure::InvalidReply(_)), "{failure:?}");
+        assert!(matches!(failure, EndpointFailure::Unusable(_)), "the first reply: {failure:?}");
         assert_eq!(requests, 1);
+        // Behind an answer, the same reply costs one call.
+        let server = Server::start(move |number, _| {
+            if number == 0 { completion("left") } else { Reaction::Send(response("200 OK", "", invalid)) }
+        });
+        let endpoint = open(&server);
+        ask(&endpoint, &request(Constraint::Free)).unwrap();
+        let failed = ask(&endpoint, &request(Constraint::Free)).unwrap_err();
+        assert!(failed.is_transient(), "{failed}");
+        assert!(matches!(failed, MllmError::Endpoint { failure: EndpointFailure::InvalidReply(_), .. }), "{failed:?}");
     }
 }
 
@@ -126,11 +135,19 @@ fn a_wrong_key_ends_the_matter_and_is_not_shown() {
 #[test]
 fn what_the_server_does_not_know_ends_the_matter() {
     for status in ["400 Bad Request", "404 Not Found", "301 Moved Permanently"] {
-        let server = Server::always(move || error(status, "", "no such model"));
+        let server = Server::always(move || error(status, "", "no such thing"));
         let (failure, requests) = trouble(&server);
         assert!(matches!(failure, EndpointFailure::Refused { .. }), "{failure:?}");
         assert_eq!(requests, 1);
     }
+    let server = Server::start(|number, _| match number {
+        0 => error("404 Not Found", "", "model 'test-model' not found"),
+        _ => models(&["eye", "ear"], "library"),
+    });
+    let (failure, requests) = trouble(&server);
+    assert!(failure.to_string().ends_with("not found; the server offers eye, ear"), "{failure}");
+    assert_eq!(requests, 2, "the list is asked for once");
+    assert!(server.received()[1].head.starts_with("GET /v1/models HTTP/1.1\r\n"));
 }
 
 #[test]

@@ -104,6 +104,10 @@ fn constraint_field(field: GrammarField, constraint: &Constraint) -> Result<Opti
             Some(("structured_outputs", json!({"regex": pattern(constraint).map_err(fail)?})))
         }
         GrammarField::GuidedRegex => Some(("guided_regex", json!(pattern(constraint).map_err(fail)?))),
+        GrammarField::Regex => Some(("regex", json!(pattern(constraint).map_err(fail)?))),
+        GrammarField::TaggedRegex => {
+            Some(("grammar", json!({"type": "regex", "value": pattern(constraint).map_err(fail)?})))
+        }
     })
 }
 

@@ -1,20 +1,25 @@
-//! One request to the server, with retries after transient failures.
+//! One question to the server, with retries after transient failures.
 
-use std::time::{Duration, SystemTime};
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
-use backon::{BackoffBuilder, ExponentialBuilder};
-use reqwest::blocking::Response;
-use reqwest::header::{AUTHORIZATION, CONTENT_TYPE, RETRY_AFTER};
+use reqwest::Url;
+use reqwest::blocking::{RequestBuilder, Response};
+use reqwest::header::{AUTHORIZATION, LOCATION};
 use reqwest::redirect::Policy;
-use reqwest::{StatusCode, Url};
 use serde_json::Value;
 
+use super::hints::{Refusal, without_version};
 use super::key::ApiKey;
-use super::reply::{Listen, Reply, error_message, read_stream, read_whole, shortened};
+use super::models::{Offered, named, offered};
+use super::reply::{Listen, MAX_BYTES, Reply, read, shortened};
+use super::trouble::Trouble;
+use super::waits::{Waits, asked};
 use crate::{Deadline, EndpointFailure, EndpointSettings, MllmError};
 
-/// Maximum wait before a retry, unless the server asks for a longer one.
-const MAX_WAIT: Duration = Duration::from_secs(30);
+/// Time limit of the list of models that explains a failure.
+const MAX_EXPLAINING: Duration = Duration::from_secs(5);
 
 /// A connection pool to one server.
 #[derive(Debug)]
@@ -23,8 +28,18 @@ pub(super) struct Client {
     url: Url,
     key: Option<ApiKey>,
     timeout: Duration,
-    retries: usize,
-    first_wait: Duration,
+    /// Whether the server has answered a question.
+    answered: AtomicBool,
+}
+
+/// A request for a chat completion.
+#[derive(Clone, Copy)]
+pub(super) struct Question<'a> {
+    pub(super) settings: &'a EndpointSettings,
+    pub(super) body: &'a Value,
+    /// Determines the random parts of the waits.
+    pub(super) seed: u64,
+    pub(super) deadline: Deadline,
 }
 
 #[derive(Debug)]
@@ -53,86 +68,88 @@ impl Client {
             endpoint: url.to_string(),
             failure: EndpointFailure::Connect(causes(&error)),
         })?;
-        Ok(Self {
-            http,
-            url,
-            key,
-            timeout: Duration::from_millis(settings.timeout_ms),
-            retries: settings.retries,
-            first_wait: Duration::from_millis(settings.first_wait_ms),
-        })
+        let timeout = Duration::from_millis(settings.timeout_ms);
+        Ok(Self { http, url, key, timeout, answered: AtomicBool::new(false) })
     }
 
-    /// Sends a request, with retries as the settings allow; `seed` determines the random parts of the waits. `on_text` gets the
-    /// pieces of the answer; after the first, nothing is retried.
+    /// Sends a question, with retries as the settings allow. `on_text` gets the pieces of the answer; after the first, nothing
+    /// is retried.
     ///
     /// # Errors
-    /// The last failure; [`MllmError::Deadline`] when the deadline passes, or would pass during a wait, and there is a server.
+    /// The last failure, with what to do where that is known; [`MllmError::Deadline`] when the deadline passes, or would pass
+    /// during a wait, and there is a server.
     pub(super) fn ask(
         &self,
-        body: &Value,
-        seed: u64,
-        deadline: Deadline,
+        question: Question<'_>,
         mut on_text: Option<&mut dyn FnMut(&str)>,
     ) -> Result<Reply, MllmError> {
-        let mut spoken = false;
-        let mut waits = ExponentialBuilder::default()
-            .with_min_delay(self.first_wait)
-            .with_max_delay(MAX_WAIT)
-            .with_max_times(self.retries)
-            .with_jitter()
-            .with_jitter_seed(seed)
-            .build();
-        loop {
-            deadline.check()?;
-            let Failed { failure, retry_after } = match self.ask_once(body, deadline, &mut |text| {
+        let Question { settings, body, seed, deadline } = question;
+        let spoken = Cell::new(false);
+        // A piece of an answer may end within the key, and nobody needs pieces who does not listen.
+        let whole = self.key.is_some() || on_text.is_none();
+        let mut once = || {
+            let mut tell = |text: &str| {
                 if let Some(on_text) = &mut on_text {
-                    spoken = true;
+                    spoken.set(true);
                     on_text(text);
                 }
-            }) {
-                Ok(reply) => return Ok(reply),
-                Err(failed) => failed,
             };
-            // A server that is not there fails, however much time is left.
-            let is_absent = matches!(failure, EndpointFailure::Connect(_));
-            if !is_absent {
-                deadline.check()?;
+            self.ask_once(body, deadline, whole, &mut tell)
+        };
+        match patiently(Waits::new(settings, seed), deadline, &spoken, &mut once)? {
+            Ok(reply) => {
+                self.answered.store(true, Ordering::Relaxed);
+                Ok(reply)
             }
-            let again = if may_retry(&failure) && !spoken { waits.next() } else { None };
-            let Some(wait) = again else { return Err(self.error(failure)) };
-            let wait = retry_after.unwrap_or(wait);
-            if let (EndpointFailure::Unavailable { status, .. }, true) = (&failure, wait > self.timeout) {
-                return Err(self.error(EndpointFailure::Wait { status: *status, seconds: wait.as_secs() }));
-            }
-            if deadline.left().is_some_and(|left| wait >= left) {
-                return Err(if is_absent { self.error(failure) } else { MllmError::Deadline });
-            }
-            std::thread::sleep(wait);
+            Err(failure) => Err(self.error(self.explained(failure, question))),
         }
     }
 
-    fn ask_once(&self, body: &Value, deadline: Deadline, on_text: &mut dyn FnMut(&str)) -> Result<Reply, Failed> {
+    /// The models that the server offers.
+    ///
+    /// # Errors
+    /// As [`Self::ask`].
+    pub(super) fn models(&self, settings: &EndpointSettings) -> Result<Vec<Offered>, MllmError> {
+        let mut once = || self.models_once(self.timeout);
+        let waits = Waits::new(settings, 0);
+        let listed = patiently(waits, Deadline::NONE, &Cell::new(false), &mut once)?;
+        listed.map_err(|failure| MllmError::Endpoint { endpoint: self.list_url(), failure })
+    }
+
+    fn ask_once(
+        &self,
+        body: &Value,
+        deadline: Deadline,
+        whole: bool,
+        on_text: &mut dyn FnMut(&str),
+    ) -> Result<Reply, Failed> {
         let limit = deadline.left().map_or(self.timeout, |left| left.min(self.timeout));
-        let mut request = self.http.post(self.url.clone()).timeout(limit).json(body);
+        let response = self.sent(self.http.post(self.url.clone()).timeout(limit).json(body))?;
+        let listen = Listen { hide: &|text: &str| self.hide(text), whole, on_text };
+        read(response, listen).map_err(|failure| self.redacted(failure).into())
+    }
+
+    fn models_once(&self, limit: Duration) -> Result<Vec<Offered>, Failed> {
+        use std::io::Read;
+        let response = self.sent(self.http.get(self.list_url()).timeout(limit))?;
+        let mut bytes = Vec::new();
+        let invalid = |problem: String| self.redacted(EndpointFailure::InvalidReply(problem));
+        response.take(MAX_BYTES).read_to_end(&mut bytes).map_err(|error| EndpointFailure::Closed(error.to_string()))?;
+        let list: Value =
+            serde_json::from_slice(&bytes).map_err(|error| invalid(format!("the list of models: {error}")))?;
+        match Trouble::in_reply(&list) {
+            Some(trouble) => Err(trouble.failure(&|text| self.hide(text)).into()),
+            None => Ok(offered(&list)),
+        }
+    }
+
+    /// The response to a request, if its status is one of success.
+    fn sent(&self, mut request: RequestBuilder) -> Result<Response, Failed> {
         if let Some(key) = &self.key {
             request = request.header(AUTHORIZATION, key.header());
         }
         let response = request.send().map_err(|error| self.unsent(&error))?;
-        if !response.status().is_success() {
-            return Err(self.refused(response));
-        }
-        let streamed = response
-            .headers()
-            .get(CONTENT_TYPE)
-            .and_then(|kind| kind.to_str().ok())
-            .is_some_and(|kind| kind.starts_with("text/event-stream"));
-        let hide = |text: &str| self.hide(text);
-        // A piece of an answer may end within the key: with one, the answer is shown as a whole.
-        let whole = self.key.is_some();
-        let listen = Listen { hide: &hide, whole, on_text };
-        let reply = if streamed { read_stream(response, listen) } else { read_whole(response, listen) };
-        reply.map_err(|failure| self.redacted(failure).into())
+        if response.status().is_success() { Ok(response) } else { Err(self.refused(response)) }
     }
 
     /// The failure behind an error before the response status.
@@ -149,19 +166,54 @@ impl Client {
 
     /// The failure behind an error status.
     fn refused(&self, response: Response) -> Failed {
-        let status = response.status();
-        let retry_after =
-            response.headers().get(RETRY_AFTER).and_then(|wait| retry_after(wait.to_str().ok()?, SystemTime::now()));
-        let message = match response.headers().get(reqwest::header::LOCATION).and_then(|place| place.to_str().ok()) {
-            Some(place) => format!("the address moved to {}", shortened(&self.hide(place))),
-            None => error_message(response, &|text| self.hide(text)),
-        };
-        let failure = if status.is_server_error() || status == StatusCode::TOO_MANY_REQUESTS {
-            EndpointFailure::Unavailable { status: status.as_u16(), message }
-        } else {
-            EndpointFailure::Refused { status: status.as_u16(), message }
+        let (status, retry_after) = (response.status(), asked(response.headers()));
+        let failure = match response.headers().get(LOCATION).and_then(|place| place.to_str().ok()) {
+            Some(place) => EndpointFailure::Refused {
+                status: status.as_u16(),
+                message: format!("the address moved to {}", shortened(&self.hide(place))),
+            },
+            None => Trouble::behind(status, response).failure(&|text| self.hide(text)),
         };
         Failed { failure: self.redacted(failure), retry_after }
+    }
+
+    /// A failure with what to do. A first reply that is no answer lasts: the address, the model or the settings are wrong.
+    fn explained(&self, failure: EndpointFailure, question: Question<'_>) -> EndpointFailure {
+        let with = |text: String, advice: Option<String>| match advice {
+            Some(advice) => format!("{text}; {advice}"),
+            None => text,
+        };
+        let is_first = !self.answered.load(Ordering::Relaxed);
+        match failure {
+            EndpointFailure::Refused { status, message } => {
+                let Question { settings, body, deadline, .. } = question;
+                let refusal = Refusal { status, message: &message, settings, url: &self.url, body };
+                let advice = if refusal.is_of_the_model() { self.offer(deadline) } else { refusal.advice() };
+                EndpointFailure::Refused { status, message: with(message, advice) }
+            }
+            EndpointFailure::InvalidReply(_) if is_first => {
+                EndpointFailure::Unusable(with(failure.to_string(), without_version(&self.url)))
+            }
+            EndpointFailure::NoAnswer(_) if is_first => EndpointFailure::Unusable(failure.to_string()),
+            failure => failure,
+        }
+    }
+
+    /// The names that the server has in place of one that it has not. A list that cannot be had explains nothing.
+    fn offer(&self, deadline: Deadline) -> Option<String> {
+        let limit = deadline.left().map_or(MAX_EXPLAINING, |left| left.min(MAX_EXPLAINING));
+        let models = self.models_once(limit).ok().filter(|models| !models.is_empty())?;
+        Some(format!("the server offers {}", named(&models, &|text| self.hide(text))))
+    }
+
+    /// The names of models for a message.
+    pub(super) fn named(&self, models: &[Offered]) -> String {
+        named(models, &|text| self.hide(text))
+    }
+
+    fn list_url(&self) -> String {
+        let url = self.url.as_str();
+        format!("{}/models", url.strip_suffix("/chat/completions").unwrap_or(url))
     }
 
     /// A text of the server without the API key.
@@ -176,6 +228,10 @@ impl Client {
             EndpointFailure::Connect(text)
             | EndpointFailure::Closed(text)
             | EndpointFailure::InvalidReply(text)
+            | EndpointFailure::Withheld(text)
+            | EndpointFailure::NoAnswer(text)
+            | EndpointFailure::Unusable(text)
+            | EndpointFailure::Loading { message: text, .. }
             | EndpointFailure::Unavailable { message: text, .. }
             | EndpointFailure::Refused { message: text, .. } => {
                 *text = self.hide(text);
@@ -190,18 +246,36 @@ impl Client {
     }
 }
 
-/// Whether a retry of the same request can succeed. A request that reached its time limit is not retried.
-fn may_retry(failure: &EndpointFailure) -> bool {
-    matches!(failure, EndpointFailure::Connect(_) | EndpointFailure::Closed(_) | EndpointFailure::Unavailable { .. })
-}
-
-/// Reads the header `Retry-After`: seconds, or a date (RFC 9110, 10.2.3).
-fn retry_after(value: &str, now: SystemTime) -> Option<Duration> {
-    let value = value.trim();
-    if let Ok(seconds) = value.parse::<f64>() {
-        return Duration::try_from_secs_f64(seconds).ok();
+/// Sends a request again after failures that pass. The inner failure is the server's.
+fn patiently<T>(
+    mut waits: Waits,
+    deadline: Deadline,
+    spoken: &Cell<bool>,
+    once: &mut dyn FnMut() -> Result<T, Failed>,
+) -> Result<Result<T, EndpointFailure>, MllmError> {
+    loop {
+        deadline.check()?;
+        let Failed { failure, retry_after } = match once() {
+            Ok(reply) => return Ok(Ok(reply)),
+            Err(failed) => failed,
+        };
+        // A server that is not there fails, however much time is left.
+        let is_absent = matches!(failure, EndpointFailure::Connect(_));
+        if !is_absent {
+            deadline.check()?;
+        }
+        if spoken.get() {
+            return Ok(Err(failure));
+        }
+        let (wait, failure) = match waits.next(failure, retry_after) {
+            Ok(again) => again,
+            Err(failure) => return Ok(Err(failure)),
+        };
+        if deadline.left().is_some_and(|left| wait >= left) {
+            return if is_absent { Ok(Err(failure)) } else { Err(MllmError::Deadline) };
+        }
+        std::thread::sleep(wait);
     }
-    httpdate::parse_http_date(value).ok().map(|date| date.duration_since(now).unwrap_or_default())
 }
 
 /// The innermost cause of an error. The outer ones repeat the address, which the message has already.
@@ -211,21 +285,4 @@ fn causes(error: &reqwest::Error) -> String {
         innermost = cause;
     }
     innermost.to_string()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn retry_after_is_read_in_both_forms() {
-        let now = httpdate::parse_http_date("Sun, 06 Nov 1994 08:49:37 GMT").unwrap();
-        assert_eq!(retry_after(" 7 ", now), Some(Duration::from_secs(7)));
-        assert_eq!(retry_after("0.25", now), Some(Duration::from_millis(250)));
-        assert_eq!(retry_after("Sun, 06 Nov 1994 08:49:40 GMT", now), Some(Duration::from_secs(3)));
-        assert_eq!(retry_after("Sun, 06 Nov 1994 08:00:00 GMT", now), Some(Duration::ZERO));
-        for wrong in ["", "-1", "soon", "inf"] {
-            assert_eq!(retry_after(wrong, now), None, "{wrong}");
-        }
-    }
 }

@@ -3,8 +3,12 @@
 mod chat;
 mod client;
 mod grammar;
+mod hints;
 mod key;
+mod models;
 mod reply;
+mod trouble;
+mod waits;
 
 use std::time::Instant;
 
@@ -12,12 +16,15 @@ use reqwest::Url;
 
 use super::sampling::answer_seed;
 use super::{
-    Answer, Constraint, Conversation, EndpointSettings, LoadReport, Mark, Mllm, MllmError, ModelDescription,
-    PromptPrefix, Request, RoundTime, Server, Turn, milliseconds, prompt_hash,
+    Answer, Constraint, Conversation, EndpointSettings, GrammarField, LoadReport, Mark, Mllm, MllmError,
+    ModelDescription, PromptPrefix, Request, RoundTime, Server, Turn, milliseconds, prompt_hash,
 };
 use chat::Chat;
-use client::Client;
+use client::{Client, Question};
 use key::ApiKey;
+
+/// How llama.cpp's server names itself in its list of models.
+const LLAMA_CPP: &str = "llamacpp";
 
 #[derive(Debug)]
 pub struct Endpoint {
@@ -27,7 +34,8 @@ pub struct Endpoint {
 }
 
 impl Endpoint {
-    /// Reads the API key from the environment. Sends nothing before the first question. `name` is the model's name in results.
+    /// Reads the API key from the environment. Sends nothing before the first question, except where the settings name no model:
+    /// then the server's list is asked for. `name` is the model's name in results.
     pub fn open(name: &str, settings: &EndpointSettings) -> Result<Self, MllmError> {
         let invalid = |problem: String| MllmError::Request { problem };
         let url = settings.url().map_err(invalid)?;
@@ -40,8 +48,25 @@ impl Endpoint {
                 "extra of the description has the API key in it; remove it there, because the variable {variable} has it"
             )));
         }
-        Ok(Self { name: name.to_string(), settings: settings.clone(), client: Client::new(settings, url, key)? })
+        let client = Client::new(settings, url, key)?;
+        let settings = if settings.model.is_empty() { chosen(settings, &client)? } else { settings.clone() };
+        Ok(Self { name: name.to_string(), settings, client })
     }
+}
+
+/// The settings with the only model of the server, and with the grammar of a server that names itself and refuses what it
+/// cannot read. Others ignore a field that they do not know, so nothing is sent to them.
+fn chosen(settings: &EndpointSettings, client: &Client) -> Result<EndpointSettings, MllmError> {
+    let models = client.models(settings)?;
+    let Some(model) = models::only(&models) else {
+        let offered = if models.is_empty() { "no model".to_owned() } else { client.named(&models) };
+        return Err(MllmError::ChooseModel { endpoint: settings.endpoint.clone(), offered });
+    };
+    let grammar = match (settings.grammar, model.owner.as_str()) {
+        (GrammarField::None, LLAMA_CPP) => GrammarField::Gbnf,
+        (grammar, _) => grammar,
+    };
+    Ok(EndpointSettings { model: model.id.clone(), grammar, ..settings.clone() })
 }
 
 impl Mllm for Endpoint {
@@ -131,7 +156,8 @@ impl EndpointConversation<'_> {
         let chat = Chat { system: &self.system, image: self.image.as_deref(), turns: &self.turns, prompt };
         let body = chat::body(settings, &chat, request, seed)?;
         let asked = Instant::now();
-        let reply = self.endpoint.client.ask(&body, seed, request.deadline, on_text)?;
+        let question = Question { settings, body: &body, seed, deadline: request.deadline };
+        let reply = self.endpoint.client.ask(question, on_text)?;
         let remote = milliseconds(asked.elapsed());
         let text = chat::text(settings, &request.constraint, reply.content);
         self.answers += 1;
@@ -153,3 +179,8 @@ impl EndpointConversation<'_> {
         })
     }
 }
+
+#[cfg(test)]
+mod fake_server;
+#[cfg(test)]
+mod tests;

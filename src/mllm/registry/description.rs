@@ -101,7 +101,7 @@ impl fmt::Display for ModelSource {
             Self::Folder { folder } => write!(out, "{}", folder.display()),
             Self::File { file, .. } => write!(out, "{}", file.display()),
             Self::Embedded { .. } => out.write_str("built in"),
-            Self::Endpoint(settings) => write!(out, "{} at {}", settings.model, settings.endpoint),
+            Self::Endpoint(settings) => out.write_str(&settings.in_words()),
             Self::Hub { hub, revision, file, .. } => {
                 write!(out, "{hub}")?;
                 if let Some(file) = file {
@@ -228,7 +228,7 @@ impl ModelSpec {
             return Err(broken("generation.max_new_tokens: a round needs at least one token".into()));
         }
         if let ModelSource::Endpoint(settings) = &spec.source {
-            settings.url().map_err(|problem| broken(format!("source: {problem}")))?;
+            settings.described().map_err(|problem| broken(format!("source: {problem}")))?;
             if spec.architecture.is_some() || spec.tokenizer.is_some() {
                 return Err(broken("architecture and tokenizer belong to the server; remove them".into()));
             }

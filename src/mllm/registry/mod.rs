@@ -1,5 +1,6 @@
 //! Models by name: a description in `models/`, a folder, a GGUF file, a repository of the hub, or a server.
 
+mod address;
 mod built_in;
 mod description;
 mod folder;
@@ -150,7 +151,8 @@ impl ModelRegistry {
     /// Finds a model. `name` is, in this order:
     /// 1. the name of a description in the folder, then of one in the program,
     /// 2. the path of a description, a model folder or a GGUF file,
-    /// 3. a hub id, or a hub id with a GGUF file (`org/name/file.gguf`).
+    /// 3. the address of a server (`http://127.0.0.1:8080/v1`), perhaps with `#` and its name of the model,
+    /// 4. a hub id, or a hub id with a GGUF file (`org/name/file.gguf`).
     ///
     /// [`Self::asking`] says how it is asked.
     pub fn find(&self, name: &str) -> Result<ModelSpec, MllmError> {
@@ -167,6 +169,9 @@ impl ModelRegistry {
         let path = Path::new(name);
         if path.extension().is_some_and(|extension| extension == "toml") && path.is_file() {
             return ModelSpec::open(path);
+        }
+        if let Some(server) = address::server(name) {
+            return server;
         }
         let source = if !name.is_empty() && path.is_dir() {
             ModelSource::Folder { folder: path.to_path_buf() }
@@ -238,6 +243,8 @@ impl ModelRegistry {
                 named_by: NamedBy::Description,
                 generation: spec.generation,
             }),
+            // A server has no files that could say it.
+            None if matches!(spec.source, ModelSource::Endpoint(_)) => Ok(Asking::plain()),
             None => Asking::of_files(&self.place(spec)?),
         }
     }
@@ -461,7 +468,7 @@ mod tests {
             }
             other => panic!("{other:?}"),
         }
-        for name in ["", "a b", "a/b/c"] {
+        for name in ["", "a b", "a/b/c", "a.example:80/v1"] {
             assert!(matches!(registry.find(name), Err(MllmError::UnknownModel { .. })), "{name}");
         }
         for name in ["../no-such-folder/nano", "/nowhere/nano", "a/b/../c.gguf", "nowhere.gguf", "nowhere.toml"] {

@@ -51,11 +51,16 @@ struct OwnSettings {
 }
 
 impl Asking {
+    /// The paper's prompts, for a model of which nothing else is known.
+    pub(super) fn plain() -> Self {
+        let (prompt_set, named_by) = (PromptSet::Paper.name().to_owned(), NamedBy::Default);
+        Self { prompt_set, named_by, generation: GenerationSettings::default() }
+    }
+
     /// What the files of a model say; the paper's prompts where they say nothing.
     pub(super) fn of_files(place: &ModelPlace) -> Result<Self, MllmError> {
         let Some(text) = place.small_file(OWN_SETTINGS)? else {
-            let (prompt_set, named_by) = (PromptSet::Paper.name().to_owned(), NamedBy::Default);
-            return Ok(Self { prompt_set, named_by, generation: GenerationSettings::default() });
+            return Ok(Self::plain());
         };
         let broken = |error: serde_json::Error| {
             let problem = with_new_name(error.to_string());

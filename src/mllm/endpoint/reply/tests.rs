@@ -1,0 +1,198 @@
+//! Whole replies and streams as servers write them.
+
+use super::*;
+
+fn read_as(body: &str, whole: bool, on_text: &mut dyn FnMut(&str)) -> Result<Reply, EndpointFailure> {
+    read(body.as_bytes(), Listen { hide: &str::to_owned, whole, on_text })
+}
+
+fn reply(body: &str) -> Result<Reply, EndpointFailure> {
+    read_as(body, false, &mut |_| ())
+}
+
+/// A stream of these data.
+fn stream(events: &[&str]) -> String {
+    events.iter().flat_map(|event| ["data: ", event, "\n\n"]).collect()
+}
+
+#[test]
+fn a_whole_completion_is_read() {
+    let body = r#"{"id": "x", "choices": [{"index": 0, "message": {"role": "assistant", "content": "keep"},
+        "finish_reason": "length"}], "usage": {"prompt_tokens": 12, "completion_tokens": 3, "total_tokens": 15,
+        "prompt_tokens_details": {"cached_tokens": 8}}}"#;
+    let reply = reply(body).unwrap();
+    assert_eq!((reply.content.as_str(), reply.finish), ("keep", FinishReason::Length));
+    assert_eq!(reply.tokens, TokenCounts { text: 4, cached: 8, sampled: 3, ..TokenCounts::default() });
+    assert_eq!(reply.first_text, None);
+}
+
+#[test]
+fn a_stream_is_gathered_over_comments_and_empty_choices() {
+    let body = ": ping\r\n\r\ndata: {\"choices\":[{\"delta\":{\"role\":\"assistant\",\"content\":\"\"}}]}\n\n\
+        data: {\"choices\":[{\"delta\":{\"content\":\"ke\"},\"finish_reason\":null}]}\n\nevent: x\n\
+        data:{\"choices\":[{\"delta\":{\"content\":\"ep\"}}]}\n\n\
+        data: {\"choices\":[{\"delta\":{},\"finish_reason\":\"stop\"}]}\n\n\
+        data: {\"choices\":[],\"usage\":{\"prompt_tokens\":5,\"completion_tokens\":2}}\n\ndata: [DONE]\n\n";
+    let reply = reply(body).unwrap();
+    assert_eq!((reply.content.as_str(), reply.finish), ("keep", FinishReason::EndOfSequence));
+    assert_eq!((reply.tokens.text, reply.tokens.sampled), (5, 2));
+    assert!(reply.first_text.is_some());
+}
+
+#[test]
+fn a_complete_answer_is_kept_whatever_its_form() {
+    let piece = r#"{"choices": [{"delta": {"content": "keep"}}]}"#;
+    let end = r#"{"choices": [{"delta": {}, "finish_reason": "stop"}]}"#;
+    for (what, body) in [
+        ("no finish_reason", r#"{"choices": [{"message": {"content": "keep"}}]}"#.to_owned()),
+        (
+            "a null finish_reason",
+            r#"{"choices": [{"message": {"content": "keep"}, "finish_reason": null}]}"#.to_owned(),
+        ),
+        ("an unknown one", r#"{"choices": [{"message": {"content": "keep"}, "finish_reason": "eos"}]}"#.to_owned()),
+        (
+            "odd counts",
+            r#"{"choices": [{"message": {"content": "keep"}, "finish_reason": 0}], "usage": "many"}"#.to_owned(),
+        ),
+        ("parts", r#"{"choices": [{"message": {"content": [{"type": "text", "text": "keep"}]}}]}"#.to_owned()),
+        ("the older interface", r#"{"choices": [{"text": "keep", "finish_reason": "stop"}]}"#.to_owned()),
+        ("reasoning beside it", r#"{"choices": [{"message": {"content": "keep", "reasoning": "Hm."}}]}"#.to_owned()),
+        ("reasoning inside it", r#"{"choices": [{"message": {"content": "<think>Hm.</think>\n\nkeep"}}]}"#.to_owned()),
+        ("lines of JSON", format!("{piece}\n{end}\n")),
+        ("a byte order mark", "\u{feff}{\"choices\": [{\"message\": {\"content\": \"keep\"}}]}".to_owned()),
+        (
+            "text behind it",
+            r#"{"choices": [{"message": {"content": "keep"}, "finish_reason": "stop"}]} and more"#.to_owned(),
+        ),
+        ("no end mark", stream(&[piece, end])),
+        ("no finish_reason in a stream", stream(&[piece, "[DONE]"])),
+        (
+            "an empty finish_reason",
+            stream(&[r#"{"choices": [{"delta": {"content": "keep"}, "finish_reason": ""}]}"#, "[DONE]"]),
+        ),
+        (
+            "the end with the text",
+            stream(&[r#"{"choices": [{"delta": {"content": "keep"}, "finish_reason": "stop"}]}"#]),
+        ),
+        ("nonsense after the end", stream(&[piece, end, "nonsense", "[DONE]"])),
+        ("an error after the end", stream(&[piece, end, r#"{"error": {"message": "late"}}"#])),
+        (
+            "the whole at the end",
+            stream(&[piece, r#"{"choices": [{"message": {"content": "keep"}, "finish_reason": "stop"}]}"#]),
+        ),
+        (
+            "streamed parts",
+            stream(&[r#"{"choices": [{"delta": {"content": [{"type": "text", "text": "keep"}]}}]}"#, end]),
+        ),
+        ("streamed reasoning", stream(&[r#"{"choices": [{"delta": {"reasoning_content": "Hm."}}]}"#, piece, end])),
+        ("streamed text of the older interface", stream(&[r#"{"choices": [{"text": "keep"}]}"#, end])),
+        ("an event of several lines", format!("data: {}\n\n{}", piece.replace(", ", ",\ndata: "), stream(&[end]))),
+        ("no data in an event", stream(&[piece, "{}", r#"{"choices": []}"#, r#"{"choices": null}"#, end])),
+    ] {
+        let read = reply(&body).map(|reply| reply.content);
+        assert_eq!(read.as_deref(), Ok("keep"), "{what}");
+    }
+}
+
+#[test]
+fn a_complete_answer_is_kept_when_the_connection_breaks_after_it() {
+    struct Broken;
+    impl Read for Broken {
+        fn read(&mut self, _: &mut [u8]) -> std::io::Result<usize> {
+            Err(std::io::Error::other("reset"))
+        }
+    }
+    let events = [r#"{"choices": [{"delta": {"content": "keep"}, "finish_reason": "stop"}]}"#];
+    let before_break = |body: String| {
+        let listen = Listen { hide: &str::to_owned, whole: false, on_text: &mut |_| () };
+        read(body.as_bytes().chain(Broken), listen)
+    };
+    assert_eq!(before_break(stream(&events)).unwrap().content, "keep");
+    let broken = before_break(stream(&[r#"{"choices": [{"delta": {"content": "ke"}}]}"#])).unwrap_err();
+    assert!(matches!(broken, EndpointFailure::Closed(text) if text.contains("reset")));
+}
+
+#[test]
+fn pieces_are_passed_on_without_reasoning() {
+    let pieces = |texts: &[&str], whole| {
+        let event = |text: &&str| serde_json::json!({"choices": [{"delta": {"content": text}}]}).to_string();
+        let events: Vec<String> = texts.iter().map(event).chain(["[DONE]".to_owned()]).collect();
+        let body = stream(&events.iter().map(String::as_str).collect::<Vec<_>>());
+        let mut told = Vec::new();
+        let reply = read_as(&body, whole, &mut |text| told.push(text.to_owned())).unwrap();
+        assert_eq!(told.concat(), reply.content, "the pieces are the answer");
+        told
+    };
+    assert_eq!(pieces(&["ke", "ep"], false), ["ke", "ep"]);
+    assert_eq!(pieces(&["ke", "ep"], true), ["keep"]);
+    assert_eq!(pieces(&["<th", "ink>Hm", ".</think>", "\n\nke", "ep"], false), ["ke", "ep"]);
+    assert_eq!(pieces(&["<", "b>"], false), ["<b>"]);
+    assert_eq!(pieces(&["<"], false), ["<"]);
+    assert_eq!(pieces(&["Hm.", "</think>", "keep"], true), ["keep"]);
+    assert_eq!(pieces(&["Hm.", "</think>", "keep"], false), ["Hm.", "</think>", "keep"]);
+}
+
+#[test]
+fn an_answer_that_is_all_reasoning_says_what_to_do() {
+    for body in [
+        r#"{"choices": [{"message": {"content": null, "reasoning_content": "keep"}, "finish_reason": "stop"}]}"#
+            .to_owned(),
+        r#"{"choices": [{"message": {"content": "", "reasoning": "keep"}, "finish_reason": "length"}]}"#.to_owned(),
+        r#"{"choices": [{"message": {"content": "<think>keep"}, "finish_reason": "length"}]}"#.to_owned(),
+        r#"{"choices": [{"message": {"content": [{"type": "thinking", "thinking": "keep"}]}}]}"#.to_owned(),
+        stream(&[r#"{"choices": [{"delta": {"content": "", "reasoning": "keep"}}]}"#, "[DONE]"]),
+    ] {
+        let failure = reply(&body).unwrap_err();
+        assert!(matches!(&failure, EndpointFailure::NoAnswer(_)), "{body}: {failure:?}");
+        let text = failure.to_string();
+        assert!(
+            ["reasoning parser", "thinking off", "max_new_tokens"].iter().all(|advice| text.contains(advice)),
+            "{text}"
+        );
+    }
+    let empty = r#"{"choices": [{"message": {"content": ""}, "finish_reason": "stop"}]}"#;
+    assert_eq!(reply(empty).unwrap().content, "", "an answer without text and without reasoning is one");
+}
+
+#[test]
+fn nonsense_and_broken_answers_are_told_apart() {
+    for invalid in [
+        "",
+        "<html>",
+        "[]",
+        "{}",
+        "null",
+        r#"{"choices": []}"#,
+        r#"{"choices": [{"finish_reason": "stop"}]}"#,
+        r#"{"choices": [{"message": {"content": 3}}]}"#,
+        "data: nonsense\n\n",
+        "data: 3\n\n",
+    ] {
+        let failure = reply(invalid).unwrap_err();
+        assert!(matches!(failure, EndpointFailure::InvalidReply(_)), "{invalid}: {failure:?}");
+    }
+    let refusal = r#"{"choices":[{"message":{"refusal":"I cannot"},"finish_reason":"stop"}]}"#;
+    assert!(matches!(reply(refusal), Err(EndpointFailure::Withheld(text)) if text.contains("I cannot")));
+    let begun = r#"{"choices":[{"delta":{"content":"ke"}}]}"#;
+    let role = r#"{"choices":[{"delta":{"role":"assistant"}}]}"#;
+    for cut in [
+        stream(&[begun]),
+        stream(&[role, "[DONE]"]),
+        stream(&[begun, r#"{"error":{"message":"no memory"}}"#]),
+        stream(&[begun, r#"{"choices":[{"delta":{},"finish_reason":"error"}]}"#]),
+        format!("{}event: error\ndata: no memory\n\n", stream(&[begun])),
+        format!("{}error: {{\"message\":\"no memory\"}}\n\n", stream(&[begun])),
+    ] {
+        assert!(matches!(reply(&cut), Err(EndpointFailure::Closed(_))), "{cut}");
+    }
+    let refused = stream(&[role, r#"{"error":{"message":"no","code":400}}"#]);
+    assert_eq!(reply(&refused), Err(EndpointFailure::Refused { status: 400, message: "no".into() }));
+}
+
+#[test]
+fn an_endless_answer_is_not_read_to_its_end() {
+    for byte in [b' ', b'\n', b'x', b'\r'] {
+        let listen = Listen { hide: &str::to_owned, whole: false, on_text: &mut |_| () };
+        assert_eq!(read(std::io::repeat(byte), listen), Err(EndpointFailure::TooLong(MAX_BYTES)));
+    }
+}
