@@ -133,7 +133,8 @@ impl MllmError {
         match self {
             Self::Deadline => true,
             Self::Endpoint { failure, .. } => {
-                !matches!(failure, EndpointFailure::Refused { .. } | EndpointFailure::Unusable(_))
+                use EndpointFailure::{Loading, Refused, Unusable};
+                !matches!(failure, Refused { .. } | Unusable(_) | Loading { .. })
             }
             _ => false,
         }
@@ -153,7 +154,7 @@ pub enum EndpointFailure {
     Unavailable { status: u16, message: String },
     #[error("status {status}: the server asks for a wait of {seconds} s (Retry-After), longer than timeout_ms")]
     Wait { status: u16, seconds: u64 },
-    /// The server says that it loads its model.
+    /// The server says that it loads its model, and has not answered a request yet.
     #[error(
         "status {status}: {message}; the server still loaded its model after {waited:.0?}: start again when it is ready, or \
          raise timeout_ms"
@@ -170,7 +171,7 @@ pub enum EndpointFailure {
     #[error("no answer: {0}")]
     NoAnswer(String),
     /// The first reply was of one of these kinds: the server or its address is not what the description says.
-    #[error("{0}; no request was answered before, so no other is sent")]
+    #[error("{0}; this was the server's first reply, so the address, the model or a setting is wrong")]
     Unusable(String),
     #[error("the answer is longer than {0} bytes")]
     TooLong(u64),

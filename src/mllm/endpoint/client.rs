@@ -30,6 +30,8 @@ pub(super) struct Client {
     timeout: Duration,
     /// Whether the server has answered a question.
     answered: AtomicBool,
+    /// Whether a question waited in vain for a server that loads its model. Later ones do not wait again.
+    waited: AtomicBool,
 }
 
 /// A request for a chat completion.
@@ -69,7 +71,7 @@ impl Client {
             failure: EndpointFailure::Connect(causes(&error)),
         })?;
         let timeout = Duration::from_millis(settings.timeout_ms);
-        Ok(Self { http, url, key, timeout, answered: AtomicBool::new(false) })
+        Ok(Self { http, url, key, timeout, answered: AtomicBool::new(false), waited: AtomicBool::new(false) })
     }
 
     /// Sends a question, with retries as the settings allow. `on_text` gets the pieces of the answer; after the first, nothing
@@ -96,7 +98,10 @@ impl Client {
             };
             self.ask_once(body, deadline, whole, &mut tell)
         };
-        match patiently(Waits::new(settings, seed), deadline, &spoken, &mut once)? {
+        let waits = Waits::new(settings, seed, self.waited.load(Ordering::Relaxed));
+        let result = patiently(waits, deadline, &spoken, &mut once)?;
+        self.waited.store(matches!(result, Err(EndpointFailure::Loading { .. })), Ordering::Relaxed);
+        match result {
             Ok(reply) => {
                 self.answered.store(true, Ordering::Relaxed);
                 Ok(reply)
@@ -111,7 +116,7 @@ impl Client {
     /// As [`Self::ask`].
     pub(super) fn models(&self, settings: &EndpointSettings) -> Result<Vec<Offered>, MllmError> {
         let mut once = || self.models_once(self.timeout);
-        let waits = Waits::new(settings, 0);
+        let waits = Waits::new(settings, 0, false);
         let listed = patiently(waits, Deadline::NONE, &Cell::new(false), &mut once)?;
         listed.map_err(|failure| MllmError::Endpoint { endpoint: self.list_url(), failure })
     }
@@ -193,6 +198,10 @@ impl Client {
             }
             EndpointFailure::InvalidReply(_) if is_first => {
                 EndpointFailure::Unusable(with(failure.to_string(), without_version(&self.url)))
+            }
+            // One that answered before loads another model between, and will answer again.
+            EndpointFailure::Loading { status, message, .. } if !is_first => {
+                EndpointFailure::Unavailable { status, message }
             }
             EndpointFailure::NoAnswer(_) if is_first => EndpointFailure::Unusable(failure.to_string()),
             failure => failure,

@@ -114,15 +114,25 @@ fn a_server_that_loads_its_model_is_waited_for() {
     let (result, _, requests) = asked(vec![loading.clone(), loading.clone(), loading.clone(), answer("left")]);
     assert_eq!((result.as_deref(), requests.len()), (Ok("left"), 4), "more requests than retries");
 
-    let server = FakeServer::start(vec![loading]);
-    let soon = EndpointSettings { timeout_ms: 200, ..settings(&server.url()) };
-    let failed = ask(&Endpoint::open("test", &soon).unwrap()).unwrap_err();
+    let opened = |responses: Vec<String>| {
+        let server = FakeServer::start(responses);
+        let soon = EndpointSettings { timeout_ms: 200, ..settings(&server.url()) };
+        (Endpoint::open("test", &soon).unwrap(), server)
+    };
+    let (endpoint, server) = opened(vec![loading.clone()]);
+    let failed = ask(&endpoint).unwrap_err();
     assert!(matches!(&failed, MllmError::Endpoint { failure: EndpointFailure::Loading { .. }, .. }), "{failed:?}");
     let text = failed.to_string();
-    assert!(
-        failed.is_transient() && text.contains("status 503: Loading model") && text.contains("timeout_ms"),
-        "{text}"
-    );
+    assert!(text.contains("status 503: Loading model") && text.contains("timeout_ms"), "{text}");
+    assert!(!failed.is_transient(), "no later request is likelier to succeed");
+    let before = server.requests().len();
+    ask(&endpoint).unwrap_err();
+    assert_eq!(server.requests().len(), before + 1, "the time to load is given once");
+
+    let (endpoint, _server) = opened(vec![answer("left"), loading]);
+    ask(&endpoint).unwrap();
+    let failed = ask(&endpoint).unwrap_err();
+    assert!(failed.is_transient(), "a server that answered loads another model: {failed}");
 }
 
 #[test]

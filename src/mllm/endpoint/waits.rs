@@ -20,20 +20,24 @@ pub(super) struct Waits {
     /// For a server that loads its model. It is no retry: the server has not tried to answer yet.
     loading: ExponentialBackoff,
     began: Instant,
-    /// Longest wait, and longest time to load.
+    /// Longest wait.
     limit: Duration,
+    /// Longest time to load.
+    loading_limit: Duration,
 }
 
 impl Waits {
-    /// `seed` determines the random parts.
-    pub(super) fn new(settings: &EndpointSettings, seed: u64) -> Self {
+    /// `seed` determines the random parts; `waited` says that the server had its time to load.
+    pub(super) fn new(settings: &EndpointSettings, seed: u64, waited: bool) -> Self {
         let first = Duration::from_millis(settings.first_wait_ms);
+        let limit = Duration::from_millis(settings.timeout_ms);
         let builder = ExponentialBuilder::default().with_min_delay(first).with_jitter().with_jitter_seed(seed);
         Self {
             retries: builder.with_max_delay(MAX_WAIT).with_max_times(settings.retries).build(),
             loading: builder.with_max_delay(MAX_LOADING_WAIT).without_max_times().build(),
             began: Instant::now(),
-            limit: Duration::from_millis(settings.timeout_ms),
+            limit,
+            loading_limit: if waited { Duration::ZERO } else { limit },
         }
     }
 
@@ -47,7 +51,7 @@ impl Waits {
             let waited = self.began.elapsed();
             let wait = asked.or_else(|| self.loading.next()).unwrap_or(MAX_LOADING_WAIT).min(MAX_LOADING_WAIT);
             let failure = EndpointFailure::Loading { status, message, waited };
-            return if waited.saturating_add(wait) > self.limit { Err(failure) } else { Ok((wait, failure)) };
+            return if waited.saturating_add(wait) > self.loading_limit { Err(failure) } else { Ok((wait, failure)) };
         }
         let again = if may_retry(&failure) { self.retries.next() } else { None };
         let Some(wait) = again else { return Err(failure) };
