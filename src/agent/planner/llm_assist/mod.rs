@@ -47,8 +47,11 @@ pub struct LlmAssist {
 
 /// The model that is asked, and how.
 pub struct AskedModel {
+    /// The model.
     pub model: Arc<dyn Mllm>,
+    /// The prompts that it is asked with.
     pub prompts: Arc<PromptSet>,
+    /// How it is asked.
     pub reasoning: ReasoningSettings,
 }
 
