@@ -15,10 +15,8 @@ fn main() {
 /// The commit of the sources, with `+changes` where they differ from it; `None` outside a repository.
 fn commit(root: &Path) -> Option<String> {
     // `git archive` writes the commit into this file.
-    if let Ok(text) = std::fs::read_to_string(root.join(".commit")) {
-        if text.trim().len() == 40 {
-            return Some(short(text.trim()));
-        }
+    if let Some(text) = std::fs::read_to_string(root.join(".commit")).ok().filter(|text| text.trim().len() == 40) {
+        return Some(short(text.trim()));
     }
     for path in ["HEAD", "logs/HEAD"] {
         println!("cargo::rerun-if-changed={}", root.join(git(root, &["rev-parse", "--git-path", path])?).display());

@@ -35,8 +35,8 @@ pub(crate) fn llama_python(packages: &[&str]) -> Result<String, Missing> {
 
 fn interpreter(variable: &str, packages: &[&str]) -> Result<String, Missing> {
     let named = std::env::var(variable).unwrap_or_else(|_| "python3".to_owned());
-    let imports: String = packages.iter().map(|package| format!("import {package}\n")).collect();
-    let output = Command::new(&named).args(["-c", &imports]).output();
+    let imports: Vec<String> = packages.iter().map(|package| format!("import {package}")).collect();
+    let output = Command::new(&named).args(["-c", &imports.join("\n")]).output();
     let with = if packages.is_empty() { String::new() } else { format!(" with {}", packages.join(", ")) };
     let missing = || Missing(format!("needs a Python{with}; ${variable} names one"));
     output.is_ok_and(|output| output.status.success()).then_some(named).ok_or_else(missing)

@@ -1,5 +1,6 @@
 //! The one integration-test binary; a module a subject.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![allow(clippy::print_stdout, reason = "some tests print what they measure")]
 
 // Its `#[test]` stands before the compiler's, which would remove the functions.
 #[macro_use]

@@ -217,7 +217,7 @@ mod tests {
     const WIDE: u16 = 500;
 
     /// Time since the start of the run.
-    const PASSED: Duration = Duration::from_secs(600);
+    const PASSED: Duration = Duration::from_mins(10);
 
     /// A wide terminal that stores its text.
     #[derive(Debug, Clone, Default)]

@@ -43,7 +43,7 @@ mod tests {
     fn a_deadline_passes_and_none_never_does() {
         let now = Instant::now();
         assert!(matches!(Deadline::after(now, Duration::ZERO).check(), Err(MllmError::Deadline)));
-        let later = Deadline::after(now, Duration::from_secs(3600));
+        let later = Deadline::after(now, Duration::from_hours(1));
         assert!(later.check().is_ok() && later.left().unwrap() > Duration::from_secs(3500));
         assert!(Deadline::NONE.check().is_ok() && Deadline::NONE.left().is_none() && !Deadline::NONE.is_set());
         assert_eq!(Deadline::after(now, Duration::MAX), Deadline::NONE);

@@ -12,7 +12,7 @@ use tempfile::TempDir;
 /// SIGINT, as systems number it.
 const INTERRUPT: i32 = 2;
 /// Time after which a program that does nothing hangs.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 
 /// Starts the program, interrupts it once `begun` exists, and gives its stderr.
 fn interrupted(folder: &Path, arguments: &[&str], begun: &str) -> String {

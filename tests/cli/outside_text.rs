@@ -80,12 +80,15 @@ fn a_huge_file_of_settings_is_refused_by_its_size_and_a_long_line_is_cut() {
 
 #[cfg(unix)]
 mod unix {
-    use super::*;
+    use super::{Needy, QUICK, data, quick_run, refused, run};
     use std::ffi::OsStr;
+    use std::fs;
     use std::os::unix::ffi::OsStrExt;
     use std::os::unix::fs::symlink;
     use std::os::unix::net::UnixListener;
+    use std::path::Path;
     use std::process::Command;
+    use tempfile::TempDir;
 
     fn pipe(path: &Path) {
         assert!(Command::new("mkfifo").arg(path).status().unwrap().success());

@@ -49,5 +49,5 @@ fn a_far_deadline_changes_no_answer() {
         let request = Request { deadline, ..request(Constraint::Free) };
         model.converse(&prefix(), 0).unwrap().ask("Which lane?", &request).unwrap().text
     };
-    assert_eq!(ask(Deadline::NONE), ask(Deadline::after(Instant::now(), Duration::from_secs(3600))));
+    assert_eq!(ask(Deadline::NONE), ask(Deadline::after(Instant::now(), Duration::from_hours(1))));
 }

@@ -45,7 +45,7 @@ fn start(python: &str, folder: &Path) -> (LlamaServer, String) {
     while TcpStream::connect(&address).is_err() {
         let ended = server.0.try_wait().unwrap();
         assert!(
-            ended.is_none() && started.elapsed() < Duration::from_secs(120),
+            ended.is_none() && started.elapsed() < Duration::from_mins(2),
             "the server does not listen ({ended:?}):\n{}",
             fs::read_to_string(&log).unwrap()
         );

@@ -82,7 +82,7 @@ fn another_recording_under_the_same_name_is_refused() -> Needy {
 
     let resume = ["simulate", "--resume", folder];
     let touched = fs::File::options().write(true).open(&recording).unwrap();
-    touched.set_modified(SystemTime::now() + Duration::from_secs(60)).unwrap();
+    touched.set_modified(SystemTime::now() + Duration::from_mins(1)).unwrap();
     assert_eq!(run(&resume).0, 0, "the same content at another time is the same recording");
 
     fs::remove_dir_all(&simulations(&out)[0]).unwrap();

@@ -6,7 +6,7 @@ use crate::planner::PlannerInitialization;
 use std::time::Duration;
 
 /// Minimum time for the answer to the first message: an interpreter and its packages start slowly.
-const START_TIMEOUT: Duration = Duration::from_secs(60);
+const START_TIMEOUT: Duration = Duration::from_mins(1);
 /// Characters of a wrong answer that an error shows.
 const MAX_SHOWN: usize = 200;
 
