@@ -106,6 +106,8 @@ impl LlamaConfig {
             text.remove(KV_HEADS);
         }
         let mut config: Self = text.read()?;
+        // First, because the width of a head may follow from it.
+        check_ranges(&text, &[("num_attention_heads", config.heads, MAX_LAYERS)])?;
         config.rope = read_rope(&text, kind, config.context)?;
         if config.kv_heads == 0 {
             config.kv_heads = config.heads;
@@ -154,7 +156,6 @@ impl LlamaConfig {
                 ("hidden_size", self.hidden, MAX_WIDTH),
                 ("intermediate_size", self.intermediate, MAX_WIDTH),
                 ("num_hidden_layers", self.layers, MAX_LAYERS),
-                ("num_attention_heads", self.heads, MAX_LAYERS),
                 (KV_HEADS, self.kv_heads, MAX_LAYERS),
                 ("head_dim", self.head_dim, MAX_HEAD),
                 ("max_position_embeddings", self.context, MAX_CONTEXT),
