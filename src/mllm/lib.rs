@@ -13,6 +13,8 @@
 
 mod candle_qwen3_vl;
 mod checkpoint;
+#[cfg(test)]
+mod class_keys;
 mod cogvlm;
 mod conversation;
 mod deadline;

@@ -102,7 +102,7 @@ impl<T: Tiler, E: TileEncoder> TiledModel<T, E> {
         let TiledFamily { name, text, image_token, side, tile_tokens, image_text } = family;
         let before = weights.elements();
         let encoder = encoder(weights)?;
-        let decoder = Decoder::take(weights, text, "language_model.", text.is_tied(weights))?;
+        let decoder = Decoder::take(weights, text, "language_model.")?;
         let image = ImageInfo { token: image_token, side, max_tokens: tiler.max_views() * tile_tokens };
         let info = ModelInfo::of(name, text, image, weights, before);
         Ok(Self { tiler, encoder, decoder, tile_tokens, image_text, info })

@@ -46,7 +46,8 @@ impl CandleDecoder {
         files: &ModelFiles,
     ) -> std::result::Result<Self, MllmError> {
         let image_token = config.image_token;
-        let config = weights::config(files, config, config.text.is_tied(weights))?;
+        let tied = config.text.is_tied(weights);
+        let config = weights::config(files, config, tied)?;
         let tensors = weights::take(weights, &config)?;
         Ok(Self { config, tensors, image_token, live: Mutex::new(None) })
     }

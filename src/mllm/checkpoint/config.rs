@@ -12,8 +12,9 @@ use crate::MllmError;
 /// Largest width, layer count or context of a configuration. No model that fits into a machine exceeds it.
 const MAX_COUNT: u64 = 1 << 22;
 
-/// Keys where null and absence differ: a null window is no window, an absent one takes the default.
-const NULLABLE: [&str; 1] = ["sliding_window"];
+/// Keys where null and absence differ: a null window is no window, and null heads of keys are as many as those of queries; an
+/// absent key takes the default of its class.
+const NULLABLE: [&str; 2] = ["sliding_window", "num_key_value_heads"];
 
 /// An object of a configuration file. Null entries count as absent.
 #[derive(Debug, Clone)]
@@ -69,6 +70,19 @@ impl<'a> ConfigObject<'a> {
 
     pub(crate) fn contains(&self, key: &str) -> bool {
         self.entries.contains_key(key)
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// Whether a key is there without a value. Only those of [`NULLABLE`] can be.
+    pub(crate) fn is_null(&self, key: &str) -> bool {
+        self.entries.get(key).is_some_and(Value::is_null)
+    }
+
+    pub(crate) fn remove(&mut self, key: &str) {
+        self.entries.remove(key);
     }
 
     pub(crate) fn value<T: DeserializeOwned>(&self, key: &str) -> Result<Option<T>, MllmError> {
@@ -136,6 +150,27 @@ fn checked_count<E: Error>(count: u64) -> Result<usize, E> {
         return Ok(count as usize);
     }
     Err(E::custom(format!("expected a whole number from 1 to {MAX_COUNT}, found {count}")))
+}
+
+/// Widest row of a matrix: all heads, the feed-forward part, or merged patches. The decoder of 405 billion weights has 53,248.
+pub(crate) const MAX_WIDTH: usize = 1 << 20;
+
+/// Checks a width that is the product of two numbers, of which `key` is at fault if it is too large.
+pub(crate) fn check_width(object: &ConfigObject<'_>, key: &str, number: usize, factor: usize) -> Result<(), MllmError> {
+    if number.checked_mul(factor).is_some_and(|width| width <= MAX_WIDTH) {
+        return Ok(());
+    }
+    Err(object.error(key, format!("{number} times {factor} is wider than the {MAX_WIDTH} numbers that are supported")))
+}
+
+/// Checks that numbers, each under its key, are from 1 to a limit.
+pub(crate) fn check_ranges(object: &ConfigObject<'_>, numbers: &[(&str, usize, usize)]) -> Result<(), MllmError> {
+    match numbers.iter().find(|(_, number, most)| !(1..=*most).contains(number)) {
+        None => Ok(()),
+        Some((key, number, most)) => {
+            Err(object.error(key, format!("expected a whole number from 1 to {most}, found {number}")))
+        }
+    }
 }
 
 /// A finite number above zero.

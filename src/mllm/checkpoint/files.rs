@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::read_text;
+use super::{parse_json, read_text};
 use crate::MllmError;
 
 /// The files of a model folder, or their texts in the metadata of a GGUF file.
@@ -63,10 +63,7 @@ impl ModelFiles {
     }
 
     pub(crate) fn json(&self, name: &str) -> Result<Option<Value>, MllmError> {
-        let parse = |text: String| {
-            serde_json::from_str(&text).map_err(|source| MllmError::Json { path: self.path(name), source })
-        };
-        self.text(name)?.map(parse).transpose()
+        self.text(name)?.map(|text| parse_json(&self.path(name), &text)).transpose()
     }
 
     pub(crate) fn required_json(&self, name: &str) -> Result<Value, MllmError> {

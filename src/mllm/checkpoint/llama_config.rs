@@ -1,13 +1,13 @@
 //! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen 2 and Qwen 3.
 
 use serde::Deserialize;
-use serde_json::{Value, json};
 
-use super::config::{ConfigObject, count, optional_count, positive};
+use super::config::{ConfigObject, MAX_WIDTH, check_ranges, check_width, count, optional_count, positive};
+use super::decoder_type::DecoderType;
+use super::rope_config::read_rope;
 use super::weights::Weights;
 use crate::MllmError;
-use planagent_kernels::Activation;
-use planagent_kernels::attention::{Rope, RopeScaling, RotarySections};
+use planagent_kernels::attention::{Rope, RotarySections};
 
 /// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a window, Qwen 2 (`Qwen2Config`)
 /// biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms of queries and keys.
@@ -85,82 +85,30 @@ impl Default for LlamaConfig {
 
 /// Longest context, positions: beyond it a configuration is taken for broken.
 const MAX_CONTEXT: usize = 1 << 20;
-
-/// Which decoder a `text_config` describes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum DecoderType {
-    Llama,
-    Mistral,
-    #[serde(alias = "qwen2_5_vl_text")]
-    Qwen2,
-    #[serde(alias = "qwen3_vl_text")]
-    Qwen3,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum RopeType {
-    Default,
-    Linear,
-    Llama3,
-    /// Longer contexts than in training change the base; within it, this is the default.
-    Dynamic,
-    /// The default with sections.
-    Mrope,
-}
+/// Widest head. Published ones have up to 512 channels.
+const MAX_HEAD: usize = 1 << 12;
+/// Most heads and most layers. Published decoders have up to 128 of each.
+const MAX_LAYERS: usize = 1 << 12;
 
 impl LlamaConfig {
-    /// Reads a `text_config`.
-    pub(crate) fn read(text: ConfigObject<'_>) -> Result<Self, MllmError> {
-        let kind = text.value("model_type")?.unwrap_or(DecoderType::Llama);
+    /// Reads a `text_config`, of the class `unnamed` if it has no `model_type`.
+    pub(crate) fn read(text: ConfigObject<'_>, unnamed: DecoderType) -> Result<Self, MllmError> {
+        let kind = text.value("model_type")?.unwrap_or(unnamed);
         Self::read_as(text, kind)
     }
 
     /// Reads the keys of a decoder of this kind.
     pub(crate) fn read_as(text: ConfigObject<'_>, kind: DecoderType) -> Result<Self, MllmError> {
-        match kind {
-            // Only Mistral's layers have a window.
-            DecoderType::Llama => Ok(Self { window: None, ..Self::read_with(text, Value::Null)? }),
-            DecoderType::Mistral => Self::read_with(
-                text,
-                json!({
-                    "intermediate_size": 14_336, "num_key_value_heads": 8, "max_position_embeddings": 131_072,
-                    "sliding_window": 4096,
-                }),
-            ),
-            DecoderType::Qwen2 | DecoderType::Qwen3 => {
-                if text.value("use_sliding_window")?.unwrap_or(false) {
-                    return Err(text.error("use_sliding_window", "a window in some of the layers is not supported"));
-                }
-                let qwen2 = kind == DecoderType::Qwen2;
-                let mut defaults =
-                    json!({"vocab_size": 151_936, "intermediate_size": 22_016, "max_position_embeddings": 32_768});
-                if !qwen2 {
-                    defaults["head_dim"] = json!(128);
-                }
-                let config = Self::read_with(text, defaults)?;
-                let bias = config.attention_bias;
-                Ok(Self {
-                    window: None,
-                    attention_bias: qwen2 || bias,
-                    output_bias: !qwen2 && bias,
-                    head_norms: !qwen2,
-                    ..config
-                })
-            }
-        }
-    }
-
-    /// Reads the keys of a decoder without a `model_type` of its own. Absent keys take `defaults`, then those of Llama.
-    pub(crate) fn read_with(text: ConfigObject<'_>, defaults: Value) -> Result<Self, MllmError> {
-        let text = text.with_defaults(defaults);
-        if text.value("hidden_act")?.is_some_and(|act: Activation| act != Activation::Silu) {
-            return Err(text.error("hidden_act", "only silu is supported"));
+        let mut text = text.with_defaults(kind.defaults());
+        text.only_neutral(kind.neutral())?;
+        // Left out, it has the class's default; null means as many as query heads.
+        if text.is_null(KV_HEADS) {
+            text.remove(KV_HEADS);
         }
         let mut config: Self = text.read()?;
-        config.rope = read_rope(&text)?;
-        config.output_bias = config.attention_bias;
+        // First, because the width of a head may follow from it.
+        check_ranges(&text, &[("num_attention_heads", config.heads, MAX_LAYERS)])?;
+        config.rope = read_rope(&text, kind, config.context)?;
         if config.kv_heads == 0 {
             config.kv_heads = config.heads;
         }
@@ -171,20 +119,56 @@ impl LlamaConfig {
             }
             config.head_dim = config.hidden / config.heads;
         }
+        if kind.is_qwen() {
+            check_no_window(&text, config.layers)?;
+        }
+        if kind != DecoderType::Mistral {
+            config.window = None;
+        }
+        config.output_bias = config.attention_bias && !kind.is_qwen2();
+        config.attention_bias |= kind.is_qwen2();
+        config.head_norms = kind.is_qwen() && !kind.is_qwen2();
+        config.mlp_bias &= !kind.is_qwen();
+        config.check_sizes(&text)?;
         config.validate().map_err(|(key, problem)| text.error(key, problem))?;
         Ok(config)
     }
 
-    /// Whether the embedding is the output layer: the configuration says so, or the files have no other.
-    pub(crate) fn is_tied(&self, weights: &Weights) -> bool {
-        self.tie_word_embeddings || weights.lacks("lm_head.weight")
+    /// Whether the embedding is the output layer: the configuration says so, or the files have no other. One rule for all
+    /// families; the second case is noted.
+    pub(crate) fn is_tied(&self, weights: &mut Weights) -> bool {
+        let lacking = weights.lacks("lm_head.weight");
+        if lacking && !self.tie_word_embeddings {
+            weights.note(
+                "the files have no lm_head.weight, which the configuration promises (tie_word_embeddings: false): the \
+                 embedding is the output layer"
+                    .into(),
+            );
+        }
+        lacking || self.tie_word_embeddings
+    }
+
+    /// Checks each number, then the products that decide how much memory is taken.
+    fn check_sizes(&self, text: &ConfigObject<'_>) -> Result<(), MllmError> {
+        check_ranges(
+            text,
+            &[
+                ("hidden_size", self.hidden, MAX_WIDTH),
+                ("intermediate_size", self.intermediate, MAX_WIDTH),
+                ("num_hidden_layers", self.layers, MAX_LAYERS),
+                (KV_HEADS, self.kv_heads, MAX_LAYERS),
+                ("head_dim", self.head_dim, MAX_HEAD),
+                ("max_position_embeddings", self.context, MAX_CONTEXT),
+            ],
+        )?;
+        check_width(text, "num_attention_heads", self.heads, self.head_dim)
     }
 
     /// The first key that contradicts another, and why.
     fn validate(&self) -> Result<(), (&'static str, String)> {
-        let Self { heads, kv_heads, head_dim, context, .. } = self;
+        let Self { heads, kv_heads, head_dim, .. } = self;
         if !heads.is_multiple_of(*kv_heads) {
-            return Err(("num_key_value_heads", format!("{kv_heads} does not divide {heads} attention heads")));
+            return Err((KV_HEADS, format!("{kv_heads} does not divide {heads} attention heads")));
         }
         if !head_dim.is_multiple_of(2) {
             return Err(("head_dim", format!("{head_dim} is odd; rotary embeddings need pairs")));
@@ -195,36 +179,21 @@ impl LlamaConfig {
             let problem = format!("{lengths:?} do not add up to the {} pairs of a head", head_dim / 2);
             return Err(("mrope_section", problem));
         }
-        if *context > MAX_CONTEXT {
-            return Err(("max_position_embeddings", format!("at most {MAX_CONTEXT} positions are supported")));
-        }
         Ok(())
     }
 }
 
-/// Reads `rope_parameters` (transformers 5), or `rope_theta` with `rope_scaling` (before).
-fn read_rope(text: &ConfigObject<'_>) -> Result<Rope, MllmError> {
-    let section = match text.child("rope_parameters")? {
-        Some(section) => section,
-        None => text.child_or_empty("rope_scaling")?,
-    };
-    let required =
-        |key: &str| section.positive(key)?.ok_or_else(|| section.error(key, "is missing for this rope_type"));
-    let kind = if section.contains("rope_type") { "rope_type" } else { "type" };
-    let scaling = match section.value(kind)?.unwrap_or(RopeType::Default) {
-        RopeType::Default | RopeType::Dynamic | RopeType::Mrope => RopeScaling::None,
-        RopeType::Linear => RopeScaling::Linear { factor: required("factor")? },
-        RopeType::Llama3 => RopeScaling::Llama3 {
-            factor: required("factor")?,
-            low_freq_factor: required("low_freq_factor")?,
-            high_freq_factor: required("high_freq_factor")?,
-            original_context: required("original_max_position_embeddings")?,
-        },
-    };
-    let theta = text.positive("rope_theta")?.unwrap_or(Rope::default().theta);
-    let sections = section.value("mrope_section")?.map(|lengths: [usize; 3]| -> Result<_, MllmError> {
-        Ok(RotarySections { lengths, interleaved: section.value("mrope_interleaved")?.unwrap_or(false) })
-    });
-    let theta = section.positive("rope_theta")?.unwrap_or(theta);
-    Ok(Rope { theta, scaling, sections: sections.transpose()? })
+/// The key whose null differs from its absence.
+const KV_HEADS: &str = "num_key_value_heads";
+
+/// Checks that no layer of a Qwen has a window. Its configuration may say one that begins behind the last layer.
+fn check_no_window(text: &ConfigObject<'_>, layers: usize) -> Result<(), MllmError> {
+    const KEY: &str = "use_sliding_window";
+    let windowed =
+        text.value(KEY)?.unwrap_or(false) && text.contains("sliding_window") && !text.is_null("sliding_window");
+    let first = text.value("max_window_layers")?.unwrap_or(0_usize);
+    if windowed && first < layers {
+        return Err(text.error(KEY, format!("a window in the layers from {first} of {layers} is not supported")));
+    }
+    Ok(())
 }

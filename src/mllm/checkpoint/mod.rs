@@ -1,10 +1,14 @@
 //! The files of a model: weights, and the parts of configurations that several families share.
 
 mod config;
+mod decoder_type;
 mod files;
 mod layers;
 mod llama_config;
 mod load_report;
+mod mistaken;
+mod neutral;
+mod rope_config;
 mod row_order;
 pub(crate) mod safetensors_folder;
 mod vision_config;
@@ -16,12 +20,14 @@ use std::path::Path;
 
 use serde_json::Value;
 
-pub(crate) use config::{ConfigObject, OneOrMany, positive};
+pub(crate) use config::{ConfigObject, OneOrMany, check_width, positive};
+pub(crate) use decoder_type::DecoderType;
 pub use files::ModelFiles;
-pub(crate) use llama_config::DecoderType;
 pub use llama_config::LlamaConfig;
 pub use load_report::in_bytes;
 pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
+pub(crate) use mistaken::what_instead_of_weights;
+pub(crate) use neutral::Neutral;
 pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use vision_config::{TowerType, VisionConfig};
 pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile};
@@ -53,15 +59,39 @@ pub(crate) fn small_file_limit(path: &Path) -> u64 {
     }
 }
 
+/// Reads a small file. Windows editors put a byte order mark before a text, which is left out.
 pub(crate) fn read_text(path: &Path) -> Result<String, MllmError> {
-    let text = planagent_files::read_text(path, small_file_limit(path))
-        .map_err(|source| MllmError::Read { path: path.to_path_buf(), source })?;
-    if weight_file::is_lfs_pointer(text.as_bytes()) {
+    let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
+    let bytes = planagent_files::read(path, small_file_limit(path)).map_err(failed)?;
+    if weight_file::is_lfs_pointer(&bytes) {
         return Err(MllmError::LfsPointer { path: path.to_path_buf() });
+    }
+    let mut text = String::from_utf8(bytes).map_err(|error| {
+        let utf16 = error.as_bytes().starts_with(b"\xff\xfe") || error.as_bytes().starts_with(b"\xfe\xff");
+        let problem =
+            if utf16 { "it is UTF-16, as PowerShell writes; save it as UTF-8".to_owned() } else { error.to_string() };
+        failed(std::io::Error::new(std::io::ErrorKind::InvalidData, problem))
+    })?;
+    if text.starts_with(BYTE_ORDER_MARK) {
+        text.drain(..BYTE_ORDER_MARK.len_utf8());
     }
     Ok(text)
 }
 
+/// What Windows editors begin a UTF-8 text with.
+const BYTE_ORDER_MARK: char = '\u{feff}';
+
 pub(crate) fn read_json(path: &Path) -> Result<Value, MllmError> {
-    serde_json::from_str(&read_text(path)?).map_err(|source| MllmError::Json { path: path.to_path_buf(), source })
+    parse_json(path, &read_text(path)?)
+}
+
+/// Parses a small file. What lies there in its place is called what it is.
+pub(crate) fn parse_json(path: &Path, text: &str) -> Result<Value, MllmError> {
+    serde_json::from_str(text).map_err(|source| match mistaken::what_instead(text.as_bytes()) {
+        Some(problem) => MllmError::Read {
+            path: path.to_path_buf(),
+            source: std::io::Error::new(std::io::ErrorKind::InvalidData, problem),
+        },
+        None => MllmError::Json { path: path.to_path_buf(), source },
+    })
 }

@@ -10,6 +10,7 @@ use safetensors::tensor::Metadata;
 use serde_json::Value;
 
 use super::config::ConfigObject;
+use super::mistaken::{LOOKED_AT, what_instead_of_weights};
 use super::read_json;
 use super::row_order::RowOrder;
 use super::weight_file::{TensorPlace, TensorSource, WeightFile};
@@ -101,6 +102,12 @@ impl TensorSource for MemoryFile {
 fn read_header(path: &Path, source: &mut dyn Read, file_bytes: u64) -> Result<Vec<(String, TensorPlace)>, MllmError> {
     let broken = |problem: String| MllmError::Safetensors { path: path.to_path_buf(), problem };
     let failed = |error: std::io::Error| broken(format!("the header cannot be read: {error}"));
+    let mut beginning = Vec::new();
+    (&mut *source).take(LOOKED_AT as u64).read_to_end(&mut beginning).map_err(failed)?;
+    if let Some(problem) = what_instead_of_weights(&beginning) {
+        return Err(broken(problem));
+    }
+    let mut source = beginning.as_slice().chain(source);
     let mut length = [0; LENGTH as usize];
     source.read_exact(&mut length).map_err(failed)?;
     let length = u64::from_le_bytes(length);
@@ -198,6 +205,12 @@ mod tests {
 
     fn places(bytes: &[u8]) -> Result<Vec<(String, TensorPlace)>, MllmError> {
         read_header(Path::new("w"), &mut &*bytes, bytes.len() as u64)
+    }
+
+    #[test]
+    fn a_web_page_in_place_of_weights_is_called_one() {
+        let error = places(b"<!DOCTYPE html>\n<html>Not here</html>").unwrap_err().to_string();
+        assert!(error.contains("a web page") && error.contains("download the file again"), "{error}");
     }
 
     proptest! {

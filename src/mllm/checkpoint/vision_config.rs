@@ -3,7 +3,8 @@
 use serde::Deserialize;
 use serde_json::json;
 
-use super::config::{ConfigObject, count, positive};
+use super::config::{ConfigObject, check_ranges, count, positive};
+use super::neutral::Neutral;
 use crate::MllmError;
 use planagent_kernels::Activation;
 
@@ -51,8 +52,17 @@ impl Default for VisionConfig {
 
 /// Largest image side, pixels: beyond it a configuration is taken for broken.
 const MAX_IMAGE_SIZE: usize = 8192;
+/// Largest side of a patch, pixels, and most layers and heads. Published towers have up to 64 of each.
+const MAX_LAYERS: usize = 1 << 10;
+/// Widest row of a layer. Those of 6 billion weights are 12,800 wide.
+const MAX_WIDTH: usize = 1 << 18;
+/// Most patches of an image, each of which attends to all. Published towers for one size have up to 4096.
+const MAX_PATCHES: usize = 1 << 16;
 
-/// The `model_type` of a LLaVA's tower.
+/// Keys of any vision transformer that no code reads.
+const NEUTRAL: [(&str, Neutral); 2] = [("num_channels", Neutral::Number(3.0)), ("in_channels", Neutral::Number(3.0))];
+
+/// The class of a LLaVA's tower.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 pub(crate) enum TowerType {
     #[serde(rename = "clip_vision_model")]
@@ -77,7 +87,7 @@ impl VisionConfig {
         let vision = match tower {
             TowerType::Clip => vision,
             TowerType::Siglip => vision.with_defaults(json!({
-                "image_size": 224, "patch_size": 16, "hidden_act": "gelu_pytorch_tanh", "layer_norm_eps": 1e-6,
+                "patch_size": 16, "hidden_act": "gelu_pytorch_tanh", "layer_norm_eps": 1e-6,
             })),
         };
         Ok((Self::read(&vision)?, tower))
@@ -85,12 +95,21 @@ impl VisionConfig {
 
     /// Reads the keys of a vision transformer of any kind.
     pub(crate) fn read(vision: &ConfigObject<'_>) -> Result<Self, MllmError> {
-        for key in ["num_channels", "in_channels"] {
-            if vision.value(key)?.is_some_and(|channels: u64| channels != 3) {
-                return Err(vision.error(key, "only 3 (RGB) is supported"));
-            }
-        }
+        vision.only_neutral(&NEUTRAL)?;
         let config: Self = vision.read()?;
+        let layers = if vision.contains("depth") { "depth" } else { "num_hidden_layers" };
+        let heads = if vision.contains("num_heads") { "num_heads" } else { "num_attention_heads" };
+        check_ranges(
+            vision,
+            &[
+                ("hidden_size", config.hidden, MAX_WIDTH),
+                ("intermediate_size", config.intermediate, MAX_WIDTH),
+                (layers, config.layers, MAX_LAYERS),
+                (heads, config.heads, MAX_LAYERS),
+                ("image_size", config.image_size, MAX_IMAGE_SIZE),
+                ("patch_size", config.patch_size, MAX_LAYERS),
+            ],
+        )?;
         config.validate().map_err(|(key, problem)| vision.error(key, problem))?;
         Ok(config)
     }
@@ -104,8 +123,12 @@ impl VisionConfig {
         if patch_size > image_size {
             return Err(("patch_size", format!("{patch_size} exceeds the image size {image_size}")));
         }
-        if *image_size > MAX_IMAGE_SIZE {
-            return Err(("image_size", format!("at most {MAX_IMAGE_SIZE} pixels are supported")));
+        if self.patches() > MAX_PATCHES {
+            let problem = format!(
+                "an image has {} patches of {patch_size} pixels a side, {MAX_PATCHES} are supported",
+                self.patches()
+            );
+            return Err(("patch_size", problem));
         }
         Ok(())
     }

@@ -46,8 +46,10 @@ enum Taking {
 const MAX_LISTED: usize = 1 << 17;
 /// Errors after which a check gives up.
 const MAX_PROBLEMS: usize = 1000;
-/// A check gives up at a missing tensor with this many numbers or more, because the configuration is broken.
-const MAX_STAND_IN: usize = 1 << 30;
+/// A check gives up at a missing matrix with this many numbers or more, because the configuration is broken.
+const MAX_MATRIX: usize = 1 << 33;
+/// The same for any other tensor. What is computed of its placeholder takes memory. That of a real one has 5 million numbers.
+const MAX_TENSOR: usize = 1 << 26;
 
 /// A tensor that is not taken yet.
 #[derive(Debug)]
@@ -182,11 +184,18 @@ impl Weights {
         }
     }
 
-    /// Checks or lists a tensor where that is the task; gives whether a placeholder suffices.
-    fn looked(&mut self, name: &str, shape: &[usize]) -> Result<bool, MllmError> {
+    /// Checks or lists a tensor of at most `most` numbers where that is the task; gives whether a placeholder suffices.
+    fn looked(&mut self, name: &str, shape: &[usize], most: usize) -> Result<bool, MllmError> {
+        let elements = shape.iter().try_fold(1, |product: usize, side| product.checked_mul(*side));
+        let small = elements.is_some_and(|elements| elements < most);
         if let Taking::List(asked) = &mut self.taking {
             if asked.len() >= MAX_LISTED {
                 let problem = format!("the configuration asks for more than {MAX_LISTED} tensors");
+                return Err(candle_core::Error::Msg(problem).into());
+            }
+            if !small {
+                let problem =
+                    format!("the configuration asks for tensor {name} of shape {shape:?}, which is too large");
                 return Err(candle_core::Error::Msg(problem).into());
             }
             asked.push((name.to_string(), shape.to_vec()));
@@ -195,8 +204,6 @@ impl Weights {
         if !matches!(self.taking, Taking::Look(_)) {
             return Ok(false);
         }
-        let elements = shape.iter().try_fold(1, |product: usize, side| product.checked_mul(*side));
-        let small = elements.is_some_and(|elements| elements < MAX_STAND_IN);
         let found = self.remove(name, shape).map(|_| true);
         match (&mut self.taking, found) {
             (Taking::Look(problems), Err(problem)) if small && problems.len() < MAX_PROBLEMS => {
@@ -258,7 +265,7 @@ impl Weights {
             let values: Vec<f32> = (0..count).map(|_| rand::RngExt::random_range(random, -0.1..0.1)).collect();
             return Ok(Tensor::from_vec(values, shape, &Device::Cpu)?);
         }
-        if self.looked(name, shape)? {
+        if self.looked(name, shape, MAX_TENSOR)? {
             return Ok(Tensor::zeros(1, candle_core::DType::F32, &Device::Cpu)?.broadcast_as(shape)?);
         }
         let stored = self.remove(name, shape)?;
@@ -283,7 +290,7 @@ impl Weights {
             return Ok(Matrix::from_tensor(&self.take(name, &shape)?)?);
         }
         let [outputs, inputs] = shape;
-        if self.looked(name, &shape)? {
+        if self.looked(name, &shape, MAX_MATRIX)? {
             return Ok(Matrix::quantize(&vec![0.0; inputs], 1, inputs, WeightFormat::F32)?);
         }
         let stored = self.remove(name, &shape)?;

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
+use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig};
 
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CogVlmConfig {
@@ -35,7 +35,8 @@ impl CogVlmConfig {
         Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
     }
 
-    /// Reads a configuration; `path` is for messages. Absent keys take the values of `cogvlm-chat-hf`.
+    /// Reads a configuration; `path` is for messages. Absent keys take the defaults of `CogVLMConfig` in the repository of
+    /// `cogvlm-chat-hf`, which are Llama's; its towers say all keys.
     pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
         let root = ConfigObject::root(path, value)?;
         if root.contains("num_multi_query_heads") {
@@ -45,7 +46,7 @@ impl CogVlmConfig {
             ));
         }
         // The decoder's keys stand beside all others.
-        let text = LlamaConfig { window: None, ..LlamaConfig::read_with(root.clone(), json!({"rms_norm_eps": 1e-5}))? };
+        let text = LlamaConfig::read_as(root.clone(), DecoderType::Llama)?;
         let bos = root.first_id("bos_token_id")?.unwrap_or(1);
         if bos as usize >= text.vocabulary {
             return Err(root.error("bos_token_id", format!("{bos} lies outside the vocabulary of {}", text.vocabulary)));
@@ -98,8 +99,8 @@ mod tests {
         .unwrap();
         assert_eq!((config.image_tokens(), config.text.context, config.text.head_dim), (1227, 2048, 128));
         assert_eq!((config.bos, config.style), (1, AnswerStyle::Chat));
-        // The defaults are this model's.
-        assert_eq!(parse(&json!({})).unwrap(), config);
+        // The defaults are this model's, but for one.
+        assert_eq!(parse(&json!({"rms_norm_eps": 1e-5})).unwrap(), config);
     }
 
     #[test]

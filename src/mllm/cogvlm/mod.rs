@@ -59,7 +59,7 @@ impl CogVlm {
         let before = weights.elements();
         let tower = EvaVisionTower::take(weights, &config.vision)?;
         let adapter = GluAdapter::take(weights, &config)?;
-        let decoder = Decoder::take(weights, &config.text, "", config.text.tie_word_embeddings)?;
+        let decoder = Decoder::take(weights, &config.text, "")?;
         let image = ImageInfo {
             // No token of the vocabulary stands for an image, so the first number behind it does.
             token: config.text.vocabulary as u32,
@@ -108,4 +108,10 @@ impl VisionLanguageModel for CogVlm {
     fn decoder(&self) -> &dyn LanguageModel {
         &self.decoder
     }
+}
+
+/// What is read of the small files, for tests of their keys.
+#[cfg(test)]
+pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
+    Ok(format!("{:?}", CogVlmConfig::open(files)?))
 }

@@ -83,14 +83,9 @@ pub trait LanguageModel {
 }
 
 impl<L: DecoderLayer> Decoder<L> {
-    /// Takes the decoder's weights, whose names begin with `prefix`; the output layer is `lm_head.weight` in all families. With
-    /// `tied`, the embedding is the output layer where there is no other.
-    pub(crate) fn take(
-        weights: &mut Weights,
-        config: &LlamaConfig,
-        prefix: &str,
-        tied: bool,
-    ) -> Result<Self, MllmError> {
+    /// Takes the decoder's weights, whose names begin with `prefix`; the output layer is `lm_head.weight` in all families.
+    pub(crate) fn take(weights: &mut Weights, config: &LlamaConfig, prefix: &str) -> Result<Self, MllmError> {
+        let tied = config.is_tied(weights);
         let matrix = [config.vocabulary, config.hidden];
         let embedding = weights.take_matrix(&format!("{prefix}embed_tokens.weight"), matrix)?;
         // A checkpoint that holds both with the tying flag set is not tied (transformers: `tie_weights`).

@@ -10,6 +10,8 @@ mod writer;
 #[cfg(test)]
 mod header_tests;
 #[cfg(test)]
+mod odd_files_tests;
+#[cfg(test)]
 mod round_trip_tests;
 #[cfg(test)]
 mod stored_format_tests;

@@ -15,11 +15,42 @@ const LLAMA3: &str = r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{
 /// The names that are known.
 const KNOWN: [&str; 5] = ["default", "gpt-2", "smollm", "qwen2", "llama-bpe"];
 
+/// The key of the way that texts are split.
+const PRE: &str = "tokenizer.ggml.pre";
+/// The name that says nothing: the split of GPT-2 is taken, as llama.cpp does.
+const DEFAULT: &str = "default";
+
+/// The name of the way that texts are split. Files of before May 2024 have none; all Qwens split alike.
+fn split_name(header: &Header) -> Result<&str, MllmError> {
+    Ok(match header.text(PRE)? {
+        Some(name) => name,
+        None if header.architecture()?.starts_with("qwen") => "qwen2",
+        None => DEFAULT,
+    })
+}
+
+/// A note where the file does not say how texts are split.
+pub(super) fn note(header: &Header) -> Result<Option<String>, MllmError> {
+    let stored = header.text(PRE)?;
+    if stored.is_some_and(|name| name != DEFAULT) {
+        return Ok(None);
+    }
+    let stored = stored.map_or_else(|| format!("has no {PRE}"), |name| format!("says {PRE} = {name}"));
+    let taken = match split_name(header)? {
+        DEFAULT => "GPT-2",
+        name => name,
+    };
+    Ok(Some(format!(
+        "{} {stored}, so it does not name how texts are split; the split of {taken} is taken, and other tokens mean other \
+         answers; the model's tokenizer.json beside the file decides",
+        header.path.display()
+    )))
+}
+
 /// Reads the tokenizer of a model whose embedding has `vocabulary` rows.
 pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles, MllmError> {
     const MERGES: &str = "tokenizer.ggml.merges";
-    const PRE: &str = "tokenizer.ggml.pre";
-    let name = header.text(PRE)?.unwrap_or("default");
+    let name = split_name(header)?;
     let Some((normalizer, pre_tokenizer)) = splitting(name) else {
         let known = KNOWN.join(", ");
         let problem = format!("'{name}' is not known ({known} are); put the model's tokenizer.json beside the file");

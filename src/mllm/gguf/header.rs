@@ -6,13 +6,14 @@
 //! the product of a shape nor whether tensors overlap.
 
 use std::collections::BTreeMap;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use candle_core::quantized::GgmlDType;
 use serde_json::{Number, Value};
 
 use crate::MllmError;
-use crate::checkpoint::TensorPlace;
+use crate::checkpoint::{TensorPlace, what_instead_of_weights};
 use planagent_kernels::matrix::StoredFormat;
 
 const MAGIC: &[u8; 4] = b"GGUF";
@@ -70,8 +71,13 @@ struct Declared {
 
 impl Reader<'_> {
     fn header(mut self) -> Result<Header, MllmError> {
-        if &self.array::<4>()? != MAGIC {
-            return Err(self.error("it does not begin with GGUF"));
+        let magic = self.array::<4>()?;
+        if &magic != MAGIC {
+            let mut beginning = magic.to_vec();
+            // What cannot be read does not change what the file is not.
+            let _ = (&mut *self.source).take(MAX_NAME).read_to_end(&mut beginning);
+            let instead = what_instead_of_weights(&beginning);
+            return Err(self.error(instead.unwrap_or_else(|| "it does not begin with GGUF".into())));
         }
         let version = self.u32()?;
         if !VERSIONS.contains(&version) {

@@ -22,6 +22,9 @@ const ARCHITECTURES: [(&str, &str); 5] = [
 /// The architecture whose axes take turns in the rotary embedding; its files do not say so.
 const INTERLEAVED: &str = "qwen3vl";
 
+/// The base of the rotary embedding where a file has none (`rope_freq_base_train` in llama.cpp).
+const DEFAULT_THETA: f64 = 10_000.0;
+
 /// Names of the decoders that are read.
 pub(crate) fn architectures() -> impl Iterator<Item = &'static str> {
     ARCHITECTURES.into_iter().map(|(name, _)| name)
@@ -38,7 +41,7 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     let Some(vocabulary) = embedding else {
         return Err(MllmError::MissingTensor { folder: header.path.clone(), name: "token_embd.weight".into() });
     };
-    if header.count(&key("expert_count"))?.is_some() {
+    if header.count_or_none(&key("expert_count"))?.is_some() {
         return Err(header.error(&key("expert_count"), "a mixture of experts is not supported"));
     }
     let hidden = header.required_count(&key("embedding_length"))?;
@@ -51,7 +54,11 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
             format!("{rotated} of {head_dim} dimensions of a head are rotated; all of them is supported"),
         ));
     }
-    let window = header.count(&key("attention.sliding_window"))?;
+    if let Some(width) = header.count(&key("attention.value_length"))?.filter(|width| *width != head_dim) {
+        let problem = format!("{width} is not the width of keys, {head_dim}; heads of one width are supported");
+        return Err(header.error(&key("attention.value_length"), problem));
+    }
+    let window = header.count_or_none(&key("attention.sliding_window"))?;
     let mut config = json!({
         // A window is the only difference of Mistral.
         "model_type": if window.is_some() && model_type == "llama" { "mistral" } else { model_type },
@@ -64,16 +71,23 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
         "head_dim": head_dim,
         "max_position_embeddings": header.required_count(&key("context_length"))?,
         "rms_norm_eps": header.number(&key("attention.layer_norm_rms_epsilon"))?,
-        "rope_theta": header.number(&key("rope.freq_base"))?,
+        // Left out, it is llama.cpp's default, not that of a class of transformers.
+        "rope_theta": header.number(&key("rope.freq_base"))?.unwrap_or(DEFAULT_THETA),
         "sliding_window": window,
         "attention_bias": header.tensors.contains_key("blk.0.attn_q.bias"),
         "mlp_bias": header.tensors.contains_key("blk.0.ffn_up.bias"),
         "tie_word_embeddings": !header.tensors.contains_key("output.weight"),
     });
     match header.text(&key("rope.scaling.type"))? {
-        None | Some("none") => {}
-        Some("linear") => {
-            config["rope_scaling"] = json!({"type": "linear", "factor": header.number(&key("rope.scaling.factor"))?});
+        Some("none") => {}
+        // llama.cpp takes a factor without a type as linear, and 0 for no factor.
+        None | Some("linear") => {
+            let factor = header.number_or_none(&key("rope.scaling.factor"))?;
+            let factor =
+                factor.map_or_else(|| header.number_or_none(&key("rope.scale_linear")), |factor| Ok(Some(factor)))?;
+            if let Some(factor) = factor {
+                config["rope_scaling"] = json!({"type": "linear", "factor": factor});
+            }
         }
         Some(other) => {
             return Err(header.error(&key("rope.scaling.type"), format!("'{other}' is not supported; linear is")));

@@ -50,12 +50,22 @@ impl Header {
         })
     }
 
+    /// A count whose 0 means that there is none.
+    pub(crate) fn count_or_none(&self, key: &str) -> Result<Option<usize>, MllmError> {
+        if self.metadata.get(key).and_then(Value::as_u64) == Some(0) { Ok(None) } else { self.count(key) }
+    }
+
+    /// A number whose 0 means that there is none.
+    pub(crate) fn number_or_none(&self, key: &str) -> Result<Option<f64>, MllmError> {
+        if self.metadata.get(key).and_then(Value::as_f64) == Some(0.0) { Ok(None) } else { self.number(key) }
+    }
+
     pub(crate) fn required_count(&self, key: &str) -> Result<usize, MllmError> {
         self.count(key)?.ok_or_else(|| self.missing(key))
     }
 
     pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, MllmError> {
-        self.typed(key, "a number", Value::as_f64)
+        self.typed(key, "a positive number", |value| value.as_f64().filter(|number| *number > 0.0))
     }
 
     pub(crate) fn flag(&self, key: &str) -> Result<Option<bool>, MllmError> {
@@ -99,9 +109,31 @@ impl Header {
         }))
     }
 
-    /// The value of `general.architecture`.
+    /// The value of `general.architecture`. Parts of a split model after the first have none, nor has what is no model.
     pub(crate) fn architecture(&self) -> Result<&str, MllmError> {
         const KEY: &str = "general.architecture";
-        self.text(KEY)?.ok_or_else(|| self.missing(KEY))
+        if let Some(architecture) = self.text(KEY)? {
+            return Ok(architecture);
+        }
+        self.check_one_file()?;
+        match self.text("general.type")? {
+            Some(kind) if kind != "model" => {
+                Err(self.error("general.type", format!("'{kind}' is no model; name the file of the model")))
+            }
+            _ => Err(self.missing(KEY)),
+        }
+    }
+
+    /// Refuses a part of a model that is split into several files.
+    pub(crate) fn check_one_file(&self) -> Result<(), MllmError> {
+        const COUNT: &str = "split.count";
+        let number = |key: &str| self.typed(key, "a whole number", Value::as_u64);
+        let Some(parts) = number(COUNT)?.filter(|parts| *parts > 1) else { return Ok(()) };
+        let part = number("split.no")?.unwrap_or(0).saturating_add(1);
+        let problem = format!(
+            "this is part {part} of {parts}, and models in several files are not supported; join them with llama-gguf-split \
+             --merge, which takes the first part (...-00001-of-{parts:05}.gguf)"
+        );
+        Err(self.error(COUNT, problem))
     }
 }

@@ -86,11 +86,8 @@ pub(crate) fn files(model: &Path, mmproj: Option<&Path>) -> Result<Vec<PathBuf>,
 /// The decoder (or whole model) among a folder's GGUF files; none if it has no such file.
 pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>, MllmError> {
     let (models, unreadable) = files_of(folder, |architecture| architecture != TOWER)?;
-    if let Some(error) = unreadable {
-        return Err(error);
-    }
     match models.as_slice() {
-        [] => Ok(None),
+        [] => unreadable.map_or(Ok(None), Err),
         [model] => Ok(Some(model.clone())),
         several => Err(several_files(folder, "models", several, "name one of them")),
     }
@@ -132,23 +129,43 @@ fn several_files(folder: &Path, what: &str, files: &[PathBuf], hint: &str) -> Ml
     }
 }
 
-/// The GGUF files of a folder whose architecture is wanted, sorted, and what is wrong with one that cannot be read.
+/// The GGUF files of a folder whose architecture is wanted, sorted, and what is wrong with those that are no model: importance
+/// matrices, parts of split models, broken downloads. They do not hide a model beside them.
 fn files_of(folder: &Path, wanted: impl Fn(&str) -> bool) -> Result<(Vec<PathBuf>, Option<MllmError>), MllmError> {
     let failed = |source| MllmError::Read { path: folder.to_path_buf(), source };
-    let (mut found, mut unreadable) = (Vec::new(), None);
-    for entry in std::fs::read_dir(folder).map_err(failed)? {
-        let path = folder.join(entry.map_err(failed)?.file_name());
-        if path.extension().is_none_or(|extension| extension != "gguf") {
-            continue;
-        }
+    let (mut found, mut unreadable) = (Vec::new(), Vec::new());
+    let paths = std::fs::read_dir(folder).map_err(failed)?.map(|entry| Ok(folder.join(entry?.file_name())));
+    let mut paths = paths.collect::<Result<Vec<_>, _>>().map_err(failed)?;
+    paths.retain(|path| is_gguf(path));
+    paths.sort();
+    for path in paths {
         match open_header(&path).and_then(|(header, _)| Ok(wanted(header.architecture()?))) {
             Ok(true) => found.push(path),
             Ok(false) => {}
-            Err(error) => unreadable = Some(error),
+            Err(error) => unreadable.push(error),
         }
     }
-    found.sort();
-    Ok((found, unreadable))
+    Ok((found, all_of(folder, unreadable)))
+}
+
+/// Whether a file is one by its name. The file that macOS writes beside each on other disks (`._NAME`) is none.
+fn is_gguf(path: &Path) -> bool {
+    let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("._"));
+    !hidden && path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("gguf")) && path.is_file()
+}
+
+/// One error that tells several.
+fn all_of(folder: &Path, errors: Vec<MllmError>) -> Option<MllmError> {
+    match errors.len() {
+        0 | 1 => errors.into_iter().next(),
+        _ => {
+            let told: Vec<String> = errors.iter().map(ToString::to_string).collect();
+            Some(MllmError::MissingFile {
+                folder: folder.to_path_buf(),
+                file: format!("GGUF file that is a model: {}", told.join("; ")),
+            })
+        }
+    }
 }
 
 /// The small files that the metadata holds, by name.

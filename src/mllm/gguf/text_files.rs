@@ -34,7 +34,7 @@ impl TextFiles {
     /// The id of a special token.
     pub(crate) fn added_id(&self, decoder: &Header, token: &str) -> Result<u64, MllmError> {
         tokenizer::added_id(&self.tokenizer, token).ok_or_else(|| MllmError::Tokenizer {
-            path: decoder.path.with_file_name(TOKENIZER),
+            path: tokenizer::place(decoder),
             problem: format!("the special token {token} is missing"),
         })
     }

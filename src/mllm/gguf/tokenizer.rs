@@ -5,6 +5,7 @@
 //! `byte_level`.
 
 use std::collections::{BTreeMap, HashMap};
+use std::path::PathBuf;
 
 use serde_json::{Value as Json, json};
 
@@ -31,6 +32,8 @@ pub(crate) mod piece {
 
 /// The placeholder of an image.
 const IMAGE: &str = "<image>";
+/// The key of the kind of a tokenizer.
+const MODEL: &str = "tokenizer.ggml.model";
 /// Longest piece, bytes. SentencePiece's pieces have 16 characters; a longer one means a broken file.
 const MAX_PIECE: usize = 1024;
 
@@ -70,7 +73,6 @@ pub(crate) fn added_token(id: u64, token: &str, special: bool) -> Json {
 
 /// Reads the tokenizer of a model whose embedding has `vocabulary` rows.
 pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles, MllmError> {
-    const MODEL: &str = "tokenizer.ggml.model";
     match header.text(MODEL)? {
         Some("llama") => {}
         Some("gpt2") => return byte_level::read(header, vocabulary),
@@ -99,6 +101,20 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     let unknown = unknown.map(|(_, token)| token);
     let tokenizer = pieces.to_json(&scores, bos, unknown, prefix);
     Ok(TokenizerFiles { tokenizer, config, eos: eos.map(|(id, _)| id) })
+}
+
+/// A note where a decoder's file leaves its tokenizer open, and no file beside it decides.
+pub(crate) fn note(header: &Header) -> Result<Option<String>, MllmError> {
+    if header.text(MODEL)? != Some("gpt2") || header.path.with_file_name(TOKENIZER).is_file() {
+        return Ok(None);
+    }
+    byte_level::note(header)
+}
+
+/// What errors about a decoder's tokenizer call it: the file beside it, or its own.
+pub(crate) fn place(header: &Header) -> PathBuf {
+    let beside = header.path.with_file_name(TOKENIZER);
+    if beside.is_file() { beside } else { header.path.clone() }
 }
 
 /// The tokenizer of a decoder: the file beside it, else that of the metadata, whose other small files go to `files`.

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use serde_json::{Value, json};
+use serde_json::Value;
 
+use super::layout::Layout;
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
-use planagent_kernels::Activation;
+use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig, check_width};
 
 /// An `InternVL`: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,27 +48,18 @@ impl InternVlConfig {
             }
         }
         let root = ConfigObject::root(path, &value)?;
-        let vision = vision(&root)?;
-        let text = if root.contains("llm_config") { "llm_config" } else { "text_config" };
-        let mut text = LlamaConfig::read(root.child_or_empty(text)?)?;
-        text.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(false);
+        let layout = Layout::of(&root);
+        root.only_neutral(layout.neutral())?;
+        let vision = layout.vision(&root)?;
+        let mut text = layout.text(&root)?;
+        text.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(layout == Layout::Hf);
         let ratio = root.positive("downsample_ratio")?.unwrap_or(DOWNSAMPLE);
         let scale = (1.0 / ratio).round().clamp(1.0, 64.0) as usize;
         let side = vision.image_size / vision.patch_size;
+        check_width(&root, "downsample_ratio", scale * scale, vision.hidden)?;
         if (ratio * scale as f64 - 1.0).abs() > 1e-9 || !side.is_multiple_of(scale) {
             let problem = format!("{ratio} does not merge the {side} patches of a side into whole tokens");
             return Err(root.error("downsample_ratio", problem));
-        }
-        if root.value("ps_version")?.is_some_and(|version: String| version != "v2") {
-            return Err(root.error("ps_version", "only v2 is supported"));
-        }
-        if root.value("projector_hidden_act")?.is_some_and(|act: Activation| act != Activation::Gelu) {
-            return Err(root.error("projector_hidden_act", "only gelu is supported"));
-        }
-        for key in ["vision_feature_layer", "select_layer"] {
-            if root.value(key)?.is_some_and(|layer: i64| layer != -1) {
-                return Err(root.error(key, "only the last layer, -1, is supported"));
-            }
         }
         let image_token = match root.first_id("image_token_id")? {
             Some(id) => id,
@@ -98,31 +89,10 @@ fn square(value: &mut Value) {
     }
 }
 
-/// Reads the tower. Absent keys take the values of `InternViT-300M`, which both layouts' defaults are.
-fn vision(root: &ConfigObject<'_>) -> Result<VisionConfig, MllmError> {
-    let vision = root.child_or_empty("vision_config")?.with_defaults(json!({
-        "hidden_size": 1024, "intermediate_size": 4096, "num_hidden_layers": 24, "num_attention_heads": 16,
-        "image_size": 448, "patch_size": 14, "hidden_act": "gelu", "layer_norm_eps": 1e-6,
-    }));
-    for key in ["use_qk_norm", "qk_normalization"] {
-        if vision.value(key)?.unwrap_or(false) {
-            return Err(vision.error(key, "the tower of 6 billion weights is not supported; that of 300 million is"));
-        }
-    }
-    for key in ["attention_bias", "qkv_bias"] {
-        if vision.value(key)? == Some(false) {
-            return Err(vision.error(key, "a tower without biases is not supported"));
-        }
-    }
-    if vision.value("norm_type")?.is_some_and(|kind: String| kind != "layer_norm") {
-        return Err(vision.error("norm_type", "only layer_norm is supported"));
-    }
-    VisionConfig::read(&vision)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use serde_json::json;
 
     fn read(config: &Value) -> Result<InternVlConfig, MllmError> {
         InternVlConfig::from_json(Path::new("config.json"), config, || Ok(Some(7)))
@@ -132,9 +102,12 @@ mod tests {
     fn both_layouts_are_read() {
         let text = json!({"model_type": "qwen2", "hidden_size": 896, "num_attention_heads": 14, "num_key_value_heads": 2,
             "vocab_size": 151_674, "rope_scaling": {"type": "dynamic", "rope_type": "dynamic", "factor": 2.0}});
-        let original = json!({"model_type": "internvl_chat", "llm_config": text, "force_image_size": 448});
+        let tower = json!({"hidden_size": 1024, "intermediate_size": 4096, "num_hidden_layers": 24, "image_size": 448,
+            "num_attention_heads": 16, "qkv_bias": true, "qk_normalization": false, "norm_type": "layer_norm"});
+        let original = json!({"model_type": "internvl_chat", "llm_config": text, "force_image_size": 448,
+            "ps_version": "v2", "tie_word_embeddings": true, "vision_config": tower});
         let hf = json!({"model_type": "internvl", "text_config": text, "image_token_id": 7,
-            "vision_config": {"image_size": [448, 448], "patch_size": [14, 14]}});
+            "vision_config": {"image_size": [448, 448], "patch_size": [14, 14], "attention_bias": true}});
         assert_eq!(read(&original).unwrap(), read(&hf).unwrap());
         let config = read(&hf).unwrap();
         assert_eq!((config.tile_tokens(), config.scale, config.image_token), (256, 2, 7));
@@ -143,16 +116,44 @@ mod tests {
 
     #[test]
     fn unsupported_configurations_are_named() {
-        for (key, config) in [
-            ("downsample_ratio", json!({"downsample_ratio": 0.3})),
-            ("ps_version", json!({"ps_version": "v1"})),
-            ("select_layer", json!({"select_layer": -4})),
-            ("vision_config.qk_normalization", json!({"vision_config": {"qk_normalization": true}})),
-            ("vision_config.norm_type", json!({"vision_config": {"norm_type": "rms_norm"}})),
-            ("text_config.model_type", json!({"text_config": {"model_type": "internlm2"}})),
-            ("image_token_id", json!({"image_token_id": 40_000})),
+        let hf = json!({"vision_config": {"attention_bias": true}});
+        let original = json!({"ps_version": "v2", "llm_config": {"model_type": "qwen2"}, "vision_config": {
+            "qkv_bias": true, "qk_normalization": false, "norm_type": "layer_norm", "hidden_size": 64,
+            "num_attention_heads": 4, "image_size": 448}});
+        read(&hf).unwrap();
+        read(&original).unwrap();
+        for (layout, pointer, value) in [
+            (&hf, "/downsample_ratio", json!(0.3)),
+            (&hf, "/vision_feature_layer", json!(-4)),
+            (&hf, "/vision_feature_select_strategy", json!("full")),
+            (&hf, "/projector_hidden_act", json!("relu")),
+            (&hf, "/vision_config/use_qk_norm", json!(true)),
+            (&hf, "/vision_config/norm_type", json!("rms_norm")),
+            (&hf, "/vision_config/use_mean_pooling", json!(false)),
+            (&hf, "/vision_config/attention_bias", Value::Null),
+            (&hf, "/text_config/model_type", json!("internlm2")),
+            (&hf, "/image_token_id", json!(400_000)),
+            (&original, "/ps_version", json!("v1")),
+            (&original, "/ps_version", Value::Null),
+            (&original, "/select_layer", json!(-4)),
+            (&original, "/force_image_size", json!(224)),
+            (&original, "/llm_config/model_type", json!("internlm2")),
+            (&original, "/llm_config/model_type", Value::Null),
+            (&original, "/vision_config/qk_normalization", Value::Null),
+            (&original, "/vision_config/qkv_bias", Value::Null),
+            (&original, "/vision_config/norm_type", Value::Null),
         ] {
-            assert!(matches!(read(&config), Err(MllmError::Config { key: named, .. }) if named == key), "{config}");
+            let mut config = layout.clone();
+            let (object, key) = pointer.rsplit_once('/').unwrap();
+            let object = object.trim_start_matches('/');
+            if object.is_empty() {
+                config[key] = value
+            } else {
+                config[object][key] = value
+            }
+            let named = pointer.trim_start_matches('/').replace('/', ".");
+            let error = read(&config).unwrap_err();
+            assert!(matches!(&error, MllmError::Config { key, .. } if *key == named), "{pointer}: {error}");
         }
     }
 }

@@ -46,8 +46,10 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
     let mut vision = tower.vision_config()?;
     vision["hidden_act"] = json!("gelu");
+    vision["attention_bias"] = json!(true);
     let mut processor = tower.pixel_scale()?;
     processor["image_processor_type"] = json!("GotOcr2ImageProcessor");
+    processor["size"] = vision["image_size"].clone();
     for (key, name, published) in TILES {
         let count = tower.count(key)?;
         if count.is_none() {

@@ -3,6 +3,7 @@
 
 mod config;
 mod gguf;
+mod layout;
 mod names;
 mod tiles;
 mod vision;
@@ -58,4 +59,12 @@ fn take(weights: &mut Weights, config: &InternVlConfig, tiler: TileProcessor) ->
 /// All tokens in one run, framed.
 fn image_text(placeholder: &str, layout: ImageLayout) -> String {
     format!("<img>{}</img>", placeholder.repeat(layout.tokens))
+}
+
+/// What is read of the small files, for tests of their keys.
+#[cfg(test)]
+pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
+    let config = InternVlConfig::open(files)?;
+    let tiler = TileProcessor::open(files, config.vision.image_size as u32)?;
+    Ok(format!("{config:?} {tiler:?}"))
 }

@@ -7,9 +7,9 @@ use serde::Deserialize;
 use serde_json::json;
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, ModelFiles};
+use crate::checkpoint::{ConfigObject, ModelFiles, Neutral};
 use crate::tiled::{Grid, Tiler};
-use crate::vision::{Filter, PixelScale, read_processor, resize};
+use crate::vision::{Filter, PixelScale, Side, Sides, check_picture, read_processor, resize};
 
 /// Maximum number of tiles of a configuration: a larger number means a broken one.
 const MAX_TILES: u32 = 64;
@@ -38,9 +38,11 @@ struct Keys {
     max_patches: u32,
     use_thumbnail: bool,
     dynamic_image_size: bool,
+    size: Sides,
     resample: Filter,
 }
 
+/// The defaults of `GotOcr2ImageProcessor`.
 impl Default for Keys {
     fn default() -> Self {
         Self {
@@ -49,6 +51,7 @@ impl Default for Keys {
             max_patches: 12,
             use_thumbnail: true,
             dynamic_image_size: true,
+            size: Sides::One(Side(384)),
             resample: Filter::Bicubic,
         }
     }
@@ -62,13 +65,20 @@ impl TileProcessor {
         let path = files.path("config.json");
         let config = ConfigObject::root(&path, &config)?;
         if config.contains("llm_config") {
-            let scale = match read_processor(files, |_, object| pixel_scale(object)) {
-                Err(MllmError::MissingFile { .. }) => pixel_scale(&ConfigObject::root(&path, &json!({}))?)?,
+            let scale = match read_processor(files, |_, object| authors_scale(object)) {
+                Err(MllmError::MissingFile { .. }) => authors_scale(&ConfigObject::root(&path, &json!({}))?)?,
                 scale => scale?,
             };
+            // The defaults of `InternVLChatConfig`; its tiles have the tower's size.
+            let config = config.with_defaults(json!({
+                "dynamic_image_size": false, "use_thumbnail": false, "max_dynamic_patch": 6, "size": side,
+            }));
             return Self::read(&config, side, scale);
         }
-        read_processor(files, |_, object| Self::read(object, side, pixel_scale(object)?))
+        read_processor(files, |_, object| {
+            object.only_neutral(&[("do_resize", Neutral::Flag(true))])?;
+            Self::read(object, side, PixelScale::read(object)?)
+        })
     }
 
     fn read(object: &ConfigObject<'_>, tile: u32, scale: PixelScale) -> Result<Self, MllmError> {
@@ -77,18 +87,25 @@ impl TileProcessor {
             let problem = format!("'{kind}' is not supported; GotOcr2ImageProcessor is");
             return Err(object.error("image_processor_type", problem));
         }
+        let (height, width) = keys.size.height_width();
+        if (height, width) != (tile, tile) {
+            let problem = format!("tiles of {width} x {height} pixels; the vision tower takes {tile} x {tile}");
+            return Err(object.error("size", problem));
+        }
         let (min, max) = if keys.dynamic_image_size { (keys.min_patches, keys.max_patches) } else { (1, 1) };
         if min == 0 || min > max || max > MAX_TILES {
-            return Err(object.error("max_patches", format!("{min} to {max} tiles; expected 1 to {MAX_TILES}")));
+            let key = if object.contains("max_dynamic_patch") { "max_dynamic_patch" } else { "max_patches" };
+            return Err(object.error(key, format!("{min} to {max} tiles; expected 1 to {MAX_TILES}")));
         }
+        check_picture(tile, tile * max).map_err(|problem| object.error("max_patches", problem))?;
         Ok(Self { tile, min, max, whole: keys.use_thumbnail, filter: keys.resample, scale })
     }
 
     #[cfg(test)]
     pub(super) fn new(tile: u32, min: u32, max: u32) -> Self {
-        let object = json!({"min_patches": min, "max_patches": max});
+        let object = json!({"min_patches": min, "max_patches": max, "size": tile});
         let object = ConfigObject::root("preprocessor_config.json".as_ref(), &object).unwrap();
-        Self::read(&object, tile, pixel_scale(&object).unwrap()).unwrap()
+        Self::read(&object, tile, authors_scale(&object).unwrap()).unwrap()
     }
 }
 
@@ -96,6 +113,8 @@ impl Tiler for TileProcessor {
     fn set_tiles(&mut self, tiles: usize) -> Result<(), MllmError> {
         match u32::try_from(tiles) {
             Ok(tiles @ 1..=MAX_TILES) => {
+                check_picture(self.tile, self.tile * tiles)
+                    .map_err(|problem| MllmError::Image { problem: format!("image.tiles = {tiles}: {problem}") })?;
                 (self.min, self.max) = (self.min.min(tiles), tiles);
                 Ok(())
             }
@@ -139,8 +158,8 @@ impl Tiler for TileProcessor {
     }
 }
 
-/// Mean and deviation of the pixels: by default those of `ImageNet`.
-fn pixel_scale(object: &ConfigObject<'_>) -> Result<PixelScale, MllmError> {
+/// Mean and deviation of the pixels in the authors' layout: by default those of `ImageNet`, which stand in their code.
+fn authors_scale(object: &ConfigObject<'_>) -> Result<PixelScale, MllmError> {
     PixelScale::read(&object.clone().with_defaults(json!({
         "image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225],
     })))

@@ -8,7 +8,9 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, OneOrMany, TowerType, VisionConfig};
+use crate::checkpoint::{
+    ConfigObject, DecoderType, LlamaConfig, ModelFiles, OneOrMany, TowerType, VisionConfig, check_width,
+};
 use planagent_kernels::Activation;
 
 /// A LLaVA model: its vision tower, its decoder, and how they are joined.
@@ -52,11 +54,13 @@ impl LlavaConfig {
     pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
         let root = ConfigObject::root(path, value)?;
         let (vision, tower) = VisionConfig::read_tower(&root)?;
-        let mut text = LlamaConfig::read(root.child_or_empty("text_config")?)?;
+        let mut text = LlamaConfig::read(root.child_or_empty("text_config")?, DecoderType::Llama)?;
         text.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(false);
+        let feature_layers = feature_layers(&root, vision.layers)?;
+        check_width(&root, FEATURE_LAYER, feature_layers.len(), vision.hidden)?;
         Ok(Self {
             image_token: image_token(&root, text.vocabulary)?,
-            feature_layers: feature_layers(&root, vision.layers)?,
+            feature_layers,
             feature_select: root.value("vision_feature_select_strategy")?.unwrap_or(FeatureSelect::Default),
             projector_act: root.value("projector_hidden_act")?.unwrap_or(Activation::Gelu),
             projector_bias: root.value("multimodal_projector_bias")?.unwrap_or(true),
@@ -73,6 +77,8 @@ impl LlavaConfig {
         self.vision.patches() + class_token - left_out
     }
 }
+
+const FEATURE_LAYER: &str = "vision_feature_layer";
 
 /// The id of the image's placeholder.
 fn image_token(root: &ConfigObject<'_>, vocabulary: usize) -> Result<u32, MllmError> {
@@ -92,17 +98,15 @@ fn image_token(root: &ConfigObject<'_>, vocabulary: usize) -> Result<u32, MllmEr
 
 /// The feature layers as indices from 0; negative ones in the file count from the last hidden state.
 fn feature_layers(root: &ConfigObject<'_>, layers: usize) -> Result<Vec<usize>, MllmError> {
-    const KEY: &str = "vision_feature_layer";
     let states = layers as i64 + 1;
     let resolve = |index: &i64| {
         let resolved = if *index < 0 { index.saturating_add(states) } else { *index };
-        (0..states)
-            .contains(&resolved)
-            .then_some(resolved as usize)
-            .ok_or_else(|| root.error(KEY, format!("{index} is no index into the {states} hidden states of the tower")))
+        (0..states).contains(&resolved).then_some(resolved as usize).ok_or_else(|| {
+            root.error(FEATURE_LAYER, format!("{index} is no index into the {states} hidden states of the tower"))
+        })
     };
-    match root.value(KEY)?.unwrap_or(OneOrMany::One(-2)).as_slice() {
-        [] => Err(root.error(KEY, "expected at least one index")),
+    match root.value(FEATURE_LAYER)?.unwrap_or(OneOrMany::One(-2)).as_slice() {
+        [] => Err(root.error(FEATURE_LAYER, "expected at least one index")),
         indices => indices.iter().map(resolve).collect(),
     }
 }

@@ -75,7 +75,7 @@ pub(crate) struct LlavaCore {
 impl LlavaCore {
     pub(crate) fn take(weights: &mut Weights, config: LlavaConfig) -> Result<Self, MllmError> {
         let encoder = ImageEncoder::take(weights, &config)?;
-        let decoder = Decoder::take(weights, &config.text, "language_model.", config.text.tie_word_embeddings)?;
+        let decoder = Decoder::take(weights, &config.text, "language_model.")?;
         Ok(Self { config, encoder, decoder })
     }
 
@@ -156,4 +156,13 @@ mod tests {
             assert_eq!(canonical_name(name), canonical);
         }
     }
+}
+
+/// What is read of the small files, for tests of their keys.
+#[cfg(test)]
+pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
+    let config = LlavaConfig::open(files)?;
+    let processor = ClipImageProcessor::open(files)?;
+    processor.check_side(config.vision.image_size)?;
+    Ok(format!("{config:?} {processor:?}"))
 }

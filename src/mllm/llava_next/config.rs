@@ -8,6 +8,7 @@ use super::grid::{Resolution, TileGrids};
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, ModelFiles, TowerType};
 use crate::llava::{FeatureSelect, LlavaConfig};
+use crate::vision::check_tiles;
 
 /// A LLaVA-NeXT model: a LLaVA and the resolutions of its grids.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,8 +43,12 @@ impl LlavaNextConfig {
             return Err(root.error("vision_config.model_type", problem));
         }
         let side = llava.vision.image_size as u32;
+        let resolutions = pinpoints(&root)?;
+        for Resolution { height, width } in &resolutions {
+            check_tiles(*width, *height, side).map_err(|problem| root.error(PINPOINTS, problem))?;
+        }
         let patches = (llava.vision.image_size / llava.vision.patch_size) as u32;
-        let grids = TileGrids::new(pinpoints(&root)?, side, patches).map_err(|Resolution { height, width }| {
+        let grids = TileGrids::new(resolutions, side, patches).map_err(|Resolution { height, width }| {
             root.error(PINPOINTS, format!("{width} x {height} pixels cannot be cut into tiles of {side} x {side}"))
         })?;
         Ok(Self { llava, grids })

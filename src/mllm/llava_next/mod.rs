@@ -107,3 +107,12 @@ impl VisionLanguageModel for LlavaNext {
         &self.core.decoder
     }
 }
+
+/// What is read of the small files, for tests of their keys.
+#[cfg(test)]
+pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
+    let config = LlavaNextConfig::open(files)?;
+    let side = config.llava.vision.image_size as u32;
+    let processor = AnyresImageProcessor::open(files, &config.grids, side)?;
+    Ok(format!("{config:?} {processor:?}"))
+}

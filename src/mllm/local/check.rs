@@ -90,6 +90,7 @@ fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut Mo
     }
     checkpoint.weights.only_look();
     let model = checkpoint.open_model();
+    check.load.notes.clone_from(&checkpoint.weights.report().notes);
     check.problems.extend(checkpoint.weights.problems().iter().map(ToString::to_string));
     match model {
         Ok(model) => look_at_chats(model, &checkpoint.files, family, loading, check),

@@ -62,12 +62,14 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     let pixels = json!({"size": {"shortest_edge": 1024, "longest_edge": 65_536}});
     let picture =
         |width, height| RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]));
+    let mut biased = tiles(json!({}));
+    biased["vision_config"]["attention_bias"] = json!(true);
     let models = vec![
         (random("llava", &llava, &square), picture(128, 128)),
         (random("llava-next", &llava, &square), picture(200, 90)),
         (random("cogvlm", &cogvlm, &json!({})), picture(140, 100)),
         (random("smolvlm", &tiles(json!({})), &longest), picture(120, 90)),
-        (random("internvl", &tiles(json!({})), &json!({"max_patches": 4})), picture(100, 200)),
+        (random("internvl", &biased, &json!({"max_patches": 4, "size": 64})), picture(100, 200)),
         (random("qwen3-vl", &axes([6, 5, 5], deep), &pixels), picture(160, 100)),
         (random("qwen2.5-vl", &axes([4, 6, 6], windows), &pixels), picture(130, 170)),
     ];

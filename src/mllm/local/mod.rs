@@ -18,6 +18,8 @@ mod determinism_tests;
 #[cfg(test)]
 mod likeliest_tests;
 #[cfg(test)]
+mod odd_folder_tests;
+#[cfg(test)]
 mod speculation_tests;
 #[cfg(test)]
 pub(crate) mod test_faults;

@@ -6,8 +6,8 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig};
-use crate::qwen3_vl::{image_token, text_config};
+use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig, check_width};
+use crate::qwen3_vl::{check_tower_rope, image_token, text_config};
 use planagent_kernels::Activation;
 
 /// A Qwen2.5-VL: its vision tower, its decoder, and how they are joined.
@@ -41,6 +41,7 @@ impl Qwen25VlConfig {
             "hidden_act": "silu", "layer_norm_eps": 1e-6, "spatial_merge_size": 2, "temporal_patch_size": 2,
             "window_size": 112, "fullatt_block_indexes": [7, 15, 23, 31],
         }));
+        check_tower_rope(&vision)?;
         let tower = VisionConfig::read(&vision)?;
         if tower.act != Activation::Silu {
             return Err(vision.error("hidden_act", "only silu is supported"));
@@ -56,11 +57,12 @@ impl Qwen25VlConfig {
             Err(vision.error(key, format!("expected a whole number from 1 to {most}, found {count}")))
         };
         let merge = count("spatial_merge_size", 16)?;
+        check_width(&vision, "spatial_merge_size", merge * merge, tower.hidden)?;
         let window = count("window_size", 1 << 16)? / tower.patch_size / merge * merge;
         if window == 0 {
             return Err(vision.error("window_size", "is smaller than a token"));
         }
-        let text = text_config(&root, DecoderType::Qwen2)?;
+        let text = text_config(&root, DecoderType::Qwen25Vl)?;
         if vision.value("out_hidden_size")?.is_some_and(|width: usize| width != text.hidden) {
             return Err(vision.error("out_hidden_size", format!("the decoder takes {}", text.hidden)));
         }
@@ -95,7 +97,7 @@ mod tests {
         assert_eq!((config.window, config.text.head_dim, config.text.window), (8, 128, None));
         assert!(config.text.attention_bias && !config.text.output_bias && !config.text.head_norms);
         for (key, pointer, value) in [
-            ("mrope_section", "/rope_scaling/mrope_section", Value::Null),
+            ("mrope_section", "/rope_scaling/mrope_section", json!([16, 24, 20])),
             ("window_size", "/vision_config/window_size", json!(20)),
             ("hidden_act", "/vision_config/hidden_act", json!("gelu")),
         ] {

@@ -42,3 +42,11 @@ fn take(weights: &mut Weights, config: &Qwen25VlConfig, processor: PatchProcesso
     let encoder = |weights: &mut Weights| ImageEncoder::take(weights, config);
     PatchModel::take(weights, NAME, &config.text, config.image_token, processor, encoder)
 }
+
+/// What is read of the small files, for tests of their keys.
+#[cfg(test)]
+pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
+    let config = Qwen25VlConfig::open(files)?;
+    let processor = PatchProcessor::open(files, config.vision.patch_size as u32, config.merge as u32)?;
+    Ok(format!("{config:?} {processor:?}"))
+}

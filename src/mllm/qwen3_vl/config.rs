@@ -5,8 +5,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig};
-use planagent_kernels::attention::RotarySections;
+use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, Neutral, VisionConfig, check_width};
 
 /// A Qwen3-VL: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,6 +49,7 @@ impl Qwen3VlConfig {
             }
             Err(vision.error(key, format!("expected a whole number from 1 to {most}, found {count}")))
         };
+        check_tower_rope(&vision)?;
         let learned = count("num_position_embeddings", 1 << 16)?;
         let positions = learned.isqrt();
         if positions * positions != learned {
@@ -62,7 +62,7 @@ impl Qwen3VlConfig {
             return Err(vision.error("num_heads", "the width of a head must be a multiple of 4"));
         }
         let deep: Vec<usize> = vision.value("deepstack_visual_indexes")?.unwrap_or_default();
-        let text = text_config(&root, DecoderType::Qwen3)?;
+        let text = text_config(&root, DecoderType::Qwen3Vl)?;
         if !deep.is_sorted() || deep.last().is_some_and(|last| *last >= tower.layers) || deep.len() > text.layers {
             let problem = format!("{deep:?} are no rising layers of a tower of {}", tower.layers);
             return Err(vision.error("deepstack_visual_indexes", problem));
@@ -70,9 +70,11 @@ impl Qwen3VlConfig {
         if vision.value("out_hidden_size")?.is_some_and(|width: usize| width != text.hidden) {
             return Err(vision.error("out_hidden_size", format!("the decoder takes {}", text.hidden)));
         }
+        let merge = count("spatial_merge_size", 16)?;
+        check_width(&vision, "spatial_merge_size", merge * merge, tower.hidden)?;
         Ok(Self {
             positions,
-            merge: count("spatial_merge_size", 16)?,
+            merge,
             frames: count("temporal_patch_size", 16)?,
             deep,
             image_token: image_token(&root, text.vocabulary)?,
@@ -82,16 +84,21 @@ impl Qwen3VlConfig {
     }
 }
 
-/// The decoder of a Qwen-VL, from `text_config` or, in older files, the root. Its kind decides how the axes share the pairs.
+/// The decoder of a Qwen-VL, of the class `kind`, from `text_config` or, in older files, the root.
 pub(crate) fn text_config(root: &ConfigObject<'_>, kind: DecoderType) -> Result<LlamaConfig, MllmError> {
     let text = root.child("text_config")?.unwrap_or_else(|| root.clone());
     let mut config = LlamaConfig::read_as(text, kind)?;
     config.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(false);
-    let Some(RotarySections { lengths, .. }) = config.rope.sections else {
-        return Err(root.error("rope_scaling.mrope_section", "is missing: images need positions on three axes"));
-    };
-    config.rope.sections = Some(RotarySections { lengths, interleaved: kind == DecoderType::Qwen3 });
     Ok(config)
+}
+
+/// Checks that the patches' rotary embedding is the one that is computed (`rope_parameters` of a tower).
+pub(crate) fn check_tower_rope(vision: &ConfigObject<'_>) -> Result<(), MllmError> {
+    vision.child_or_empty("rope_parameters")?.only_neutral(&[
+        ("rope_theta", Neutral::Number(10_000.0)),
+        ("rope_type", Neutral::Text(&["axial", "default"])),
+        ("partial_rotary_factor", Neutral::Number(1.0)),
+    ])
 }
 
 /// The id of an image's token.
@@ -124,7 +131,6 @@ mod tests {
         assert!(config.text.head_norms && !config.text.attention_bias);
         for (key, pointer, value) in [
             ("mrope_section", "/text_config/rope_scaling/mrope_section", json!([24, 20, 10])),
-            ("mrope_section", "/text_config/rope_scaling/mrope_section", Value::Null),
             ("deepstack_visual_indexes", "/vision_config/deepstack_visual_indexes", json!([5, 40])),
             ("out_hidden_size", "/vision_config/out_hidden_size", json!(7)),
         ] {

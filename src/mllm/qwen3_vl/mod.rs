@@ -13,7 +13,7 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
-pub(crate) use config::{Qwen3VlConfig, image_token, text_config};
+pub(crate) use config::{Qwen3VlConfig, check_tower_rope, image_token, text_config};
 pub(crate) use gguf::{IMAGE, LACKING, QWEN_NAMES, limits};
 pub(crate) use merger::PatchMerger;
 pub(crate) use model::{PatchEncoder, PatchModel};
@@ -50,4 +50,12 @@ fn open(files: &ModelFiles, weights: &mut Weights) -> Result<Qwen3Vl, MllmError>
 fn take(weights: &mut Weights, config: &Qwen3VlConfig, processor: PatchProcessor) -> Result<Qwen3Vl, MllmError> {
     let encoder = |weights: &mut Weights| ImageEncoder::take(weights, config);
     PatchModel::take(weights, NAME, &config.text, config.image_token, processor, encoder)
+}
+
+/// What is read of the small files, for tests of their keys.
+#[cfg(test)]
+pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
+    let config = Qwen3VlConfig::open(files)?;
+    let processor = PatchProcessor::open(files, config.vision.patch_size as u32, config.merge as u32)?;
+    Ok(format!("{config:?} {processor:?}"))
 }

@@ -48,7 +48,7 @@ impl<E: PatchEncoder> PatchModel<E> {
     ) -> Result<Self, MllmError> {
         let before = weights.elements();
         let encoder = encoder(weights)?;
-        let decoder = Decoder::take(weights, text, "language_model.", text.is_tied(weights))?;
+        let decoder = Decoder::take(weights, text, "language_model.")?;
         let image = ImageInfo { token: image_token, side: DRAWN_SIDE, max_tokens: processor.max_tokens() };
         let info = ModelInfo::of(name, text, image, weights, before);
         Ok(Self { processor, encoder, decoder, info })

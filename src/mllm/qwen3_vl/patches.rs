@@ -6,9 +6,9 @@ use serde::Deserialize;
 use serde_json::json;
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, ModelFiles, Weights};
+use crate::checkpoint::{ConfigObject, ModelFiles, Neutral, Weights};
 use crate::family::{ImageLayout, ImageSettings, ModelInfo};
-use crate::vision::{Filter, PixelScale, check_not_empty, read_processor, resize};
+use crate::vision::{Filter, PixelScale, check_not_empty, check_picture, read_processor, resize};
 use planagent_kernels::Linear;
 use planagent_kernels::matrix::Matrix;
 
@@ -69,6 +69,7 @@ impl PatchProcessor {
     }
 
     pub(crate) fn read(object: &ConfigObject<'_>, patch: u32, merge: u32) -> Result<Self, MllmError> {
+        object.only_neutral(&[("do_resize", Neutral::Flag(true))])?;
         let keys: Keys = object.read()?;
         if let Some(kind) = keys.image_processor_type.filter(|kind| !is_known(kind)) {
             let problem = format!("'{kind}' is not supported; Qwen2VLImageProcessor is");
@@ -126,7 +127,9 @@ impl PatchProcessor {
             let grow = (least / area).sqrt();
             sides = both(&|side| (side * grow / token).ceil() * token);
         }
-        Ok((sides.0 as u32, sides.1 as u32))
+        let (width, height) = (sides.0 as u32, sides.1 as u32);
+        check_picture(width, height).map_err(|problem| MllmError::Image { problem })?;
+        Ok((width, height))
     }
 
     /// How an image of this size lies in a chat.

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
+use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig, check_width};
 
 /// A `SmolVLM`: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,6 +20,8 @@ pub(super) struct SmolVlmConfig {
 
 /// The default `scale_factor` of `SmolVLMConfig`.
 const DEFAULT_SCALE: usize = 2;
+/// Its default `image_token_id`, which only a vocabulary of Llama 3's size has.
+const DEFAULT_IMAGE_TOKEN: u32 = 128_257;
 
 impl SmolVlmConfig {
     pub(super) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
@@ -35,15 +37,20 @@ impl SmolVlmConfig {
             "image_size": 224, "patch_size": 32, "hidden_act": "gelu_pytorch_tanh", "layer_norm_eps": 1e-6,
         }));
         let vision = VisionConfig::read(&vision)?;
-        let mut text = LlamaConfig::read(root.child_or_empty("text_config")?)?;
+        let text = match root.child("text_config")? {
+            Some(text) => text,
+            // `SmolVLMConfig` and `Idefics3Config` have this one where a file has no decoder's keys at all.
+            None => root.child_or_empty("text_config")?.with_defaults(json!({"rms_norm_eps": 1e-5})),
+        };
+        let mut text = LlamaConfig::read(text, DecoderType::Llama)?;
         text.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(false);
         let scale = root.value("scale_factor")?.unwrap_or(DEFAULT_SCALE);
         let side = vision.image_size / vision.patch_size;
         if scale == 0 || !side.is_multiple_of(scale) {
             return Err(root.error("scale_factor", format!("{scale} does not divide the {side} patches of a side")));
         }
-        let image_token = root.first_id("image_token_id")?;
-        let image_token = image_token.ok_or_else(|| root.error("image_token_id", "is missing"))?;
+        check_width(&root, "scale_factor", scale * scale, vision.hidden)?;
+        let image_token = root.first_id("image_token_id")?.unwrap_or(DEFAULT_IMAGE_TOKEN);
         if image_token as usize >= text.vocabulary {
             let problem = format!("{image_token} lies outside the vocabulary of {}", text.vocabulary);
             return Err(root.error("image_token_id", problem));

@@ -93,3 +93,11 @@ impl TileEncoder for ImageEncoder {
         self.projection.forward(&merge_blocks(&self.tower.forward(pixels)?, [self.side, self.side], self.scale)?)
     }
 }
+
+/// What is read of the small files, for tests of their keys.
+#[cfg(test)]
+pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
+    let config = SmolVlmConfig::open(files)?;
+    let tiler = TileProcessor::open(files, config.vision.image_size as u32)?;
+    Ok(format!("{config:?} {tiler:?}"))
+}

@@ -5,9 +5,9 @@ use image::RgbImage;
 use serde::Deserialize;
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, ModelFiles};
+use crate::checkpoint::{ConfigObject, ModelFiles, Neutral};
 use crate::tiled::{Grid, Tiler};
-use crate::vision::{Filter, PixelScale, Side, read_processor, resize};
+use crate::vision::{Filter, PixelScale, Side, check_tiles, read_processor, resize};
 
 /// Longest side of an image before it is cut, pixels (`MAX_IMAGE_SIZE` in transformers).
 const MAX_SIDE: u32 = 4096;
@@ -69,6 +69,7 @@ impl TileProcessor {
     }
 
     pub(super) fn read(object: &ConfigObject<'_>, side: u32) -> Result<Self, MllmError> {
+        object.only_neutral(&[("do_resize", Neutral::Flag(true))])?;
         let keys: Keys = object.read()?;
         if let Some(kind) = keys.image_processor_type
             && !["SmolVLM", "Idefics3"].iter().any(|known| kind.starts_with(known))
@@ -85,6 +86,8 @@ impl TileProcessor {
         if longest > MAX_SIDE {
             return Err(object.error("size.longest_edge", format!("at most {MAX_SIDE} pixels are supported")));
         }
+        let most = longest.next_multiple_of(tile);
+        check_tiles(most, most, tile).map_err(|problem| object.error("size.longest_edge", problem))?;
         // Published files leave the mean and deviation of all channels at one half.
         let scale = PixelScale::read(&object.clone().with_defaults(serde_json::json!({
             "image_mean": [0.5, 0.5, 0.5], "image_std": [0.5, 0.5, 0.5],

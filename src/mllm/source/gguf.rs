@@ -7,7 +7,8 @@ use crate::MllmError;
 use crate::checkpoint::{FileKind, ModelFiles, RowOrder, WeightFile, WeightFormatPlan, Weights};
 use crate::families::Families;
 use crate::gguf::{
-    GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, packed_files, row_order, tower_beside,
+    GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, packed_files, row_order, tokenizer,
+    tower_beside,
 };
 use planagent_kernels::matrix::WeightFormat;
 
@@ -25,12 +26,7 @@ pub(super) fn open(
 ) -> Result<Checkpoint, MllmError> {
     const ARCHITECTURE: &str = "general.architecture";
     let (header, file) = open_header(model)?;
-    if header.count("split.count")?.is_some_and(|parts| parts > 1) {
-        return Err(header.error(
-            "split.count",
-            "models in several files are not supported; join them with llama-gguf-split --merge",
-        ));
-    }
+    header.check_one_file()?;
     match header.architecture()? {
         WHOLE_MODEL => open_whole(&header, file, quantize, families),
         decoder if llama::architectures().any(|known| known == decoder) => {
@@ -97,6 +93,7 @@ fn open_pair(
             return Err(tower.error("clip.projector_type", problem));
         };
         texts.extend(layout.small_files(decoder, tower, &mut notes)?);
+        notes.extend(tokenizer::note(decoder)?);
     }
     let mut files = ModelFiles::packed(model, texts);
     files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;

@@ -280,6 +280,18 @@ mod tests {
     }
 
     #[test]
+    fn loops_are_controlled_as_in_transformers() {
+        let template = open(
+            "{% for m in messages %}{% if m.role == 'system' %}{% continue %}{% endif %}{{ m.content }};\
+             {% if loop.index > 2 %}{% break %}{% endif %}{% endfor %}",
+        )
+        .unwrap();
+        let turns = ["a", "c"].map(|text| Turn { prompt: text.into(), answer: "b".into() });
+        assert_eq!(template.render("s", false, &turns, "d").unwrap(), "a;b;");
+        assert!(open("{% break %}").is_err());
+    }
+
+    #[test]
     fn a_template_of_a_language_model_gets_texts() {
         let template =
             open("{{ bos_token }}{% for m in messages %}[{{ m.role }}] {{ m.content | trim }}\n{% endfor %}").unwrap();

@@ -8,16 +8,18 @@ use image::imageops;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::pixels::{PixelScale, check_not_empty};
+use super::pixels::{PixelScale, check_not_empty, check_picture};
 use super::resample::{Filter, resize};
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, ModelFiles};
+use crate::checkpoint::{ConfigObject, ModelFiles, Neutral};
 
 /// Default side of `CLIPImageProcessor`.
 const DEFAULT_SIDE: u32 = 224;
 
 /// The processor of `SigLIP`, which computes what CLIP's does with other defaults.
 const SIGLIP: &str = "SiglipImageProcessor";
+/// The processor of LLaVA, which is CLIP's where it does not pad.
+const LLAVA: &str = "LlavaImageProcessor";
 
 /// `CLIPImageProcessor` or `SiglipImageProcessor`: resize, center crop, rescale, normalize.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,13 +48,16 @@ impl ClipImageProcessor {
 
     fn read(path: &Path, object: &ConfigObject<'_>) -> Result<Self, MllmError> {
         let kind: Option<String> = object.value("image_processor_type")?;
-        let (object, expected) = if kind.is_some_and(|kind| kind.starts_with(SIGLIP)) {
+        let (object, expected) = if kind.as_ref().is_some_and(|kind| kind.starts_with(SIGLIP)) {
             let half = [0.5, 0.5, 0.5];
             let defaults = json!({
                 "size": {"height": DEFAULT_SIDE, "width": DEFAULT_SIDE}, "do_center_crop": false, "image_mean": half,
                 "image_std": half,
             });
             (object.clone().with_defaults(defaults), SIGLIP)
+        } else if kind.is_some_and(|kind| kind.starts_with(LLAVA)) {
+            object.only_neutral(&[("do_pad", Neutral::Flag(false))])?;
+            (object.clone(), LLAVA)
         } else {
             (object.clone(), "CLIPImageProcessor")
         };
@@ -61,10 +66,16 @@ impl ClipImageProcessor {
             Sides::One(edge) | Sides::ShortestEdge { shortest_edge: edge } => TargetSize::ShortestEdge(edge.0),
             Sides::Exact { height, width } => TargetSize::Exact { height: height.0, width: width.0 },
         };
+        let crop = keys.do_center_crop.then(|| keys.crop_size.height_width());
+        for (key, made) in [("size", keys.do_resize.then(|| keys.size.height_width())), ("crop_size", crop)] {
+            if let Some((height, width)) = made {
+                check_picture(width, height).map_err(|problem| object.error(key, problem))?;
+            }
+        }
         Ok(Self {
             path: path.to_path_buf(),
             resize: keys.do_resize.then_some((target, keys.resample)),
-            crop: keys.do_center_crop.then(|| keys.crop_size.height_width()),
+            crop,
             scale: PixelScale::read(&object)?,
         })
     }
@@ -182,7 +193,9 @@ impl TargetSize {
                 let long = u32::try_from(long).ok().filter(|long| *long as usize <= MAX_SIDE).ok_or_else(|| {
                     MllmError::Image { problem: format!("{width} x {height} pixels are too narrow to be resized") }
                 })?;
-                Ok(if width <= height { (edge, long) } else { (long, edge) })
+                let (width, height) = if width <= height { (edge, long) } else { (long, edge) };
+                check_picture(width, height).map_err(|problem| MllmError::Image { problem })?;
+                Ok((width, height))
             }
         }
     }

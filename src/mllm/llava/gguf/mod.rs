@@ -69,9 +69,8 @@ impl GgufLayout for LlavaGguf {
         config["text_config"] = text;
         let mut files = BTreeMap::new();
         let mut tokenizer = tokenizer::files(decoder, vocabulary, &mut files)?;
-        let beside = decoder.path.with_file_name(TOKENIZER);
         let image = tokenizer::image_token(&mut tokenizer)
-            .map_err(|problem| MllmError::Tokenizer { path: beside, problem: problem.into() })?;
+            .map_err(|problem| MllmError::Tokenizer { path: tokenizer::place(decoder), problem: problem.into() })?;
         let mut put = |name: &str, value: &serde_json::Value| files.insert(name.to_string(), value.to_string());
         if image == vocabulary as u64 {
             config[IMAGE_TOKEN_BEYOND] = json!(true);

@@ -1,0 +1,107 @@
+//! The classes of decoders, and what their keys mean where a file leaves them out.
+
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use super::neutral::Neutral;
+
+/// Which decoder a `text_config` describes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum DecoderType {
+    /// `LlamaConfig`.
+    Llama,
+    /// `MistralConfig`: all layers have a window.
+    Mistral,
+    /// `Qwen2Config`: queries, keys and values have biases.
+    Qwen2,
+    /// `Qwen2_5_VLTextConfig`: a Qwen 2 with positions on three axes.
+    #[serde(rename = "qwen2_5_vl_text")]
+    Qwen25Vl,
+    /// `Qwen3Config`: queries and keys have norms.
+    Qwen3,
+    /// `Qwen3VLTextConfig`: a Qwen 3 with positions on three axes that take turns.
+    #[serde(rename = "qwen3_vl_text")]
+    Qwen3Vl,
+}
+
+impl DecoderType {
+    /// The type of an entry of `architectures`, for files whose text part has no `model_type`.
+    pub(crate) fn of_architecture(name: &str) -> Option<Self> {
+        match name {
+            "LlamaForCausalLM" => Some(Self::Llama),
+            "MistralForCausalLM" => Some(Self::Mistral),
+            "Qwen2ForCausalLM" => Some(Self::Qwen2),
+            "Qwen3ForCausalLM" => Some(Self::Qwen3),
+            _ => None,
+        }
+    }
+
+    /// Where the class differs from `LlamaConfig` in a key that is left out (transformers 5.24.0).
+    pub(super) fn defaults(self) -> Value {
+        match self {
+            Self::Llama => json!({}),
+            Self::Mistral => json!({
+                "intermediate_size": 14_336, "num_key_value_heads": 8, "max_position_embeddings": 131_072,
+                "sliding_window": 4096,
+            }),
+            Self::Qwen2 => json!({
+                "vocab_size": 151_936, "intermediate_size": 22_016, "num_key_value_heads": 32,
+                "max_position_embeddings": 32_768, "max_window_layers": 28,
+            }),
+            Self::Qwen25Vl => json!({
+                "vocab_size": 152_064, "hidden_size": 8192, "intermediate_size": 29_568, "num_hidden_layers": 80,
+                "num_attention_heads": 64, "num_key_value_heads": 8, "max_position_embeddings": 32_768,
+                "rms_norm_eps": 1e-5, "max_window_layers": 80,
+            }),
+            Self::Qwen3 => json!({
+                "vocab_size": 151_936, "intermediate_size": 22_016, "num_key_value_heads": 32, "head_dim": 128,
+                "max_position_embeddings": 32_768, "max_window_layers": 28,
+            }),
+            Self::Qwen3Vl => json!({
+                "vocab_size": 151_936, "intermediate_size": 22_016, "num_key_value_heads": 32, "head_dim": 128,
+                "max_position_embeddings": 128_000,
+            }),
+        }
+    }
+
+    /// The base of the rotary embedding (`default_theta` of the class).
+    pub(super) fn theta(self) -> f64 {
+        match self {
+            Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 => 10_000.0,
+            Self::Qwen25Vl => 1_000_000.0,
+            Self::Qwen3Vl => 500_000.0,
+        }
+    }
+
+    /// Pairs of a head for time, height and width (`mrope_section` in the class of the rotary embedding).
+    pub(super) fn sections(self) -> Option<[usize; 3]> {
+        match self {
+            Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 => None,
+            Self::Qwen25Vl => Some([16, 24, 24]),
+            Self::Qwen3Vl => Some([24, 20, 20]),
+        }
+    }
+
+    /// Whether pairs of the three axes take turns.
+    pub(super) fn interleaved(self) -> bool {
+        self == Self::Qwen3Vl
+    }
+
+    pub(super) fn is_qwen2(self) -> bool {
+        matches!(self, Self::Qwen2 | Self::Qwen25Vl)
+    }
+
+    pub(super) fn is_qwen(self) -> bool {
+        self.is_qwen2() || matches!(self, Self::Qwen3 | Self::Qwen3Vl)
+    }
+
+    /// Keys of the class that no code reads.
+    pub(super) fn neutral(self) -> &'static [(&'static str, Neutral)] {
+        const ACT: (&str, Neutral) = ("hidden_act", Neutral::Text(&["silu", "swish"]));
+        // No class of these types rotates a part of a head, but others of Llama's kind do.
+        const WHOLE: (&str, Neutral) = ("partial_rotary_factor", Neutral::Number(1.0));
+        const FULL: (&str, Neutral) = ("layer_types", Neutral::Each("full_attention"));
+        if self.is_qwen() { &[ACT, WHOLE, FULL] } else { &[ACT, WHOLE] }
+    }
+}
