@@ -64,6 +64,8 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["local"],
             &["export", "latency", "trial"],
             &["registry"],
+            // A test of all families.
+            &["class_keys"],
         ],
     ),
     (

@@ -234,7 +234,10 @@ fn a_check_tells_everything_at_once() {
         assert!(problems.iter().any(|problem| problem.contains(expected)), "{expected}: {problems:?}");
     }
     assert_eq!(problems.len(), 5, "{problems:?}");
-    // The check gives up at some number of errors.
     copy.edit("config.json", |config| config["text_config"]["num_hidden_layers"] = serde_json::json!(4_000_000));
-    assert!((1000..1010).contains(&check().problems.len()));
+    let problems = check().problems;
+    assert!(
+        problems.len() < 10 && problems.iter().any(|problem| problem.contains("num_hidden_layers")),
+        "{problems:?}"
+    );
 }

@@ -108,7 +108,7 @@ fn a_tied_head_is_the_embedding() {
     tied.edit_tensors(|tensors| {
         tensors.remove("language_model.lm_head.weight");
     });
-    assert!(tied.error().to_string().contains("lm_head.weight"), "not tied, so it is missing");
+    assert_eq!(answer(&tied.open().unwrap()), answer(&copied.open().unwrap()), "a missing head is the embedding");
     tied.edit("config.json", |config| config["text_config"]["tie_word_embeddings"] = json!(true));
     assert_eq!(answer(&tied.open().unwrap()), answer(&copied.open().unwrap()));
 }
