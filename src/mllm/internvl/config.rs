@@ -147,9 +147,9 @@ mod tests {
             let (object, key) = pointer.rsplit_once('/').unwrap();
             let object = object.trim_start_matches('/');
             if object.is_empty() {
-                config[key] = value
+                config[key] = value;
             } else {
-                config[object][key] = value
+                config[object][key] = value;
             }
             let named = pointer.trim_start_matches('/').replace('/', ".");
             let error = read(&config).unwrap_err();

@@ -135,6 +135,15 @@ impl VisionLanguageModel for Llava {
     }
 }
 
+/// What is read of the small files, for tests of their keys.
+#[cfg(test)]
+pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
+    let config = LlavaConfig::open(files)?;
+    let processor = ClipImageProcessor::open(files)?;
+    processor.check_side(config.vision.image_size)?;
+    Ok(format!("{config:?} {processor:?}"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::canonical_name;
@@ -156,13 +165,4 @@ mod tests {
             assert_eq!(canonical_name(name), canonical);
         }
     }
-}
-
-/// What is read of the small files, for tests of their keys.
-#[cfg(test)]
-pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
-    let config = LlavaConfig::open(files)?;
-    let processor = ClipImageProcessor::open(files)?;
-    processor.check_side(config.vision.image_size)?;
-    Ok(format!("{config:?} {processor:?}"))
 }
