@@ -25,12 +25,11 @@
 //! 6. `planner` is the trait that the simulator knows; the agent and the baselines implement it.
 //! 7. `simulation` closes the loop at 10 Hz.
 //! 8. `metrics` scores the simulation with nuPlan's closed-loop metrics.
-//! 9. `experiment` runs many simulations, builds datasets and evaluates models.
-//! 10. `report` writes tables and files.
-//! 11. `runner` starts and resumes runs of many simulations, and the experiments that compare them; see [`runs`].
+//! 9. `runs` simulates many scenarios, resumes, and writes tables, pages and films; see [`runs`].
+//! 10. `lab` compares planners in studies, builds datasets and measures models.
 //!
-//! Below them lie `geometry`, `world` (the vocabulary) and `dynamics`; above them the command line. A stage uses only lower
-//! stages; `ARCHITECTURE.md` has the order.
+//! Below them lie `world` (the vocabulary, shapes and motion), `kernels` and `files`; above them the command line.
+//! `ARCHITECTURE.md` has the crates and their order.
 //!
 //! # Where to extend
 //! - A planner: implement [`Planner`]; to name it, add it to a [`planning::PlannerRegistry`].
