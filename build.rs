@@ -1,5 +1,9 @@
-//! The build script of planagent-runs, which writes it into records: tells the compiler which commit is built.
-#![allow(clippy::print_stdout, reason = "Cargo reads its instructions from stdout")]
+//! The build script of planagent-runs, which writes it into records: tells the compiler which
+//! commit is built.
+#![allow(
+    clippy::print_stdout,
+    reason = "Cargo reads its instructions from stdout"
+)]
 
 use std::env;
 use std::path::{Path, PathBuf};
@@ -12,19 +16,41 @@ fn main() {
     }
 }
 
-/// The commit of the sources, with `+changes` where they differ from it; `None` outside a repository.
+/// The commit of the sources, with `+changes` where they differ from it; `None` outside a
+/// repository.
 fn commit(root: &Path) -> Option<String> {
     // `git archive` writes the commit into this file.
-    if let Some(text) = std::fs::read_to_string(root.join(".commit")).ok().filter(|text| text.trim().len() == 40) {
+    if let Some(text) = std::fs::read_to_string(root.join(".commit"))
+        .ok()
+        .filter(|text| text.trim().len() == 40)
+    {
         return Some(short(text.trim()));
     }
     for path in ["HEAD", "logs/HEAD"] {
-        println!("cargo::rerun-if-changed={}", root.join(git(root, &["rev-parse", "--git-path", path])?).display());
+        println!(
+            "cargo::rerun-if-changed={}",
+            root.join(git(root, &["rev-parse", "--git-path", path])?)
+                .display()
+        );
     }
     println!("cargo::rerun-if-changed={}", root.join("src").display());
     let head = git(root, &["rev-parse", "HEAD"])?;
-    let changes = git(root, &["status", "--porcelain", "--untracked-files=no", "--", "src", "Cargo.toml"])?;
-    Some(if changes.is_empty() { short(&head) } else { format!("{}+changes", short(&head)) })
+    let changes = git(
+        root,
+        &[
+            "status",
+            "--porcelain",
+            "--untracked-files=no",
+            "--",
+            "src",
+            "Cargo.toml",
+        ],
+    )?;
+    Some(if changes.is_empty() {
+        short(&head)
+    } else {
+        format!("{}+changes", short(&head))
+    })
 }
 
 fn short(commit: &str) -> String {
@@ -32,6 +58,13 @@ fn short(commit: &str) -> String {
 }
 
 fn git(folder: &Path, arguments: &[&str]) -> Option<String> {
-    let output = Command::new("git").current_dir(folder).args(arguments).output().ok()?;
-    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    let output = Command::new("git")
+        .current_dir(folder)
+        .args(arguments)
+        .output()
+        .ok()?;
+    output
+        .status
+        .success()
+        .then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }

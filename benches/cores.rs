@@ -1,5 +1,5 @@
-//! Speedup by a second core: the same simulations on one thread and on two, several times in turn. Prints the wall times and
-//! the median of their ratio. `cargo bench --bench cores`.
+//! Speedup by a second core: the same simulations on one thread and on two, several times in turn.
+//! Prints the wall times and the median of their ratio. `cargo bench --bench cores`.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
@@ -21,25 +21,41 @@ const SEEDS: u64 = 2;
 
 /// Every scenario type with IDM and PDM-Closed in both challenges.
 fn tasks() -> Vec<SimulationTask> {
-    let scenes =
-        types::in_suites().flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)));
+    let scenes = types::in_suites()
+        .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)));
     scenes
         .flat_map(|spec| {
-            [PlannerName::new("idm"), PlannerName::PDM_CLOSED].into_iter().flat_map(move |planner| {
-                let source = ScenarioRef::from(spec);
-                Challenge::CLOSED_LOOP.map(|challenge| SimulationTask { source: source.clone(), planner, challenge })
-            })
+            [PlannerName::new("idm"), PlannerName::PDM_CLOSED]
+                .into_iter()
+                .flat_map(move |planner| {
+                    let source = ScenarioRef::from(spec);
+                    Challenge::CLOSED_LOOP.map(|challenge| SimulationTask {
+                        source: source.clone(),
+                        planner,
+                        challenge,
+                    })
+                })
         })
         .collect()
 }
 
 /// Wall time of all simulations with this many threads, seconds.
 fn seconds(tasks: &[SimulationTask], threads: usize) -> f64 {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .unwrap();
     let todo: Vec<usize> = (0..tasks.len()).collect();
     let started = Instant::now();
     pool.install(|| {
-        run(tasks, &todo, &AgentParts::default(), &|_| (), &|_, record| record.outcome.map(|_| ())).unwrap();
+        run(
+            tasks,
+            &todo,
+            &AgentParts::default(),
+            &|_| (),
+            &|_, record| record.outcome.map(|_| ()),
+        )
+        .unwrap();
     });
     started.elapsed().as_secs_f64()
 }

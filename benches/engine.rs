@@ -1,5 +1,9 @@
 //! What the engine costs, part by part: `cargo bench`.
-#![allow(missing_docs, clippy::unwrap_used, reason = "a benchmark is no interface and may stop at an error")]
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    reason = "a benchmark is no interface and may stop at an error"
+)]
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use planagent_agent::environment::text::{self, Description};
@@ -12,19 +16,22 @@ use planagent_scenario::generator::{DEFAULT, generate};
 use planagent_scenario::nuplan::export::{ExportSettings, write_scenario};
 use planagent_scenario::{DataRoots, Readers};
 use planagent_score::pdm::{
-    Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, ReferencePath, plan_along, score_proposals, simulate_proposals,
+    Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, ReferencePath, plan_along, score_proposals,
+    simulate_proposals,
 };
 use planagent_world::dynamics::IdmTraffic;
 use planagent_world::geometry::{OrientedBox, Vector};
-use planagent_world::{EgoState, LaneMap, ObjectKind, STEP_S, SceneView, TrackToken, TrackedObject, TrafficLights};
+use planagent_world::{
+    EgoState, LaneMap, ObjectKind, STEP_S, SceneView, TrackToken, TrackedObject, TrafficLights,
+};
 use std::hint::black_box;
 use std::sync::Arc;
 
 /// Agents in the bench of PDM-Closed.
 const CROWD: u32 = 50;
 
-/// [`CROWD`] cars, pedestrians and cones on the lanes around the ego, all within 50 m and none in contact with it. A third
-/// drives, a sixth walks, half of them stand. The ego's path is clear.
+/// [`CROWD`] cars, pedestrians and cones on the lanes around the ego, all within 50 m and none in
+/// contact with it. A third drives, a sixth walks, half of them stand. The ego's path is clear.
 fn crowd(scene: &SceneView<'_>, reference_path: &ReferencePath) -> Vec<TrackedObject> {
     let center = scene.ego.center();
     let lanes = scene.map.lanes_near(center.position(), 49.0);
@@ -33,8 +40,15 @@ fn crowd(scene: &SceneView<'_>, reference_path: &ReferencePath) -> Vec<TrackedOb
         (0..(line.length() / 7.0) as usize).map(|i| line.pose_at(3.5 + 7.0 * i as f64))
     });
     let near = places.filter(|pose| (14.0..49.0).contains(&pose.distance(&center)));
-    let beside = near.flat_map(|pose| [0.0, 3.0, -3.0, 6.0, -6.0].map(|left| pose.translated(0.0, left)));
-    let clear = beside.filter(|pose| reference_path.centerline().line().distance_to(pose.position()) > 3.0);
+    let beside =
+        near.flat_map(|pose| [0.0, 3.0, -3.0, 6.0, -6.0].map(|left| pose.translated(0.0, left)));
+    let clear = beside.filter(|pose| {
+        reference_path
+            .centerline()
+            .line()
+            .distance_to(pose.position())
+            > 3.0
+    });
     let objects: Vec<TrackedObject> = clear
         .zip(0..CROWD)
         .map(|(pose, token)| {
@@ -46,7 +60,12 @@ fn crowd(scene: &SceneView<'_>, reference_path: &ReferencePath) -> Vec<TrackedOb
             };
             let shape = OrientedBox::new(pose, length, width);
             let velocity: Vector = pose.direction() * speed;
-            TrackedObject { token: TrackToken(token), kind, shape, velocity }
+            TrackedObject {
+                token: TrackToken(token),
+                kind,
+                shape,
+                velocity,
+            }
         })
         .collect();
     assert_eq!(objects.len(), CROWD as usize, "the bench needs a crowd");
@@ -59,7 +78,10 @@ fn pdm_closed(c: &mut Criterion) {
     let base = simulation.scene();
     let reference_path = ReferencePath::find(base.map, base.route, base.ego).unwrap();
     let objects = crowd(&base, &reference_path);
-    let scene = SceneView { objects: &objects, ..base };
+    let scene = SceneView {
+        objects: &objects,
+        ..base
+    };
     let instant = PdmInstant::along(&reference_path, &scene, &mut Collided::default());
     let proposals = instant.proposals(&reference_path, scene.ego, PROPOSAL_STEPS);
     let simulated = simulate_proposals(scene.ego, proposals.all());
@@ -68,7 +90,9 @@ fn pdm_closed(c: &mut Criterion) {
         b.iter(|| ReferencePath::find(black_box(scene.map), scene.route, scene.ego));
     });
     c.bench_function("a step of pdm-closed, 50 agents", |b| {
-        b.iter(|| plan_along(&reference_path, black_box(&scene), &mut Collided::default()).unwrap());
+        b.iter(|| {
+            plan_along(&reference_path, black_box(&scene), &mut Collided::default()).unwrap()
+        });
     });
     c.bench_function("a step of pdm-closed: look", |b| {
         b.iter(|| PdmInstant::along(&reference_path, black_box(&scene), &mut Collided::default()));
@@ -81,7 +105,11 @@ fn pdm_closed(c: &mut Criterion) {
     });
     c.bench_function("a step of pdm-closed: score", |b| {
         b.iter(|| {
-            score_proposals(&instant.scoring(reference_path.centerline().line(), 0.0), black_box(&simulated)).unwrap()
+            score_proposals(
+                &instant.scoring(reference_path.centerline().line(), 0.0),
+                black_box(&simulated),
+            )
+            .unwrap()
         });
     });
 }
@@ -93,10 +121,13 @@ const TRAFFIC: usize = 100;
 fn busy_road(map: &Arc<LaneMap>, ego: &EgoState) -> IdmTraffic {
     let center = ego.center();
     let lanes = map.lanes_near(center.position(), 95.0);
-    let places = lanes.iter().filter(|&&lane| !map[lane].is_connector()).flat_map(|&lane| {
-        let line = &map[lane].centerline;
-        (0..(line.length() / 7.0) as usize).map(|i| line.pose_at(3.5 + 7.0 * i as f64))
-    });
+    let places = lanes
+        .iter()
+        .filter(|&&lane| !map[lane].is_connector())
+        .flat_map(|&lane| {
+            let line = &map[lane].centerline;
+            (0..(line.length() / 7.0) as usize).map(|i| line.pose_at(3.5 + 7.0 * i as f64))
+        });
     let near = places.filter(|pose| (10.0..95.0).contains(&pose.distance(&center)));
     let cars: Vec<TrackedObject> = near
         .zip(0..)
@@ -109,7 +140,9 @@ fn busy_road(map: &Arc<LaneMap>, ego: &EgoState) -> IdmTraffic {
         .collect();
     // Overlapping cars are dropped, so this finds the smallest number of cars with enough agents.
     let counts = TRAFFIC..=cars.len();
-    let traffic = counts.map(|count| IdmTraffic::new(map, &cars[..count], ego)).find(|t| t.agent_count() == TRAFFIC);
+    let traffic = counts
+        .map(|count| IdmTraffic::new(map, &cars[..count], ego))
+        .find(|t| t.agent_count() == TRAFFIC);
     traffic.expect("the bench needs a busy road")
 }
 
@@ -121,7 +154,13 @@ fn steps(c: &mut Criterion) {
     let mut idm = IdmPlanner::new();
     simulation.initialize(&mut idm).unwrap();
     c.bench_function("a step of idm", |b| {
-        b.iter(|| idm.compute_trajectory(&PlannerInput { iteration: 1, scene: black_box(scene) }).unwrap());
+        b.iter(|| {
+            idm.compute_trajectory(&PlannerInput {
+                iteration: 1,
+                scene: black_box(scene),
+            })
+            .unwrap()
+        });
     });
 
     let roundabout = generate(&"generated/traversing_intersection/1".parse().unwrap()).unwrap();
@@ -140,15 +179,29 @@ fn steps(c: &mut Criterion) {
 fn open_scenario(c: &mut Criterion) {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("export");
-    write_scenario(&generate(&DEFAULT).unwrap(), &target, &ExportSettings::default()).unwrap();
-    let roots = || DataRoots { data: Some(target.join("data")), maps: Some(target.join("maps")) };
+    write_scenario(
+        &generate(&DEFAULT).unwrap(),
+        &target,
+        &ExportSettings::default(),
+    )
+    .unwrap();
+    let roots = || DataRoots {
+        data: Some(target.join("data")),
+        maps: Some(target.join("maps")),
+    };
     let open = |readers: &Readers| {
-        let sources = readers.find(&target.join("data").to_string_lossy()).unwrap();
+        let sources = readers
+            .find(&target.join("data").to_string_lossy())
+            .unwrap();
         sources[0].open().unwrap()
     };
-    c.bench_function("open a nuPlan scenario, map included", |b| b.iter(|| open(&Readers::new(&roots()))));
+    c.bench_function("open a nuPlan scenario, map included", |b| {
+        b.iter(|| open(&Readers::new(&roots())))
+    });
     let warm = Readers::new(&roots());
-    c.bench_function("open a nuPlan scenario, map loaded", |b| b.iter(|| open(&warm)));
+    c.bench_function("open a nuPlan scenario, map loaded", |b| {
+        b.iter(|| open(&warm))
+    });
 }
 
 fn engine(c: &mut Criterion) {
@@ -164,16 +217,29 @@ fn engine(c: &mut Criterion) {
         accel_max: 1.5,
         decel_max: 3.0,
     };
-    let planner =
-        PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: 4.0 }.build(&scene, &graph, code).unwrap().unwrap();
+    let planner = PlanBuilder {
+        lead_policy: LeadPolicy::Nearest,
+        horizon_s: 4.0,
+    }
+    .build(&scene, &graph, code)
+    .unwrap()
+    .unwrap();
 
-    c.bench_function("generate a scenario", |b| b.iter(|| generate(black_box(&DEFAULT)).unwrap()));
-    c.bench_function("draw the BEV image, 128 px", |b| b.iter(|| bev::render(black_box(&scene), &BevView::default())));
-    c.bench_function("build the lane graph", |b| b.iter(|| LaneGraph::build(black_box(&scene), DEFAULT_NODE_LENGTH)));
+    c.bench_function("generate a scenario", |b| {
+        b.iter(|| generate(black_box(&DEFAULT)).unwrap())
+    });
+    c.bench_function("draw the BEV image, 128 px", |b| {
+        b.iter(|| bev::render(black_box(&scene), &BevView::default()))
+    });
+    c.bench_function("build the lane graph", |b| {
+        b.iter(|| LaneGraph::build(black_box(&scene), DEFAULT_NODE_LENGTH))
+    });
     c.bench_function("write the compact text", |b| {
         b.iter(|| text::write(&Description::of(black_box(&graph)), text::TextForm::Compact));
     });
-    c.bench_function("roll out an IDM plan, 4 s", |b| b.iter(|| planner.roll_out(black_box(&scene), 40)));
+    c.bench_function("roll out an IDM plan, 4 s", |b| {
+        b.iter(|| planner.roll_out(black_box(&scene), 40))
+    });
     c.bench_function("reflect on a plan, proposals included", |b| {
         b.iter(|| {
             Judge::new(black_box(&scene), &graph, 4.0, &mut PdmMemory::default())
@@ -188,7 +254,12 @@ fn engine(c: &mut Criterion) {
     c.bench_function("simulate 15 s, idm, reactive", |b| {
         b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::Reactive).unwrap());
     });
-    let log = simulate(&scenario, &mut LogReplay::new(expert.clone()), Challenge::NonReactive).unwrap();
+    let log = simulate(
+        &scenario,
+        &mut LogReplay::new(expert.clone()),
+        Challenge::NonReactive,
+    )
+    .unwrap();
     c.bench_function("metrics of a simulation", |b| {
         b.iter(|| log.evaluate(&scenario).unwrap());
     });

@@ -1,7 +1,9 @@
-//! The networks of learned planners beside PyTorch on the same weights and inputs, in the published shapes with random parameters.
+//! The networks of learned planners beside PyTorch on the same weights and inputs, in the published
+//! shapes with random parameters.
 //!
-//! `PLANAGENT_PYTHON=… cargo bench --bench learned` prints the Markdown table of `docs/learned.md` (about a minute on two cores);
-//! the interpreter needs torch and safetensors. Both sides use two threads, one after the other, planner by planner.
+//! `PLANAGENT_PYTHON=… cargo bench --bench learned` prints the Markdown table of `docs/learned.md`
+//! (about a minute on two cores); the interpreter needs torch and safetensors. Both sides use two
+//! threads, one after the other, planner by planner.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
@@ -31,7 +33,8 @@ const TIME: Duration = Duration::from_secs(2);
 const MAX_DEVIATION: f32 = 1e-3;
 
 fn main() {
-    let folder = std::env::temp_dir().join(format!("planagent-bench-learned-{}", std::process::id()));
+    let folder =
+        std::env::temp_dir().join(format!("planagent-bench-learned-{}", std::process::id()));
     let python = std::env::var_os("PLANAGENT_PYTHON").unwrap_or_else(|| "python3".into());
     let train = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/learned/train");
     let output = Command::new(python)
@@ -40,10 +43,20 @@ fn main() {
         .arg(&folder)
         .output()
         .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let theirs: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    println!("PyTorch {}, {} threads\n", theirs["torch"].as_str().unwrap(), theirs["threads"]);
-    println!("| network | parameters | here, ms | PyTorch, ms | times as fast |\n|---|---|---|---|---|");
+    println!(
+        "PyTorch {}, {} threads\n",
+        theirs["torch"].as_str().unwrap(),
+        theirs["threads"]
+    );
+    println!(
+        "| network | parameters | here, ms | PyTorch, ms | times as fast |\n|---|---|---|---|---|"
+    );
     for planner in PLANNERS {
         let file = |kind: &str| folder.join(format!("{planner}{kind}.safetensors"));
         let io = Exported::open(&file(".io"));
@@ -53,7 +66,11 @@ fn main() {
         let here = rayon::scope(|_| median(&run));
         let about = &theirs["planners"][planner];
         let there = about["ms"].as_f64().unwrap();
-        println!("| {planner} | {} | {here:.2} | {there:.2} | {:.2} |", about["parameters"], there / here);
+        println!(
+            "| {planner} | {} | {here:.2} | {there:.2} | {:.2} |",
+            about["parameters"],
+            there / here
+        );
     }
     std::fs::remove_dir_all(folder).unwrap();
 }
@@ -70,7 +87,10 @@ fn check(planner: &str, io: &Exported, run: &Run) {
         let (_, found) = found.iter().find(|(own, _)| own == name).unwrap();
         for (found, expected) in numbers(found).into_iter().zip(numbers(expected)) {
             let off = (found - expected).abs() / (1.0 + expected.abs());
-            assert!(off < MAX_DEVIATION, "{planner} {name}: {found} instead of {expected}");
+            assert!(
+                off < MAX_DEVIATION,
+                "{planner} {name}: {found} instead of {expected}"
+            );
         }
     }
 }

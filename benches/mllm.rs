@@ -1,9 +1,11 @@
-//! Speed of the matrix products in every weight format, at shapes of real decoders. One token: bytes of weights a second, beside a
-//! plain read of as many bytes by as many threads, in turn. A prompt: operations a second (two for each weight and token), beside those
-//! of 8-bit products in registers by as many threads. f32 and f16 are multiplied in f32, so that share says nothing of them.
+//! Speed of the matrix products in every weight format, at shapes of real decoders. One token:
+//! bytes of weights a second, beside a plain read of as many bytes by as many threads, in turn. A
+//! prompt: operations a second (two for each weight and token), beside those of 8-bit products in
+//! registers by as many threads. f32 and f16 are multiplied in f32, so that share says nothing of
+//! them.
 //!
-//! `cargo bench --bench mllm` prints a Markdown table; `-- q4_k 2048` measures the formats and shapes whose names contain one of
-//! the words. `RAYON_NUM_THREADS` is the number of threads.
+//! `cargo bench --bench mllm` prints a Markdown table; `-- q4_k 2048` measures the formats and
+//! shapes whose names contain one of the words. `RAYON_NUM_THREADS` is the number of threads.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
@@ -23,8 +25,14 @@ use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
 /// Outputs and inputs of a matrix: two of a 1.1B and two of a 7B decoder, and Qwen's head.
-const SHAPES: [[usize; 2]; 6] =
-    [[2048, 2048], [11_264, 2048], [2048, 5632], [22_016, 4096], [4096, 11_008], [151_936, 1024]];
+const SHAPES: [[usize; 2]; 6] = [
+    [2048, 2048],
+    [11_264, 2048],
+    [2048, 5632],
+    [22_016, 4096],
+    [4096, 11_008],
+    [151_936, 1024],
+];
 /// Tokens of the prompt.
 const PROMPT: usize = 512;
 /// Bytes of the matrices of a measurement, at least: no cache holds them, as none holds a decoder.
@@ -44,7 +52,11 @@ fn numbers(count: usize, random: &mut Pcg64Mcg) -> Vec<f32> {
 fn matrix(format: WeightFormat, [outputs, inputs]: [usize; 2], random: &mut Pcg64Mcg) -> Matrix {
     let (size, scales): (usize, &[usize]) = match format {
         WeightFormat::F32 => {
-            let values = Tensor::from_vec(numbers(outputs * inputs, random), (outputs, inputs), &Device::Cpu);
+            let values = Tensor::from_vec(
+                numbers(outputs * inputs, random),
+                (outputs, inputs),
+                &Device::Cpu,
+            );
             return Matrix::from_tensor(&values.unwrap()).unwrap();
         }
         WeightFormat::F16 => (2, &[0]),
@@ -67,7 +79,8 @@ fn matrix(format: WeightFormat, [outputs, inputs]: [usize; 2], random: &mut Pcg6
     random.fill_bytes(&mut bytes);
     for block in bytes.chunks_exact_mut(size) {
         for at in scales {
-            block[*at..at + 2].copy_from_slice(&f16::from_f32(random.random_range(1e-4..1e-3)).to_le_bytes());
+            block[*at..at + 2]
+                .copy_from_slice(&f16::from_f32(random.random_range(1e-4..1e-3)).to_le_bytes());
         }
     }
     Matrix::from_blocks(format, outputs, inputs, &bytes).unwrap()
@@ -89,7 +102,9 @@ fn read(words: &[u64]) -> u64 {
     let sums = parts.map(|part| {
         let mut sums = [0u64; WORDS];
         for words in part.as_chunks::<WORDS>().0 {
-            sums.iter_mut().zip(words).for_each(|(sum, word)| *sum = sum.wrapping_add(*word));
+            sums.iter_mut()
+                .zip(words)
+                .for_each(|(sum, word)| *sum = sum.wrapping_add(*word));
         }
         sums.into_iter().fold(0, u64::wrapping_add)
     });
@@ -102,7 +117,11 @@ fn peak() -> f64 {
     let mut operations = 0;
     let start = Instant::now();
     while start.elapsed() < TIME {
-        fastest.measure(|| operations = rayon::broadcast(|_| byte_operations(ROUNDS)).into_iter().sum());
+        fastest.measure(|| {
+            operations = rayon::broadcast(|_| byte_operations(ROUNDS))
+                .into_iter()
+                .sum()
+        });
     }
     operations as f64 / fastest.0
 }
@@ -112,18 +131,29 @@ fn measure(format: WeightFormat, shape: [usize; 2], peak: f64) {
     let [outputs, inputs] = shape;
     let first = matrix(format, shape, random);
     let copies = BYTES.div_ceil(first.bytes());
-    let matrices: Vec<Matrix> =
-        std::iter::once(first).chain((1..copies).map(|_| matrix(format, shape, random))).collect();
+    let matrices: Vec<Matrix> = std::iter::once(first)
+        .chain((1..copies).map(|_| matrix(format, shape, random)))
+        .collect();
     let bytes: usize = matrices.iter().map(Matrix::bytes).sum();
     let words = vec![1u64; bytes / size_of::<u64>()];
     let x = |tokens: usize, random: &mut Pcg64Mcg| {
-        Tensor::from_vec(numbers(tokens * inputs, random), (tokens, inputs), &Device::Cpu).unwrap()
+        Tensor::from_vec(
+            numbers(tokens * inputs, random),
+            (tokens, inputs),
+            &Device::Cpu,
+        )
+        .unwrap()
     };
     let (token, prompt) = (x(1, random), x(PROMPT, random));
-    let (mut product, mut plain, mut many) = (Fastest(f64::MAX), Fastest(f64::MAX), Fastest(f64::MAX));
+    let (mut product, mut plain, mut many) =
+        (Fastest(f64::MAX), Fastest(f64::MAX), Fastest(f64::MAX));
     let start = Instant::now();
     while start.elapsed() < TIME {
-        product.measure(|| matrices.iter().for_each(|matrix| drop(black_box(matrix.forward(&token).unwrap()))));
+        product.measure(|| {
+            matrices
+                .iter()
+                .for_each(|matrix| drop(black_box(matrix.forward(&token).unwrap())))
+        });
         plain.measure(|| {
             black_box(read(black_box(&words)));
         });
@@ -145,10 +175,19 @@ fn measure(format: WeightFormat, shape: [usize; 2], peak: f64) {
 
 fn main() {
     // cargo passes `--bench`.
-    let wanted: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
+    let wanted: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|argument| !argument.starts_with('-'))
+        .collect();
     let peak = peak();
-    println!("8-bit products in registers, {} threads: {:.2} TOP/s\n", rayon::current_num_threads(), peak / 1e12);
-    println!("| shape | format | one token, GB/s | plain read, GB/s | ratio | {PROMPT} tokens, TOP/s | of registers |");
+    println!(
+        "8-bit products in registers, {} threads: {:.2} TOP/s\n",
+        rayon::current_num_threads(),
+        peak / 1e12
+    );
+    println!(
+        "| shape | format | one token, GB/s | plain read, GB/s | ratio | {PROMPT} tokens, TOP/s | of registers |"
+    );
     println!("|---|---|---:|---:|---:|---:|---:|");
     // The products run in a thread of the pool, as those of the program do.
     rayon::scope(|_| {

@@ -18,7 +18,10 @@ const KEEPS_DISTANCE: MetricSpec = MetricSpec::new("ego_keeps_distance", |input|
     });
     let least = gaps.fold(f64::INFINITY, f64::min);
     let statistic = Statistic::new(StatisticKind::Min, "min_distance_ahead", "meters", least);
-    Ok(Some(KEEPS_DISTANCE.scored(f64::from(u8::from(least >= 2.0)), vec![statistic])))
+    Ok(Some(KEEPS_DISTANCE.scored(
+        f64::from(u8::from(least >= 2.0)),
+        vec![statistic],
+    )))
 })
 .only(MetricList::ClosedLoop)
 .multiplier()
@@ -27,8 +30,10 @@ const KEEPS_DISTANCE: MetricSpec = MetricSpec::new("ego_keeps_distance", |input|
 fn main() -> planagent::Result<()> {
     let scenario = Scenario::open("generated/following_lane_with_lead/3")?;
     let metrics = MetricRegistry::default().with(KEEPS_DISTANCE);
-    let run =
-        Simulation::new(&scenario).challenge(Challenge::Reactive).metrics(metrics).run(&mut PdmClosed::default())?;
+    let run = Simulation::new(&scenario)
+        .challenge(Challenge::Reactive)
+        .metrics(metrics)
+        .run(&mut PdmClosed::default())?;
     for part in &run.evaluation.score.parts {
         println!("{:<32} {:.2}", part.name, part.score);
     }

@@ -21,7 +21,9 @@ impl Planner for CruiseInLane {
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let (ego, map) = (input.scene.ego, input.scene.map);
         let speed = ego.speed();
-        let lane = map.lane_of(ego.rear_axle, 3.0).ok_or(PlannerError::EmptyRoute)?;
+        let lane = map
+            .lane_of(ego.rear_axle, 3.0)
+            .ok_or(PlannerError::EmptyRoute)?;
         let line = &map[lane].centerline;
         let here = line.project(ego.rear_axle.position()).s;
         // Nine states, half a second apart. Beyond the end of the lane, straight ahead.
@@ -31,7 +33,10 @@ impl Planner for CruiseInLane {
             let pose = if here + meters <= line.length() {
                 line.pose_at(here + meters)
             } else {
-                Pose::at(end.position() + end.direction() * (here + meters - line.length()), end.heading)
+                Pose::at(
+                    end.position() + end.direction() * (here + meters - line.length()),
+                    end.heading,
+                )
             };
             let rear_axle = if step == 0 { ego.rear_axle } else { pose };
             TrajectoryState::moving(ego.time_us + step * 500_000, rear_axle, speed, 0.0)

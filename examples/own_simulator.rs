@@ -1,4 +1,5 @@
-//! The agent in a simulator of your own with steps of 0.05 s: `cargo run --release --example own_simulator`
+//! The agent in a simulator of your own with steps of 0.05 s: `cargo run --release --example
+//! own_simulator`
 
 #![allow(clippy::print_stdout, reason = "an example prints what it does")]
 
@@ -22,13 +23,25 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let trajectory = agent.plan(&scene, scene.time_s())?;
         if step % 20 == 0 {
             let gap = scene.objects[0].shape.center.x - scene.ego.center().x;
-            println!("{:5.2} s: ego {:4.1} m/s, lead agent {:5.1} m ahead", scene.time_s(), scene.ego.speed(), gap);
+            println!(
+                "{:5.2} s: ego {:4.1} m/s, lead agent {:5.1} m ahead",
+                scene.time_s(),
+                scene.ego.speed(),
+                gap
+            );
         }
         // The ego follows its trajectory through a bicycle model; any vehicle model will do.
-        let ego = follow(&scene.ego, &trajectory, STEP_US)
-            .map_err(|source| PlannerError::Failed { doing: "tracking", source: source.into() })?;
+        let ego =
+            follow(&scene.ego, &trajectory, STEP_US).map_err(|source| PlannerError::Failed {
+                doing: "tracking",
+                source: source.into(),
+            })?;
         let braking = scene.time_s() >= 4.0;
-        let objects: Vec<TrackedObject> = scene.objects.iter().map(|car| moved(*car, braking)).collect();
+        let objects: Vec<TrackedObject> = scene
+            .objects
+            .iter()
+            .map(|car| moved(*car, braking))
+            .collect();
         scene.advance(ego, objects);
     }
     println!("{} planning calls", agent.calls().len());

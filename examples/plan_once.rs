@@ -16,14 +16,22 @@ fn main() -> planagent::Result<()> {
     let trajectory = agent.plan(&scene, 0.0)?;
 
     for call in agent.calls() {
-        println!("the model read:\n{}\n", call.scene_text.as_deref().unwrap_or_default());
+        println!(
+            "the model read:\n{}\n",
+            call.scene_text.as_deref().unwrap_or_default()
+        );
         for attempt in &call.attempts {
             println!("the model wrote: {}", attempt.line().unwrap_or_default());
         }
     }
     for seconds in 1..=4 {
-        let state = trajectory.at(seconds * 1_000_000).map_err(planagent::planning::PlannerError::from)?;
-        println!("in {seconds} s: x = {:5.1} m, {:4.1} m/s", state.rear_axle.x, state.velocity.x);
+        let state = trajectory
+            .at(seconds * 1_000_000)
+            .map_err(planagent::planning::PlannerError::from)?;
+        println!(
+            "in {seconds} s: x = {:5.1} m, {:4.1} m/s",
+            state.rear_axle.x, state.velocity.x
+        );
     }
     Ok(())
 }

@@ -1,10 +1,12 @@
-//! Files that are written from a text, with the lengths, checksums and pages of their format. A changed byte of the text changes
-//! what the file says and leaves the file whole, so that an input reaches what lies behind the outer shell of a format.
+//! Files that are written from a text, with the lengths, checksums and pages of their format. A
+//! changed byte of the text changes what the file says and leaves the file whole, so that an input
+//! reaches what lies behind the outer shell of a format.
 //!
 //! What a text says wrongly is left out: a writer here never fails.
 
 use arrow_array::{
-    ArrayRef, BooleanArray, Float32Array, Float64Array, Int64Array, RecordBatch, StringArray, UInt8Array,
+    ArrayRef, BooleanArray, Float32Array, Float64Array, Int64Array, RecordBatch, StringArray,
+    UInt8Array,
 };
 use arrow_ipc::writer::FileWriter;
 use flate2::Compression;
@@ -25,17 +27,28 @@ const GGUF_MAX_BYTES: u64 = 1 << 20;
 
 /// Records of a TFRecord. Lines of `---` divide messages; see [`message`].
 pub(crate) fn tfrecord(text: &str) -> Vec<u8> {
-    let checksum = |bytes: &[u8]| crc32c::crc32c(bytes).rotate_right(15).wrapping_add(MASK_DELTA).to_le_bytes();
+    let checksum = |bytes: &[u8]| {
+        crc32c::crc32c(bytes)
+            .rotate_right(15)
+            .wrapping_add(MASK_DELTA)
+            .to_le_bytes()
+    };
     let record = |text: &str| {
         let payload = message(text);
         let length = (payload.len() as u64).to_le_bytes();
-        [&length[..], &checksum(&length), &payload, &checksum(&payload)].concat()
+        [
+            &length[..],
+            &checksum(&length),
+            &payload,
+            &checksum(&payload),
+        ]
+        .concat()
     };
     text.split("\n---\n").flat_map(record).collect()
 }
 
-/// A protocol-buffer message. A word is a field: `5"id"` has text, `6=1` a whole number, `2~0.5` a double, `2^0.5` a float; `3{`
-/// begins a message, and `}` ends it.
+/// A protocol-buffer message. A word is a field: `5"id"` has text, `6=1` a whole number, `2~0.5` a
+/// double, `2^0.5` a float; `3{` begins a message, and `}` ends it.
 fn message(text: &str) -> Vec<u8> {
     let mut open: Vec<(u64, Vec<u8>)> = vec![(0, Vec::new())];
     let close = |open: &mut Vec<(u64, Vec<u8>)>| {
@@ -51,10 +64,16 @@ fn message(text: &str) -> Vec<u8> {
             close(&mut open);
             continue;
         }
-        let end = word.find(|c: char| !c.is_ascii_digit()).unwrap_or(word.len());
+        let end = word
+            .find(|c: char| !c.is_ascii_digit())
+            .unwrap_or(word.len());
         let (number, value) = word.split_at(end);
-        let Ok(field) = number.parse::<u32>().map(u64::from) else { continue };
-        let Some((_, bytes)) = open.last_mut() else { continue };
+        let Ok(field) = number.parse::<u32>().map(u64::from) else {
+            continue;
+        };
+        let Some((_, bytes)) = open.last_mut() else {
+            continue;
+        };
         match value.split_at_checked(1) {
             Some(("{", _)) => open.push((field, Vec::new())),
             Some(("=", value)) => {
@@ -69,7 +88,9 @@ fn message(text: &str) -> Vec<u8> {
                 varint(bytes, field << 3 | 5);
                 bytes.extend(value.parse::<f32>().unwrap_or(0.0).to_le_bytes());
             }
-            Some(("\"", value)) => with_length(bytes, field, value.trim_end_matches('"').as_bytes()),
+            Some(("\"", value)) => {
+                with_length(bytes, field, value.trim_end_matches('"').as_bytes())
+            }
             _ => {}
         }
     }
@@ -95,7 +116,9 @@ fn varint(bytes: &mut Vec<u8>, mut value: u64) {
 
 /// Changes a database by SQL, within a budget and inside its file.
 pub(crate) fn change_database(path: &Path, sql: &str) {
-    let Ok(mut database) = Connection::open(path) else { return };
+    let Ok(mut database) = Connection::open(path) else {
+        return;
+    };
     let _ = database.set_limit(Limit::SQLITE_LIMIT_ATTACHED, 0);
     let _ = database.set_limit(Limit::SQLITE_LIMIT_LENGTH, 1 << 20);
     let _ = database.progress_handler(SQL_STEPS, Some(|| true));
@@ -104,21 +127,44 @@ pub(crate) fn change_database(path: &Path, sql: &str) {
     }
 }
 
-/// A table of a Feather file (Arrow's IPC) or a Parquet file. The first line has the columns as `name:type`, each further line a
-/// row; commas divide cells, and an empty cell is null. The types are `f64`, `f32`, `i64`, `u8`, `bool` and `str`.
+/// A table of a Feather file (Arrow's IPC) or a Parquet file. The first line has the columns as
+/// `name:type`, each further line a row; commas divide cells, and an empty cell is null. The types
+/// are `f64`, `f32`, `i64`, `u8`, `bool` and `str`.
 fn table(text: &str) -> Option<RecordBatch> {
     let mut lines = text.lines();
     let columns: Vec<&str> = lines.next()?.split(',').collect();
     let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
     let arrays = columns.iter().enumerate().map(|(i, column)| {
         let (name, kind) = column.split_once(':').unwrap_or((column, "str"));
-        let cells = rows.iter().map(|row| row.get(i).copied().filter(|cell| !cell.is_empty()));
+        let cells = rows
+            .iter()
+            .map(|row| row.get(i).copied().filter(|cell| !cell.is_empty()));
         let array: ArrayRef = match kind {
-            "f64" => Arc::new(cells.map(|cell| cell?.parse::<f64>().ok()).collect::<Float64Array>()),
-            "f32" => Arc::new(cells.map(|cell| cell?.parse::<f32>().ok()).collect::<Float32Array>()),
-            "i64" => Arc::new(cells.map(|cell| cell?.parse::<i64>().ok()).collect::<Int64Array>()),
-            "u8" => Arc::new(cells.map(|cell| cell?.parse::<u8>().ok()).collect::<UInt8Array>()),
-            "bool" => Arc::new(cells.map(|cell| cell?.parse::<bool>().ok()).collect::<BooleanArray>()),
+            "f64" => Arc::new(
+                cells
+                    .map(|cell| cell?.parse::<f64>().ok())
+                    .collect::<Float64Array>(),
+            ),
+            "f32" => Arc::new(
+                cells
+                    .map(|cell| cell?.parse::<f32>().ok())
+                    .collect::<Float32Array>(),
+            ),
+            "i64" => Arc::new(
+                cells
+                    .map(|cell| cell?.parse::<i64>().ok())
+                    .collect::<Int64Array>(),
+            ),
+            "u8" => Arc::new(
+                cells
+                    .map(|cell| cell?.parse::<u8>().ok())
+                    .collect::<UInt8Array>(),
+            ),
+            "bool" => Arc::new(
+                cells
+                    .map(|cell| cell?.parse::<bool>().ok())
+                    .collect::<BooleanArray>(),
+            ),
             _ => Arc::new(cells.collect::<StringArray>()),
         };
         (name, array)
@@ -148,8 +194,9 @@ pub(crate) fn parquet(text: &str) -> Vec<u8> {
     written.unwrap_or_default()
 }
 
-/// A GGUF file whose tensors are zero. A line is an entry: `s KEY TEXT`, `u KEY NUMBER` (32 bits), `f KEY NUMBER`, `b KEY true`,
-/// `as KEY WORD ...`, `ai KEY NUMBER ...`, `af KEY NUMBER ...`, or a tensor `t NAME TYPE WIDTH ...`, TYPE being GGML's number.
+/// A GGUF file whose tensors are zero. A line is an entry: `s KEY TEXT`, `u KEY NUMBER` (32 bits),
+/// `f KEY NUMBER`, `b KEY true`, `as KEY WORD ...`, `ai KEY NUMBER ...`, `af KEY NUMBER ...`, or a
+/// tensor `t NAME TYPE WIDTH ...`, TYPE being GGML's number.
 pub(crate) fn gguf(text: &str) -> Vec<u8> {
     let (mut entries, mut tensors) = (Vec::new(), Vec::new());
     let (mut entry_count, mut tensor_count, mut values) = (0_u64, 0_u64, 0_u64);
@@ -159,19 +206,29 @@ pub(crate) fn gguf(text: &str) -> Vec<u8> {
     };
     for line in text.lines() {
         let mut words = line.splitn(3, ' ');
-        let (Some(kind), Some(name), value) = (words.next(), words.next(), words.next().unwrap_or("")) else {
+        let (Some(kind), Some(name), value) =
+            (words.next(), words.next(), words.next().unwrap_or(""))
+        else {
             continue;
         };
         if kind == "t" {
-            let mut numbers = value.split(' ').map(|word| word.parse::<u64>().unwrap_or(0));
-            let (of_type, shape) = (numbers.next().unwrap_or(0) as u32, numbers.collect::<Vec<_>>());
+            let mut numbers = value
+                .split(' ')
+                .map(|word| word.parse::<u64>().unwrap_or(0));
+            let (of_type, shape) = (
+                numbers.next().unwrap_or(0) as u32,
+                numbers.collect::<Vec<_>>(),
+            );
             put(&mut tensors, name);
             tensors.extend((shape.len() as u32).to_le_bytes());
             tensors.extend(shape.iter().flat_map(|width| width.to_le_bytes()));
             tensors.extend(of_type.to_le_bytes());
             tensors.extend((values * 4).next_multiple_of(32).to_le_bytes());
-            values = values.saturating_add(shape.iter().fold(1, |product, width| product.saturating_mul(*width)))
-                & 0xff_ffff;
+            values = values.saturating_add(
+                shape
+                    .iter()
+                    .fold(1, |product, width| product.saturating_mul(*width)),
+            ) & 0xff_ffff;
             tensor_count += 1;
             continue;
         }
@@ -182,20 +239,36 @@ pub(crate) fn gguf(text: &str) -> Vec<u8> {
             entries.extend((words().count() as u64).to_le_bytes());
         };
         match kind {
-            "u" => entries.extend([4, value.parse().unwrap_or(0)].map(u32::to_le_bytes).concat()),
-            "f" => entries.extend([6_u32.to_le_bytes(), value.parse::<f32>().unwrap_or(0.0).to_le_bytes()].concat()),
-            "b" => entries.extend([&7_u32.to_le_bytes()[..], &[u8::from(value == "true")]].concat()),
+            "u" => entries.extend(
+                [4, value.parse().unwrap_or(0)]
+                    .map(u32::to_le_bytes)
+                    .concat(),
+            ),
+            "f" => entries.extend(
+                [
+                    6_u32.to_le_bytes(),
+                    value.parse::<f32>().unwrap_or(0.0).to_le_bytes(),
+                ]
+                .concat(),
+            ),
+            "b" => {
+                entries.extend([&7_u32.to_le_bytes()[..], &[u8::from(value == "true")]].concat())
+            }
             "as" => {
                 list(&mut entries, 8);
                 words().for_each(|word| put(&mut entries, word));
             }
             "ai" => {
                 list(&mut entries, 5);
-                words().for_each(|word| entries.extend(word.parse::<i32>().unwrap_or(0).to_le_bytes()));
+                words().for_each(|word| {
+                    entries.extend(word.parse::<i32>().unwrap_or(0).to_le_bytes())
+                });
             }
             "af" => {
                 list(&mut entries, 6);
-                words().for_each(|word| entries.extend(word.parse::<f32>().unwrap_or(0.0).to_le_bytes()));
+                words().for_each(|word| {
+                    entries.extend(word.parse::<f32>().unwrap_or(0.0).to_le_bytes())
+                });
             }
             _ => {
                 entries.extend(8_u32.to_le_bytes());
@@ -204,7 +277,13 @@ pub(crate) fn gguf(text: &str) -> Vec<u8> {
         }
         entry_count += 1;
     }
-    let head = [&b"GGUF"[..], &3_u32.to_le_bytes(), &tensor_count.to_le_bytes(), &entry_count.to_le_bytes()].concat();
+    let head = [
+        &b"GGUF"[..],
+        &3_u32.to_le_bytes(),
+        &tensor_count.to_le_bytes(),
+        &entry_count.to_le_bytes(),
+    ]
+    .concat();
     let mut bytes = [head, entries, tensors].concat();
     let data = (values * 4 + 64).min(GGUF_MAX_BYTES);
     bytes.resize(bytes.len().next_multiple_of(32) + data as usize, 0);
@@ -214,5 +293,8 @@ pub(crate) fn gguf(text: &str) -> Vec<u8> {
 /// Packs bytes as gzip does.
 pub(crate) fn gzip(bytes: &[u8]) -> Vec<u8> {
     let mut packer = GzEncoder::new(Vec::new(), Compression::fast());
-    packer.write_all(bytes).and_then(|()| packer.finish()).unwrap_or_default()
+    packer
+        .write_all(bytes)
+        .and_then(|()| packer.finish())
+        .unwrap_or_default()
 }

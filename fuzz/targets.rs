@@ -1,8 +1,11 @@
-//! What the fuzz targets do with bytes: the readers and parsers of outside data, through the functions that the program uses.
-//! A target must end and must not panic. It tells whether its input was read to the end, which is asked only of the inputs that
-//! are named `whole`: they show that a target reaches what lies behind the shell of its format. `tests/fuzz_corpus.rs` gives each the files of its corpus.
+//! What the fuzz targets do with bytes: the readers and parsers of outside data, through the
+//! functions that the program uses. A target must end and must not panic. It tells whether its
+//! input was read to the end, which is asked only of the inputs that are named `whole`: they show
+//! that a target reaches what lies behind the shell of its format. `tests/fuzz_corpus.rs` gives
+//! each the files of its corpus.
 //!
-//! An input that begins with `=` is a text that [`formats`] writes as a file of the target's format; any other input is the file.
+//! An input that begins with `=` is a text that [`formats`] writes as a file of the target's
+//! format; any other input is the file.
 
 mod formats;
 
@@ -10,13 +13,13 @@ use planagent_agent::environment::bev;
 use planagent_agent::environment::text::{TextForm, write as write_text};
 use planagent_agent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, Description, LaneGraph};
 use planagent_agent::reasoning::{
-    AssistVariant, Feedback, MotionInstruction, Names, PromptSet, Round, feedback_text, parse, parse_assistance,
-    round_prompt, system_prompt,
+    AssistVariant, Feedback, MotionInstruction, Names, PromptSet, Round, feedback_text, parse,
+    parse_assistance, round_prompt, system_prompt,
 };
 use planagent_learned::Checkpoint;
 use planagent_mllm::{
-    Constraint, Deadline, HubAccess, Loading, LocalModel, ModelPlace, ModelRegistry, ModelSpec, PromptPrefix, Request,
-    Sampling,
+    Constraint, Deadline, HubAccess, Loading, LocalModel, ModelPlace, ModelRegistry, ModelSpec,
+    PromptPrefix, Request, Sampling,
 };
 use planagent_runs::report::RunFolder;
 use planagent_runs::report::page::{self, PageSettings};
@@ -61,7 +64,10 @@ pub(crate) const TARGETS: [Target; 17] = [
 
 /// Runs the target of a name; true when it read the input to its end.
 pub(crate) fn run(name: &str, bytes: &[u8]) -> bool {
-    TARGETS.iter().find(|(known, _)| *known == name).is_some_and(|(_, target)| target(bytes))
+    TARGETS
+        .iter()
+        .find(|(known, _)| *known == name)
+        .is_some_and(|(_, target)| target(bytes))
 }
 
 /// A folder with files.
@@ -69,7 +75,8 @@ fn folder(files: &[(&str, &[u8])]) -> TempDir {
     let folder = TempDir::new().expect("a folder for files");
     for (name, bytes) in files {
         let path = folder.path().join(name);
-        fs::create_dir_all(path.parent().expect("a file lies in a folder")).expect("a folder can be made");
+        fs::create_dir_all(path.parent().expect("a file lies in a folder"))
+            .expect("a folder can be made");
         fs::write(path, bytes).expect("a file can be written");
     }
     folder
@@ -92,18 +99,35 @@ fn parts(text: &str) -> (&str, &str) {
 /// A file of the project, from the folder of the targets or of the tests.
 fn of_project(path: &str) -> Option<PathBuf> {
     let place = Path::new(env!("CARGO_MANIFEST_DIR"));
-    place.ancestors().map(|above| above.join(path)).find(|path| path.exists())
+    place
+        .ancestors()
+        .map(|above| above.join(path))
+        .find(|path| path.exists())
 }
 
 /// What a scene text may name.
 fn names() -> Names {
-    let lead_agents = ["vehicle1", "vehicle2", "obstacle1"].map(str::parse).into_iter().flatten().collect();
-    Names { centerlines: CenterlineName::ALL.to_vec(), lead_agents, speed_limit: Some(13) }
+    let lead_agents = ["vehicle1", "vehicle2", "obstacle1"]
+        .map(str::parse)
+        .into_iter()
+        .flatten()
+        .collect();
+    Names {
+        centerlines: CenterlineName::ALL.to_vec(),
+        lead_agents,
+        speed_limit: Some(13),
+    }
 }
 
 fn planner_code(bytes: &[u8]) -> bool {
     let parsed = parse(&text(bytes), &names());
-    assert!(parsed.errors.iter().all(|error| error.span.end <= text(bytes).len()), "an error lies behind the text");
+    assert!(
+        parsed
+            .errors
+            .iter()
+            .all(|error| error.span.end <= text(bytes).len()),
+        "an error lies behind the text"
+    );
     parsed.errors.is_empty()
 }
 
@@ -116,18 +140,33 @@ fn answers(bytes: &[u8]) -> bool {
 
 /// The first byte chooses which file of a prompt set has the rest.
 fn prompts(bytes: &[u8]) -> bool {
-    const FILES: [&str; 6] =
-        ["set.toml", "system.jinja", "understanding.jinja", "instruction.jinja", "code.jinja", "feedback.jinja"];
-    let Some((choice, rest)) = bytes.split_first() else { return false };
-    let settings = &b"scene_text = 'compact'\nunderstanding = 'choices'\ninstruction = 'choices'\n"[..];
+    const FILES: [&str; 6] = [
+        "set.toml",
+        "system.jinja",
+        "understanding.jinja",
+        "instruction.jinja",
+        "code.jinja",
+        "feedback.jinja",
+    ];
+    let Some((choice, rest)) = bytes.split_first() else {
+        return false;
+    };
+    let settings =
+        &b"scene_text = 'compact'\nunderstanding = 'choices'\ninstruction = 'choices'\n"[..];
     let of = |i: usize| match i {
         _ if i == usize::from(*choice) % FILES.len() => rest,
         0 => settings,
         _ => b"text",
     };
-    let files: Vec<(&str, &[u8])> = FILES.iter().enumerate().map(|(i, name)| (*name, of(i))).collect();
+    let files: Vec<(&str, &[u8])> = FILES
+        .iter()
+        .enumerate()
+        .map(|(i, name)| (*name, of(i)))
+        .collect();
     let folder = folder(&files);
-    let Ok(set) = PromptSet::open(&folder.path().to_string_lossy()) else { return false };
+    let Ok(set) = PromptSet::open(&folder.path().to_string_lossy()) else {
+        return false;
+    };
     let _ = system_prompt(&set, "legend");
     for &round in Round::ALL {
         let _ = round_prompt(&set, round, &names(), Some("speed 9"), Some("again"));
@@ -143,8 +182,9 @@ fn prompts(bytes: &[u8]) -> bool {
     feedback_text(&set, &feedback).is_ok()
 }
 
-/// What is drawn and said of a scene. A line is a call of the builder: `limit`, `width`, `lanes COUNT X Y X Y ...`, `connector X Y
-/// ...`, `route LANE ...`, `ego X Y HEADING SPEED`, and objects by their kind.
+/// What is drawn and said of a scene. A line is a call of the builder: `limit`, `width`, `lanes
+/// COUNT X Y X Y ...`, `connector X Y ...`, `route LANE ...`, `ego X Y HEADING SPEED`, and objects
+/// by their kind.
 fn lane_graph_text(bytes: &[u8]) -> bool {
     /// Coordinates of the scene, meters: a longer road takes longer than it tells.
     const FARTHEST: f64 = 2_000.0;
@@ -154,9 +194,17 @@ fn lane_graph_text(bytes: &[u8]) -> bool {
     let mut scene = Scene::builder();
     for line in written.lines().take(64) {
         let (word, rest) = line.split_once(' ').unwrap_or((line, ""));
-        let numbers: Vec<f64> = rest.split(' ').filter_map(|number| number.parse().ok()).collect();
+        let numbers: Vec<f64> = rest
+            .split(' ')
+            .filter_map(|number| number.parse().ok())
+            .collect();
         let near = numbers.iter().all(|number| number.abs() <= FARTHEST);
-        let points = |numbers: &[f64]| numbers.chunks_exact(2).map(|at| [at[0], at[1]]).collect::<Vec<_>>();
+        let points = |numbers: &[f64]| {
+            numbers
+                .chunks_exact(2)
+                .map(|at| [at[0], at[1]])
+                .collect::<Vec<_>>()
+        };
         let kind = match word {
             "vehicle" => ObjectKind::Vehicle,
             "pedestrian" => ObjectKind::Pedestrian,
@@ -168,7 +216,9 @@ fn lane_graph_text(bytes: &[u8]) -> bool {
             ("limit", []) => scene.speed_limit(None),
             ("limit", [limit, ..]) => scene.speed_limit(*limit),
             ("width", [width, ..]) if near => scene.lane_width(*width),
-            ("lanes", [count, line @ ..]) if near => scene.lanes(count.clamp(0.0, 8.0) as usize, points(line)),
+            ("lanes", [count, line @ ..]) if near => {
+                scene.lanes(count.clamp(0.0, 8.0) as usize, points(line))
+            }
             ("connector", line) if near => scene.connector(points(line)),
             ("route", lanes) => scene.route(lanes.iter().map(|lane| *lane as usize)),
             ("ego", [x, y, heading, speed]) => scene.ego([*x, *y], *heading, *speed),
@@ -176,12 +226,24 @@ fn lane_graph_text(bytes: &[u8]) -> bool {
             _ => scene,
         };
     }
-    let Ok(scene) = scene.build() else { return false };
+    let Ok(scene) = scene.build() else {
+        return false;
+    };
     let _ = bev::render(&scene.view(), &bev::BevView::default());
-    let Ok(graph) = LaneGraph::build(&scene.view(), DEFAULT_NODE_LENGTH) else { return false };
-    for form in [TextForm::Paper, TextForm::Brief, TextForm::Compact, TextForm::Compact2] {
+    let Ok(graph) = LaneGraph::build(&scene.view(), DEFAULT_NODE_LENGTH) else {
+        return false;
+    };
+    for form in [
+        TextForm::Paper,
+        TextForm::Brief,
+        TextForm::Compact,
+        TextForm::Compact2,
+    ] {
         let said = write_text(&Description::of(&graph), form);
-        assert!(!said.contains("NaN") && !said.contains("inf"), "a number of the text is not finite: {said}");
+        assert!(
+            !said.contains("NaN") && !said.contains("inf"),
+            "a number of the text is not finite: {said}"
+        );
     }
     true
 }
@@ -195,8 +257,12 @@ fn tiny_model() -> Option<PathBuf> {
         let copied = model.get_or_init(|| {
             let tiny = of_project("tests/fixtures/tiny_llava")?;
             let model = TempDir::new().expect("a folder for files");
-            for entry in fs::read_dir(tiny).expect("the fixture can be read").flatten() {
-                fs::copy(entry.path(), model.path().join(entry.file_name())).expect("a fixture can be copied");
+            for entry in fs::read_dir(tiny)
+                .expect("the fixture can be read")
+                .flatten()
+            {
+                fs::copy(entry.path(), model.path().join(entry.file_name()))
+                    .expect("a fixture can be copied");
             }
             Some(model)
         });
@@ -204,9 +270,12 @@ fn tiny_model() -> Option<PathBuf> {
     })
 }
 
-/// A model folder with this chat template: the template is reached only where all else is as it should be.
+/// A model folder with this chat template: the template is reached only where all else is as it
+/// should be.
 fn chat_template(bytes: &[u8]) -> bool {
-    let Some(model) = tiny_model() else { return false };
+    let Some(model) = tiny_model() else {
+        return false;
+    };
     let file = model.join("chat_template.jinja");
     let kept = fs::read(&file).expect("the model has a template");
     fs::write(&file, bytes).expect("a file can be written");
@@ -217,8 +286,15 @@ fn chat_template(bytes: &[u8]) -> bool {
 
 /// Finds and opens the first scenarios in a file or folder; true when one opens.
 fn open_all(roots: &DataRoots, place: &Path) -> bool {
-    let Ok(found) = Readers::new(roots).find(&place.to_string_lossy()) else { return false };
-    found.iter().take(4).filter(|scenario| scenario.open().is_ok()).count() > 0
+    let Ok(found) = Readers::new(roots).find(&place.to_string_lossy()) else {
+        return false;
+    };
+    found
+        .iter()
+        .take(4)
+        .filter(|scenario| scenario.open().is_ok())
+        .count()
+        > 0
 }
 
 fn tfrecord(bytes: &[u8]) -> bool {
@@ -227,8 +303,9 @@ fn tfrecord(bytes: &[u8]) -> bool {
     open_all(&DataRoots::default(), &folder.path().join("a.tfrecord"))
 }
 
-/// The first byte of a file chooses which files of a log have the rest. The second byte of a text chooses which file of a whole
-/// log it replaces: the map, the poses, the annotations, or the table of a scenario.
+/// The first byte of a file chooses which files of a log have the rest. The second byte of a text
+/// chooses which file of a whole log it replaces: the map, the poses, the annotations, or the table
+/// of a scenario.
 fn argoverse2(bytes: &[u8]) -> bool {
     const MAP: &str = include_str!("corpus/argoverse2/whole_map.txt");
     const POSES: &str = include_str!("corpus/argoverse2/whole_poses.txt");
@@ -236,7 +313,11 @@ fn argoverse2(bytes: &[u8]) -> bool {
     const SCENARIO: &str = include_str!("corpus/argoverse2/whole_scenario.txt");
     let folder = if let Some(text) = as_text(bytes) {
         let of = |base: &'static str| {
-            if text.get(..1) == base.get(1..2) { text[1..].to_owned() } else { base[2..].to_owned() }
+            if text.get(..1) == base.get(1..2) {
+                text[1..].to_owned()
+            } else {
+                base[2..].to_owned()
+            }
         };
         if text.starts_with('s') {
             folder(&[
@@ -247,13 +328,22 @@ fn argoverse2(bytes: &[u8]) -> bool {
             folder(&[
                 ("city_SE3_egovehicle.feather", &formats::feather(&of(POSES))),
                 ("annotations.feather", &formats::feather(&of(ANNOTATIONS))),
-                ("map/log_map_archive_a____PIT_city_1.json", of(MAP).as_bytes()),
+                (
+                    "map/log_map_archive_a____PIT_city_1.json",
+                    of(MAP).as_bytes(),
+                ),
             ])
         }
     } else {
-        let Some((choice, rest)) = bytes.split_first() else { return false };
+        let Some((choice, rest)) = bytes.split_first() else {
+            return false;
+        };
         let files: &[&str] = if choice % 2 == 0 {
-            &["city_SE3_egovehicle.feather", "annotations.feather", "map/log_map_archive_a.json"]
+            &[
+                "city_SE3_egovehicle.feather",
+                "annotations.feather",
+                "map/log_map_archive_a.json",
+            ]
         } else {
             &["scenario_a.parquet", "log_map_archive_a.json"]
         };
@@ -265,32 +355,54 @@ fn argoverse2(bytes: &[u8]) -> bool {
 /// A small nuPlan data set, written once: its log, and its map under the location `a`.
 fn data_set() -> &'static (Vec<u8>, Vec<u8>) {
     /// What a target need not read: most of the agents and of the time.
-    const SMALLER: &str = "DELETE FROM lidar_box WHERE track_token NOT IN (SELECT token FROM track LIMIT 6);
+    const SMALLER: &str =
+        "DELETE FROM lidar_box WHERE track_token NOT IN (SELECT token FROM track LIMIT 6);
         DELETE FROM track WHERE token NOT IN (SELECT track_token FROM lidar_box); VACUUM";
     static WRITTEN: OnceLock<(Vec<u8>, Vec<u8>)> = OnceLock::new();
     WRITTEN.get_or_init(|| {
         let folder = TempDir::new().expect("a folder for files");
         let out = folder.path().join("out");
-        let scenario = generate(&Spec::new(types::changing_lane::TYPE, 0)).expect("the scenario is generated");
-        let settings = ExportSettings { location: Some("a".to_owned()), ..ExportSettings::default() };
+        let scenario =
+            generate(&Spec::new(types::changing_lane::TYPE, 0)).expect("the scenario is generated");
+        let settings = ExportSettings {
+            location: Some("a".to_owned()),
+            ..ExportSettings::default()
+        };
         write_scenario(&scenario, &out, &settings).expect("the scenario is exported");
-        let log = fs::read_dir(out.join("data")).expect("a folder of logs").flatten().next().expect("a log").path();
+        let log = fs::read_dir(out.join("data"))
+            .expect("a folder of logs")
+            .flatten()
+            .next()
+            .expect("a log")
+            .path();
         let database = rusqlite::Connection::open(&log).expect("the log opens");
-        database.execute_batch(SMALLER).expect("the log gets smaller");
+        database
+            .execute_batch(SMALLER)
+            .expect("the log gets smaller");
         drop(database);
         let map = out.join("maps/a/1.0/map.gpkg");
-        (fs::read(log).expect("the log is there"), fs::read(map).expect("the map is there"))
+        (
+            fs::read(log).expect("the log is there"),
+            fs::read(map).expect("the map is there"),
+        )
     })
 }
 
 /// A data set with these two files. A text is SQL that changes one of them.
 fn open_data_set(log: &[u8], map: &[u8], changed: Option<(&str, &str)>) -> bool {
     let index = br#"{"a": {"version": "1.0"}}"#;
-    let folder = folder(&[("maps/nuplan-maps-v1.0.json", index), ("maps/a/1.0/map.gpkg", map), ("data/log.db", log)]);
+    let folder = folder(&[
+        ("maps/nuplan-maps-v1.0.json", index),
+        ("maps/a/1.0/map.gpkg", map),
+        ("data/log.db", log),
+    ]);
     if let Some((file, sql)) = changed {
         formats::change_database(&folder.path().join(file), sql);
     }
-    let roots = DataRoots { data: Some(folder.path().join("data")), maps: Some(folder.path().join("maps")) };
+    let roots = DataRoots {
+        data: Some(folder.path().join("data")),
+        maps: Some(folder.path().join("maps")),
+    };
     open_all(&roots, &folder.path().join("data/log.db"))
 }
 
@@ -308,8 +420,13 @@ fn nuplan_map(bytes: &[u8]) -> bool {
         return open_data_set(log, map, Some(("maps/a/1.0/map.gpkg", &sql)));
     }
     let index = br#"{"us-ma-boston": {"version": "1"}}"#;
-    let folder = folder(&[("nuplan-maps-v1.0.json", index), ("us-ma-boston/1/map.gpkg", bytes)]);
-    MapStore::new(Some(folder.path().to_owned())).map("us-ma-boston").is_ok()
+    let folder = folder(&[
+        ("nuplan-maps-v1.0.json", index),
+        ("us-ma-boston/1/map.gpkg", bytes),
+    ]);
+    MapStore::new(Some(folder.path().to_owned()))
+        .map("us-ma-boston")
+        .is_ok()
 }
 
 fn filter(bytes: &[u8]) -> bool {
@@ -325,7 +442,9 @@ fn configuration(bytes: &[u8]) -> bool {
 }
 
 fn check(place: &ModelPlace) -> bool {
-    LocalModel::check(place, &Loading::default()).problems.is_empty()
+    LocalModel::check(place, &Loading::default())
+        .problems
+        .is_empty()
 }
 
 /// A text has two files: the model, and the picture tower behind a line of `---`.
@@ -336,12 +455,19 @@ fn gguf(bytes: &[u8]) -> bool {
         Some((model, mmproj)) => (formats::gguf(model), Some(formats::gguf(mmproj))),
         None => (bytes.to_vec(), None),
     };
-    let folder = folder(&[("model.gguf", &model), ("mmproj.gguf", mmproj.as_deref().unwrap_or_default())]);
+    let folder = folder(&[
+        ("model.gguf", &model),
+        ("mmproj.gguf", mmproj.as_deref().unwrap_or_default()),
+    ]);
     let mmproj = mmproj.map(|_| folder.path().join("mmproj.gguf"));
-    check(&ModelPlace::Gguf { model: folder.path().join("model.gguf"), mmproj })
+    check(&ModelPlace::Gguf {
+        model: folder.path().join("model.gguf"),
+        mmproj,
+    })
 }
 
-/// A text has a configuration, and behind a line of `---` the header of the weights, which are zero.
+/// A text has a configuration, and behind a line of `---` the header of the weights, which are
+/// zero.
 fn safetensors(bytes: &[u8]) -> bool {
     /// Bytes of a file of weights; it is sparse.
     const MAX_WEIGHTS: u64 = 1 << 34;
@@ -351,16 +477,27 @@ fn safetensors(bytes: &[u8]) -> bool {
         return check(&ModelPlace::Folder(folder.path().to_owned()));
     };
     let (config, header) = parts(&written);
-    let Some(model) = tiny_model() else { return false };
-    let kept = ["config.json", "model.safetensors"].map(|name| (model.join(name), fs::read(model.join(name))));
+    let Some(model) = tiny_model() else {
+        return false;
+    };
+    let kept = ["config.json", "model.safetensors"]
+        .map(|name| (model.join(name), fs::read(model.join(name))));
     fs::write(model.join("config.json"), config).expect("a file can be written");
     let head = [&(header.len() as u64).to_le_bytes()[..], header.as_bytes()].concat();
     let ends = header.split("\"data_offsets\"").skip(1).filter_map(|rest| {
-        rest.split(']').next()?.rsplit(|c: char| !c.is_ascii_digit()).find(|word| !word.is_empty())?.parse::<u64>().ok()
+        rest.split(']')
+            .next()?
+            .rsplit(|c: char| !c.is_ascii_digit())
+            .find(|word| !word.is_empty())?
+            .parse::<u64>()
+            .ok()
     });
     let length = head.len() as u64 + ends.max().unwrap_or(0).min(MAX_WEIGHTS);
-    let mut file = fs::File::create(model.join("model.safetensors")).expect("a file can be written");
-    file.write_all(&head).and_then(|()| file.set_len(length)).expect("a file can be written");
+    let mut file =
+        fs::File::create(model.join("model.safetensors")).expect("a file can be written");
+    file.write_all(&head)
+        .and_then(|()| file.set_len(length))
+        .expect("a file can be written");
     drop(file);
     let fits = check(&ModelPlace::Folder(model));
     for (path, bytes) in kept {
@@ -369,41 +506,82 @@ fn safetensors(bytes: &[u8]) -> bool {
     fits
 }
 
-/// The first byte chooses which file of a complete run has the rest. The words `METRICS` and `CALLS` of a record become the digests
-/// of the two files: with another digest, a file is not read.
+/// The first byte chooses which file of a complete run has the rest. The words `METRICS` and
+/// `CALLS` of a record become the digests of the two files: with another digest, a file is not
+/// read.
 fn run_folder(bytes: &[u8]) -> bool {
     const FILES: [(&str, &[u8]); 5] = [
-        ("manifest.toml", include_bytes!("corpus/run_folder/whole_manifest.bin")),
-        ("simulations/000000-a/record.toml", include_bytes!("corpus/run_folder/whole_record.bin")),
-        ("simulations/000000-a/metrics.toml", include_bytes!("corpus/run_folder/whole_metrics.bin")),
-        ("simulations/000000-a/calls.jsonl", include_bytes!("corpus/run_folder/whole_calls.bin")),
-        ("simulations/000000-a/replay.json.gz", include_bytes!("corpus/run_folder/whole_replay.bin")),
+        (
+            "manifest.toml",
+            include_bytes!("corpus/run_folder/whole_manifest.bin"),
+        ),
+        (
+            "simulations/000000-a/record.toml",
+            include_bytes!("corpus/run_folder/whole_record.bin"),
+        ),
+        (
+            "simulations/000000-a/metrics.toml",
+            include_bytes!("corpus/run_folder/whole_metrics.bin"),
+        ),
+        (
+            "simulations/000000-a/calls.jsonl",
+            include_bytes!("corpus/run_folder/whole_calls.bin"),
+        ),
+        (
+            "simulations/000000-a/replay.json.gz",
+            include_bytes!("corpus/run_folder/whole_replay.bin"),
+        ),
     ];
     const REPLAY: usize = 4;
-    let Some((choice, rest)) = bytes.split_first() else { return false };
+    let Some((choice, rest)) = bytes.split_first() else {
+        return false;
+    };
     let chosen = usize::from(*choice) % FILES.len();
     let of = |(i, (name, whole)): (usize, &(&'static str, &'static [u8]))| {
         let content = if i == chosen { rest } else { &whole[1..] };
         // The text of a replay is packed here, so that a changed byte reaches what the replay says.
         let packed = i == REPLAY && !content.starts_with(&[0x1f, 0x8b]);
-        (*name, if packed { formats::gzip(content) } else { content.to_vec() })
+        (
+            *name,
+            if packed {
+                formats::gzip(content)
+            } else {
+                content.to_vec()
+            },
+        )
     };
     let mut files: Vec<(&str, Vec<u8>)> = FILES.iter().enumerate().map(of).collect();
     let digest = |i: usize| blake3::hash(&files[i].1).to_hex();
     if let Ok(record) = std::str::from_utf8(&files[1].1) {
-        files[1].1 = record.replace("METRICS", &digest(2)).replace("CALLS", &digest(3)).into_bytes();
+        files[1].1 = record
+            .replace("METRICS", &digest(2))
+            .replace("CALLS", &digest(3))
+            .into_bytes();
     }
-    let folder = folder(&files.iter().map(|(name, content)| (*name, &content[..])).collect::<Vec<_>>());
+    let folder = folder(
+        &files
+            .iter()
+            .map(|(name, content)| (*name, &content[..]))
+            .collect::<Vec<_>>(),
+    );
     let run = folder.path().to_owned();
     let completed = RunFolder::read_completed(&run).is_ok_and(|rows| !rows.rows.is_empty());
-    let page = page::write(std::slice::from_ref(&run), &run.join("page.html"), &PageSettings::default(), &|_, _| ());
+    let page = page::write(
+        std::slice::from_ref(&run),
+        &run.join("page.html"),
+        &PageSettings::default(),
+        &|_, _| (),
+    );
     RunFolder::manifest(&run).is_ok() && completed && page.is_ok()
 }
 
 /// A modification of a scenario, read and applied.
 fn modification(bytes: &[u8]) -> bool {
     let folder = folder(&[("change.toml", bytes)]);
-    let word = format!("generated/changing_lane/0~{}", folder.path().join("change.toml").display());
+    let word = format!(
+        "generated/changing_lane/0~{}",
+        folder.path().join("change.toml").display()
+    );
     open_all(&DataRoots::default(), Path::new(&word))
 }
 
@@ -413,29 +591,42 @@ fn checkpoint(bytes: &[u8]) -> bool {
     Checkpoint::open(&folder.path().join("model.ckpt")).is_ok()
 }
 
-/// A server on this machine that answers a question with these bytes: with the whole answer where they begin with `HTTP/`, else
-/// with its body.
+/// A server on this machine that answers a question with these bytes: with the whole answer where
+/// they begin with `HTTP/`, else with its body.
 fn endpoint_reply(bytes: &[u8]) -> bool {
-    let Ok(listener) = TcpListener::bind("127.0.0.1:0") else { return false };
-    let Ok(address) = listener.local_addr() else { return false };
+    let Ok(listener) = TcpListener::bind("127.0.0.1:0") else {
+        return false;
+    };
+    let Ok(address) = listener.local_addr() else {
+        return false;
+    };
     let reply = bytes.to_vec();
     let server = thread::spawn(move || {
-        let Ok((mut stream, _)) = listener.accept() else { return };
+        let Ok((mut stream, _)) = listener.accept() else {
+            return;
+        };
         let mut request = [0; 1 << 13];
         let _ = stream.read(&mut request);
         let head = format!(
             "HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
             reply.len()
         );
-        let head = if reply.starts_with(b"HTTP/") { "" } else { &head };
-        let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&reply));
+        let head = if reply.starts_with(b"HTTP/") {
+            ""
+        } else {
+            &head
+        };
+        let _ = stream
+            .write_all(head.as_bytes())
+            .and_then(|()| stream.write_all(&reply));
     });
     let description = format!(
         "name = 'm'\nprompt_set = 'compact'\n[source]\nendpoint = 'http://{address}'\nmodel = 'm'\ngrammar = 'none'\n\
          image_size = 336\nretries = 0\ntimeout_ms = 2000\nstream = {}\n",
         bytes.starts_with(b"data:")
     );
-    let spec = ModelSpec::parse(Path::new("m.toml"), &description).expect("the description is valid");
+    let spec =
+        ModelSpec::parse(Path::new("m.toml"), &description).expect("the description is valid");
     let registry = ModelRegistry::new(PathBuf::from("models"), HubAccess::default());
     let mut answered = false;
     if let Ok(model) = registry.open(&spec) {
@@ -446,8 +637,14 @@ fn endpoint_reply(bytes: &[u8]) -> bool {
             deadline: Deadline::NONE,
             draft: None,
         };
-        let prefix = PromptPrefix { system: String::new(), image: None };
-        answered = model.converse(&prefix, 0).and_then(|mut conversation| conversation.ask("?", &request)).is_ok();
+        let prefix = PromptPrefix {
+            system: String::new(),
+            image: None,
+        };
+        answered = model
+            .converse(&prefix, 0)
+            .and_then(|mut conversation| conversation.ask("?", &request))
+            .is_ok();
     }
     // The listener waits for a connection that a failed start never made.
     let _ = std::net::TcpStream::connect(address);

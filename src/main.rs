@@ -2,8 +2,8 @@
 
 use mimalloc::MiMalloc;
 
-/// Tensors of a pass come and go by megabytes, and glibc gives each back to the system: page faults would take a good part
-/// of the time of a long prompt.
+/// Tensors of a pass come and go by megabytes, and glibc gives each back to the system: page faults
+/// would take a good part of the time of a long prompt.
 #[global_allocator]
 static ALLOCATOR: MiMalloc = MiMalloc;
 
@@ -12,8 +12,8 @@ fn main() -> std::process::ExitCode {
     planagent_cli::run()
 }
 
-/// candle asks for its number of threads at each product. Without this variable it reads `/proc/cpuinfo` each time, which took a
-/// seventh of the CPU time of a simulation with nano.
+/// candle asks for its number of threads at each product. Without this variable it reads
+/// `/proc/cpuinfo` each time, which took a seventh of the CPU time of a simulation with nano.
 #[allow(unsafe_code)]
 fn name_threads() {
     const THREADS: &str = "RAYON_NUM_THREADS";

@@ -25,7 +25,8 @@ const RANKS: [(&str, u8); 13] = [
     ("cli", 13),
 ];
 
-/// Rooms of a stage (its files and folders) by rank, lowest first: a room uses only rooms of a lower rank.
+/// Rooms of a stage (its files and folders) by rank, lowest first: a room uses only rooms of a
+/// lower rank.
 const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "world",
@@ -33,7 +34,13 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["geometry"],
             &["ego", "object"],
             &["map", "trajectory"],
-            &["history", "interaction", "map_builder", "map_query", "signal"],
+            &[
+                "history",
+                "interaction",
+                "map_builder",
+                "map_query",
+                "signal",
+            ],
             &["scene"],
             &["path"],
             &["scene_builder"],
@@ -42,10 +49,23 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     ),
     (
         "kernels",
-        &[&["activation", "values"], &["matrix"], &["attention", "layer_norm", "linear", "pointwise", "rms_norm"]],
+        &[
+            &["activation", "values"],
+            &["matrix"],
+            &["attention", "layer_norm", "linear", "pointwise", "rms_norm"],
+        ],
     ),
     ("score", &[&["metrics"], &["pdm"]]),
-    ("agent", &[&["environment"], &["reasoning"], &["reflection"], &["planner"], &["simulation"]]),
+    (
+        "agent",
+        &[
+            &["environment"],
+            &["reasoning"],
+            &["reflection"],
+            &["planner"],
+            &["simulation"],
+        ],
+    ),
     (
         "mllm",
         &[
@@ -144,7 +164,10 @@ fn is_test(path: &Path) -> bool {
 
 fn sources() -> Vec<(String, String)> {
     fn walk(folder: &Path, found: &mut Vec<PathBuf>) {
-        let mut entries: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+        let mut entries: Vec<PathBuf> = fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect();
         entries.sort();
         for path in entries {
             if path.is_dir() {
@@ -162,17 +185,24 @@ fn sources() -> Vec<(String, String)> {
         .into_iter()
         .map(|path| {
             let text = fs::read_to_string(&path).unwrap();
-            let file = path.strip_prefix(root).unwrap().to_string_lossy().into_owned();
+            let file = path
+                .strip_prefix(root)
+                .unwrap()
+                .to_string_lossy()
+                .into_owned();
             let text = as_one_crate(root, &file, &text);
             (file, text)
         })
         .collect()
 }
 
-/// The code of a crate's file as if all crates were modules of one, named by their folders in `src`.
+/// The code of a crate's file as if all crates were modules of one, named by their folders in
+/// `src`.
 fn as_one_crate(root: &Path, file: &str, text: &str) -> String {
     let own = stage(file).filter(|own| root.join("src").join(own).join("lib.rs").exists());
-    let text = own.map_or(text.to_owned(), |own| text.replace("crate::", &format!("crate::{own}::")));
+    let text = own.map_or(text.to_owned(), |own| {
+        text.replace("crate::", &format!("crate::{own}::"))
+    });
     text.replace("planagent_", "crate::")
 }
 
@@ -184,31 +214,45 @@ fn code_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
         begun: bool,
     }
     let mut item: Option<TestItem<'_>> = None;
-    text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(move |(_, line)| {
-        if let Some(TestItem { indent, begun }) = &mut item {
-            let own = line.strip_prefix(*indent).unwrap_or_default();
-            let whole = !*begun && own.ends_with([';', ',', '}']);
-            *begun |= !own.starts_with("#[");
-            if whole || own == "}" || own == "};" || own == ")" {
-                item = None;
+    text.lines()
+        .enumerate()
+        .map(|(i, line)| (i + 1, line))
+        .filter(move |(_, line)| {
+            if let Some(TestItem { indent, begun }) = &mut item {
+                let own = line.strip_prefix(*indent).unwrap_or_default();
+                let whole = !*begun && own.ends_with([';', ',', '}']);
+                *begun |= !own.starts_with("#[");
+                if whole || own == "}" || own == "};" || own == ")" {
+                    item = None;
+                }
+                return false;
             }
-            return false;
-        }
-        if ["#[cfg(test)]", "#[cfg(all(test,"].iter().any(|attribute| line.trim().starts_with(attribute)) {
-            item = Some(TestItem { indent: &line[..line.len() - line.trim_start().len()], begun: false });
-            return false;
-        }
-        !line.trim_start().starts_with("//")
-    })
+            if ["#[cfg(test)]", "#[cfg(all(test,"]
+                .iter()
+                .any(|attribute| line.trim().starts_with(attribute))
+            {
+                item = Some(TestItem {
+                    indent: &line[..line.len() - line.trim_start().len()],
+                    begun: false,
+                });
+                return false;
+            }
+            !line.trim_start().starts_with("//")
+        })
 }
 
 fn rank(module: &str) -> Option<u8> {
-    RANKS.iter().find(|(name, _)| *name == module).map(|&(_, rank)| rank)
+    RANKS
+        .iter()
+        .find(|(name, _)| *name == module)
+        .map(|&(_, rank)| rank)
 }
 
 /// The stage that a source file belongs to.
 fn stage(file: &str) -> Option<&str> {
-    file.strip_prefix("src/")?.split_once('/').map(|(stage, _)| stage)
+    file.strip_prefix("src/")?
+        .split_once('/')
+        .map(|(stage, _)| stage)
 }
 
 /// All `crate::stage` that a line names, those in braces included.
@@ -226,7 +270,9 @@ fn used_stages(line: &str) -> Vec<String> {
 }
 
 fn first_name(text: &str) -> String {
-    text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
+    text.chars()
+        .take_while(|c| c.is_alphanumeric() || *c == '_')
+        .collect()
 }
 
 #[test]
@@ -243,19 +289,38 @@ fn a_stage_uses_only_what_stands_before_it() {
             }
         }
     }
-    assert!(wrong.is_empty(), "against the dependency order:\n{}", wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "against the dependency order:\n{}",
+        wrong.join("\n")
+    );
 }
 
 /// The imports of all files of the stages.
 fn graph() -> Graph {
-    let code = |text: &str| code_lines(text).flat_map(|(_, line)| [line, "\n"]).collect();
-    Graph::of(&sources().into_iter().map(|(file, text)| (file, code(&text))).collect::<Vec<_>>())
+    let code = |text: &str| {
+        code_lines(text)
+            .flat_map(|(_, line)| [line, "\n"])
+            .collect()
+    };
+    Graph::of(
+        &sources()
+            .into_iter()
+            .map(|(file, text)| (file, code(&text)))
+            .collect::<Vec<_>>(),
+    )
 }
 
 /// The file or folder of a stage that a source file belongs to; none for the stage's own `mod.rs`.
 fn room<'a>(file: &'a str, stage: &str) -> Option<&'a str> {
-    let inside = file.strip_prefix("src/")?.strip_prefix(stage)?.strip_prefix('/')?;
-    let room = inside.split_once('/').map_or(inside, |(room, _)| room).trim_end_matches(".rs");
+    let inside = file
+        .strip_prefix("src/")?
+        .strip_prefix(stage)?
+        .strip_prefix('/')?;
+    let room = inside
+        .split_once('/')
+        .map_or(inside, |(room, _)| room)
+        .trim_end_matches(".rs");
     (!["lib", "mod"].contains(&room)).then_some(room)
 }
 
@@ -277,7 +342,11 @@ fn a_room_uses_only_rooms_below_it() {
             }
         }
     }
-    assert!(wrong.is_empty(), "against the order of rooms:\n{}", wrong.into_iter().collect::<Vec<_>>().join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "against the order of rooms:\n{}",
+        wrong.into_iter().collect::<Vec<_>>().join("\n")
+    );
 }
 
 #[test]
@@ -289,13 +358,25 @@ fn circles_of_imports_are_small() {
         .filter(|circle| circle.len() > MAX_CIRCLE)
         .map(|circle| format!("{} files:\n  {}", circle.len(), circle.join("\n  ")))
         .collect();
-    assert!(large.is_empty(), "circles of more than {MAX_CIRCLE} files:\n{}", large.join("\n"));
+    assert!(
+        large.is_empty(),
+        "circles of more than {MAX_CIRCLE} files:\n{}",
+        large.join("\n")
+    );
 }
 
 #[test]
 fn only_named_modules_write_to_disk() {
-    let writes =
-        ["fs::write", "File::create", "create_dir", "OpenOptions", "fs::rename", "remove_file", "remove_dir", ".save("];
+    let writes = [
+        "fs::write",
+        "File::create",
+        "create_dir",
+        "OpenOptions",
+        "fs::rename",
+        "remove_file",
+        "remove_dir",
+        ".save(",
+    ];
     let mut wrong = Vec::new();
     for (file, text) in sources() {
         if WRITERS.iter().any(|writer| file.starts_with(writer)) {
@@ -307,7 +388,11 @@ fn only_named_modules_write_to_disk() {
             }
         }
     }
-    assert!(wrong.is_empty(), "writes outside {WRITERS:?}:\n{}", wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "writes outside {WRITERS:?}:\n{}",
+        wrong.join("\n")
+    );
 }
 
 #[test]
@@ -324,30 +409,58 @@ fn only_the_printer_prints() {
             }
         }
     }
-    assert!(wrong.is_empty(), "prints outside the printer:\n{}", wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "prints outside the printer:\n{}",
+        wrong.join("\n")
+    );
 }
 
 #[test]
 fn a_planner_input_holds_no_future() {
-    let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/agent/planner/mod.rs")).unwrap();
-    let start = text.find("pub struct PlannerInput").expect("PlannerInput is defined in src/agent/planner/mod.rs");
+    let text =
+        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/agent/planner/mod.rs"))
+            .unwrap();
+    let start = text
+        .find("pub struct PlannerInput")
+        .expect("PlannerInput is defined in src/agent/planner/mod.rs");
     let body = &text[start..start + text[start..].find('}').unwrap()];
-    let fields: Vec<&str> =
-        body.lines().filter(|line| line.trim_start().starts_with("pub ") && line.contains(':')).collect();
+    let fields: Vec<&str> = body
+        .lines()
+        .filter(|line| line.trim_start().starts_with("pub ") && line.contains(':'))
+        .collect();
     let allowed = ["iteration", "scene"];
     for field in &fields {
-        assert!(allowed.iter().any(|name| field.contains(&format!("pub {name}:"))), "unexpected field: {field}");
+        assert!(
+            allowed
+                .iter()
+                .any(|name| field.contains(&format!("pub {name}:"))),
+            "unexpected field: {field}"
+        );
     }
     assert_eq!(fields.len(), allowed.len(), "{body}");
 }
 
 #[test]
 fn the_simulator_knows_an_agent_only_by_the_trait() {
-    let known = ["PlanAgent", "plan_agent", "IdmPlanner", "LogReplay", "reasoning", "reflection", "mllm"];
-    let simulation = sources().into_iter().filter(|(file, _)| file.starts_with("src/agent/simulation/"));
+    let known = [
+        "PlanAgent",
+        "plan_agent",
+        "IdmPlanner",
+        "LogReplay",
+        "reasoning",
+        "reflection",
+        "mllm",
+    ];
+    let simulation = sources()
+        .into_iter()
+        .filter(|(file, _)| file.starts_with("src/agent/simulation/"));
     for (file, text) in simulation {
         for (number, line) in code_lines(&text) {
-            assert!(!known.iter().any(|name| line.contains(name)), "{file}:{number}: {line}");
+            assert!(
+                !known.iter().any(|name| line.contains(name)),
+                "{file}:{number}: {line}"
+            );
         }
     }
 }
@@ -361,20 +474,29 @@ fn files_stay_readable() {
         .filter(|(_, text)| text.lines().count() > MAX_LINES)
         .map(|(file, text)| format!("{file}: {} lines", text.lines().count()))
         .collect();
-    assert!(long.is_empty(), "files over {MAX_LINES} lines:\n{}", long.join("\n"));
+    assert!(
+        long.is_empty(),
+        "files over {MAX_LINES} lines:\n{}",
+        long.join("\n")
+    );
 }
 
-/// The reasons of the calls of `expect` in a source, each with its line; none where it is no text of the source.
+/// The reasons of the calls of `expect` in a source, each with its line; none where it is no text
+/// of the source.
 fn reasons(text: &str) -> Vec<(usize, Option<String>)> {
     let lines: Vec<(usize, &str)> = code_lines(text).collect();
     let mut found = Vec::new();
     for (place, &(number, line)) in lines.iter().enumerate() {
         for (at, call) in line.match_indices(".expect(") {
             let rest = match &line[at + call.len()..] {
-                "" => lines.get(place + 1).map_or("", |(_, next)| next.trim_start()),
+                "" => lines
+                    .get(place + 1)
+                    .map_or("", |(_, next)| next.trim_start()),
                 rest => rest,
             };
-            let reason = rest.strip_prefix('"').and_then(|rest| rest.split('"').next());
+            let reason = rest
+                .strip_prefix('"')
+                .and_then(|rest| rest.split('"').next());
             found.push((number, reason.map(str::to_owned)));
         }
     }
@@ -388,30 +510,58 @@ fn an_invariant_says_why_it_holds() {
     let mut wrong = Vec::new();
     for (file, text) in sources() {
         for (number, reason) in reasons(&text) {
-            if reason.as_ref().is_none_or(|reason| reason.split_whitespace().count() < MIN_WORDS) {
+            if reason
+                .as_ref()
+                .is_none_or(|reason| reason.split_whitespace().count() < MIN_WORDS)
+            {
                 wrong.push(format!("{file}:{number}: {reason:?}"));
             }
         }
     }
-    assert!(wrong.is_empty(), "reasons of fewer than {MIN_WORDS} words; say why it holds:\n{}", wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "reasons of fewer than {MIN_WORDS} words; say why it holds:\n{}",
+        wrong.join("\n")
+    );
 }
 
 #[test]
 fn defaults_in_the_place_of_invariants_do_not_return() {
-    /// Each was read: absence means the default there. A new one takes the place of another, or of an error or an `expect`.
+    /// Each was read: absence means the default there. A new one takes the place of another, or of
+    /// an error or an `expect`.
     const MAX_DEFAULTS: usize = 80;
-    let lines = |text: &str| code_lines(text).filter(|(_, line)| line.contains(".unwrap_or_default()")).count();
+    let lines = |text: &str| {
+        code_lines(text)
+            .filter(|(_, line)| line.contains(".unwrap_or_default()"))
+            .count()
+    };
     let found: usize = sources().iter().map(|(_, text)| lines(text)).sum();
-    assert!(found <= MAX_DEFAULTS, "{found} lines with `unwrap_or_default()`, at most {MAX_DEFAULTS}");
+    assert!(
+        found <= MAX_DEFAULTS,
+        "{found} lines with `unwrap_or_default()`, at most {MAX_DEFAULTS}"
+    );
 }
 
 #[test]
 fn the_scanner_sees_what_it_should() {
-    assert_eq!(used_stages("use crate::{geometry::Pose, cli};"), ["geometry", "cli"]);
-    assert_eq!(used_stages("    let x = crate::report::table();"), ["report"]);
+    assert_eq!(
+        used_stages("use crate::{geometry::Pose, cli};"),
+        ["geometry", "cli"]
+    );
+    assert_eq!(
+        used_stages("    let x = crate::report::table();"),
+        ["report"]
+    );
     let text = "a\n// crate::cli\n#[cfg(test)]\nmod x;\nb\n#[cfg(test)]\nmod tests {\n    c\n}\nd";
-    assert_eq!(code_lines(text).collect::<Vec<_>>(), [(1, "a"), (5, "b"), (10, "d")]);
+    assert_eq!(
+        code_lines(text).collect::<Vec<_>>(),
+        [(1, "a"), (5, "b"), (10, "d")]
+    );
     let text = "a.expect(\"it is so\").b\n  .expect(\n    \"of two lines\",\n  )\nc.expect(d)";
-    let expected = [(1, Some("it is so".to_owned())), (2, Some("of two lines".to_owned())), (5, None)];
+    let expected = [
+        (1, Some("it is so".to_owned())),
+        (2, Some("of two lines".to_owned())),
+        (5, None),
+    ];
     assert_eq!(reasons(text), expected);
 }

@@ -10,14 +10,19 @@ use tempfile::TempDir;
 
 fn rows(folder: &Path) -> Vec<Value> {
     let text = fs::read_to_string(folder.join("rows.jsonl")).unwrap();
-    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    text.lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect()
 }
 
 /// Runs a benchmark on one thread; returns the exit code and the statistics.
 fn bench(arguments: &[&str], out: &Path) -> (i32, Value) {
     let out = ["--threads", "1", "--json", "--out", out.to_str().unwrap()];
     let (code, stdout, stderr) = run(&[&["bench"], arguments, &out].concat());
-    (code, serde_json::from_str(&stdout).unwrap_or_else(|_| panic!("{stdout}{stderr}")))
+    (
+        code,
+        serde_json::from_str(&stdout).unwrap_or_else(|_| panic!("{stdout}{stderr}")),
+    )
 }
 
 #[test]
@@ -27,8 +32,16 @@ fn a_model_is_measured_by_its_steps() {
     let (code, figures) = bench(&["nano", "--warm-up", "1", "--iterations", "2"], &out);
     assert_eq!(code, 0);
     let model = &figures["models"][0];
-    assert_eq!((&model["model"], &model["engine"], &model["calls"]), (&"nano".into(), &"planagent".into(), &2.into()));
-    for key in ["image_encode_ms", "prefill_tokens_per_s", "first_token_ms", "decode_tokens_per_s"] {
+    assert_eq!(
+        (&model["model"], &model["engine"], &model["calls"]),
+        (&"nano".into(), &"planagent".into(), &2.into())
+    );
+    for key in [
+        "image_encode_ms",
+        "prefill_tokens_per_s",
+        "first_token_ms",
+        "decode_tokens_per_s",
+    ] {
         assert!(model[key].as_f64().unwrap() > 0.0, "{key}: {model}");
     }
     assert!(model["call_ms"]["p95"].as_f64() >= model["call_ms"]["p50"].as_f64());
@@ -36,10 +49,21 @@ fn a_model_is_measured_by_its_steps() {
     assert!(model["peak_memory"].as_u64().unwrap() > 1 << 20);
 
     let rows = rows(&out);
-    let kinds: Vec<(&str, bool)> =
-        rows.iter().map(|row| (row["row"].as_str().unwrap(), row["warm_up"] == true)).collect();
-    assert_eq!(kinds, [("iteration", true), ("iteration", false), ("iteration", false), ("model", false)]);
-    // Only tokens before a sampled token are computed; those at the end of an answer wait for the next prompt.
+    let kinds: Vec<(&str, bool)> = rows
+        .iter()
+        .map(|row| (row["row"].as_str().unwrap(), row["warm_up"] == true))
+        .collect();
+    assert_eq!(
+        kinds,
+        [
+            ("iteration", true),
+            ("iteration", false),
+            ("iteration", false),
+            ("model", false)
+        ]
+    );
+    // Only tokens before a sampled token are computed; those at the end of an answer wait for the
+    // next prompt.
     let steps = rows[1]["steps"].as_array().unwrap();
     let (mut pending, mut expected, mut computed) = (0, 0, 0);
     for timed in steps {
@@ -54,13 +78,19 @@ fn a_model_is_measured_by_its_steps() {
         } else {
             pending += tokens("text").or(tokens("fast_forwarded")).unwrap_or(0);
         }
-        computed += ["batch", "single"].map(|kind| timed["time"][kind]["tokens"].as_u64().unwrap()).iter().sum::<u64>();
+        computed += ["batch", "single"]
+            .map(|kind| timed["time"][kind]["tokens"].as_u64().unwrap())
+            .iter()
+            .sum::<u64>();
     }
     assert_eq!(computed, expected);
     assert!(computed > 64);
 
     let metadata = read_json(&out.join("metadata.json"));
-    assert!(metadata["cpu"].is_string() && metadata["settings"]["threads"] == 1, "{metadata}");
+    assert!(
+        metadata["cpu"].is_string() && metadata["settings"]["threads"] == 1,
+        "{metadata}"
+    );
     let table = fs::read_to_string(out.join("table.md")).unwrap();
     assert!(table.contains("| nano |"), "{table}");
 }
@@ -69,25 +99,46 @@ fn a_model_is_measured_by_its_steps() {
 fn calls_of_several_prompt_sets_are_measured_with_and_without_drafts() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("bench");
-    let arguments = ["--random-weights", "nano", "--calls", "brief,compact", "--speculation"];
-    let (code, figures) = bench(&[&arguments[..], &["--warm-up", "0", "--iterations", "1"]].concat(), &out);
+    let arguments = [
+        "--random-weights",
+        "nano",
+        "--calls",
+        "brief,compact",
+        "--speculation",
+    ];
+    let (code, figures) = bench(
+        &[&arguments[..], &["--warm-up", "0", "--iterations", "1"]].concat(),
+        &out,
+    );
     assert_eq!(code, 0, "{figures}");
     let models = figures["models"].as_array().unwrap();
-    let names: Vec<&str> = models.iter().map(|model| model["model"].as_str().unwrap()).collect();
+    let names: Vec<&str> = models
+        .iter()
+        .map(|model| model["model"].as_str().unwrap())
+        .collect();
     assert_eq!(names, ["nano brief", "nano compact"]);
     for model in models {
         let calls = model["drafted_calls"].as_array().unwrap();
-        let rates: Vec<f64> = calls.iter().map(|call| call["acceptance"].as_f64().unwrap()).collect();
+        let rates: Vec<f64> = calls
+            .iter()
+            .map(|call| call["acceptance"].as_f64().unwrap())
+            .collect();
         assert_eq!(rates, [0.25, 0.5, 0.75]);
         assert!(calls.iter().all(|call| call["ms"].as_f64().unwrap() > 0.0));
     }
     let passes = |workload: &str| {
-        let row = rows(&out).into_iter().find(|row| row["model"] == "nano compact" && row["workload"] == workload);
+        let row = rows(&out)
+            .into_iter()
+            .find(|row| row["model"] == "nano compact" && row["workload"] == workload);
         let steps = row.unwrap()["steps"].as_array().unwrap().clone();
-        steps.iter().filter(|timed| timed["time"]["first_token_ms"].is_number()).count()
+        steps
+            .iter()
+            .filter(|timed| timed["time"]["first_token_ms"].is_number())
+            .count()
     };
     assert!(
-        passes("call") >= passes("call-accepted-0.25") && passes("call-accepted-0.25") > passes("call-accepted-0.75")
+        passes("call") >= passes("call-accepted-0.25")
+            && passes("call-accepted-0.25") > passes("call-accepted-0.75")
     );
     let table = fs::read_to_string(out.join("table.md")).unwrap();
     assert!(table.contains("| 0.75 (three quarters) |"), "{table}");
@@ -97,10 +148,19 @@ fn calls_of_several_prompt_sets_are_measured_with_and_without_drafts() {
 fn random_weights_have_the_shape_of_the_real_ones() {
     let folder = TempDir::new().unwrap();
     let quick = ["--warm-up", "0", "--iterations", "1"];
-    let (_, real) = bench(&[&["nano"][..], &quick].concat(), &folder.path().join("real"));
-    let (_, random) = bench(&[&["--random-weights", "nano"][..], &quick].concat(), &folder.path().join("random"));
+    let (_, real) = bench(
+        &[&["nano"][..], &quick].concat(),
+        &folder.path().join("real"),
+    );
+    let (_, random) = bench(
+        &[&["--random-weights", "nano"][..], &quick].concat(),
+        &folder.path().join("random"),
+    );
     for key in ["parameters", "image_tokens", "context"] {
-        assert_eq!(real["models"][0]["loaded"][key], random["models"][0]["loaded"][key], "{key}");
+        assert_eq!(
+            real["models"][0]["loaded"][key], random["models"][0]["loaded"][key],
+            "{key}"
+        );
     }
 }
 
@@ -114,13 +174,20 @@ fn a_benchmark_resumes_only_with_the_same_settings() {
     let resume = ["--threads", "1", "--resume", out.to_str().unwrap()];
     let (code, _, stderr) = run(&[&["bench"], &arguments[..], &resume].concat());
     assert_eq!(code, 0, "{stderr}");
-    assert_eq!(fs::read(out.join("rows.jsonl")).unwrap(), before, "completed rows stay");
+    assert_eq!(
+        fs::read(out.join("rows.jsonl")).unwrap(),
+        before,
+        "completed rows stay"
+    );
     let otherwise = ["nano", "--warm-up", "0", "--iterations", "2"];
     let stderr = refused(&[&["bench"], &otherwise[..], &resume].concat());
     assert!(stderr.contains("iterations: was 1, is 2"), "{stderr}");
     fs::write(out.join("rows.jsonl"), "{\"row\": 3}\n").unwrap();
     let stderr = refused(&[&["bench"], &arguments[..], &resume].concat());
-    assert!(stderr.contains("rows.jsonl") && stderr.contains("line 1"), "{stderr}");
+    assert!(
+        stderr.contains("rows.jsonl") && stderr.contains("line 1"),
+        "{stderr}"
+    );
 }
 
 #[test]
@@ -128,10 +195,23 @@ fn a_broken_model_fails_alone() {
     let folder = TempDir::new().unwrap();
     let broken = folder.path().join("broken");
     fs::create_dir(&broken).unwrap();
-    let arguments = [broken.to_str().unwrap(), "nano", "--warm-up", "0", "--iterations", "1"];
+    let arguments = [
+        broken.to_str().unwrap(),
+        "nano",
+        "--warm-up",
+        "0",
+        "--iterations",
+        "1",
+    ];
     let (code, figures) = bench(&arguments, &folder.path().join("bench"));
     assert_eq!(code, 1);
-    assert!(figures["failed"][0][1].as_str().unwrap().contains("config.json"), "{figures}");
+    assert!(
+        figures["failed"][0][1]
+            .as_str()
+            .unwrap()
+            .contains("config.json"),
+        "{figures}"
+    );
     assert_eq!(figures["models"][0]["model"], "nano");
 }
 
@@ -142,13 +222,26 @@ fn a_benchmark_without_a_measurement_leaves_no_folder() {
     fs::create_dir(&broken).unwrap();
     let bench = |arguments: &[&str]| {
         let arguments = [&["bench", "--warm-up", "0", "--iterations", "1"], arguments].concat();
-        let output = planagent().current_dir(&folder).args(arguments).output().unwrap();
-        let left: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        let output = planagent()
+            .current_dir(&folder)
+            .args(arguments)
+            .output()
+            .unwrap();
+        let left: Vec<_> = fs::read_dir(&folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name())
+            .collect();
         assert_eq!(left, ["broken"]);
-        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+        (
+            output.status.code(),
+            String::from_utf8(output.stderr).unwrap(),
+        )
     };
     let (code, stderr) = bench(&[broken.to_str().unwrap()]);
-    assert!(code == Some(1) && stderr.contains("nothing was written"), "{stderr}");
+    assert!(
+        code == Some(1) && stderr.contains("nothing was written"),
+        "{stderr}"
+    );
     let (code, stderr) = bench(&["nano", "--vs", "llama.cpp"]);
     assert!(code == Some(2) && stderr.contains("--quantize"), "{stderr}");
 }
@@ -157,14 +250,45 @@ fn a_benchmark_without_a_measurement_leaves_no_folder() {
 fn a_model_is_measured_by_the_configuration_that_is_named() {
     let folder = TempDir::new().unwrap();
     // The measuring process must not read this file.
-    fs::write(folder.path().join("planagent.toml"), "[mllm]\nquantize = \"q2_k\"\n").unwrap();
-    fs::write(folder.path().join("named.toml"), "[mllm]\nquantize = \"f16\"\n").unwrap();
-    let arguments =
-        ["bench", "nano", "--config", "named.toml", "--warm-up", "0", "--iterations", "1", "--out", "bench"];
-    let output = planagent().current_dir(&folder).args(arguments).args(["--threads", "1"]).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    fs::write(
+        folder.path().join("planagent.toml"),
+        "[mllm]\nquantize = \"q2_k\"\n",
+    )
+    .unwrap();
+    fs::write(
+        folder.path().join("named.toml"),
+        "[mllm]\nquantize = \"f16\"\n",
+    )
+    .unwrap();
+    let arguments = [
+        "bench",
+        "nano",
+        "--config",
+        "named.toml",
+        "--warm-up",
+        "0",
+        "--iterations",
+        "1",
+        "--out",
+        "bench",
+    ];
+    let output = planagent()
+        .current_dir(&folder)
+        .args(arguments)
+        .args(["--threads", "1"])
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let rows = rows(&folder.path().join("bench"));
-    assert_eq!(rows.last().unwrap()["loaded"]["weight_format"], "f16", "{rows:?}");
+    assert_eq!(
+        rows.last().unwrap()["loaded"]["weight_format"],
+        "f16",
+        "{rows:?}"
+    );
 }
 
 #[test]
@@ -190,17 +314,47 @@ fn both_engines_run_the_same_steps() -> Needy {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("bench");
     let versus = ["--vs", "llama.cpp", "--llama-python", &python];
-    let arguments = ["--random-weights", "nano", "--quantize", "q8_0", "--warm-up", "1", "--iterations", "2"];
+    let arguments = [
+        "--random-weights",
+        "nano",
+        "--quantize",
+        "q8_0",
+        "--warm-up",
+        "1",
+        "--iterations",
+        "2",
+    ];
     let (code, figures) = bench(&[&arguments[..], &versus].concat(), &out);
     assert_eq!(code, 0, "{figures}");
     let rows = rows(&out);
     let by = |engine: &str| {
-        let rows = rows.iter().filter(|row| row["row"] == "iteration" && row["engine"] == engine);
-        rows.map(|row| (row["workload"].clone(), row["steps"].as_array().unwrap().len())).collect::<Vec<_>>()
+        let rows = rows
+            .iter()
+            .filter(|row| row["row"] == "iteration" && row["engine"] == engine);
+        rows.map(|row| {
+            (
+                row["workload"].clone(),
+                row["steps"].as_array().unwrap().len(),
+            )
+        })
+        .collect::<Vec<_>>()
     };
     assert_eq!(by("planagent"), by("llama.cpp"));
-    let compared: Vec<&str> =
-        figures["comparisons"].as_array().unwrap().iter().map(|row| row["what"].as_str().unwrap()).collect();
-    assert_eq!(compared, ["prefill 512", "decode at 512", "image encode", "first token", "planning call"]);
+    let compared: Vec<&str> = figures["comparisons"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|row| row["what"].as_str().unwrap())
+        .collect();
+    assert_eq!(
+        compared,
+        [
+            "prefill 512",
+            "decode at 512",
+            "image encode",
+            "first token",
+            "planning call"
+        ]
+    );
     Ok(())
 }

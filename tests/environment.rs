@@ -1,4 +1,5 @@
-//! Every frame of recorded and generated drives as prompts: a graph, two texts that parse back, facts, an image.
+//! Every frame of recorded and generated drives as prompts: a graph, two texts that parse back,
+//! facts, an image.
 
 #[path = "scene_text/mod.rs"]
 mod scene_text;
@@ -23,22 +24,46 @@ const STRIDE: usize = 15;
 fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts {
     let scene = scenario.scene(frame, history);
     let place = format!("{} at {} us", scenario.id, frame.ego.time_us);
-    let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap_or_else(|e| panic!("{place}: {e}"));
+    let graph =
+        LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap_or_else(|e| panic!("{place}: {e}"));
     let description = Description::of(&graph);
     let paper = text::write(&description, TextForm::Paper);
-    assert_eq!(parse(&paper, TextForm::Paper), Ok(description.clone()), "{place}: {paper}");
+    assert_eq!(
+        parse(&paper, TextForm::Paper),
+        Ok(description.clone()),
+        "{place}: {paper}"
+    );
     let brief = text::write(&description, TextForm::Brief);
-    assert_eq!(parse(&brief, TextForm::Brief), Ok(description.nearest()), "{place}: {brief}");
+    assert_eq!(
+        parse(&brief, TextForm::Brief),
+        Ok(description.nearest()),
+        "{place}: {brief}"
+    );
     let compact = text::write(&description, TextForm::Compact);
     assert_eq!(compact.split_whitespace().count(), COMPACT_WORDS);
-    assert_eq!(parse(&compact, TextForm::Compact), Ok(description.reduced()), "{place}: {compact}");
+    assert_eq!(
+        parse(&compact, TextForm::Compact),
+        Ok(description.reduced()),
+        "{place}: {compact}"
+    );
     let second = text::write(&description, TextForm::Compact2);
-    assert_eq!(parse(&second, TextForm::Compact2), Ok(description.reduced_with_estimate()), "{place}: {second}");
+    assert_eq!(
+        parse(&second, TextForm::Compact2),
+        Ok(description.reduced_with_estimate()),
+        "{place}: {second}"
+    );
     for agent in &graph.agents {
-        assert!(paper.contains(&agent.name.to_string()), "{place}: {} is missing in {paper}", agent.name);
+        assert!(
+            paper.contains(&agent.name.to_string()),
+            "{place}: {} is missing in {paper}",
+            agent.name
+        );
     }
     let image = bev::render(&scene, &BevView::default());
-    assert!(image.pixels().any(|p| p.0 != bev::BACKGROUND), "{place}: an empty image");
+    assert!(
+        image.pixels().any(|p| p.0 != bev::BACKGROUND),
+        "{place}: an empty image"
+    );
     SceneFacts::of(&scene, &graph)
 }
 
@@ -64,11 +89,18 @@ fn generated_drives_become_prompts_with_varied_facts() {
         let scenario = generator::generate(&Spec::new(scenario_type, 1)).unwrap();
         for frame in scenario.frames.iter().step_by(STRIDE) {
             let facts = facts_of(&scenario, frame, &history);
-            answers.extend(Question::ALL.iter().map(|&question| (question.as_str(), facts.answer(question))));
+            answers.extend(
+                Question::ALL
+                    .iter()
+                    .map(|&question| (question.as_str(), facts.answer(question))),
+            );
         }
     }
     for &question in Question::ALL {
-        let given = answers.iter().filter(|(key, _)| *key == question.as_str()).count();
+        let given = answers
+            .iter()
+            .filter(|(key, _)| *key == question.as_str())
+            .count();
         assert!(given >= 2, "{question} always has the same answer");
     }
 }

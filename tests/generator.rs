@@ -1,4 +1,5 @@
-//! Generated scenarios under log replay: how well the tracker follows the expert. And a scenario type from outside the crate.
+//! Generated scenarios under log replay: how well the tracker follows the expert. And a scenario
+//! type from outside the crate.
 
 use planagent_agent::planner::LogReplay;
 use planagent_agent::simulation::{Challenge, simulate};
@@ -11,17 +12,31 @@ use rayon::prelude::*;
 /// Seeds of each type; `docs/generator.md` has the figures for 50.
 const SEEDS: u64 = 10;
 /// Multipliers that log replay should not fail.
-const MULTIPLIERS: [&str; 3] =
-    ["no_ego_at_fault_collisions", "drivable_area_compliance", "driving_direction_compliance"];
+const MULTIPLIERS: [&str; 3] = [
+    "no_ego_at_fault_collisions",
+    "drivable_area_compliance",
+    "driving_direction_compliance",
+];
 
 /// The multipliers that log replay fails with non-reactive agents.
 fn failed(scenario: &Scenario) -> Vec<&'static str> {
     let expert: Vec<_> = scenario.expert().copied().collect();
     let mut planner = LogReplay::new(expert.clone());
-    let log = simulate(scenario, &mut planner, Challenge::NonReactive).unwrap_or_else(|error| panic!("{error}"));
-    let evaluation = log.evaluate(scenario).unwrap_or_else(|error| panic!("{}: {error}", scenario.id));
-    let passes = |name: &str| evaluation.metric(name).and_then(|metric| metric.score).is_some_and(|s| s >= 1.0);
-    MULTIPLIERS.into_iter().filter(|name| !passes(name)).collect()
+    let log = simulate(scenario, &mut planner, Challenge::NonReactive)
+        .unwrap_or_else(|error| panic!("{error}"));
+    let evaluation = log
+        .evaluate(scenario)
+        .unwrap_or_else(|error| panic!("{}: {error}", scenario.id));
+    let passes = |name: &str| {
+        evaluation
+            .metric(name)
+            .and_then(|metric| metric.score)
+            .is_some_and(|s| s >= 1.0)
+    };
+    MULTIPLIERS
+        .into_iter()
+        .filter(|name| !passes(name))
+        .collect()
 }
 
 #[test]
@@ -35,9 +50,15 @@ fn log_replay_follows_the_expert_and_the_documentation_lists_where_it_cannot() {
         .map(|spec| (*spec, failed(&generate(spec).unwrap())))
         .filter(|(_, names)| !names.is_empty())
         .collect();
-    assert!(failures.len() * 20 <= specs.len(), "more than one in twenty: {failures:?}");
+    assert!(
+        failures.len() * 20 <= specs.len(),
+        "more than one in twenty: {failures:?}"
+    );
     for (spec, names) in failures {
-        assert!(listed.contains(&format!("`{spec}`")), "docs/generator.md does not list {spec}: {names:?}");
+        assert!(
+            listed.contains(&format!("`{spec}`")),
+            "docs/generator.md does not list {spec}: {names:?}"
+        );
     }
 }
 
@@ -61,7 +82,11 @@ const COUNTRY_ROAD: ScenarioType = ScenarioType::new(&TypeDefinition {
     group: TypeGroup::Case,
     setting: |rng| {
         let style = setting::style(rng, [1, 1], [1, 1], &LIMITS[4..]);
-        Ok(Setting::new(setting::corridor(rng, &style, 0.5)?, BEHIND, 0.9))
+        Ok(Setting::new(
+            setting::corridor(rng, &style, 0.5)?,
+            BEHIND,
+            0.9,
+        ))
     },
     populate: |builder| {
         let speed = builder.ego_speed();
@@ -75,7 +100,10 @@ const COUNTRY_ROAD: ScenarioType = ScenarioType::new(&TypeDefinition {
 fn a_scenario_type_from_outside_the_crate_makes_scenarios() {
     let spec = Spec::new(COUNTRY_ROAD, 3);
     let [own, other] = [spec, spec.with_traffic_seed(1)].map(|spec| generate(&spec).unwrap());
-    assert_eq!((own.id.as_str(), own.scenario_type.as_str()), ("generated/country_road/3", "country_road"));
+    assert_eq!(
+        (own.id.as_str(), own.scenario_type.as_str()),
+        ("generated/country_road/3", "country_road")
+    );
     assert!(own.route.roadblocks == other.route.roadblocks && own.frames != other.frames);
     assert_eq!(own.iterations(), 151);
 }

@@ -1,6 +1,8 @@
-//! Runs the tests. Unlike the compiler's harness, it can show a test as ignored that lacks something on this machine.
+//! Runs the tests. Unlike the compiler's harness, it can show a test as ignored that lacks
+//! something on this machine.
 //!
-//! A test that needs more than the repository returns [`Needy`](crate::outside::Needy). With `--ignored`, these tests run alone.
+//! A test that needs more than the repository returns [`Needy`](crate::outside::Needy). With
+//! `--ignored`, these tests run alone.
 
 use crate::outside::{Missing, Needy};
 use libtest_mimic::{Arguments, Completion, Failed, Trial};
@@ -53,9 +55,13 @@ pub(crate) const fn is_needy<T: Outcome>(_: fn() -> T) -> bool {
 pub(crate) fn run() -> ExitCode {
     let arguments = Arguments::from_args();
     let trials = inventory::iter::<Test>.into_iter().map(|test| {
-        let path = test.path.split_once("::").map_or(test.path, |(_, path)| path);
+        let path = test
+            .path
+            .split_once("::")
+            .map_or(test.path, |(_, path)| path);
         let trial = Trial::ignorable_test(path, || Ok::<_, Failed>((test.run)()));
-        // A needy test always runs, and reports what it lacks. The flag is what `--ignored` selects by.
+        // A needy test always runs, and reports what it lacks. The flag is what `--ignored` selects
+        // by.
         trial.with_ignored_flag(test.is_needy && arguments.ignored)
     });
     let mut trials: Vec<Trial> = trials.collect();

@@ -1,4 +1,5 @@
-//! What tests need from outside the repository. A test that lacks something shows as ignored, with the reason.
+//! What tests need from outside the repository. A test that lacks something shows as ignored, with
+//! the reason.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -35,23 +36,41 @@ pub(crate) fn llama_python(packages: &[&str]) -> Result<String, Missing> {
 
 fn interpreter(variable: &str, packages: &[&str]) -> Result<String, Missing> {
     let named = std::env::var(variable).unwrap_or_else(|_| "python3".to_owned());
-    let imports: Vec<String> = packages.iter().map(|package| format!("import {package}")).collect();
-    let output = Command::new(&named).args(["-c", &imports.join("\n")]).output();
-    let with = if packages.is_empty() { String::new() } else { format!(" with {}", packages.join(", ")) };
+    let imports: Vec<String> = packages
+        .iter()
+        .map(|package| format!("import {package}"))
+        .collect();
+    let output = Command::new(&named)
+        .args(["-c", &imports.join("\n")])
+        .output();
+    let with = if packages.is_empty() {
+        String::new()
+    } else {
+        format!(" with {}", packages.join(", "))
+    };
     let missing = || Missing(format!("needs a Python{with}; ${variable} names one"));
-    output.is_ok_and(|output| output.status.success()).then_some(named).ok_or_else(missing)
+    output
+        .is_ok_and(|output| output.status.success())
+        .then_some(named)
+        .ok_or_else(missing)
 }
 
 /// A program on the path, under the first of its names that is there.
 pub(crate) fn program(names: &[&str]) -> Result<PathBuf, Missing> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let folders: Vec<PathBuf> = std::env::split_paths(&path).collect();
-    let mut places = names.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name)));
-    places.find(|place| place.is_file()).ok_or_else(|| Missing(format!("needs {} on the path", names[0])))
+    let mut places = names
+        .iter()
+        .flat_map(|name| folders.iter().map(move |folder| folder.join(name)));
+    places
+        .find(|place| place.is_file())
+        .ok_or_else(|| Missing(format!("needs {} on the path", names[0])))
 }
 
 /// A clone of nuplan-devkit: `$PLANAGENT_DEVKIT`.
 pub(crate) fn devkit() -> Result<PathBuf, Missing> {
     let named = std::env::var_os("PLANAGENT_DEVKIT").map(PathBuf::from);
-    named.ok_or_else(|| Missing("needs a clone of nuplan-devkit; $PLANAGENT_DEVKIT names one".to_owned()))
+    named.ok_or_else(|| {
+        Missing("needs a clone of nuplan-devkit; $PLANAGENT_DEVKIT names one".to_owned())
+    })
 }

@@ -1,4 +1,5 @@
-//! A scenario reader from outside the crate: its scenarios are found and simulated as those of the package.
+//! A scenario reader from outside the crate: its scenarios are found and simulated as those of the
+//! package.
 
 use planagent_agent::planner::PlannerName;
 use planagent_agent::simulation::Challenge;
@@ -16,10 +17,17 @@ impl ScenarioReader for MirrorReader {
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
-        let spec: Spec = word.trim_start_matches("mirror:").parse().map_err(ReaderError::new)?;
+        let spec: Spec = word
+            .trim_start_matches("mirror:")
+            .parse()
+            .map_err(ReaderError::new)?;
         let open = move || {
             let scenario = generator::generate(&spec).map_err(ReaderError::new)?;
-            Ok(Scenario { id: format!("mirror-{}", spec.seed), log_name: "mirror".to_owned(), ..scenario })
+            Ok(Scenario {
+                id: format!("mirror-{}", spec.seed),
+                log_name: "mirror".to_owned(),
+                ..scenario
+            })
         };
         Ok(vec![ScenarioRef::new(word, open).with_log_name("mirror")])
     }
@@ -33,22 +41,43 @@ impl ScenarioReader for MirrorReader {
 fn a_reader_from_outside_is_one_type_and_one_line() {
     let readers = Readers::new(&DataRoots::default()).with(MirrorReader);
     let found = readers.find("mirror:generated/changing_lane/2").unwrap();
-    assert_eq!(found.iter().map(ToString::to_string).collect::<Vec<_>>(), ["mirror:generated/changing_lane/2"]);
+    assert_eq!(
+        found.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        ["mirror:generated/changing_lane/2"]
+    );
     assert_eq!(readers.absolute_word("mirror:x"), "mirror:x");
-    assert!(readers.find("mirror:x").unwrap_err().to_string().contains("does not name a generated scenario"));
-    assert_eq!(readers.find("generated/changing_lane/2").unwrap()[0].id(), Some("generated/changing_lane/2"));
+    assert!(
+        readers
+            .find("mirror:x")
+            .unwrap_err()
+            .to_string()
+            .contains("does not name a generated scenario")
+    );
+    assert_eq!(
+        readers.find("generated/changing_lane/2").unwrap()[0].id(),
+        Some("generated/changing_lane/2")
+    );
     let task = SimulationTask {
         source: found[0].clone(),
         planner: PlannerName::new("simple"),
         challenge: Challenge::NonReactive,
     };
     let record = Mutex::new(None);
-    let outcome: Result<(), ()> = runner::run(&[task], &[0], &AgentParts::default(), &|_| (), &|_, done| {
-        *record.lock().unwrap() = Some(done);
-        Ok(())
-    });
+    let outcome: Result<(), ()> = runner::run(
+        &[task],
+        &[0],
+        &AgentParts::default(),
+        &|_| (),
+        &|_, done| {
+            *record.lock().unwrap() = Some(done);
+            Ok(())
+        },
+    );
     outcome.unwrap();
     let record = record.into_inner().unwrap().unwrap();
-    assert_eq!((record.scenario.as_str(), record.log_name.as_str()), ("mirror-2", "mirror"));
+    assert_eq!(
+        (record.scenario.as_str(), record.log_name.as_str()),
+        ("mirror-2", "mirror")
+    );
     assert!(record.outcome.unwrap().score.value >= 0.0);
 }

@@ -11,9 +11,18 @@ use std::sync::{Arc, Mutex};
 /// Nano, with a number of proposals.
 fn nano(proposals: usize) -> CodeSource {
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
-    let registry = ModelRegistry::new(models, HubAccess { offline: true, ..HubAccess::default() });
+    let registry = ModelRegistry::new(
+        models,
+        HubAccess {
+            offline: true,
+            ..HubAccess::default()
+        },
+    );
     let spec = registry.find("nano").unwrap();
-    let config = ReasoningConfig { proposals: Proposals::try_from(proposals).unwrap(), ..ReasoningConfig::default() };
+    let config = ReasoningConfig {
+        proposals: Proposals::try_from(proposals).unwrap(),
+        ..ReasoningConfig::default()
+    };
     CodeSource::Model {
         model: Arc::from(registry.open(&spec).unwrap()),
         prompts: Arc::new(PromptSet::open("compact").unwrap()),
@@ -28,8 +37,17 @@ fn refused_attempts(source: CodeSource) -> Vec<Vec<Attempt>> {
         settings.plan_interval_s = 5.0;
     });
     let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings);
-    simulate(&scenario("generated/starting_left_turn/1"), &mut agent, Challenge::NonReactive).unwrap();
-    agent.calls().iter().map(|call| call.attempts.clone()).collect()
+    simulate(
+        &scenario("generated/starting_left_turn/1"),
+        &mut agent,
+        Challenge::NonReactive,
+    )
+    .unwrap();
+    agent
+        .calls()
+        .iter()
+        .map(|call| call.attempts.clone())
+        .collect()
 }
 
 #[test]
@@ -51,12 +69,24 @@ fn a_further_attempt_repeats_no_refused_code() {
 
 #[test]
 fn the_best_proposal_is_the_answer_of_the_attempt() {
-    assert!(refused_attempts(nano(1)).iter().flatten().all(|attempt| attempt.proposals.is_empty()));
+    assert!(
+        refused_attempts(nano(1))
+            .iter()
+            .flatten()
+            .all(|attempt| attempt.proposals.is_empty())
+    );
     let mut other = 0;
     for attempt in refused_attempts(nano(4)).iter().flatten() {
-        let score = |proposal: &Proposal| proposal.reflection.as_ref().map_or(f64::NEG_INFINITY, |report| report.score);
+        let score = |proposal: &Proposal| {
+            proposal
+                .reflection
+                .as_ref()
+                .map_or(f64::NEG_INFINITY, |report| report.score)
+        };
         assert!(attempt.proposals.len() == 4, "{:?}", attempt.proposals);
-        let better = |a: &usize, b: &usize| score(&attempt.proposals[*a]).total_cmp(&score(&attempt.proposals[*b]));
+        let better = |a: &usize, b: &usize| {
+            score(&attempt.proposals[*a]).total_cmp(&score(&attempt.proposals[*b]))
+        };
         let first = (0..4).rev().max_by(better).unwrap();
         assert_eq!(attempt.answer, Some(attempt.proposals[first].answer));
         assert_eq!(attempt.reflection, attempt.proposals[first].reflection);
@@ -70,17 +100,38 @@ fn the_best_proposal_is_the_answer_of_the_attempt() {
 
 #[test]
 fn proposals_of_a_model_without_probabilities_are_an_error() {
-    let script = Script { answers: vec![""], asked: Mutex::default() };
-    let CodeSource::Model { model, prompts, mut reasoning } = code_source(Arc::new(script), &[Round::Code]) else {
+    let script = Script {
+        answers: vec![""],
+        asked: Mutex::default(),
+    };
+    let CodeSource::Model {
+        model,
+        prompts,
+        mut reasoning,
+    } = code_source(Arc::new(script), &[Round::Code])
+    else {
         panic!("a model")
     };
     reasoning.proposals = Proposals::try_from(2).unwrap();
-    let source = CodeSource::Model { model, prompts, reasoning };
+    let source = CodeSource::Model {
+        model,
+        prompts,
+        reasoning,
+    };
     let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings_with(|_| ()));
-    let error = simulate(&scenario("generated/starting_left_turn/1"), &mut agent, Challenge::NonReactive).unwrap_err();
+    let error = simulate(
+        &scenario("generated/starting_left_turn/1"),
+        &mut agent,
+        Challenge::NonReactive,
+    )
+    .unwrap_err();
     let text = format!("{error:?}");
     assert!(text.contains("does not say how likely"), "{text}");
     for count in [0, 5] {
-        assert!(Proposals::try_from(count).unwrap_err().contains("an attempt has 1 to 4"));
+        assert!(
+            Proposals::try_from(count)
+                .unwrap_err()
+                .contains("an attempt has 1 to 4")
+        );
     }
 }

@@ -1,7 +1,8 @@
 //! The public API as text: a change of it shows in the diff of `tests/golden/public_api.txt`.
 //!
-//! The names come from `src/lib.rs`, their declarations from the stage or crate that each is re-exported from. What `doc(hidden)`
-//! marks is public for the crates of this workspace alone, and no part of it.
+//! The names come from `src/lib.rs`, their declarations from the stage or crate that each is
+//! re-exported from. What `doc(hidden)` marks is public for the crates of this workspace alone, and
+//! no part of it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -30,7 +31,9 @@ fn is_public(visibility: &Visibility) -> bool {
 /// Whether an attribute holds a word, such as `hidden` or `test`.
 fn says(attributes: &[Attribute], path: &str, word: &str) -> bool {
     let list = |attribute: &Attribute| match &attribute.meta {
-        syn::Meta::List(list) if list.path.is_ident(path) => list.tokens.to_string().split(' ').any(|w| w == word),
+        syn::Meta::List(list) if list.path.is_ident(path) => {
+            list.tokens.to_string().split(' ').any(|w| w == word)
+        }
         _ => false,
     };
     attributes.iter().any(list)
@@ -38,14 +41,30 @@ fn says(attributes: &[Attribute], path: &str, word: &str) -> bool {
 
 fn flatten(tree: &UseTree, path: &[String], found: &mut Vec<Export>) {
     let mut export = |declared: String, name: String| {
-        // A module of a crate of several stages is a stage; what stands at a crate's root has the crate for one.
-        let stage = if path[0] == "crate" { &path[1] } else { path.last().unwrap() };
+        // A module of a crate of several stages is a stage; what stands at a crate's root has the
+        // crate for one.
+        let stage = if path[0] == "crate" {
+            &path[1]
+        } else {
+            path.last().unwrap()
+        };
         let stage = stage.strip_prefix("planagent_").unwrap_or(stage).to_owned();
-        found.push(Export { name, stage, declared });
+        found.push(Export {
+            name,
+            stage,
+            declared,
+        });
     };
     match tree {
-        UseTree::Path(inner) => flatten(&inner.tree, &[path, &[inner.ident.to_string()]].concat(), found),
-        UseTree::Group(group) => group.items.iter().for_each(|tree| flatten(tree, path, found)),
+        UseTree::Path(inner) => flatten(
+            &inner.tree,
+            &[path, &[inner.ident.to_string()]].concat(),
+            found,
+        ),
+        UseTree::Group(group) => group
+            .items
+            .iter()
+            .for_each(|tree| flatten(tree, path, found)),
         UseTree::Name(name) => export(name.ident.to_string(), name.ident.to_string()),
         UseTree::Rename(rename) => export(rename.ident.to_string(), rename.rename.to_string()),
         UseTree::Glob(_) => panic!("the crate root re-exports by name"),
@@ -70,11 +89,19 @@ type Stages = BTreeMap<String, Vec<File>>;
 
 fn stages(root: &Path, names: &[&Export]) -> Stages {
     let mut stages = Stages::new();
-    for name in names.iter().map(|export| export.stage.as_str()).chain(["api"]) {
+    for name in names
+        .iter()
+        .map(|export| export.stage.as_str())
+        .chain(["api"])
+    {
         stages.entry(name.to_owned()).or_insert_with(|| {
             let mut files = Vec::new();
             let folders = [Some(root.join("src").join(name)), inner_stage(root, name)];
-            let folder = folders.into_iter().flatten().find(|folder| folder.exists()).unwrap();
+            let folder = folders
+                .into_iter()
+                .flatten()
+                .find(|folder| folder.exists())
+                .unwrap();
             sources(&folder, &mut files);
             files
         });
@@ -84,8 +111,13 @@ fn stages(root: &Path, names: &[&Export]) -> Stages {
 
 /// The folder of a stage inside the crate that it shares with others.
 fn inner_stage(root: &Path, name: &str) -> Option<PathBuf> {
-    let crates = fs::read_dir(root.join("src")).unwrap().map(|entry| entry.unwrap().path());
-    crates.filter(|folder| folder.join("lib.rs").exists()).map(|folder| folder.join(name)).find(|stage| stage.exists())
+    let crates = fs::read_dir(root.join("src"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    crates
+        .filter(|folder| folder.join("lib.rs").exists())
+        .map(|folder| folder.join(name))
+        .find(|stage| stage.exists())
 }
 
 fn is_hidden(attributes: &[Attribute]) -> bool {
@@ -96,7 +128,10 @@ fn is_hidden(attributes: &[Attribute]) -> bool {
 fn sources(folder: &Path, found: &mut Vec<File>) {
     let is_crate = folder.join("lib.rs").exists();
     let is_stage = |inner: &Path| is_crate && STAGES.iter().any(|stage| inner.ends_with(stage));
-    let mut entries: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut entries: Vec<PathBuf> = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
     entries.sort();
     for path in entries {
         if path.is_dir() {
@@ -112,7 +147,9 @@ fn sources(folder: &Path, found: &mut Vec<File>) {
 /// Keeps the attributes that a caller feels.
 fn trim(attributes: &mut Vec<Attribute>) {
     attributes.retain(|attribute| {
-        ["non_exhaustive", "derive", "must_use"].iter().any(|kept| attribute.path().is_ident(kept))
+        ["non_exhaustive", "derive", "must_use"]
+            .iter()
+            .any(|kept| attribute.path().is_ident(kept))
     });
 }
 
@@ -124,10 +161,18 @@ fn public_fields(fields: &mut syn::Fields, all: bool) {
     };
     match fields {
         syn::Fields::Named(named) => {
-            named.named = std::mem::take(&mut named.named).into_iter().filter(keep).map(trimmed).collect();
+            named.named = std::mem::take(&mut named.named)
+                .into_iter()
+                .filter(keep)
+                .map(trimmed)
+                .collect();
         }
         syn::Fields::Unnamed(unnamed) => {
-            unnamed.unnamed = std::mem::take(&mut unnamed.unnamed).into_iter().filter(keep).map(trimmed).collect();
+            unnamed.unnamed = std::mem::take(&mut unnamed.unnamed)
+                .into_iter()
+                .filter(keep)
+                .map(trimmed)
+                .collect();
         }
         syn::Fields::Unit => {}
     }
@@ -136,7 +181,9 @@ fn public_fields(fields: &mut syn::Fields, all: bool) {
 /// The declaration without bodies and private parts, if the item is a public one of this name.
 fn declaration(item: &Item, name: &str) -> Option<Item> {
     let mut item = item.clone();
-    let named = |ident: &syn::Ident, visibility: &Visibility| (ident == name && is_public(visibility)).then_some(());
+    let named = |ident: &syn::Ident, visibility: &Visibility| {
+        (ident == name && is_public(visibility)).then_some(())
+    };
     match &mut item {
         Item::Struct(it) => {
             named(&it.ident, &it.vis)?;
@@ -182,8 +229,14 @@ fn declaration(item: &Item, name: &str) -> Option<Item> {
 
 /// The public part of an `impl` of a type: its public functions, or the head of a trait's.
 fn implementation(item: &ItemImpl, name: &str) -> Option<Item> {
-    let Type::Path(own) = &*item.self_ty else { return None };
-    let own = own.path.segments.last().is_some_and(|segment| segment.ident == name);
+    let Type::Path(own) = &*item.self_ty else {
+        return None;
+    };
+    let own = own
+        .path
+        .segments
+        .last()
+        .is_some_and(|segment| segment.ident == name);
     if !own || says(&item.attrs, "cfg", "test") || is_hidden(&item.attrs) {
         return None;
     }
@@ -215,12 +268,27 @@ fn implementation(item: &ItemImpl, name: &str) -> Option<Item> {
 }
 
 fn describe(export: &Export, stages: &Stages, text: &mut String) {
-    let other = if export.stage == "api" { None } else { stages.get("api") };
-    let files = [stages.get(&export.stage), other].into_iter().flatten().flatten();
+    let other = if export.stage == "api" {
+        None
+    } else {
+        stages.get("api")
+    };
+    let files = [stages.get(&export.stage), other]
+        .into_iter()
+        .flatten()
+        .flatten();
     let items: Vec<&Item> = files.flat_map(|file| &file.items).collect();
-    let mut found: Vec<Item> = items.iter().filter_map(|item| declaration(item, &export.declared)).collect();
+    let mut found: Vec<Item> = items
+        .iter()
+        .filter_map(|item| declaration(item, &export.declared))
+        .collect();
     if found.is_empty() {
-        writeln!(text, "// {}: declared by a macro of the stage `{}`\n", export.declared, export.stage).unwrap();
+        writeln!(
+            text,
+            "// {}: declared by a macro of the stage `{}`\n",
+            export.declared, export.stage
+        )
+        .unwrap();
         return;
     }
     let impls = items.iter().filter_map(|item| match item {
@@ -231,7 +299,12 @@ fn describe(export: &Export, stages: &Stages, text: &mut String) {
     if export.name != export.declared {
         writeln!(text, "// {} is", export.name).unwrap();
     }
-    text.push_str(&prettyplease::unparse(&File { shebang: None, frontmatter: None, attrs: vec![], items: found }));
+    text.push_str(&prettyplease::unparse(&File {
+        shebang: None,
+        frontmatter: None,
+        attrs: vec![],
+        items: found,
+    }));
     text.push('\n');
 }
 
@@ -257,7 +330,10 @@ fn the_public_api_is_the_reviewed_one() {
     for export in &at_root {
         describe(export, &stages, &mut text);
     }
-    let known: BTreeSet<(&str, &str)> = at_root.iter().map(|e| (e.stage.as_str(), e.declared.as_str())).collect();
+    let known: BTreeSet<(&str, &str)> = at_root
+        .iter()
+        .map(|e| (e.stage.as_str(), e.declared.as_str()))
+        .collect();
     for (module, names) in &modules {
         writeln!(text, "\nModule {module}: {} names\n", names.len()).unwrap();
         for export in names {
@@ -269,14 +345,20 @@ fn the_public_api_is_the_reviewed_one() {
         }
     }
     let counts = (at_root.len(), in_modules.len());
-    assert!(counts.0 <= MAX_NAMES.0 && counts.1 <= MAX_NAMES.1, "names at the root and in modules: {counts:?}");
+    assert!(
+        counts.0 <= MAX_NAMES.0 && counts.1 <= MAX_NAMES.1,
+        "names at the root and in modules: {counts:?}"
+    );
 
     let golden = root.join("tests/golden/public_api.txt");
     if std::env::var_os(UPDATE).is_some() {
         fs::write(&golden, &text).unwrap();
     }
     let reviewed = fs::read_to_string(&golden).unwrap_or_default();
-    let changed = text.lines().zip(reviewed.lines()).find(|(now, then)| now != then);
+    let changed = text
+        .lines()
+        .zip(reviewed.lines())
+        .find(|(now, then)| now != then);
     assert!(
         text == reviewed,
         "the public API changed ({changed:?}); review it after {UPDATE}=1 cargo test --test tests -- public_api"

@@ -2,8 +2,8 @@
 
 use planagent_world::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
 use planagent_world::{
-    EgoState, HistorySample, Lane, LaneId, LaneKind, LaneMap, MapParts, ObjectKind, PACIFICA, Roadblock, RoadblockId,
-    StopLine, StopLineId, TrackToken, TrackedObject,
+    EgoState, HistorySample, Lane, LaneId, LaneKind, LaneMap, MapParts, ObjectKind, PACIFICA,
+    Roadblock, RoadblockId, StopLine, StopLineId, TrackToken, TrackedObject,
 };
 
 /// Lane of every hand-made map: 4 m wide.
@@ -17,7 +17,13 @@ pub(crate) struct Road {
 
 impl Road {
     /// Adds a straight piece of 4 m width; returns its id.
-    pub(crate) fn piece(&mut self, kind: LaneKind, from: (f64, f64), to: (f64, f64), limit: Option<f64>) -> LaneId {
+    pub(crate) fn piece(
+        &mut self,
+        kind: LaneKind,
+        from: (f64, f64),
+        to: (f64, f64),
+        limit: Option<f64>,
+    ) -> LaneId {
         let centerline = Polyline::new([from, to].map(|(x, y)| Point::new(x, y))).unwrap();
         let middle = centerline.pose_at(centerline.length() / 2.0);
         let polygon = OrientedBox::new(middle, centerline.length(), LANE_WIDTH).to_polygon();
@@ -25,7 +31,13 @@ impl Road {
     }
 
     /// Adds a straight piece with a vertex every meter.
-    pub(crate) fn dense(&mut self, kind: LaneKind, from: (f64, f64), to: (f64, f64), limit: Option<f64>) -> LaneId {
+    pub(crate) fn dense(
+        &mut self,
+        kind: LaneKind,
+        from: (f64, f64),
+        to: (f64, f64),
+        limit: Option<f64>,
+    ) -> LaneId {
         let id = self.piece(kind, from, to, limit);
         let line = &mut self.parts.lanes[id.index()].centerline;
         *line = line.resampled(1.0);
@@ -43,12 +55,22 @@ impl Road {
     pub(crate) fn stop_line(&mut self, x: f64, lane: LaneId) -> StopLineId {
         let id = StopLineId(self.parts.stop_lines.len() as u32);
         let polygon = rectangle((x, x + 0.5), (-LANE_WIDTH / 2.0, LANE_WIDTH / 2.0));
-        self.parts.stop_lines.push(StopLine { polygon, lanes: vec![lane], stop_sign: false });
+        self.parts.stop_lines.push(StopLine {
+            polygon,
+            lanes: vec![lane],
+            stop_sign: false,
+        });
         self.parts.lanes[lane.index()].stop_lines.push(id);
         id
     }
 
-    fn add(&mut self, kind: LaneKind, centerline: Polyline, polygon: Polygon, limit: Option<f64>) -> LaneId {
+    fn add(
+        &mut self,
+        kind: LaneKind,
+        centerline: Polyline,
+        polygon: Polygon,
+        limit: Option<f64>,
+    ) -> LaneId {
         let id = LaneId(self.parts.lanes.len() as u32);
         let roadblock = RoadblockId(self.parts.roadblocks.len() as u32);
         self.parts.roadblocks.push(Roadblock {
@@ -98,7 +120,8 @@ impl Road {
 }
 
 pub(crate) fn rectangle(x: (f64, f64), y: (f64, f64)) -> Polygon {
-    Polygon::new([(x.0, y.0), (x.1, y.0), (x.1, y.1), (x.0, y.1)].map(|(x, y)| Point::new(x, y))).unwrap()
+    Polygon::new([(x.0, y.0), (x.1, y.0), (x.1, y.1), (x.0, y.1)].map(|(x, y)| Point::new(x, y)))
+        .unwrap()
 }
 
 /// One lane along the x axis from −100 to 400 m.
@@ -119,15 +142,28 @@ pub(crate) fn two_lanes() -> LaneMap {
 /// An ego whose box is centered at (x, y).
 pub(crate) fn ego(step: i64, x: f64, y: f64, heading: f64, speed: f64) -> EgoState {
     let rear = PACIFICA.rear_axle_of(Pose::new(x, y, heading));
-    EgoState::from_log(step * 100_000, rear, Vector::new(speed, 0.0), Vector::zeros())
+    EgoState::from_log(
+        step * 100_000,
+        rear,
+        Vector::new(speed, 0.0),
+        Vector::zeros(),
+    )
 }
 
 /// `n` states 0.1 s apart at constant speed along the x axis; a negative speed backs up.
 pub(crate) fn cruise(n: usize, x: f64, y: f64, speed: f64) -> Vec<EgoState> {
-    (0..n).map(|k| ego(k as i64, x + 0.1 * speed * k as f64, y, 0.0, speed)).collect()
+    (0..n)
+        .map(|k| ego(k as i64, x + 0.1 * speed * k as f64, y, 0.0, speed))
+        .collect()
 }
 
-pub(crate) fn object(token: u32, kind: ObjectKind, center: Pose, size: (f64, f64), speed: f64) -> TrackedObject {
+pub(crate) fn object(
+    token: u32,
+    kind: ObjectKind,
+    center: Pose,
+    size: (f64, f64),
+    speed: f64,
+) -> TrackedObject {
     TrackedObject {
         token: TrackToken(token),
         kind,
@@ -138,5 +174,11 @@ pub(crate) fn object(token: u32, kind: ObjectKind, center: Pose, size: (f64, f64
 
 /// Samples of an ego among objects that are the same at every instant.
 pub(crate) fn samples(states: &[EgoState], objects: &[TrackedObject]) -> Vec<HistorySample> {
-    states.iter().map(|&ego| HistorySample { ego, objects: objects.into() }).collect()
+    states
+        .iter()
+        .map(|&ego| HistorySample {
+            ego,
+            objects: objects.into(),
+        })
+        .collect()
 }

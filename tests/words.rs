@@ -65,23 +65,53 @@ const RETIRED: [&str; 56] = [
 ];
 
 /// Files that may name a retired word.
-const EXEMPT: [&str; 4] = ["docs/glossary.md", "CHANGELOG.md", "tests/words.rs", "tests/proof/run_table.py"];
+const EXEMPT: [&str; 4] = [
+    "docs/glossary.md",
+    "CHANGELOG.md",
+    "tests/words.rs",
+    "tests/proof/run_table.py",
+];
 
 #[test]
 fn retired_words_are_not_used() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut files = Vec::new();
-    for place in
-        ["src", "tests", "benches", "examples", "docs", "models", "python/src", "python/planagent", "python/tests"]
-    {
+    for place in [
+        "src",
+        "tests",
+        "benches",
+        "examples",
+        "docs",
+        "models",
+        "python/src",
+        "python/planagent",
+        "python/tests",
+    ] {
         collect(&root.join(place), &mut files);
     }
-    files.extend(["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "planagent.toml"].map(|name| root.join(name)));
-    let retired: Vec<Regex> = RETIRED.iter().map(|word| Regex::new(word).unwrap()).collect();
+    files.extend(
+        [
+            "README.md",
+            "ARCHITECTURE.md",
+            "CONTRIBUTING.md",
+            "planagent.toml",
+        ]
+        .map(|name| root.join(name)),
+    );
+    let retired: Vec<Regex> = RETIRED
+        .iter()
+        .map(|word| Regex::new(word).unwrap())
+        .collect();
     let mut found = Vec::new();
     for file in files {
-        let name = file.strip_prefix(root).unwrap().to_string_lossy().into_owned();
-        let Ok(text) = fs::read_to_string(&file) else { continue };
+        let name = file
+            .strip_prefix(root)
+            .unwrap()
+            .to_string_lossy()
+            .into_owned();
+        let Ok(text) = fs::read_to_string(&file) else {
+            continue;
+        };
         if EXEMPT.contains(&name.as_str()) {
             continue;
         }
@@ -91,22 +121,30 @@ fn retired_words_are_not_used() {
             }
         }
     }
-    assert!(found.is_empty(), "{} retired words; see docs/glossary.md\n{}", found.len(), found.join("\n"));
+    assert!(
+        found.is_empty(),
+        "{} retired words; see docs/glossary.md\n{}",
+        found.len(),
+        found.join("\n")
+    );
 }
 
 /// Text files below a folder; fixtures are data.
 fn collect(folder: &Path, files: &mut Vec<PathBuf>) {
-    let Ok(entries) = fs::read_dir(folder) else { return };
+    let Ok(entries) = fs::read_dir(folder) else {
+        return;
+    };
     for entry in entries.flatten() {
         let path = entry.path();
         if path.is_dir() {
             if !path.ends_with("tests/fixtures") && !path.ends_with("tests/golden") {
                 collect(&path, files);
             }
-        } else if path
-            .extension()
-            .is_some_and(|e| ["rs", "md", "toml", "js", "html", "css", "py"].iter().any(|&t| e == t))
-        {
+        } else if path.extension().is_some_and(|e| {
+            ["rs", "md", "toml", "js", "html", "css", "py"]
+                .iter()
+                .any(|&t| e == t)
+        }) {
             files.push(path);
         }
     }

@@ -13,7 +13,8 @@ use planagent_runs::worker::run::with_causes;
 use pyo3::prelude::*;
 use std::io::{Error as IoError, ErrorKind};
 
-/// An error with the name of its class in `planagent.errors`. It needs no interpreter until it is raised.
+/// An error with the name of its class in `planagent.errors`. It needs no interpreter until it is
+/// raised.
 #[derive(Debug)]
 pub(crate) struct Failure {
     class: &'static str,
@@ -25,7 +26,10 @@ pub(crate) type Outcome<T> = Result<T, Failure>;
 
 impl Failure {
     pub(crate) fn new(class: &'static str, text: impl Into<String>) -> Self {
-        Self { class, text: text.into() }
+        Self {
+            class,
+            text: text.into(),
+        }
     }
 
     /// An argument that cannot be used.
@@ -40,7 +44,9 @@ impl Failure {
 
     /// The exception.
     pub(crate) fn raised(self, py: Python<'_>) -> PyErr {
-        let class = py.import("planagent.errors").and_then(|module| module.getattr(self.class));
+        let class = py
+            .import("planagent.errors")
+            .and_then(|module| module.getattr(self.class));
         match class.and_then(|class| class.call1((self.text,))) {
             Ok(instance) => PyErr::from_value(instance),
             Err(error) => error,
@@ -52,7 +58,10 @@ impl Failure {
 fn is_missing(error: &(dyn std::error::Error + 'static)) -> bool {
     let mut cause = Some(error);
     while let Some(error) = cause {
-        if error.downcast_ref::<IoError>().is_some_and(|io| io.kind() == ErrorKind::NotFound) {
+        if error
+            .downcast_ref::<IoError>()
+            .is_some_and(|io| io.kind() == ErrorKind::NotFound)
+        {
             return true;
         }
         cause = error.source();
@@ -63,7 +72,14 @@ fn is_missing(error: &(dyn std::error::Error + 'static)) -> bool {
 impl From<ReaderError> for Failure {
     fn from(error: ReaderError) -> Self {
         let missing = matches!(error, ReaderError::Missing(_)) || is_missing(&error);
-        Self::new(if missing { "ScenarioNotFoundError" } else { "ScenarioError" }, with_causes(&error))
+        Self::new(
+            if missing {
+                "ScenarioNotFoundError"
+            } else {
+                "ScenarioError"
+            },
+            with_causes(&error),
+        )
     }
 }
 
@@ -81,7 +97,11 @@ impl From<PlannerError> for Failure {
 
 impl From<MllmError> for Failure {
     fn from(error: MllmError) -> Self {
-        let class = if is_missing(&error) { "ModelNotFoundError" } else { "ModelError" };
+        let class = if is_missing(&error) {
+            "ModelNotFoundError"
+        } else {
+            "ModelError"
+        };
         Self::new(class, with_causes(&error))
     }
 }
@@ -93,10 +113,16 @@ impl From<RunnerError> for Failure {
                 ReaderError::Missing(_) => "ScenarioNotFoundError",
                 _ => "ScenarioError",
             },
-            RunnerError::Report(error) if matches!(error.fault, ReportFault::Locked) => "RunLockedError",
-            RunnerError::LoadModel { .. } | RunnerError::FindModel(_) if is_missing(&error) => "ModelNotFoundError",
+            RunnerError::Report(error) if matches!(error.fault, ReportFault::Locked) => {
+                "RunLockedError"
+            }
+            RunnerError::LoadModel { .. } | RunnerError::FindModel(_) if is_missing(&error) => {
+                "ModelNotFoundError"
+            }
             RunnerError::LoadModel { .. } | RunnerError::FindModel(_) => "ModelError",
-            RunnerError::Planner(_) | RunnerError::Challenge { .. } | RunnerError::Config(_) => "ArgumentError",
+            RunnerError::Planner(_) | RunnerError::Challenge { .. } | RunnerError::Config(_) => {
+                "ArgumentError"
+            }
             _ if is_missing(&error) => "RunNotFoundError",
             _ => "RunError",
         };

@@ -1,9 +1,13 @@
 //! The native half of the Python package `planagent`: types and functions of `planagent._core`.
 //!
-//! `python/planagent` holds the public API with its documentation. What crosses the border is bytes, numbers and texts, so that
-//! numpy is needed on the Python side alone. All work runs without the GIL (`work`); a panic becomes an exception (`errors`).
+//! `python/planagent` holds the public API with its documentation. What crosses the border is
+//! bytes, numbers and texts, so that numpy is needed on the Python side alone. All work runs
+//! without the GIL (`work`); a panic becomes an exception (`errors`).
 
-#![allow(clippy::needless_pass_by_value, reason = "PyO3 hands owned values over")]
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "PyO3 hands owned values over"
+)]
 
 mod errors;
 mod model;

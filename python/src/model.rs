@@ -39,14 +39,19 @@ impl Asked {
             (None, None) => Ok(Constraint::Free),
             (Some(choices), None) => Ok(Constraint::Choice(choices.clone())),
             (None, Some(regex)) => Ok(Constraint::Regex(regex.clone())),
-            (Some(_), Some(_)) => Err(Failure::argument("an answer has choices or a regex; leave one of them out")),
+            (Some(_), Some(_)) => Err(Failure::argument(
+                "an answer has choices or a regex; leave one of them out",
+            )),
         }
     }
 
     fn deadline(&self) -> Outcome<Deadline> {
-        let Some(seconds) = self.deadline_s else { return Ok(Deadline::NONE) };
+        let Some(seconds) = self.deadline_s else {
+            return Ok(Deadline::NONE);
+        };
         let limit = Duration::try_from_secs_f64(seconds);
-        let limit = limit.map_err(|error| Failure::argument(format!("deadline_s is {seconds}: {error}")))?;
+        let limit = limit
+            .map_err(|error| Failure::argument(format!("deadline_s is {seconds}: {error}")))?;
         Ok(Deadline::after(Instant::now(), limit))
     }
 }
@@ -58,7 +63,10 @@ impl Model {
     fn new(py: Python<'_>, settings: String) -> PyResult<Self> {
         let work = move || {
             let config = config(&settings)?;
-            Ok(Self { loaded: model(&config)?, config })
+            Ok(Self {
+                loaded: model(&config)?,
+                config,
+            })
         };
         long(py, work, &|| (), &|_| Ok(()))
     }
@@ -66,12 +74,20 @@ impl Model {
     /// The model as JSON: name, architecture, size.
     fn about(&self) -> PyResult<String> {
         let json = serde_json::to_string(&self.loaded.about);
-        Python::attach(|py| json.map_err(|error| Failure::panic(error.to_string())).or_raise(py))
+        Python::attach(|py| {
+            json.map_err(|error| Failure::panic(error.to_string()))
+                .or_raise(py)
+        })
     }
 
     /// Number of tokens of a text; none where the model is behind a server.
     fn count_tokens(&self, py: Python<'_>, text: String) -> PyResult<Option<usize>> {
-        quick(py, || Ok(self.loaded.parts().and_then(|(model, ..)| model.count_tokens(&text))))
+        quick(py, || {
+            Ok(self
+                .loaded
+                .parts()
+                .and_then(|(model, ..)| model.count_tokens(&text)))
+        })
     }
 
     /// Asks; gives the answer, why it ended, its tokens and times (milliseconds) as JSON.
@@ -85,12 +101,16 @@ impl Model {
     ) -> PyResult<(String, String, String, String)> {
         let (loaded, config_seed) = (Arc::clone(&self.loaded), self.config.seed);
         let work = move || {
-            let (model, _, reasoning) = loaded.parts().ok_or_else(|| Failure::panic("there is no model to ask"))?;
+            let (model, _, reasoning) = loaded
+                .parts()
+                .ok_or_else(|| Failure::panic("there is no model to ask"))?;
             let image = match image {
                 None => None,
                 Some((bytes, height, width)) => {
                     let image = RgbImage::from_raw(width, height, bytes);
-                    let wrong = || Failure::argument("an image has height x width x 3 numbers of type uint8");
+                    let wrong = || {
+                        Failure::argument("an image has height x width x 3 numbers of type uint8")
+                    };
                     Some(Arc::new(image.ok_or_else(wrong)?))
                 }
             };
@@ -101,13 +121,25 @@ impl Model {
                 deadline: asked.deadline()?,
                 draft: None,
             };
-            let prefix = PromptPrefix { system: asked.system.clone(), image };
+            let prefix = PromptPrefix {
+                system: asked.system.clone(),
+                image,
+            };
             let mut conversation = model.converse(&prefix, asked.seed.unwrap_or(config_seed))?;
             let answer = conversation.ask(&text, &question)?;
-            let json = |value: serde_json::Result<String>| value.map_err(|error| Failure::panic(error.to_string()));
-            let finish = json(serde_json::to_string(&answer.finish))?.trim_matches('"').to_owned();
+            let json = |value: serde_json::Result<String>| {
+                value.map_err(|error| Failure::panic(error.to_string()))
+            };
+            let finish = json(serde_json::to_string(&answer.finish))?
+                .trim_matches('"')
+                .to_owned();
             let tokens = json(serde_json::to_string(&answer.tokens))?;
-            Ok((answer.text.clone(), finish, tokens, json(serde_json::to_string(&answer.time))?))
+            Ok((
+                answer.text.clone(),
+                finish,
+                tokens,
+                json(serde_json::to_string(&answer.time))?,
+            ))
         };
         long(py, work, &|| (), &|_| Ok(()))
     }

@@ -42,14 +42,36 @@ fn map(root: PathBuf, location: &str) -> Outcome<Arc<NuPlanMap>> {
     let store = {
         let mut stores = lock(&STORES);
         let stores = stores.get_or_insert_default();
-        Arc::clone(stores.entry(root.clone()).or_insert_with(|| Arc::new(MapStore::new(Some(root)))))
+        Arc::clone(
+            stores
+                .entry(root.clone())
+                .or_insert_with(|| Arc::new(MapStore::new(Some(root)))),
+        )
     };
-    store.map(location).map_err(|error| Failure::new("ScenarioError", with_causes(&error)))
+    store
+        .map(location)
+        .map_err(|error| Failure::new("ScenarioError", with_causes(&error)))
 }
 
 impl NuPlanWorld {
-    fn sample(&self, (time_us, ego, objects): SampleRow, tracks: &mut HashMap<String, u32>) -> Outcome<HistorySample> {
-        let [x, y, heading, vx, vy, ax, ay, angle, rate, yaw_rate, yaw_acceleration] = ego;
+    fn sample(
+        &self,
+        (time_us, ego, objects): SampleRow,
+        tracks: &mut HashMap<String, u32>,
+    ) -> Outcome<HistorySample> {
+        let [
+            x,
+            y,
+            heading,
+            vx,
+            vy,
+            ax,
+            ay,
+            angle,
+            rate,
+            yaw_rate,
+            yaw_acceleration,
+        ] = ego;
         let ego = EgoState {
             time_us,
             rear_axle: self.map.to_local(Pose { x, y, heading }),
@@ -65,9 +87,16 @@ impl NuPlanWorld {
             let number = *tracks.entry(token).or_insert(next);
             let [x, y, heading, length, width, vx, vy] = values;
             let center = self.map.to_local(Pose { x, y, heading });
-            object(&(number, kind, [center.x, center.y, heading, length, width, vx, vy]))
+            object(&(
+                number,
+                kind,
+                [center.x, center.y, heading, length, width, vx, vy],
+            ))
         });
-        Ok(HistorySample { ego, objects: objects.collect::<Outcome<Vec<_>>>()?.into() })
+        Ok(HistorySample {
+            ego,
+            objects: objects.collect::<Outcome<Vec<_>>>()?.into(),
+        })
     }
 
     fn lights(&self, lights: &[(i64, String)]) -> TrafficLights {
@@ -77,13 +106,17 @@ impl NuPlanWorld {
             "red" => SignalStatus::Red,
             _ => SignalStatus::Unknown,
         };
-        lights.iter().filter_map(|(fid, text)| Some((self.map.connector(*fid)?, status(text)))).collect()
+        lights
+            .iter()
+            .filter_map(|(fid, text)| Some((self.map.connector(*fid)?, status(text))))
+            .collect()
     }
 }
 
 #[pymethods]
 impl NuPlanWorld {
-    /// The world of a map (maps folder and location), a route (ids of roadblocks) and a goal (x, y, heading).
+    /// The world of a map (maps folder and location), a route (ids of roadblocks) and a goal (x, y,
+    /// heading).
     #[new]
     fn new(
         py: Python<'_>,
@@ -95,12 +128,25 @@ impl NuPlanWorld {
         let read = move || {
             let map = map(root, &location)?;
             let block = |&id: &i64| {
-                let unknown = || Failure::new("ScenarioError", format!("the map of {location} has no roadblock {id}"));
+                let unknown = || {
+                    Failure::new(
+                        "ScenarioError",
+                        format!("the map of {location} has no roadblock {id}"),
+                    )
+                };
                 map.roadblock(id).ok_or_else(unknown)
             };
             let roadblocks = route.iter().map(block).collect::<Outcome<_>>()?;
             let goal = goal.map(|(x, y, heading)| map.to_local(Pose { x, y, heading }));
-            Ok(Self { route: Route { roadblocks, goal, goal_lane: None }, map, past: Mutex::default() })
+            Ok(Self {
+                route: Route {
+                    roadblocks,
+                    goal,
+                    goal_lane: None,
+                },
+                map,
+                past: Mutex::default(),
+            })
         };
         long(py, read, &|| (), &|_| Ok(()))
     }
@@ -111,7 +157,8 @@ impl NuPlanWorld {
         (self.map.origin.x, self.map.origin.y)
     }
 
-    /// The scene after these samples, oldest first, that were not given before; lights by the id of their connector.
+    /// The scene after these samples, oldest first, that were not given before; lights by the id of
+    /// their connector.
     fn observe(
         &self,
         py: Python<'_>,
@@ -121,12 +168,17 @@ impl NuPlanWorld {
     ) -> PyResult<Observation> {
         quick(py, || {
             let mut past = lock(&self.past);
-            let Past { history, tracks, start_us } = &mut *past;
+            let Past {
+                history,
+                tracks,
+                start_us,
+            } = &mut *past;
             for row in samples {
                 history.push(self.sample(row, tracks)?);
             }
             let present = history.latest().cloned();
-            let present = present.ok_or_else(|| Failure::argument("a scene needs at least one sample"))?;
+            let present =
+                present.ok_or_else(|| Failure::argument("a scene needs at least one sample"))?;
             let view = SceneView {
                 map: &self.map.lanes,
                 route: &self.route,
@@ -136,7 +188,11 @@ impl NuPlanWorld {
                 history,
             };
             let start_us = *start_us.get_or_insert(present.ego.time_us);
-            Ok(Observation::new(Scene::of_view(Arc::clone(&self.map.lanes), &view), iteration, start_us))
+            Ok(Observation::new(
+                Scene::of_view(Arc::clone(&self.map.lanes), &view),
+                iteration,
+                start_us,
+            ))
         })
     }
 }

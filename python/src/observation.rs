@@ -27,7 +27,8 @@ use std::sync::Arc;
 const NODE_LENGTH_M: f64 = 20.0;
 /// Time that the plan of a planner code reaches, seconds.
 const PLAN_S: f64 = 8.0;
-/// Bounds of the horizon of a score, steps: comfort needs four states, Reflection reaches eight seconds.
+/// Bounds of the horizon of a score, steps: comfort needs four states, Reflection reaches eight
+/// seconds.
 const SCORED_STEPS: std::ops::RangeInclusive<usize> = 3..=80;
 
 /// The scene at one instant with its recent past.
@@ -53,14 +54,23 @@ fn kind_number(kind: ObjectKind) -> u8 {
     }
 }
 
-/// Objects as records: token (u32), kind (u8), three unused bytes, then x, y, heading, length, width, vx, vy (f64).
+/// Objects as records: token (u32), kind (u8), three unused bytes, then x, y, heading, length,
+/// width, vx, vy (f64).
 fn objects(objects: &[TrackedObject]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(objects.len() * 64);
     for object in objects {
         let (center, shape, velocity) = (object.shape.center, object.shape, object.velocity);
         bytes.extend(object.token.0.to_ne_bytes());
         bytes.extend([kind_number(object.kind), 0, 0, 0]);
-        bytes.extend(packed([center.x, center.y, center.heading, shape.length, shape.width, velocity.x, velocity.y]));
+        bytes.extend(packed([
+            center.x,
+            center.y,
+            center.heading,
+            shape.length,
+            shape.width,
+            velocity.x,
+            velocity.y,
+        ]));
     }
     bytes
 }
@@ -75,7 +85,11 @@ fn picture(py: Python<'_>, image: RgbImage) -> Picture<'_> {
 
 impl Observation {
     pub(crate) fn new(scene: Scene, iteration: usize, start_us: i64) -> Self {
-        Self { scene: Arc::new(scene), iteration, start_us }
+        Self {
+            scene: Arc::new(scene),
+            iteration,
+            start_us,
+        }
     }
 
     fn graph(&self) -> Outcome<LaneGraph> {
@@ -109,17 +123,26 @@ impl Observation {
     fn history<'py>(&self, py: Python<'py>) -> Vec<(Ego, Bound<'py, PyByteArray>)> {
         let of = |ego: &EgoState| (ego.time_us, ego_numbers(ego));
         let samples = self.scene.history.samples();
-        samples.map(|sample| (of(&sample.ego), array(py, &objects(&sample.objects)))).collect()
+        samples
+            .map(|sample| (of(&sample.ego), array(py, &objects(&sample.objects))))
+            .collect()
     }
 
     /// Lane connectors with the color of their light.
     fn lights(&self) -> Vec<(u32, String)> {
-        self.scene.lights.iter().map(|(lane, status)| (lane.0, status.to_string())).collect()
+        self.scene
+            .lights
+            .iter()
+            .map(|(lane, status)| (lane.0, status.to_string()))
+            .collect()
     }
 
     /// The lanes near the ego; all without a distance (meters).
     #[pyo3(signature = (within_m=None))]
-    fn lanes<'py>(slf: &Bound<'py, Self>, within_m: Option<f64>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    fn lanes<'py>(
+        slf: &Bound<'py, Self>,
+        within_m: Option<f64>,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let scene = Arc::clone(&slf.get().scene);
         let is_on_route = |lane: &Lane| scene.route.contains(lane.roadblock);
         let map = &slf.get().scene.map;
@@ -127,7 +150,11 @@ impl Observation {
             None => lanes(slf.py(), map.lanes().iter(), &is_on_route),
             Some(distance) => {
                 let near = map.lanes_near(scene.ego.center().position(), distance);
-                lanes(slf.py(), near.into_iter().map(|lane| &map[lane]), &is_on_route)
+                lanes(
+                    slf.py(),
+                    near.into_iter().map(|lane| &map[lane]),
+                    &is_on_route,
+                )
             }
         }
     }
@@ -139,17 +166,29 @@ impl Observation {
 
     /// The roadblocks of the route by the ids of their source.
     fn route(&self) -> Vec<i64> {
-        self.scene.route.roadblocks.iter().map(|&block| self.scene.map[block].source_id).collect()
+        self.scene
+            .route
+            .roadblocks
+            .iter()
+            .map(|&block| self.scene.map[block].source_id)
+            .collect()
     }
 
     /// Lane connectors by the ids of their source, with the color of their light.
     fn source_lights(&self) -> Vec<(i64, String)> {
-        self.scene.lights.iter().map(|(lane, status)| (self.scene.map[lane].source_id, status.to_string())).collect()
+        self.scene
+            .lights
+            .iter()
+            .map(|(lane, status)| (self.scene.map[lane].source_id, status.to_string()))
+            .collect()
     }
 
     /// The goal of the route: x, y, heading.
     fn goal(&self) -> Option<(f64, f64, f64)> {
-        self.scene.route.goal.map(|Pose { x, y, heading }| (x, y, heading))
+        self.scene
+            .route
+            .goal
+            .map(|Pose { x, y, heading }| (x, y, heading))
     }
 
     /// The lane of the goal, where the score asks for it.
@@ -160,7 +199,8 @@ impl Observation {
     /// The picture that a model sees.
     fn image<'py>(&self, py: Python<'py>, pixels: u32, meters: f64) -> PyResult<Picture<'py>> {
         let image = quick(py, || {
-            let view = BevView::new(pixels, meters).map_err(|error| Failure::argument(error.to_string()))?;
+            let view = BevView::new(pixels, meters)
+                .map_err(|error| Failure::argument(error.to_string()))?;
             Ok(render_bev(&self.scene.view(), &view))
         })?;
         Ok(picture(py, image))
@@ -186,17 +226,27 @@ impl Observation {
     /// The lane graph in words, in the form of a prompt set.
     fn lane_graph(&self, py: Python<'_>, form: String) -> PyResult<String> {
         quick(py, || {
-            let form: TextForm = form.parse().map_err(|error| Failure::argument(format!("{error}")))?;
+            let form: TextForm = form
+                .parse()
+                .map_err(|error| Failure::argument(format!("{error}")))?;
             Ok(write_lane_graph(&Description::of(&self.graph()?), form))
         })
     }
 
     /// The centerlines that a planner code may follow.
     fn centerlines(&self, py: Python<'_>) -> PyResult<Vec<String>> {
-        quick(py, || Ok(self.graph()?.centerlines.iter().map(|centerline| centerline.name.to_string()).collect()))
+        quick(py, || {
+            Ok(self
+                .graph()?
+                .centerlines
+                .iter()
+                .map(|centerline| centerline.name.to_string())
+                .collect())
+        })
     }
 
-    /// The trajectory of a planner code: centerline, share of the speed limit, maximum acceleration and deceleration (m/s²).
+    /// The trajectory of a planner code: centerline, share of the speed limit, maximum acceleration
+    /// and deceleration (m/s²).
     fn plan_of_code(
         &self,
         py: Python<'_>,
@@ -206,21 +256,46 @@ impl Observation {
     ) -> PyResult<Trajectory> {
         quick(py, || {
             let graph = self.graph()?;
-            let name: CenterlineName = centerline.parse().map_err(|error| Failure::argument(format!("{error}")))?;
-            let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: PLAN_S };
+            let name: CenterlineName = centerline
+                .parse()
+                .map_err(|error| Failure::argument(format!("{error}")))?;
+            let builder = PlanBuilder {
+                lead_policy: LeadPolicy::Nearest,
+                horizon_s: PLAN_S,
+            };
             let scene = self.scene.view();
-            let failed = |error: &dyn std::error::Error| Failure::new("SceneError", with_causes(error));
-            let plan = builder.build(&scene, &graph, planner_code(&graph, name, speed, accelerations));
+            let failed =
+                |error: &dyn std::error::Error| Failure::new("SceneError", with_causes(error));
+            let plan = builder.build(
+                &scene,
+                &graph,
+                planner_code(&graph, name, speed, accelerations),
+            );
             let plan = plan.map_err(|error| failed(&error))?;
-            let absent = || Failure::argument(format!("there is no {name} here; Observation.centerlines lists them"));
-            let rollout = plan.ok_or_else(absent)?.roll_out(&scene, (PLAN_S / STEP_S) as usize);
-            rollout.to_trajectory(&self.scene.ego).map(Trajectory).map_err(|error| failed(&error))
+            let absent = || {
+                Failure::argument(format!(
+                    "there is no {name} here; Observation.centerlines lists them"
+                ))
+            };
+            let rollout = plan
+                .ok_or_else(absent)?
+                .roll_out(&scene, (PLAN_S / STEP_S) as usize);
+            rollout
+                .to_trajectory(&self.scene.ego)
+                .map(Trajectory)
+                .map_err(|error| failed(&error))
         })
     }
 
     /// A trajectory from the present through packed poses at equal steps.
     fn trajectory(&self, py: Python<'_>, poses: &[u8], dt_s: f64) -> PyResult<Trajectory> {
-        quick(py, || Ok(Trajectory(through(&self.scene.ego, &crate::trajectory::poses(poses)?, dt_s)?)))
+        quick(py, || {
+            Ok(Trajectory(through(
+                &self.scene.ego,
+                &crate::trajectory::poses(poses)?,
+                dt_s,
+            )?))
+        })
     }
 
     /// How many samples a full history has.
@@ -228,8 +303,8 @@ impl Observation {
     const MAX_HISTORY: usize = HISTORY_SAMPLES;
 }
 
-/// Scores of packed trajectories of as many steps of 0.1 s: for each, score, collision, area, direction, progress, time to
-/// collision, comfort, progress in meters.
+/// Scores of packed trajectories of as many steps of 0.1 s: for each, score, collision, area,
+/// direction, progress, time to collision, comfort, progress in meters.
 #[pyfunction]
 pub(crate) fn score_trajectories<'py>(
     py: Python<'py>,
@@ -237,24 +312,42 @@ pub(crate) fn score_trajectories<'py>(
     packed_poses: Vec<u8>,
     steps: usize,
 ) -> PyResult<Bound<'py, PyByteArray>> {
-    let (scene, iteration) = (Arc::clone(&observation.get().scene), observation.get().iteration);
+    let (scene, iteration) = (
+        Arc::clone(&observation.get().scene),
+        observation.get().iteration,
+    );
     let work = move || {
         if !SCORED_STEPS.contains(&steps) {
             let (least, most) = (SCORED_STEPS.start(), SCORED_STEPS.end());
-            let text = format!("a trajectory to be scored has {least} to {most} poses 0.1 s apart, got {steps}");
+            let text = format!(
+                "a trajectory to be scored has {least} to {most} poses 0.1 s apart, got {steps}"
+            );
             return Err(Failure::argument(text));
         }
-        let observation = Observation { scene: Arc::clone(&scene), iteration, start_us: 0 };
+        let observation = Observation {
+            scene: Arc::clone(&scene),
+            iteration,
+            start_us: 0,
+        };
         let (view, graph) = (scene.view(), observation.graph()?);
         let failed = |error: &dyn std::error::Error| Failure::new("SceneError", with_causes(error));
-        let judge = Judge::new(&view, &graph, steps as f64 * STEP_S, &mut PdmMemory::default());
+        let judge = Judge::new(
+            &view,
+            &graph,
+            steps as f64 * STEP_S,
+            &mut PdmMemory::default(),
+        );
         let judge = judge.map_err(|error| failed(&error))?;
         let mut rows = Vec::new();
         for poses in poses(&packed_poses)?.chunks_exact(steps) {
             if !poses.iter().all(Pose::is_finite) {
-                return Err(Failure::argument("a trajectory has a NaN or infinite value"));
+                return Err(Failure::argument(
+                    "a trajectory has a NaN or infinite value",
+                ));
             }
-            let reference: Vec<Pose> = std::iter::once(scene.ego.rear_axle).chain(poses.iter().copied()).collect();
+            let reference: Vec<Pose> = std::iter::once(scene.ego.rear_axle)
+                .chain(poses.iter().copied())
+                .collect();
             let states = simulate_proposal(&scene.ego, &reference, JerkPenalty::PdmClosed);
             let report = judge.assess(states, 0.0).map_err(|error| failed(&error))?;
             let parts = report.parts;

@@ -43,22 +43,33 @@ impl Planner {
 #[pyfunction]
 pub(crate) fn planners() -> Vec<(&'static str, &'static str, bool)> {
     let registry = all_planners();
-    registry.entries().iter().map(|entry| (entry.name.as_str(), entry.summary, entry.needs_model())).collect()
+    registry
+        .entries()
+        .iter()
+        .map(|entry| (entry.name.as_str(), entry.summary, entry.needs_model()))
+        .collect()
 }
 
 /// The parts of planners by settings as JSON; the model is loaded where the planner needs one.
 fn parts(name: &str, settings: &str) -> Outcome<AgentParts> {
     let config = config(settings)?;
     let registry = all_planners();
-    let entry = registry.find(name).map_err(|error| Failure::argument(error.to_string()))?;
+    let entry = registry
+        .find(name)
+        .map_err(|error| Failure::argument(error.to_string()))?;
     let agent_settings = config.agent_settings();
     if let Some(key) = entry.unsupported(&agent_settings) {
-        return Err(Failure::argument(format!("{key} is not supported by {name}; remove one of them")));
+        return Err(Failure::argument(format!(
+            "{key} is not supported by {name}; remove one of them"
+        )));
     }
     if entry.needs_model() {
         return Ok(model(&config)?.agent_parts(&config));
     }
-    Ok(AgentParts { settings: agent_settings, ..AgentParts::default() })
+    Ok(AgentParts {
+        settings: agent_settings,
+        ..AgentParts::default()
+    })
 }
 
 #[pymethods]
@@ -66,18 +77,30 @@ impl Planner {
     /// A planner for any scene, or as a run makes it for a scenario.
     #[new]
     #[pyo3(signature = (name, settings, scenario=None))]
-    fn new(py: Python<'_>, name: String, settings: String, scenario: Option<&Bound<'_, Scenario>>) -> PyResult<Self> {
+    fn new(
+        py: Python<'_>,
+        name: String,
+        settings: String,
+        scenario: Option<&Bound<'_, Scenario>>,
+    ) -> PyResult<Self> {
         let scenario = scenario.map(|scenario| Arc::clone(&scenario.get().opened));
         let word = name.clone();
         let built = move || {
             let parts = parts(&word, &settings)?;
             let registry = all_planners();
-            let entry = registry.find(&word).map_err(|error| Failure::argument(error.to_string()))?;
-            let failed = |error: &dyn std::error::Error| Failure::new("PlannerError", with_causes(error));
+            let entry = registry
+                .find(&word)
+                .map_err(|error| Failure::argument(error.to_string()))?;
+            let failed =
+                |error: &dyn std::error::Error| Failure::new("PlannerError", with_causes(error));
             let planner = match &scenario {
-                Some(scenario) => parts.planner(entry.name, scenario).map_err(|error| failed(&error))?,
+                Some(scenario) => parts
+                    .planner(entry.name, scenario)
+                    .map_err(|error| failed(&error))?,
                 None if entry.needs == PlannerNeeds::Recording => {
-                    return Err(Failure::argument(format!("{word} needs a scenario, whose recording it replays")));
+                    return Err(Failure::argument(format!(
+                        "{word} needs a scenario, whose recording it replays"
+                    )));
                 }
                 None => {
                     let of_any_scene = PlannerParts {
@@ -91,10 +114,18 @@ impl Planner {
                 }
             };
             let scenario = scenario.map_or_else(String::new, |scenario| scenario.id.clone());
-            Ok(PlannerState { planner, is_initialized: false, map: None, scenario })
+            Ok(PlannerState {
+                planner,
+                is_initialized: false,
+                map: None,
+                scenario,
+            })
         };
         let state = long(py, built, &|| (), &|_| Ok(()))?;
-        Ok(Self { name, state: Arc::new(Mutex::new(state)) })
+        Ok(Self {
+            name,
+            state: Arc::new(Mutex::new(state)),
+        })
     }
 
     #[getter]
@@ -112,16 +143,29 @@ impl Planner {
 
     /// The trajectory from an observation on. Another map than the last one discards all state.
     fn plan(&self, py: Python<'_>, observation: &Bound<'_, Observation>) -> PyResult<Trajectory> {
-        let (scene, iteration) = (Arc::clone(&observation.get().scene), observation.get().iteration);
+        let (scene, iteration) = (
+            Arc::clone(&observation.get().scene),
+            observation.get().iteration,
+        );
         let state = Arc::clone(&self.state);
         let work = move || {
             guarded(|| {
                 let mut state = lock(&state);
-                if !state.map.as_ref().is_some_and(|map| Arc::ptr_eq(map, &scene.map)) {
-                    state.planner.initialize(&PlannerInitialization { map: &scene.map, route: &scene.route })?;
+                if !state
+                    .map
+                    .as_ref()
+                    .is_some_and(|map| Arc::ptr_eq(map, &scene.map))
+                {
+                    state.planner.initialize(&PlannerInitialization {
+                        map: &scene.map,
+                        route: &scene.route,
+                    })?;
                     (state.map, state.is_initialized) = (Some(Arc::clone(&scene.map)), true);
                 }
-                let input = PlannerInput { iteration, scene: scene.view() };
+                let input = PlannerInput {
+                    iteration,
+                    scene: scene.view(),
+                };
                 Ok(Trajectory(state.planner.compute_trajectory(&input)?))
             })
         };
@@ -134,7 +178,9 @@ impl Planner {
             let state = lock(&self.state);
             let record = |call: &PlanningCall| {
                 let record = CallRecord::of(&state.scenario, &self.name, None, call).to_json();
-                record.map(|json| json.to_string()).map_err(|error| Failure::panic(error.to_string()))
+                record
+                    .map(|json| json.to_string())
+                    .map_err(|error| Failure::panic(error.to_string()))
             };
             state.planner.calls().iter().map(record).collect()
         })

@@ -2,7 +2,9 @@
 
 use crate::observation::Observation;
 use crate::trajectory::Trajectory;
-use planagent::planning::{PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds};
+use planagent::planning::{
+    PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
+};
 use planagent::road::LaneMap;
 use planagent::{Planner, Scene, Trajectory as Planned};
 use planagent_agent::planner::kept;
@@ -10,7 +12,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyTraceback;
 use std::sync::Arc;
 
-/// An exception of Python as the cause of a failed simulation: its type, its text, and where it was raised.
+/// An exception of Python as the cause of a failed simulation: its type, its text, and where it was
+/// raised.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct PythonError(String);
@@ -24,13 +27,22 @@ fn place(traceback: &Bound<'_, PyTraceback>) -> PyResult<String> {
         last = next;
     }
     let code = last.getattr("tb_frame")?.getattr("f_code")?;
-    Ok(format!("{}, line {}", code.getattr("co_filename")?, last.getattr("tb_lineno")?))
+    Ok(format!(
+        "{}, line {}",
+        code.getattr("co_filename")?,
+        last.getattr("tb_lineno")?
+    ))
 }
 
 fn failed(py: Python<'_>, error: &PyErr) -> PlannerError {
-    let at = error.traceback(py).and_then(|traceback| place(&traceback).ok());
+    let at = error
+        .traceback(py)
+        .and_then(|traceback| place(&traceback).ok());
     let text = at.map_or_else(|| error.to_string(), |at| format!("{error} ({at})"));
-    PlannerError::Failed { doing: "planning in Python", source: Box::new(PythonError(text)) }
+    PlannerError::Failed {
+        doing: "planning in Python",
+        source: Box::new(PythonError(text)),
+    }
 }
 
 /// A planner of Python in one simulation.
@@ -47,7 +59,10 @@ impl Planner for PythonPlanner {
         self.name.as_str()
     }
 
-    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+    fn initialize(
+        &mut self,
+        initialization: &PlannerInitialization<'_>,
+    ) -> Result<(), PlannerError> {
         self.map = Some(Arc::clone(initialization.map));
         self.start_us = None;
         Python::attach(|py| {
@@ -59,10 +74,13 @@ impl Planner for PythonPlanner {
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Planned, PlannerError> {
         let map = self.map.clone().ok_or(PlannerError::NotInitialized)?;
         let start_us = *self.start_us.get_or_insert(input.scene.ego.time_us);
-        let observation = Observation::new(Scene::of_view(map, &input.scene), input.iteration, start_us);
+        let observation =
+            Observation::new(Scene::of_view(map, &input.scene), input.iteration, start_us);
         Python::attach(|py| {
             let plan = |observation| {
-                let planned = self.bound.call_method1(py, "plan", (Py::new(py, observation)?,))?;
+                let planned = self
+                    .bound
+                    .call_method1(py, "plan", (Py::new(py, observation)?,))?;
                 let planned = planned.into_bound(py).cast_into::<Trajectory>()?;
                 PyResult::Ok(planned.get().0.clone())
             };
@@ -75,11 +93,21 @@ impl Planner for PythonPlanner {
 pub(crate) fn entry(name: String, make: Py<PyAny>) -> PlannerEntry {
     let name = PlannerName::new(kept(name));
     let make = Arc::new(make);
-    PlannerEntry::new(name, "a planner in Python", PlannerNeeds::Nothing, move |_| {
-        Python::attach(|py| {
-            let bound = make.call0(py).map_err(|error| failed(py, &error))?;
-            let planner: Box<dyn Planner> = Box::new(PythonPlanner { name, bound, map: None, start_us: None });
-            Ok(planner)
-        })
-    })
+    PlannerEntry::new(
+        name,
+        "a planner in Python",
+        PlannerNeeds::Nothing,
+        move |_| {
+            Python::attach(|py| {
+                let bound = make.call0(py).map_err(|error| failed(py, &error))?;
+                let planner: Box<dyn Planner> = Box::new(PythonPlanner {
+                    name,
+                    bound,
+                    map: None,
+                    start_us: None,
+                });
+                Ok(planner)
+            })
+        },
+    )
 }

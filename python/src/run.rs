@@ -72,7 +72,8 @@ impl Progress {
             Event::Started { total } => self.total.store(total, Ordering::Relaxed),
             Event::Stepped => drop(self.steps.fetch_add(1, Ordering::Relaxed)),
             Event::Ended { failed } => {
-                self.failed.fetch_add(usize::from(failed), Ordering::Relaxed);
+                self.failed
+                    .fetch_add(usize::from(failed), Ordering::Relaxed);
                 self.done.fetch_add(1, Ordering::Relaxed);
             }
             Event::Note(note) => lock(&self.notes).push(note),
@@ -83,13 +84,20 @@ impl Progress {
     /// Calls back with done, total, failed, steps and the new notes, if anything changed.
     fn tell(&self, py: Python<'_>, callback: &Py<PyAny>, last: &Mutex<[usize; 4]>) -> PyResult<()> {
         let load = |counter: &AtomicUsize| counter.load(Ordering::Relaxed);
-        let now = [load(&self.done), load(&self.total), load(&self.failed), load(&self.steps)];
+        let now = [
+            load(&self.done),
+            load(&self.total),
+            load(&self.failed),
+            load(&self.steps),
+        ];
         let notes = std::mem::take(&mut *lock(&self.notes));
         if notes.is_empty() && *lock(last) == now {
             return Ok(());
         }
         *lock(last) = now;
-        callback.call1(py, (now[0], now[1], now[2], now[3], notes)).map(drop)
+        callback
+            .call1(py, (now[0], now[1], now[2], now[3], notes))
+            .map(drop)
     }
 }
 
@@ -103,8 +111,16 @@ pub(crate) struct RunResults {
 
 impl From<Finished> for RunResults {
     fn from(finished: Finished) -> Self {
-        let missing = finished.missing.iter().map(|missing| missing.absent.len() + missing.excluded.len()).sum();
-        Self { folder: finished.folder, rows: Arc::new(finished.rows), missing }
+        let missing = finished
+            .missing
+            .iter()
+            .map(|missing| missing.absent.len() + missing.excluded.len())
+            .sum();
+        Self {
+            folder: finished.folder,
+            rows: Arc::new(finished.rows),
+            missing,
+        }
     }
 }
 
@@ -141,12 +157,14 @@ pub(crate) fn run(
     let (switch, heard) = (StopSwitch::default(), Arc::new(Progress::default()));
     let (stop, hearing) = (switch.clone(), Arc::clone(&heard));
     let work = move || {
-        let asked: Asked = serde_json::from_str(&asked).map_err(|error| Failure::argument(error.to_string()))?;
+        let asked: Asked =
+            serde_json::from_str(&asked).map_err(|error| Failure::argument(error.to_string()))?;
         let built_in = all_planners();
         let mut registry = all_planners();
         for (name, make) in planners {
             if built_in.find(&name).is_ok() {
-                let text = format!("'{name}' is the name of a planner of the library; give yours another");
+                let text =
+                    format!("'{name}' is the name of a planner of the library; give yours another");
                 return Err(Failure::argument(text));
             }
             registry = registry.with(entry(name, make));
@@ -174,7 +192,10 @@ pub(crate) fn run(
 
 /// The shard that environment variables name; none without any.
 #[pyfunction]
-pub(crate) fn shard_of_environment(py: Python<'_>, variables: HashMap<String, String>) -> PyResult<Option<String>> {
+pub(crate) fn shard_of_environment(
+    py: Python<'_>,
+    variables: HashMap<String, String>,
+) -> PyResult<Option<String>> {
     let shard = Shard::of_environment(|name| variables.get(name).cloned());
     shard
         .map(|shard| shard.map(|shard| shard.to_string()))

@@ -43,7 +43,10 @@ pub(crate) fn open(py: Python<'_>, word: String) -> PyResult<Scenario> {
                 return Err(Failure::new("ScenarioError", text));
             }
         };
-        Ok(Scenario { opened, word: Some(readers.absolute_word(&word)) })
+        Ok(Scenario {
+            opened,
+            word: Some(readers.absolute_word(&word)),
+        })
     };
     long(py, opened, &|| (), &|_| Ok(()))
 }
@@ -51,12 +54,18 @@ pub(crate) fn open(py: Python<'_>, word: String) -> PyResult<Scenario> {
 /// The words of all scenarios that a word names.
 #[pyfunction]
 pub(crate) fn find(py: Python<'_>, word: String) -> PyResult<Vec<String>> {
-    let found = move || Ok(readers().find(&word)?.iter().map(ToString::to_string).collect());
+    let found = move || {
+        Ok(readers()
+            .find(&word)?
+            .iter()
+            .map(ToString::to_string)
+            .collect())
+    };
     long(py, found, &|| (), &|_| Ok(()))
 }
 
-/// The numbers of an ego state: x, y, heading of the rear axle, vx, vy, ax, ay, steering angle and rate, angular velocity and
-/// acceleration.
+/// The numbers of an ego state: x, y, heading of the rear axle, vx, vy, ax, ay, steering angle and
+/// rate, angular velocity and acceleration.
 pub(crate) fn ego_numbers(ego: &EgoState) -> [f64; 11] {
     let (pose, velocity, acceleration) = (ego.rear_axle, ego.velocity, ego.acceleration);
     [
@@ -76,7 +85,10 @@ pub(crate) fn ego_numbers(ego: &EgoState) -> [f64; 11] {
 
 /// Packed x, y of points.
 fn points<'py>(py: Python<'py>, points: &[Point]) -> Bound<'py, PyByteArray> {
-    array(py, &packed(points.iter().flat_map(|point| [point.x, point.y])))
+    array(
+        py,
+        &packed(points.iter().flat_map(|point| [point.x, point.y])),
+    )
 }
 
 /// The lanes of a map as dictionaries, in the order of their numbers.
@@ -86,7 +98,12 @@ pub(crate) fn lanes<'py, 'a>(
     is_on_route: &dyn Fn(&Lane) -> bool,
 ) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let ids = |ids: &[LaneId]| ids.iter().map(|id| id.0).collect::<Vec<_>>();
-    let beside = |neighbors: &[Neighbor]| neighbors.iter().map(|neighbor| neighbor.lane.0).collect::<Vec<_>>();
+    let beside = |neighbors: &[Neighbor]| {
+        neighbors
+            .iter()
+            .map(|neighbor| neighbor.lane.0)
+            .collect::<Vec<_>>()
+    };
     lanes
         .map(|lane| {
             let dict = PyDict::new(py);
@@ -110,12 +127,20 @@ pub(crate) fn lanes<'py, 'a>(
 
 impl Scenario {
     pub(crate) fn new(opened: Opened, word: Option<String>) -> Self {
-        Self { opened: Arc::new(opened), word }
+        Self {
+            opened: Arc::new(opened),
+            word,
+        }
     }
 
     fn frame(&self, iteration: usize) -> Outcome<&Frame> {
         let last = self.opened.iterations().saturating_sub(1);
-        let outside = || Failure::new("ArgumentError", format!("iteration {iteration} is none of 0 to {last}"));
+        let outside = || {
+            Failure::new(
+                "ArgumentError",
+                format!("iteration {iteration} is none of 0 to {last}"),
+            )
+        };
         self.opened.frame(iteration).ok_or_else(outside)
     }
 }
@@ -153,18 +178,28 @@ impl Scenario {
             let (opened, frame) = (&self.opened, self.frame(iteration)?);
             let mut history = History::default();
             for frame in opened.frames.iter().take(opened.start + iteration + 1) {
-                history.push(HistorySample { ego: frame.ego, objects: Arc::clone(&frame.objects) });
+                history.push(HistorySample {
+                    ego: frame.ego,
+                    objects: Arc::clone(&frame.objects),
+                });
             }
             let view: SceneView<'_> = opened.scene(frame, &history);
             let start_us = self.frame(0)?.ego.time_us;
-            Ok(Observation::new(Scene::of_view(Arc::clone(&opened.map), &view), iteration, start_us))
+            Ok(Observation::new(
+                Scene::of_view(Arc::clone(&opened.map), &view),
+                iteration,
+                start_us,
+            ))
         })
     }
 
     /// Times (µs) and packed numbers of the recorded ego from iteration 0 on.
     fn expert<'py>(&self, py: Python<'py>) -> (Vec<i64>, Bound<'py, PyByteArray>) {
         let times = self.opened.expert().map(|ego| ego.time_us).collect();
-        (times, array(py, &packed(self.opened.expert().flat_map(ego_numbers))))
+        (
+            times,
+            array(py, &packed(self.opened.expert().flat_map(ego_numbers))),
+        )
     }
 
     /// All lanes of the map.
@@ -175,12 +210,21 @@ impl Scenario {
     }
 
     /// Writes the scenario as a nuPlan log with its map; gives the folders of the two.
-    fn export_nuplan(&self, py: Python<'_>, folder: PathBuf, stand_in_maps: bool) -> PyResult<(PathBuf, PathBuf)> {
+    fn export_nuplan(
+        &self,
+        py: Python<'_>,
+        folder: PathBuf,
+        stand_in_maps: bool,
+    ) -> PyResult<(PathBuf, PathBuf)> {
         let opened = Arc::clone(&self.opened);
         let written = move || {
-            let settings = ExportSettings { stand_in_maps, ..ExportSettings::default() };
+            let settings = ExportSettings {
+                stand_in_maps,
+                ..ExportSettings::default()
+            };
             let exported = write_scenario(&opened, &folder, &settings);
-            let exported = exported.map_err(|error| Failure::new("ScenarioError", with_causes(&error)))?;
+            let exported =
+                exported.map_err(|error| Failure::new("ScenarioError", with_causes(&error)))?;
             Ok((exported.data, exported.maps))
         };
         long(py, written, &|| (), &|_| Ok(()))

@@ -10,9 +10,11 @@ use std::sync::{Arc, Mutex};
 /// The configuration of settings as JSON, over the defaults.
 pub(crate) fn config(settings: &str) -> Outcome<Config> {
     let invalid = |text: String| Failure::argument(text);
-    let table: toml::Table =
-        serde_json::from_str(settings).map_err(|error| invalid(format!("the settings: {error}")))?;
-    Config::default().overlaid(&table).map_err(|error| invalid(planagent_runs::worker::run::with_causes(&error)))
+    let table: toml::Table = serde_json::from_str(settings)
+        .map_err(|error| invalid(format!("the settings: {error}")))?;
+    Config::default()
+        .overlaid(&table)
+        .map_err(|error| invalid(planagent_runs::worker::run::with_causes(&error)))
 }
 
 type Slot = Arc<Mutex<Option<Arc<LoadedModel>>>>;
@@ -23,10 +25,18 @@ pub(crate) fn model(config: &Config) -> Outcome<Arc<LoadedModel>> {
 }
 
 /// As [`model`], for runs; a listener hears of the loading.
-pub(crate) fn shared_model(config: &Config, listener: &Listener) -> Result<Arc<LoadedModel>, RunnerError> {
+pub(crate) fn shared_model(
+    config: &Config,
+    listener: &Listener,
+) -> Result<Arc<LoadedModel>, RunnerError> {
     static LOADED: Mutex<Option<HashMap<String, Slot>>> = Mutex::new(None);
     let key = format!("{:?}", (&config.mllm, &config.reasoning));
-    let slot = Arc::clone(lock(&LOADED).get_or_insert_default().entry(key).or_default());
+    let slot = Arc::clone(
+        lock(&LOADED)
+            .get_or_insert_default()
+            .entry(key)
+            .or_default(),
+    );
     // Threads that want the same model wait here.
     let mut slot = lock(&slot);
     if let Some(loaded) = &*slot {

@@ -36,13 +36,20 @@ struct State {
 impl State {
     fn new(scenario: &Arc<Opened>, challenge: Challenge) -> Outcome<Self> {
         let closed_loop = ClosedLoop::new(HeldScenario::Shared(Arc::clone(scenario)), challenge)?;
-        Ok(Self { closed_loop, samples: Vec::new(), plans: Vec::new() })
+        Ok(Self {
+            closed_loop,
+            samples: Vec::new(),
+            plans: Vec::new(),
+        })
     }
 
     /// One step along a trajectory.
     fn step(&mut self, plan: Planned, planner: &str) -> Outcome<()> {
         if self.closed_loop.is_over() {
-            return Err(Failure::new("SimulationError", "the simulation is over; call reset to start it again"));
+            return Err(Failure::new(
+                "SimulationError",
+                "the simulation is over; call reset to start it again",
+            ));
         }
         let sample = self.closed_loop.present().clone();
         self.closed_loop.advance(&plan, planner)?;
@@ -58,8 +65,15 @@ impl State {
     }
 }
 
-/// A score: value, multiplier, weighted average, its parts (name, role, score), and the scores of all metrics that have one.
-type Scored = (f64, f64, f64, Vec<(&'static str, String, f64)>, Vec<(String, Option<f64>)>);
+/// A score: value, multiplier, weighted average, its parts (name, role, score), and the scores of
+/// all metrics that have one.
+type Scored = (
+    f64,
+    f64,
+    f64,
+    Vec<(&'static str, String, f64)>,
+    Vec<(String, Option<f64>)>,
+);
 
 fn scored(evaluation: &Evaluation) -> Scored {
     let score = &evaluation.score;
@@ -67,13 +81,28 @@ fn scored(evaluation: &Evaluation) -> Scored {
         Role::Weight(weight) => format!("weight {weight}"),
         _ => "multiplier".to_owned(),
     };
-    let parts = score.parts.iter().map(|part| (part.name, role(part.role), part.score)).collect();
-    let metrics = evaluation.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect();
-    (score.value, score.multiplier, score.weighted_average, parts, metrics)
+    let parts = score
+        .parts
+        .iter()
+        .map(|part| (part.name, role(part.role), part.score))
+        .collect();
+    let metrics = evaluation
+        .metrics
+        .iter()
+        .map(|metric| (metric.name.clone(), metric.score))
+        .collect();
+    (
+        score.value,
+        score.multiplier,
+        score.weighted_average,
+        parts,
+        metrics,
+    )
 }
 
 pub(crate) fn challenge(name: &str) -> Outcome<Challenge> {
-    name.parse().map_err(|error| Failure::argument(format!("{error}")))
+    name.parse()
+        .map_err(|error| Failure::argument(format!("{error}")))
 }
 
 #[pymethods]
@@ -84,7 +113,11 @@ impl Simulation {
         quick(py, || {
             let challenge = crate::simulation::challenge(&challenge)?;
             let state = Arc::new(Mutex::new(State::new(&scenario, challenge)?));
-            Ok(Self { scenario, challenge, state })
+            Ok(Self {
+                scenario,
+                challenge,
+                state,
+            })
         })
     }
 
@@ -120,7 +153,11 @@ impl Simulation {
     fn duplicate(&self, py: Python<'_>) -> PyResult<Self> {
         quick(py, || {
             let state = Arc::new(Mutex::new(lock(&self.state).clone()));
-            Ok(Self { scenario: Arc::clone(&self.scenario), challenge: self.challenge, state })
+            Ok(Self {
+                scenario: Arc::clone(&self.scenario),
+                challenge: self.challenge,
+                state,
+            })
         })
     }
 
@@ -146,7 +183,12 @@ impl Simulation {
 
     /// Steps to the end, or by a number of steps, with a planner of the library.
     #[pyo3(signature = (planner, steps=None))]
-    fn run(&self, py: Python<'_>, planner: &Bound<'_, Planner>, steps: Option<usize>) -> PyResult<()> {
+    fn run(
+        &self,
+        py: Python<'_>,
+        planner: &Bound<'_, Planner>,
+        steps: Option<usize>,
+    ) -> PyResult<()> {
         let (planner, state) = (planner.get().shared(), Arc::clone(&self.state));
         let stopped = Arc::new(AtomicBool::new(false));
         let stop = Arc::clone(&stopped);
@@ -167,7 +209,12 @@ impl Simulation {
                 Ok(())
             })
         };
-        long(py, work, &move || stop.store(true, Ordering::Relaxed), &|_| Ok(()))
+        long(
+            py,
+            work,
+            &move || stop.store(true, Ordering::Relaxed),
+            &|_| Ok(()),
+        )
     }
 
     /// nuPlan's score of the finished simulation.
@@ -175,15 +222,22 @@ impl Simulation {
         quick(py, || {
             let state = lock(&self.state);
             if !state.closed_loop.is_over() {
-                let (now, last) = (state.closed_loop.iteration(), self.scenario.iterations() - 1);
-                let text = format!("the simulation is at iteration {now} of {last}; a score needs all of them");
+                let (now, last) = (
+                    state.closed_loop.iteration(),
+                    self.scenario.iterations() - 1,
+                );
+                let text = format!(
+                    "the simulation is at iteration {now} of {last}; a score needs all of them"
+                );
                 return Err(Failure::new("SimulationError", text));
             }
             let expert: Vec<EgoState> = self.scenario.expert().copied().collect();
             let simulation = EvaluatedSimulation::new(&self.scenario.map, &state.samples, &expert)
                 .with_plans(&state.plans, &self.scenario.future);
-            let evaluated = MetricRegistry::default().evaluate(self.challenge.metric_list(), &simulation);
-            let evaluated = evaluated.map_err(|error| Failure::new("SimulationError", with_causes(&error)))?;
+            let evaluated =
+                MetricRegistry::default().evaluate(self.challenge.metric_list(), &simulation);
+            let evaluated =
+                evaluated.map_err(|error| Failure::new("SimulationError", with_causes(&error)))?;
             Ok(scored(&evaluated))
         })
     }
@@ -192,8 +246,17 @@ impl Simulation {
     fn ego_states<'py>(&self, py: Python<'py>) -> PyResult<(Vec<i64>, Bound<'py, PyByteArray>)> {
         let (times, numbers) = quick(py, || {
             let state = lock(&self.state);
-            let egos = || state.samples.iter().map(|sample| &sample.ego).chain([&state.closed_loop.present().ego]);
-            Ok((egos().map(|ego| ego.time_us).collect(), packed(egos().flat_map(ego_numbers))))
+            let egos = || {
+                state
+                    .samples
+                    .iter()
+                    .map(|sample| &sample.ego)
+                    .chain([&state.closed_loop.present().ego])
+            };
+            Ok((
+                egos().map(|ego| ego.time_us).collect(),
+                packed(egos().flat_map(ego_numbers)),
+            ))
         })?;
         Ok((times, array(py, &numbers)))
     }
@@ -202,8 +265,14 @@ impl Simulation {
     fn plan_at(&self, py: Python<'_>, iteration: usize) -> PyResult<Trajectory> {
         quick(py, || {
             let state = lock(&self.state);
-            let absent = || Failure::argument(format!("iteration {iteration} has no trajectory yet"));
-            state.plans.get(iteration).cloned().map(Trajectory).ok_or_else(absent)
+            let absent =
+                || Failure::argument(format!("iteration {iteration} has no trajectory yet"));
+            state
+                .plans
+                .get(iteration)
+                .cloned()
+                .map(Trajectory)
+                .ok_or_else(absent)
         })
     }
 }

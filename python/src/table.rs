@@ -1,9 +1,11 @@
-//! Results as Arrow tables, which pandas, polars, pyarrow and `DuckDB` read by the `PyCapsule` interface.
+//! Results as Arrow tables, which pandas, polars, pyarrow and `DuckDB` read by the `PyCapsule`
+//! interface.
 
 use crate::errors::{Failure, Outcome, Raise};
 use arrow_array::ffi_stream::FFI_ArrowArrayStream;
 use arrow_array::{
-    Array, ArrayRef, BooleanArray, Float64Array, Int64Array, RecordBatch, RecordBatchIterator, StringArray,
+    Array, ArrayRef, BooleanArray, Float64Array, Int64Array, RecordBatch, RecordBatchIterator,
+    StringArray,
 };
 use arrow_schema::{ArrowError, Field, Schema, ffi::FFI_ArrowSchema};
 use planagent_runs::report::SimulationRow;
@@ -26,11 +28,14 @@ fn numbers(values: impl Iterator<Item = Option<f64>>) -> ArrayRef {
 }
 
 fn counts(values: impl Iterator<Item = usize>) -> ArrayRef {
-    Arc::new(Int64Array::from_iter_values(values.map(|value| value as i64)))
+    Arc::new(Int64Array::from_iter_values(
+        values.map(|value| value as i64),
+    ))
 }
 
 impl Table {
-    /// A row for each simulation: what it was, its score, the scores of the metrics, how it was planned.
+    /// A row for each simulation: what it was, its score, the scores of the metrics, how it was
+    /// planned.
     pub(crate) fn of_rows(rows: &[SimulationRow]) -> Outcome<Self> {
         let all = || rows.iter();
         let text = |of: fn(&SimulationRow) -> Option<&str>| texts(all().map(of));
@@ -47,12 +52,18 @@ impl Table {
             ("gated_calls", count(|row| row.gated_calls)),
             ("rethinks", count(|row| row.rethinks)),
             ("parse_errors", count(|row| row.parse_errors)),
-            ("seconds", numbers(all().map(|row| Some(row.time.ended_s - row.time.started_s)))),
+            (
+                "seconds",
+                numbers(all().map(|row| Some(row.time.ended_s - row.time.started_s))),
+            ),
         ]
         .map(|(name, column)| (name.to_owned(), column))
         .into();
         let mut metrics: Vec<&str> = Vec::new();
-        for metric in all().flat_map(|row| &row.metrics).filter(|metric| metric.score.is_some()) {
+        for metric in all()
+            .flat_map(|row| &row.metrics)
+            .filter(|metric| metric.score.is_some())
+        {
             if !metrics.contains(&metric.name.as_str()) {
                 metrics.push(&metric.name);
             }
@@ -60,11 +71,15 @@ impl Table {
         for name in metrics {
             columns.push((name.to_owned(), numbers(all().map(|row| row.metric(name)))));
         }
-        let fields: Vec<Field> =
-            columns.iter().map(|(name, column)| Field::new(name, column.data_type().clone(), true)).collect();
+        let fields: Vec<Field> = columns
+            .iter()
+            .map(|(name, column)| Field::new(name, column.data_type().clone(), true))
+            .collect();
         let arrays = columns.into_iter().map(|(_, column)| column).collect();
         let batch = RecordBatch::try_new(Arc::new(Schema::new(fields)), arrays);
-        Ok(Self { batch: batch.map_err(|error| failed(&error))? })
+        Ok(Self {
+            batch: batch.map_err(|error| failed(&error))?,
+        })
     }
 }
 
@@ -96,13 +111,24 @@ impl Table {
 
     #[getter]
     fn columns(&self) -> Vec<String> {
-        self.batch.schema().fields().iter().map(|field| field.name().clone()).collect()
+        self.batch
+            .schema()
+            .fields()
+            .iter()
+            .map(|field| field.name().clone())
+            .collect()
     }
 
     /// The columns as lists.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let dict = PyDict::new(py);
-        for (field, column) in self.batch.schema().fields().iter().zip(self.batch.columns()) {
+        for (field, column) in self
+            .batch
+            .schema()
+            .fields()
+            .iter()
+            .zip(self.batch.columns())
+        {
             dict.set_item(field.name(), list(py, column.as_ref())?)?;
         }
         Ok(dict)
@@ -111,7 +137,11 @@ impl Table {
     /// The schema as an Arrow capsule.
     fn __arrow_c_schema__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyCapsule>> {
         let schema = FFI_ArrowSchema::try_from(self.batch.schema().as_ref());
-        PyCapsule::new_with_value(py, schema.map_err(|error| failed(&error)).or_raise(py)?, c"arrow_schema")
+        PyCapsule::new_with_value(
+            py,
+            schema.map_err(|error| failed(&error)).or_raise(py)?,
+            c"arrow_schema",
+        )
     }
 
     /// The table as a stream of Arrow arrays.
@@ -125,6 +155,10 @@ impl Table {
         drop(requested_schema);
         let batches: Vec<Result<RecordBatch, ArrowError>> = vec![Ok(self.batch.clone())];
         let reader = RecordBatchIterator::new(batches, self.batch.schema());
-        PyCapsule::new_with_value(py, FFI_ArrowArrayStream::new(Box::new(reader)), c"arrow_array_stream")
+        PyCapsule::new_with_value(
+            py,
+            FFI_ArrowArrayStream::new(Box::new(reader)),
+            c"arrow_array_stream",
+        )
     }
 }

@@ -6,7 +6,9 @@ use crate::trajectory::numbers;
 use crate::work::quick;
 use planagent::planning::HistorySample;
 use planagent::road::{LaneId, LaneMap, MapBuilder, OrientedBox, Point, Pose, Route, Vector};
-use planagent::traffic::{Frame, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
+use planagent::traffic::{
+    Frame, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights,
+};
 use planagent::{EgoState, Scenario as Opened};
 use planagent_runs::worker::run::with_causes;
 use pyo3::prelude::*;
@@ -28,12 +30,14 @@ pub(crate) struct LaneRow {
     light: bool,
 }
 
-/// An object at one frame: its track, its kind by number, then x, y, heading, length, width, vx, vy.
+/// An object at one frame: its track, its kind by number, then x, y, heading, length, width, vx,
+/// vy.
 pub(crate) type ObjectRow = (u32, u8, [f64; 7]);
 /// A light at one frame: the number of its lane, and its color.
 pub(crate) type LightRow = (usize, String);
 
-/// Numbers of a state of the ego in its table: x, y, heading of the rear axle, forward and lateral speed and acceleration.
+/// Numbers of a state of the ego in its table: x, y, heading of the rear axle, forward and lateral
+/// speed and acceleration.
 const EGO: usize = 7;
 
 fn kind(number: u8) -> Outcome<ObjectKind> {
@@ -56,7 +60,9 @@ fn status(color: &str) -> Outcome<SignalStatus> {
         "red" => SignalStatus::Red,
         "unknown" => SignalStatus::Unknown,
         other => {
-            return Err(Failure::argument(format!("'{other}' is no light; lights are green, yellow, red and unknown")));
+            return Err(Failure::argument(format!(
+                "'{other}' is no light; lights are green, yellow, red and unknown"
+            )));
         }
     })
 }
@@ -76,7 +82,12 @@ fn map(lanes: &[LaneRow]) -> Outcome<LaneMap> {
         } else {
             builder.lane(points, lane.width, lane.speed_limit)
         };
-        added.map_err(|error| Failure::new("ScenarioError", format!("lane {number}: {}", with_causes(&error))))?;
+        added.map_err(|error| {
+            Failure::new(
+                "ScenarioError",
+                format!("lane {number}: {}", with_causes(&error)),
+            )
+        })?;
     }
     for group in abreast(lanes)? {
         builder.abreast(&group);
@@ -98,14 +109,18 @@ fn abreast(lanes: &[LaneRow]) -> Outcome<Vec<Vec<LaneId>>> {
             return Err(Failure::new("ScenarioError", text));
         }
     }
-    let leftmost = (0..lanes.len()).filter(|number| lanes[*number].left.is_none() && right_of.contains_key(number));
+    let leftmost = (0..lanes.len())
+        .filter(|number| lanes[*number].left.is_none() && right_of.contains_key(number));
     let groups: Vec<Vec<LaneId>> = leftmost
         .map(|first| std::iter::successors(Some(first), |lane| right_of.get(lane).copied()))
         .map(|group| group.map(|number| LaneId(number as u32)).collect())
         .collect();
     let grouped: usize = groups.iter().map(Vec::len).sum();
     if grouped != right_of.len() + groups.len() {
-        return Err(Failure::new("ScenarioError", "some lanes lie to the left of each other in a circle"));
+        return Err(Failure::new(
+            "ScenarioError",
+            "some lanes lie to the left of each other in a circle",
+        ));
     }
     Ok(groups)
 }
@@ -115,13 +130,16 @@ fn route(map: &LaneMap, named: Option<&[usize]>, ego: &[EgoState]) -> Outcome<Ro
     let lanes: Vec<LaneId> = match named {
         Some(lanes) => {
             if let Some(unknown) = lanes.iter().find(|&&lane| lane >= map.lanes().len()) {
-                return Err(Failure::argument(format!("the route names lane {unknown}, which the map lacks")));
+                return Err(Failure::argument(format!(
+                    "the route names lane {unknown}, which the map lacks"
+                )));
             }
             lanes.iter().map(|&lane| LaneId(lane as u32)).collect()
         }
-        None => {
-            ego.iter().filter_map(|ego| map.best_fit(&map.lanes_at(ego.center().position()), ego.center())).collect()
-        }
+        None => ego
+            .iter()
+            .filter_map(|ego| map.best_fit(&map.lanes_at(ego.center().position()), ego.center()))
+            .collect(),
     };
     let mut roadblocks = Vec::new();
     for lane in lanes {
@@ -131,9 +149,16 @@ fn route(map: &LaneMap, named: Option<&[usize]>, ego: &[EgoState]) -> Outcome<Ro
         }
     }
     if roadblocks.is_empty() {
-        return Err(Failure::new("ScenarioError", "the ego is on no lane; name the route's lanes"));
+        return Err(Failure::new(
+            "ScenarioError",
+            "the ego is on no lane; name the route's lanes",
+        ));
     }
-    Ok(Route { roadblocks, goal: ego.last().map(EgoState::center), goal_lane: None })
+    Ok(Route {
+        roadblocks,
+        goal: ego.last().map(EgoState::center),
+        goal_lane: None,
+    })
 }
 
 pub(crate) fn object((token, number, values): &ObjectRow) -> Outcome<TrackedObject> {
@@ -143,11 +168,16 @@ pub(crate) fn object((token, number, values): &ObjectRow) -> Outcome<TrackedObje
         return Err(Failure::new("ScenarioError", text));
     }
     let shape = OrientedBox::new(Pose { x, y, heading }, length, width);
-    Ok(TrackedObject { token: TrackToken(*token), kind: kind(*number)?, shape, velocity: Vector::new(vx, vy) })
+    Ok(TrackedObject {
+        token: TrackToken(*token),
+        kind: kind(*number)?,
+        shape,
+        velocity: Vector::new(vx, vy),
+    })
 }
 
-/// A scenario of lanes, ego states (times in µs, packed numbers), and the objects and lights of each frame. Iteration 0 is the
-/// frame `start`.
+/// A scenario of lanes, ego states (times in µs, packed numbers), and the objects and lights of
+/// each frame. Iteration 0 is the frame `start`.
 #[pyfunction]
 #[pyo3(signature = (names, lanes, times_us, ego, objects, lights, start, route_lanes=None))]
 #[allow(clippy::too_many_arguments, reason = "a table each")]
@@ -168,30 +198,56 @@ pub(crate) fn scenario_of_tables(
         let (rows, _) = numbers.as_chunks::<EGO>();
         let frames = times_us.len();
         if [rows.len(), objects.len(), lights.len()] != [frames; 3] || start + 2 > frames {
-            let text = format!("{frames} frames with iteration 0 at frame {start}; a simulation needs at least 2");
+            let text = format!(
+                "{frames} frames with iteration 0 at frame {start}; a simulation needs at least 2"
+            );
             return Err(Failure::new("ScenarioError", text));
         }
         let states: Vec<EgoState> = times_us
             .iter()
             .zip(rows)
             .map(|(&time_us, &[x, y, heading, vx, vy, ax, ay])| {
-                EgoState::from_log(time_us, Pose { x, y, heading }, Vector::new(vx, vy), Vector::new(ax, ay))
+                EgoState::from_log(
+                    time_us,
+                    Pose { x, y, heading },
+                    Vector::new(vx, vy),
+                    Vector::new(ax, ay),
+                )
             })
             .collect();
         if !numbers.iter().all(|number| number.is_finite()) {
-            return Err(Failure::new("ScenarioError", "a state of the ego has a NaN or infinite value"));
+            return Err(Failure::new(
+                "ScenarioError",
+                "a state of the ego has a NaN or infinite value",
+            ));
         }
-        let route = route(&map, route_lanes.as_deref(), states.get(start..).unwrap_or_default())?;
+        let route = route(
+            &map,
+            route_lanes.as_deref(),
+            states.get(start..).unwrap_or_default(),
+        )?;
         let mut all = Vec::with_capacity(frames);
         for ((ego, objects), lights) in states.into_iter().zip(&objects).zip(&lights) {
-            let objects = objects.iter().map(object).collect::<Outcome<Vec<TrackedObject>>>()?;
+            let objects = objects
+                .iter()
+                .map(object)
+                .collect::<Outcome<Vec<TrackedObject>>>()?;
             let light = |(lane, color): &LightRow| match map.lanes().get(*lane) {
                 Some(lane) => Ok((lane.id, status(color)?)),
-                None => Err(Failure::argument(format!("a light names lane {lane}, which the map lacks"))),
+                None => Err(Failure::argument(format!(
+                    "a light names lane {lane}, which the map lacks"
+                ))),
             };
             let lights: TrafficLights = lights.iter().map(light).collect::<Outcome<_>>()?;
-            let sample = HistorySample { ego, objects: objects.into() };
-            all.push(Frame { ego: sample.ego, objects: sample.objects, lights: Arc::new(lights) });
+            let sample = HistorySample {
+                ego,
+                objects: objects.into(),
+            };
+            all.push(Frame {
+                ego: sample.ego,
+                objects: sample.objects,
+                lights: Arc::new(lights),
+            });
         }
         let (id, scenario_type) = names;
         let opened = Opened {

@@ -19,9 +19,14 @@ pub(crate) struct Trajectory(pub(crate) Planned);
 pub(crate) fn numbers(bytes: &[u8]) -> Outcome<Vec<f64>> {
     let (chunks, rest) = bytes.as_chunks::<8>();
     if !rest.is_empty() {
-        return Err(Failure::argument("packed numbers have a length that is no multiple of 8 bytes"));
+        return Err(Failure::argument(
+            "packed numbers have a length that is no multiple of 8 bytes",
+        ));
     }
-    Ok(chunks.iter().map(|chunk| f64::from_ne_bytes(*chunk)).collect())
+    Ok(chunks
+        .iter()
+        .map(|chunk| f64::from_ne_bytes(*chunk))
+        .collect())
 }
 
 /// Packs numbers.
@@ -41,13 +46,18 @@ pub(crate) fn poses(bytes: &[u8]) -> Outcome<Vec<Pose>> {
     if !rest.is_empty() {
         return Err(Failure::argument("a pose has three numbers: x, y, heading"));
     }
-    Ok(poses.iter().map(|&[x, y, heading]| Pose { x, y, heading }).collect())
+    Ok(poses
+        .iter()
+        .map(|&[x, y, heading]| Pose { x, y, heading })
+        .collect())
 }
 
 /// A trajectory from the ego's present state through poses at equal steps after it.
 pub(crate) fn through(ego: &EgoState, poses: &[Pose], dt_s: f64) -> Outcome<Planned> {
     if !(dt_s.is_finite() && dt_s > 0.0) {
-        return Err(Failure::argument(format!("dt is {dt_s}; it must be a number of seconds greater than 0")));
+        return Err(Failure::argument(format!(
+            "dt is {dt_s}; it must be a number of seconds greater than 0"
+        )));
     }
     let mut states = vec![TrajectoryState::from(ego)];
     for (i, &pose) in poses.iter().enumerate() {
@@ -70,13 +80,19 @@ impl Trajectory {
             let poses = crate::trajectory::poses(poses)?;
             if poses.len() != times_us.len() {
                 let (times, poses) = (times_us.len(), poses.len());
-                return Err(Failure::argument(format!("{times} times and {poses} poses; there must be as many")));
+                return Err(Failure::argument(format!(
+                    "{times} times and {poses} poses; there must be as many"
+                )));
             }
             let mut states: Vec<TrajectoryState> = Vec::with_capacity(poses.len());
             for (&time_us, &pose) in times_us.iter().zip(&poses) {
                 let speed = states.last().map_or(0.0, |before| {
                     let seconds = (time_us - before.time_us) as f64 / MICROS_PER_SECOND;
-                    if seconds > 0.0 { before.rear_axle.distance(&pose) / seconds } else { 0.0 }
+                    if seconds > 0.0 {
+                        before.rear_axle.distance(&pose) / seconds
+                    } else {
+                        0.0
+                    }
                 });
                 states.push(TrajectoryState::moving(time_us, pose, speed, 0.0));
             }
@@ -103,7 +119,10 @@ impl Trajectory {
 
     /// Packed x, y, heading at a time (µs).
     fn at<'py>(&self, py: Python<'py>, time_us: i64) -> PyResult<Bound<'py, PyBytes>> {
-        let state = self.0.at(time_us).map_err(|error| Failure::argument(error.to_string()).raised(py))?;
+        let state = self
+            .0
+            .at(time_us)
+            .map_err(|error| Failure::argument(error.to_string()).raised(py))?;
         let Pose { x, y, heading } = state.rear_axle;
         Ok(PyBytes::new(py, &packed([x, y, heading])))
     }

@@ -25,10 +25,15 @@ use std::sync::{Arc, Mutex};
 const NODE_LENGTH_M: f64 = 20.0;
 /// Time that the plan of a planner code reaches, seconds.
 const PLAN_S: f64 = 8.0;
-/// Maximum accelerations and decelerations of codes, m/s²: default, gentle, firm, emergency (those of `grid-code`).
+/// Maximum accelerations and decelerations of codes, m/s²: default, gentle, firm, emergency (those
+/// of `grid-code`).
 const ACCELERATIONS: [(f64, f64); 4] = [(1.5, 3.0), (1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
 /// Centerlines in the order of their numbers.
-const CENTERLINES: [CenterlineName; 3] = [CenterlineName::EgoLane, CenterlineName::LeftLane, CenterlineName::RightLane];
+const CENTERLINES: [CenterlineName; 3] = [
+    CenterlineName::EgoLane,
+    CenterlineName::LeftLane,
+    CenterlineName::RightLane,
+];
 /// Numbers of an action that is a code.
 const CODE: usize = 3;
 
@@ -53,7 +58,8 @@ const UNKNOWN_LIMIT: f64 = 15.0;
 const PER_METER: f64 = 0.1;
 const FAULT: f64 = -10.0;
 
-/// Episodes that step together. One that ended begins again at the next step, as gymnasium's `AutoresetMode.NEXT_STEP`.
+/// Episodes that step together. One that ended begins again at the next step, as gymnasium's
+/// `AutoresetMode.NEXT_STEP`.
 #[pyclass(frozen, module = "planagent._core")]
 pub(crate) struct Vector {
     rules: Rules,
@@ -82,7 +88,8 @@ struct Episode {
     scenario: usize,
 }
 
-/// What an episode gives at a step: reward, whether it terminated by a fault, whether it was truncated at its end.
+/// What an episode gives at a step: reward, whether it terminated by a fault, whether it was
+/// truncated at its end.
 #[derive(Clone, Copy, Default)]
 struct Stepped {
     reward: f64,
@@ -100,26 +107,52 @@ fn drawn(random: &mut u64) -> u64 {
 
 impl Episode {
     fn new(rules: &Rules, mut random: u64, fixed: Option<usize>) -> Outcome<Self> {
-        let scenario = fixed.unwrap_or_else(|| (drawn(&mut random) % rules.scenarios.len() as u64) as usize);
+        let scenario =
+            fixed.unwrap_or_else(|| (drawn(&mut random) % rules.scenarios.len() as u64) as usize);
         let absent = || Failure::argument(format!("there is no scenario {scenario}"));
-        let held = HeldScenario::Shared(Arc::clone(rules.scenarios.get(scenario).ok_or_else(absent)?));
+        let held = HeldScenario::Shared(Arc::clone(
+            rules.scenarios.get(scenario).ok_or_else(absent)?,
+        ));
         let closed_loop = ClosedLoop::new(held, rules.challenge)?;
         let (view, mut memory) = (closed_loop.scene(), PdmMemory::default());
         memory.choose_reference_path(&view);
-        let no_path = || Failure::new("SceneError", "the route of the scenario has no lanes to follow");
+        let no_path = || {
+            Failure::new(
+                "SceneError",
+                "the route of the scenario has no lanes to follow",
+            )
+        };
         let path = memory.reference_path.ok_or_else(no_path)?;
         let reference = path.centerline().line().clone();
-        let limit = path.speed_limit(view.map, view.ego).unwrap_or(UNKNOWN_LIMIT);
-        let (progress, touched) = (reference.project(view.ego.center().position()).s, touching(&view).collect());
-        Ok(Self { reference, limit, progress, touched, is_ended: false, random, scenario, closed_loop })
+        let limit = path
+            .speed_limit(view.map, view.ego)
+            .unwrap_or(UNKNOWN_LIMIT);
+        let (progress, touched) = (
+            reference.project(view.ego.center().position()).s,
+            touching(&view).collect(),
+        );
+        Ok(Self {
+            reference,
+            limit,
+            progress,
+            touched,
+            is_ended: false,
+            random,
+            scenario,
+            closed_loop,
+        })
     }
 
     fn plan(&self, rules: &Rules, action: &[f64]) -> Outcome<Trajectory> {
         let scene = self.closed_loop.scene();
-        let Some(dt_s) = rules.pose_dt_s else { return code_plan(&scene, action) };
+        let Some(dt_s) = rules.pose_dt_s else {
+            return code_plan(&scene, action);
+        };
         let ego = scene.ego.rear_axle;
         let (poses, _) = action.as_chunks::<3>();
-        let of = |&[x, y, heading]: &[f64; 3]| Pose::at(ego.to_map(Point::new(x, y)), ego.heading + heading);
+        let of = |&[x, y, heading]: &[f64; 3]| {
+            Pose::at(ego.to_map(Point::new(x, y)), ego.heading + heading)
+        };
         through(scene.ego, &poses.iter().map(of).collect::<Vec<_>>(), dt_s)
     }
 
@@ -166,7 +199,9 @@ impl Episode {
         put(ego.angular_velocity);
         put(self.limit / SPEED);
         for i in 1..=PATH_POINTS {
-            let point = self.reference.point_at(self.progress + i as f64 * PATH_STEP_M);
+            let point = self
+                .reference
+                .point_at(self.progress + i as f64 * PATH_STEP_M);
             let local = ego.rear_axle.to_local(point);
             put(local.x / METERS);
             put(local.y / METERS);
@@ -199,16 +234,25 @@ impl Episode {
 fn touching<'a>(view: &SceneView<'a>) -> impl Iterator<Item = TrackToken> + use<'a> {
     let footprint = view.ego.footprint();
     let bounds = footprint.bounds();
-    let overlaps =
-        move |object: &&TrackedObject| object.shape.bounds().overlaps(&bounds) && object.shape.overlaps(&footprint);
-    view.objects.iter().filter(overlaps).map(|object| object.token)
+    let overlaps = move |object: &&TrackedObject| {
+        object.shape.bounds().overlaps(&bounds) && object.shape.overlaps(&footprint)
+    };
+    view.objects
+        .iter()
+        .filter(overlaps)
+        .map(|object| object.token)
 }
 
 /// The nearest objects, nearest first.
-fn nearest<'a>(ego: &EgoState, objects: &'a [TrackedObject]) -> impl Iterator<Item = &'a TrackedObject> {
+fn nearest<'a>(
+    ego: &EgoState,
+    objects: &'a [TrackedObject],
+) -> impl Iterator<Item = &'a TrackedObject> {
     let at = ego.center();
-    let mut by_distance: Vec<(f64, &TrackedObject)> =
-        objects.iter().map(|object| (at.distance(&object.shape.center), object)).collect();
+    let mut by_distance: Vec<(f64, &TrackedObject)> = objects
+        .iter()
+        .map(|object| (at.distance(&object.shape.center), object))
+        .collect();
     if by_distance.len() > OBJECTS {
         by_distance.select_nth_unstable_by(OBJECTS, |a, b| a.0.total_cmp(&b.0));
         by_distance.truncate(OBJECTS);
@@ -217,29 +261,52 @@ fn nearest<'a>(ego: &EgoState, objects: &'a [TrackedObject]) -> impl Iterator<It
     by_distance.into_iter().map(|(_, object)| object)
 }
 
-/// The plan of a code: the numbers of its centerline, of its speed in tenths of the limit, and of its accelerations. Where the
-/// scene has no such centerline, the ego's lane is followed.
+/// The plan of a code: the numbers of its centerline, of its speed in tenths of the limit, and of
+/// its accelerations. Where the scene has no such centerline, the ego's lane is followed.
 fn code_plan(scene: &SceneView<'_>, code: &[f64]) -> Outcome<Trajectory> {
     let failed = |error: &dyn std::error::Error| Failure::new("SceneError", error.to_string());
     let graph = LaneGraph::build(scene, NODE_LENGTH_M).map_err(|error| failed(&error))?;
     let &[centerline, speed, accelerations] = code else {
-        return Err(Failure::argument("a code has three numbers: centerline, speed, accelerations"));
+        return Err(Failure::argument(
+            "a code has three numbers: centerline, speed, accelerations",
+        ));
     };
-    let outside = || Failure::argument(format!("{code:?} is no code; its numbers lie in 0 to 2, 0 to 10 and 0 to 3"));
-    let name = CENTERLINES.get(centerline as usize).copied().ok_or_else(outside)?;
-    let accelerations = ACCELERATIONS.get(accelerations as usize).copied().ok_or_else(outside)?;
+    let outside = || {
+        Failure::argument(format!(
+            "{code:?} is no code; its numbers lie in 0 to 2, 0 to 10 and 0 to 3"
+        ))
+    };
+    let name = CENTERLINES
+        .get(centerline as usize)
+        .copied()
+        .ok_or_else(outside)?;
+    let accelerations = ACCELERATIONS
+        .get(accelerations as usize)
+        .copied()
+        .ok_or_else(outside)?;
     if !(0.0..=10.0).contains(&speed) {
         return Err(outside());
     }
-    let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: PLAN_S };
-    let build = |name| builder.build(scene, &graph, planner_code(&graph, name, speed / 10.0, accelerations));
+    let builder = PlanBuilder {
+        lead_policy: LeadPolicy::Nearest,
+        horizon_s: PLAN_S,
+    };
+    let build = |name| {
+        builder.build(
+            scene,
+            &graph,
+            planner_code(&graph, name, speed / 10.0, accelerations),
+        )
+    };
     let plan = match build(name).map_err(|error| failed(&error))? {
         Some(plan) => Some(plan),
         None => build(CenterlineName::EgoLane).map_err(|error| failed(&error))?,
     };
     let plan = plan.ok_or_else(|| Failure::new("SceneError", "the ego is on no lane"))?;
     let rollout = plan.roll_out(scene, (PLAN_S / STEP_S) as usize);
-    rollout.to_trajectory(scene.ego).map_err(|error| failed(&error))
+    rollout
+        .to_trajectory(scene.ego)
+        .map_err(|error| failed(&error))
 }
 
 /// The observations of all episodes as packed f32.
@@ -252,7 +319,12 @@ fn observations(episodes: &[Episode]) -> Vec<u8> {
 }
 
 /// Packed observations (f32) and rewards (f64), then a byte an episode: terminated, truncated.
-type Steps<'py> = (Bound<'py, PyByteArray>, Bound<'py, PyByteArray>, Bound<'py, PyByteArray>, Bound<'py, PyByteArray>);
+type Steps<'py> = (
+    Bound<'py, PyByteArray>,
+    Bound<'py, PyByteArray>,
+    Bound<'py, PyByteArray>,
+    Bound<'py, PyByteArray>,
+);
 
 #[pymethods]
 impl Vector {
@@ -269,20 +341,34 @@ impl Vector {
         steps: usize,
         pose_dt_s: Option<f64>,
     ) -> PyResult<Self> {
-        let scenarios: Vec<_> = scenarios.iter().map(|scenario| Arc::clone(&scenario.get().opened)).collect();
+        let scenarios: Vec<_> = scenarios
+            .iter()
+            .map(|scenario| Arc::clone(&scenario.get().opened))
+            .collect();
         crate::work::quick(py, || {
             if scenarios.is_empty() || count == 0 || steps == 0 {
                 return Err(Failure::argument(
                     "an environment needs a scenario, an episode and a step for each action",
                 ));
             }
-            let rules = Rules { scenarios, challenge: challenge(challenge_name)?, steps, pose_dt_s };
-            let episodes = (0..count).map(|i| Episode::new(&rules, i as u64, None)).collect::<Outcome<_>>()?;
-            Ok(Self { rules, episodes: Mutex::new(episodes) })
+            let rules = Rules {
+                scenarios,
+                challenge: challenge(challenge_name)?,
+                steps,
+                pose_dt_s,
+            };
+            let episodes = (0..count)
+                .map(|i| Episode::new(&rules, i as u64, None))
+                .collect::<Outcome<_>>()?;
+            Ok(Self {
+                rules,
+                episodes: Mutex::new(episodes),
+            })
         })
     }
 
-    /// Begins all episodes, each with its seed and, where given, the number of its scenario; gives packed observations.
+    /// Begins all episodes, each with its seed and, where given, the number of its scenario; gives
+    /// packed observations.
     #[pyo3(signature = (seeds, scenario=None))]
     fn reset<'py>(
         &self,
@@ -308,36 +394,63 @@ impl Vector {
             let each = actions.len() / episodes.len();
             if each * episodes.len() != actions.len() || each == 0 || !each.is_multiple_of(CODE) {
                 let (numbers, count) = (actions.len(), episodes.len());
-                return Err(Failure::argument(format!("{numbers} numbers are no actions of {count} episodes")));
+                return Err(Failure::argument(format!(
+                    "{numbers} numbers are no actions of {count} episodes"
+                )));
             }
             if !actions.iter().all(|number| number.is_finite()) {
                 return Err(Failure::argument("an action has a NaN or infinite value"));
             }
-            let pairs = episodes.par_iter_mut().zip(actions.par_chunks_exact(each)).with_min_len(4);
-            let stepped = pairs.map(|(episode, action)| guarded(|| episode.step(&self.rules, action)));
+            let pairs = episodes
+                .par_iter_mut()
+                .zip(actions.par_chunks_exact(each))
+                .with_min_len(4);
+            let stepped =
+                pairs.map(|(episode, action)| guarded(|| episode.step(&self.rules, action)));
             let stepped: Vec<Stepped> = stepped.collect::<Outcome<_>>()?;
             Ok((observations(&episodes), stepped))
         })?;
-        let flags = |of: fn(&Stepped) -> bool| stepped.iter().map(|one| u8::from(of(one))).collect::<Vec<u8>>();
+        let flags = |of: fn(&Stepped) -> bool| {
+            stepped
+                .iter()
+                .map(|one| u8::from(of(one)))
+                .collect::<Vec<u8>>()
+        };
         let rewards = packed(stepped.iter().map(|one| one.reward));
         let (terminated, truncated) = (flags(|one| one.terminated), flags(|one| one.truncated));
-        Ok((array(py, &bytes), array(py, &rewards), array(py, &terminated), array(py, &truncated)))
+        Ok((
+            array(py, &bytes),
+            array(py, &rewards),
+            array(py, &terminated),
+            array(py, &truncated),
+        ))
     }
 
     /// The numbers of the scenarios that the episodes are in.
     fn scenarios(&self, py: Python<'_>) -> Vec<usize> {
-        py.detach(|| lock(&self.episodes).iter().map(|episode| episode.scenario).collect())
+        py.detach(|| {
+            lock(&self.episodes)
+                .iter()
+                .map(|episode| episode.scenario)
+                .collect()
+        })
     }
 
     /// What a planner would see in an episode.
     fn observe(&self, py: Python<'_>, episode: usize) -> PyResult<crate::observation::Observation> {
         crate::work::quick(py, || {
             let episodes = lock(&self.episodes);
-            let episode = episodes.get(episode).ok_or_else(|| Failure::argument("there is no such episode"))?;
+            let episode = episodes
+                .get(episode)
+                .ok_or_else(|| Failure::argument("there is no such episode"))?;
             let (closed_loop, scenario) = (&episode.closed_loop, episode.closed_loop.scenario());
             let start_us = scenario.frame(0).map_or(0, |frame| frame.ego.time_us);
             let scene = planagent::Scene::of_view(Arc::clone(&scenario.map), &closed_loop.scene());
-            Ok(crate::observation::Observation::new(scene, closed_loop.iteration(), start_us))
+            Ok(crate::observation::Observation::new(
+                scene,
+                closed_loop.iteration(),
+                start_us,
+            ))
         })
     }
 }

@@ -1,7 +1,7 @@
 //! The agent of the paper and other planners, and the closed loop that they drive in.
 //!
-//! [`environment`] turns a scene into prompts, [`reasoning`] asks a model, [`reflection`] judges the plan, [`planner`] has the planners, and
-//! [`simulation`] closes the loop.
+//! [`environment`] turns a scene into prompts, [`reasoning`] asks a model, [`reflection`] judges
+//! the plan, [`planner`] has the planners, and [`simulation`] closes the loop.
 
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod environment;

@@ -2,8 +2,8 @@
 
 use super::Result;
 use planagent_agent::planner::{
-    CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
-    PlannerParts, PlanningCall,
+    CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput,
+    PlannerName, PlannerParts, PlanningCall,
 };
 use planagent_agent::reasoning::ReasoningConfig;
 use planagent_mllm::{HubAccess, Mllm, ModelRegistry, Trust, models_folder};
@@ -16,8 +16,8 @@ use std::sync::Arc;
 /// The model that ships with the library.
 const DEFAULT_MODEL: &str = "nano";
 
-/// A driving agent that plans with a vision-language model. It is a [`Planner`], so [`simulate`](crate::simulate) runs it;
-/// in a loop of your own, call [`Agent::plan`].
+/// A driving agent that plans with a vision-language model. It is a [`Planner`], so
+/// [`simulate`](crate::simulate) runs it; in a loop of your own, call [`Agent::plan`].
 pub struct Agent {
     planner: Box<dyn Planner>,
     /// The map that the planner was initialized with.
@@ -28,7 +28,9 @@ pub struct Agent {
 
 impl fmt::Debug for Agent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Agent").field("planner", &self.planner.name()).finish_non_exhaustive()
+        f.debug_struct("Agent")
+            .field("planner", &self.planner.name())
+            .finish_non_exhaustive()
     }
 }
 
@@ -38,22 +40,37 @@ impl Agent {
         AgentBuilder::default()
     }
 
-    /// The trajectory from now on. `time_s` is the agent's clock and the time of the trajectory's first state: call with
-    /// growing times at any step length, and the agent asks its model when its interval has passed. A scene with another map
-    /// starts the agent again.
+    /// The trajectory from now on. `time_s` is the agent's clock and the time of the trajectory's
+    /// first state: call with growing times at any step length, and the agent asks its model when
+    /// its interval has passed. A scene with another map starts the agent again.
     ///
     /// # Errors
     /// When the model fails or the scene has no lane near the ego.
     pub fn plan(&mut self, scene: &Scene, time_s: f64) -> Result<Trajectory> {
-        if !self.initialized.as_ref().is_some_and(|map| Arc::ptr_eq(map, &scene.map)) {
-            let initialization = PlannerInitialization { map: &scene.map, route: &scene.route };
+        if !self
+            .initialized
+            .as_ref()
+            .is_some_and(|map| Arc::ptr_eq(map, &scene.map))
+        {
+            let initialization = PlannerInitialization {
+                map: &scene.map,
+                route: &scene.route,
+            };
             self.initialize(&initialization)?;
             self.start_s = time_s;
         }
         let iteration = ((time_s - self.start_s) / STEP_S).round().max(0.0) as usize;
-        let ego = EgoState { time_us: (time_s * MICROS_PER_SECOND).round() as i64, ..scene.ego };
-        let scene = SceneView { ego: &ego, ..scene.view() };
-        Ok(self.planner.compute_trajectory(&PlannerInput { iteration, scene })?)
+        let ego = EgoState {
+            time_us: (time_s * MICROS_PER_SECOND).round() as i64,
+            ..scene.ego
+        };
+        let scene = SceneView {
+            ego: &ego,
+            ..scene.view()
+        };
+        Ok(self
+            .planner
+            .compute_trajectory(&PlannerInput { iteration, scene })?)
     }
 
     /// The planning calls since the agent started on this map.
@@ -67,7 +84,10 @@ impl Planner for Agent {
         self.planner.name()
     }
 
-    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+    fn initialize(
+        &mut self,
+        initialization: &PlannerInitialization<'_>,
+    ) -> Result<(), PlannerError> {
         self.planner.initialize(initialization)?;
         self.initialized = Some(Arc::clone(initialization.map));
         Ok(())
@@ -117,44 +137,65 @@ impl Default for AgentBuilder {
 }
 
 impl AgentBuilder {
-    /// The model: a name ("nano", the default), a folder as Hugging Face writes it, a GGUF file, a hub id
-    /// (`llava-hf/llava-1.5-7b-hf`), or a `.toml` file that describes one.
+    /// The model: a name ("nano", the default), a folder as Hugging Face writes it, a GGUF file, a
+    /// hub id (`llava-hf/llava-1.5-7b-hf`), or a `.toml` file that describes one.
     #[must_use]
     pub fn model(self, model: impl Into<String>) -> Self {
-        Self { model: model.into(), ..self }
+        Self {
+            model: model.into(),
+            ..self
+        }
     }
 
-    /// Looks for the descriptions of models by name in this folder, instead of `$PLANAGENT_MODELS` or `models`.
+    /// Looks for the descriptions of models by name in this folder, instead of `$PLANAGENT_MODELS`
+    /// or `models`.
     #[must_use]
     pub fn models_folder(self, folder: impl Into<PathBuf>) -> Self {
-        Self { models: Some(folder.into()), ..self }
+        Self {
+            models: Some(folder.into()),
+            ..self
+        }
     }
 
-    /// Another planner of the registry, for example a baseline without a model (`fixed-code`, `random-code`, `grid-code`).
+    /// Another planner of the registry, for example a baseline without a model (`fixed-code`,
+    /// `random-code`, `grid-code`).
     #[must_use]
     pub fn planner(self, name: impl Into<String>) -> Self {
-        Self { planner: name.into(), ..self }
+        Self {
+            planner: name.into(),
+            ..self
+        }
     }
 
     /// A prompt set: `paper`, `compact` or a folder. By default the model's description decides.
     #[must_use]
     pub fn prompts(self, name_or_folder: impl Into<String>) -> Self {
-        Self { prompts: Some(name_or_folder.into()), ..self }
+        Self {
+            prompts: Some(name_or_folder.into()),
+            ..self
+        }
     }
 
     /// Never uses the network.
     #[must_use]
     pub fn offline(self) -> Self {
-        Self { offline: true, ..self }
+        Self {
+            offline: true,
+            ..self
+        }
     }
 
-    /// Vouches for the chat template and the tokenizer of the model. Both are programs by nature, and a downloaded folder is
-    /// hostile until shown otherwise: they may take all memory and time, or end the process. Without this, only models in the
-    /// library, servers, and models whose description says `trusted = true` are opened. `planagent models check` tries a folder
-    /// in a process with limits.
+    /// Vouches for the chat template and the tokenizer of the model. Both are programs by nature,
+    /// and a downloaded folder is hostile until shown otherwise: they may take all memory and time,
+    /// or end the process. Without this, only models in the library, servers, and models whose
+    /// description says `trusted = true` are opened. `planagent models check` tries a folder in a
+    /// process with limits.
     #[must_use]
     pub fn trust_model(self) -> Self {
-        Self { trusted: true, ..self }
+        Self {
+            trusted: true,
+            ..self
+        }
     }
 
     /// Seed of the model's samples.
@@ -173,25 +214,58 @@ impl AgentBuilder {
     /// Loads the model.
     ///
     /// # Errors
-    /// When there is no such model, planner or prompt set, the files of the model are broken, or nobody vouches for them.
+    /// When there is no such model, planner or prompt set, the files of the model are broken, or
+    /// nobody vouches for them.
     pub fn build(self) -> Result<Agent> {
         let registry = all_planners();
         let entry = registry.find(&self.planner)?;
-        let model = if entry.needs_model() { Some(self.code_source()?) } else { None };
+        let model = if entry.needs_model() {
+            Some(self.code_source()?)
+        } else {
+            None
+        };
         let (settings, model) = (&self.settings, model.as_ref());
-        let parts = PlannerParts { name: entry.name, settings, model, recording: &[], shuffled_bev: None };
-        Ok(Agent { planner: entry.build(&parts)?, initialized: None, start_s: 0.0 })
+        let parts = PlannerParts {
+            name: entry.name,
+            settings,
+            model,
+            recording: &[],
+            shuffled_bev: None,
+        };
+        Ok(Agent {
+            planner: entry.build(&parts)?,
+            initialized: None,
+            start_s: 0.0,
+        })
     }
 
     fn code_source(&self) -> Result<CodeSource> {
-        let hub = HubAccess { offline: self.offline, ..HubAccess::default() };
-        let trust = if self.trusted { Trust::Caller } else { Trust::Nobody };
-        let registry = ModelRegistry::new(self.models.clone().unwrap_or_else(models_folder), hub).with_trust(trust);
+        let hub = HubAccess {
+            offline: self.offline,
+            ..HubAccess::default()
+        };
+        let trust = if self.trusted {
+            Trust::Caller
+        } else {
+            Trust::Nobody
+        };
+        let registry = ModelRegistry::new(self.models.clone().unwrap_or_else(models_folder), hub)
+            .with_trust(trust);
         let spec = registry.find(&self.model)?;
         let model: Arc<dyn Mllm> = Arc::from(registry.open(&spec)?);
         let asking = registry.asking(&spec)?;
-        let config = ReasoningConfig { prompt_set: self.prompts.clone(), ..ReasoningConfig::default() };
-        let (prompts, reasoning) = (Arc::new(config.prompts(&asking.prompt_set)?), config.settings(asking.generation));
-        Ok(CodeSource::Model { model, prompts, reasoning })
+        let config = ReasoningConfig {
+            prompt_set: self.prompts.clone(),
+            ..ReasoningConfig::default()
+        };
+        let (prompts, reasoning) = (
+            Arc::new(config.prompts(&asking.prompt_set)?),
+            config.settings(asking.generation),
+        );
+        Ok(CodeSource::Model {
+            model,
+            prompts,
+            reasoning,
+        })
     }
 }

@@ -19,7 +19,11 @@ pub struct Simulation<'a> {
 
 impl fmt::Debug for Simulation<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { scenario, challenge, .. } = self;
+        let Self {
+            scenario,
+            challenge,
+            ..
+        } = self;
         f.debug_struct("Simulation")
             .field("scenario", &scenario.id)
             .field("challenge", challenge)
@@ -30,7 +34,12 @@ impl fmt::Debug for Simulation<'_> {
 impl<'a> Simulation<'a> {
     /// A closed loop with non-reactive agents and nuPlan's metrics.
     pub fn new(scenario: &'a Scenario) -> Self {
-        Self { scenario, challenge: Challenge::NonReactive, metrics: MetricRegistry::default(), agents: None }
+        Self {
+            scenario,
+            challenge: Challenge::NonReactive,
+            metrics: MetricRegistry::default(),
+            agents: None,
+        }
     }
 
     /// Sets the challenge.
@@ -45,10 +54,14 @@ impl<'a> Simulation<'a> {
         Self { metrics, ..self }
     }
 
-    /// Controls the agents by another policy, which `agents` makes from the recorded frame of iteration 0.
+    /// Controls the agents by another policy, which `agents` makes from the recorded frame of
+    /// iteration 0.
     #[must_use]
     pub fn agents(self, agents: impl FnOnce(&Frame) -> Box<dyn AgentPolicy> + 'a) -> Self {
-        Self { agents: Some(Box::new(agents)), ..self }
+        Self {
+            agents: Some(Box::new(agents)),
+            ..self
+        }
     }
 
     /// Runs it to its end.
@@ -56,13 +69,22 @@ impl<'a> Simulation<'a> {
     /// # Errors
     /// When the scenario is too short, the planner fails, or a trajectory cannot be tracked.
     pub fn run(self, planner: &mut dyn Planner) -> Result<Run> {
-        let Self { scenario, challenge, metrics, agents } = self;
+        let Self {
+            scenario,
+            challenge,
+            metrics,
+            agents,
+        } = self;
         let log = match agents {
             Some(agents) => simulate_with_agents(scenario, planner, challenge, agents)?,
             None => planagent_agent::simulation::simulate(scenario, planner, challenge)?,
         };
         let evaluation = log.evaluate_with(scenario, &metrics)?;
-        Ok(Run { log, evaluation, calls: planner.calls().to_vec() })
+        Ok(Run {
+            log,
+            evaluation,
+            calls: planner.calls().to_vec(),
+        })
     }
 }
 
@@ -70,7 +92,11 @@ impl<'a> Simulation<'a> {
 ///
 /// # Errors
 /// As [`Simulation::run`].
-pub fn simulate(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> Result<Run> {
+pub fn simulate(
+    scenario: &Scenario,
+    planner: &mut dyn Planner,
+    challenge: Challenge,
+) -> Result<Run> {
     Simulation::new(scenario).challenge(challenge).run(planner)
 }
 

@@ -16,6 +16,8 @@ pub(super) fn completed(run: &Path, printer: Printer) -> anyhow::Result<Vec<Simu
 pub(super) fn note_damage(folders: &[PathBuf], printer: Printer) {
     for folder in folders {
         let folder = folder.display();
-        printer.failure(format!("{folder} is damaged and left out; `planagent simulate --resume` repeats it"));
+        printer.failure(format!(
+            "{folder} is damaged and left out; `planagent simulate --resume` repeats it"
+        ));
     }
 }

@@ -41,13 +41,19 @@ impl FilmFile {
     /// Whether it is one file; else a folder. Fails if its extension is that of another format.
     pub(super) fn is_file(&self) -> anyhow::Result<bool> {
         let path = self.path();
-        let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        let ending = path
+            .extension()
+            .map(|ending| ending.to_string_lossy().to_ascii_lowercase())
+            .unwrap_or_default();
         if ending == self.ending() {
             return Ok(!path.is_dir());
         }
         if ENDINGS.contains(&ending.as_str()) && !path.is_dir() {
             let own = self.ending();
-            bail!("--{own} {}: the name must end in .{own}, or be that of a folder", path.display());
+            bail!(
+                "--{own} {}: the name must end in .{own}, or be that of a folder",
+                path.display()
+            );
         }
         Ok(false)
     }

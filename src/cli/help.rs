@@ -15,18 +15,28 @@ use std::sync::LazyLock;
 pub(super) fn version() -> &'static str {
     static VERSION: LazyLock<String> = LazyLock::new(|| {
         let version = env!("CARGO_PKG_VERSION");
-        build_commit().map_or_else(|| version.to_owned(), |commit| format!("{version} ({commit})"))
+        build_commit().map_or_else(
+            || version.to_owned(),
+            |commit| format!("{version} ({commit})"),
+        )
     });
     &VERSION
 }
 
 pub(super) fn planners_short() -> String {
-    format!("Planners, separated by commas, or exec:COMMAND [default: {}]", PlannerName::PLAN_AGENT)
+    format!(
+        "Planners, separated by commas, or exec:COMMAND [default: {}]",
+        PlannerName::PLAN_AGENT
+    )
 }
 
 pub(super) fn planners() -> String {
     let registry = all_planners();
-    let names: Vec<&str> = registry.entries().iter().map(|entry| entry.name.as_str()).collect();
+    let names: Vec<&str> = registry
+        .entries()
+        .iter()
+        .map(|entry| entry.name.as_str())
+        .collect();
     format!(
         "Planners, separated by commas: {} [default: {}]. Or a command of your own, as exec:COMMAND or NAME=exec:COMMAND; it \
          takes the rest of the value",
@@ -40,12 +50,27 @@ pub(super) const SPLITS_SHORT: &str = "A named list of scenarios, or a nuPlan fi
 pub(super) fn splits() -> String {
     let suite = |suite: Suite| {
         let specs = suite.specs();
-        let types = specs.chunk_by(|a, b| a.scenario_type == b.scenario_type).count();
-        format!("{} ({types} types x {})", suite.name, specs.len() / types.max(1))
+        let types = specs
+            .chunk_by(|a, b| a.scenario_type == b.scenario_type)
+            .count();
+        format!(
+            "{} ({types} types x {})",
+            suite.name,
+            specs.len() / types.max(1)
+        )
     };
-    let known = Readers::new(&DataRoots::default()).splits().into_iter().map(str::to_owned);
-    let names: Vec<String> = known.chain(Suite::ALL.map(suite)).chain(INTERACTIVE.map(str::to_owned)).collect();
-    format!("List of scenarios: {}; or a nuPlan scenario filter FILE.yaml", names.join(", "))
+    let known = Readers::new(&DataRoots::default())
+        .splits()
+        .into_iter()
+        .map(str::to_owned);
+    let names: Vec<String> = known
+        .chain(Suite::ALL.map(suite))
+        .chain(INTERACTIVE.map(str::to_owned))
+        .collect();
+    format!(
+        "List of scenarios: {}; or a nuPlan scenario filter FILE.yaml",
+        names.join(", ")
+    )
 }
 
 pub(super) fn experiments_short() -> String {
@@ -54,7 +79,10 @@ pub(super) fn experiments_short() -> String {
 
 pub(super) fn experiments() -> String {
     let names: Vec<&str> = study::names().chain([TOKENS, TWINS]).collect();
-    format!("{}; {ALL_EXPERIMENTS} for all of these; or the path of a study FILE.toml", names.join(", "))
+    format!(
+        "{}; {ALL_EXPERIMENTS} for all of these; or the path of a study FILE.toml",
+        names.join(", ")
+    )
 }
 
 pub(super) const PROGRAM: &str = "\

@@ -15,16 +15,20 @@ pub(super) const PAUSE: Duration = Duration::from_millis(100);
 /// How the present work goes on.
 static ADVICE: Mutex<Option<String>> = Mutex::new(None);
 
-/// Says at Ctrl-C, and when the process is asked to end, how the work goes on; then the signal ends the process as usual.
-/// What is completed is on the disk by then.
+/// Says at Ctrl-C, and when the process is asked to end, how the work goes on; then the signal ends
+/// the process as usual. What is completed is on the disk by then.
 pub(super) fn advise(advice: impl Into<String>, printer: Printer) -> anyhow::Result<()> {
-    let before = ADVICE.lock().unwrap_or_else(PoisonError::into_inner).replace(advice.into());
+    let before = ADVICE
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .replace(advice.into());
     if before.is_some() {
         return Ok(());
     }
     let received = Arc::new(AtomicUsize::new(0));
     for signal in [SIGINT, SIGTERM] {
-        flag::register_usize(signal, Arc::clone(&received), signal as usize).context("cannot wait for Ctrl-C")?;
+        flag::register_usize(signal, Arc::clone(&received), signal as usize)
+            .context("cannot wait for Ctrl-C")?;
     }
     thread::spawn(move || {
         let signal = loop {

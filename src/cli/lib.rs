@@ -36,7 +36,11 @@ pub fn run() -> ExitCode {
         Err(error) => {
             // Help and version are no errors; clap prints each where it belongs.
             let _ = error.print();
-            return if error.use_stderr() { Exit::Error.into() } else { Exit::Success.into() };
+            return if error.use_stderr() {
+                Exit::Error.into()
+            } else {
+                Exit::Success.into()
+            };
         }
     };
     let global = &arguments.global;
@@ -55,9 +59,15 @@ pub fn run() -> ExitCode {
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
     let taking = |arg: clap::Arg| {
         let takes_one = arg.get_action().takes_values() && !arg.is_positional();
-        if takes_one { arg.allow_negative_numbers(true) } else { arg }
+        if takes_one {
+            arg.allow_negative_numbers(true)
+        } else {
+            arg
+        }
     };
-    command.mut_args(taking).mut_subcommands(with_negative_numbers)
+    command
+        .mut_args(taking)
+        .mut_subcommands(with_negative_numbers)
 }
 
 fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
@@ -67,7 +77,9 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     if threads > MAX_THREADS {
         bail!("--threads is {threads}; it must be at most {MAX_THREADS}");
     }
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()?;
     pool.install(|| match &arguments.command {
         Command::Simulate(flags) => commands::simulate::run(flags, config, printer),
         Command::Plan(flags) => commands::plan::run(flags, config, printer),

@@ -25,13 +25,22 @@ pub(super) fn picture_file() -> impl TypedValueParser<Value = PictureFile> {
     PathBufValueParser::new().try_map(PictureFile::try_from)
 }
 
-/// Fails if a file cannot be written: said before the work, not after it. A file that exists is not changed.
+/// Fails if a file cannot be written: said before the work, not after it. A file that exists is not
+/// changed.
 pub(super) fn check_output(file: &Path) -> anyhow::Result<()> {
-    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = file
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-        bail!("cannot write {}: there is no folder {}", file.display(), folder.display());
+        bail!(
+            "cannot write {}: there is no folder {}",
+            file.display(),
+            folder.display()
+        );
     }
-    target(file).and_then(|file| open_once(&file)).with_context(|| format!("cannot write {}", file.display()))
+    target(file)
+        .and_then(|file| open_once(&file))
+        .with_context(|| format!("cannot write {}", file.display()))
 }
 
 /// Opens a file for writing; one that this creates is deleted again.
@@ -53,7 +62,9 @@ impl TryFrom<PathBuf> for PictureFile {
     type Error = UnknownEnding;
 
     fn try_from(path: PathBuf) -> Result<Self, Self::Error> {
-        let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
+        let ending = path
+            .extension()
+            .map(|ending| ending.to_string_lossy().to_ascii_lowercase());
         let format = match ending.as_deref() {
             Some("png") => ImageFormat::Png,
             Some("jpg" | "jpeg") => ImageFormat::Jpeg,
@@ -74,10 +85,21 @@ impl PictureFile {
 
     /// A file beside this one, with a word before the extension: `scene.png` and `scene.model.png`.
     pub(super) fn beside(&self, word: &str) -> Self {
-        let mut name = self.path.file_stem().expect("a path with an ending has a stem").to_owned();
+        let mut name = self
+            .path
+            .file_stem()
+            .expect("a path with an ending has a stem")
+            .to_owned();
         name.push(format!(".{word}."));
-        name.push(self.path.extension().expect("the ending of a picture names its format"));
-        Self { path: self.path.with_file_name(name), format: self.format }
+        name.push(
+            self.path
+                .extension()
+                .expect("the ending of a picture names its format"),
+        );
+        Self {
+            path: self.path.with_file_name(name),
+            format: self.format,
+        }
     }
 
     /// Path of the file.

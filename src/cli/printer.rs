@@ -1,6 +1,11 @@
-//! The only module that prints: data to stdout, notes and progress to stderr, colors only on terminals.
+//! The only module that prints: data to stdout, notes and progress to stderr, colors only on
+//! terminals.
 
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "this is the printer")]
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "this is the printer"
+)]
 
 use super::csv::csv_text;
 use super::suggest;
@@ -21,9 +26,14 @@ pub struct Printer {
 }
 
 impl Printer {
-    /// A printer. With `json`, stdout carries JSON alone; with `quiet`, stderr carries errors alone.
+    /// A printer. With `json`, stdout carries JSON alone; with `quiet`, stderr carries errors
+    /// alone.
     pub fn new(json: bool, quiet: bool) -> Self {
-        Self { json, quiet, details: false }
+        Self {
+            json,
+            quiet,
+            details: false,
+        }
     }
 
     /// With details on stderr.
@@ -58,10 +68,14 @@ impl Printer {
         }
     }
 
-    /// A name with details beside it, or below it where the line would be too long. The name is never broken, so that it can
-    /// be copied.
+    /// A name with details beside it, or below it where the line would be too long. The name is
+    /// never broken, so that it can be copied.
     pub fn named(&self, name: &str, details: &str) {
-        self.line(named_within(&visible_line(name), &visible_line(details), self.columns()));
+        self.line(named_within(
+            &visible_line(name),
+            &visible_line(details),
+            self.columns(),
+        ));
     }
 
     /// A value on stdout, as one line of JSON.
@@ -105,7 +119,11 @@ impl Printer {
         }
         eprintln!("{} {}", red.apply_to("error:"), visible(&shortened(&text)));
         if let Some(tip) = suggest::tip(error) {
-            eprintln!("  {} {}", Style::new().for_stderr().green().apply_to("tip:"), visible(&tip));
+            eprintln!(
+                "  {} {}",
+                Style::new().for_stderr().green().apply_to("tip:"),
+                visible(&tip)
+            );
         }
     }
 
@@ -114,10 +132,13 @@ impl Printer {
         eprintln!("{}", shown(&shortened(text.as_ref())));
     }
 
-    /// Fails if some data could not be written to stdout, for example to a full disk; a closed pipe is no failure.
+    /// Fails if some data could not be written to stdout, for example to a full disk; a closed pipe
+    /// is no failure.
     pub fn finish(&self) -> anyhow::Result<()> {
         let flushed = std::io::stdout().lock().flush();
-        if STDOUT_FAILED.load(Ordering::Relaxed) || flushed.is_err_and(|e| e.kind() != ErrorKind::BrokenPipe) {
+        if STDOUT_FAILED.load(Ordering::Relaxed)
+            || flushed.is_err_and(|e| e.kind() != ErrorKind::BrokenPipe)
+        {
             anyhow::bail!("cannot write to stdout; the output is incomplete");
         }
         Ok(())
@@ -125,7 +146,11 @@ impl Printer {
 
     /// A progress bar on stderr; hidden when quiet or without a terminal.
     pub fn progress(&self, length: u64, unit: &str) -> ProgressBar {
-        let target = if self.quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        let target = if self.quiet {
+            ProgressDrawTarget::hidden()
+        } else {
+            ProgressDrawTarget::stderr()
+        };
         let bar = ProgressBar::with_draw_target(Some(length), target);
         let template = format!("{{bar:30}} {{pos}}/{{len}} {unit} {{elapsed}} {{wide_msg}}");
         if let Ok(style) = ProgressStyle::with_template(&template) {
@@ -137,9 +162,9 @@ impl Printer {
     /// A progress bar of bytes on stderr; hidden when quiet or without a terminal.
     pub fn byte_progress(&self, length: u64) -> ProgressBar {
         let bar = self.progress(length, "bytes");
-        if let Ok(style) =
-            ProgressStyle::with_template("{bar:24} {bytes}/{total_bytes} {bytes_per_sec} {eta} left {wide_msg}")
-        {
+        if let Ok(style) = ProgressStyle::with_template(
+            "{bar:24} {bytes}/{total_bytes} {bytes_per_sec} {eta} left {wide_msg}",
+        ) {
             bar.set_style(style);
         }
         bar
@@ -174,9 +199,13 @@ fn shown(text: &str) -> Cow<'_, str> {
     while let Some(at) = rest.find('\u{1b}') {
         let (before, from) = rest.split_at(at);
         out.push_str(&visible(before));
-        let kept = EMPHASIS.into_iter().find(|emphasis| from.starts_with(emphasis));
+        let kept = EMPHASIS
+            .into_iter()
+            .find(|emphasis| from.starts_with(emphasis));
         out.push_str(kept.unwrap_or("\\u001b"));
-        rest = from.get(kept.map_or(1, str::len)..).expect("`from` begins with the emphasis or the escape");
+        rest = from
+            .get(kept.map_or(1, str::len)..)
+            .expect("`from` begins with the emphasis or the escape");
     }
     out.push_str(&visible(rest));
     Cow::Owned(out)
@@ -201,7 +230,10 @@ fn write_line(text: &str) {
 }
 
 fn note_failure(written: &std::io::Result<()>) {
-    if written.as_ref().is_err_and(|e| e.kind() != ErrorKind::BrokenPipe) {
+    if written
+        .as_ref()
+        .is_err_and(|e| e.kind() != ErrorKind::BrokenPipe)
+    {
         STDOUT_FAILED.store(true, Ordering::Relaxed);
     }
 }
@@ -212,14 +244,26 @@ mod tests {
 
     #[test]
     fn only_emphasis_reaches_a_terminal() {
-        assert_eq!(shown("\u{1b}[1mname\u{1b}[0m\n"), "\u{1b}[1mname\u{1b}[0m\n");
-        assert_eq!(shown("\u{1b}[2J\u{1b}]0;title\u{7}\u{9b}x"), "\\u001b[2J\\u001b]0;title\\u0007\\u009bx");
+        assert_eq!(
+            shown("\u{1b}[1mname\u{1b}[0m\n"),
+            "\u{1b}[1mname\u{1b}[0m\n"
+        );
+        assert_eq!(
+            shown("\u{1b}[2J\u{1b}]0;title\u{7}\u{9b}x"),
+            "\\u001b[2J\\u001b]0;title\\u0007\\u009bx"
+        );
     }
 
     #[test]
     fn details_move_below_a_name_only_on_a_narrow_terminal() {
-        assert_eq!(named_within("a-name", "details", Some(15)), "a-name  details");
-        assert_eq!(named_within("a-name", "details", Some(14)), "a-name\n  details");
+        assert_eq!(
+            named_within("a-name", "details", Some(15)),
+            "a-name  details"
+        );
+        assert_eq!(
+            named_within("a-name", "details", Some(14)),
+            "a-name\n  details"
+        );
         assert_eq!(named_within("a-name", "details", None), "a-name  details");
         assert_eq!(named_within("a-name", "", Some(3)), "a-name");
     }

@@ -31,7 +31,11 @@ struct Console {
 
 /// A listener that prints the events of a run.
 pub(super) fn listener(printer: Printer) -> Listener {
-    let console = Console { printer, simulations: RwLock::default(), bars: Mutex::default() };
+    let console = Console {
+        printer,
+        simulations: RwLock::default(),
+        bars: Mutex::default(),
+    };
     Arc::new(move |event| console.print(event))
 }
 
@@ -43,25 +47,40 @@ impl Console {
             Event::LogsSearched { done, total } => self.bar("logs", done as u64, total as u64),
             Event::ScenesCounted { done, total } => self.bar("scenes", done as u64, total as u64),
             Event::Fetched(progress) => self.bar(BYTES, progress.bytes, progress.total),
-            Event::Opened { folder, has_commands } => {
-                let same = if has_commands { " with the same --planner and --agents" } else { "" };
+            Event::Opened {
+                folder,
+                has_commands,
+            } => {
+                let same = if has_commands {
+                    " with the same --planner and --agents"
+                } else {
+                    ""
+                };
                 let folder = quoted(&word_of(folder.as_os_str()));
                 let advice = format!("`planagent simulate --resume {folder}`{same} goes on");
                 if let Err(error) = interrupt::advise(advice, self.printer) {
                     self.printer.error(&error);
                 }
             }
-            Event::Started { total } => self.replace(Some(SimulationProgress::new(self.printer, total))),
+            Event::Started { total } => {
+                self.replace(Some(SimulationProgress::new(self.printer, total)))
+            }
             Event::Stepped => self.of_simulations(SimulationProgress::step),
             Event::Ended { failed } => self.of_simulations(|progress| progress.ended(failed)),
             Event::Finished => self.replace(None),
-            Event::Planned { runs, completed, left } => self.printer.note(format!(
+            Event::Planned {
+                runs,
+                completed,
+                left,
+            } => self.printer.note(format!(
                 "{} simulations in {runs} runs; {completed} are completed, {left} are left",
                 completed + left
             )),
             Event::Estimated { left, time } => {
                 let (time, threads) = (HumanDuration(time), rayon::current_num_threads());
-                self.printer.note(format!("about {time} for {left} simulations on {threads} threads"));
+                self.printer.note(format!(
+                    "about {time} for {left} simulations on {threads} threads"
+                ));
             }
             // An event that nobody knows yet is none of the terminal's.
             _ => {}
@@ -86,14 +105,21 @@ impl Console {
     }
 
     fn replace(&self, progress: Option<SimulationProgress>) {
-        let mut simulations = self.simulations.write().unwrap_or_else(PoisonError::into_inner);
+        let mut simulations = self
+            .simulations
+            .write()
+            .unwrap_or_else(PoisonError::into_inner);
         if let Some(before) = std::mem::replace(&mut *simulations, progress) {
             before.bar.finish_and_clear();
         }
     }
 
     fn of_simulations(&self, act: impl FnOnce(&SimulationProgress)) {
-        if let Some(progress) = &*self.simulations.read().unwrap_or_else(PoisonError::into_inner) {
+        if let Some(progress) = &*self
+            .simulations
+            .read()
+            .unwrap_or_else(PoisonError::into_inner)
+        {
             act(progress);
         }
     }
@@ -120,16 +146,24 @@ struct Counts {
 impl Counts {
     /// Time left at the present pace, in words.
     fn left(&self) -> String {
-        let (ended, steps) = (self.ended.load(Ordering::Relaxed), self.steps.load(Ordering::Relaxed));
+        let (ended, steps) = (
+            self.ended.load(Ordering::Relaxed),
+            self.steps.load(Ordering::Relaxed),
+        );
         if ended == 0 && steps < MIN_STEPS {
             return "estimating".to_owned();
         }
         let total = self.total as f64;
-        // Simulations in progress count by their steps: with a model of 7B parameters, one takes an hour.
+        // Simulations in progress count by their steps: with a model of 7B parameters, one takes an
+        // hour.
         let done = (ended as f64).max((steps as f64 / USUAL as f64).min(total));
         let rest = self.started.elapsed().as_secs_f64() / done * (total - done);
         let rest = Duration::try_from_secs_f64(rest).unwrap_or_default();
-        if rest < Duration::from_secs(1) { "0s left".to_owned() } else { format!("{:#} left", HumanDuration(rest)) }
+        if rest < Duration::from_secs(1) {
+            "0s left".to_owned()
+        } else {
+            format!("{:#} left", HumanDuration(rest))
+        }
     }
 }
 
@@ -157,7 +191,13 @@ impl SimulationProgress {
             bar.set_style(style.with_key("per_sec", per_minute).with_key("left", left));
         }
         let is_terminal = Term::stderr().is_term();
-        Self { printer, bar, is_terminal, counts, last_line: Mutex::new(Instant::now()) }
+        Self {
+            printer,
+            bar,
+            is_terminal,
+            counts,
+            last_line: Mutex::new(Instant::now()),
+        }
     }
 
     /// Counts a step of a simulation.
@@ -168,7 +208,9 @@ impl SimulationProgress {
 
     fn ended(&self, failed: bool) {
         self.counts.ended.fetch_add(1, Ordering::Relaxed);
-        self.counts.failed.fetch_add(usize::from(failed), Ordering::Relaxed);
+        self.counts
+            .failed
+            .fetch_add(usize::from(failed), Ordering::Relaxed);
         self.bar.inc(1);
         self.show(self.counts.steps.load(Ordering::Relaxed));
     }
@@ -176,11 +218,14 @@ impl SimulationProgress {
     fn show(&self, steps: usize) {
         let failed = self.counts.failed.load(Ordering::Relaxed);
         if self.is_terminal {
-            self.bar.set_message(format!("{failed} failed {steps} steps"));
+            self.bar
+                .set_message(format!("{failed} failed {steps} steps"));
             return;
         }
         // A thread that finds the clock locked prints nothing: another thread prints.
-        let Ok(mut last) = self.last_line.try_lock() else { return };
+        let Ok(mut last) = self.last_line.try_lock() else {
+            return;
+        };
         if last.elapsed() >= LINE_EVERY {
             *last = Instant::now();
             self.printer.note(self.line(failed, steps));
@@ -188,10 +233,20 @@ impl SimulationProgress {
     }
 
     fn line(&self, failed: usize, steps: usize) -> String {
-        let Counts { total, started, ended, .. } = &*self.counts;
+        let Counts {
+            total,
+            started,
+            ended,
+            ..
+        } = &*self.counts;
         let ended = ended.load(Ordering::Relaxed);
-        let (rate, left) = (a_minute(ended as f64, started.elapsed()), self.counts.left());
-        format!("{ended}/{total} simulations, {failed} failed, {steps} steps, {rate:.1}/min, {left}")
+        let (rate, left) = (
+            a_minute(ended as f64, started.elapsed()),
+            self.counts.left(),
+        );
+        format!(
+            "{ended}/{total} simulations, {failed} failed, {steps} steps, {rate:.1}/min, {left}"
+        )
     }
 }
 
@@ -203,7 +258,11 @@ fn a_minute(ended: f64, passed: Duration) -> f64 {
 /// The same for the bar.
 fn per_minute(state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write) {
     // A bar that cannot be written is no error of the run.
-    let _ = write!(out, "{:.1}/min", a_minute(state.pos() as f64, state.elapsed()));
+    let _ = write!(
+        out,
+        "{:.1}/min",
+        a_minute(state.pos() as f64, state.elapsed())
+    );
 }
 
 #[cfg(test)]
@@ -278,13 +337,20 @@ mod tests {
             failed: AtomicUsize::new(99),
             steps: AtomicUsize::new(steps),
         };
-        let progress = SimulationProgress::with_counts(Printer::new(false, true), bar, Arc::new(counts));
-        let progress = SimulationProgress { is_terminal: true, ..progress };
+        let progress =
+            SimulationProgress::with_counts(Printer::new(false, true), bar, Arc::new(counts));
+        let progress = SimulationProgress {
+            is_terminal: true,
+            ..progress
+        };
         progress.bar.set_position(12_799);
         progress.show(steps);
         progress.bar.force_draw();
         let drawn = paper.0.lock().unwrap().clone();
-        assert!(drawn.contains("12799/12800 simulations") && drawn.contains("99 failed 1907200 steps"), "{drawn}");
+        assert!(
+            drawn.contains("12799/12800 simulations") && drawn.contains("99 failed 1907200 steps"),
+            "{drawn}"
+        );
         let line = progress.line(99, steps);
         for text in drawn.lines().chain([line.as_str()]) {
             assert!(console::measure_text_width(text) <= 80, "{text}");

@@ -57,7 +57,8 @@ pub(super) struct Setting {
 }
 
 impl Settings {
-    /// The settings of arguments: a file or the run that is resumed, below `--set`, below options of their own.
+    /// The settings of arguments: a file or the run that is resumed, below `--set`, below options
+    /// of their own.
     pub(super) fn of(arguments: &Arguments) -> anyhow::Result<Self> {
         let global = &arguments.global;
         let mut settings = base(arguments)?;
@@ -106,27 +107,50 @@ impl Settings {
             note("--offline", "mllm.offline", true.into());
             config.mllm.offline = true;
         }
-        config.mllm.trust = if flags.trust_model { Trust::Caller } else { trial() };
+        config.mllm.trust = if flags.trust_model {
+            Trust::Caller
+        } else {
+            trial()
+        };
         // Absolute paths let `--resume` work from any directory.
-        config.learned.all_mut().for_each(|path| *path = absolute_path(path));
-        for word in [Some(&mut config.mllm.model), config.reasoning.prompt_set.as_mut()].into_iter().flatten() {
+        config
+            .learned
+            .all_mut()
+            .for_each(|path| *path = absolute_path(path));
+        for word in [
+            Some(&mut config.mllm.model),
+            config.reasoning.prompt_set.as_mut(),
+        ]
+        .into_iter()
+        .flatten()
+        {
             if word.contains(['/', '\\']) && Path::new(word).exists() {
                 *word = absolute_path(word);
             }
         }
     }
 
-    /// Takes `--checkpoint FILE` for the one learned planner that is named, and `--checkpoint PLANNER=FILE`.
+    /// Takes `--checkpoint FILE` for the one learned planner that is named, and `--checkpoint
+    /// PLANNER=FILE`.
     fn take_checkpoints(&mut self, arguments: &Arguments) -> anyhow::Result<()> {
-        let Command::Simulate(flags) = &arguments.command else { return Ok(()) };
+        let Command::Simulate(flags) = &arguments.command else {
+            return Ok(());
+        };
         for word in &flags.checkpoint {
             let learned = &mut self.config.learned;
-            let named = word.split_once('=').filter(|(planner, _)| learned.checkpoint_mut(planner).is_some());
+            let named = word
+                .split_once('=')
+                .filter(|(planner, _)| learned.checkpoint_mut(planner).is_some());
             let (planner, file) = match named {
                 Some((planner, _))
-                    if flags.resume.is_none() && !planner_words(&flags.planner).iter().any(|one| one == planner) =>
+                    if flags.resume.is_none()
+                        && !planner_words(&flags.planner)
+                            .iter()
+                            .any(|one| one == planner) =>
                 {
-                    bail!("--checkpoint {word}: {planner} is not among the planners; add it to --planner")
+                    bail!(
+                        "--checkpoint {word}: {planner} is not among the planners; add it to --planner"
+                    )
                 }
                 Some((planner, file)) => (planner.to_owned(), file),
                 None => (the_learned(flags, learned, word)?, word.as_str()),
@@ -134,7 +158,8 @@ impl Settings {
             let file = absolute_path(file);
             let key = format!("learned.{}", planner.replace('-', "_"));
             if let Some(place) = learned.checkpoint_mut(&planner) {
-                self.layers.push(("--checkpoint".to_owned(), nested(&key, file.clone().into())));
+                self.layers
+                    .push(("--checkpoint".to_owned(), nested(&key, file.clone().into())));
                 *place = Some(file);
             }
         }
@@ -147,7 +172,11 @@ impl Settings {
         Ok(keys()?
             .into_iter()
             .map(|key| {
-                let set_by = self.layers.iter().rev().find(|(_, layer)| value_at(layer, &key).is_some());
+                let set_by = self
+                    .layers
+                    .iter()
+                    .rev()
+                    .find(|(_, layer)| value_at(layer, &key).is_some());
                 let origin = set_by.map_or("default", |(origin, _)| origin).to_owned();
                 let value = value_at(&table, &key).cloned();
                 Setting { key, value, origin }
@@ -157,16 +186,25 @@ impl Settings {
 }
 
 /// The one learned planner of a command, for the value of `--checkpoint` that names none.
-fn the_learned(flags: &SimulateArguments, learned: &mut LearnedSettings, word: &str) -> anyhow::Result<String> {
+fn the_learned(
+    flags: &SimulateArguments,
+    learned: &mut LearnedSettings,
+    word: &str,
+) -> anyhow::Result<String> {
     let mut planners = planner_words(&flags.planner);
     planners.retain(|planner| learned.checkpoint_mut(planner).is_some());
     match <[String; 1]>::try_from(planners) {
         Ok([planner]) => Ok(planner),
         Err(planners) if planners.is_empty() => {
-            bail!("--checkpoint {word}: no learned planner is named; add --planner, for example --planner plantf")
+            bail!(
+                "--checkpoint {word}: no learned planner is named; add --planner, for example --planner plantf"
+            )
         }
         Err(planners) => {
-            bail!("--checkpoint {word}: {} are named; write --checkpoint PLANNER=FILE for each", planners.join(" and "))
+            bail!(
+                "--checkpoint {word}: {} are named; write --checkpoint PLANNER=FILE for each",
+                planners.join(" and ")
+            )
         }
     }
 }
@@ -176,16 +214,23 @@ fn trial() -> Trust {
     // Without a path of the program there is nothing to try with, and nobody vouches for the files.
     std::env::current_exe().map_or(Trust::Nobody, |program| {
         let samples = built_in_prompts().map(str::to_owned);
-        Trust::Trial(Trial::by(program, &[TRIAL_PROCESS, "--threads", "1"], samples))
+        Trust::Trial(Trial::by(
+            program,
+            &[TRIAL_PROCESS, "--threads", "1"],
+            samples,
+        ))
     })
 }
 
-/// The settings before options: those of the file that `--config` names; without it, of the run that is resumed, or of
-/// planagent.toml.
+/// The settings before options: those of the file that `--config` names; without it, of the run
+/// that is resumed, or of planagent.toml.
 fn base(arguments: &Arguments) -> anyhow::Result<Settings> {
     let file = arguments.global.config.as_deref();
     let (config, layers) = match &arguments.command {
-        Command::Simulate(SimulateArguments { resume: Some(folder), .. }) if file.is_none() => {
+        Command::Simulate(SimulateArguments {
+            resume: Some(folder),
+            ..
+        }) if file.is_none() => {
             let config = Config::of_run(folder)?;
             let table = Table::try_from(&config)?;
             (config, vec![(format!("run {}", folder.display()), table)])
@@ -194,14 +239,16 @@ fn base(arguments: &Arguments) -> anyhow::Result<Settings> {
         Command::BenchProcess(_) | Command::TrialProcess => (Config::default(), Vec::new()),
         _ => {
             let config = Config::load(file)?;
-            let layers = match file.map_or_else(Config::default_file, |file| Some(PathBuf::from(file))) {
-                Some(path) => {
-                    let text = planagent_files::read_text(&path, planagent_files::MAX_SETTINGS_BYTES)
-                        .with_context(|| format!("cannot read {}", path.display()))?;
-                    vec![(path.display().to_string(), text.parse()?)]
-                }
-                None => Vec::new(),
-            };
+            let layers =
+                match file.map_or_else(Config::default_file, |file| Some(PathBuf::from(file))) {
+                    Some(path) => {
+                        let text =
+                            planagent_files::read_text(&path, planagent_files::MAX_SETTINGS_BYTES)
+                                .with_context(|| format!("cannot read {}", path.display()))?;
+                        vec![(path.display().to_string(), text.parse()?)]
+                    }
+                    None => Vec::new(),
+                };
             (config, layers)
         }
     };
@@ -223,8 +270,14 @@ fn parse(text: &str) -> anyhow::Result<Table> {
         bail!("--set {text}: there is no setting '{key}'\n  tip: {tip}");
     }
     // Words need no quotes: what is no value of TOML is a text.
-    let parsed = format!("value = {value}").parse::<Table>().ok().and_then(|mut table| table.remove("value"));
-    Ok(nested(key, parsed.unwrap_or_else(|| Value::String(value.to_owned()))))
+    let parsed = format!("value = {value}")
+        .parse::<Table>()
+        .ok()
+        .and_then(|mut table| table.remove("value"));
+    Ok(nested(
+        key,
+        parsed.unwrap_or_else(|| Value::String(value.to_owned())),
+    ))
 }
 
 /// The keys of all settings in the order of the file, optional ones at the end of their section.
@@ -232,16 +285,27 @@ pub(super) fn keys() -> anyhow::Result<Vec<String>> {
     let (mut keys, mut section) = (Vec::new(), String::new());
     // A table forgets the order of its keys; the text of the defaults has it.
     for line in toml::to_string(&Config::default())?.lines() {
-        if let Some(name) = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
+        if let Some(name) = line
+            .strip_prefix('[')
+            .and_then(|rest| rest.strip_suffix(']'))
+        {
             section = format!("{name}.");
         } else if let Some((key, _)) = line.split_once(" = ") {
             keys.push(format!("{section}{key}"));
         }
     }
     for optional in OPTIONAL {
-        let section = optional.split('.').next().expect("a split gives one part at least");
-        let last = keys.iter().rposition(|key| key.split('.').next() == Some(section));
-        keys.insert(last.map_or(keys.len(), |place| place + 1), optional.to_owned());
+        let section = optional
+            .split('.')
+            .next()
+            .expect("a split gives one part at least");
+        let last = keys
+            .iter()
+            .rposition(|key| key.split('.').next() == Some(section));
+        keys.insert(
+            last.map_or(keys.len(), |place| place + 1),
+            optional.to_owned(),
+        );
     }
     Ok(keys)
 }
@@ -255,7 +319,9 @@ fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
 
 fn nested(key: &str, value: Value) -> Table {
     match key.split_once('.') {
-        Some((section, key)) => Table::from_iter([(section.to_owned(), Value::Table(nested(key, value)))]),
+        Some((section, key)) => {
+            Table::from_iter([(section.to_owned(), Value::Table(nested(key, value)))])
+        }
         None => Table::from_iter([(key.to_owned(), value)]),
     }
 }
@@ -267,19 +333,33 @@ mod tests {
 
     #[test]
     fn a_text_needs_no_quotes() {
-        let value =
-            |text: &str| value_at(&parse(text).unwrap(), text.split('=').next().unwrap().trim()).cloned().unwrap();
+        let value = |text: &str| {
+            value_at(
+                &parse(text).unwrap(),
+                text.split('=').next().unwrap().trim(),
+            )
+            .cloned()
+            .unwrap()
+        };
         assert_eq!(value("reflection.threshold=0.5"), Value::Float(0.5));
         assert_eq!(value("mllm.model = nano"), Value::String("nano".to_owned()));
-        assert_eq!(value("mllm.model=\"nano\""), Value::String("nano".to_owned()));
+        assert_eq!(
+            value("mllm.model=\"nano\""),
+            Value::String("nano".to_owned())
+        );
         assert_eq!(value("seed=3"), Value::Integer(3));
-        assert_eq!(value("reasoning.rounds=[\"code\"]"), Value::Array(vec!["code".into()]));
+        assert_eq!(
+            value("reasoning.rounds=[\"code\"]"),
+            Value::Array(vec!["code".into()])
+        );
         assert!(parse("reflection={}").is_err() && parse("seed").is_err());
     }
 
     #[test]
     fn the_keys_are_those_of_the_configuration_file() {
-        let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../planagent.toml")).unwrap();
+        let text =
+            std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../planagent.toml"))
+                .unwrap();
         // Optional keys are shown as comments.
         let mut section = String::new();
         let mut shown = BTreeSet::new();
@@ -288,8 +368,9 @@ mod tests {
                 section = name.replace(']', ".");
             }
             let assignment = line.trim_start_matches("# ").split_once(" = ");
-            let key =
-                assignment.map(|(key, _)| key).filter(|key| key.chars().all(|c| c.is_ascii_lowercase() || c == '_'));
+            let key = assignment
+                .map(|(key, _)| key)
+                .filter(|key| key.chars().all(|c| c.is_ascii_lowercase() || c == '_'));
             shown.extend(key.map(|key| format!("{section}{key}")));
         }
         assert_eq!(keys().unwrap().into_iter().collect::<BTreeSet<_>>(), shown);

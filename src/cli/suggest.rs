@@ -28,11 +28,18 @@ struct Mistyped {
 /// The known name closest to a mistyped one, if it is close.
 pub(super) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     // One wrong, missing or swapped letter is close in a short name too.
-    let similarity =
-        |one: &str| if strsim::damerau_levenshtein(name, one) == 1 { 1.0 } else { strsim::jaro(name, one) };
+    let similarity = |one: &str| {
+        if strsim::damerau_levenshtein(name, one) == 1 {
+            1.0
+        } else {
+            strsim::jaro(name, one)
+        }
+    };
     let similar = known.into_iter().map(|one| (similarity(one), one));
     let close = similar.filter(|(similarity, _)| *similarity > MIN_SIMILARITY);
-    close.max_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, one)| one)
+    close
+        .max_by(|(a, _), (b, _)| a.total_cmp(b))
+        .map(|(_, one)| one)
 }
 
 /// A tip for an error of a mistyped name.
@@ -61,7 +68,8 @@ fn other_option(error: &(dyn Error + 'static)) -> Option<String> {
     if let Some(ReaderError::Missing(path)) = error.downcast_ref() {
         let name = path.file_name()?.to_str()?;
         let splits = Readers::new(&DataRoots::default()).splits();
-        let is_split = Suite::named(name).is_some() || NAMES.contains(&name) || splits.contains(&name);
+        let is_split =
+            Suite::named(name).is_some() || NAMES.contains(&name) || splits.contains(&name);
         return is_split.then(|| format!("{name} is a split: --split {name}"));
     }
     if let Some(SplitError::Unknown { name, .. }) = error.downcast_ref() {
@@ -86,25 +94,51 @@ fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
         };
     }
     if let Some(RenderError::NoSimulation { wanted, known, .. }) = error.downcast_ref() {
-        return Some(Mistyped { what: "simulation", name: wanted.clone(), known: known.clone() });
+        return Some(Mistyped {
+            what: "simulation",
+            name: wanted.clone(),
+            known: known.clone(),
+        });
     }
-    if let Some(ReportError { fault: ReportFault::NoScenario { part, known }, .. }) = error.downcast_ref() {
-        return Some(Mistyped { what: "scenario", name: part.clone(), known: known.clone() });
+    if let Some(ReportError {
+        fault: ReportFault::NoScenario { part, known },
+        ..
+    }) = error.downcast_ref()
+    {
+        return Some(Mistyped {
+            what: "scenario",
+            name: part.clone(),
+            known: known.clone(),
+        });
     }
     if let Some(UnknownPlanner { name, known }) = error.downcast_ref() {
-        return Some(Mistyped { what: "planner", name: name.clone(), known: known.clone() });
+        return Some(Mistyped {
+            what: "planner",
+            name: name.clone(),
+            known: known.clone(),
+        });
     }
     if let Some(NoSuchType { name, known }) = error.downcast_ref() {
-        return Some(Mistyped { what: "type", name: name.clone(), known: known.clone() });
+        return Some(Mistyped {
+            what: "type",
+            name: name.clone(),
+            known: known.clone(),
+        });
     }
     if let Some(NoPair::UnknownPlanner { name, known, .. }) = error.downcast_ref() {
-        return Some(Mistyped { what: "planner", name: name.clone(), known: known.clone() });
+        return Some(Mistyped {
+            what: "planner",
+            name: name.clone(),
+            known: known.clone(),
+        });
     }
     if let Some(error) = error.downcast_ref::<SplitError>() {
         return match error {
-            SplitError::Unknown { name, known } => {
-                Some(Mistyped { what: "split", name: name.clone(), known: owned(known) })
-            }
+            SplitError::Unknown { name, known } => Some(Mistyped {
+                what: "split",
+                name: name.clone(),
+                known: owned(known),
+            }),
             SplitError::Reader(error) => mistyped(error),
             SplitError::Retired { .. } => None,
         };
@@ -114,13 +148,25 @@ fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
     }
     if let Some(GeneratorError::UnknownType(name)) = error.downcast_ref() {
         let known = types::in_suites().map(|kind| kind.to_string()).collect();
-        return Some(Mistyped { what: "type", name: name.clone(), known });
+        return Some(Mistyped {
+            what: "type",
+            name: name.clone(),
+            known,
+        });
     }
     if let Some(MllmError::UnknownModel { name, known, .. }) = error.downcast_ref() {
-        return Some(Mistyped { what: "model", name: name.clone(), known: listed(known) });
+        return Some(Mistyped {
+            what: "model",
+            name: name.clone(),
+            known: listed(known),
+        });
     }
     if let Some(StudyError::Unknown { word, known }) = error.downcast_ref() {
-        return Some(Mistyped { what: "experiment", name: word.clone(), known: listed(known) });
+        return Some(Mistyped {
+            what: "experiment",
+            name: word.clone(),
+            known: listed(known),
+        });
     }
     None
 }
@@ -134,7 +180,10 @@ mod tests {
         assert_eq!(nearest("imd", ["plan-agent", "idm", "simple"]), Some("idm"));
         assert_eq!(nearest("telepathy", ["plan-agent", "idm", "simple"]), None);
         assert_eq!(
-            nearest("generated-test14-hrad", ["generated-test14", "generated-test14-hard"]),
+            nearest(
+                "generated-test14-hrad",
+                ["generated-test14", "generated-test14-hard"]
+            ),
             Some("generated-test14-hard")
         );
     }

@@ -11,7 +11,8 @@ pub(super) fn path_word() -> impl TypedValueParser<Value = String> {
     OsStringValueParser::new().map(|word| word_of(&word))
 }
 
-/// The words of the values of `--planner`: names separated by commas. A command takes the rest of its value, commas included.
+/// The words of the values of `--planner`: names separated by commas. A command takes the rest of
+/// its value, commas included.
 pub(super) fn planner_words(values: &[String]) -> Vec<String> {
     let mut words = Vec::new();
     for value in values {
@@ -32,7 +33,9 @@ pub(super) enum ShardWordError {
     NoShard(#[from] NoShard),
     #[error(transparent)]
     Environment(#[from] ShardEnvironmentError),
-    #[error("neither SLURM_ARRAY_TASK_ID nor NODE_RANK is set; name the shard as I/N, for example 2/8")]
+    #[error(
+        "neither SLURM_ARRAY_TASK_ID nor NODE_RANK is set; name the shard as I/N, for example 2/8"
+    )]
     NoEnvironment,
 }
 
@@ -49,7 +52,8 @@ pub(super) fn count(word: &str) -> Result<usize, NoCount> {
 /// The value of `--shard`.
 pub(super) fn shard_word(word: &str) -> Result<Shard, ShardWordError> {
     if word == "auto" {
-        return Shard::of_environment(|name| env::var(name).ok())?.ok_or(ShardWordError::NoEnvironment);
+        return Shard::of_environment(|name| env::var(name).ok())?
+            .ok_or(ShardWordError::NoEnvironment);
     }
     Ok(word.parse()?)
 }
@@ -60,10 +64,24 @@ mod tests {
 
     #[test]
     fn a_command_keeps_its_commas() {
-        let words = |values: &[&str]| planner_words(&values.iter().map(ToString::to_string).collect::<Vec<_>>());
-        assert_eq!(words(&["idm, pdm-closed", "simple"]), ["idm", "pdm-closed", "simple"]);
-        assert_eq!(words(&["idm,exec:python3 a.py --x 1,2"]), ["idm", "exec:python3 a.py --x 1,2"]);
-        assert_eq!(words(&["idm,mine=exec:./a 1,2"]), ["idm", "mine=exec:./a 1,2"]);
-        assert_eq!(words(&["mine=exec:./a 1,2", "idm"]), ["mine=exec:./a 1,2", "idm"]);
+        let words = |values: &[&str]| {
+            planner_words(&values.iter().map(ToString::to_string).collect::<Vec<_>>())
+        };
+        assert_eq!(
+            words(&["idm, pdm-closed", "simple"]),
+            ["idm", "pdm-closed", "simple"]
+        );
+        assert_eq!(
+            words(&["idm,exec:python3 a.py --x 1,2"]),
+            ["idm", "exec:python3 a.py --x 1,2"]
+        );
+        assert_eq!(
+            words(&["idm,mine=exec:./a 1,2"]),
+            ["idm", "mine=exec:./a 1,2"]
+        );
+        assert_eq!(
+            words(&["mine=exec:./a 1,2", "idm"]),
+            ["mine=exec:./a 1,2", "idm"]
+        );
     }
 }

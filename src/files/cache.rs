@@ -2,9 +2,14 @@
 
 use std::path::PathBuf;
 
-/// `$PLANAGENT_CACHE`, else a folder of ours in the cache folder of the platform; none where neither is known.
+/// `$PLANAGENT_CACHE`, else a folder of ours in the cache folder of the platform; none where
+/// neither is known.
 pub fn cache_folder() -> Option<PathBuf> {
-    let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let variable = |name: &str| {
+        std::env::var_os(name)
+            .filter(|value| !value.is_empty())
+            .map(PathBuf::from)
+    };
     variable("PLANAGENT_CACHE").or_else(|| {
         let platform = if cfg!(target_os = "macos") {
             variable("HOME").map(|home| home.join("Library/Caches"))

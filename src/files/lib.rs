@@ -1,4 +1,5 @@
-//! Files that a user names: only regular ones are read, of limited size, and errors show little of them.
+//! Files that a user names: only regular ones are read, of limited size, and errors show little of
+//! them.
 
 mod cache;
 mod quoted;

@@ -16,6 +16,9 @@ mod tests {
 
     #[test]
     fn only_plain_words_stand_alone() {
-        assert_eq!(["runs/0001", "a b", "it's", ""].map(quoted), ["runs/0001", "'a b'", r"'it'\''s'", "''"]);
+        assert_eq!(
+            ["runs/0001", "a b", "it's", ""].map(quoted),
+            ["runs/0001", "'a b'", r"'it'\''s'", "''"]
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! Opening files and finding where to write: never a pipe, which would wait forever, nor a device or socket.
+//! Opening files and finding where to write: never a pipe, which would wait forever, nor a device
+//! or socket.
 
 use std::fs::{self, File, FileType};
 use std::io::{self, ErrorKind, Read};
@@ -38,11 +39,14 @@ pub fn read(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
 }
 
 fn too_large(bytes: &str, max_bytes: u64) -> io::Error {
-    io::Error::new(ErrorKind::InvalidData, format!("the file has {bytes}; at most {max_bytes} are read"))
+    io::Error::new(
+        ErrorKind::InvalidData,
+        format!("the file has {bytes}; at most {max_bytes} are read"),
+    )
 }
 
-/// The file that a user's path leads to through links, existing or not: who writes it under another name and renames it
-/// would otherwise replace the link.
+/// The file that a user's path leads to through links, existing or not: who writes it under another
+/// name and renames it would otherwise replace the link.
 ///
 /// # Errors
 /// When something else than a regular file is there.
@@ -67,8 +71,15 @@ fn check_regular(kind: FileType) -> io::Result<()> {
     if kind.is_file() {
         return Ok(());
     }
-    let what = if kind.is_dir() { "a folder" } else { special(kind) };
-    Err(io::Error::new(ErrorKind::InvalidInput, format!("it is {what} and no regular file")))
+    let what = if kind.is_dir() {
+        "a folder"
+    } else {
+        special(kind)
+    };
+    Err(io::Error::new(
+        ErrorKind::InvalidInput,
+        format!("it is {what} and no regular file"),
+    ))
 }
 
 #[cfg(unix)]
@@ -96,7 +107,8 @@ mod tests {
     fn only_regular_files_are_opened_and_written() {
         let folder = tempfile::tempdir().unwrap();
         let [file, link, chain, dangling, ring, socket] =
-            ["file", "link", "chain", "dangling", "ring", "socket"].map(|name| folder.path().join(name));
+            ["file", "link", "chain", "dangling", "ring", "socket"]
+                .map(|name| folder.path().join(name));
         fs::write(&file, "text").unwrap();
         symlink("file", &link).unwrap();
         symlink(&link, &chain).unwrap();
@@ -104,18 +116,33 @@ mod tests {
         symlink("ring", &ring).unwrap();
         let _listener = UnixListener::bind(&socket).unwrap();
         assert_eq!(read_text(&chain, 4).unwrap(), "text");
-        assert_eq!(read_text(&chain, 3).unwrap_err().to_string(), "the file has 4 bytes; at most 3 are read");
+        assert_eq!(
+            read_text(&chain, 3).unwrap_err().to_string(),
+            "the file has 4 bytes; at most 3 are read"
+        );
         #[cfg(target_os = "linux")]
         assert_eq!(
-            read_text(Path::new("/proc/self/status"), 3).unwrap_err().to_string(),
+            read_text(Path::new("/proc/self/status"), 3)
+                .unwrap_err()
+                .to_string(),
             "the file has more; at most 3 are read"
         );
         assert_eq!(target(&chain).unwrap(), file);
         assert_eq!(target(&dangling).unwrap(), folder.path().join("new"));
         let said = |error: io::Error| error.to_string();
-        for (path, what) in [(folder.path(), "a folder"), (Path::new("/dev/null"), "a device"), (&socket, "a socket")] {
+        for (path, what) in [
+            (folder.path(), "a folder"),
+            (Path::new("/dev/null"), "a device"),
+            (&socket, "a socket"),
+        ] {
             let expected = format!("it is {what} and no regular file");
-            assert_eq!((said(open(path).unwrap_err()), said(target(path).unwrap_err())), (expected.clone(), expected));
+            assert_eq!(
+                (
+                    said(open(path).unwrap_err()),
+                    said(target(path).unwrap_err())
+                ),
+                (expected.clone(), expected)
+            );
         }
         assert!(target(&ring).is_err() && open(&dangling).is_err());
     }

@@ -7,15 +7,17 @@ pub const MAX_SHOWN_BYTES: usize = 4096;
 /// Bytes of a mark in the place of what is left out.
 const MARK_BYTES: usize = 64;
 
-/// A text of at most [`MAX_SHOWN_BYTES`]: its begin and its end, because messages about a long line say at the end what is
-/// wrong with it.
+/// A text of at most [`MAX_SHOWN_BYTES`]: its begin and its end, because messages about a long line
+/// say at the end what is wrong with it.
 pub fn shortened(text: &str) -> Cow<'_, str> {
     if text.len() <= MAX_SHOWN_BYTES {
         return Cow::Borrowed(text);
     }
     let left = MAX_SHOWN_BYTES - MARK_BYTES;
-    let head =
-        (0..=left * 3 / 4).rev().find(|&at| text.is_char_boundary(at)).expect("the begin of a text is a boundary");
+    let head = (0..=left * 3 / 4)
+        .rev()
+        .find(|&at| text.is_char_boundary(at))
+        .expect("the begin of a text is a boundary");
     let tail = (text.len() - left / 4..=text.len())
         .find(|&at| text.is_char_boundary(at))
         .expect("the end of a text is a boundary");
@@ -34,7 +36,9 @@ mod tests {
             let long = format!("begin{}end", letter.repeat(1_000_000));
             let short = shortened(&long);
             assert!(
-                short.len() <= MAX_SHOWN_BYTES && short.starts_with("begin") && short.ends_with("end"),
+                short.len() <= MAX_SHOWN_BYTES
+                    && short.starts_with("begin")
+                    && short.ends_with("end"),
                 "{}",
                 short.len()
             );

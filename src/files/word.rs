@@ -1,16 +1,20 @@
-//! Paths as words: of the command line, of manifests and of results, which are text. A path need not be UTF-8.
+//! Paths as words: of the command line, of manifests and of results, which are text. A path need
+//! not be UTF-8.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-/// First of the 128 private characters that stand for the bytes 0x80 to 0xff of a path that is not UTF-8.
+/// First of the 128 private characters that stand for the bytes 0x80 to 0xff of a path that is not
+/// UTF-8.
 const FIRST: u32 = 0xef80;
 
 /// A path as a word, from which [`path_of`] gives the path again.
 #[cfg(unix)]
 pub fn word_of(path: &OsStr) -> String {
     use std::os::unix::ffi::OsStrExt;
-    let stand_in = |byte: &u8| char::from_u32(FIRST + u32::from(*byte) - 0x80).unwrap_or(char::REPLACEMENT_CHARACTER);
+    let stand_in = |byte: &u8| {
+        char::from_u32(FIRST + u32::from(*byte) - 0x80).unwrap_or(char::REPLACEMENT_CHARACTER)
+    };
     let mut word = String::new();
     for chunk in path.as_bytes().utf8_chunks() {
         word.push_str(chunk.valid());
@@ -58,12 +62,19 @@ pub mod serde_path {
 
     /// Writes the word of a path.
     #[allow(clippy::ref_option, reason = "serde passes a reference")]
-    pub fn serialize<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> Result<S::Ok, S::Error> {
-        path.as_ref().map(|path| super::word_of(path.as_os_str())).serialize(serializer)
+    pub fn serialize<S: Serializer>(
+        path: &Option<PathBuf>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        path.as_ref()
+            .map(|path| super::word_of(path.as_os_str()))
+            .serialize(serializer)
     }
 
     /// Reads the word of a path.
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<PathBuf>, D::Error> {
+    pub fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Option<PathBuf>, D::Error> {
         Ok(Option::<String>::deserialize(deserializer)?.map(|word| super::path_of(&word)))
     }
 }
@@ -75,7 +86,13 @@ mod tests {
 
     #[test]
     fn every_path_survives_as_a_word() {
-        for bytes in [&b"a/b.db"[..], "ü/汉".as_bytes(), b"\xff\x80/\xc3(.tfrecord", b"\xe6\xb1", b""] {
+        for bytes in [
+            &b"a/b.db"[..],
+            "ü/汉".as_bytes(),
+            b"\xff\x80/\xc3(.tfrecord",
+            b"\xe6\xb1",
+            b"",
+        ] {
             let path = OsStr::from_bytes(bytes);
             assert_eq!(path_of(&word_of(path)).as_os_str(), path);
         }

@@ -1,4 +1,5 @@
-//! The arithmetic of neural networks on the CPU: products with weights in every format, attention, norms and activation functions.
+//! The arithmetic of neural networks on the CPU: products with weights in every format, attention,
+//! norms and activation functions.
 
 mod activation;
 pub mod attention;

@@ -24,6 +24,7 @@ impl Linear {
 
     /// residual + layer(x), with a residual of shape (tokens, outputs).
     pub fn forward_onto(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
-        self.weight.forward_onto(x, self.bias.as_ref(), Some(residual))
+        self.weight
+            .forward_onto(x, self.bias.as_ref(), Some(residual))
     }
 }

@@ -1,5 +1,8 @@
 //! Activation functions and softmax, vectorized and parallel, in few passes over the numbers.
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
+#![allow(
+    clippy::inline_always,
+    reason = "kernels must be inlined into the functions that enable the instructions"
+)]
 
 use candle_core::{D, Result, Tensor, bail};
 
@@ -12,7 +15,11 @@ impl Activation {
     pub fn forward(self, x: &Tensor) -> Result<Tensor> {
         let width = x.dim(D::Minus1)?;
         row_by_row(x, width, width, |out, values| {
-            Instructions::best().run(EachKernel { activation: self, values, out });
+            Instructions::best().run(EachKernel {
+                activation: self,
+                values,
+                out,
+            });
         })
     }
 
@@ -29,14 +36,16 @@ impl Activation {
     }
 }
 
-/// A share of a softmax below this becomes zero. Products with it would be subnormal, which made the networks of GameFormer and
-/// DTPP two to three times as slow.
+/// A share of a softmax below this becomes zero. Products with it would be subnormal, which made
+/// the networks of GameFormer and DTPP two to three times as slow.
 const NEGLIGIBLE: f32 = 1e-30;
 
 /// Softmax over the last dimension.
 pub fn softmax(x: &Tensor) -> Result<Tensor> {
     let width = x.dim(D::Minus1)?;
-    row_by_row(x, width, width, |out, values| Instructions::best().run(SoftmaxKernel { width, values, out }))
+    row_by_row(x, width, width, |out, values| {
+        Instructions::best().run(SoftmaxKernel { width, values, out })
+    })
 }
 
 struct SoftmaxKernel<'a> {
@@ -49,7 +58,9 @@ impl Kernel for SoftmaxKernel<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
         self.out.copy_from_slice(self.values);
-        self.out.chunks_exact_mut(self.width).for_each(softmax_in_place);
+        self.out
+            .chunks_exact_mut(self.width)
+            .for_each(softmax_in_place);
     }
 }
 
@@ -83,7 +94,10 @@ fn reduced(row: &[f32], start: f32, combine: impl Fn(f32, f32) -> f32) -> f32 {
             *lane = combine(*lane, *value);
         }
     }
-    lanes.into_iter().chain(rest.iter().copied()).fold(start, combine)
+    lanes
+        .into_iter()
+        .chain(rest.iter().copied())
+        .fold(start, combine)
 }
 
 struct EachKernel<'a> {
@@ -95,12 +109,17 @@ struct EachKernel<'a> {
 impl Kernel for EachKernel<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let Self { activation, values, out } = self;
+        let Self {
+            activation,
+            values,
+            out,
+        } = self;
         match activation {
             Activation::Gelu => map(values, out, gelu),
             // 0.5 x (1 + tanh(u)) = x σ(2u), u = √(2/π) (x + 0.044715 x³).
             Activation::GeluTanh => map(values, out, |x| {
-                const TWO_SQRT_2_PI: f32 = 2.0 * std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts::FRAC_1_SQRT_2;
+                const TWO_SQRT_2_PI: f32 =
+                    2.0 * std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts::FRAC_1_SQRT_2;
                 x * sigmoid(TWO_SQRT_2_PI * x * (1.0 + 0.044_715 * x * x))
             }),
             Activation::QuickGelu => map(values, out, |x| x * sigmoid(1.702 * x)),
@@ -126,7 +145,11 @@ struct SwiGluKernel<'a> {
 impl Kernel for SwiGluKernel<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        for (out, row) in self.out.chunks_exact_mut(self.width).zip(self.values.chunks_exact(2 * self.width)) {
+        for (out, row) in self
+            .out
+            .chunks_exact_mut(self.width)
+            .zip(self.values.chunks_exact(2 * self.width))
+        {
             let (gates, values) = row.split_at(self.width);
             for ((out, gate), value) in out.iter_mut().zip(gates).zip(values) {
                 *out = gate * sigmoid(*gate) * value;
@@ -141,25 +164,36 @@ pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
 }
 
-/// tanh x with all digits also near 0: there by five terms of Lambert's continued fraction, elsewhere as 2 σ(2x) − 1.
+/// tanh x with all digits also near 0: there by five terms of Lambert's continued fraction,
+/// elsewhere as 2 σ(2x) − 1.
 #[inline(always)]
 pub fn tanh(x: f32) -> f32 {
     let square = x * x;
-    let near =
-        x * (10395.0 + square * (1260.0 + square * 21.0)) / (10395.0 + square * (4725.0 + square * (210.0 + square)));
+    let near = x * (10395.0 + square * (1260.0 + square * 21.0))
+        / (10395.0 + square * (4725.0 + square * (210.0 + square)));
     let far = 2.0 * sigmoid(2.0 * x) - 1.0;
     if square < 1.0 { near } else { far }
 }
 
-/// eˣ to about two units in the last place, without branches: eˣ = 2ⁿ eʳ with |r| ≤ ln 2 / 2 and eʳ by its Taylor series. x
-/// is clamped to ±87.
+/// eˣ to about two units in the last place, without branches: eˣ = 2ⁿ eʳ with |r| ≤ ln 2 / 2 and eʳ
+/// by its Taylor series. x is clamped to ±87.
 #[inline(always)]
 fn exp(x: f32) -> f32 {
-    /// ln 2 in two parts (Cody and Waite): products of the first part with small integers are exact.
+    /// ln 2 in two parts (Cody and Waite): products of the first part with small integers are
+    /// exact.
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
-    const SERIES: [f32; 8] = [1.0 / 5040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0];
-    /// 1.5 · 2²³: a sum with it is rounded to a whole number, which its lowest bits hold. `round_ties_even` and a conversion, which
-    /// saturates, take three times as long.
+    const SERIES: [f32; 8] = [
+        1.0 / 5040.0,
+        1.0 / 720.0,
+        1.0 / 120.0,
+        1.0 / 24.0,
+        1.0 / 6.0,
+        0.5,
+        1.0,
+        1.0,
+    ];
+    /// 1.5 · 2²³: a sum with it is rounded to a whole number, which its lowest bits hold.
+    /// `round_ties_even` and a conversion, which saturates, take three times as long.
     const ROUND: f32 = 12_582_912.0;
     const EXPONENT_BIAS: u32 = 127;
     const MANTISSA_BITS: u32 = 23;
@@ -167,13 +201,16 @@ fn exp(x: f32) -> f32 {
     let rounded = x * std::f32::consts::LOG2_E + ROUND;
     let n = rounded - ROUND;
     let r = x - n * LN_2[0] - n * LN_2[1];
-    let series = SERIES.into_iter().fold(0.0, |sum, coefficient| sum * r + coefficient);
+    let series = SERIES
+        .into_iter()
+        .fold(0.0, |sum, coefficient| sum * r + coefficient);
     let power = rounded.to_bits().wrapping_add(EXPONENT_BIAS) << MANTISSA_BITS;
     series * f32::from_bits(power)
 }
 
-/// x Φ(x), Φ the normal distribution, by a Chebyshev fit of the complementary error function with a relative error of
-/// 1.2 · 10⁻⁷ (Press et al., Numerical Recipes, `erfcc`): so the result keeps its digits where it vanishes.
+/// x Φ(x), Φ the normal distribution, by a Chebyshev fit of the complementary error function with a
+/// relative error of 1.2 · 10⁻⁷ (Press et al., Numerical Recipes, `erfcc`): so the result keeps its
+/// digits where it vanishes.
 #[inline(always)]
 fn gelu(x: f32) -> f32 {
     const FIT: [f32; 10] = [
@@ -190,7 +227,12 @@ fn gelu(x: f32) -> f32 {
     ];
     let z = x.abs() * std::f32::consts::FRAC_1_SQRT_2;
     let t = 1.0 / (1.0 + 0.5 * z);
-    let tail = 0.5 * t * exp(FIT.into_iter().fold(0.0, |sum, coefficient| sum * t + coefficient) - z * z);
+    let tail = 0.5
+        * t
+        * exp(FIT
+            .into_iter()
+            .fold(0.0, |sum, coefficient| sum * t + coefficient)
+            - z * z);
     x * if x < 0.0 { tail } else { 1.0 - tail }
 }
 
@@ -201,14 +243,19 @@ mod tests {
 
     fn numbers() -> Vec<f32> {
         let fine = (-20_000..=20_000).map(|step| step as f32 * 0.001);
-        fine.chain([-1e30, -200.0, -90.0, 90.0, 200.0, 1e30]).collect()
+        fine.chain([-1e30, -200.0, -90.0, 90.0, 200.0, 1e30])
+            .collect()
     }
 
     #[test]
     fn activations_are_what_candle_says() {
         let x = numbers();
-        let tensor = Tensor::new(x.as_slice(), &Device::Cpu).unwrap().unsqueeze(0).unwrap();
-        let quick = (&tensor * candle_nn::ops::sigmoid(&(&tensor * 1.702).unwrap()).unwrap()).unwrap();
+        let tensor = Tensor::new(x.as_slice(), &Device::Cpu)
+            .unwrap()
+            .unsqueeze(0)
+            .unwrap();
+        let quick =
+            (&tensor * candle_nn::ops::sigmoid(&(&tensor * 1.702).unwrap()).unwrap()).unwrap();
         for (activation, expected) in [
             (Activation::Gelu, tensor.gelu_erf().unwrap()),
             (Activation::GeluTanh, tensor.gelu().unwrap()),
@@ -216,46 +263,87 @@ mod tests {
             (Activation::Relu, tensor.relu().unwrap()),
             (Activation::Silu, tensor.silu().unwrap()),
         ] {
-            let found: Vec<f32> = activation.forward(&tensor).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+            let found: Vec<f32> = activation
+                .forward(&tensor)
+                .unwrap()
+                .flatten_all()
+                .unwrap()
+                .to_vec1()
+                .unwrap();
             let expected: Vec<f32> = expected.flatten_all().unwrap().to_vec1().unwrap();
             for ((found, expected), x) in found.into_iter().zip(expected).zip(&x) {
                 let allowed = 1e-6 * x.abs().min(expected.abs() + 1.0);
-                assert!((found - expected).abs() <= allowed, "{activation:?}({x}) = {found}, not {expected}");
+                assert!(
+                    (found - expected).abs() <= allowed,
+                    "{activation:?}({x}) = {found}, not {expected}"
+                );
             }
         }
     }
 
     #[test]
     fn softmax_is_what_candle_says_and_hides_what_is_minus_infinity() {
-        let row = (0..75).map(|index| if index % 7 == 3 { f32::NEG_INFINITY } else { (index * 31 % 40) as f32 * 0.5 });
+        let row = (0..75).map(|index| {
+            if index % 7 == 3 {
+                f32::NEG_INFINITY
+            } else {
+                (index * 31 % 40) as f32 * 0.5
+            }
+        });
         let rows: Vec<f32> = row.collect::<Vec<_>>().repeat(3);
         let x = Tensor::from_vec(rows, (3, 75), &Device::Cpu).unwrap();
         let found = softmax(&x).unwrap().to_vec2::<f32>().unwrap();
-        let expected = candle_nn::ops::softmax_last_dim(&x).unwrap().to_vec2::<f32>().unwrap();
-        for (found, expected) in found.into_iter().flatten().zip(expected.into_iter().flatten()) {
+        let expected = candle_nn::ops::softmax_last_dim(&x)
+            .unwrap()
+            .to_vec2::<f32>()
+            .unwrap();
+        for (found, expected) in found
+            .into_iter()
+            .flatten()
+            .zip(expected.into_iter().flatten())
+        {
             assert!(
                 (found - expected).abs() <= 1e-6 * expected && (found == 0.0) == (expected == 0.0),
                 "{found}, {expected}"
             );
         }
         let hidden = Tensor::full(f32::NEG_INFINITY, (1, 4), &Device::Cpu).unwrap();
-        assert!(softmax(&hidden).unwrap().to_vec2::<f32>().unwrap()[0].iter().all(|value| value.is_nan()));
+        assert!(
+            softmax(&hidden).unwrap().to_vec2::<f32>().unwrap()[0]
+                .iter()
+                .all(|value| value.is_nan())
+        );
     }
 
     #[test]
     fn gates_multiply_their_values() {
         let x = numbers();
-        let row: Vec<f32> = x.iter().copied().chain(std::iter::repeat_n(3.0, x.len())).collect();
+        let row: Vec<f32> = x
+            .iter()
+            .copied()
+            .chain(std::iter::repeat_n(3.0, x.len()))
+            .collect();
         let gate_up = Tensor::from_vec(row.repeat(5), (5, 2 * x.len()), &Device::Cpu).unwrap();
-        let found = Activation::swiglu(&gate_up).unwrap().to_vec2::<f32>().unwrap();
+        let found = Activation::swiglu(&gate_up)
+            .unwrap()
+            .to_vec2::<f32>()
+            .unwrap();
         for row in found {
             for (found, x) in row.into_iter().zip(&x) {
                 let x = f64::from(*x);
                 let expected = 3.0 * x / (1.0 + (-x).exp());
-                assert!((f64::from(found) - expected).abs() <= 1e-6 * expected.abs() + 1e-7, "{x}: {found} {expected}");
+                assert!(
+                    (f64::from(found) - expected).abs() <= 1e-6 * expected.abs() + 1e-7,
+                    "{x}: {found} {expected}"
+                );
             }
         }
-        assert!(Activation::swiglu(&Tensor::zeros((2, 3), candle_core::DType::F32, &Device::Cpu).unwrap()).is_err());
+        assert!(
+            Activation::swiglu(
+                &Tensor::zeros((2, 3), candle_core::DType::F32, &Device::Cpu).unwrap()
+            )
+            .is_err()
+        );
     }
 
     #[test]
@@ -263,7 +351,11 @@ mod tests {
         for x in numbers().into_iter().chain([1e-30, -1e-9, 3e-5]) {
             let expected = f64::from(x).tanh();
             let off = (f64::from(tanh(x)) - expected).abs();
-            assert!(off <= 4e-7 * expected.abs(), "tanh {x} = {}, not {expected}", tanh(x));
+            assert!(
+                off <= 4e-7 * expected.abs(),
+                "tanh {x} = {}, not {expected}",
+                tanh(x)
+            );
         }
         assert!(tanh(f32::NAN).is_nan());
     }
@@ -271,10 +363,20 @@ mod tests {
     #[test]
     fn nan_stays_nan() {
         let x = Tensor::new(&[[f32::NAN, f32::NAN]], &Device::Cpu).unwrap();
-        for activation in
-            [Activation::Gelu, Activation::GeluTanh, Activation::QuickGelu, Activation::Relu, Activation::Silu]
-        {
-            let found: Vec<f32> = activation.forward(&x).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+        for activation in [
+            Activation::Gelu,
+            Activation::GeluTanh,
+            Activation::QuickGelu,
+            Activation::Relu,
+            Activation::Silu,
+        ] {
+            let found: Vec<f32> = activation
+                .forward(&x)
+                .unwrap()
+                .flatten_all()
+                .unwrap()
+                .to_vec1()
+                .unwrap();
             assert!(found.iter().all(|value| value.is_nan()), "{activation:?}");
         }
     }

@@ -15,7 +15,10 @@ pub struct RmsNorm {
 impl RmsNorm {
     /// Of a weight.
     pub fn new(weight: Vec<f32>, eps: f64) -> Self {
-        Self { weight, eps: eps as f32 }
+        Self {
+            weight,
+            eps: eps as f32,
+        }
     }
 
     /// Numbers of a row.
@@ -26,7 +29,9 @@ impl RmsNorm {
     /// Applies the norm to (rows, width).
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let width = self.weight.len();
-        row_by_row(x, width, width, |out, x| Instructions::best().run(Rows { norm: self, x, out }))
+        row_by_row(x, width, width, |out, x| {
+            Instructions::best().run(Rows { norm: self, x, out })
+        })
     }
 }
 
@@ -39,10 +44,17 @@ struct Rows<'a> {
 
 impl Kernel for Rows<'_> {
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
+    #[allow(
+        clippy::inline_always,
+        reason = "kernels must be inlined into the functions that enable the instructions"
+    )]
     fn run<S: Simd>(self, _: S) {
         let RmsNorm { weight, eps } = self.norm;
-        for (out, row) in self.out.chunks_exact_mut(weight.len()).zip(self.x.chunks_exact(weight.len())) {
+        for (out, row) in self
+            .out
+            .chunks_exact_mut(weight.len())
+            .zip(self.x.chunks_exact(weight.len()))
+        {
             let (whole, rest) = row.as_chunks::<LANES>();
             let mut squares = [0f32; LANES];
             for values in whole {
@@ -50,7 +62,8 @@ impl Kernel for Rows<'_> {
                     *square += value * value;
                 }
             }
-            let sum = squares.iter().sum::<f32>() + rest.iter().map(|value| value * value).sum::<f32>();
+            let sum =
+                squares.iter().sum::<f32>() + rest.iter().map(|value| value * value).sum::<f32>();
             let scale = 1.0 / (sum / row.len() as f32 + eps).sqrt();
             for ((out, value), weight) in out.iter_mut().zip(row).zip(weight) {
                 *out = value * scale * weight;
@@ -68,17 +81,32 @@ mod tests {
     fn rows_are_divided_by_their_root_mean_square() {
         let width = 37;
         let weight: Vec<f32> = (0..width).map(|index| 0.5 + index as f32 * 0.1).collect();
-        let norm = RmsNorm { weight: weight.clone(), eps: 1e-5 };
-        let values: Vec<f32> = (0..2500 * width).map(|index| (index as f32 * 0.7).sin() * 3.0).collect();
+        let norm = RmsNorm {
+            weight: weight.clone(),
+            eps: 1e-5,
+        };
+        let values: Vec<f32> = (0..2500 * width)
+            .map(|index| (index as f32 * 0.7).sin() * 3.0)
+            .collect();
         let x = Tensor::from_vec(values.clone(), (2500, width), &Device::Cpu).unwrap();
         let found = norm.forward(&x).unwrap().to_vec2::<f32>().unwrap();
         for (row, found) in values.chunks(width).zip(found) {
-            let mean = row.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>() / width as f64;
+            let mean = row
+                .iter()
+                .map(|value| f64::from(*value).powi(2))
+                .sum::<f64>()
+                / width as f64;
             for ((value, weight), found) in row.iter().zip(&weight).zip(found) {
                 let expected = f64::from(*value) / (mean + 1e-5).sqrt() * f64::from(*weight);
-                assert!((f64::from(found) - expected).abs() <= 1e-6 * expected.abs(), "{found} {expected}");
+                assert!(
+                    (f64::from(found) - expected).abs() <= 1e-6 * expected.abs(),
+                    "{found} {expected}"
+                );
             }
         }
-        assert!(norm.forward(&Tensor::zeros((2, 3), DType::F32, &Device::Cpu).unwrap()).is_err());
+        assert!(
+            norm.forward(&Tensor::zeros((2, 3), DType::F32, &Device::Cpu).unwrap())
+                .is_err()
+        );
     }
 }

@@ -7,9 +7,13 @@ use rayon::prelude::*;
 pub(crate) const PIECE: usize = 1 << 15;
 
 /// Runs `read` on the row-major numbers of a contiguous f32 tensor on the CPU, without a copy.
-pub(crate) fn with_contiguous<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
+pub(crate) fn with_contiguous<T>(
+    tensor: &Tensor,
+    read: impl FnOnce(&[f32]) -> Result<T>,
+) -> Result<T> {
     let (storage, layout) = tensor.storage_and_layout();
-    let (Storage::Cpu(storage), Some((start, end))) = (&*storage, layout.contiguous_offsets()) else {
+    let (Storage::Cpu(storage), Some((start, end))) = (&*storage, layout.contiguous_offsets())
+    else {
         bail!("the tensor is not contiguous, or not on the CPU");
     };
     match storage.as_slice::<f32>()?.get(start..end) {
@@ -23,8 +27,9 @@ pub fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -
     with_contiguous(&tensor.contiguous()?, read)
 }
 
-/// Maps rows of `inputs` numbers, the last dimension of an f32 tensor, to rows of `outputs` numbers, on all threads where
-/// that pays. `apply` takes the rows to write and as many rows to read.
+/// Maps rows of `inputs` numbers, the last dimension of an f32 tensor, to rows of `outputs`
+/// numbers, on all threads where that pays. `apply` takes the rows to write and as many rows to
+/// read.
 pub(crate) fn row_by_row(
     x: &Tensor,
     inputs: usize,
@@ -42,7 +47,9 @@ pub(crate) fn row_by_row(
             apply(&mut out, values);
         } else {
             let rows = (PIECE / outputs).max(1);
-            out.par_chunks_mut(rows * outputs).zip(values.par_chunks(rows * inputs)).for_each(|(out, x)| apply(out, x));
+            out.par_chunks_mut(rows * outputs)
+                .zip(values.par_chunks(rows * inputs))
+                .for_each(|(out, x)| apply(out, x));
         }
         Tensor::from_vec(out, shape, x.device())
     })

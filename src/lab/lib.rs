@@ -1,4 +1,5 @@
-//! The lab: studies, datasets, text twins, realism, tokens and the bench of planning calls, with their results.
+//! The lab: studies, datasets, text twins, realism, tokens and the bench of planning calls, with
+//! their results.
 
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod bench;

@@ -1,4 +1,5 @@
-//! Text twins as a test of a model: whether its first code is right in both scenes of a pair, with Reflection off.
+//! Text twins as a test of a model: whether its first code is right in both scenes of a pair, with
+//! Reflection off.
 //!
 //! The privileged search drew the lists before any model answered.
 
@@ -46,7 +47,12 @@ pub fn list(name: &str) -> Option<Vec<PairName>> {
         VALIDATION => VALIDATION_LIST,
         _ => return None,
     };
-    Some(text.lines().filter(|line| !line.starts_with('#')).filter_map(|line| line.parse().ok()).collect())
+    Some(
+        text.lines()
+            .filter(|line| !line.starts_with('#'))
+            .filter_map(|line| line.parse().ok())
+            .collect(),
+    )
 }
 
 /// The pairs that were drawn, and what became of the candidates.
@@ -58,8 +64,8 @@ pub struct Drawn {
     pub refused: BTreeMap<(TwinKind, NoPair, ScenarioType), usize>,
 }
 
-/// Draws the first `per_kind` pairs of each kind among the seeds of a split, or among its first `candidates`. `on_pairs` gets
-/// the number of pairs found.
+/// Draws the first `per_kind` pairs of each kind among the seeds of a split, or among its first
+/// `candidates`. `on_pairs` gets the number of pairs found.
 ///
 /// # Errors
 /// When a prompt set cannot be used.
@@ -69,24 +75,37 @@ pub fn draw(
     candidates: Option<u64>,
     on_pairs: &dyn Fn(usize),
 ) -> Result<Drawn, PromptError> {
-    let sets = PROMPT_SETS.map(PromptSet::open).into_iter().collect::<Result<Vec<_>, _>>()?;
+    let sets = PROMPT_SETS
+        .map(PromptSet::open)
+        .into_iter()
+        .collect::<Result<Vec<_>, _>>()?;
     let first = split.seeds().start + FIRST_SEED;
     let mut drawn = Drawn::default();
     let count = |drawn: &Drawn, kind| drawn.pairs.iter().filter(|pair| pair.kind == kind).count();
     let mut next = 0;
     let last = split.seeds().end;
     let end = candidates.map_or(last, |count| first.saturating_add(count).min(last));
-    while TwinKind::ALL.into_iter().any(|kind| count(&drawn, kind) < per_kind) && first + next < end {
+    while TwinKind::ALL
+        .into_iter()
+        .any(|kind| count(&drawn, kind) < per_kind)
+        && first + next < end
+    {
         let wanted = |names: &[PairName; 2]| count(&drawn, names[0].kind) < per_kind;
-        let candidates =
-            (next..(next + BATCH).min(end - first)).map(|number| PairName::candidates(first + number, number, true));
+        let candidates = (next..(next + BATCH).min(end - first))
+            .map(|number| PairName::candidates(first + number, number, true));
         let candidates: Vec<[PairName; 2]> = candidates.filter(wanted).collect();
         let tried = candidates.par_iter().map(|names| {
-            twins::open_first(names, &sets, &BevView::default()).map(|(name, opened)| (name, opened.err()))
+            twins::open_first(names, &sets, &BevView::default())
+                .map(|(name, opened)| (name, opened.err()))
         });
         for (name, refused) in tried.collect::<Result<Vec<_>, _>>()? {
             match refused {
-                Some(why) => *drawn.refused.entry((name.kind, why, name.base.scenario_type)).or_default() += 1,
+                Some(why) => {
+                    *drawn
+                        .refused
+                        .entry((name.kind, why, name.base.scenario_type))
+                        .or_default() += 1
+                }
                 None if count(&drawn, name.kind) < per_kind => drawn.pairs.push(name),
                 None => {}
             }
@@ -101,7 +120,9 @@ pub fn draw(
 /// The text of a list.
 pub fn list_text(split: Split, per_kind: usize, pairs: &[PairName]) -> String {
     let header = format!("{HEADER}{} --count {per_kind}\n", split.as_str());
-    pairs.iter().fold(header, |list, pair| format!("{list}{pair}\n"))
+    pairs
+        .iter()
+        .fold(header, |list, pair| format!("{list}{pair}\n"))
 }
 
 /// What a model answered to a pair.
@@ -136,27 +157,38 @@ pub struct SceneRecord {
 /// # Errors
 /// When a prompt cannot be made, or the planning call fails.
 pub fn judge(name: &PairName, parts: &AgentParts) -> Result<PairRecord, TwinError> {
-    let Some(CodeSource::Model { prompts, .. }) = &parts.model else { return Err(TwinError::NoModel) };
-    let record = |dropped, scenes| PairRecord { pair: name.to_string(), kind: name.kind.to_string(), dropped, scenes };
+    let Some(CodeSource::Model { prompts, .. }) = &parts.model else {
+        return Err(TwinError::NoModel);
+    };
+    let record = |dropped, scenes| PairRecord {
+        pair: name.to_string(),
+        kind: name.kind.to_string(),
+        dropped,
+        scenes,
+    };
     let mut parts = parts.clone();
     parts.settings.reflection.enabled = false;
-    let view = BevView::new(BevView::default().pixels(), parts.settings.environment.view_m)?;
+    let view = BevView::new(
+        BevView::default().pixels(),
+        parts.settings.environment.view_m,
+    )?;
     let pair = match twins::open(name, std::slice::from_ref(prompts.as_ref()), &view)? {
         Ok(pair) => pair,
         Err(why) => return Ok(record(Some(why.to_string()), Vec::new())),
     };
     let [own, beside] = &pair;
-    let scenes = [(own, beside), (beside, own)].map(|(scene, other)| -> Result<SceneRecord, TwinError> {
-        let answer = first_code(name, scene, &parts)?;
-        let value = answer.and_then(|code| scene.value(code));
-        Ok(SceneRecord {
-            best: scene.best.code.to_string(),
-            answer: answer.map(|code| code.to_string()),
-            loss: value.map(|value| scene.best.value - value),
-            right: answer.is_some_and(|code| scene.is_right(code)),
-            other_is_right: scene.is_right(other.best.code),
-        })
-    });
+    let scenes =
+        [(own, beside), (beside, own)].map(|(scene, other)| -> Result<SceneRecord, TwinError> {
+            let answer = first_code(name, scene, &parts)?;
+            let value = answer.and_then(|code| scene.value(code));
+            Ok(SceneRecord {
+                best: scene.best.code.to_string(),
+                answer: answer.map(|code| code.to_string()),
+                loss: value.map(|value| scene.best.value - value),
+                right: answer.is_some_and(|code| scene.is_right(code)),
+                other_is_right: scene.is_right(other.best.code),
+            })
+        });
     Ok(record(None, scenes.into_iter().collect::<Result<_, _>>()?))
 }
 
@@ -173,15 +205,29 @@ pub enum TwinError {
 }
 
 /// The first code of the model at the present of a scene; none if its answer could not be read.
-fn first_code(name: &PairName, scene: &TwinScene, parts: &AgentParts) -> Result<Option<PlannerCode>, TwinError> {
-    let failed = |fault: String| TwinError::Call { pair: name.to_string(), fault };
+fn first_code(
+    name: &PairName,
+    scene: &TwinScene,
+    parts: &AgentParts,
+) -> Result<Option<PlannerCode>, TwinError> {
+    let failed = |fault: String| TwinError::Call {
+        pair: name.to_string(),
+        fault,
+    };
     let id = &scene.simulation.scenario().id;
     let mut agent = parts.agent(id).ok_or(TwinError::NoModel)?;
     agent.state_mut().request_call();
-    let input = PlannerInput { iteration: 0, scene: scene.simulation.scene() };
-    agent.compute_trajectory(&input).map_err(|error| failed(with_causes(&error)))?;
+    let input = PlannerInput {
+        iteration: 0,
+        scene: scene.simulation.scene(),
+    };
+    agent
+        .compute_trajectory(&input)
+        .map_err(|error| failed(with_causes(&error)))?;
     let attempt = agent.calls().last().and_then(|call| call.attempts.first());
-    Ok(attempt.and_then(|attempt| attempt.answer.as_ref()).and_then(PlannerAnswer::code))
+    Ok(attempt
+        .and_then(|attempt| attempt.answer.as_ref())
+        .and_then(PlannerAnswer::code))
 }
 
 /// Shares over the pairs of a kind, percent.
@@ -224,25 +270,44 @@ impl TwinResults {
         for why in records.iter().filter_map(|record| record.dropped.clone()) {
             *dropped.entry(why).or_default() += 1;
         }
-        let all: Vec<&PairRecord> = records.iter().filter(|record| record.dropped.is_none()).collect();
+        let all: Vec<&PairRecord> = records
+            .iter()
+            .filter(|record| record.dropped.is_none())
+            .collect();
         let of_kind = |kind: TwinKind| {
-            let own: Vec<&PairRecord> = all.iter().copied().filter(|record| record.kind == kind.name()).collect();
+            let own: Vec<&PairRecord> = all
+                .iter()
+                .copied()
+                .filter(|record| record.kind == kind.name())
+                .collect();
             (!own.is_empty()).then(|| TwinRow::of(kind.name(), &own))
         };
-        let rows = std::iter::once(TwinRow::of("all", &all)).chain(TwinKind::ALL.into_iter().filter_map(of_kind));
-        Self { list: list.to_owned(), blake3, dropped, rows: rows.collect() }
+        let rows = std::iter::once(TwinRow::of("all", &all))
+            .chain(TwinKind::ALL.into_iter().filter_map(of_kind));
+        Self {
+            list: list.to_owned(),
+            blake3,
+            dropped,
+            rows: rows.collect(),
+        }
     }
 }
 
 impl TwinRow {
     fn of(kind: &str, records: &[&PairRecord]) -> Self {
         let right = |record: &PairRecord| record.scenes.iter().filter(|scene| scene.right).count();
-        let with = |count: usize| records.iter().filter(|record| right(record) == count).count();
+        let with = |count: usize| {
+            records
+                .iter()
+                .filter(|record| right(record) == count)
+                .count()
+        };
         let is_same = |record: &&&PairRecord| match record.scenes.as_slice() {
             [one, other] => one.answer == other.answer,
             _ => false,
         };
-        // Of four choices the one of both best codes is right, and others where a best code is right in the other scene.
+        // Of four choices the one of both best codes is right, and others where a best code is
+        // right in the other scene.
         let coin = |record: &&PairRecord| {
             let in_scene = |scene: &SceneRecord| if scene.other_is_right { 1.0 } else { 0.5 };
             record.scenes.iter().map(in_scene).product::<f64>()
@@ -274,7 +339,12 @@ mod tests {
             right: right[i],
             other_is_right: false,
         };
-        PairRecord { pair: "pair".to_owned(), kind: kind.to_owned(), dropped: None, scenes: vec![scene(0), scene(1)] }
+        PairRecord {
+            pair: "pair".to_owned(),
+            kind: kind.to_owned(),
+            dropped: None,
+            scenes: vec![scene(0), scene(1)],
+        }
     }
 
     #[test]
@@ -291,24 +361,44 @@ mod tests {
             lost,
         ];
         let results = TwinResults::new("twins", String::new(), &records);
-        let [all, taper, person] = results.rows.as_slice() else { panic!("{results:?}") };
-        assert_eq!((all.pairs, all.kind.as_str(), results.dropped["the prompts differ"]), (3, "all", 1));
+        let [all, taper, person] = results.rows.as_slice() else {
+            panic!("{results:?}")
+        };
+        assert_eq!(
+            (
+                all.pairs,
+                all.kind.as_str(),
+                results.dropped["the prompts differ"]
+            ),
+            (3, "all", 1)
+        );
         assert!((all.both - 100.0 / 3.0).abs() < 1e-9 && (all.coin - 25.0).abs() < 1e-9);
         assert_eq!((taper.both, taper.one, taper.same), (50.0, 50.0, 50.0));
         assert_eq!((person.both, person.none), (0.0, 100.0));
-        assert!(taper.both_interval[0] < 10.0 && taper.both_interval[1] > 90.0, "{taper:?}");
+        assert!(
+            taper.both_interval[0] < 10.0 && taper.both_interval[1] > 90.0,
+            "{taper:?}"
+        );
     }
 
     #[test]
     fn the_lists_have_their_pairs_of_seeds_of_their_own() {
-        for (name, split, per_kind) in
-            [(TEST, Split::Test, TEST_PAIRS), (VALIDATION, Split::Validation, VALIDATION_PAIRS)]
-        {
+        for (name, split, per_kind) in [
+            (TEST, Split::Test, TEST_PAIRS),
+            (VALIDATION, Split::Validation, VALIDATION_PAIRS),
+        ] {
             let pairs = list(name).unwrap();
             let seeds: BTreeSet<u64> = pairs.iter().map(|pair| pair.base.seed).collect();
             assert_eq!((pairs.len(), seeds.len()), (4 * per_kind, 4 * per_kind));
             assert!(seeds.iter().all(|seed| split.seeds().contains(seed)));
-            assert_eq!(list_text(split, per_kind, &pairs), if name == TEST { TEST_LIST } else { VALIDATION_LIST });
+            assert_eq!(
+                list_text(split, per_kind, &pairs),
+                if name == TEST {
+                    TEST_LIST
+                } else {
+                    VALIDATION_LIST
+                }
+            );
         }
     }
 }

@@ -15,5 +15,9 @@ pub(super) fn rounded(pose: Pose) -> Pose {
 /// A pose in the frame of another: x, y (meters), heading (radians).
 pub(super) fn relative(frame: Pose, pose: Pose) -> [f32; 3] {
     let local = frame.to_local(pose.position());
-    [local.x as f32, local.y as f32, wrap_angle(pose.heading - frame.heading) as f32]
+    [
+        local.x as f32,
+        local.y as f32,
+        wrap_angle(pose.heading - frame.heading) as f32,
+    ]
 }

@@ -2,7 +2,9 @@
 
 use super::blocks::Weights;
 use super::checkpoint::{Checkpoint, CheckpointError};
-use planagent_agent::planner::{PlanAgentSettings, Planner, PlannerEntry, PlannerError, PlannerName, PlannerNeeds};
+use planagent_agent::planner::{
+    PlanAgentSettings, Planner, PlannerEntry, PlannerError, PlannerName, PlannerNeeds,
+};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -20,7 +22,11 @@ pub(super) struct Slot<M> {
 impl<M> Slot<M> {
     /// An empty slot for a model of this name.
     pub(super) fn new(model: &'static str, take: Take<M>) -> Self {
-        Self { model, take, loaded: Mutex::new(None) }
+        Self {
+            model,
+            take,
+            loaded: Mutex::new(None),
+        }
     }
 
     fn network(&self, checkpoint: &Path) -> Result<Arc<M>, CheckpointError> {
@@ -46,19 +52,23 @@ pub(super) fn learned_entry<M: Send + Sync + 'static>(
 ) -> PlannerEntry {
     let name = PlannerName::new(name);
     let slot = Arc::new(slot);
-    let network = {
-        let slot = Arc::clone(&slot);
-        move |settings: &PlanAgentSettings| {
-            let checkpoint = settings.learned.checkpoint(name.as_str()).ok_or(PlannerError::NoCheckpoint {
-                planner: name,
-                key: format!("learned.{}", name.as_str().replace('-', "_")),
-            })?;
-            Ok::<_, PlannerError>(slot.network(&planagent_files::path_of(checkpoint))?)
-        }
-    };
+    let network =
+        {
+            let slot = Arc::clone(&slot);
+            move |settings: &PlanAgentSettings| {
+                let checkpoint = settings.learned.checkpoint(name.as_str()).ok_or(
+                    PlannerError::NoCheckpoint {
+                        planner: name,
+                        key: format!("learned.{}", name.as_str().replace('-', "_")),
+                    },
+                )?;
+                Ok::<_, PlannerError>(slot.network(&planagent_files::path_of(checkpoint))?)
+            }
+        };
     let network = Arc::new(network);
     let prepare = Arc::clone(&network);
-    let entry =
-        PlannerEntry::new(name, summary, PlannerNeeds::Checkpoint, move |parts| Ok(plan(network(parts.settings)?)));
+    let entry = PlannerEntry::new(name, summary, PlannerNeeds::Checkpoint, move |parts| {
+        Ok(plan(network(parts.settings)?))
+    });
     entry.prepared_by(move |settings| prepare(settings).map(|_| ()))
 }

@@ -18,12 +18,16 @@ pub trait Mllm: Send + Sync {
     /// Identity and size of the model.
     fn describe(&self) -> ModelDescription;
 
-    /// Opens a conversation. The same prefix, seed and requests give the same answers at any thread count, unless a deadline
-    /// ends one early. A server's answers are as repeatable as the server.
+    /// Opens a conversation. The same prefix, seed and requests give the same answers at any thread
+    /// count, unless a deadline ends one early. A server's answers are as repeatable as the server.
     ///
     /// # Errors
     /// When the chat template cannot render the prefix, or its image cannot be used.
-    fn converse<'a>(&'a self, prefix: &PromptPrefix, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError>;
+    fn converse<'a>(
+        &'a self,
+        prefix: &PromptPrefix,
+        seed: u64,
+    ) -> Result<Box<dyn Conversation + 'a>, MllmError>;
 
     /// Number of tokens of a text, without special tokens; `None` if the backend has no tokenizer.
     fn count_tokens(&self, _text: &str) -> Option<usize> {
@@ -33,15 +37,16 @@ pub trait Mllm: Send + Sync {
 
 /// A chat. The rounds of a planning call are its turns.
 pub trait Conversation: Send {
-    /// Appends a user turn and generates the assistant's turn. An error leaves the conversation unchanged.
+    /// Appends a user turn and generates the assistant's turn. An error leaves the conversation
+    /// unchanged.
     ///
     /// # Errors
-    /// When the constraint does not compile, the prompt exceeds the context, the model computes NaN, a server fails, or the
-    /// request's deadline passes.
+    /// When the constraint does not compile, the prompt exceeds the context, the model computes
+    /// NaN, a server fails, or the request's deadline passes.
     fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError>;
 
-    /// As [`Self::ask`]. `on_text` gets the pieces of the answer as they are generated; joined, they are its text. A backend that
-    /// does not know the pieces gives the whole.
+    /// As [`Self::ask`]. `on_text` gets the pieces of the answer as they are generated; joined,
+    /// they are its text. A backend that does not know the pieces gives the whole.
     ///
     /// # Errors
     /// As [`Self::ask`].
@@ -56,19 +61,28 @@ pub trait Conversation: Send {
         Ok(answer)
     }
 
-    /// As [`Self::ask`], and gives at most `count` answers, the likeliest first. The turn is the first of them.
+    /// As [`Self::ask`], and gives at most `count` answers, the likeliest first. The turn is the
+    /// first of them.
     ///
     /// # Errors
     /// As [`Self::ask`], and where the backend does not know how likely its answers are.
-    fn ask_likeliest(&mut self, _: &str, _: &Request, count: usize) -> Result<Vec<Answer>, MllmError> {
-        let problem = format!("{count} proposals were asked for, but a server does not say how likely answers are");
+    fn ask_likeliest(
+        &mut self,
+        _: &str,
+        _: &Request,
+        count: usize,
+    ) -> Result<Vec<Answer>, MllmError> {
+        let problem = format!(
+            "{count} proposals were asked for, but a server does not say how likely answers are"
+        );
         Err(MllmError::Request { problem })
     }
 
     /// The current point of the conversation.
     fn mark(&self) -> Mark;
 
-    /// Drops the turns after a mark; what was computed before it stays cached. A mark after the current point changes nothing.
+    /// Drops the turns after a mark; what was computed before it stays cached. A mark after the
+    /// current point changes nothing.
     fn rewind(&mut self, mark: Mark);
 }
 
@@ -77,7 +91,8 @@ pub trait Conversation: Send {
 pub struct PromptPrefix {
     /// The system prompt; empty for none.
     pub system: String,
-    /// The image of the first user turn, before its text. It is resized as the model's preprocessor says.
+    /// The image of the first user turn, before its text. It is resized as the model's preprocessor
+    /// says.
     pub image: Option<Arc<RgbImage>>,
 }
 
@@ -97,8 +112,8 @@ pub struct Turn {
     pub answer: String,
 }
 
-/// BLAKE3, hexadecimal, of the whole chat: the system prompt, the earlier turns and `prompt`. Each part follows its length, so
-/// no two chats share a hash.
+/// BLAKE3, hexadecimal, of the whole chat: the system prompt, the earlier turns and `prompt`. Each
+/// part follows its length, so no two chats share a hash.
 pub fn prompt_hash(system: &str, turns: &[Turn], prompt: &str) -> String {
     let mut hasher = blake3::Hasher::new();
     let mut part = |text: &str| {
@@ -121,22 +136,24 @@ pub struct Request {
     /// Maximum tokens of the answer, fast-forwarded tokens included.
     pub max_new_tokens: usize,
     pub sampling: Sampling,
-    /// A local model checks it between tokens and between chunks of the prompt; for a server it limits the wait.
+    /// A local model checks it between tokens and between chunks of the prompt; for a server it
+    /// limits the wait.
     pub deadline: Deadline,
-    /// Lets a local model draft the answer, from these tokens of an earlier answer and from the chat. `None` drafts nothing. Drafts
-    /// change the time that an answer takes, and nothing else.
+    /// Lets a local model draft the answer, from these tokens of an earlier answer and from the
+    /// chat. `None` drafts nothing. Drafts change the time that an answer takes, and nothing else.
     pub draft: Option<Vec<u32>>,
 }
 
-/// The form of an answer. A constrained answer matches, except where `max_new_tokens` ends it ([`Answer::finish`]) or a server
-/// violates the constraint ([`Answer::constraint`]).
+/// The form of an answer. A constrained answer matches, except where `max_new_tokens` ends it
+/// ([`Answer::finish`]) or a server violates the constraint ([`Answer::constraint`]).
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Constraint {
     /// Any text.
     Free,
     /// Exactly one of these texts.
     Choice(Vec<String>),
-    /// A text that this regular expression matches as a whole (syntax of the `regex` crate, no look-around).
+    /// A text that this regular expression matches as a whole (syntax of the `regex` crate, no
+    /// look-around).
     Regex(String),
     /// These in order; free text and Lark are not allowed.
     Sequence(Vec<Constraint>),
@@ -156,7 +173,8 @@ pub enum ConstraintUse {
     Enforced,
     /// A server received it, and the answer matches.
     Satisfied,
-    /// A server received it, but the answer does not match: it is too short, or the server ignored the constraint.
+    /// A server received it, but the answer does not match: it is too short, or the server ignored
+    /// the constraint.
     Violated,
     /// The server did not receive it, because its description has `grammar = "none"`.
     NotSent,
@@ -192,18 +210,22 @@ pub struct Answer {
     pub prompt_hash: String,
 }
 
-/// Tokens of one round. The prompt has `text + image + cached` tokens, the answer `fast_forwarded + sampled`. If the constraint
-/// determines the whole answer, the prompt is not computed; its tokens count in the next round that computes them.
+/// Tokens of one round. The prompt has `text + image + cached` tokens, the answer `fast_forwarded +
+/// sampled`. If the constraint determines the whole answer, the prompt is not computed; its tokens
+/// count in the next round that computes them.
 ///
-/// For a server these are the server's counts: `text` includes image tokens, `sampled` includes fast-forwarded tokens, and all
-/// are zero if the server gives none.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
+/// For a server these are the server's counts: `text` includes image tokens, `sampled` includes
+/// fast-forwarded tokens, and all are zero if the server gives none.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema,
+)]
 pub struct TokenCounts {
     /// Text tokens of the prompt computed in this round.
     pub text: usize,
     /// Image tokens of the prompt computed in this round.
     pub image: usize,
-    /// Prompt tokens in the cache: from earlier rounds, or from the prompt prefix that all calls share.
+    /// Prompt tokens in the cache: from earlier rounds, or from the prompt prefix that all calls
+    /// share.
     pub cached: usize,
     /// Answer tokens that the constraint determined.
     pub fast_forwarded: usize,
@@ -218,7 +240,10 @@ pub struct TokenCounts {
 }
 
 /// Lets serde omit counts of what most answers do not have.
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+#[allow(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
 fn is_zero(count: &usize) -> bool {
     *count == 0
 }

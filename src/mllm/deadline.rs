@@ -22,7 +22,8 @@ impl Deadline {
 
     /// The remaining time, zero after the deadline; `None` without a deadline.
     pub fn left(self) -> Option<Duration> {
-        self.0.map(|at| at.saturating_duration_since(Instant::now()))
+        self.0
+            .map(|at| at.saturating_duration_since(Instant::now()))
     }
 
     /// # Errors
@@ -42,10 +43,17 @@ mod tests {
     #[test]
     fn a_deadline_passes_and_none_never_does() {
         let now = Instant::now();
-        assert!(matches!(Deadline::after(now, Duration::ZERO).check(), Err(MllmError::Deadline)));
+        assert!(matches!(
+            Deadline::after(now, Duration::ZERO).check(),
+            Err(MllmError::Deadline)
+        ));
         let later = Deadline::after(now, Duration::from_hours(1));
         assert!(later.check().is_ok() && later.left().unwrap() > Duration::from_secs(3500));
-        assert!(Deadline::NONE.check().is_ok() && Deadline::NONE.left().is_none() && !Deadline::NONE.is_set());
+        assert!(
+            Deadline::NONE.check().is_ok()
+                && Deadline::NONE.left().is_none()
+                && !Deadline::NONE.is_set()
+        );
         assert_eq!(Deadline::after(now, Duration::MAX), Deadline::NONE);
     }
 }

@@ -14,14 +14,16 @@ const CHAT: &str = "/chat/completions";
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EndpointSettings {
-    /// The server's address up to the version, such as `http://127.0.0.1:8080/v1`; `/chat/completions` may follow.
+    /// The server's address up to the version, such as `http://127.0.0.1:8080/v1`;
+    /// `/chat/completions` may follow.
     pub endpoint: String,
     /// The server's name of the model; empty for the only one that it offers.
     pub model: String,
     /// The environment variable with the API key; `None` for a server that needs no key.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub key_env: Option<String>,
-    /// The field that carries a constraint. It has no default, because servers ignore fields that they do not know.
+    /// The field that carries a constraint. It has no default, because servers ignore fields that
+    /// they do not know.
     pub grammar: GrammarField,
     /// The field that limits the tokens of an answer.
     #[serde(default)]
@@ -41,7 +43,8 @@ pub struct EndpointSettings {
     /// Retries of a request that met a closed connection, 429 or 5xx.
     #[serde(default = "retries")]
     pub retries: usize,
-    /// Wait before the first retry, milliseconds. It doubles each time, plus a random part of up to the same length.
+    /// Wait before the first retry, milliseconds. It doubles each time, plus a random part of up to
+    /// the same length.
     #[serde(default = "first_wait_ms")]
     pub first_wait_ms: u64,
     /// Request fields that the server refuses, such as `temperature`.
@@ -60,7 +63,8 @@ pub enum GrammarField {
     None,
     /// `grammar`, in GBNF: the servers of llama.cpp and llama-cpp-python.
     Gbnf,
-    /// `response_format`, a JSON schema of a string with a pattern: `OpenAI`, Ollama, vLLM, llama.cpp's server.
+    /// `response_format`, a JSON schema of a string with a pattern: `OpenAI`, Ollama, vLLM,
+    /// llama.cpp's server.
     JsonSchema,
     /// `structured_outputs` with a regular expression: vLLM from 0.12 on.
     StructuredOutputs,
@@ -110,20 +114,27 @@ fn first_wait_ms() -> u64 {
 }
 
 impl EndpointSettings {
-    /// The settings for an address on the command line, `ADDRESS` or `ADDRESS#MODEL`; `None` for a word that is none. Without
-    /// a model it stands for the only one that the server offers. An address without a path gets `/v1`, which all servers on
-    /// people's machines have.
+    /// The settings for an address on the command line, `ADDRESS` or `ADDRESS#MODEL`; `None` for a
+    /// word that is none. Without a model it stands for the only one that the server offers. An
+    /// address without a path gets `/v1`, which all servers on people's machines have.
     pub(crate) fn of_address(word: &str) -> Option<Self> {
         let (address, model) = word.split_once('#').unwrap_or((word, ""));
         let is_network = scheme(address).is_some();
-        let has_port = || authority(address).rsplit_once(':').is_some_and(|(_, port)| port.parse::<u16>().is_ok());
+        let has_port = || {
+            authority(address)
+                .rsplit_once(':')
+                .is_some_and(|(_, port)| port.parse::<u16>().is_ok())
+        };
         if !(is_network || is_this_machine(address) && has_port()) {
             return None;
         }
         let (_, rest) = scheme(address).unwrap_or(("http://", address));
         let bare = rest.trim_end_matches('/');
-        let endpoint =
-            if bare.contains('/') { address.to_owned() } else { format!("{}/v1", address.trim_end_matches('/')) };
+        let endpoint = if bare.contains('/') {
+            address.to_owned()
+        } else {
+            format!("{}/v1", address.trim_end_matches('/'))
+        };
         Some(Self {
             endpoint,
             model: model.to_owned(),
@@ -141,7 +152,8 @@ impl EndpointSettings {
         })
     }
 
-    /// Checks settings that a description wrote. It names the model: a list may be another tomorrow.
+    /// Checks settings that a description wrote. It names the model: a list may be another
+    /// tomorrow.
     pub(crate) fn described(&self) -> Result<(), String> {
         if self.model.trim().is_empty() {
             return Err("model is empty; write the server's name of the model".into());
@@ -151,7 +163,11 @@ impl EndpointSettings {
 
     /// Model and server in words.
     pub(crate) fn in_words(&self) -> String {
-        let model = if self.model.is_empty() { "the model" } else { &self.model };
+        let model = if self.model.is_empty() {
+            "the model"
+        } else {
+            &self.model
+        };
         format!("{model} at {}", self.endpoint)
     }
 
@@ -160,22 +176,34 @@ impl EndpointSettings {
         if self.endpoint.contains(['@', '?', '#']) {
             return Err("endpoint must be a plain address; key_env names the environment variable of the key".into());
         }
-        let plain = |character: char| character.is_ascii_alphanumeric() || "-._~%:/[]".contains(character);
+        let plain =
+            |character: char| character.is_ascii_alphanumeric() || "-._~%:/[]".contains(character);
         if self.host().is_none() || !self.endpoint.trim().chars().all(plain) {
             let endpoint = &self.endpoint;
-            return Err(format!("endpoint '{endpoint}' is not an address with http:// or https:// and a host"));
+            return Err(format!(
+                "endpoint '{endpoint}' is not an address with http:// or https:// and a host"
+            ));
         }
         if !IMAGE_SIZES.contains(&self.image_size) {
             let (min, max) = (IMAGE_SIZES.start(), IMAGE_SIZES.end());
-            return Err(format!("image_size is {}; it must be from {min} to {max}", self.image_size));
+            return Err(format!(
+                "image_size is {}; it must be from {min} to {max}",
+                self.image_size
+            ));
         }
-        for (name, value) in [("connect_timeout_ms", self.connect_timeout_ms), ("timeout_ms", self.timeout_ms)] {
+        for (name, value) in [
+            ("connect_timeout_ms", self.connect_timeout_ms),
+            ("timeout_ms", self.timeout_ms),
+        ] {
             if value == 0 {
                 return Err(format!("{name} is 0; it must be at least 1"));
             }
         }
         let address = self.endpoint.trim().trim_end_matches('/');
-        let base = address.strip_suffix(CHAT).unwrap_or(address).trim_end_matches('/');
+        let base = address
+            .strip_suffix(CHAT)
+            .unwrap_or(address)
+            .trim_end_matches('/');
         let (scheme, rest) = scheme(base).unwrap_or(("http://", base));
         Ok(format!("{}{rest}{CHAT}", scheme.to_ascii_lowercase()))
     }
@@ -200,20 +228,30 @@ impl EndpointSettings {
 /// Splits `http://` or `https://` from an address.
 fn scheme(address: &str) -> Option<(&str, &str)> {
     let mut schemes = ["http://", "https://"].into_iter();
-    let length =
-        schemes.find(|name| address.get(..name.len()).is_some_and(|text| text.eq_ignore_ascii_case(name)))?.len();
+    let length = schemes
+        .find(|name| {
+            address
+                .get(..name.len())
+                .is_some_and(|text| text.eq_ignore_ascii_case(name))
+        })?
+        .len();
     address.split_at_checked(length)
 }
 
 /// Host and port of an address without a scheme.
 fn authority(rest: &str) -> &str {
-    rest.split_once('/').map_or(rest, |(authority, _)| authority)
+    rest.split_once('/')
+        .map_or(rest, |(authority, _)| authority)
 }
 
 fn host_of(authority: &str) -> Option<&str> {
     match authority.strip_prefix('[') {
         Some(ipv6) => ipv6.split_once(']').map(|(host, _port)| host),
-        None => Some(authority.split_once(':').map_or(authority, |(host, _port)| host)),
+        None => Some(
+            authority
+                .split_once(':')
+                .map_or(authority, |(host, _port)| host),
+        ),
     }
 }
 
@@ -245,17 +283,25 @@ mod tests {
             ("http://localhost\\@example.com", None),
             ("http://local host", None),
         ] {
-            let settings = serde_json::json!({"endpoint": endpoint, "model": "m", "grammar": "none"});
+            let settings =
+                serde_json::json!({"endpoint": endpoint, "model": "m", "grammar": "none"});
             let settings: EndpointSettings = serde_json::from_value(settings).unwrap();
-            assert_eq!(settings.url().is_ok().then(|| settings.is_local()), local, "{endpoint}");
+            assert_eq!(
+                settings.url().is_ok().then(|| settings.is_local()),
+                local,
+                "{endpoint}"
+            );
         }
     }
 
     #[test]
     fn an_address_is_asked_in_every_form_that_people_write() {
         let url = |endpoint: &str| {
-            let settings = serde_json::json!({"endpoint": endpoint, "model": "m", "grammar": "none"});
-            serde_json::from_value::<EndpointSettings>(settings).unwrap().url()
+            let settings =
+                serde_json::json!({"endpoint": endpoint, "model": "m", "grammar": "none"});
+            serde_json::from_value::<EndpointSettings>(settings)
+                .unwrap()
+                .url()
         };
         let asked = "http://127.0.0.1:8080/v1/chat/completions";
         for endpoint in [
@@ -269,10 +315,25 @@ mod tests {
         ] {
             assert_eq!(url(endpoint).as_deref(), Ok(asked), "{endpoint}");
         }
-        assert_eq!(url("http://127.0.0.1:1234").as_deref(), Ok("http://127.0.0.1:1234/chat/completions"));
-        assert_eq!(url("localhost").as_deref(), Ok("http://localhost/chat/completions"));
-        assert_eq!(url("[::1]:80/v1").as_deref(), Ok("http://[::1]:80/v1/chat/completions"));
-        for endpoint in ["api.example.com/v1", "", "/v1", "ftp://localhost/v1", "http:/localhost"] {
+        assert_eq!(
+            url("http://127.0.0.1:1234").as_deref(),
+            Ok("http://127.0.0.1:1234/chat/completions")
+        );
+        assert_eq!(
+            url("localhost").as_deref(),
+            Ok("http://localhost/chat/completions")
+        );
+        assert_eq!(
+            url("[::1]:80/v1").as_deref(),
+            Ok("http://[::1]:80/v1/chat/completions")
+        );
+        for endpoint in [
+            "api.example.com/v1",
+            "",
+            "/v1",
+            "ftp://localhost/v1",
+            "http:/localhost",
+        ] {
             assert!(url(endpoint).unwrap_err().contains("http://"), "{endpoint}");
         }
     }
@@ -283,15 +344,32 @@ mod tests {
             ("http://127.0.0.1:8080/v1", "http://127.0.0.1:8080/v1", ""),
             ("http://127.0.0.1:8080", "http://127.0.0.1:8080/v1", ""),
             ("http://127.0.0.1:8080/", "http://127.0.0.1:8080/v1", ""),
-            ("https://a.example/openai#org/eye:7b", "https://a.example/openai", "org/eye:7b"),
+            (
+                "https://a.example/openai#org/eye:7b",
+                "https://a.example/openai",
+                "org/eye:7b",
+            ),
             ("localhost:11434#eye", "localhost:11434/v1", "eye"),
             ("0.0.0.0:8080/v1", "0.0.0.0:8080/v1", ""),
         ] {
             let settings = EndpointSettings::of_address(word).unwrap();
-            assert_eq!((settings.endpoint.as_str(), settings.model.as_str()), (endpoint, model), "{word}");
+            assert_eq!(
+                (settings.endpoint.as_str(), settings.model.as_str()),
+                (endpoint, model),
+                "{word}"
+            );
             assert!(settings.url().is_ok(), "{word}");
         }
-        for word in ["nano", "localhost/model", "org/model", "a.example:80/v1", "localhost:main", "./http", "", "#x"] {
+        for word in [
+            "nano",
+            "localhost/model",
+            "org/model",
+            "a.example:80/v1",
+            "localhost:main",
+            "./http",
+            "",
+            "#x",
+        ] {
             assert_eq!(EndpointSettings::of_address(word), None, "{word}");
         }
     }

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 /// An error while opening or running a vision-language model.
 ///
-/// Each message names the file, key or tensor at fault, so that a user can repair a broken checkpoint from it.
+/// Each message names the file, key or tensor at fault, so that a user can repair a broken
+/// checkpoint from it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MllmError {
@@ -28,48 +29,87 @@ pub enum MllmError {
     #[error("{}: opening the model panicked: {message}", place.display())]
     Panicked { place: PathBuf, message: String },
     #[error("cannot read {path}: {source}")]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error(
         "{path}: this is a pointer of git-lfs, not the file; `git lfs pull` in its repository, or `planagent models fetch` \
          with the model's hub id, brings the file"
     )]
     LfsPointer { path: PathBuf },
     #[error("{path}: {source}")]
-    Json { path: PathBuf, source: serde_json::Error },
+    Json {
+        path: PathBuf,
+        source: serde_json::Error,
+    },
     #[error("{path}: {key}: {problem}")]
-    Config { path: PathBuf, key: String, problem: String },
+    Config {
+        path: PathBuf,
+        key: String,
+        problem: String,
+    },
     #[error("{path}: broken safetensors file: {problem}")]
     Safetensors { path: PathBuf, problem: String },
     #[error("{path}: broken GGUF file: {problem}")]
     Gguf { path: PathBuf, problem: String },
-    #[error("{place}: the checkpoint has tensor {name} twice, perhaps under the names of two layouts")]
+    #[error(
+        "{place}: the checkpoint has tensor {name} twice, perhaps under the names of two layouts"
+    )]
     TwiceStored { place: PathBuf, name: String },
     #[error("cannot write the {what}: {source}")]
-    Write { what: String, source: std::io::Error },
+    Write {
+        what: String,
+        source: std::io::Error,
+    },
     #[error("{place}: {problem}")]
     Memory { place: PathBuf, problem: String },
     #[error("{folder}: tensor {name} is missing from the checkpoint")]
     MissingTensor { folder: PathBuf, name: String },
     #[error("{path}: tensor {name} has shape {found:?}; the configuration requires {expected:?}")]
-    TensorShape { path: PathBuf, name: String, expected: Vec<usize>, found: Vec<usize> },
+    TensorShape {
+        path: PathBuf,
+        name: String,
+        expected: Vec<usize>,
+        found: Vec<usize>,
+    },
     #[error(
         "{path}: tensor {name} has number format {found}; f32, f16 and bf16 are read from safetensors: take the model's \
          original repository (--quantize makes it small), or a GGUF file"
     )]
-    TensorType { path: PathBuf, name: String, found: String },
+    TensorType {
+        path: PathBuf,
+        name: String,
+        found: String,
+    },
     #[error(
         "{path}: tensor {name} has number format {format}, which is not read; take a file of the same model in Q4_K_M, \
          Q5_K_M, Q6_K or Q8_0"
     )]
-    GgufFormat { path: PathBuf, name: String, format: &'static str },
-    #[error("draft_model {place}: {problem}; a draft model has the vocabulary of the model that it drafts for")]
+    GgufFormat {
+        path: PathBuf,
+        name: String,
+        format: &'static str,
+    },
+    #[error(
+        "draft_model {place}: {problem}; a draft model has the vocabulary of the model that it drafts for"
+    )]
     DraftModel { place: PathBuf, problem: String },
     #[error("{path}: element {element} of tensor {name} is {value}")]
-    NonFiniteWeight { path: PathBuf, name: String, element: usize, value: f32 },
+    NonFiniteWeight {
+        path: PathBuf,
+        name: String,
+        element: usize,
+        value: f32,
+    },
     #[error("{path}: {problem}")]
     Tokenizer { path: PathBuf, problem: String },
     #[error("token '{}' has id {id}, but the model's vocabulary has {vocabulary} entries", token.escape_debug())]
-    Vocabulary { token: String, id: u32, vocabulary: usize },
+    Vocabulary {
+        token: String,
+        id: u32,
+        vocabulary: usize,
+    },
     #[error("the rendered prompt has {found} image tokens, expected {expected}")]
     ImagePlaceholder { expected: usize, found: usize },
     #[error("cannot use the image: {problem}")]
@@ -86,7 +126,11 @@ pub enum MllmError {
     )]
     PromptTooLong { tokens: usize, context: usize },
     #[error("the logit of token {token} at position {position} is {value}")]
-    NonFiniteLogits { position: usize, token: usize, value: f32 },
+    NonFiniteLogits {
+        position: usize,
+        token: usize,
+        value: f32,
+    },
     #[error(
         "the decoder gave no logits after {position} tokens of the chat; this is a fault of the program: please report it with \
          the name of the model"
@@ -94,8 +138,14 @@ pub enum MllmError {
     MissingLogits { position: usize },
     #[error("{path}: {problem}")]
     Description { path: PathBuf, problem: String },
-    #[error("unknown model '{name}': not a description in {models}, a folder or a hub id; described models: {known}")]
-    UnknownModel { name: String, models: PathBuf, known: String },
+    #[error(
+        "unknown model '{name}': not a description in {models}, a folder or a hub id; described models: {known}"
+    )]
+    UnknownModel {
+        name: String,
+        models: PathBuf,
+        known: String,
+    },
     #[error("there is no model file or folder {path}")]
     AbsentModel { path: PathBuf },
     #[error("unknown model shape '{name}'; choose one of {known}")]
@@ -104,13 +154,25 @@ pub enum MllmError {
         "{id} (revision {revision}): {file} is not in the cache {cache}; download it without mllm.offline, for example by \
          `planagent models fetch {id}`"
     )]
-    NotInCache { id: String, revision: String, file: String, cache: PathBuf },
+    NotInCache {
+        id: String,
+        revision: String,
+        file: String,
+        cache: PathBuf,
+    },
     #[error("{id} (revision {revision}): {problem}")]
-    Hub { id: String, revision: String, problem: String },
+    Hub {
+        id: String,
+        revision: String,
+        problem: String,
+    },
     #[error("the deadline of the planning call passed (agent.deadline_ms)")]
     Deadline,
     #[error("cannot read the API key of the endpoint: environment variable {variable} {problem}")]
-    Key { variable: String, problem: &'static str },
+    Key {
+        variable: String,
+        problem: &'static str,
+    },
     #[error("mllm.offline forbids requests to {endpoint}")]
     Offline { endpoint: String },
     #[error("model '{name}' has no files, because {endpoint} runs it")]
@@ -118,17 +180,22 @@ pub enum MllmError {
     #[error("'{address}' is no address of a server: {problem}")]
     Address { address: String, problem: String },
     /// Nobody named a model, and the server's list does not decide.
-    #[error("{endpoint} offers {offered}; name one of its models behind the address, as in {endpoint}#NAME")]
+    #[error(
+        "{endpoint} offers {offered}; name one of its models behind the address, as in {endpoint}#NAME"
+    )]
     ChooseModel { endpoint: String, offered: String },
     #[error("{endpoint}: {failure}")]
-    Endpoint { endpoint: String, failure: EndpointFailure },
+    Endpoint {
+        endpoint: String,
+        failure: EndpointFailure,
+    },
     #[error("tensor operation failed: {0}")]
     Tensor(#[from] candle_core::Error),
 }
 
 impl MllmError {
-    /// Whether a later planning call can succeed: the deadline passed, or a server failed for a time. A transient error ends
-    /// its planning call, a permanent one the simulation.
+    /// Whether a later planning call can succeed: the deadline passed, or a server failed for a
+    /// time. A transient error ends its planning call, a permanent one the simulation.
     pub fn is_transient(&self) -> bool {
         match self {
             Self::Deadline => true,
@@ -152,14 +219,20 @@ pub enum EndpointFailure {
     Closed(String),
     #[error("status {status}: {message}")]
     Unavailable { status: u16, message: String },
-    #[error("status {status}: the server asks for a wait of {seconds} s (Retry-After), longer than timeout_ms")]
+    #[error(
+        "status {status}: the server asks for a wait of {seconds} s (Retry-After), longer than timeout_ms"
+    )]
     Wait { status: u16, seconds: u64 },
     /// The server says that it loads its model, and has not answered a request yet.
     #[error(
         "status {status}: {message}; the server still loaded its model after {waited:.0?}: start again when it is ready, or \
          raise timeout_ms"
     )]
-    Loading { status: u16, message: String, waited: std::time::Duration },
+    Loading {
+        status: u16,
+        message: String,
+        waited: std::time::Duration,
+    },
     #[error("status {status}: {message}")]
     Refused { status: u16, message: String },
     #[error("the answer is not a chat completion: {0}")]
@@ -170,8 +243,11 @@ pub enum EndpointFailure {
     /// A complete reply has no text of an answer.
     #[error("no answer: {0}")]
     NoAnswer(String),
-    /// The first reply was of one of these kinds: the server or its address is not what the description says.
-    #[error("{0}; this was the server's first reply, so the address, the model or a setting is wrong")]
+    /// The first reply was of one of these kinds: the server or its address is not what the
+    /// description says.
+    #[error(
+        "{0}; this was the server's first reply, so the address, the model or a setting is wrong"
+    )]
     Unusable(String),
     #[error("the answer is longer than {0} bytes")]
     TooLong(u64),

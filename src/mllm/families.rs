@@ -7,7 +7,9 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
-use super::{MllmError, candle_qwen3_vl, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm};
+use super::{
+    MllmError, candle_qwen3_vl, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm,
+};
 
 const BUILT_IN: &[&Family] = &[
     &llava::FAMILY,
@@ -22,7 +24,8 @@ const BUILT_IN: &[&Family] = &[
 /// Families that only a description chooses: others open the same checkpoints, and better.
 const FOR_COMPARISON: &[&Family] = &[&candle_qwen3_vl::FAMILY];
 
-/// The families that models are looked for in: those that are built in, and those of a program that uses this one.
+/// The families that models are looked for in: those that are built in, and those of a program that
+/// uses this one.
 #[derive(Debug, Clone)]
 pub struct Families(Vec<Architecture>);
 
@@ -54,7 +57,8 @@ impl Families {
         self.0.iter().copied()
     }
 
-    /// The family that the `config.json` of a folder names: by its `model_type`, else by the first of its `architectures`.
+    /// The family that the `config.json` of a folder names: by its `model_type`, else by the first
+    /// of its `architectures`.
     pub fn detect(&self, folder: &Path) -> Result<Architecture, MllmError> {
         self.of(&ModelFiles::folder(folder)?)
     }
@@ -68,15 +72,32 @@ impl Families {
             ("model_type", Some(name))
         } else {
             let names: Option<Vec<String>> = root.value("architectures")?;
-            ("architectures", names.and_then(|names| names.into_iter().next()))
+            (
+                "architectures",
+                names.and_then(|names| names.into_iter().next()),
+            )
         };
         let Some(found) = found else {
-            return Err(root.error("model_type", "is missing, and architectures names no model either"));
+            return Err(root.error(
+                "model_type",
+                "is missing, and architectures names no model either",
+            ));
         };
-        self.iter().find(|family| family.0.config_names.contains(&found.as_str())).ok_or_else(|| {
-            let known: Vec<&str> = self.iter().filter_map(|family| family.0.config_names.first().copied()).collect();
-            root.error(key, format!("'{found}' is not supported; supported are {}", known.join(", ")))
-        })
+        self.iter()
+            .find(|family| family.0.config_names.contains(&found.as_str()))
+            .ok_or_else(|| {
+                let known: Vec<&str> = self
+                    .iter()
+                    .filter_map(|family| family.0.config_names.first().copied())
+                    .collect();
+                root.error(
+                    key,
+                    format!(
+                        "'{found}' is not supported; supported are {}",
+                        known.join(", ")
+                    ),
+                )
+            })
     }
 }
 
@@ -84,7 +105,10 @@ impl Architecture {
     /// The built-in family of this name.
     pub fn named(name: &str) -> Option<Self> {
         let compared = FOR_COMPARISON.iter().map(|family| Self(family));
-        Families::default().iter().chain(compared).find(|family| family.name() == name)
+        Families::default()
+            .iter()
+            .chain(compared)
+            .find(|family| family.name() == name)
     }
 
     pub fn name(self) -> &'static str {
@@ -115,7 +139,10 @@ impl<'de> Deserialize<'de> for Architecture {
         let name = String::deserialize(deserializer)?;
         Self::named(&name).ok_or_else(|| {
             let known: Vec<&str> = Families::default().iter().map(Self::name).collect();
-            D::Error::custom(format!("unknown architecture '{name}'; known are {}", known.join(", ")))
+            D::Error::custom(format!(
+                "unknown architecture '{name}'; known are {}",
+                known.join(", ")
+            ))
         })
     }
 }

@@ -3,12 +3,15 @@
 //! A family answers five questions, and nothing else knows it by name:
 //! 1. How does an image become tiles ([`VisionLanguageModel::preprocess`])?
 //! 2. How do tiles become input rows of the decoder ([`VisionLanguageModel::encode`])?
-//! 3. How does a chat become tokens, with placeholders for the image ([`VisionLanguageModel::chat_format`])?
+//! 3. How does a chat become tokens, with placeholders for the image
+//!    ([`VisionLanguageModel::chat_format`])?
 //! 4. Where do the tokens stand ([`VisionLanguageModel::positions`])?
-//! 5. What are its tensors called in safetensors and GGUF files (`canonical_name` and `gguf` of [`Family`])?
+//! 5. What are its tensors called in safetensors and GGUF files (`canonical_name` and `gguf` of
+//!    [`Family`])?
 //!
-//! An image has one [`ImageLayout`], which its width and height decide. The layout says how many tokens stand for the image,
-//! and which grid it is cut into. The chat format writes it, with separators between its parts. The positions follow from it.
+//! An image has one [`ImageLayout`], which its width and height decide. The layout says how many
+//! tokens stand for the image, and which grid it is cut into. The chat format writes it, with
+//! separators between its parts. The positions follow from it.
 
 use std::fmt::{self, Debug, Formatter};
 use std::ops::Range;
@@ -31,7 +34,8 @@ pub type OpenedModel = Result<Box<dyn VisionLanguageModel>, MllmError>;
 pub struct Family {
     /// The name in model descriptions and results.
     pub name: &'static str,
-    /// The `model_type` of `config.json`, then the entries of `architectures`, that this family opens.
+    /// The `model_type` of `config.json`, then the entries of `architectures`, that this family
+    /// opens.
     pub config_names: &'static [&'static str],
     /// The canonical name of a tensor in safetensors; none for a tensor that is no weight.
     pub canonical_name: fn(stored: &str) -> Option<String>,
@@ -62,7 +66,9 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
     /// When the family cannot show them so.
     fn set_images(&mut self, settings: ImageSettings) -> Result<(), MllmError> {
         if let Some(tiles) = settings.tiles {
-            let problem = format!("image.tiles = {tiles}: images of this family are not cut as a setting says");
+            let problem = format!(
+                "image.tiles = {tiles}: images of this family are not cut as a setting says"
+            );
             return Err(MllmError::Image { problem });
         }
         settings.check_size(self.info().image_size)
@@ -78,7 +84,11 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures>;
 
     /// How chats are written, from the model's files.
-    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError>;
+    fn chat_format(
+        &self,
+        files: &ModelFiles,
+        tokenizer: &ChatTokenizer,
+    ) -> Result<Box<dyn ChatFormat>, MllmError>;
 
     /// Where the tokens `tokens` of a chat with this image stand.
     fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
@@ -112,11 +122,13 @@ pub struct Tiles {
     pub height: u32,
 }
 
-/// How images are shown to a model, in its description; what is not set is as the model's files say.
+/// How images are shown to a model, in its description; what is not set is as the model's files
+/// say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ImageSettings {
-    /// Side of the square image that is drawn for the model, pixels. Only towers that take any size have a choice.
+    /// Side of the square image that is drawn for the model, pixels. Only towers that take any size
+    /// have a choice.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub size: Option<u32>,
     /// Most tiles that an image is cut into.
@@ -132,9 +144,9 @@ impl ImageSettings {
     /// Checks that the size is the one that a tower takes, if one is set.
     pub(crate) fn check_size(self, side: usize) -> Result<(), MllmError> {
         match self.size {
-            Some(size) if size as usize != side => {
-                Err(MllmError::Image { problem: format!("image.size = {size}: the vision tower takes {side}") })
-            }
+            Some(size) if size as usize != side => Err(MllmError::Image {
+                problem: format!("image.size = {size}: the vision tower takes {side}"),
+            }),
             _ => Ok(()),
         }
     }
@@ -143,9 +155,11 @@ impl ImageSettings {
 /// How an image lies in a chat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ImageLayout {
-    /// Tokens that stand for the image, one for each row of its features. Separators between its parts are text.
+    /// Tokens that stand for the image, one for each row of its features. Separators between its
+    /// parts are text.
     pub tokens: usize,
-    /// Rows of the grid that it is cut into: tiles, or tokens of a tower that takes any size. 1 for an image in one piece.
+    /// Rows of the grid that it is cut into: tiles, or tokens of a tower that takes any size. 1 for
+    /// an image in one piece.
     pub rows: usize,
     /// Columns of that grid.
     pub columns: usize,
@@ -154,7 +168,11 @@ pub struct ImageLayout {
 impl ImageLayout {
     /// An image in one piece, whose tokens follow one another.
     pub fn whole(tokens: usize) -> Self {
-        Self { tokens, rows: 1, columns: 1 }
+        Self {
+            tokens,
+            rows: 1,
+            columns: 1,
+        }
     }
 }
 
@@ -178,8 +196,9 @@ impl PlacedImage {
 pub struct ImageFeatures {
     /// Input rows: (image tokens, hidden).
     pub rows: Tensor,
-    /// Added to the hidden states of the image's tokens after the first layers, one for each: (image tokens, hidden). Most
-    /// families have none (`DeepStack`: Meng et al., arXiv:2406.04334).
+    /// Added to the hidden states of the image's tokens after the first layers, one for each:
+    /// (image tokens, hidden). Most families have none (`DeepStack`: Meng et al.,
+    /// arXiv:2406.04334).
     pub deep: Vec<Tensor>,
     pub layout: ImageLayout,
 }
@@ -187,7 +206,11 @@ pub struct ImageFeatures {
 impl ImageFeatures {
     /// The features of an image in one piece.
     pub fn whole(rows: Tensor) -> candle_core::Result<Self> {
-        Ok(Self { layout: ImageLayout::whole(rows.dim(0)?), deep: Vec::new(), rows })
+        Ok(Self {
+            layout: ImageLayout::whole(rows.dim(0)?),
+            deep: Vec::new(),
+            rows,
+        })
     }
 }
 
@@ -203,13 +226,20 @@ pub struct Positions {
 impl Positions {
     /// Tokens with one position each, and without layers that tell an image from text.
     pub fn plain(positions: impl IntoIterator<Item = u32>) -> Self {
-        Self { rotary: positions.into_iter().map(|position| [position; 3]).collect(), vision: 0..0 }
+        Self {
+            rotary: positions
+                .into_iter()
+                .map(|position| [position; 3])
+                .collect(),
+            vision: 0..0,
+        }
     }
 }
 
 /// How a family writes a chat as tokens.
 pub trait ChatFormat: Debug + Send + Sync {
-    /// Token ids of a chat, each token of the image as the model's placeholder ([`ModelInfo::image_token`]).
+    /// Token ids of a chat, each token of the image as the model's placeholder
+    /// ([`ModelInfo::image_token`]).
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError>;
 }
 
@@ -231,9 +261,11 @@ pub struct ModelInfo {
     pub architecture: &'static str,
     /// The id that stands for a token of the image. It need not be a token of the vocabulary.
     pub image_token: u32,
-    /// Whether the image stands before the system prompt, so that no chat shares a prefix with another.
+    /// Whether the image stands before the system prompt, so that no chat shares a prefix with
+    /// another.
     pub image_first: bool,
-    /// Side of the square that the vision tower takes, or that a tower for any size is shown by default, pixels.
+    /// Side of the square that the vision tower takes, or that a tower for any size is shown by
+    /// default, pixels.
     pub image_size: usize,
     /// Tokens of the image that becomes the most.
     pub max_image_tokens: usize,
@@ -259,7 +291,8 @@ pub(crate) struct ImageInfo {
 }
 
 impl ModelInfo {
-    /// The facts of a model of the family `architecture` whose weights were just taken; before, `weights` had `before` numbers.
+    /// The facts of a model of the family `architecture` whose weights were just taken; before,
+    /// `weights` had `before` numbers.
     pub(crate) fn of(
         architecture: &'static str,
         text: &LlamaConfig,

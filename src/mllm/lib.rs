@@ -1,15 +1,21 @@
 //! Multimodal language models, on the CPU of this process or on an HTTP server.
 //!
-//! A planning call opens a [`Conversation`] with an [`Mllm`] and asks round after round. [`ModelRegistry`] finds a model by
-//! name, folder, file or hub id. `Endpoint` asks a server with `OpenAI`'s interface. A [`LocalModel`] runs here:
+//! A planning call opens a [`Conversation`] with an [`Mllm`] and asks round after round.
+//! [`ModelRegistry`] finds a model by name, folder, file or hub id. `Endpoint` asks a server with
+//! `OpenAI`'s interface. A [`LocalModel`] runs here:
 //! 1. `source` opens the files of a model: safetensors, GGUF or random weights ([`ModelPlace`]).
 //! 2. A [`Family`] turns them into a [`VisionLanguageModel`]. `families` lists them; they share
 //!    `vision` and `decoder`.
-//! 3. `local` tokenizes a chat, computes what is new of it, and generates the answer under a grammar.
+//! 3. `local` tokenizes a chat, computes what is new of it, and generates the answer under a
+//!    grammar.
 //!
-//! Below them, `checkpoint` and `gguf` read weights and configurations. The arithmetic is that of [`planagent_kernels`].
+//! Below them, `checkpoint` and `gguf` read weights and configurations. The arithmetic is that of
+//! [`planagent_kernels`].
 
-#![allow(missing_docs, reason = "many names say all; the root describes what users see")]
+#![allow(
+    missing_docs,
+    reason = "many names say all; the root describes what users see"
+)]
 
 mod candle_qwen3_vl;
 mod checkpoint;
@@ -45,11 +51,13 @@ pub mod trial;
 mod vision;
 
 pub use checkpoint::in_bytes;
-pub use checkpoint::{LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights};
+pub use checkpoint::{
+    LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights,
+};
 pub use conversation::milliseconds;
 pub use conversation::{
-    Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription, PromptPrefix, Request,
-    RoundTime, Sampling, Server, TokenCounts, Turn, image_hash, prompt_hash,
+    Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription,
+    PromptPrefix, Request, RoundTime, Sampling, Server, TokenCounts, Turn, image_hash, prompt_hash,
 };
 pub use deadline::Deadline;
 pub use decoder::{DecoderInput, KvCache, LanguageModel, Logits, Position};
@@ -60,16 +68,18 @@ pub use error::{EndpointFailure, MllmError};
 pub use export::{CreateFile, GgufPart, export_model};
 pub use families::{Architecture, Families};
 pub use family::{
-    Chat, ChatFormat, Family, ImageFeatures, ImageLayout, ImageSettings, ModelInfo, OpenedModel, PlacedImage,
-    Positions, Tiles, VisionLanguageModel,
+    Chat, ChatFormat, Family, ImageFeatures, ImageLayout, ImageSettings, ModelInfo, OpenedModel,
+    PlacedImage, Positions, Tiles, VisionLanguageModel,
 };
 pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
-pub use local::{FormatOutline, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline};
+pub use local::{
+    FormatOutline, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline,
+};
 pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub use registry::{
-    Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs, ModelRegistry, ModelSource,
-    ModelSpec, NamedBy, PromptSet, RoundTokens,
+    Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs,
+    ModelRegistry, ModelSource, ModelSpec, NamedBy, PromptSet, RoundTokens,
 };
 pub use registry::{data_folder, models_folder};
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};

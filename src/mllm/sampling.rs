@@ -17,7 +17,10 @@ impl Sampling {
     pub(crate) fn check(self) -> Result<(), MllmError> {
         match self {
             Self::Sample { temperature, top_p }
-                if !(temperature.is_finite() && temperature > 0.0 && top_p > 0.0 && top_p <= 1.0) =>
+                if !(temperature.is_finite()
+                    && temperature > 0.0
+                    && top_p > 0.0
+                    && top_p <= 1.0) =>
             {
                 Err(MllmError::Request {
                     problem: format!(
@@ -36,13 +39,17 @@ impl Sampler {
         Ok(match sampling {
             Sampling::Greedy => Self::Greedy,
             Sampling::Sample { temperature, top_p } => {
-                let draw = Draw::TopP { p: top_p, temperature };
+                let draw = Draw::TopP {
+                    p: top_p,
+                    temperature,
+                };
                 Self::Draw(Box::new(LogitsProcessor::from_sampling(seed, draw)))
             }
         })
     }
 
-    /// Samples one of the allowed tokens, never `banned`. `position` is the position of the logits in the chat.
+    /// Samples one of the allowed tokens, never `banned`. `position` is the position of the logits
+    /// in the chat.
     pub(crate) fn choose(
         &mut self,
         mut logits: Vec<f32>,
@@ -51,7 +58,11 @@ impl Sampler {
         position: usize,
     ) -> Result<u32, MllmError> {
         if let Some(token) = logits.iter().position(|logit| !logit.is_finite()) {
-            return Err(MllmError::NonFiniteLogits { position, token, value: logits[token] });
+            return Err(MllmError::NonFiniteLogits {
+                position,
+                token,
+                value: logits[token],
+            });
         }
         if let Some(allowed) = allowed {
             for (token, logit) in logits.iter_mut().enumerate() {
@@ -63,7 +74,9 @@ impl Sampler {
         if let Some(logit) = logits.get_mut(banned as usize) {
             *logit = f32::NEG_INFINITY;
         }
-        let best = most_likely(&logits).ok_or_else(|| MllmError::Request { problem: "no token is allowed".into() })?;
+        let best = most_likely(&logits).ok_or_else(|| MllmError::Request {
+            problem: "no token is allowed".into(),
+        })?;
         match self {
             Self::Greedy => Ok(best),
             Self::Draw(processor) => {
@@ -89,7 +102,8 @@ pub(crate) fn most_likely(logits: &[f32]) -> Option<u32> {
 
 /// The seed of an answer, from the conversation's seed (the finalizer of `SplitMix64`).
 pub(crate) fn answer_seed(conversation: u64, answer: u64) -> u64 {
-    let mut z = conversation.wrapping_add(answer.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let mut z =
+        conversation.wrapping_add(answer.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     z ^ (z >> 31)
@@ -115,16 +129,40 @@ mod tests {
         let mut sampler = Sampler::new(Sampling::Greedy, 0).unwrap();
         let logits = vec![1.0, 3.0, 2.0, 3.0, 9.0];
         assert_eq!(sampler.choose(logits.clone(), None, BANNED, 0).unwrap(), 1);
-        assert_eq!(sampler.choose(logits.clone(), Some(&only(&[0, 2])), BANNED, 0).unwrap(), 2);
-        assert!(matches!(sampler.choose(logits, Some(&only(&[])), BANNED, 0), Err(MllmError::Request { .. })));
+        assert_eq!(
+            sampler
+                .choose(logits.clone(), Some(&only(&[0, 2])), BANNED, 0)
+                .unwrap(),
+            2
+        );
+        assert!(matches!(
+            sampler.choose(logits, Some(&only(&[])), BANNED, 0),
+            Err(MllmError::Request { .. })
+        ));
     }
 
     #[test]
     fn draws_follow_the_seed_and_stay_in_the_nucleus() {
         let draws = |seed, top_p| -> Vec<u32> {
-            let mut sampler = Sampler::new(Sampling::Sample { temperature: 1.0, top_p }, seed).unwrap();
+            let mut sampler = Sampler::new(
+                Sampling::Sample {
+                    temperature: 1.0,
+                    top_p,
+                },
+                seed,
+            )
+            .unwrap();
             (0..64)
-                .map(|_| sampler.choose(vec![0.0, 2.0, 1.0, 1.5, 9.0], Some(&only(&[0, 1, 3, 4])), BANNED, 0).unwrap())
+                .map(|_| {
+                    sampler
+                        .choose(
+                            vec![0.0, 2.0, 1.0, 1.5, 9.0],
+                            Some(&only(&[0, 1, 3, 4])),
+                            BANNED,
+                            0,
+                        )
+                        .unwrap()
+                })
                 .collect()
         };
         assert_eq!(draws(7, 1.0), draws(7, 1.0));
@@ -136,8 +174,17 @@ mod tests {
     #[test]
     fn logits_that_are_no_numbers_are_an_error() {
         let mut sampler = Sampler::new(Sampling::Greedy, 0).unwrap();
-        let error = sampler.choose(vec![0.0, f32::NAN], None, BANNED, 12).unwrap_err();
-        assert!(matches!(error, MllmError::NonFiniteLogits { position: 12, token: 1, .. }));
+        let error = sampler
+            .choose(vec![0.0, f32::NAN], None, BANNED, 12)
+            .unwrap_err();
+        assert!(matches!(
+            error,
+            MllmError::NonFiniteLogits {
+                position: 12,
+                token: 1,
+                ..
+            }
+        ));
     }
 
     #[test]

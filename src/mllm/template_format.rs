@@ -33,7 +33,12 @@ impl TemplateFormat {
     ) -> Result<Self, MllmError> {
         let placeholder = placeholder(tokenizer, image_token)?;
         let template = ChatTemplate::open(files, tokenizer.special(), &placeholder)?;
-        Ok(Self { template, placeholder, image_token, image })
+        Ok(Self {
+            template,
+            placeholder,
+            image_token,
+            image,
+        })
     }
 
     /// The ids of a rendered chat whose placeholder is one token for each token of the image.
@@ -54,11 +59,15 @@ impl TemplateFormat {
             }
         }
         let expected = usize::from(tokens.is_some());
-        if found == expected { Ok(ids) } else { Err(MllmError::ImagePlaceholder { expected, found }) }
+        if found == expected {
+            Ok(ids)
+        } else {
+            Err(MllmError::ImagePlaceholder { expected, found })
+        }
     }
 
-    /// The ids of a rendered chat whose placeholder becomes `image`. Separators may form one token with the text around
-    /// them, so the whole text is split at once.
+    /// The ids of a rendered chat whose placeholder becomes `image`. Separators may form one token
+    /// with the text around them, so the whole text is split at once.
     fn written(
         &self,
         tokenizer: &ChatTokenizer,
@@ -73,17 +82,30 @@ impl TemplateFormat {
         let (text, tokens) = image.unwrap_or_default();
         let ids = tokenizer.encode_chat(&rendered.replace(&self.placeholder, &text))?;
         let found = ids.iter().filter(|id| **id == self.image_token).count();
-        if found == tokens { Ok(ids) } else { Err(MllmError::ImagePlaceholder { expected: tokens, found }) }
+        if found == tokens {
+            Ok(ids)
+        } else {
+            Err(MllmError::ImagePlaceholder {
+                expected: tokens,
+                found,
+            })
+        }
     }
 }
 
 impl ChatFormat for TemplateFormat {
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
-        let rendered = self.template.render(chat.system, chat.image.is_some(), chat.turns, chat.prompt)?;
+        let rendered =
+            self.template
+                .render(chat.system, chat.image.is_some(), chat.turns, chat.prompt)?;
         match self.image {
-            ImageText::Repeated => self.repeated(tokenizer, &rendered, chat.image.map(|image| image.tokens)),
+            ImageText::Repeated => {
+                self.repeated(tokenizer, &rendered, chat.image.map(|image| image.tokens))
+            }
             ImageText::Written(write) => {
-                let image = chat.image.map(|layout| (write(&self.placeholder, layout), layout.tokens));
+                let image = chat
+                    .image
+                    .map(|layout| (write(&self.placeholder, layout), layout.tokens));
                 self.written(tokenizer, &rendered, image)
             }
         }
@@ -92,14 +114,21 @@ impl ChatFormat for TemplateFormat {
 
 /// The placeholder of an image, checked to be one token.
 fn placeholder(tokenizer: &ChatTokenizer, id: u32) -> Result<String, MllmError> {
-    let broken = |problem: String| MllmError::Tokenizer { path: tokenizer.path().to_path_buf(), problem };
-    let token = tokenizer
-        .token(id)
-        .ok_or_else(|| broken(format!("the image token, id {id} (image_token_index), is missing")))?;
+    let broken = |problem: String| MllmError::Tokenizer {
+        path: tokenizer.path().to_path_buf(),
+        problem,
+    };
+    let token = tokenizer.token(id).ok_or_else(|| {
+        broken(format!(
+            "the image token, id {id} (image_token_index), is missing"
+        ))
+    })?;
     let ids = tokenizer.encode_chat(&token)?;
     if ids.iter().filter(|found| **found == id).count() == 1 {
         Ok(token)
     } else {
-        Err(broken(format!("the image token '{token}', id {id}, is split into the ids {ids:?}: it is no added token")))
+        Err(broken(format!(
+            "the image token '{token}', id {id}, is split into the ids {ids:?}: it is no added token"
+        )))
     }
 }

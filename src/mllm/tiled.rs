@@ -9,7 +9,8 @@ use super::MllmError;
 use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel, LlamaLayer};
 use super::family::{
-    ChatFormat, ImageFeatures, ImageInfo, ImageLayout, ImageSettings, ModelInfo, Tiles, VisionLanguageModel,
+    ChatFormat, ImageFeatures, ImageInfo, ImageLayout, ImageSettings, ModelInfo, Tiles,
+    VisionLanguageModel,
 };
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
@@ -36,10 +37,15 @@ impl Grid {
 
     /// The tiles of an image that was resized to this grid, row by row.
     pub(crate) fn cut(self, image: &RgbImage) -> impl Iterator<Item = RgbImage> {
-        let (width, height) = (image.width() / self.columns.max(1), image.height() / self.rows.max(1));
-        let places = (0..self.rows).flat_map(move |row| (0..self.columns).map(move |column| (column, row)));
-        places
-            .map(move |(column, row)| imageops::crop_imm(image, column * width, row * height, width, height).to_image())
+        let (width, height) = (
+            image.width() / self.columns.max(1),
+            image.height() / self.rows.max(1),
+        );
+        let places =
+            (0..self.rows).flat_map(move |row| (0..self.columns).map(move |column| (column, row)));
+        places.map(move |(column, row)| {
+            imageops::crop_imm(image, column * width, row * height, width, height).to_image()
+        })
     }
 }
 
@@ -99,16 +105,35 @@ impl<T: Tiler, E: TileEncoder> TiledModel<T, E> {
         tiler: T,
         encoder: impl FnOnce(&mut Weights) -> Result<E, MllmError>,
     ) -> Result<Self, MllmError> {
-        let TiledFamily { name, text, image_token, side, tile_tokens, image_text } = family;
+        let TiledFamily {
+            name,
+            text,
+            image_token,
+            side,
+            tile_tokens,
+            image_text,
+        } = family;
         let before = weights.elements();
         let encoder = encoder(weights)?;
         let decoder = Decoder::take(weights, text, "language_model.")?;
-        let image = ImageInfo { token: image_token, side, max_tokens: tiler.max_views() * tile_tokens };
+        let image = ImageInfo {
+            token: image_token,
+            side,
+            max_tokens: tiler.max_views() * tile_tokens,
+        };
         let info = ModelInfo::of(name, text, image, weights, before);
-        Ok(Self { tiler, encoder, decoder, tile_tokens, image_text, info })
+        Ok(Self {
+            tiler,
+            encoder,
+            decoder,
+            tile_tokens,
+            image_text,
+            info,
+        })
     }
 
-    /// Encodes the views of an image, pixel values (3, side, side) each, to (views · tokens of a tile, decoder width).
+    /// Encodes the views of an image, pixel values (3, side, side) each, to (views · tokens of a
+    /// tile, decoder width).
     pub(crate) fn encode_views(&self, views: &[Tensor]) -> candle_core::Result<Tensor> {
         let rows = views.iter().map(|pixels| self.encoder.encode(pixels));
         Tensor::cat(&rows.collect::<candle_core::Result<Vec<_>>>()?, 0)
@@ -130,26 +155,51 @@ impl<T: Tiler, E: TileEncoder> VisionLanguageModel for TiledModel<T, E> {
 
     fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError> {
         if width == 0 || height == 0 {
-            return Err(MllmError::Image { problem: "it has no pixels".into() });
+            return Err(MllmError::Image {
+                problem: "it has no pixels".into(),
+            });
         }
         let grid = self.tiler.grid(width, height);
         let tokens = grid.views() * self.tile_tokens;
-        Ok(ImageLayout { tokens, rows: grid.rows as usize, columns: grid.columns as usize })
+        Ok(ImageLayout {
+            tokens,
+            rows: grid.rows as usize,
+            columns: grid.columns as usize,
+        })
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
         check_not_empty(image)?;
-        Ok(Tiles { pixels: self.tiler.views(image)?, width: image.width(), height: image.height() })
+        Ok(Tiles {
+            pixels: self.tiler.views(image)?,
+            width: image.width(),
+            height: image.height(),
+        })
     }
 
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
-        let layout = self.image_layout(tiles.width, tiles.height).map_err(candle_core::Error::wrap)?;
-        Ok(ImageFeatures { rows: self.encode_views(&tiles.pixels)?, deep: Vec::new(), layout })
+        let layout = self
+            .image_layout(tiles.width, tiles.height)
+            .map_err(candle_core::Error::wrap)?;
+        Ok(ImageFeatures {
+            rows: self.encode_views(&tiles.pixels)?,
+            deep: Vec::new(),
+            layout,
+        })
     }
 
-    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+    fn chat_format(
+        &self,
+        files: &ModelFiles,
+        tokenizer: &ChatTokenizer,
+    ) -> Result<Box<dyn ChatFormat>, MllmError> {
         let image = ImageText::Written(self.image_text);
-        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token, image)?))
+        Ok(Box::new(TemplateFormat::open(
+            files,
+            tokenizer,
+            self.info.image_token,
+            image,
+        )?))
     }
 
     fn decoder(&self) -> &dyn LanguageModel {

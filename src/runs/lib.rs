@@ -1,4 +1,5 @@
-//! Runs of many simulations: [`worker`] simulates, [`report`] keeps and shows the records, [`runner`] starts, resumes and merges.
+//! Runs of many simulations: [`worker`] simulates, [`report`] keeps and shows the records,
+//! [`runner`] starts, resumes and merges.
 
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod report;

@@ -4,7 +4,8 @@ use super::Scenario;
 use std::ops::Deref;
 use std::sync::Arc;
 
-/// A borrowed scenario, or one with several owners. A simulation of the latter outlives the function that starts it.
+/// A borrowed scenario, or one with several owners. A simulation of the latter outlives the
+/// function that starts it.
 #[derive(Debug, Clone)]
 pub enum HeldScenario<'a> {
     /// Of the caller.

@@ -1,4 +1,5 @@
-//! Scenarios that start later than their source says: `WORD@SECONDS`. What lies before is their history.
+//! Scenarios that start later than their source says: `WORD@SECONDS`. What lies before is their
+//! history.
 
 use super::reader::{OpenScenario, ReaderError, ScenarioRef};
 use super::{Contents, Scenario};
@@ -67,10 +68,20 @@ impl OpenScenario for StartedLater {
     }
 
     fn contents(&self) -> Result<Option<Contents>, ReaderError> {
-        let Some(contents) = self.source.contents()? else { return Ok(None) };
-        let iterations = contents.iterations.checked_sub(self.start.0).filter(|&left| left > 1);
+        let Some(contents) = self.source.contents()? else {
+            return Ok(None);
+        };
+        let iterations = contents
+            .iterations
+            .checked_sub(self.start.0)
+            .filter(|&left| left > 1);
         iterations
-            .map(|iterations| Some(Contents { iterations, ..contents }))
+            .map(|iterations| {
+                Some(Contents {
+                    iterations,
+                    ..contents
+                })
+            })
             .ok_or_else(|| self.start.too_late(contents.iterations))
     }
 }
@@ -80,7 +91,10 @@ impl ScenarioRef {
     #[must_use]
     pub fn started_later(self, iterations: usize) -> Self {
         let start = LaterStart(iterations);
-        self.with_source(|word| start.mark(word), |source| Arc::new(StartedLater { source, start }))
+        self.with_source(
+            |word| start.mark(word),
+            |source| Arc::new(StartedLater { source, start }),
+        )
     }
 }
 
@@ -92,14 +106,28 @@ mod tests {
     const WORD: &str = "generated/changing_lane/3";
 
     fn found(word: &str) -> ScenarioRef {
-        Readers::new(&DataRoots::default()).find(word).unwrap().swap_remove(0)
+        Readers::new(&DataRoots::default())
+            .find(word)
+            .unwrap()
+            .swap_remove(0)
     }
 
     #[test]
     fn a_word_may_end_in_a_start() {
-        assert_eq!(LaterStart::of("a/b.tfrecord@3"), Some(("a/b.tfrecord", LaterStart(30))));
+        assert_eq!(
+            LaterStart::of("a/b.tfrecord@3"),
+            Some(("a/b.tfrecord", LaterStart(30)))
+        );
         assert_eq!(LaterStart::of("a@b@2.5"), Some(("a@b", LaterStart(25))));
-        for plain in ["a/b.tfrecord", "me@home", "@3", "a@", "a@-1", "a@1e3", "a@."] {
+        for plain in [
+            "a/b.tfrecord",
+            "me@home",
+            "@3",
+            "a@",
+            "a@-1",
+            "a@1e3",
+            "a@.",
+        ] {
             assert_eq!(LaterStart::of(plain), None, "{plain}");
         }
         assert_eq!(LaterStart(25).mark("a"), "a@2.5");
@@ -108,17 +136,26 @@ mod tests {
     #[test]
     fn the_later_scenario_has_the_earlier_frames_as_history() {
         let (whole, later) = (found(WORD).open().unwrap(), found(&format!("{WORD}@4.5")));
-        assert_eq!((later.to_string(), later.id()), (format!("{WORD}@4.5"), Some("generated/changing_lane/3@4.5")));
+        assert_eq!(
+            (later.to_string(), later.id()),
+            (format!("{WORD}@4.5"), Some("generated/changing_lane/3@4.5"))
+        );
         assert_eq!(later, found(WORD).started_later(45));
         let later = later.open().unwrap();
         assert_eq!(later.id, format!("{}@4.5", whole.id));
-        assert_eq!((later.start, later.iterations()), (whole.start + 45, whole.iterations() - 45));
+        assert_eq!(
+            (later.start, later.iterations()),
+            (whole.start + 45, whole.iterations() - 45)
+        );
         assert_eq!(later.frame(0), whole.frame(45));
     }
 
     #[test]
     fn a_start_behind_the_end_is_refused() {
         let error = found(&format!("{WORD}@99")).open().unwrap_err().to_string();
-        assert!(error.contains("99.0 s") && error.contains("15.0 s"), "{error}");
+        assert!(
+            error.contains("99.0 s") && error.contains("15.0 s"),
+            "{error}"
+        );
     }
 }

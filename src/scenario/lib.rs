@@ -1,6 +1,8 @@
 //! Stage 1: scenarios from any source: map, recorded ego and agents, traffic lights, route.
 
-use planagent_world::{EgoState, History, Interaction, LaneMap, Route, SceneView, TrackedObject, TrafficLights};
+use planagent_world::{
+    EgoState, History, Interaction, LaneMap, Route, SceneView, TrackedObject, TrafficLights,
+};
 use std::sync::Arc;
 
 #[cfg(feature = "argoverse2")]
@@ -31,7 +33,9 @@ pub mod womd;
 pub use held::HeldScenario;
 pub use later_start::without_start;
 pub use open::OpenError;
-pub use reader::{DataRoots, OnProgress, OpenScenario, ReaderError, ScenarioReader, ScenarioRef, absolute_path};
+pub use reader::{
+    DataRoots, OnProgress, OpenScenario, ReaderError, ScenarioReader, ScenarioRef, absolute_path,
+};
 #[cfg(any(feature = "womd", feature = "argoverse2"))]
 pub use recording::error::{FileError, FilePlace, RecordingFault};
 pub use registry::{RECORDINGS, Readers};
@@ -40,7 +44,8 @@ pub use split::{ExcludedToken, MissingTokens, Split};
 /// nuPlan's type of a scenario without a tag (devkit `DEFAULT_SCENARIO_NAME`).
 pub const UNKNOWN_TYPE: &str = "unknown";
 
-/// Maximum number of frames of [`Scenario::future`]: eight seconds at 10 Hz, nuPlan's longest horizon.
+/// Maximum number of frames of [`Scenario::future`]: eight seconds at 10 Hz, nuPlan's longest
+/// horizon.
 pub const FUTURE_FRAMES: usize = 80;
 
 /// One time step of the log.
@@ -57,7 +62,8 @@ pub struct Frame {
 /// A recorded or generated scenario.
 #[derive(Debug, Clone)]
 pub struct Scenario {
-    /// Unique within its source: a Waymo scenario id, a nuPlan token, the name of a generated scenario.
+    /// Unique within its source: a Waymo scenario id, a nuPlan token, the name of a generated
+    /// scenario.
     pub id: String,
     /// nuPlan's scenario type; `unknown` if the source has none.
     pub scenario_type: String,
@@ -71,8 +77,8 @@ pub struct Scenario {
     pub frames: Vec<Frame>,
     /// Index of the frame of iteration 0.
     pub start: usize,
-    /// The recorded ego after the last frame at 10 Hz, up to eight seconds. The simulation ends before it. Log replay and the
-    /// open-loop metrics use it, as in nuPlan.
+    /// The recorded ego after the last frame at 10 Hz, up to eight seconds. The simulation ends
+    /// before it. Log replay and the open-loop metrics use it, as in nuPlan.
     pub future: Vec<EgoState>,
     /// What a modification added; `None` for a scenario as its source has it.
     pub interaction: Option<Arc<Interaction>>,
@@ -128,6 +134,7 @@ pub struct Contents {
     pub iterations: usize,
     /// Recorded objects.
     pub tracks: usize,
-    /// Lanes for motor vehicles, lane connectors included: as many as the map of the opened scenario has.
+    /// Lanes for motor vehicles, lane connectors included: as many as the map of the opened
+    /// scenario has.
     pub lanes: usize,
 }

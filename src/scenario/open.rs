@@ -15,8 +15,9 @@ pub enum OpenError {
 type Result<T, E = OpenError> = std::result::Result<T, E>;
 
 impl Scenario {
-    /// Opens the scenario that a word names, as on the command line: a generated scenario (`generated/changing_lane/2`), a
-    /// Waymo TFRecord file of one scenario, a nuPlan log with a token, a folder of an Argoverse 2 scenario.
+    /// Opens the scenario that a word names, as on the command line: a generated scenario
+    /// (`generated/changing_lane/2`), a Waymo TFRecord file of one scenario, a nuPlan log with a
+    /// token, a folder of an Argoverse 2 scenario.
     ///
     /// ```
     /// # use planagent_scenario::Scenario;
@@ -31,7 +32,10 @@ impl Scenario {
         let found = Readers::new(&DataRoots::from_environment()).find(word)?;
         match found.as_slice() {
             [one] => Ok(one.open()?),
-            several => Err(OpenError::ManyScenarios { word: word.to_owned(), count: several.len() }),
+            several => Err(OpenError::ManyScenarios {
+                word: word.to_owned(),
+                count: several.len(),
+            }),
         }
     }
 

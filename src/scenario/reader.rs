@@ -17,11 +17,12 @@ pub trait ScenarioReader: Send + Sync {
     /// Whether this reader takes a word of the command line, judged without reading a file.
     fn recognizes(&self, word: &str) -> bool;
 
-    /// All scenarios that a recognized word names. Of a folder, those that the reader finds in it, possibly none; a file
-    /// among others that cannot be read is a [`ScenarioRef::unreadable`].
+    /// All scenarios that a recognized word names. Of a folder, those that the reader finds in it,
+    /// possibly none; a file among others that cannot be read is a [`ScenarioRef::unreadable`].
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError>;
 
-    /// What [`Self::list`] looks for in a folder, for a folder without scenarios; `None` where it reads no folders.
+    /// What [`Self::list`] looks for in a folder, for a folder without scenarios; `None` where it
+    /// reads no folders.
     fn looks_for(&self) -> Option<String> {
         None
     }
@@ -36,8 +37,13 @@ pub trait ScenarioReader: Send + Sync {
         Vec::new()
     }
 
-    /// The scenarios of a named split or a filter file; `None` when the name is none of this reader's.
-    fn split(&self, _name: &str, _on_progress: OnProgress<'_>) -> Option<Result<Split, ReaderError>> {
+    /// The scenarios of a named split or a filter file; `None` when the name is none of this
+    /// reader's.
+    fn split(
+        &self,
+        _name: &str,
+        _on_progress: OnProgress<'_>,
+    ) -> Option<Result<Split, ReaderError>> {
         None
     }
 
@@ -52,12 +58,14 @@ pub trait OpenScenario: Send + Sync {
     /// Reads the scenario.
     fn open(&self) -> Result<Scenario, ReaderError>;
 
-    /// Checks, without reading, that the files which opening needs exist: before the first simulation rather than in each.
+    /// Checks, without reading, that the files which opening needs exist: before the first
+    /// simulation rather than in each.
     fn check(&self) -> Result<(), ReaderError> {
         Ok(())
     }
 
-    /// The files that opening reads, as far as they can be named. Without any, the scenario's own file stands for it.
+    /// The files that opening reads, as far as they can be named. Without any, the scenario's own
+    /// file stands for it.
     fn files(&self) -> Vec<PathBuf> {
         Vec::new()
     }
@@ -74,7 +82,8 @@ impl<F: Fn() -> Result<Scenario, ReaderError> + Send + Sync> OpenScenario for F 
     }
 }
 
-/// A scenario that can be opened, with what is known before that. Displayed as the word of the command line that names it.
+/// A scenario that can be opened, with what is known before that. Displayed as the word of the
+/// command line that names it.
 #[derive(Clone)]
 pub struct ScenarioRef {
     word: String,
@@ -106,12 +115,23 @@ impl ScenarioRef {
         }
     }
 
-    /// A file among others that cannot be read. Its contents are unknown: it stands for one scenario, which fails.
+    /// A file among others that cannot be read. Its contents are unknown: it stands for one
+    /// scenario, which fails.
     pub fn unreadable(path: &Path, fault: String) -> Self {
         let cause = fault.clone();
-        let unopened = Self::new(word_of(path.as_os_str()), move || Err(ReaderError::Unreadable(cause.clone())));
-        let log_name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        Self { log_name, fault: Some(fault), ..unopened.in_file(path, "") }
+        let unopened = Self::new(word_of(path.as_os_str()), move || {
+            Err(ReaderError::Unreadable(cause.clone()))
+        });
+        let log_name = path
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        Self {
+            log_name,
+            fault: Some(fault),
+            ..unopened.in_file(path, "")
+        }
     }
 
     /// With the id that the opened scenario will have.
@@ -143,8 +163,8 @@ impl ScenarioRef {
         self
     }
 
-    /// With its file or folder, and its name in that where there are several. Two words that lead to one file and part are
-    /// one scenario.
+    /// With its file or folder, and its name in that where there are several. Two words that lead
+    /// to one file and part are one scenario.
     #[must_use]
     pub fn in_file(mut self, path: impl Into<PathBuf>, part: impl Into<String>) -> Self {
         self.path = Some(path.into());
@@ -159,7 +179,13 @@ impl ScenarioRef {
         wrap: impl FnOnce(Arc<dyn OpenScenario>) -> Arc<dyn OpenScenario>,
     ) -> Self {
         let (word, part) = (rename(&self.word), rename(&self.part));
-        Self { word, part, id: self.id.as_deref().map(rename), source: wrap(self.source), ..self }
+        Self {
+            word,
+            part,
+            id: self.id.as_deref().map(rename),
+            source: wrap(self.source),
+            ..self
+        }
     }
 
     /// Id of the scenario, as far as it is known before opening.
@@ -205,7 +231,15 @@ impl ScenarioRef {
     /// As [`OpenScenario::files`]; the file that names the scenario, where the reader names none.
     pub fn files(&self) -> Vec<PathBuf> {
         let files = self.source.files();
-        if files.is_empty() { self.path.clone().filter(|path| path.is_file()).into_iter().collect() } else { files }
+        if files.is_empty() {
+            self.path
+                .clone()
+                .filter(|path| path.is_file())
+                .into_iter()
+                .collect()
+        } else {
+            files
+        }
     }
 
     /// As [`OpenScenario::contents`].
@@ -213,7 +247,8 @@ impl ScenarioRef {
         self.source.contents()
     }
 
-    /// Each scenario once, in the order in which they first appear; then the repeated ones, by whatever path.
+    /// Each scenario once, in the order in which they first appear; then the repeated ones, by
+    /// whatever path.
     pub fn distinct(scenarios: Vec<Self>) -> (Vec<Self>, Vec<Self>) {
         let mut resolved: BTreeMap<PathBuf, PathBuf> = BTreeMap::new();
         let mut seen = BTreeSet::new();
@@ -266,7 +301,10 @@ pub enum ReaderError {
     )]
     UnknownFile(PathBuf),
     #[error("cannot list the folder {}: {source}", path.display())]
-    Folder { path: PathBuf, source: std::io::Error },
+    Folder {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     /// A file among others.
     #[error("{0}")]
     Unreadable(String),
@@ -276,7 +314,10 @@ pub enum ReaderError {
     )]
     StartsTooLate { start_s: f64, end_s: f64 },
     #[error("the folder {} holds no scenarios: {}", path.display(), looked_for.join(", "))]
-    Empty { path: PathBuf, looked_for: Vec<String> },
+    Empty {
+        path: PathBuf,
+        looked_for: Vec<String>,
+    },
 }
 
 impl ReaderError {
@@ -288,7 +329,8 @@ impl ReaderError {
 
 /// A path independent of the working directory; a word that is no path stays.
 pub fn absolute_path(word: &str) -> String {
-    std::path::absolute(path_of(word)).map_or_else(|_| word.to_owned(), |path| word_of(path.as_os_str()))
+    std::path::absolute(path_of(word))
+        .map_or_else(|_| word.to_owned(), |path| word_of(path.as_os_str()))
 }
 
 /// The two folders of nuPlan's data, as nuPlan's environment variables name them.
@@ -303,7 +345,14 @@ pub struct DataRoots {
 impl DataRoots {
     /// The folders that the environment names.
     pub fn from_environment() -> Self {
-        let folder = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-        Self { data: folder("NUPLAN_DATA_ROOT"), maps: folder("NUPLAN_MAPS_ROOT") }
+        let folder = |name: &str| {
+            std::env::var_os(name)
+                .filter(|value| !value.is_empty())
+                .map(PathBuf::from)
+        };
+        Self {
+            data: folder("NUPLAN_DATA_ROOT"),
+            maps: folder("NUPLAN_MAPS_ROOT"),
+        }
     }
 }

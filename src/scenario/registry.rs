@@ -1,6 +1,7 @@
 //! The registry of scenario readers: which scenarios a word of the command line names.
 //!
-//! A reader is one folder of this stage and one line of [`READERS`]; a program adds its own by [`Readers::with`].
+//! A reader is one folder of this stage and one line of [`READERS`]; a program adds its own by
+//! [`Readers::with`].
 
 #[cfg(feature = "argoverse2")]
 use super::argoverse2;
@@ -9,7 +10,9 @@ use super::later_start::LaterStart;
 use super::modified::ModifiedName;
 #[cfg(feature = "nuplan")]
 use super::nuplan;
-use super::reader::{DataRoots, OnProgress, ReaderError, ScenarioReader, ScenarioRef, absolute_path};
+use super::reader::{
+    DataRoots, OnProgress, ReaderError, ScenarioReader, ScenarioRef, absolute_path,
+};
 use super::split::Split;
 #[cfg(feature = "womd")]
 use super::womd;
@@ -18,7 +21,8 @@ use std::fmt;
 
 type BuildReader = fn(&DataRoots) -> Box<dyn ScenarioReader>;
 
-/// The readers of this package. In a folder that several of them read, their scenarios stand in this order.
+/// The readers of this package. In a folder that several of them read, their scenarios stand in
+/// this order.
 const READERS: &[BuildReader] = &[
     |_| Box::new(generator::GeneratedReader),
     #[cfg(feature = "womd")]
@@ -40,7 +44,9 @@ pub struct Readers {
 impl Readers {
     /// The readers of this package. Nothing is read yet.
     pub fn new(roots: &DataRoots) -> Self {
-        Self { readers: READERS.iter().map(|reader| reader(roots)).collect() }
+        Self {
+            readers: READERS.iter().map(|reader| reader(roots)).collect(),
+        }
     }
 
     /// With one more reader.
@@ -52,19 +58,31 @@ impl Readers {
 
     /// The first reader that takes a word.
     fn reader_of(&self, word: &str) -> Option<&dyn ScenarioReader> {
-        self.readers.iter().find(|reader| reader.recognizes(word)).map(|reader| &**reader)
+        self.readers
+            .iter()
+            .find(|reader| reader.recognizes(word))
+            .map(|reader| &**reader)
     }
 
-    /// All scenarios that a word of the command line names. They are those of the reader that takes it, else those in the folders of
-    /// [`RECORDINGS`] within the folder of that name, else those that all readers find in it. With `@SECONDS` at the end they
-    /// start that much later. With `~NAME` or `~FILE.toml` they are modified.
+    /// All scenarios that a word of the command line names. They are those of the reader that takes
+    /// it, else those in the folders of [`RECORDINGS`] within the folder of that name, else those
+    /// that all readers find in it. With `@SECONDS` at the end they start that much later. With
+    /// `~NAME` or `~FILE.toml` they are modified.
     pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
         if let Some((base, name)) = ModifiedName::in_word(word) {
             let modification = name.read().map_err(ReaderError::new)?;
-            return Ok(self.find(base)?.into_iter().map(|scenario| modification.of(scenario)).collect());
+            return Ok(self
+                .find(base)?
+                .into_iter()
+                .map(|scenario| modification.of(scenario))
+                .collect());
         }
         if let Some((base, LaterStart(iterations))) = start_in(word) {
-            return Ok(self.find(base)?.into_iter().map(|scenario| scenario.started_later(iterations)).collect());
+            return Ok(self
+                .find(base)?
+                .into_iter()
+                .map(|scenario| scenario.started_later(iterations))
+                .collect());
         }
         let path = &path_of(word);
         if let Some(reader) = self.reader_of(word) {
@@ -72,10 +90,17 @@ impl Readers {
         }
         if !path.is_dir() {
             let path = path.to_owned();
-            return Err(if path.exists() { ReaderError::UnknownFile(path) } else { ReaderError::Missing(path) });
+            return Err(if path.exists() {
+                ReaderError::UnknownFile(path)
+            } else {
+                ReaderError::Missing(path)
+            });
         }
         let mut all = Vec::new();
-        let of_sources = RECORDINGS.map(|folder| path.join(folder)).into_iter().filter(|folder| folder.is_dir());
+        let of_sources = RECORDINGS
+            .map(|folder| path.join(folder))
+            .into_iter()
+            .filter(|folder| folder.is_dir());
         for folder in of_sources {
             all.extend(self.find(&word_of(folder.as_os_str()))?);
         }
@@ -94,12 +119,19 @@ impl Readers {
         }
         // Files of one source that cannot be read do not hide those of another.
         if !all.is_empty() {
-            all.extend(faults.iter().map(|fault| ScenarioRef::unreadable(path, fault.to_string())));
+            all.extend(
+                faults
+                    .iter()
+                    .map(|fault| ScenarioRef::unreadable(path, fault.to_string())),
+            );
         } else if !faults.is_empty() {
             return Err(faults.swap_remove(0));
         }
         match all.first() {
-            None => Err(ReaderError::Empty { path: path.to_owned(), looked_for }),
+            None => Err(ReaderError::Empty {
+                path: path.to_owned(),
+                looked_for,
+            }),
             Some(first) => match first.fault() {
                 Some(fault) if all.iter().all(|one| one.fault().is_some()) => {
                     Err(ReaderError::Unreadable(fault.to_owned()))
@@ -117,22 +149,35 @@ impl Readers {
         if let Some((base, start)) = start_in(word) {
             return start.mark(&self.absolute_word(base));
         }
-        self.reader_of(word).map_or_else(|| absolute_path(word), |reader| reader.absolute_word(word))
+        self.reader_of(word)
+            .map_or_else(|| absolute_path(word), |reader| reader.absolute_word(word))
     }
 
     /// The names of all splits.
     pub fn splits(&self) -> Vec<&'static str> {
-        self.readers.iter().flat_map(|reader| reader.splits()).collect()
+        self.readers
+            .iter()
+            .flat_map(|reader| reader.splits())
+            .collect()
     }
 
     /// The scenarios of a split; `None` when no reader knows the name.
-    pub fn split(&self, name: &str, on_progress: OnProgress<'_>) -> Option<Result<Split, ReaderError>> {
-        self.readers.iter().find_map(|reader| reader.split(name, on_progress))
+    pub fn split(
+        &self,
+        name: &str,
+        on_progress: OnProgress<'_>,
+    ) -> Option<Result<Split, ReaderError>> {
+        self.readers
+            .iter()
+            .find_map(|reader| reader.split(name, on_progress))
     }
 
     /// What a user should know about the data that was read since the last call.
     pub fn take_notes(&self) -> Vec<String> {
-        self.readers.iter().flat_map(|reader| reader.take_notes()).collect()
+        self.readers
+            .iter()
+            .flat_map(|reader| reader.take_notes())
+            .collect()
     }
 }
 

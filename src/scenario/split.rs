@@ -23,21 +23,32 @@ impl Split {
     /// A list of scenarios that all exist.
     #[doc(hidden)]
     pub fn of(scenarios: Vec<ScenarioRef>) -> Self {
-        Self { scenarios, ..Self::default() }
+        Self {
+            scenarios,
+            ..Self::default()
+        }
     }
 
     /// Other scenarios in the place of those that exist, and another file.
     #[doc(hidden)]
     #[must_use]
     pub fn with(self, scenarios: Vec<ScenarioRef>, file: Option<PathBuf>) -> Self {
-        Self { scenarios, file, ..self }
+        Self {
+            scenarios,
+            file,
+            ..self
+        }
     }
 
     /// Those that are missing, and notes for the user.
     #[doc(hidden)]
     #[must_use]
     pub fn lacking(self, missing: MissingTokens, notes: Vec<String>) -> Self {
-        Self { missing, notes, ..self }
+        Self {
+            missing,
+            notes,
+            ..self
+        }
     }
 }
 
@@ -75,12 +86,23 @@ impl MissingTokens {
 impl fmt::Display for MissingTokens {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let missing = self.absent.len() + self.excluded.len();
-        write!(f, "split {}: {missing} of {} scenarios are missing", self.split, self.wanted)?;
+        write!(
+            f,
+            "split {}: {missing} of {} scenarios are missing",
+            self.split, self.wanted
+        )?;
         if !self.absent.is_empty() {
-            write!(f, "; {} in no log: {}", self.absent.len(), first_few(&self.absent, Clone::clone))?;
+            write!(
+                f,
+                "; {} in no log: {}",
+                self.absent.len(),
+                first_few(&self.absent, Clone::clone)
+            )?;
         }
         if !self.excluded.is_empty() {
-            let named = first_few(&self.excluded, |excluded| format!("{} ({})", excluded.token, excluded.reason));
+            let named = first_few(&self.excluded, |excluded| {
+                format!("{} ({})", excluded.token, excluded.reason)
+            });
             write!(f, "; {} that are no scenario: {named}", self.excluded.len())?;
         }
         Ok(())
@@ -90,5 +112,10 @@ impl fmt::Display for MissingTokens {
 fn first_few<T>(list: &[T], word: impl Fn(&T) -> String) -> String {
     const MAX_NAMED: usize = 5;
     let more = if list.len() > MAX_NAMED { ", ..." } else { "" };
-    list.iter().take(MAX_NAMED).map(word).collect::<Vec<_>>().join(", ") + more
+    list.iter()
+        .take(MAX_NAMED)
+        .map(word)
+        .collect::<Vec<_>>()
+        .join(", ")
+        + more
 }

@@ -16,8 +16,12 @@ pub struct VehicleParameters {
 }
 
 /// nuPlan's ego vehicle, a Chrysler Pacifica.
-pub const PACIFICA: VehicleParameters =
-    VehicleParameters { width: 2.297, front_length: 4.049, rear_length: 1.127, wheel_base: 3.089 };
+pub const PACIFICA: VehicleParameters = VehicleParameters {
+    width: 2.297,
+    front_length: 4.049,
+    rear_length: 1.127,
+    wheel_base: 3.089,
+};
 
 impl VehicleParameters {
     /// Length over all, meters.
@@ -35,7 +39,11 @@ impl VehicleParameters {
     /// Footprint of a vehicle whose rear axle is at `rear_axle`.
     #[inline]
     pub fn footprint(&self, rear_axle: Pose) -> OrientedBox {
-        OrientedBox::new(rear_axle.translated(self.rear_axle_to_center(), 0.0), self.length(), self.width)
+        OrientedBox::new(
+            rear_axle.translated(self.rear_axle_to_center(), 0.0),
+            self.length(),
+            self.width,
+        )
     }
 
     /// The middle of the front bumper of a vehicle whose rear axle is at `rear_axle`.
@@ -97,7 +105,8 @@ impl EgoState {
     /// Pose of the box center, map frame.
     #[inline]
     pub fn center(&self) -> Pose {
-        self.rear_axle.translated(PACIFICA.rear_axle_to_center(), 0.0)
+        self.rear_axle
+            .translated(PACIFICA.rear_axle_to_center(), 0.0)
     }
 
     /// The box, map frame.
@@ -112,12 +121,17 @@ impl EgoState {
         self.velocity + Vector::new(0.0, PACIFICA.rear_axle_to_center() * self.angular_velocity)
     }
 
-    /// Acceleration of the box center in the body frame, m/s². nuPlan adds d·(ω² + α) to the forward component and nothing
-    /// to the lateral one, which is not rigid-body kinematics. Its metrics use this value, so it is kept.
+    /// Acceleration of the box center in the body frame, m/s². nuPlan adds d·(ω² + α) to the
+    /// forward component and nothing to the lateral one, which is not rigid-body kinematics. Its
+    /// metrics use this value, so it is kept.
     #[inline]
     pub fn center_acceleration(&self) -> Vector {
         let d = PACIFICA.rear_axle_to_center();
-        self.acceleration + Vector::new(d * (self.angular_velocity.powi(2) + self.angular_acceleration), 0.0)
+        self.acceleration
+            + Vector::new(
+                d * (self.angular_velocity.powi(2) + self.angular_acceleration),
+                0.0,
+            )
     }
 }
 

@@ -4,7 +4,8 @@ use super::{EgoState, TrackedObject};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Capacity of the buffer, samples: 2.1 s at 10 Hz, both ends included (devkit `simulation_history_buffer.py`).
+/// Capacity of the buffer, samples: 2.1 s at 10 Hz, both ends included (devkit
+/// `simulation_history_buffer.py`).
 pub const HISTORY_SAMPLES: usize = 22;
 
 /// The ego and its surroundings at one instant.

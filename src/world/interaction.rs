@@ -7,7 +7,8 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
-/// The kinds of scenes that interPlan scores by its own weights (interPlan `scenario_utils.py`), with its names.
+/// The kinds of scenes that interPlan scores by its own weights (interPlan `scenario_utils.py`),
+/// with its names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum InteractionKind {
     /// A goal that needs lane changes, in traffic with gaps of 10 to 100 m.
@@ -67,13 +68,15 @@ impl fmt::Display for InteractionKind {
     }
 }
 
-/// How a reactive vehicle treats an ego that moves into its way (interPlan `idm_modified_agent_manager.py`).
+/// How a reactive vehicle treats an ego that moves into its way (interPlan
+/// `idm_modified_agent_manager.py`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DriverBehavior {
     /// Lets the ego in from a lane of its roadblock, and looks at no other road.
     #[default]
     Default,
-    /// Does not let the ego in from a lane of its roadblock; yields to one that comes from another road.
+    /// Does not let the ego in from a lane of its roadblock; yields to one that comes from another
+    /// road.
     Assertive,
     /// Lets the ego in from any lane.
     Cautious,
@@ -132,11 +135,27 @@ impl CrossingActor {
         let way = self.to - self.from;
         let length = way.norm();
         let walked = (self.speed * seconds).min(length);
-        let direction = if length > 0.0 { way / length } else { Vector::zeros() };
-        let center = Pose::at(self.from + direction * walked, direction.y.atan2(direction.x));
-        let velocity = if walked < length { direction * self.speed } else { Vector::zeros() };
+        let direction = if length > 0.0 {
+            way / length
+        } else {
+            Vector::zeros()
+        };
+        let center = Pose::at(
+            self.from + direction * walked,
+            direction.y.atan2(direction.x),
+        );
+        let velocity = if walked < length {
+            direction * self.speed
+        } else {
+            Vector::zeros()
+        };
         let shape = OrientedBox::new(center, self.size.0, self.size.1);
-        TrackedObject { token: self.token, kind: self.kind, shape, velocity }
+        TrackedObject {
+            token: self.token,
+            kind: self.kind,
+            shape,
+            velocity,
+        }
     }
 }
 

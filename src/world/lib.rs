@@ -1,7 +1,9 @@
-//! The world that is driven in: the vocabulary here, shapes in [`geometry`], motion models in [`dynamics`].
+//! The world that is driven in: the vocabulary here, shapes in [`geometry`], motion models in
+//! [`dynamics`].
 //!
-//! The vocabulary of driving, with nuPlan's names: the ego and its vehicle, the objects around it, the lane map, traffic
-//! lights, trajectories, history, and the [`SceneView`], which is all that a planner sees at one instant.
+//! The vocabulary of driving, with nuPlan's names: the ego and its vehicle, the objects around it,
+//! the lane map, traffic lights, trajectories, history, and the [`SceneView`], which is all that a
+//! planner sees at one instant.
 //!
 //! Plain data only. Time is in integer microseconds, space in local meters of the map frame.
 
@@ -22,10 +24,12 @@ mod trajectory;
 
 pub use ego::{EgoState, PACIFICA, VehicleParameters};
 pub use history::{HISTORY_SAMPLES, History, HistorySample};
-pub use interaction::{CrossingActor, DriverBehavior, Goal, Interaction, InteractionKind, WALKER_SIZE};
+pub use interaction::{
+    CrossingActor, DriverBehavior, Goal, Interaction, InteractionKind, WALKER_SIZE,
+};
 pub use map::{
-    BASELINE_SPACING, Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, Neighbor, Roadblock, RoadblockId,
-    StopLine, StopLineId,
+    BASELINE_SPACING, Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, Neighbor,
+    Roadblock, RoadblockId, StopLine, StopLineId,
 };
 pub use map_builder::MapBuilder;
 pub use object::{ObjectKind, TrackToken, TrackedObject};

@@ -115,7 +115,10 @@ impl Lane {
 }
 
 fn neighbor_at(neighbors: &[Neighbor], s: f64) -> Option<LaneId> {
-    neighbors.iter().find(|n| n.from_s <= s && s <= n.to_s).map(|n| n.lane)
+    neighbors
+        .iter()
+        .find(|n| n.from_s <= s && s <= n.to_s)
+        .map(|n| n.lane)
 }
 
 /// Lanes side by side in one direction, or the connectors that join two such sets.
@@ -165,7 +168,8 @@ pub struct MapParts {
     pub intersections: Vec<Polygon>,
     /// Crosswalks.
     pub crosswalks: Vec<Polygon>,
-    /// The road itself, lanes and shoulders (nuPlan: `road_segments`); a part of the drivable area, unlike roadblocks.
+    /// The road itself, lanes and shoulders (nuPlan: `road_segments`); a part of the drivable area,
+    /// unlike roadblocks.
     pub road_segments: Vec<Polygon>,
     /// Drivable area beside road segments and intersections (nuPlan: `generic_drivable_areas`).
     pub generic_drivable: Vec<Polygon>,
@@ -173,30 +177,44 @@ pub struct MapParts {
     pub carparks: Vec<Polygon>,
 }
 
-/// Maximum distance between two vertices of a baseline, meters. nuPlan's rules for paths go from vertex to vertex and drop the
-/// last one (devkit `idm/utils.py`), so a sparse baseline ends too early. Ours: nuPlan's maps state no spacing; the devkit
-/// runs on maps with this one.
+/// Maximum distance between two vertices of a baseline, meters. nuPlan's rules for paths go from
+/// vertex to vertex and drop the last one (devkit `idm/utils.py`), so a sparse baseline ends too
+/// early. Ours: nuPlan's maps state no spacing; the devkit runs on maps with this one.
 pub const BASELINE_SPACING: f64 = 0.5;
 
 impl MapParts {
-    /// Gives the centerlines vertices at least every [`BASELINE_SPACING`]: for sources other than nuPlan's maps, which are
-    /// taken as they are.
+    /// Gives the centerlines vertices at least every [`BASELINE_SPACING`]: for sources other than
+    /// nuPlan's maps, which are taken as they are.
     pub fn with_dense_baselines(mut self) -> Self {
-        let sparse: Vec<f64> = self.lanes.iter().map(|lane| lane.centerline.length()).collect();
+        let sparse: Vec<f64> = self
+            .lanes
+            .iter()
+            .map(|lane| lane.centerline.length())
+            .collect();
         for (lane, before) in self.lanes.iter_mut().zip(sparse) {
             lane.centerline = lane.centerline.densified(BASELINE_SPACING);
             // Neighbors along the whole lane stay so whatever the length was rounded to.
             let whole = lane.centerline.length();
-            for neighbor in lane.left.iter_mut().chain(&mut lane.right).filter(|neighbor| neighbor.to_s >= before) {
+            for neighbor in lane
+                .left
+                .iter_mut()
+                .chain(&mut lane.right)
+                .filter(|neighbor| neighbor.to_s >= before)
+            {
                 neighbor.to_s = whole;
             }
         }
         self
     }
 
-    /// Adds the areas of all roadblocks to the road segments: for sources that do not draw that layer.
+    /// Adds the areas of all roadblocks to the road segments: for sources that do not draw that
+    /// layer.
     pub fn with_roadblocks_as_road(mut self) -> Self {
-        self.road_segments.extend(self.roadblocks.iter().flat_map(|block| block.areas.iter().cloned()));
+        self.road_segments.extend(
+            self.roadblocks
+                .iter()
+                .flat_map(|block| block.areas.iter().cloned()),
+        );
         self
     }
 }
@@ -209,9 +227,21 @@ pub enum MapError {
     #[error("the map has no lanes")]
     NoLanes,
     #[error("{layer} number {index} has id {id}")]
-    Misplaced { layer: &'static str, index: usize, id: u32 },
-    #[error("{layer} {id} (source id {source_id}): its {relation} names number {target}, which does not exist")]
-    Dangling { layer: &'static str, id: u32, source_id: i64, relation: &'static str, target: u32 },
+    Misplaced {
+        layer: &'static str,
+        index: usize,
+        id: u32,
+    },
+    #[error(
+        "{layer} {id} (source id {source_id}): its {relation} names number {target}, which does not exist"
+    )]
+    Dangling {
+        layer: &'static str,
+        id: u32,
+        source_id: i64,
+        relation: &'static str,
+        target: u32,
+    },
 }
 
 /// A map whose every relation is known to hold, with spatial indices over its layers.
@@ -232,27 +262,42 @@ pub struct LaneMap {
 }
 
 impl LaneMap {
-    /// Checks the relations and builds the indices. Baselines are taken as they are; see [`MapParts::with_dense_baselines`].
+    /// Checks the relations and builds the indices. Baselines are taken as they are; see
+    /// [`MapParts::with_dense_baselines`].
     ///
     /// # Errors
     /// When there is no lane, an id does not match its place, or a relation dangles.
     pub fn new(parts: MapParts) -> Result<Self, MapError> {
         check(&parts)?;
-        let by_source = parts.lanes.iter().map(|lane| (lane.source_id, lane.id)).collect();
-        let block_areas: Vec<(RoadblockId, usize)> =
-            parts.roadblocks.iter().flat_map(|b| (0..b.areas.len()).map(move |i| (b.id, i))).collect();
+        let by_source = parts
+            .lanes
+            .iter()
+            .map(|lane| (lane.source_id, lane.id))
+            .collect();
+        let block_areas: Vec<(RoadblockId, usize)> = parts
+            .roadblocks
+            .iter()
+            .flat_map(|b| (0..b.areas.len()).map(move |i| (b.id, i)))
+            .collect();
         let areas = |polygons: &[Polygon]| SpatialIndex::new(polygons.iter().map(Polygon::bounds));
         Ok(Self {
             by_source,
             lane_index: SpatialIndex::new(parts.lanes.iter().map(|lane| lane.polygon.bounds())),
-            block_index: SpatialIndex::new(parts.roadblocks.iter().flat_map(|b| b.areas.iter().map(Polygon::bounds))),
+            block_index: SpatialIndex::new(
+                parts
+                    .roadblocks
+                    .iter()
+                    .flat_map(|b| b.areas.iter().map(Polygon::bounds)),
+            ),
             block_areas,
             intersection_index: areas(&parts.intersections),
             crosswalk_index: areas(&parts.crosswalks),
             road_index: areas(&parts.road_segments),
             generic_index: areas(&parts.generic_drivable),
             carpark_index: areas(&parts.carparks),
-            stop_index: SpatialIndex::new(parts.stop_lines.iter().map(|line| line.polygon.bounds())),
+            stop_index: SpatialIndex::new(
+                parts.stop_lines.iter().map(|line| line.polygon.bounds()),
+            ),
             parts,
         })
     }
@@ -361,10 +406,18 @@ fn check(parts: &MapParts) -> Result<(), MapError> {
     if parts.lanes.is_empty() {
         return Err(MapError::NoLanes);
     }
-    let (lanes, blocks, stops) = (parts.lanes.len(), parts.roadblocks.len(), parts.stop_lines.len());
+    let (lanes, blocks, stops) = (
+        parts.lanes.len(),
+        parts.roadblocks.len(),
+        parts.stop_lines.len(),
+    );
     for (index, lane) in parts.lanes.iter().enumerate() {
         if lane.id.index() != index {
-            return Err(MapError::Misplaced { layer: "lane", index, id: lane.id.0 });
+            return Err(MapError::Misplaced {
+                layer: "lane",
+                index,
+                id: lane.id.0,
+            });
         }
         let neighbors = |side: &[Neighbor]| side.iter().map(|n| n.lane.0).collect::<Vec<_>>();
         let ids = |list: &[LaneId]| list.iter().map(|id| id.0).collect::<Vec<_>>();
@@ -374,33 +427,71 @@ fn check(parts: &MapParts) -> Result<(), MapError> {
             ("left", neighbors(&lane.left), lanes),
             ("right", neighbors(&lane.right), lanes),
             ("roadblock", vec![lane.roadblock.0], blocks),
-            ("stop_lines", lane.stop_lines.iter().map(|id| id.0).collect(), stops),
+            (
+                "stop_lines",
+                lane.stop_lines.iter().map(|id| id.0).collect(),
+                stops,
+            ),
         ] {
             if let Some(&target) = targets.iter().find(|&&t| t as usize >= count) {
                 let (id, source_id) = (lane.id.0, lane.source_id);
-                return Err(MapError::Dangling { layer: "lane", id, source_id, relation, target });
+                return Err(MapError::Dangling {
+                    layer: "lane",
+                    id,
+                    source_id,
+                    relation,
+                    target,
+                });
             }
         }
     }
     for (index, block) in parts.roadblocks.iter().enumerate() {
         if block.id.index() != index {
-            return Err(MapError::Misplaced { layer: "roadblock", index, id: block.id.0 });
+            return Err(MapError::Misplaced {
+                layer: "roadblock",
+                index,
+                id: block.id.0,
+            });
         }
         for (relation, targets, count) in [
-            ("lanes", block.lanes.iter().map(|id| id.0).collect::<Vec<_>>(), lanes),
-            ("incoming", block.incoming.iter().map(|id| id.0).collect(), blocks),
-            ("outgoing", block.outgoing.iter().map(|id| id.0).collect(), blocks),
+            (
+                "lanes",
+                block.lanes.iter().map(|id| id.0).collect::<Vec<_>>(),
+                lanes,
+            ),
+            (
+                "incoming",
+                block.incoming.iter().map(|id| id.0).collect(),
+                blocks,
+            ),
+            (
+                "outgoing",
+                block.outgoing.iter().map(|id| id.0).collect(),
+                blocks,
+            ),
         ] {
             if let Some(&target) = targets.iter().find(|&&t| t as usize >= count) {
                 let (id, source_id) = (block.id.0, block.source_id);
-                return Err(MapError::Dangling { layer: "roadblock", id, source_id, relation, target });
+                return Err(MapError::Dangling {
+                    layer: "roadblock",
+                    id,
+                    source_id,
+                    relation,
+                    target,
+                });
             }
         }
     }
     for (index, stop) in parts.stop_lines.iter().enumerate() {
         if let Some(lane) = stop.lanes.iter().find(|lane| lane.index() >= lanes) {
             let (id, source_id) = (index as u32, index as i64);
-            return Err(MapError::Dangling { layer: "stop line", id, source_id, relation: "lanes", target: lane.0 });
+            return Err(MapError::Dangling {
+                layer: "stop line",
+                id,
+                source_id,
+                relation: "lanes",
+                target: lane.0,
+            });
         }
     }
     Ok(())

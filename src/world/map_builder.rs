@@ -1,7 +1,8 @@
 //! Builds lane maps by hand, lane by lane.
 
 use super::{
-    Lane, LaneId, LaneKind, LaneMap, MapError, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId,
+    Lane, LaneId, LaneKind, LaneMap, MapError, MapParts, Neighbor, Roadblock, RoadblockId,
+    StopLine, StopLineId,
 };
 use crate::geometry::{GeometryError, OrientedBox, Point, Polygon, Polyline};
 
@@ -10,7 +11,8 @@ const BEND_STEPS: u32 = 24;
 /// A lane that ends this near to the start of another leads into it, meters.
 const JOINT: f64 = 0.5;
 
-/// A lane map under construction. Centerlines get a vertex every meter, those of the finished map every half meter.
+/// A lane map under construction. Centerlines get a vertex every meter, those of the finished map
+/// every half meter.
 #[derive(Debug, Clone, Default)]
 pub struct MapBuilder {
     /// The layers so far; add areas such as crosswalks here.
@@ -36,7 +38,11 @@ impl MapBuilder {
     ///
     /// # Errors
     /// When the points make no line.
-    pub fn connector(&mut self, points: impl IntoIterator<Item = Point>, width: f64) -> Result<LaneId, GeometryError> {
+    pub fn connector(
+        &mut self,
+        points: impl IntoIterator<Item = Point>,
+        width: f64,
+    ) -> Result<LaneId, GeometryError> {
         self.piece(LaneKind::Connector, points, width, None)
     }
 
@@ -49,7 +55,10 @@ impl MapBuilder {
     ) -> Result<LaneId, GeometryError> {
         let id = LaneId(self.parts.lanes.len() as u32);
         let centerline = Polyline::new(points)?.resampled(1.0);
-        let polygon = Polygon::between(&centerline.offset(width / 2.0), &centerline.offset(-width / 2.0))?;
+        let polygon = Polygon::between(
+            &centerline.offset(width / 2.0),
+            &centerline.offset(-width / 2.0),
+        )?;
         self.parts.lanes.push(Lane {
             id,
             source_id: i64::from(id.0) + 1000,
@@ -93,10 +102,16 @@ impl MapBuilder {
     /// # Errors
     /// When the lanes already touch.
     pub fn join(&mut self, from: LaneId, to: LaneId, width: f64) -> Result<LaneId, GeometryError> {
-        let (a, b) = (&self.parts.lanes[from.index()].centerline, &self.parts.lanes[to.index()].centerline);
+        let (a, b) = (
+            &self.parts.lanes[from.index()].centerline,
+            &self.parts.lanes[to.index()].centerline,
+        );
         let (start, end) = (a.pose_at(a.length()), b.pose_at(0.0));
         let pull = start.distance(&end) * 0.5;
-        let (p1, p2) = (start.translated(pull, 0.0).position(), end.translated(-pull, 0.0).position());
+        let (p1, p2) = (
+            start.translated(pull, 0.0).position(),
+            end.translated(-pull, 0.0).position(),
+        );
         let bend = (0..=BEND_STEPS).map(|i| {
             let t = f64::from(i) / f64::from(BEND_STEPS);
             let (u, t2) = (1.0 - t, t * t);
@@ -118,9 +133,17 @@ impl MapBuilder {
             let (left, right) = (pair[0], pair[1]);
             let length = |id: LaneId| self.parts.lanes[id.index()].centerline.length();
             let (left_length, right_length) = (length(left), length(right));
-            let to = |lane, to_s| Neighbor { lane, from_s: 0.0, to_s };
-            self.parts.lanes[left.index()].right.push(to(right, left_length));
-            self.parts.lanes[right.index()].left.push(to(left, right_length));
+            let to = |lane, to_s| Neighbor {
+                lane,
+                from_s: 0.0,
+                to_s,
+            };
+            self.parts.lanes[left.index()]
+                .right
+                .push(to(right, left_length));
+            self.parts.lanes[right.index()]
+                .left
+                .push(to(left, right_length));
         }
         self.groups.push(lanes.to_vec());
     }
@@ -128,20 +151,34 @@ impl MapBuilder {
     /// Gives a connector a traffic light, with a stop line of this width (meters) 1 m before it.
     pub fn stop_line(&mut self, connector: LaneId, width: f64) {
         let id = StopLineId(self.parts.stop_lines.len() as u32);
-        let at = self.parts.lanes[connector.index()].centerline.pose_at(0.0).translated(-1.0, 0.0);
+        let at = self.parts.lanes[connector.index()]
+            .centerline
+            .pose_at(0.0)
+            .translated(-1.0, 0.0);
         let polygon = OrientedBox::new(at, 0.4, width).to_polygon();
-        self.parts.stop_lines.push(StopLine { polygon, lanes: vec![connector], stop_sign: false });
+        self.parts.stop_lines.push(StopLine {
+            polygon,
+            lanes: vec![connector],
+            stop_sign: false,
+        });
         let lane = &mut self.parts.lanes[connector.index()];
         lane.stop_lines.push(id);
         lane.has_traffic_lights = true;
     }
 
-    /// The map. Lanes that are not [`Self::abreast`] get a roadblock each, and roadblocks are connected as their lanes are.
+    /// The map. Lanes that are not [`Self::abreast`] get a roadblock each, and roadblocks are
+    /// connected as their lanes are.
     ///
     /// # Errors
     /// When there is no lane.
     pub fn finish(mut self) -> Result<LaneMap, MapError> {
-        for id in self.parts.lanes.iter().map(|lane| lane.id).collect::<Vec<_>>() {
+        for id in self
+            .parts
+            .lanes
+            .iter()
+            .map(|lane| lane.id)
+            .collect::<Vec<_>>()
+        {
             if !self.groups.iter().any(|group| group.contains(&id)) {
                 self.groups.push(vec![id]);
             }
@@ -154,7 +191,9 @@ impl MapBuilder {
         for (i, lanes) in self.groups.into_iter().enumerate() {
             let members = || lanes.iter().map(|lane| &self.parts.lanes[lane.index()]);
             let blocks = |edges: fn(&Lane) -> &[LaneId]| {
-                let blocks = members().flat_map(edges).map(|lane| self.parts.lanes[lane.index()].roadblock);
+                let blocks = members()
+                    .flat_map(edges)
+                    .map(|lane| self.parts.lanes[lane.index()].roadblock);
                 let mut blocks: Vec<RoadblockId> = blocks.collect();
                 blocks.sort();
                 blocks.dedup();

@@ -4,28 +4,49 @@ use super::{Lane, LaneId, LaneKind, LaneMap, RoadblockId, StopLineId};
 use crate::geometry::{Bounds, OrientedBox, Point, Polygon, Pose, SpatialIndex, wrap_angle};
 
 fn any_holds(index: &SpatialIndex, polygons: &[Polygon], point: Point) -> bool {
-    index.at(point).into_iter().any(|i| polygons[i].contains(point))
+    index
+        .at(point)
+        .into_iter()
+        .any(|i| polygons[i].contains(point))
 }
 
 impl LaneMap {
     /// Lanes and connectors whose polygon holds the point, in map order.
     pub fn lanes_at(&self, point: Point) -> Vec<LaneId> {
-        let found = self.lane_index.at(point).into_iter().map(|i| &self.parts.lanes[i]);
-        found.filter(|lane| lane.polygon.contains(point)).map(|lane| lane.id).collect()
+        let found = self
+            .lane_index
+            .at(point)
+            .into_iter()
+            .map(|i| &self.parts.lanes[i]);
+        found
+            .filter(|lane| lane.polygon.contains(point))
+            .map(|lane| lane.id)
+            .collect()
     }
 
     /// Those of one kind whose polygon holds the point, in map order.
     pub fn lanes_of_kind_at(&self, point: Point, kind: LaneKind) -> Vec<LaneId> {
-        self.lanes_at(point).into_iter().filter(|&id| self[id].kind == kind).collect()
+        self.lanes_at(point)
+            .into_iter()
+            .filter(|&id| self[id].kind == kind)
+            .collect()
     }
 
-    /// Lanes and connectors whose polygon meets the square patch of `half_size` meters around `point`, in map order.
+    /// Lanes and connectors whose polygon meets the square patch of `half_size` meters around
+    /// `point`, in map order.
     pub fn lanes_near(&self, point: Point, half_size: f64) -> Vec<LaneId> {
         let patch = Bounds::square(point, half_size);
         let side = 2.0 * half_size;
         let square = OrientedBox::new(Pose::at(point, 0.0), side, side);
-        let found = self.lane_index.within(&patch).into_iter().map(|i| &self.parts.lanes[i]);
-        found.filter(|lane| lane.polygon.meets_box(&square)).map(|lane| lane.id).collect()
+        let found = self
+            .lane_index
+            .within(&patch)
+            .into_iter()
+            .map(|i| &self.parts.lanes[i]);
+        found
+            .filter(|lane| lane.polygon.meets_box(&square))
+            .map(|lane| lane.id)
+            .collect()
     }
 
     /// Roadblocks (and connectors) whose area holds the point, in map order.
@@ -42,11 +63,16 @@ impl LaneMap {
         found
     }
 
-    /// Roadblocks (and connectors) whose area meets the square patch of `half_size` meters around `point`, in map order.
+    /// Roadblocks (and connectors) whose area meets the square patch of `half_size` meters around
+    /// `point`, in map order.
     pub fn roadblocks_near(&self, point: Point, half_size: f64) -> Vec<RoadblockId> {
         let side = 2.0 * half_size;
         let square = OrientedBox::new(Pose::at(point, 0.0), side, side);
-        let areas = self.block_index.within(&Bounds::square(point, half_size)).into_iter().map(|i| self.block_areas[i]);
+        let areas = self
+            .block_index
+            .within(&Bounds::square(point, half_size))
+            .into_iter()
+            .map(|i| self.block_areas[i]);
         let met = areas.filter(|&(block, area)| self[block].areas[area].meets_box(&square));
         let mut found: Vec<RoadblockId> = met.map(|(block, _)| block).collect();
         found.dedup();
@@ -60,22 +86,30 @@ impl LaneMap {
 
     /// Intersections whose bounds meet the given ones, in map order.
     pub fn intersections_within(&self, bounds: &Bounds) -> impl Iterator<Item = &Polygon> {
-        self.intersection_index.within(bounds).into_iter().map(|i| &self.parts.intersections[i])
+        self.intersection_index
+            .within(bounds)
+            .into_iter()
+            .map(|i| &self.parts.intersections[i])
     }
 
     /// Car parks whose bounds meet the given ones, in map order.
     pub fn carparks_within(&self, bounds: &Bounds) -> impl Iterator<Item = &Polygon> {
-        self.carpark_index.within(bounds).into_iter().map(|i| &self.parts.carparks[i])
+        self.carpark_index
+            .within(bounds)
+            .into_iter()
+            .map(|i| &self.parts.carparks[i])
     }
 
-    /// The stop line nearest to a point, of equally near ones the first; `None` when the map has none.
+    /// The stop line nearest to a point, of equally near ones the first; `None` when the map has
+    /// none.
     pub fn nearest_stop_line(&self, point: Point) -> Option<StopLineId> {
         let mut best: Option<(f64, usize)> = None;
         for place in self.stop_index.nearest(point) {
             let polygon = &self.parts.stop_lines[place].polygon;
             let distance = polygon.distance_to(point);
             match best {
-                // The shapes come by growing distance of their bounds, which is never more than their own.
+                // The shapes come by growing distance of their bounds, which is never more than
+                // their own.
                 Some((least, _)) if polygon.bounds().distance_to(point) > least => break,
                 Some(known) if (distance, place) >= known => {}
                 _ => best = Some((distance, place)),
@@ -94,7 +128,8 @@ impl LaneMap {
         any_holds(&self.crosswalk_index, &self.parts.crosswalks, point)
     }
 
-    /// Whether the point lies in nuPlan's drivable area: road segments, intersections, generic drivable areas, car parks.
+    /// Whether the point lies in nuPlan's drivable area: road segments, intersections, generic
+    /// drivable areas, car parks.
     pub fn is_drivable(&self, point: Point) -> bool {
         any_holds(&self.road_index, &self.parts.road_segments, point)
             || any_holds(&self.intersection_index, &self.parts.intersections, point)
@@ -102,7 +137,8 @@ impl LaneMap {
             || any_holds(&self.carpark_index, &self.parts.carparks, point)
     }
 
-    /// Distance from a point to the drivable area, meters, searched up to `reach`; `None` when there is none so near.
+    /// Distance from a point to the drivable area, meters, searched up to `reach`; `None` when
+    /// there is none so near.
     pub fn distance_to_drivable(&self, point: Point, reach: f64) -> Option<f64> {
         let patch = Bounds::square(point, reach);
         let layers = [
@@ -111,20 +147,27 @@ impl LaneMap {
             (&self.generic_index, &self.parts.generic_drivable),
             (&self.carpark_index, &self.parts.carparks),
         ];
-        let areas = layers
-            .into_iter()
-            .flat_map(|(index, polygons)| index.within(&patch).into_iter().map(|i| polygons[i].distance_to(point)));
+        let areas = layers.into_iter().flat_map(|(index, polygons)| {
+            index
+                .within(&patch)
+                .into_iter()
+                .map(|i| polygons[i].distance_to(point))
+        });
         let nearest = areas.fold(f64::INFINITY, f64::min);
         (nearest <= reach).then_some(nearest)
     }
 
     /// Crosswalks that meet the square patch, in map order.
     pub fn crosswalks_near(&self, point: Point, half_size: f64) -> impl Iterator<Item = &Polygon> {
-        self.crosswalk_index.within(&Bounds::square(point, half_size)).into_iter().map(|i| &self.parts.crosswalks[i])
+        self.crosswalk_index
+            .within(&Bounds::square(point, half_size))
+            .into_iter()
+            .map(|i| &self.parts.crosswalks[i])
     }
 
-    /// The lane or connector that a vehicle at `pose` is driving on: of those that hold the point, the one that fits best by
-    /// heading and distance to its centerline; where none holds it, the one with the nearest polygon within `reach` meters.
+    /// The lane or connector that a vehicle at `pose` is driving on: of those that hold the point,
+    /// the one that fits best by heading and distance to its centerline; where none holds it, the
+    /// one with the nearest polygon within `reach` meters.
     pub fn lane_of(&self, pose: Pose, reach: f64) -> Option<LaneId> {
         let point = pose.position();
         let holding = self.lanes_at(point);
@@ -139,12 +182,17 @@ impl LaneMap {
         self.best_fit(&near, pose)
     }
 
-    /// The lane so many lanes to the left of one (negative: to the right) beside a point, and the nearest pose on its centerline.
+    /// The lane so many lanes to the left of one (negative: to the right) beside a point, and the
+    /// nearest pose on its centerline.
     pub fn beside(&self, lane: LaneId, point: Point, lanes: i32) -> Option<(LaneId, Pose)> {
         let (mut lane, mut at) = (lane, point);
         for _ in 0..lanes.abs() {
             let s = self[lane].centerline.project(at).s;
-            lane = if lanes > 0 { self[lane].left_at(s) } else { self[lane].right_at(s) }?;
+            lane = if lanes > 0 {
+                self[lane].left_at(s)
+            } else {
+                self[lane].right_at(s)
+            }?;
             at = self[lane].centerline.project(at).point;
         }
         let foot = self[lane].centerline.project(at);
@@ -154,7 +202,10 @@ impl LaneMap {
     /// Of several lanes the one that fits a pose best.
     pub fn best_fit(&self, lanes: &[LaneId], pose: Pose) -> Option<LaneId> {
         let misfit = |&id: &LaneId| misfit(&self[id], pose);
-        lanes.iter().copied().min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
+        lanes
+            .iter()
+            .copied()
+            .min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
     }
 }
 
@@ -176,9 +227,12 @@ mod tests {
     fn map(squares: &[(f64, f64, f64)]) -> LaneMap {
         let polygons: Vec<Polygon> = squares
             .iter()
-            .map(|&(x, y, heading)| OrientedBox::new(Pose::new(x, y, heading), 8.0, 1.0).to_polygon())
+            .map(|&(x, y, heading)| {
+                OrientedBox::new(Pose::new(x, y, heading), 8.0, 1.0).to_polygon()
+            })
             .collect();
-        let line = crate::geometry::Polyline::new([Point::new(1e4, 0.0), Point::new(1e4, 9.0)]).unwrap();
+        let line =
+            crate::geometry::Polyline::new([Point::new(1e4, 0.0), Point::new(1e4, 9.0)]).unwrap();
         let lane = Lane {
             id: LaneId(0),
             source_id: 0,
@@ -203,7 +257,11 @@ mod tests {
             incoming: vec![],
             outgoing: vec![],
         };
-        let stop = |polygon: &Polygon| StopLine { polygon: polygon.clone(), lanes: vec![], stop_sign: false };
+        let stop = |polygon: &Polygon| StopLine {
+            polygon: polygon.clone(),
+            lanes: vec![],
+            stop_sign: false,
+        };
         LaneMap::new(MapParts {
             lanes: vec![lane],
             roadblocks: vec![block],

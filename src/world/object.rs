@@ -4,7 +4,9 @@ use crate::geometry::{OrientedBox, Vector};
 use std::fmt;
 
 /// nuPlan's tracked object types, the ego apart.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum ObjectKind {
     /// Car, truck, bus.
@@ -64,7 +66,9 @@ impl fmt::Display for ObjectKind {
 }
 
 /// Identity of a track within its scenario.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize,
+)]
 #[serde(transparent)]
 pub struct TrackToken(pub u32);
 

@@ -25,23 +25,36 @@ impl LanePath {
             starts.push(centerline.length());
             centerline = centerline.joined(&map[lane].centerline);
         }
-        Some(Self { lanes, starts, centerline })
+        Some(Self {
+            lanes,
+            starts,
+            centerline,
+        })
     }
 
-    /// The path from the start of `first` that stays on the route as long as possible, then follows the straightest
-    /// successors, for at least `length` meters or until a dead end.
+    /// The path from the start of `first` that stays on the route as long as possible, then follows
+    /// the straightest successors, for at least `length` meters or until a dead end.
     pub fn along(map: &LaneMap, route: &Route, first: LaneId, length: f64) -> Self {
         let mut lanes = longest_on_route(map, &route.lanes(map), first);
-        let mut covered: f64 = lanes.iter().map(|&lane| map[lane].centerline.length()).sum();
+        let mut covered: f64 = lanes
+            .iter()
+            .map(|&lane| map[lane].centerline.length())
+            .sum();
         while covered < length {
-            let Some(next) = lanes.last().and_then(|&last| straightest_successor(map, last)) else { break };
+            let Some(next) = lanes
+                .last()
+                .and_then(|&last| straightest_successor(map, last))
+            else {
+                break;
+            };
             if lanes.contains(&next) {
                 break;
             }
             covered += map[next].centerline.length();
             lanes.push(next);
         }
-        while lanes.len() > 1 && covered - map[lanes[lanes.len() - 1]].centerline.length() >= length {
+        while lanes.len() > 1 && covered - map[lanes[lanes.len() - 1]].centerline.length() >= length
+        {
             covered -= map[lanes[lanes.len() - 1]].centerline.length();
             lanes.pop();
         }
@@ -51,19 +64,28 @@ impl LanePath {
     /// The lane at arc length `s` of the joined centerline (clamped).
     #[inline]
     pub fn lane_at(&self, s: f64) -> LaneId {
-        let place = self.starts.partition_point(|&start| start <= s).saturating_sub(1);
+        let place = self
+            .starts
+            .partition_point(|&start| start <= s)
+            .saturating_sub(1);
         self.lanes[place]
     }
 }
 
-/// Of the chains from `first` through lanes of the route, the one with most lanes; the first found wins ties.
+/// Of the chains from `first` through lanes of the route, the one with most lanes; the first found
+/// wins ties.
 fn longest_on_route(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, first: LaneId) -> Vec<LaneId> {
     let mut parent: BTreeMap<LaneId, LaneId> = BTreeMap::new();
     let mut queue = VecDeque::from([first]);
     let mut last = first;
     while let Some(lane) = queue.pop_front() {
         last = lane;
-        let mut onward: Vec<LaneId> = map[lane].outgoing.iter().copied().filter(|l| route_lanes.contains(l)).collect();
+        let mut onward: Vec<LaneId> = map[lane]
+            .outgoing
+            .iter()
+            .copied()
+            .filter(|l| route_lanes.contains(l))
+            .collect();
         onward.sort_by(|a, b| bend(map, *a).total_cmp(&bend(map, *b)));
         for next in onward {
             if next != first && !parent.contains_key(&next) {
@@ -88,5 +110,9 @@ fn bend(map: &LaneMap, lane: LaneId) -> f64 {
 
 /// The successor with the smallest angle.
 fn straightest_successor(map: &LaneMap, lane: LaneId) -> Option<LaneId> {
-    map[lane].outgoing.iter().copied().min_by(|a, b| bend(map, *a).total_cmp(&bend(map, *b)))
+    map[lane]
+        .outgoing
+        .iter()
+        .copied()
+        .min_by(|a, b| bend(map, *a).total_cmp(&bend(map, *b)))
 }

@@ -11,14 +11,18 @@ pub struct Route {
     pub roadblocks: Vec<RoadblockId>,
     /// nuPlan's mission goal: the end of the recording; `None` when unknown.
     pub goal: Option<Pose>,
-    /// The lane that holds the goal, where the score asks for it: in a modified scenario with a goal.
+    /// The lane that holds the goal, where the score asks for it: in a modified scenario with a
+    /// goal.
     pub goal_lane: Option<LaneId>,
 }
 
 impl Route {
     /// All lanes and connectors of the route's roadblocks.
     pub fn lanes(&self, map: &LaneMap) -> BTreeSet<LaneId> {
-        self.roadblocks.iter().flat_map(|&block| map[block].lanes.iter().copied()).collect()
+        self.roadblocks
+            .iter()
+            .flat_map(|&block| map[block].lanes.iter().copied())
+            .collect()
     }
 
     /// Whether a roadblock belongs to the route.

@@ -1,8 +1,9 @@
 //! A scene that owns its parts, and its builder: for programs that plan in a loop of their own.
 
 use super::{
-    EgoState, History, HistorySample, LaneId, LaneMap, MICROS_PER_SECOND, MapBuilder, MapError, ObjectKind, PACIFICA,
-    RoadblockId, Route, SceneView, SignalStatus, TrackToken, TrackedObject, TrafficLights,
+    EgoState, History, HistorySample, LaneId, LaneMap, MICROS_PER_SECOND, MapBuilder, MapError,
+    ObjectKind, PACIFICA, RoadblockId, Route, SceneView, SignalStatus, TrackToken, TrackedObject,
+    TrafficLights,
 };
 use crate::geometry::{GeometryError, OrientedBox, Point, Pose, Vector};
 use std::sync::Arc;
@@ -73,11 +74,15 @@ impl Scene {
         }
     }
 
-    /// The same scene later: the ego in a new state, whose time counts, and the objects as they are then.
+    /// The same scene later: the ego in a new state, whose time counts, and the objects as they are
+    /// then.
     pub fn advance(&mut self, ego: EgoState, objects: impl Into<Arc<[TrackedObject]>>) {
         self.ego = ego;
         self.objects = objects.into();
-        self.history.push(HistorySample { ego, objects: Arc::clone(&self.objects) });
+        self.history.push(HistorySample {
+            ego,
+            objects: Arc::clone(&self.objects),
+        });
     }
 
     /// Time of the scene, seconds.
@@ -98,7 +103,11 @@ pub enum SceneError {
     #[error("the scene has no ego; call SceneBuilder::ego")]
     NoEgo,
     #[error("the {what} of the scene names lane {lane}, and the map has {lanes} lanes")]
-    UnknownLane { what: &'static str, lane: usize, lanes: usize },
+    UnknownLane {
+        what: &'static str,
+        lane: usize,
+        lanes: usize,
+    },
     #[error("the {what} of the scene has a NaN or infinite value")]
     NotFinite { what: &'static str },
 }
@@ -114,8 +123,8 @@ struct Drawn {
     beside: bool,
 }
 
-/// Builds an [`Scene`]. Lanes are numbered from 0 in the order of their calls. Positions are in meters, headings in
-/// radians, speeds in m/s.
+/// Builds an [`Scene`]. Lanes are numbered from 0 in the order of their calls. Positions are in
+/// meters, headings in radians, speeds in m/s.
 #[derive(Debug, Clone)]
 pub struct SceneBuilder {
     map: Option<Arc<LaneMap>>,
@@ -179,7 +188,13 @@ impl SceneBuilder {
                 Err(_) => line.clone(),
             };
             let (width, speed_limit) = (self.width, self.speed_limit);
-            self.drawn.push(Drawn { points, width, connector: false, speed_limit, beside: i > 0 });
+            self.drawn.push(Drawn {
+                points,
+                width,
+                connector: false,
+                speed_limit,
+                beside: i > 0,
+            });
         }
         self
     }
@@ -187,11 +202,18 @@ impl SceneBuilder {
     /// Adds a connector: a lane across an intersection, which may have a light.
     pub fn connector(mut self, points: impl IntoIterator<Item = [f64; 2]>) -> Self {
         let points = points.into_iter().map(Point::from).collect();
-        self.drawn.push(Drawn { points, width: self.width, connector: true, speed_limit: None, beside: false });
+        self.drawn.push(Drawn {
+            points,
+            width: self.width,
+            connector: true,
+            speed_limit: None,
+            beside: false,
+        });
         self
     }
 
-    /// The lanes that the ego shall follow. Without this call, the route follows the lane under the ego.
+    /// The lanes that the ego shall follow. Without this call, the route follows the lane under the
+    /// ego.
     pub fn route(mut self, lanes: impl IntoIterator<Item = usize>) -> Self {
         self.route = Some(lanes.into_iter().collect());
         self
@@ -200,7 +222,12 @@ impl SceneBuilder {
     /// The ego by the center of its box, at time 0.
     pub fn ego(self, center: [f64; 2], heading: f64, speed: f64) -> Self {
         let rear_axle = PACIFICA.rear_axle_of(Pose::new(center[0], center[1], heading));
-        self.ego_state(EgoState::from_log(0, rear_axle, Vector::new(speed, 0.0), Vector::zeros()))
+        self.ego_state(EgoState::from_log(
+            0,
+            rear_axle,
+            Vector::new(speed, 0.0),
+            Vector::zeros(),
+        ))
     }
 
     /// The ego with its whole state.
@@ -219,8 +246,16 @@ impl SceneBuilder {
         let center = Pose::new(center[0], center[1], heading);
         let (length, width) = kind.default_size();
         let token = TrackToken(self.objects.len() as u32);
-        let (shape, velocity) = (OrientedBox::new(center, length, width), center.direction() * speed);
-        self.objects.push(TrackedObject { token, kind, shape, velocity });
+        let (shape, velocity) = (
+            OrientedBox::new(center, length, width),
+            center.direction() * speed,
+        );
+        self.objects.push(TrackedObject {
+            token,
+            kind,
+            shape,
+            velocity,
+        });
         self
     }
 
@@ -239,13 +274,21 @@ impl SceneBuilder {
     /// The scene.
     ///
     /// # Errors
-    /// When there is no ego, a lane is no line, a light or route names no lane, or a value is NaN or infinite.
+    /// When there is no ego, a lane is no line, a light or route names no lane, or a value is NaN
+    /// or infinite.
     pub fn build(self) -> Result<Scene, SceneError> {
         let ego = self.ego.ok_or(SceneError::NoEgo)?;
-        if !(ego.rear_axle.is_finite() && ego.velocity.norm().is_finite() && ego.acceleration.norm().is_finite()) {
+        if !(ego.rear_axle.is_finite()
+            && ego.velocity.norm().is_finite()
+            && ego.acceleration.norm().is_finite())
+        {
             return Err(SceneError::NotFinite { what: "ego" });
         }
-        if !self.objects.iter().all(|o| o.shape.center.is_finite() && o.velocity.norm().is_finite()) {
+        if !self
+            .objects
+            .iter()
+            .all(|o| o.shape.center.is_finite() && o.velocity.norm().is_finite())
+        {
             return Err(SceneError::NotFinite { what: "objects" });
         }
         let map = match self.map {
@@ -254,13 +297,22 @@ impl SceneBuilder {
         };
         let lane = |what, lane: usize| {
             let lanes = map.lanes().len();
-            if lane < lanes { Ok(LaneId(lane as u32)) } else { Err(SceneError::UnknownLane { what, lane, lanes }) }
+            if lane < lanes {
+                Ok(LaneId(lane as u32))
+            } else {
+                Err(SceneError::UnknownLane { what, lane, lanes })
+            }
         };
-        let lights = self.lights.iter().map(|&(at, status)| Ok((lane("light", at)?, status)));
+        let lights = self
+            .lights
+            .iter()
+            .map(|&(at, status)| Ok((lane("light", at)?, status)));
         let lights: TrafficLights = lights.collect::<Result<_, SceneError>>()?;
         let roadblocks = match self.route {
             Some(lanes) => {
-                let blocks = lanes.into_iter().map(|at| Ok(map[lane("route", at)?].roadblock));
+                let blocks = lanes
+                    .into_iter()
+                    .map(|at| Ok(map[lane("route", at)?].roadblock));
                 let mut blocks = blocks.collect::<Result<Vec<RoadblockId>, SceneError>>()?;
                 blocks.dedup();
                 blocks
@@ -269,9 +321,23 @@ impl SceneBuilder {
         };
         let objects: Arc<[TrackedObject]> = self.objects.into();
         let mut history = History::default();
-        history.push(HistorySample { ego, objects: Arc::clone(&objects) });
-        let route = Route { roadblocks, goal: None, goal_lane: None };
-        Ok(Scene { map, route, ego, objects, lights, history })
+        history.push(HistorySample {
+            ego,
+            objects: Arc::clone(&objects),
+        });
+        let route = Route {
+            roadblocks,
+            goal: None,
+            goal_lane: None,
+        };
+        Ok(Scene {
+            map,
+            route,
+            ego,
+            objects,
+            lights,
+            history,
+        })
     }
 }
 
@@ -285,7 +351,10 @@ fn map_of(drawn: &[Drawn], lights: &[(usize, SignalStatus)]) -> Result<LaneMap, 
         } else {
             map.lane(points, lane.width, lane.speed_limit)
         };
-        let id = added.map_err(|source| SceneError::Lane { lane: number, source })?;
+        let id = added.map_err(|source| SceneError::Lane {
+            lane: number,
+            source,
+        })?;
         if !lane.beside && !abreast.is_empty() {
             map.abreast(&std::mem::take(&mut abreast));
         }
@@ -333,10 +402,16 @@ mod tests {
         let scene = crossing().light(2, SignalStatus::Red).build().unwrap();
         let map = &scene.map;
         assert_eq!(map.lanes().len(), 4);
-        assert_eq!((map[LaneId(0)].right[0].lane, map[LaneId(1)].left[0].lane), (LaneId(1), LaneId(0)));
+        assert_eq!(
+            (map[LaneId(0)].right[0].lane, map[LaneId(1)].left[0].lane),
+            (LaneId(1), LaneId(0))
+        );
         assert_eq!(map[LaneId(1)].outgoing, [LaneId(2)]);
         assert_eq!(map[LaneId(2)].outgoing, [LaneId(3)]);
-        assert!(map[LaneId(2)].has_traffic_lights && scene.lights.status(LaneId(2)) == Some(SignalStatus::Red));
+        assert!(
+            map[LaneId(2)].has_traffic_lights
+                && scene.lights.status(LaneId(2)) == Some(SignalStatus::Red)
+        );
         let blocks: Vec<_> = [1, 2, 3].map(|lane| map[LaneId(lane)].roadblock).into();
         assert_eq!(scene.route.roadblocks, blocks);
         assert!((scene.ego.center().y + 3.5).abs() < 1e-12);
@@ -346,29 +421,62 @@ mod tests {
     fn baselines_are_dense() {
         let scene = crossing().build().unwrap();
         for lane in scene.map.lanes() {
-            let steps = lane.centerline.vertices().windows(2).map(|pair| (pair[1] - pair[0]).norm());
-            assert!(steps.fold(0.0, f64::max) < crate::BASELINE_SPACING + 1e-6, "{:?}", lane.id);
+            let steps = lane
+                .centerline
+                .vertices()
+                .windows(2)
+                .map(|pair| (pair[1] - pair[0]).norm());
+            assert!(
+                steps.fold(0.0, f64::max) < crate::BASELINE_SPACING + 1e-6,
+                "{:?}",
+                lane.id
+            );
         }
     }
 
     #[test]
     fn what_is_wrong_is_named() {
-        assert_eq!(Scene::builder().lane([[0.0, 0.0], [9.0, 0.0]]).build().unwrap_err(), SceneError::NoEgo);
-        let no_map = Scene::builder().ego([0.0, 0.0], 0.0, 0.0).build().unwrap_err();
+        assert_eq!(
+            Scene::builder()
+                .lane([[0.0, 0.0], [9.0, 0.0]])
+                .build()
+                .unwrap_err(),
+            SceneError::NoEgo
+        );
+        let no_map = Scene::builder()
+            .ego([0.0, 0.0], 0.0, 0.0)
+            .build()
+            .unwrap_err();
         assert_eq!(no_map, SceneError::Map(MapError::NoLanes));
         let point = crossing().lane([[0.0, 0.0]]).build().unwrap_err();
         assert!(matches!(point, SceneError::Lane { lane: 4, .. }), "{point}");
         let light = crossing().light(7, SignalStatus::Red).build().unwrap_err();
-        assert_eq!(light, SceneError::UnknownLane { what: "light", lane: 7, lanes: 4 });
-        assert!(matches!(crossing().route([9]).build(), Err(SceneError::UnknownLane { what: "route", .. })));
-        let lost = crossing().vehicle([f64::NAN, 0.0], 0.0, 0.0).build().unwrap_err();
+        assert_eq!(
+            light,
+            SceneError::UnknownLane {
+                what: "light",
+                lane: 7,
+                lanes: 4
+            }
+        );
+        assert!(matches!(
+            crossing().route([9]).build(),
+            Err(SceneError::UnknownLane { what: "route", .. })
+        ));
+        let lost = crossing()
+            .vehicle([f64::NAN, 0.0], 0.0, 0.0)
+            .build()
+            .unwrap_err();
         assert_eq!(lost, SceneError::NotFinite { what: "objects" });
     }
 
     #[test]
     fn a_later_scene_remembers_the_present() {
         let mut scene = crossing().vehicle([40.0, -3.5], 0.0, 5.0).build().unwrap();
-        let later = EgoState { time_us: 50_000, ..scene.ego };
+        let later = EgoState {
+            time_us: 50_000,
+            ..scene.ego
+        };
         scene.advance(later, vec![]);
         assert!(scene.objects.is_empty() && (scene.time_s() - 0.05).abs() < 1e-12);
         assert_eq!(scene.history.samples().len(), 2);

@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 /// State of a light.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum SignalStatus {
     /// Go.
@@ -54,12 +56,16 @@ impl TrafficLights {
 
     /// The connectors that show red.
     pub fn red(&self) -> impl Iterator<Item = LaneId> + '_ {
-        self.iter().filter(|&(_, status)| status == SignalStatus::Red).map(|(id, _)| id)
+        self.iter()
+            .filter(|&(_, status)| status == SignalStatus::Red)
+            .map(|(id, _)| id)
     }
 }
 
 impl FromIterator<(LaneId, SignalStatus)> for TrafficLights {
     fn from_iter<I: IntoIterator<Item = (LaneId, SignalStatus)>>(lights: I) -> Self {
-        Self { by_connector: lights.into_iter().collect() }
+        Self {
+            by_connector: lights.into_iter().collect(),
+        }
     }
 }

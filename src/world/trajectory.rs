@@ -3,7 +3,8 @@
 use super::{EgoState, MICROS_PER_SECOND};
 use crate::geometry::{Pose, Vector, wrap_angle};
 
-/// One state of a trajectory: the quantities that nuPlan interpolates (devkit `interpolated_trajectory.py`).
+/// One state of a trajectory: the quantities that nuPlan interpolates (devkit
+/// `interpolated_trajectory.py`).
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TrajectoryState {
     /// Time, µs.
@@ -56,7 +57,11 @@ pub enum TrajectoryError {
     #[error("state {0} of the trajectory has a NaN or infinite value")]
     NotFinite(usize),
     #[error("time {time_us} µs lies outside the trajectory ({start_us} to {end_us} µs)")]
-    OutOfRange { time_us: i64, start_us: i64, end_us: i64 },
+    OutOfRange {
+        time_us: i64,
+        start_us: i64,
+        end_us: i64,
+    },
 }
 
 /// A path in time of the ego's rear axle: at least two states, times increasing, all finite.
@@ -75,9 +80,15 @@ impl Trajectory {
             return Err(TrajectoryError::TooShort(states.len()));
         }
         if let Some(i) = states.windows(2).position(|w| w[1].time_us <= w[0].time_us) {
-            return Err(TrajectoryError::TimeNotIncreasing { index: i + 1, time_us: states[i + 1].time_us });
+            return Err(TrajectoryError::TimeNotIncreasing {
+                index: i + 1,
+                time_us: states[i + 1].time_us,
+            });
         }
-        if let Some(i) = states.iter().position(|s| !s.rear_axle.is_finite() || !s.velocity.norm().is_finite()) {
+        if let Some(i) = states
+            .iter()
+            .position(|s| !s.rear_axle.is_finite() || !s.velocity.norm().is_finite())
+        {
             return Err(TrajectoryError::NotFinite(i));
         }
         Ok(Self { states })
@@ -101,14 +112,19 @@ impl Trajectory {
         self.states[self.states.len() - 1].time_us
     }
 
-    /// State at a time: every channel linear between its neighbors, the heading along the shorter turn.
+    /// State at a time: every channel linear between its neighbors, the heading along the shorter
+    /// turn.
     ///
     /// # Errors
     /// When the time lies outside the trajectory.
     pub fn at(&self, time_us: i64) -> Result<TrajectoryState, TrajectoryError> {
         let (start_us, end_us) = (self.start_us(), self.end_us());
         if time_us < start_us || time_us > end_us {
-            return Err(TrajectoryError::OutOfRange { time_us, start_us, end_us });
+            return Err(TrajectoryError::OutOfRange {
+                time_us,
+                start_us,
+                end_us,
+            });
         }
         let after = self.states.partition_point(|s| s.time_us < time_us);
         let b = &self.states[after];
@@ -123,7 +139,10 @@ impl Trajectory {
             rear_axle: Pose::new(
                 mix(a.rear_axle.x, b.rear_axle.x),
                 mix(a.rear_axle.y, b.rear_axle.y),
-                wrap_angle(a.rear_axle.heading + wrap_angle(b.rear_axle.heading - a.rear_axle.heading) * share),
+                wrap_angle(
+                    a.rear_axle.heading
+                        + wrap_angle(b.rear_axle.heading - a.rear_axle.heading) * share,
+                ),
             ),
             velocity: a.velocity.lerp(&b.velocity, share),
             acceleration: a.acceleration.lerp(&b.acceleration, share),
@@ -155,12 +174,21 @@ mod tests {
 
     #[test]
     fn refuses_what_cannot_be_driven() {
-        assert_eq!(Trajectory::new(vec![state(0, 0.0, 0.0)]), Err(TrajectoryError::TooShort(1)));
+        assert_eq!(
+            Trajectory::new(vec![state(0, 0.0, 0.0)]),
+            Err(TrajectoryError::TooShort(1))
+        );
         let same = Trajectory::new(vec![state(5, 0.0, 0.0), state(5, 1.0, 0.0)]);
-        assert!(matches!(same, Err(TrajectoryError::TimeNotIncreasing { index: 1, .. })));
+        assert!(matches!(
+            same,
+            Err(TrajectoryError::TimeNotIncreasing { index: 1, .. })
+        ));
         let nan = Trajectory::new(vec![state(0, 0.0, 0.0), state(5, f64::NAN, 0.0)]);
         assert_eq!(nan, Err(TrajectoryError::NotFinite(1)));
         let fine = Trajectory::new(vec![state(0, 0.0, 0.0), state(5, 1.0, 0.0)]).unwrap();
-        assert!(matches!(fine.at(6), Err(TrajectoryError::OutOfRange { .. })));
+        assert!(matches!(
+            fine.at(6),
+            Err(TrajectoryError::OutOfRange { .. })
+        ));
     }
 }

@@ -1,7 +1,8 @@
-//! Which source file imports from which: the paths of `use` declarations, and `crate::` and `super::` paths in code.
+//! Which source file imports from which: the paths of `use` declarations, and `crate::` and
+//! `super::` paths in code.
 //!
-//! A name that a module re-exports leads to the file that defines it, so the `mod.rs` of a folder counts only where its own
-//! code is used.
+//! A name that a module re-exports leads to the file that defines it, so the `mod.rs` of a folder
+//! counts only where its own code is used.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -31,17 +32,27 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// Reads the imports of files: path from the package's root, and the code without comments and tests.
+    /// Reads the imports of files: path from the package's root, and the code without comments and
+    /// tests.
     pub(super) fn of(sources: &[(String, String)]) -> Self {
-        let modules: Vec<Module> = sources.iter().map(|(file, code)| Module::parse(file, code)).collect();
-        let by_path: BTreeMap<Vec<String>, usize> =
-            modules.iter().enumerate().map(|(index, module)| (module_path(&module.file), index)).collect();
+        let modules: Vec<Module> = sources
+            .iter()
+            .map(|(file, code)| Module::parse(file, code))
+            .collect();
+        let by_path: BTreeMap<Vec<String>, usize> = modules
+            .iter()
+            .enumerate()
+            .map(|(index, module)| (module_path(&module.file), index))
+            .collect();
         let edges = modules
             .iter()
             .enumerate()
             .map(|(index, module)| {
                 let own = module_path(&module.file);
-                let used = module.imports.iter().filter(|import| !import.reexport || module.mentions(&import.name));
+                let used = module
+                    .imports
+                    .iter()
+                    .filter(|import| !import.reexport || module.mentions(&import.name));
                 used.map(|import| &import.path)
                     .chain(&module.inline)
                     .flat_map(|path| resolve(&modules, &by_path, &own, path, 0))
@@ -49,28 +60,44 @@ impl Graph {
                     .collect()
             })
             .collect();
-        Self { files: sources.iter().map(|(file, _)| file.clone()).collect(), edges }
+        Self {
+            files: sources.iter().map(|(file, _)| file.clone()).collect(),
+            edges,
+        }
     }
 
     /// All imports: the file that uses, and the file that is used.
     pub(super) fn imports(&self) -> impl Iterator<Item = (&str, &str)> {
         let name = |index: usize| self.files[index].as_str();
-        self.edges.iter().enumerate().flat_map(move |(from, to)| to.iter().map(move |to| (name(from), name(*to))))
+        self.edges
+            .iter()
+            .enumerate()
+            .flat_map(move |(from, to)| to.iter().map(move |to| (name(from), name(*to))))
     }
 
     /// Groups of files that import each other, directly or through others, largest first.
     pub(super) fn circles(&self) -> Vec<Vec<&str>> {
-        let reachable: Vec<BTreeSet<usize>> = (0..self.files.len()).map(|start| self.reachable(start)).collect();
+        let reachable: Vec<BTreeSet<usize>> = (0..self.files.len())
+            .map(|start| self.reachable(start))
+            .collect();
         let mut circles: Vec<Vec<&str>> = Vec::new();
         let mut seen: BTreeSet<usize> = BTreeSet::new();
         for start in 0..self.files.len() {
             if seen.contains(&start) || !reachable[start].contains(&start) {
                 continue;
             }
-            let circle: Vec<usize> =
-                reachable[start].iter().copied().filter(|other| reachable[*other].contains(&start)).collect();
+            let circle: Vec<usize> = reachable[start]
+                .iter()
+                .copied()
+                .filter(|other| reachable[*other].contains(&start))
+                .collect();
             seen.extend(&circle);
-            circles.push(circle.into_iter().map(|index| self.files[index].as_str()).collect());
+            circles.push(
+                circle
+                    .into_iter()
+                    .map(|index| self.files[index].as_str())
+                    .collect(),
+            );
         }
         circles.sort_by_key(|circle| std::cmp::Reverse(circle.len()));
         circles
@@ -88,12 +115,18 @@ impl Graph {
 
 impl Module {
     fn parse(file: &str, source: &str) -> Self {
-        let mut module = Self { file: file.into(), imports: Vec::new(), inline: Vec::new(), code: String::new() };
+        let mut module = Self {
+            file: file.into(),
+            imports: Vec::new(),
+            inline: Vec::new(),
+            code: String::new(),
+        };
         let mut lines = source.lines();
         while let Some(line) = lines.next() {
             let Some(start) = use_start(line) else {
                 // A module may have the name of a function that is re-exported from it.
-                let declares_module = line.ends_with(';') && line.split_whitespace().any(|word| word == "mod");
+                let declares_module =
+                    line.ends_with(';') && line.split_whitespace().any(|word| word == "mod");
                 if !declares_module {
                     module.code += line;
                     module.code.push('\n');
@@ -110,22 +143,39 @@ impl Module {
                     Some((path, name)) => (path.to_string(), Some(name.trim().to_string())),
                     None => (path, None),
                 };
-                let mut path: Vec<String> = path.split("::").map(|part| part.trim().to_string()).collect();
+                let mut path: Vec<String> = path
+                    .split("::")
+                    .map(|part| part.trim().to_string())
+                    .collect();
                 if path.last().is_some_and(|last| last == "self") {
                     path.pop();
                 }
                 let name = name.unwrap_or_else(|| path.last().cloned().unwrap_or_default());
-                module.imports.push(Import { name, path, reexport });
+                module.imports.push(Import {
+                    name,
+                    path,
+                    reexport,
+                });
             }
         }
         for start in ["crate::", "super::"] {
             for (at, _) in module.code.match_indices(start) {
                 // The middle of a path was seen from its beginning; `pub(in path)` uses nothing.
                 let before = &module.code[..at];
-                if !before.ends_with("::") && !before.ends_with("(in ") && !before.ends_with(char::is_alphanumeric) {
-                    let path = module.code[at..].split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
-                    let path = path.into_iter().next().unwrap_or_default().trim_end_matches(':');
-                    module.inline.push(path.split("::").map(str::to_string).collect());
+                if !before.ends_with("::")
+                    && !before.ends_with("(in ")
+                    && !before.ends_with(char::is_alphanumeric)
+                {
+                    let path = module.code[at..]
+                        .split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
+                    let path = path
+                        .into_iter()
+                        .next()
+                        .unwrap_or_default()
+                        .trim_end_matches(':');
+                    module
+                        .inline
+                        .push(path.split("::").map(str::to_string).collect());
                 }
             }
         }
@@ -135,9 +185,10 @@ impl Module {
     /// Whether the code outside of `use` declarations has this word.
     fn mentions(&self, name: &str) -> bool {
         let is_word = |c: char| c.is_alphanumeric() || c == '_';
-        self.code
-            .match_indices(name)
-            .any(|(at, _)| !self.code[..at].ends_with(is_word) && !self.code[at + name.len()..].starts_with(is_word))
+        self.code.match_indices(name).any(|(at, _)| {
+            !self.code[..at].ends_with(is_word)
+                && !self.code[at + name.len()..].starts_with(is_word)
+        })
     }
 }
 
@@ -156,7 +207,11 @@ fn use_start(line: &str) -> Option<usize> {
 fn expand(tree: &str) -> Vec<String> {
     let tree = tree.trim();
     let Some((prefix, rest)) = tree.split_once('{') else {
-        return if tree.is_empty() { Vec::new() } else { vec![tree.to_string()] };
+        return if tree.is_empty() {
+            Vec::new()
+        } else {
+            vec![tree.to_string()]
+        };
     };
     let inside = rest.strip_suffix('}').unwrap_or(rest);
     let (mut depth, mut parts, mut start) = (0, Vec::new(), 0);
@@ -172,14 +227,21 @@ fn expand(tree: &str) -> Vec<String> {
         }
     }
     parts.push(&inside[start..]);
-    parts.into_iter().flat_map(expand).map(|part| format!("{prefix}{part}")).collect()
+    parts
+        .into_iter()
+        .flat_map(expand)
+        .map(|part| format!("{prefix}{part}"))
+        .collect()
 }
 
 /// `src/a/b.rs` and `src/a/b/mod.rs` are both `a::b`.
 fn module_path(file: &str) -> Vec<String> {
     let path = file.trim_start_matches("src/").trim_end_matches(".rs");
     let mut parts: Vec<String> = path.split('/').map(str::to_string).collect();
-    if parts.last().is_some_and(|last| ["mod", "lib", "main"].contains(&last.as_str())) {
+    if parts
+        .last()
+        .is_some_and(|last| ["mod", "lib", "main"].contains(&last.as_str()))
+    {
         parts.pop();
     }
     parts
@@ -207,7 +269,9 @@ fn resolve(
         Some(first) => {
             // A child of this module, or another package.
             let child = [at.as_slice(), &[first.to_string()]].concat();
-            let imported = by_path.get(&at).and_then(|index| modules[*index].imports.iter().find(|i| i.name == first));
+            let imported = by_path
+                .get(&at)
+                .and_then(|index| modules[*index].imports.iter().find(|i| i.name == first));
             if !by_path.contains_key(&child) {
                 return match imported {
                     Some(import) if import.path != path && depth < MAX_DEPTH => {
@@ -232,8 +296,12 @@ fn resolve(
         }
         rest = &rest[1..];
     }
-    let Some(index) = by_path.get(&at).copied() else { return Vec::new() };
-    let Some(name) = rest.first() else { return vec![index] };
+    let Some(index) = by_path.get(&at).copied() else {
+        return Vec::new();
+    };
+    let Some(name) = rest.first() else {
+        return vec![index];
+    };
     let named = |import: &&Import| name == "*" && import.reexport || import.name == *name;
     let found: Vec<&Import> = modules[index].imports.iter().filter(named).collect();
     if found.is_empty() || depth >= MAX_DEPTH {
@@ -242,7 +310,11 @@ fn resolve(
     found
         .into_iter()
         .flat_map(|import| {
-            let path = [import.path.as_slice(), if name == "*" { &[] } else { &rest[1..] }].concat();
+            let path = [
+                import.path.as_slice(),
+                if name == "*" { &[] } else { &rest[1..] },
+            ]
+            .concat();
             resolve(modules, by_path, &at, &path, depth + 1)
         })
         .collect()
@@ -251,15 +323,24 @@ fn resolve(
 #[test]
 fn paths_lead_to_the_file_that_defines_the_name() {
     let sources = [
-        ("src/a/mod.rs", "mod b;\nmod c;\npub(crate) use b::{\n    B, Other as Renamed,\n};\nuse c::C;\n"),
+        (
+            "src/a/mod.rs",
+            "mod b;\nmod c;\npub(crate) use b::{\n    B, Other as Renamed,\n};\nuse c::C;\n",
+        ),
         ("src/a/b.rs", "use super::c::C;\npub struct B;"),
         ("src/a/c.rs", "fn f() { super::own(); }"),
-        ("src/d.rs", "use std::fmt;\nuse crate::a::{self, Renamed};\nfn g() { crate::a::c::C; }"),
+        (
+            "src/d.rs",
+            "use std::fmt;\nuse crate::a::{self, Renamed};\nfn g() { crate::a::c::C; }",
+        ),
         ("src/e.rs", "use crate::a::B;"),
     ]
     .map(|(file, code)| (file.to_string(), code.to_string()));
     let graph = Graph::of(&sources);
-    let imports: Vec<_> = graph.imports().map(|(from, to)| format!("{} {}", &from[4..], &to[4..])).collect();
+    let imports: Vec<_> = graph
+        .imports()
+        .map(|(from, to)| format!("{} {}", &from[4..], &to[4..]))
+        .collect();
     let expected = [
         "a/mod.rs a/c.rs",
         "a/b.rs a/c.rs",

@@ -21,7 +21,12 @@ fn logs(dataset: &str) -> Result<Vec<PathBuf>, Missing> {
 /// The words of the scenarios that a word names.
 fn found(word: &str) -> Vec<String> {
     let readers = Readers::new(&DataRoots::default());
-    readers.find(word).unwrap().iter().map(ScenarioRef::to_string).collect()
+    readers
+        .find(word)
+        .unwrap()
+        .iter()
+        .map(ScenarioRef::to_string)
+        .collect()
 }
 
 /// All logs.
@@ -31,9 +36,20 @@ pub(crate) fn all_logs() -> Result<Vec<PathBuf>, Missing> {
 
 /// The map of a log as it stands in its file.
 fn map_file(log: &Path) -> serde_json::Value {
-    let folder = if log.join("map").is_dir() { log.join("map") } else { log.to_owned() };
-    let mut files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let map = files.find(|path| path.file_name().unwrap().to_string_lossy().starts_with("log_map_archive_"));
+    let folder = if log.join("map").is_dir() {
+        log.join("map")
+    } else {
+        log.to_owned()
+    };
+    let mut files = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let map = files.find(|path| {
+        path.file_name()
+            .unwrap()
+            .to_string_lossy()
+            .starts_with("log_map_archive_")
+    });
     serde_json::from_slice(&std::fs::read(map.unwrap()).unwrap()).unwrap()
 }
 
@@ -48,9 +64,27 @@ fn logs_open_with_their_window() -> Needy {
         assert_eq!(contents.lanes, scenario.map.lanes().len(), "{id}");
         let sensor = log.join("map").is_dir();
         assert_eq!(scenario.start, if sensor { 20 } else { 10 }, "{id}");
-        assert!(scenario.frames.windows(2).all(|pair| pair[1].ego.time_us > pair[0].ego.time_us), "{id}");
-        assert!(scenario.frames.iter().all(|frame| frame.ego.rear_axle.position().coords.norm() < 500.0), "{id}");
-        assert!(scenario.frames.iter().all(|frame| !frame.objects.is_empty()), "{id}");
+        assert!(
+            scenario
+                .frames
+                .windows(2)
+                .all(|pair| pair[1].ego.time_us > pair[0].ego.time_us),
+            "{id}"
+        );
+        assert!(
+            scenario
+                .frames
+                .iter()
+                .all(|frame| frame.ego.rear_axle.position().coords.norm() < 500.0),
+            "{id}"
+        );
+        assert!(
+            scenario
+                .frames
+                .iter()
+                .all(|frame| !frame.objects.is_empty()),
+            "{id}"
+        );
         let word = log.display().to_string();
         assert_eq!(found(&word), std::slice::from_ref(&word));
         for above in log.ancestors().skip(1).take(2) {
@@ -60,7 +94,8 @@ fn logs_open_with_their_window() -> Needy {
     Ok(())
 }
 
-/// The sideways velocity of the point ahead of the rear axle by d is d times the yaw rate: a fit tells d.
+/// The sideways velocity of the point ahead of the rear axle by d is d times the yaw rate: a fit
+/// tells d.
 #[test]
 fn the_ego_frame_stands_on_the_rear_axle() -> Needy {
     for log in logs("sensor")? {
@@ -69,13 +104,18 @@ fn the_ego_frame_stands_on_the_rear_axle() -> Needy {
         let (mut product, mut square) = (0.0, 0.0);
         for pair in egos.windows(3) {
             let seconds = (pair[2].time_us - pair[0].time_us) as f64 / 1e6;
-            let yaw_rate = wrap_angle(pair[2].rear_axle.heading - pair[0].rear_axle.heading) / seconds;
+            let yaw_rate =
+                wrap_angle(pair[2].rear_axle.heading - pair[0].rear_axle.heading) / seconds;
             product += yaw_rate * pair[1].velocity.y;
             square += yaw_rate * yaw_rate;
         }
         assert!(square > 1.0, "the log turns too little");
         let ahead = product / square;
-        assert!(ahead.abs() < 0.3, "{}: {ahead} m ahead of the rear axle", scenario.id);
+        assert!(
+            ahead.abs() < 0.3,
+            "{}: {ahead} m ahead of the rear axle",
+            scenario.id
+        );
         assert!(ahead.abs() < PACIFICA.rear_axle_to_center() / 2.0);
     }
     Ok(())
@@ -87,27 +127,49 @@ fn the_recorded_motion_agrees_with_itself() -> Needy {
         let Scenario { id, frames, .. } = argoverse2::open(&log).unwrap();
         for (i, pair) in frames.windows(2).enumerate() {
             let (a, b) = (&pair[0].ego, &pair[1].ego);
-            let moved = (b.rear_axle.position() - a.rear_axle.position()) / ((b.time_us - a.time_us) as f64 / 1e6);
-            let recorded = a.rear_axle.rotate(a.velocity).lerp(&b.rear_axle.rotate(b.velocity), 0.5);
+            let moved = (b.rear_axle.position() - a.rear_axle.position())
+                / ((b.time_us - a.time_us) as f64 / 1e6);
+            let recorded = a
+                .rear_axle
+                .rotate(a.velocity)
+                .lerp(&b.rear_axle.rotate(b.velocity), 0.5);
             // Positions of a motion-forecasting scenario run off within its first and last second.
             let smooth = log.join("map").is_dir() || (10..frames.len() - 11).contains(&i);
             assert!(
                 !smooth || (moved - recorded).norm() < 0.6,
                 "{id} frame {i}: moved {moved:?}, velocity {recorded:?}"
             );
-            assert!(a.velocity.y.abs() < 0.3, "{id} frame {i}: slides {:?}", a.velocity);
-            assert!(a.acceleration.norm() < 6.0, "{id} frame {i}: {:?}", a.acceleration);
+            assert!(
+                a.velocity.y.abs() < 0.3,
+                "{id} frame {i}: slides {:?}",
+                a.velocity
+            );
+            assert!(
+                a.acceleration.norm() < 6.0,
+                "{id} frame {i}: {:?}",
+                a.acceleration
+            );
             for object in &*pair[0].objects {
                 // The recording car is none of the objects.
-                assert!(!object.shape.contains(a.rear_axle.position()), "{id} frame {i}: {object:?}");
-                assert!(object.kind.is_agent() || object.speed() == 0.0, "{id} frame {i}: {object:?}");
+                assert!(
+                    !object.shape.contains(a.rear_axle.position()),
+                    "{id} frame {i}: {object:?}"
+                );
+                assert!(
+                    object.kind.is_agent() || object.speed() == 0.0,
+                    "{id} frame {i}: {object:?}"
+                );
                 assert!(object.speed() < 40.0, "{id} frame {i}: {object:?}");
             }
         }
         // Kinds of a track do not change, and most tracks are seen for long.
         let mut kinds = BTreeMap::new();
         let seen = frames.iter().flat_map(|frame| frame.objects.iter());
-        assert!(seen.clone().all(|object| *kinds.entry(object.token).or_insert(object.kind) == object.kind), "{id}");
+        assert!(
+            seen.clone()
+                .all(|object| *kinds.entry(object.token).or_insert(object.kind) == object.kind),
+            "{id}"
+        );
         assert!(seen.count() > 10 * kinds.len(), "{id}");
     }
     Ok(())
@@ -123,24 +185,62 @@ fn derived_maps_keep_the_rules() -> Needy {
             .unwrap()
             .values()
             .filter(|lane| lane["lane_type"] != "BIKE")
-            .map(|lane| (lane["id"].as_i64().unwrap(), lane["is_intersection"].as_bool().unwrap()))
+            .map(|lane| {
+                (
+                    lane["id"].as_i64().unwrap(),
+                    lane["is_intersection"].as_bool().unwrap(),
+                )
+            })
             .collect();
-        let found: BTreeMap<i64, bool> = map.lanes().iter().map(|l| (l.source_id, l.is_connector())).collect();
+        let found: BTreeMap<i64, bool> = map
+            .lanes()
+            .iter()
+            .map(|l| (l.source_id, l.is_connector()))
+            .collect();
         assert_eq!(found, wanted, "{id}");
-        assert_eq!(map.crosswalks().len(), file["pedestrian_crossings"].as_object().unwrap().len(), "{id}");
-        assert_eq!(map.generic_drivable().len(), file["drivable_areas"].as_object().unwrap().len(), "{id}");
-        let lanes: Vec<_> = map.lanes().iter().filter(|lane| !lane.is_connector()).collect();
+        assert_eq!(
+            map.crosswalks().len(),
+            file["pedestrian_crossings"].as_object().unwrap().len(),
+            "{id}"
+        );
+        assert_eq!(
+            map.generic_drivable().len(),
+            file["drivable_areas"].as_object().unwrap().len(),
+            "{id}"
+        );
+        let lanes: Vec<_> = map
+            .lanes()
+            .iter()
+            .filter(|lane| !lane.is_connector())
+            .collect();
         for (i, lane) in lanes.iter().enumerate() {
             for other in &lanes[..i] {
                 let shared = lane.polygon.shared_area(&other.polygon);
-                assert!(shared < 1e-3, "{id}: {} and {} share {shared} m²", lane.source_id, other.source_id);
+                assert!(
+                    shared < 1e-3,
+                    "{id}: {} and {} share {shared} m²",
+                    lane.source_id,
+                    other.source_id
+                );
             }
         }
         for lane in map.lanes() {
-            let steps = lane.centerline.vertices().windows(2).map(|pair| (pair[1] - pair[0]).norm());
-            assert!(steps.fold(0.0, f64::max) < BASELINE_SPACING + 1e-6, "{id}: lane {}", lane.source_id);
+            let steps = lane
+                .centerline
+                .vertices()
+                .windows(2)
+                .map(|pair| (pair[1] - pair[0]).norm());
+            assert!(
+                steps.fold(0.0, f64::max) < BASELINE_SPACING + 1e-6,
+                "{id}: lane {}",
+                lane.source_id
+            );
             let middle = lane.centerline.pose_at(lane.centerline.length() / 2.0);
-            assert!(map.is_drivable(middle.position()), "{id}: lane {}", lane.source_id);
+            assert!(
+                map.is_drivable(middle.position()),
+                "{id}: lane {}",
+                lane.source_id
+            );
             assert!(
                 lane.is_connector() || lane.polygon.distance_to(middle.position()) < 2.0,
                 "{id}: {}",
@@ -148,24 +248,53 @@ fn derived_maps_keep_the_rules() -> Needy {
             );
             for beside in lane.left.iter().chain(&lane.right) {
                 let foot = map[beside.lane].centerline.project(middle.position());
-                assert!(wrap_angle(foot.heading - middle.heading).abs() < 0.8, "{id}: lane {}", lane.source_id);
+                assert!(
+                    wrap_angle(foot.heading - middle.heading).abs() < 0.8,
+                    "{id}: lane {}",
+                    lane.source_id
+                );
             }
             for &next in &lane.outgoing {
                 let gap = (map[next].centerline.start() - lane.centerline.end()).norm();
-                assert!(gap < 1.0, "{id}: {} m from {} to {}", gap, lane.source_id, map[next].source_id);
+                assert!(
+                    gap < 1.0,
+                    "{id}: {} m from {} to {}",
+                    gap,
+                    lane.source_id,
+                    map[next].source_id
+                );
                 assert!(map[next].incoming.contains(&lane.id), "{id}");
             }
         }
-        let held: BTreeSet<_> = map.roadblocks().iter().flat_map(|block| block.lanes.iter().copied()).collect();
+        let held: BTreeSet<_> = map
+            .roadblocks()
+            .iter()
+            .flat_map(|block| block.lanes.iter().copied())
+            .collect();
         assert_eq!(held.len(), map.lanes().len(), "{id}");
-        assert!(map.lanes().iter().any(|lane| lane.kind == LaneKind::Connector), "{id}");
-        assert!(route.roadblocks.windows(2).all(|pair| map[pair[0]].outgoing.contains(&pair[1])), "{id}");
+        assert!(
+            map.lanes()
+                .iter()
+                .any(|lane| lane.kind == LaneKind::Connector),
+            "{id}"
+        );
+        assert!(
+            route
+                .roadblocks
+                .windows(2)
+                .all(|pair| map[pair[0]].outgoing.contains(&pair[1])),
+            "{id}"
+        );
     }
     Ok(())
 }
 
 fn scores(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> metrics::Score {
-    simulate(scenario, planner, challenge).unwrap().evaluate(scenario).unwrap().score
+    simulate(scenario, planner, challenge)
+        .unwrap()
+        .evaluate(scenario)
+        .unwrap()
+        .score
 }
 
 #[test]
@@ -181,7 +310,12 @@ fn log_replay_complies_and_idm_drives() -> Needy {
             "ego_is_making_progress",
         ] {
             let score = replayed.metric(name).unwrap();
-            assert!((score - 1.0).abs() < 1e-12, "{}: {} is {score}", scenario.id, name);
+            assert!(
+                (score - 1.0).abs() < 1e-12,
+                "{}: {} is {score}",
+                scenario.id,
+                name
+            );
         }
         for challenge in [Challenge::NonReactive, Challenge::Reactive] {
             let driven = scores(&scenario, &mut IdmPlanner::default(), challenge);
@@ -199,12 +333,25 @@ fn cut_logs_are_reported_with_their_file() -> Needy {
     std::fs::create_dir(copy.path().join("map")).unwrap();
     let map = "map/log_map_archive_cut____MIA_city_1.json";
     std::fs::write(copy.path().join(map), map_file(&log).to_string()).unwrap();
-    let tables = ["annotations_with_ego.feather", "city_SE3_egovehicle.feather"];
-    let whole: Vec<Vec<u8>> = tables.iter().map(|table| std::fs::read(log.join(table)).unwrap()).collect();
-    let write =
-        || tables.iter().zip(&whole).for_each(|(table, bytes)| std::fs::write(copy.path().join(table), bytes).unwrap());
+    let tables = [
+        "annotations_with_ego.feather",
+        "city_SE3_egovehicle.feather",
+    ];
+    let whole: Vec<Vec<u8>> = tables
+        .iter()
+        .map(|table| std::fs::read(log.join(table)).unwrap())
+        .collect();
+    let write = || {
+        tables
+            .iter()
+            .zip(&whole)
+            .for_each(|(table, bytes)| std::fs::write(copy.path().join(table), bytes).unwrap())
+    };
     write();
-    assert_eq!(argoverse2::open(copy.path()).unwrap().frames, argoverse2::open(&log).unwrap().frames);
+    assert_eq!(
+        argoverse2::open(copy.path()).unwrap().frames,
+        argoverse2::open(&log).unwrap().frames
+    );
     for (table, bytes) in tables.iter().zip(&whole) {
         for cut in [1, bytes.len() / 2, bytes.len() - 1] {
             std::fs::write(copy.path().join(table), &bytes[..cut]).unwrap();

@@ -1,4 +1,5 @@
-//! `#[test]` for a test binary with a harness of its own, where the compiler's attribute would remove the function.
+//! `#[test]` for a test binary with a harness of its own, where the compiler's attribute would
+//! remove the function.
 
 use proc_macro::{TokenStream, TokenTree};
 
@@ -25,7 +26,9 @@ pub fn test(_: TokenStream, function: TokenStream) -> TokenStream {
 
 /// The identifier behind the first `fn`.
 fn name(function: TokenStream) -> Option<String> {
-    let mut words = function.into_iter().skip_while(|token| !is_word(token, "fn"));
+    let mut words = function
+        .into_iter()
+        .skip_while(|token| !is_word(token, "fn"));
     words.nth(1).map(|token| token.to_string())
 }
 

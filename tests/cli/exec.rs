@@ -28,7 +28,10 @@ pub(super) fn script(folder: &Path, name: &str, lines: &str) -> Result<String, M
 }
 
 pub(super) fn rows(run: &Path) -> Vec<Value> {
-    read_json(&run.join("summary.json"))["scenarios"].as_array().unwrap().clone()
+    read_json(&run.join("summary.json"))["scenarios"]
+        .as_array()
+        .unwrap()
+        .clone()
 }
 
 #[test]
@@ -52,22 +55,60 @@ fn a_command_plans_like_a_planner_of_ours() -> Needy {
         assert_eq!(code, 0, "{stderr}");
         assert!(stdout.contains("exec-exec_planner"), "{stdout}");
     }
-    assert_eq!(fs::read(one.join("summary.json")).unwrap(), fs::read(two.join("summary.json")).unwrap());
-    let own: Vec<Value> = rows(&one).into_iter().filter(|row| row["planner"] == "exec-exec_planner").collect();
+    assert_eq!(
+        fs::read(one.join("summary.json")).unwrap(),
+        fs::read(two.join("summary.json")).unwrap()
+    );
+    let own: Vec<Value> = rows(&one)
+        .into_iter()
+        .filter(|row| row["planner"] == "exec-exec_planner")
+        .collect();
     assert_eq!(own.len(), 2);
-    assert!(own.iter().all(|row| row["succeeded"] == true && row["score"].is_number()), "{own:?}");
-    let manifest: toml::Table = fs::read_to_string(one.join("manifest.toml")).unwrap().parse().unwrap();
-    assert_eq!(manifest["commands"]["exec-exec_planner"].as_str(), Some(format!("{python} {EXAMPLE}").as_str()));
-    let folder =
-        simulations(&one).into_iter().find(|path| path.display().to_string().contains("exec-exec_planner")).unwrap();
-    let record: toml::Table = fs::read_to_string(folder.join("record.toml")).unwrap().parse().unwrap();
+    assert!(
+        own.iter()
+            .all(|row| row["succeeded"] == true && row["score"].is_number()),
+        "{own:?}"
+    );
+    let manifest: toml::Table = fs::read_to_string(one.join("manifest.toml"))
+        .unwrap()
+        .parse()
+        .unwrap();
+    assert_eq!(
+        manifest["commands"]["exec-exec_planner"].as_str(),
+        Some(format!("{python} {EXAMPLE}").as_str())
+    );
+    let folder = simulations(&one)
+        .into_iter()
+        .find(|path| path.display().to_string().contains("exec-exec_planner"))
+        .unwrap();
+    let record: toml::Table = fs::read_to_string(folder.join("record.toml"))
+        .unwrap()
+        .parse()
+        .unwrap();
     let times = record["time"]["planner_s"].as_array().unwrap();
-    assert!(times.len() == 150 && times.iter().all(|time| time.as_float().unwrap() > 0.0), "{}", times.len());
-    assert!(one.join("closed_loop_reactive_agents/runner_report.parquet").is_file());
+    assert!(
+        times.len() == 150 && times.iter().all(|time| time.as_float().unwrap() > 0.0),
+        "{}",
+        times.len()
+    );
+    assert!(
+        one.join("closed_loop_reactive_agents/runner_report.parquet")
+            .is_file()
+    );
     let (code, _, stderr) = run(&["report", one.to_str().unwrap()]);
     assert_eq!(code, 0, "{stderr}");
     let png = work.path().join("frame.png");
-    let frame = ["render", one.to_str().unwrap(), "2", "--png", png.to_str().unwrap(), "--at", "5", "--pixels", "160"];
+    let frame = [
+        "render",
+        one.to_str().unwrap(),
+        "2",
+        "--png",
+        png.to_str().unwrap(),
+        "--at",
+        "5",
+        "--pixels",
+        "160",
+    ];
     assert_eq!(run(&frame).0, 0);
     Ok(())
 }
@@ -77,11 +118,24 @@ fn failing(work: &Path, command: &str) -> String {
     let out = work.join("run");
     let _ = fs::remove_dir_all(&out);
     let planner = format!("wrong=exec:{command}");
-    let flags = ["simulate", "--scenario", SCENE, "--planner", &planner, "--exec-timeout", "1", "--out"];
+    let flags = [
+        "simulate",
+        "--scenario",
+        SCENE,
+        "--planner",
+        &planner,
+        "--exec-timeout",
+        "1",
+        "--out",
+    ];
     let started = Instant::now();
     let (code, _, stderr) = run(&[&flags[..], &[out.to_str().unwrap()]].concat());
     assert_eq!(code, 1, "{stderr}");
-    assert!(started.elapsed() < Duration::from_secs(30), "{:?}", started.elapsed());
+    assert!(
+        started.elapsed() < Duration::from_secs(30),
+        "{:?}",
+        started.elapsed()
+    );
     assert!(stderr.contains("1 of 1 simulations failed"), "{stderr}");
     rows(&out)[0]["error"].as_str().unwrap().to_owned()
 }
@@ -90,21 +144,39 @@ fn failing(work: &Path, command: &str) -> String {
 fn a_command_that_is_dead_silent_or_wrong_fails_its_simulation() {
     let work = TempDir::new().unwrap();
     let dead = failing(work.path(), "echo 'no such module' >&2; exit 3");
-    assert!(dead.contains("the command ended (exit status: 3)") && dead.contains("no such module"), "{dead}");
+    assert!(
+        dead.contains("the command ended (exit status: 3)") && dead.contains("no such module"),
+        "{dead}"
+    );
     let unknown = failing(work.path(), "no-such-program-anywhere");
-    assert!(unknown.contains("the command ended (exit status: 127)"), "{unknown}");
+    assert!(
+        unknown.contains("the command ended (exit status: 127)"),
+        "{unknown}"
+    );
     let chatty = failing(work.path(), "echo hello; cat > /dev/null");
-    assert!(chatty.contains("answered what is no message") && chatty.contains("hello"), "{chatty}");
-    let early = failing(work.path(), "echo '{\"type\": \"trajectory\", \"states\": []}'; cat > /dev/null");
+    assert!(
+        chatty.contains("answered what is no message") && chatty.contains("hello"),
+        "{chatty}"
+    );
+    let early = failing(
+        work.path(),
+        "echo '{\"type\": \"trajectory\", \"states\": []}'; cat > /dev/null",
+    );
     assert!(early.contains("another message than ready"), "{early}");
     let silent = failing(work.path(), "echo '{\"type\": \"ready\"}'; cat > /dev/null");
-    assert!(silent.contains("gave no answer within 1 s") && silent.contains("iteration 0"), "{silent}");
+    assert!(
+        silent.contains("gave no answer within 1 s") && silent.contains("iteration 0"),
+        "{silent}"
+    );
     let empty = failing(
         work.path(),
         "echo '{\"type\": \"ready\"}'; echo '{\"type\": \"trajectory\", \"states\": []}'; cat > /dev/null",
     );
     assert!(empty.contains("at least 2 states"), "{empty}");
-    let error = failing(work.path(), "echo '{\"type\": \"error\", \"message\": \"no route\"}'; cat > /dev/null");
+    let error = failing(
+        work.path(),
+        "echo '{\"type\": \"error\", \"message\": \"no route\"}'; cat > /dev/null",
+    );
     assert!(error.contains("the command says: no route"), "{error}");
 }
 
@@ -138,7 +210,10 @@ fn a_silent_command_is_ended_with_what_it_started() -> Needy {
 fn a_run_is_never_resumed_with_a_command_that_was_not_given_again() -> Needy {
     let work = TempDir::new().unwrap();
     let marker = work.path().join("started");
-    let lines = format!("open({:?}, 'a').write('x')\nready()\nsys.stdin.read()\n", marker.display().to_string());
+    let lines = format!(
+        "open({:?}, 'a').write('x')\nready()\nsys.stdin.read()\n",
+        marker.display().to_string()
+    );
     let command = script(work.path(), "marking.py", &lines)?;
     let out: PathBuf = work.path().join("run");
     let folder = out.to_str().unwrap();
@@ -150,17 +225,32 @@ fn a_run_is_never_resumed_with_a_command_that_was_not_given_again() -> Needy {
     assert_eq!(starts(), 1);
     // A run that has ended shows its results and starts nothing.
     let (code, _, stderr) = run(&["simulate", "--resume", folder]);
-    assert!(code == 1 && stderr.contains("only its results are shown"), "{stderr}");
+    assert!(
+        code == 1 && stderr.contains("only its results are shown"),
+        "{stderr}"
+    );
     for name in ["summary.json", "timing.json"] {
         fs::remove_file(out.join(name)).unwrap();
     }
     fs::remove_dir_all(&simulations(&out)[0]).unwrap();
     let error = refused(&["simulate", "--resume", folder]);
-    assert!(error.contains("exec-marking") && error.contains("never starts by itself"), "{error}");
-    let other = refused(&["simulate", "--resume", folder, "--planner", "exec-marking=exec:true"]);
+    assert!(
+        error.contains("exec-marking") && error.contains("never starts by itself"),
+        "{error}"
+    );
+    let other = refused(&[
+        "simulate",
+        "--resume",
+        folder,
+        "--planner",
+        "exec-marking=exec:true",
+    ]);
     assert!(other.contains("commands.exec-marking: was"), "{other}");
     assert_eq!(starts(), 1, "a command was started without being given");
-    assert_eq!(run(&[&["simulate", "--resume", folder], &flags[..]].concat()).0, 1);
+    assert_eq!(
+        run(&[&["simulate", "--resume", folder], &flags[..]].concat()).0,
+        1
+    );
     assert_eq!(starts(), 2);
     Ok(())
 }
@@ -177,13 +267,23 @@ fn an_experiment_compares_a_command() -> Needy {
     );
     fs::write(&study, text).unwrap();
     let out = work.path().join("out");
-    let flags = ["experiment", study.to_str().unwrap(), "--scenario", SCENE, "--out", out.to_str().unwrap()];
+    let flags = [
+        "experiment",
+        study.to_str().unwrap(),
+        "--scenario",
+        SCENE,
+        "--out",
+        out.to_str().unwrap(),
+    ];
     let (code, stdout, stderr) = run(&flags);
     assert_eq!(code, 0, "{stderr}");
     assert!(stdout.contains("mine"), "{stdout}");
     assert!(!stderr.contains("0 simulations on"), "{stderr}");
     let results = fs::read_to_string(out.join("mine/results.md")).unwrap();
-    assert!(results.contains(&format!("--scenario {SCENE}")), "{results}");
+    assert!(
+        results.contains(&format!("--scenario {SCENE}")),
+        "{results}"
+    );
     let (code, csv, _) = run(&[&flags[..], &["--csv", "--quiet"]].concat());
     assert_eq!((code, csv.lines().count()), (0, 5), "{csv}");
     assert!(csv.contains("mine,recorded,mine,"), "{csv}");

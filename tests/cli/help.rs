@@ -36,10 +36,18 @@ pub(super) const COMMANDS: [&str; 27] = [
 #[test]
 fn help_is_as_reviewed() {
     for command in COMMANDS {
-        let name = if command.is_empty() { "planagent".to_owned() } else { command.replace(' ', "_") };
+        let name = if command.is_empty() {
+            "planagent".to_owned()
+        } else {
+            command.replace(' ', "_")
+        };
         for (form, flag) in [("short", "-h"), ("long", "--help")] {
             let words = command.split_whitespace().chain([flag]);
-            let output = planagent().args(words).env("COLUMNS", "80").output().unwrap();
+            let output = planagent()
+                .args(words)
+                .env("COLUMNS", "80")
+                .output()
+                .unwrap();
             assert!(output.status.success(), "{command}");
             let text = String::from_utf8(output.stdout).unwrap();
             insta::with_settings!({prepend_module_to_snapshot => false}, {
@@ -54,7 +62,9 @@ const MAX_SHORT: usize = 32;
 
 /// The name of an option in a line of help.
 fn option(line: &str) -> Option<&str> {
-    line.split_whitespace().find(|word| word.starts_with("--")).map(|word| word.trim_end_matches(','))
+    line.split_whitespace()
+        .find(|word| word.starts_with("--"))
+        .map(|word| word.trim_end_matches(','))
 }
 
 #[test]
@@ -62,18 +72,31 @@ fn the_short_help_fits_a_screen_and_the_long_one_is_complete() {
     for command in COMMANDS {
         let help = |flag: &str| {
             let words = command.split_whitespace().chain([flag]);
-            let output = planagent().args(words).env("COLUMNS", "80").output().unwrap();
+            let output = planagent()
+                .args(words)
+                .env("COLUMNS", "80")
+                .output()
+                .unwrap();
             String::from_utf8(output.stdout).unwrap()
         };
         let (short, long) = (help("-h"), help("--help"));
         let lines = short.lines().count();
         assert!(lines <= MAX_SHORT, "{command}: {lines} lines");
-        let shown = short.lines().filter(|line| line.trim_start().starts_with('-')).filter_map(option);
+        let shown = short
+            .lines()
+            .filter(|line| line.trim_start().starts_with('-'))
+            .filter_map(option);
         for option in shown.filter(|option| *option != "--help") {
             assert!(long.contains(option), "{command}: no {option} in --help");
         }
-        assert!(long.contains("\nExample:\n") || long.contains("\nExamples:\n"), "{command}: no example");
-        assert!(long.contains("--threads") && long.contains("--verbose"), "{command}: {long}");
+        assert!(
+            long.contains("\nExample:\n") || long.contains("\nExamples:\n"),
+            "{command}: no example"
+        );
+        assert!(
+            long.contains("--threads") && long.contains("--verbose"),
+            "{command}: {long}"
+        );
     }
 }
 
@@ -82,7 +105,16 @@ fn options_about_models_stand_only_where_a_model_is_used() {
     for command in COMMANDS {
         let words: Vec<&str> = command.split_whitespace().chain(["--help"]).collect();
         let text = run(&words).1;
-        let uses = ["simulate", "plan", "ask", "dataset", "experiment", "bench", "config"].contains(&command);
+        let uses = [
+            "simulate",
+            "plan",
+            "ask",
+            "dataset",
+            "experiment",
+            "bench",
+            "config",
+        ]
+        .contains(&command);
         assert_eq!(text.contains("--model <MODEL>"), uses, "{command}");
     }
 }

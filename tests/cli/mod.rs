@@ -32,8 +32,16 @@ const SCENE: &str = "generated/changing_lane/3";
 pub(crate) fn planagent() -> Command {
     let mut command = Command::cargo_bin("planagent").unwrap();
     // The package's models and configuration, whatever the working directory.
-    command.env("PLANAGENT_MODELS", concat!(env!("CARGO_MANIFEST_DIR"), "/models")).env("NO_COLOR", "1");
-    command.env_remove("CARGO_MANIFEST_DIR").env("PLANAGENT_CACHE", concat!(env!("CARGO_TARGET_TMPDIR"), "/cache"));
+    command
+        .env(
+            "PLANAGENT_MODELS",
+            concat!(env!("CARGO_MANIFEST_DIR"), "/models"),
+        )
+        .env("NO_COLOR", "1");
+    command.env_remove("CARGO_MANIFEST_DIR").env(
+        "PLANAGENT_CACHE",
+        concat!(env!("CARGO_TARGET_TMPDIR"), "/cache"),
+    );
     command
 }
 
@@ -41,7 +49,11 @@ pub(crate) fn planagent() -> Command {
 pub(crate) fn run(arguments: &[&str]) -> (i32, String, String) {
     let output = planagent().args(arguments).output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (output.status.code().expect("no exit code"), text(output.stdout), text(output.stderr))
+    (
+        output.status.code().expect("no exit code"),
+        text(output.stdout),
+        text(output.stderr),
+    )
 }
 
 /// Runs what must fail as bad input: exit code 2, nothing on stdout, no panic; gives stderr.
@@ -49,7 +61,10 @@ pub(crate) fn refused(arguments: &[&str]) -> String {
     let (code, stdout, stderr) = run(arguments);
     assert_eq!(code, 2, "{arguments:?}: {stderr}");
     assert!(stdout.is_empty(), "{stdout}");
-    assert!(stderr.contains("error:") && !stderr.contains("panicked"), "{stderr}");
+    assert!(
+        stderr.contains("error:") && !stderr.contains("panicked"),
+        "{stderr}"
+    );
     stderr
 }
 
@@ -64,9 +79,26 @@ fn recordings() -> Result<PathBuf, Missing> {
 
 fn simulated(out: &Path, threads: &str) -> Vec<u8> {
     let out = out.to_str().unwrap();
-    let arguments = ["simulate", "--scenario", SCENE, "generated/stopping_with_lead/1", "--challenge", "both"];
-    let (code, _, stderr) =
-        run(&[&arguments[..], &["--planner", "plan-agent,idm", "--threads", threads, "--out", out]].concat());
+    let arguments = [
+        "simulate",
+        "--scenario",
+        SCENE,
+        "generated/stopping_with_lead/1",
+        "--challenge",
+        "both",
+    ];
+    let (code, _, stderr) = run(&[
+        &arguments[..],
+        &[
+            "--planner",
+            "plan-agent,idm",
+            "--threads",
+            threads,
+            "--out",
+            out,
+        ],
+    ]
+    .concat());
     assert_eq!(code, 0, "{stderr}");
     fs::read(Path::new(out).join("summary.json")).unwrap()
 }
@@ -76,28 +108,63 @@ fn the_same_seed_gives_the_same_bytes_at_any_thread_count() {
     let folder = TempDir::new().unwrap();
     let one = simulated(&folder.path().join("one"), "1");
     let two = simulated(&folder.path().join("two"), "2");
-    assert!(one == two, "{}\n{}", String::from_utf8_lossy(&one), String::from_utf8_lossy(&two));
+    assert!(
+        one == two,
+        "{}\n{}",
+        String::from_utf8_lossy(&one),
+        String::from_utf8_lossy(&two)
+    );
     let calls = |run: &str| {
         let text = fs::read_to_string(folder.path().join(run).join("calls.jsonl")).unwrap();
-        let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
-        lines.map(|mut call| call.as_object_mut().unwrap().remove("time").map(|_| call).unwrap()).collect::<Vec<_>>()
+        let lines = text
+            .lines()
+            .map(|line| serde_json::from_str::<Value>(line).unwrap());
+        lines
+            .map(|mut call| {
+                call.as_object_mut()
+                    .unwrap()
+                    .remove("time")
+                    .map(|_| call)
+                    .unwrap()
+            })
+            .collect::<Vec<_>>()
     };
     assert_eq!(calls("one"), calls("two"));
     let [one, two] = ["one", "two"].map(|run| parquet_values(&folder.path().join(run)));
     assert!(one.len() > 30, "only {} Parquet files", one.len());
-    let differing: Vec<&String> = one.keys().filter(|name| one.get(*name) != two.get(*name)).collect();
-    assert!(differing.is_empty() && one.len() == two.len(), "these differ: {differing:?}");
+    let differing: Vec<&String> = one
+        .keys()
+        .filter(|name| one.get(*name) != two.get(*name))
+        .collect();
+    assert!(
+        differing.is_empty() && one.len() == two.len(),
+        "these differ: {differing:?}"
+    );
 }
 
-/// The bytes of every Parquet file but the measured ones, by name; the stamp of the start is cut out.
+/// The bytes of every Parquet file but the measured ones, by name; the stamp of the start is cut
+/// out.
 fn parquet_values(run: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
-    for challenge in ["closed_loop_nonreactive_agents", "closed_loop_reactive_agents"] {
+    for challenge in [
+        "closed_loop_nonreactive_agents",
+        "closed_loop_reactive_agents",
+    ] {
         for folder in ["metrics", "aggregator_metric"] {
             for entry in fs::read_dir(run.join(challenge).join(folder)).unwrap() {
                 let path = entry.unwrap().path();
-                let name = path.file_name().unwrap().to_str().unwrap().split("_metrics_").next().unwrap();
-                found.insert(format!("{challenge}/{folder}/{name}"), fs::read(&path).unwrap());
+                let name = path
+                    .file_name()
+                    .unwrap()
+                    .to_str()
+                    .unwrap()
+                    .split("_metrics_")
+                    .next()
+                    .unwrap();
+                found.insert(
+                    format!("{challenge}/{folder}/{name}"),
+                    fs::read(&path).unwrap(),
+                );
             }
         }
     }
@@ -118,9 +185,18 @@ fn a_run_leaves_what_the_readme_says() {
         out.to_str().unwrap(),
     ]);
     assert_eq!(code, 0, "{stderr}");
-    assert!(stdout.contains("plan-agent") && stdout.contains("no_ego_at_fault_collisions"), "{stdout}");
-    assert!(stdout.contains("ms/step  ms/call p50  simulations"), "{stdout}");
-    assert!(stdout.lines().all(|line| line.chars().count() <= 80), "wider than 80 columns:\n{stdout}");
+    assert!(
+        stdout.contains("plan-agent") && stdout.contains("no_ego_at_fault_collisions"),
+        "{stdout}"
+    );
+    assert!(
+        stdout.contains("ms/step  ms/call p50  simulations"),
+        "{stdout}"
+    );
+    assert!(
+        stdout.lines().all(|line| line.chars().count() <= 80),
+        "wider than 80 columns:\n{stdout}"
+    );
 
     let summary = read_json(&out.join("summary.json"));
     let row = &summary["scenarios"][0];
@@ -142,7 +218,11 @@ fn a_run_leaves_what_the_readme_says() {
         ("speed_limit_compliance", 4.0),
         ("ego_is_comfortable", 2.0),
     ];
-    let mean: f64 = weights.iter().map(|(name, weight)| row[*name].as_f64().unwrap() * weight).sum::<f64>() / 16.0;
+    let mean: f64 = weights
+        .iter()
+        .map(|(name, weight)| row[*name].as_f64().unwrap() * weight)
+        .sum::<f64>()
+        / 16.0;
     assert!((row["score"].as_f64().unwrap() - product * mean).abs() < 1e-12);
 
     // 15 s at 10 Hz with a call every 20 iterations, the first at iteration 0.
@@ -156,34 +236,67 @@ fn a_run_leaves_what_the_readme_says() {
     for (i, call) in calls.iter().enumerate() {
         assert_eq!(call["iteration"], 20 * i);
         let attempt = &call["attempts"][0];
-        let rounds: Vec<&str> =
-            attempt["rounds"].as_array().unwrap().iter().map(|round| round["round"].as_str().unwrap()).collect();
+        let rounds: Vec<&str> = attempt["rounds"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|round| round["round"].as_str().unwrap())
+            .collect();
         assert_eq!(rounds, ["understanding", "instruction", "code"]);
         let first = &attempt["rounds"][0]["tokens"];
-        assert!(first["image"].as_u64().unwrap() > 0 && first["cached"].as_u64().unwrap() > 0, "{first}");
+        assert!(
+            first["image"].as_u64().unwrap() > 0 && first["cached"].as_u64().unwrap() > 0,
+            "{first}"
+        );
         assert_eq!(attempt["rounds"][1]["tokens"]["image"], 0);
         assert!(attempt["reflection"]["score"].as_f64().is_some());
         assert!(call["time"]["call"]["total"].as_f64().unwrap() > 0.0);
     }
-    let simulation = out.join("simulations/000000-generated_changing_lane_3-plan-agent-nonreactive");
+    let simulation =
+        out.join("simulations/000000-generated_changing_lane_3-plan-agent-nonreactive");
     let transcript = fs::read_to_string(simulation.join("transcript.md")).unwrap();
-    assert!(transcript.contains("Generate_IDM_Planner(") && transcript.contains("bev/020.png"), "{transcript}");
+    assert!(
+        transcript.contains("Generate_IDM_Planner(") && transcript.contains("bev/020.png"),
+        "{transcript}"
+    );
     assert!(image::open(simulation.join("bev/020.png")).unwrap().width() > 16);
     let timing = read_json(&out.join("timing.json"));
     assert!(timing["planning_call_ms"]["total"]["p50"].as_f64().unwrap() > 0.0);
     let agent = &timing["planners"][0];
-    assert_eq!((&agent["planning_calls"], &agent["iterations"]), (&8.into(), &150.into()));
-    let [mean, call] = [&agent["mean_iteration_ms"], &agent["planning_call_ms"]["p50"]].map(Value::as_f64);
+    assert_eq!(
+        (&agent["planning_calls"], &agent["iterations"]),
+        (&8.into(), &150.into())
+    );
+    let [mean, call] = [
+        &agent["mean_iteration_ms"],
+        &agent["planning_call_ms"]["p50"],
+    ]
+    .map(Value::as_f64);
     assert!(mean > Some(0.0) && mean < call, "{agent}");
     let config = fs::read_to_string(out.join("config.toml")).unwrap();
     assert!(config.contains("threshold = 0.75"), "{config}");
 
-    let again = refused(&["simulate", "--scenario", SCENE, "--out", out.to_str().unwrap()]);
-    assert!(again.contains("holds a run") && again.contains("--resume"), "{again}");
+    let again = refused(&[
+        "simulate",
+        "--scenario",
+        SCENE,
+        "--out",
+        out.to_str().unwrap(),
+    ]);
+    assert!(
+        again.contains("holds a run") && again.contains("--resume"),
+        "{again}"
+    );
     let foreign = folder.path().join("foreign");
     fs::create_dir(&foreign).unwrap();
     fs::write(foreign.join("notes.txt"), "mine").unwrap();
-    let full = refused(&["simulate", "--scenario", SCENE, "--out", foreign.to_str().unwrap()]);
+    let full = refused(&[
+        "simulate",
+        "--scenario",
+        SCENE,
+        "--out",
+        foreign.to_str().unwrap(),
+    ]);
     assert!(full.contains("not empty"), "{full}");
 }
 
@@ -191,17 +304,36 @@ fn a_run_leaves_what_the_readme_says() {
 fn plan_makes_one_call_for_people_and_for_programs() {
     let folder = TempDir::new().unwrap();
     let image = folder.path().join("bev.png");
-    let arguments = ["plan", "--scenario", SCENE, "--at", "3.0", "--image", image.to_str().unwrap()];
+    let arguments = [
+        "plan",
+        "--scenario",
+        SCENE,
+        "--at",
+        "3.0",
+        "--image",
+        image.to_str().unwrap(),
+    ];
     let (code, stdout, stderr) = run(&arguments);
     assert_eq!(code, 0, "{stderr}");
-    for part in ["scene?", "lat=", "Generate_IDM_Planner(", "Reflection:", "Trajectory"] {
+    for part in [
+        "scene?",
+        "lat=",
+        "Generate_IDM_Planner(",
+        "Reflection:",
+        "Trajectory",
+    ] {
         assert!(stdout.contains(part), "no {part} in\n{stdout}");
     }
     // One picture for people, and the model's own.
     let own = image::open(folder.path().join("bev.model.png")).unwrap();
     let shown = image::open(&image).unwrap();
     assert_eq!((own.width(), own.height()), (128, 128));
-    assert!(shown.width() > 1200 && shown.height() > 640, "{} x {}", shown.width(), shown.height());
+    assert!(
+        shown.width() > 1200 && shown.height() > 640,
+        "{} x {}",
+        shown.width(),
+        shown.height()
+    );
     let (code, stdout, _) = run(&[&arguments[..], &["--json"]].concat());
     assert_eq!(code, 0);
     let record: Value = serde_json::from_str(&stdout).unwrap();
@@ -215,12 +347,22 @@ fn plan_makes_one_call_for_people_and_for_programs() {
 fn scenarios_are_listed_shown_and_generated() {
     let (code, stdout, _) = run(&["scenarios", "list"]);
     assert_eq!(code, 0);
-    assert!(stdout.contains("generated/following_lane_with_lead/0"), "{stdout}");
+    assert!(
+        stdout.contains("generated/following_lane_with_lead/0"),
+        "{stdout}"
+    );
     let (code, stdout, _) = run(&["scenarios", "show", SCENE, "--json"]);
     assert_eq!(code, 0);
     let shown: Value = serde_json::from_str(&stdout).unwrap();
     assert!(shown["lanes"].as_u64().unwrap() > 0 && !shown["route"].as_array().unwrap().is_empty());
-    let (code, stdout, _) = run(&["scenarios", "generate", "--type", "changing_lane", "--count", "2"]);
+    let (code, stdout, _) = run(&[
+        "scenarios",
+        "generate",
+        "--type",
+        "changing_lane",
+        "--count",
+        "2",
+    ]);
     assert_eq!((code, stdout.lines().count()), (0, 2), "{stdout}");
 }
 
@@ -228,7 +370,16 @@ fn scenarios_are_listed_shown_and_generated() {
 fn a_dataset_is_written_and_resumed() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("data");
-    let arguments = ["dataset", "--out", out.to_str().unwrap(), "--states", "1", "--validation", "1", "--quiet"];
+    let arguments = [
+        "dataset",
+        "--out",
+        out.to_str().unwrap(),
+        "--states",
+        "1",
+        "--validation",
+        "1",
+        "--quiet",
+    ];
     assert_eq!(run(&arguments).0, 0);
     let lines = fs::read_to_string(out.join("train-00000.jsonl")).unwrap();
     let first: Value = serde_json::from_str(lines.lines().next().unwrap()).unwrap();
@@ -241,13 +392,31 @@ fn a_dataset_is_written_and_resumed() {
     assert_eq!(spans(answer, "weights"), None, "facts weigh the same");
     for decision in [&first["conversation"][4], &first["conversation"][6]] {
         assert_eq!(spans(decision, "weights"), spans(decision, "learn"));
-        assert!(decision["weights"].as_array().unwrap().iter().all(|weight| weight.as_f64().unwrap() > 0.0));
+        assert!(
+            decision["weights"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .all(|weight| weight.as_f64().unwrap() > 0.0)
+        );
     }
     let image = image::open(out.join("train-00000.png")).unwrap();
-    assert_eq!((image.width(), image.height()), (128, 128 * lines.lines().count() as u32));
-    let before = fs::metadata(out.join("train-00000.jsonl")).unwrap().modified().unwrap();
+    assert_eq!(
+        (image.width(), image.height()),
+        (128, 128 * lines.lines().count() as u32)
+    );
+    let before = fs::metadata(out.join("train-00000.jsonl"))
+        .unwrap()
+        .modified()
+        .unwrap();
     assert_eq!(run(&arguments).0, 0);
-    assert_eq!(fs::metadata(out.join("train-00000.jsonl")).unwrap().modified().unwrap(), before);
+    assert_eq!(
+        fs::metadata(out.join("train-00000.jsonl"))
+            .unwrap()
+            .modified()
+            .unwrap(),
+        before
+    );
     let other = refused(&[&arguments[..], &["--seed", "1"]].concat());
     assert!(other.contains("other settings"), "{other}");
 }
@@ -256,42 +425,103 @@ fn a_dataset_is_written_and_resumed() {
 fn a_dataset_has_modified_scenarios_and_pairs_with_one_text() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("data");
-    let counts = ["--states", "1", "--validation", "0", "--modified", "1", "--twins", "1", "--prompt-set", "compact-2"];
-    let (code, stdout, stderr) = run(&[&["dataset", "--json", "--out", out.to_str().unwrap()][..], &counts].concat());
+    let counts = [
+        "--states",
+        "1",
+        "--validation",
+        "0",
+        "--modified",
+        "1",
+        "--twins",
+        "1",
+        "--prompt-set",
+        "compact-2",
+    ];
+    let (code, stdout, stderr) = run(&[
+        &["dataset", "--json", "--out", out.to_str().unwrap()][..],
+        &counts,
+    ]
+    .concat());
     assert_eq!(code, 0, "{stderr}");
     let rows = |name: &str| -> Vec<Value> {
         let text = fs::read_to_string(out.join(name)).unwrap();
-        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+        text.lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect()
     };
     let (states, twins) = (rows("train-00000.jsonl"), rows("train-twins-00000.jsonl"));
     let counted: Value = serde_json::from_str(stdout.lines().next().unwrap()).unwrap();
     assert_eq!(counted["counts"]["twins"], twins.len());
-    let modified = states.iter().filter(|row| row["state"].as_str().unwrap().contains('~')).count();
-    assert!(modified > states.len() / 2 && counted["counts"]["modified"] == modified, "{counted}");
+    let modified = states
+        .iter()
+        .filter(|row| row["state"].as_str().unwrap().contains('~'))
+        .count();
+    assert!(
+        modified > states.len() / 2 && counted["counts"]["modified"] == modified,
+        "{counted}"
+    );
     for row in states.iter().chain(&twins) {
-        let grids: Vec<&str> = row["occupancy"].as_array().unwrap().iter().map(|grid| grid.as_str().unwrap()).collect();
+        let grids: Vec<&str> = row["occupancy"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|grid| grid.as_str().unwrap())
+            .collect();
         assert!(
             grids.len() == 3
-                && grids.iter().all(|grid| grid.len() == 64 && u128::from_str_radix(&grid[..32], 16).is_ok())
+                && grids
+                    .iter()
+                    .all(|grid| grid.len() == 64 && u128::from_str_radix(&grid[..32], 16).is_ok())
         );
     }
-    assert!(states.iter().any(|row| row["occupancy"][0] != row["occupancy"][2]), "things move");
-    let tried = |row: &Value| row.get("tried").map(|codes| codes.as_array().unwrap().clone());
-    assert!(states.iter().any(|row| tried(row).is_some()) && twins.iter().all(|twin| tried(twin).is_none()));
+    assert!(
+        states
+            .iter()
+            .any(|row| row["occupancy"][0] != row["occupancy"][2]),
+        "things move"
+    );
+    let tried = |row: &Value| {
+        row.get("tried")
+            .map(|codes| codes.as_array().unwrap().clone())
+    };
+    assert!(
+        states.iter().any(|row| tried(row).is_some())
+            && twins.iter().all(|twin| tried(twin).is_none())
+    );
     for codes in states.iter().filter_map(tried) {
-        let sum: f64 = codes.iter().map(|code| code["chance"].as_f64().unwrap()).sum();
+        let sum: f64 = codes
+            .iter()
+            .map(|code| code["chance"].as_f64().unwrap())
+            .sum();
         assert!(codes.len() > 1 && (sum - 1.0).abs() < 1e-9, "{codes:?}");
         let code = |code: &Value| code["answers"][1]["content"].as_str().unwrap().to_owned();
-        assert!(codes.iter().all(|one| code(one).starts_with("Generate_IDM_Planner(")), "{codes:?}");
+        assert!(
+            codes
+                .iter()
+                .all(|one| code(one).starts_with("Generate_IDM_Planner(")),
+            "{codes:?}"
+        );
     }
     let label = |row: &Value| row["conversation"][6]["content"].clone();
-    let is_tried =
-        |row: &Value, codes: Vec<Value>| codes.iter().any(|code| code["answers"][1]["content"] == label(row));
-    assert!(states.iter().all(|row| tried(row).is_none_or(|codes| is_tried(row, codes))), "the label is one of them");
+    let is_tried = |row: &Value, codes: Vec<Value>| {
+        codes
+            .iter()
+            .any(|code| code["answers"][1]["content"] == label(row))
+    };
+    assert!(
+        states
+            .iter()
+            .all(|row| tried(row).is_none_or(|codes| is_tried(row, codes))),
+        "the label is one of them"
+    );
     assert!(!twins.is_empty() && twins.len() % 2 == 0);
     for pair in twins.chunks(2) {
-        let prompts = |row: &Value| [0, 1, 3, 5].map(|turn| row["conversation"][turn]["content"].clone());
-        assert_eq!((&pair[0]["twin"], prompts(&pair[0])), (&pair[1]["twin"], prompts(&pair[1])));
+        let prompts =
+            |row: &Value| [0, 1, 3, 5].map(|turn| row["conversation"][turn]["content"].clone());
+        assert_eq!(
+            (&pair[0]["twin"], prompts(&pair[0])),
+            (&pair[1]["twin"], prompts(&pair[1]))
+        );
         assert_ne!(pair[0]["facts"]["code"], pair[1]["facts"]["code"]);
     }
 }
@@ -303,16 +533,24 @@ fn bad_input_is_refused_with_what_and_where() {
     fs::write(&config, "[reflection]\nthreshhold = 0.5\n").unwrap();
     let wrong_key = refused(&["simulate", "--config", config.to_str().unwrap()]);
     assert!(
-        wrong_key.contains("wrong.toml") && wrong_key.contains("threshhold") && wrong_key.contains("line 2"),
+        wrong_key.contains("wrong.toml")
+            && wrong_key.contains("threshhold")
+            && wrong_key.contains("line 2"),
         "{wrong_key}"
     );
     fs::write(&config, "[reflection]\nthreshold = 7.5\n").unwrap();
     let out_of_range = refused(&["simulate", "--config", config.to_str().unwrap()]);
-    assert!(out_of_range.contains("reflection.threshold is 7.5e0"), "{out_of_range}");
+    assert!(
+        out_of_range.contains("reflection.threshold is 7.5e0"),
+        "{out_of_range}"
+    );
 
     fs::write(&config, "[environment]\nnode_length_m = 1e300\n").unwrap();
     let node = refused(&["simulate", "--config", config.to_str().unwrap()]);
-    assert!(node.contains("environment.node_length_m") && node.contains("6 to 100"), "{node}");
+    assert!(
+        node.contains("environment.node_length_m") && node.contains("6 to 100"),
+        "{node}"
+    );
     let threads = refused(&["simulate", "--threads", "1000000"]);
     assert!(threads.contains("--threads"), "{threads}");
 
@@ -321,21 +559,46 @@ fn bad_input_is_refused_with_what_and_where() {
     let kind = refused(&["simulate", "--scenario", "generated/flying/1"]);
     assert!(kind.contains("flying"), "{kind}");
     let planner = refused(&["simulate", "--planner", "telepathy"]);
-    assert!(planner.contains("telepathy") && planner.contains("log-replay"), "{planner}");
-    let model = refused(&["simulate", "--model", "no-such-model", "--out", folder.path().join("x").to_str().unwrap()]);
+    assert!(
+        planner.contains("telepathy") && planner.contains("log-replay"),
+        "{planner}"
+    );
+    let model = refused(&[
+        "simulate",
+        "--model",
+        "no-such-model",
+        "--out",
+        folder.path().join("x").to_str().unwrap(),
+    ]);
     assert!(model.contains("no-such-model"), "{model}");
 
     let file = folder.path().join("file");
     fs::write(&file, "").unwrap();
     let unwritable = file.join("run");
-    let folder_error = refused(&["simulate", "--planner", "idm", "--out", unwritable.to_str().unwrap()]);
+    let folder_error = refused(&[
+        "simulate",
+        "--planner",
+        "idm",
+        "--out",
+        unwritable.to_str().unwrap(),
+    ]);
     assert!(folder_error.contains("cannot write"), "{folder_error}");
-    assert_eq!(folder_error.matches("cannot write").count(), 1, "a cause is printed once: {folder_error}");
+    assert_eq!(
+        folder_error.matches("cannot write").count(),
+        1,
+        "a cause is printed once: {folder_error}"
+    );
 
     let foreign = folder.path().join("foreign");
     fs::create_dir(&foreign).unwrap();
     fs::write(foreign.join("notes.txt"), "mine").unwrap();
-    let dataset = refused(&["dataset", "--out", foreign.to_str().unwrap(), "--states", "1"]);
+    let dataset = refused(&[
+        "dataset",
+        "--out",
+        foreign.to_str().unwrap(),
+        "--states",
+        "1",
+    ]);
     assert!(dataset.contains("foreign"), "{dataset}");
 }
 
@@ -373,7 +636,13 @@ fn broken_checkpoints_are_refused() {
         change(&mut tensors, what);
         candle_core::safetensors::save(&tensors, &weights).unwrap();
         let out = work.path().join("run");
-        let stderr = refused(&["simulate", "--model", model.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+        let stderr = refused(&[
+            "simulate",
+            "--model",
+            model.to_str().unwrap(),
+            "--out",
+            out.to_str().unwrap(),
+        ]);
         assert!(stderr.contains("norm.weight"), "{what}: {stderr}");
     }
     let work = TempDir::new().unwrap();
@@ -398,7 +667,10 @@ fn broken_recordings_are_refused() -> Needy {
     flipped[middle] ^= 1;
     fs::write(&broken, flipped).unwrap();
     let checksum = refused(&["simulate", "--planner", "idm", "--scenario", name]);
-    assert!(checksum.to_lowercase().contains("crc") || checksum.contains("checksum"), "{checksum}");
+    assert!(
+        checksum.to_lowercase().contains("crc") || checksum.contains("checksum"),
+        "{checksum}"
+    );
     Ok(())
 }
 
@@ -407,10 +679,19 @@ fn simulate_recordings(flags: &[&str]) -> Result<Vec<Value>, Missing> {
     let folder = recordings()?;
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
-    let arguments = ["simulate", "--scenario", folder.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let arguments = [
+        "simulate",
+        "--scenario",
+        folder.to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
+    ];
     let (code, _, stderr) = run(&[&arguments[..], flags].concat());
     assert_eq!(code, 0, "{stderr}");
-    let rows = read_json(&out.join("summary.json"))["scenarios"].as_array().unwrap().clone();
+    let rows = read_json(&out.join("summary.json"))["scenarios"]
+        .as_array()
+        .unwrap()
+        .clone();
     assert!(rows.len() >= 11, "{} recordings", rows.len());
     Ok(rows)
 }
@@ -429,7 +710,11 @@ fn plan_agent_simulates_every_recording() -> Needy {
     for row in simulate_recordings(&["--challenge", "both"])? {
         assert!(row["planning_calls"].as_u64().unwrap() >= 3, "{row}");
         let score = row["score"].as_f64().unwrap();
-        assert_eq!(score <= 0.0, !row["zeroed_by"].as_array().unwrap().is_empty(), "{row}");
+        assert_eq!(
+            score <= 0.0,
+            !row["zeroed_by"].as_array().unwrap().is_empty(),
+            "{row}"
+        );
     }
     Ok(())
 }
@@ -439,13 +724,20 @@ fn the_example_configuration_shows_every_default() {
     let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/planagent.toml")).unwrap();
     let example: planagent_runs::runner::Config = toml::from_str(&text).unwrap();
     assert_eq!(example, planagent_runs::runner::Config::default());
-    let defaults: toml::Table = toml::Table::try_from(planagent_runs::runner::Config::default()).unwrap();
+    let defaults: toml::Table =
+        toml::Table::try_from(planagent_runs::runner::Config::default()).unwrap();
     let shown: toml::Table = toml::from_str(&text).unwrap();
     for (section, value) in &defaults {
-        let keys = value.as_table().map(|table| table.keys().cloned().collect::<Vec<_>>()).unwrap_or_default();
+        let keys = value
+            .as_table()
+            .map(|table| table.keys().cloned().collect::<Vec<_>>())
+            .unwrap_or_default();
         assert!(shown.contains_key(section), "{section} is not shown");
         for key in keys {
-            assert!(shown[section].as_table().unwrap().contains_key(&key), "{section}.{key} is not shown");
+            assert!(
+                shown[section].as_table().unwrap().contains_key(&key),
+                "{section}.{key} is not shown"
+            );
         }
     }
 }
@@ -453,17 +745,29 @@ fn the_example_configuration_shows_every_default() {
 /// Help names what the registries hold.
 #[test]
 fn help_lists_planners_suites_and_experiments_with_their_sizes() {
-    let help = |command: &str| run(&[command, "--help"]).1.split_whitespace().collect::<Vec<_>>().join(" ");
+    let help = |command: &str| {
+        run(&[command, "--help"])
+            .1
+            .split_whitespace()
+            .collect::<Vec<_>>()
+            .join(" ")
+    };
     let simulate = help("simulate");
-    for part in
-        ["generated (16 types x 10)", "generated-test14 (14 types x 150)", "generated-test14-hard (14 types x 20)"]
-    {
+    for part in [
+        "generated (16 types x 10)",
+        "generated-test14 (14 types x 150)",
+        "generated-test14-hard (14 types x 20)",
+    ] {
         assert!(simulate.contains(part), "no {part} in {simulate}");
     }
-    assert!(simulate.contains("val14") && simulate.contains("dtpp-small [default: plan-agent]. Or"), "{simulate}");
+    assert!(
+        simulate.contains("val14") && simulate.contains("dtpp-small [default: plan-agent]. Or"),
+        "{simulate}"
+    );
     let experiment = help("experiment");
     assert!(
-        experiment.contains("latency-aware, recorded, interactive, tokens, twins; all for all of these"),
+        experiment
+            .contains("latency-aware, recorded, interactive, tokens, twins; all for all of these"),
         "{experiment}"
     );
 }

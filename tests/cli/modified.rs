@@ -14,20 +14,44 @@ fn a_modified_run_knows_its_file_and_resumes() {
     let (file, out) = (work.path().join("mine.toml"), work.path().join("run"));
     fs::write(&file, TEXT).unwrap();
     let (path, folder) = (file.to_str().unwrap(), out.to_str().unwrap());
-    let flags = ["simulate", "--planner", "idm", "--challenge", "both", "--modify", path, "--out", folder];
+    let flags = [
+        "simulate",
+        "--planner",
+        "idm",
+        "--challenge",
+        "both",
+        "--modify",
+        path,
+        "--out",
+        folder,
+    ];
     let (code, _, stderr) = run(&flags);
     assert_eq!(code, 0, "{stderr}");
     let summary = read_json(&out.join("summary.json"));
-    assert_eq!(summary["scenarios"][0]["id"], "generated/changing_lane/2~mine");
+    assert_eq!(
+        summary["scenarios"][0]["id"],
+        "generated/changing_lane/2~mine"
+    );
     assert_eq!(simulations(&out).len(), 2);
-    let manifest: toml::Table = fs::read_to_string(out.join("manifest.toml")).unwrap().parse().unwrap();
-    assert!(manifest["inputs"]["data"][path]["blake3"].as_str().is_some(), "{manifest}");
+    let manifest: toml::Table = fs::read_to_string(out.join("manifest.toml"))
+        .unwrap()
+        .parse()
+        .unwrap();
+    assert!(
+        manifest["inputs"]["data"][path]["blake3"]
+            .as_str()
+            .is_some(),
+        "{manifest}"
+    );
 
     let (code, _, stderr) = run(&["simulate", "--resume", folder]);
     assert!(code == 0 && stderr.contains("0 are left"), "{stderr}");
     fs::write(&file, TEXT.replace("45", "50")).unwrap();
     let changed = refused(&["simulate", "--resume", folder]);
-    assert!(changed.contains("mine.toml") && changed.contains("changed"), "{changed}");
+    assert!(
+        changed.contains("mine.toml") && changed.contains("changed"),
+        "{changed}"
+    );
 
     let picture = work.path().join("picture.png");
     let (code, _, stderr) = run(&["render", folder, "--png", picture.to_str().unwrap(), "1"]);
@@ -40,33 +64,67 @@ fn shards_of_a_modified_split_merge() {
     let path = |name: &str| work.path().join(name).to_str().unwrap().to_owned();
     let file = path("empty.toml");
     fs::write(&file, "[[remove]]\nvehicles = true\npeople = true\n").unwrap();
-    let flags =
-        ["simulate", "--planner", "simple", "--quiet", "--split", "generated", "--limit", "6", "--modify", &file];
+    let flags = [
+        "simulate",
+        "--planner",
+        "simple",
+        "--quiet",
+        "--split",
+        "generated",
+        "--limit",
+        "6",
+        "--modify",
+        &file,
+    ];
     for part in ["1/2", "2/2"] {
-        let (code, _, stderr) =
-            run(&[&flags[..], &["--shard", part, "--out", &path(&part.replace('/', "of"))]].concat());
+        let (code, _, stderr) = run(&[
+            &flags[..],
+            &["--shard", part, "--out", &path(&part.replace('/', "of"))],
+        ]
+        .concat());
         assert_eq!(code, 0, "{stderr}");
     }
-    let (code, _, stderr) = run(&["merge", &path("1of2"), &path("2of2"), "--out", &path("whole")]);
+    let (code, _, stderr) = run(&[
+        "merge",
+        &path("1of2"),
+        &path("2of2"),
+        "--out",
+        &path("whole"),
+    ]);
     assert_eq!(code, 0, "{stderr}");
     let summary = read_json(&work.path().join("whole/summary.json"));
     let rows = summary["scenarios"].as_array().unwrap();
     assert_eq!(rows.len(), 6);
-    assert!(rows.iter().all(|row| row["id"].as_str().unwrap().ends_with("~empty")), "{rows:?}");
+    assert!(
+        rows.iter()
+            .all(|row| row["id"].as_str().unwrap().ends_with("~empty")),
+        "{rows:?}"
+    );
 }
 
 #[test]
 fn what_is_wrong_with_a_modification_is_said() {
     let work = TempDir::new().unwrap();
     let file = work.path().join("mine.toml");
-    fs::write(&file, "[[stopped]]\nahead_m = 45\n\n[[cones]]\nahead_m = -5\n").unwrap();
+    fs::write(
+        &file,
+        "[[stopped]]\nahead_m = 45\n\n[[cones]]\nahead_m = -5\n",
+    )
+    .unwrap();
     let path = file.to_str().unwrap();
-    for command in
-        [&["scenarios", "show", "generated/changing_lane/2"][..], &["scenarios", "list", "generated/changing_lane/2"]]
-    {
+    for command in [
+        &["scenarios", "show", "generated/changing_lane/2"][..],
+        &["scenarios", "list", "generated/changing_lane/2"],
+    ] {
         let fault = refused(&[command, &["--modify", path]].concat());
-        assert!(fault.contains("mine.toml, line 4: cones.ahead_m: -5 must be from"), "{fault}");
+        assert!(
+            fault.contains("mine.toml, line 4: cones.ahead_m: -5 must be from"),
+            "{fault}"
+        );
     }
     let unknown = refused(&["simulate", "--modify", "crashes"]);
-    assert!(unknown.contains("crashes") && unknown.contains("avoid_crashed_cars"), "{unknown}");
+    assert!(
+        unknown.contains("crashes") && unknown.contains("avoid_crashed_cars"),
+        "{unknown}"
+    );
 }

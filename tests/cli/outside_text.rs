@@ -1,4 +1,5 @@
-//! Text, files and paths that others chose: nothing of them reaches the terminal unseen, waits forever or is written over.
+//! Text, files and paths that others chose: nothing of them reaches the terminal unseen, waits
+//! forever or is written over.
 
 use super::{refused, run};
 use crate::outside::{Needy, data};
@@ -7,16 +8,24 @@ use std::path::Path;
 use tempfile::TempDir;
 
 /// A scene of which a run takes a moment.
-const QUICK: [&str; 5] = ["simulate", "--scenario", "generated/changing_lane/3", "--planner", "log-replay"];
+const QUICK: [&str; 5] = [
+    "simulate",
+    "--scenario",
+    "generated/changing_lane/3",
+    "--planner",
+    "log-replay",
+];
 
 fn quick_run(out: &Path) {
-    let (code, _, stderr) = run(&[&QUICK[..], &["--quiet", "--out", out.to_str().unwrap()]].concat());
+    let (code, _, stderr) =
+        run(&[&QUICK[..], &["--quiet", "--out", out.to_str().unwrap()]].concat());
     assert_eq!(code, 0, "{stderr}");
 }
 
 /// Whether a terminal would obey something in a text.
 fn is_obeyed(text: &str) -> bool {
-    text.chars().any(|c| c.is_control() && c != '\n' || ('\u{202a}'..='\u{202e}').contains(&c))
+    text.chars()
+        .any(|c| c.is_control() && c != '\n' || ('\u{202a}'..='\u{202e}').contains(&c))
 }
 
 #[test]
@@ -32,7 +41,15 @@ fn control_characters_of_a_recording_are_shown() -> Needy {
         &["scenarios", "list", recording, "--json"],
         &["scenarios", "list", recording, "--csv"],
         &["scenarios", "show", recording],
-        &["simulate", "--scenario", recording, "--planner", "log-replay,idm", "--out", out],
+        &[
+            "simulate",
+            "--scenario",
+            recording,
+            "--planner",
+            "log-replay,idm",
+            "--out",
+            out,
+        ],
         &["simulate", "--resume", out, "--csv"],
         &["render", out, "--png", pictures, "--planner", "idm"],
     ];
@@ -48,9 +65,16 @@ fn control_characters_of_a_recording_are_shown() -> Needy {
         );
         escapes += (stdout + &stderr).matches("\\u001b").count();
     }
-    assert!(escapes >= 5, "the escapes of the recording are shown {escapes} times");
+    assert!(
+        escapes >= 5,
+        "the escapes of the recording are shown {escapes} times"
+    );
     let unknown = refused(&["render", out, "\u{1b}[2J", "--png", "x.png"]);
-    assert!(!is_obeyed(&unknown) && unknown.contains("\\u001b[2J"), "{}", unknown.escape_debug());
+    assert!(
+        !is_obeyed(&unknown) && unknown.contains("\\u001b[2J"),
+        "{}",
+        unknown.escape_debug()
+    );
     Ok(())
 }
 
@@ -63,16 +87,22 @@ fn a_huge_file_of_settings_is_refused_by_its_size_and_a_long_line_is_cut() {
         // A file with holes, of which nothing is on the disk.
         fs::File::create(file).unwrap().set_len(1 << 40).unwrap();
     }
-    for command in [&["--config", &config, "simulate"][..], &["experiment", &study], &["simulate", "--split", &filter]]
-    {
+    for command in [
+        &["--config", &config, "simulate"][..],
+        &["experiment", &study],
+        &["simulate", "--split", &filter],
+    ] {
         let said = refused(command);
         assert!(said.contains("1099511627776 bytes; at most"), "{said}");
     }
     fs::write(&config, format!("seed = \"{}\"\n", "x".repeat(500_000))).unwrap();
     fs::write(&study, format!("name = [\"{}\n", "x".repeat(500_000))).unwrap();
     fs::write(&filter, format!("{}: 3\n", "x".repeat(500_000))).unwrap();
-    for command in [&["--config", &config, "simulate"][..], &["experiment", &study], &["simulate", "--split", &filter]]
-    {
+    for command in [
+        &["--config", &config, "simulate"][..],
+        &["experiment", &study],
+        &["simulate", "--split", &filter],
+    ] {
         let said = refused(command);
         assert!(said.len() < 5000, "{} bytes", said.len());
     }
@@ -123,7 +153,10 @@ mod unix {
         assert!(code != 0 && stderr.contains("a pipe"), "{stderr}");
         let folder = work.path().to_str().unwrap();
         let (code, _, stderr) = run(&["scenarios", "list", folder]);
-        assert!(code != 0 && stderr.contains("a.tfrecord") && stderr.contains("e.tfrecord"), "{stderr}");
+        assert!(
+            code != 0 && stderr.contains("a.tfrecord") && stderr.contains("e.tfrecord"),
+            "{stderr}"
+        );
     }
 
     #[test]
@@ -134,7 +167,10 @@ mod unix {
         quick_run(&out);
         let (run_folder, link) = (out.to_str().unwrap(), path("link.html"));
         symlink("page.html", &link).unwrap();
-        assert_eq!(run(&["report", run_folder, "--out", link.to_str().unwrap()]).0, 0);
+        assert_eq!(
+            run(&["report", run_folder, "--out", link.to_str().unwrap()]).0,
+            0
+        );
         assert!(link.is_symlink() && fs::metadata(path("page.html")).unwrap().len() > 1000);
         for (option, name) in [("--gif", "film.gif"), ("--png", "picture.png")] {
             let link = path(&format!("link-{name}"));
@@ -143,7 +179,8 @@ mod unix {
             assert_eq!(code, 0, "{stderr}");
             assert!(link.is_symlink() && fs::metadata(path(name)).unwrap().len() > 100);
         }
-        // The folder of a run may come from elsewhere: a link in it is replaced, and what it leads to stays.
+        // The folder of a run may come from elsewhere: a link in it is replaced, and what it leads
+        // to stays.
         let private = path("private");
         fs::write(&private, "mine").unwrap();
         symlink(&private, out.join("report.html")).unwrap();
@@ -159,10 +196,19 @@ mod unix {
             vec!["report", run_folder, "--out", fifo.to_str().unwrap()],
             vec!["report", run_folder, "--out", "/dev/null"],
             vec!["report", run_folder, "--out", dangling.to_str().unwrap()],
-            vec!["scenarios", "show", "generated/changing_lane/3", "--image", fifo.to_str().unwrap()],
+            vec![
+                "scenarios",
+                "show",
+                "generated/changing_lane/3",
+                "--image",
+                fifo.to_str().unwrap(),
+            ],
         ] {
             let (code, _, stderr) = run(&arguments);
-            assert!(code == 2 && stderr.contains("no regular file"), "{arguments:?}: {stderr}");
+            assert!(
+                code == 2 && stderr.contains("no regular file"),
+                "{arguments:?}: {stderr}"
+            );
         }
         let fifo = fifo.to_str().unwrap();
         assert!(refused(&[&QUICK[..], &["--out", fifo]].concat()).contains("cannot write"));
@@ -189,10 +235,19 @@ mod unix {
         fs::copy(recordings.join("eb4b91b10ca94ff2.tfrecord"), &recording).unwrap();
         let program = |arguments: &[&OsStr]| {
             let output = crate::cli::planagent().args(arguments).output().unwrap();
-            (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
+            (
+                output.status.code().unwrap(),
+                String::from_utf8(output.stderr).unwrap(),
+            )
         };
         let os = OsStr::new;
-        let start = [os("simulate"), os("--planner"), os("log-replay"), os("--scenario"), recording.as_os_str()];
+        let start = [
+            os("simulate"),
+            os("--planner"),
+            os("log-replay"),
+            os("--scenario"),
+            recording.as_os_str(),
+        ];
         let (code, stderr) = program(&[&start[..], &[os("--out"), out.as_os_str()]].concat());
         assert_eq!(code, 0, "{stderr}");
         assert!(out.join("summary.json").is_file());

@@ -10,13 +10,25 @@ const PROMPTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/prompts");
 
 /// Runs in a folder without models and prompts on disk.
 fn in_folder(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
-    let output = planagent().env_remove("PLANAGENT_MODELS").args(arguments).current_dir(folder).output().unwrap();
+    let output = planagent()
+        .env_remove("PLANAGENT_MODELS")
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
+    (
+        output.status.code().unwrap(),
+        text(output.stdout),
+        text(output.stderr),
+    )
 }
 
 fn manifest(run: &Path) -> toml::Table {
-    fs::read_to_string(run.join("manifest.toml")).unwrap().parse().unwrap()
+    fs::read_to_string(run.join("manifest.toml"))
+        .unwrap()
+        .parse()
+        .unwrap()
 }
 
 fn copy_prompts(set: &str, to: &Path) {
@@ -30,31 +42,64 @@ fn copy_prompts(set: &str, to: &Path) {
 #[test]
 fn nano_as_gguf_and_as_a_folder_is_asked_as_it_was_trained() {
     let work = TempDir::new().unwrap();
-    let (code, _, stderr) =
-        in_folder(work.path(), &["models", "quantize", "nano", "--to", "f32", "--out", "nano.gguf"]);
+    let (code, _, stderr) = in_folder(
+        work.path(),
+        &[
+            "models",
+            "quantize",
+            "nano",
+            "--to",
+            "f32",
+            "--out",
+            "nano.gguf",
+        ],
+    );
     assert_eq!(code, 0, "{stderr}");
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano");
     let mut answers = Vec::new();
     for (out, model) in [("a", "nano"), ("b", "nano.gguf"), ("c", folder)] {
-        let (code, _, stderr) =
-            in_folder(work.path(), &["simulate", "--scenario", SCENE, "--model", model, "--out", out]);
+        let (code, _, stderr) = in_folder(
+            work.path(),
+            &[
+                "simulate",
+                "--scenario",
+                SCENE,
+                "--model",
+                model,
+                "--out",
+                out,
+            ],
+        );
         assert_eq!(code, 0, "{model}: {stderr}");
-        let prompts = manifest(&work.path().join(out))["prompts"].as_table().unwrap().clone();
+        let prompts = manifest(&work.path().join(out))["prompts"]
+            .as_table()
+            .unwrap()
+            .clone();
         assert_eq!(
             (prompts["set"].as_str(), prompts["place"].as_str()),
             (Some("compact-2"), Some("built in")),
             "{model}"
         );
-        let named_by = if model == "nano" { "the model's description" } else { "planagent.json of the model" };
+        let named_by = if model == "nano" {
+            "the model's description"
+        } else {
+            "planagent.json of the model"
+        };
         assert_eq!(prompts["named_by"].as_str(), Some(named_by));
         let row = &read_json(&work.path().join(out).join("summary.json"))["scenarios"][0];
         assert!(row["succeeded"].as_bool().unwrap(), "{row}");
         answers.push(row["score"].clone());
     }
     // f32 holds nano's weights exactly.
-    assert!(answers.iter().all(|score| score == &answers[0]), "{answers:?}");
+    assert!(
+        answers.iter().all(|score| score == &answers[0]),
+        "{answers:?}"
+    );
     let (code, stdout, _) = in_folder(work.path(), &["config", "--model", "nano.gguf"]);
-    assert!(code == 0 && stdout.contains("compact-2 (planagent.json of the model): built in"), "{stdout}");
+    assert!(
+        code == 0 && stdout.contains("compact-2 (planagent.json of the model): built in"),
+        "{stdout}"
+    );
 }
 
 #[test]
@@ -62,21 +107,41 @@ fn a_prompt_set_is_chosen_by_a_flag() {
     let work = TempDir::new().unwrap();
     copy_prompts("compact", &work.path().join("own"));
     let out = work.path().join("run");
-    let flags = ["simulate", "--scenario", SCENE, "--prompt-set", "./own", "--out", "run"];
+    let flags = [
+        "simulate",
+        "--scenario",
+        SCENE,
+        "--prompt-set",
+        "./own",
+        "--out",
+        "run",
+    ];
     let (code, _, stderr) = in_folder(work.path(), &flags);
     assert_eq!(code, 0, "{stderr}");
-    assert!(stderr.contains("prompts ") && stderr.contains("(reasoning.prompt_set)"), "{stderr}");
+    assert!(
+        stderr.contains("prompts ") && stderr.contains("(reasoning.prompt_set)"),
+        "{stderr}"
+    );
     let manifest = manifest(&out);
-    assert_eq!(manifest["prompts"]["named_by"].as_str(), Some("reasoning.prompt_set"));
+    assert_eq!(
+        manifest["prompts"]["named_by"].as_str(),
+        Some("reasoning.prompt_set")
+    );
     assert_eq!(manifest["prompts"]["built_in"].as_bool(), Some(false));
     assert!(Path::new(manifest["prompts"]["place"].as_str().unwrap()).is_absolute());
     // Edited prompts are other prompts: the run is not resumed with them.
     fs::write(work.path().join("own/system.jinja"), "drive well").unwrap();
     fs::remove_file(out.join("summary.json")).unwrap();
     let (code, _, stderr) = in_folder(work.path(), &["simulate", "--resume", "run"]);
-    assert!(code == 2 && stderr.contains("prompt set changed: own/system.jinja"), "{stderr}");
+    assert!(
+        code == 2 && stderr.contains("prompt set changed: own/system.jinja"),
+        "{stderr}"
+    );
     let unknown = refused(&["plan", "--prompt-set", "long"]);
-    assert!(unknown.contains("prompt set 'long' is neither built in"), "{unknown}");
+    assert!(
+        unknown.contains("prompt set 'long' is neither built in"),
+        "{unknown}"
+    );
 }
 
 #[test]
@@ -87,17 +152,33 @@ fn edited_prompts_are_used_and_shown() {
         assert_eq!(code, 0, "{stderr}");
         stdout
     };
-    assert!(text(&["config"]).contains("# compact-2 (the model's description): built in"), "{}", text(&["config"]));
+    assert!(
+        text(&["config"]).contains("# compact-2 (the model's description): built in"),
+        "{}",
+        text(&["config"])
+    );
     let listed = text(&["models", "list", "--json"]);
-    let mut models = listed.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let mut models = listed
+        .lines()
+        .map(|line| serde_json::from_str::<Value>(line).unwrap());
     let listed = models.find(|model| model["model"] == "nano").unwrap();
     let said = |key: &str| listed[key].as_str().map(str::to_owned);
-    assert_eq!((said("model"), said("source")), (Some("nano".into()), Some("built in".into())));
-    assert_eq!((said("description"), said("prompts")), (Some("built in".into()), Some("built in".into())));
+    assert_eq!(
+        (said("model"), said("source")),
+        (Some("nano".into()), Some("built in".into()))
+    );
+    assert_eq!(
+        (said("description"), said("prompts")),
+        (Some("built in".into()), Some("built in".into()))
+    );
 
     let prompts = work.path().join("prompts/compact-2");
     copy_prompts("compact-2", &prompts);
-    fs::write(prompts.join("understanding.jinja"), "{{ scene_text }}\nEDITED scene?").unwrap();
+    fs::write(
+        prompts.join("understanding.jinja"),
+        "{{ scene_text }}\nEDITED scene?",
+    )
+    .unwrap();
     assert!(
         text(&["config"]).contains("# compact-2 (the model's description): prompts/compact-2"),
         "{}",
@@ -115,5 +196,8 @@ fn edited_prompts_are_used_and_shown() {
     // Half a set is no set.
     fs::remove_file(prompts.join("code.jinja")).unwrap();
     let (code, _, stderr) = in_folder(work.path(), &["plan", "--scenario", SCENE]);
-    assert!(code == 2 && stderr.contains("prompts/compact-2/code.jinja"), "{stderr}");
+    assert!(
+        code == 2 && stderr.contains("prompts/compact-2/code.jinja"),
+        "{stderr}"
+    );
 }

@@ -10,29 +10,57 @@ use tempfile::TempDir;
 fn told(arguments: &[&str]) -> Vec<Value> {
     let (code, stdout, stderr) = run(&[arguments, &["--json"]].concat());
     assert_eq!(code, 0, "{stderr}");
-    stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    stdout
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect()
 }
 
 /// A recording of each kind.
 fn some_recordings() -> Result<Vec<PathBuf>, Missing> {
-    let first = |folder: PathBuf| std::fs::read_dir(folder).unwrap().next().unwrap().unwrap().path();
-    let [sensor, motion] = [data("argoverse2/sensor")?, data("argoverse2/motion_forecasting")?].map(first);
-    Ok(vec![recordings()?.join("eb4b91b10ca94ff2.tfrecord"), sensor, motion])
+    let first = |folder: PathBuf| {
+        std::fs::read_dir(folder)
+            .unwrap()
+            .next()
+            .unwrap()
+            .unwrap()
+            .path()
+    };
+    let [sensor, motion] = [
+        data("argoverse2/sensor")?,
+        data("argoverse2/motion_forecasting")?,
+    ]
+    .map(first);
+    Ok(vec![
+        recordings()?.join("eb4b91b10ca94ff2.tfrecord"),
+        sensor,
+        motion,
+    ])
 }
 
-/// What `list` and `show` say of a word agrees; `list` opens files of recordings, and then knows more fields.
+/// What `list` and `show` say of a word agrees; `list` opens files of recordings, and then knows
+/// more fields.
 fn tell_the_same(word: &str, opened: &[&str]) {
     let listed = told(&["scenarios", "list", word]);
     assert_eq!(listed.len(), 1, "{listed:?}");
     let shown = &told(&["scenarios", "show", word])[0];
-    for field in ["id", "source", "scenario_type", "log_name"].iter().chain(opened) {
+    for field in ["id", "source", "scenario_type", "log_name"]
+        .iter()
+        .chain(opened)
+    {
         assert!(!shown[field].is_null(), "{field} in {shown}");
         assert_eq!(listed[0][field], shown[field], "{field} of {word}");
     }
     for field in ["iterations", "lanes"] {
-        assert!(listed[0].get(field).is_some() && shown[field].as_u64().unwrap() > 0, "{field} of {word}");
+        assert!(
+            listed[0].get(field).is_some() && shown[field].as_u64().unwrap() > 0,
+            "{field} of {word}"
+        );
     }
-    assert!(shown["map"]["connectors"].as_u64() <= shown["lanes"].as_u64(), "{shown}");
+    assert!(
+        shown["map"]["connectors"].as_u64() <= shown["lanes"].as_u64(),
+        "{shown}"
+    );
 }
 
 #[test]
@@ -55,9 +83,15 @@ fn a_generated_scenario_is_listed_by_its_name() {
     let kind = refused(&["scenarios", "list", "generated/flying/1"]);
     assert!(kind.contains("'flying' is not a scenario type"), "{kind}");
     let form = refused(&["scenarios", "list", "generated/changing_lane"]);
-    assert!(form.contains("expected generated/<scenario type>/<seed>"), "{form}");
+    assert!(
+        form.contains("expected generated/<scenario type>/<seed>"),
+        "{form}"
+    );
     let traffic = refused(&["scenarios", "list", "generated/changing_lane/3.x"]);
-    assert!(traffic.contains("traffic seed 'x' of 'generated/changing_lane/3.x'"), "{traffic}");
+    assert!(
+        traffic.contains("traffic seed 'x' of 'generated/changing_lane/3.x'"),
+        "{traffic}"
+    );
     let nowhere = refused(&["scenarios", "list", "nowhere"]);
     assert!(nowhere.contains("no file or folder nowhere"), "{nowhere}");
 }
@@ -65,10 +99,22 @@ fn a_generated_scenario_is_listed_by_its_name() {
 #[test]
 fn other_traffic_has_a_name() {
     let other = "generated/changing_lane/3.1";
-    let generated = told(&["scenarios", "generate", "--type", "changing_lane", "--from", "3", "--traffic", "1"]);
+    let generated = told(&[
+        "scenarios",
+        "generate",
+        "--type",
+        "changing_lane",
+        "--from",
+        "3",
+        "--traffic",
+        "1",
+    ]);
     assert_eq!(generated[0]["id"], other);
     let [own, other] = [SCENE, other].map(|name| told(&["scenarios", "show", name]).remove(0));
-    assert_eq!((&own["map"], &own["lanes"]), (&other["map"], &other["lanes"]));
+    assert_eq!(
+        (&own["map"], &own["lanes"]),
+        (&other["map"], &other["lanes"])
+    );
     assert_ne!(own["id"], other["id"]);
 }
 
@@ -82,30 +128,65 @@ fn statistics_of_two_sets_fit_a_terminal_and_tell_them_apart() {
         names.collect::<Vec<_>>().join(",")
     };
     // Slow and fast scenes of one generator; and a set against itself.
-    let slow: Vec<String> = (0..10).map(|seed| format!("generated/stationary_in_traffic/{seed}")).collect();
+    let slow: Vec<String> = (0..10)
+        .map(|seed| format!("generated/stationary_in_traffic/{seed}"))
+        .collect();
     let (fast, slow) = (list(0), slow.join(","));
     let found = told(&["scenarios", "statistics", &fast, &slow, "--figure", figure]).remove(0);
-    assert!(found["classifier"]["mean"].as_f64().unwrap() >= 0.9, "{}", found["classifier"]);
+    assert!(
+        found["classifier"]["mean"].as_f64().unwrap() >= 0.9,
+        "{}",
+        found["classifier"]
+    );
     let feature = |key: &str| {
         let features = found["features"].as_array().unwrap();
-        features.iter().find(|feature| feature["key"] == key).unwrap().clone()
+        features
+            .iter()
+            .find(|feature| feature["key"] == key)
+            .unwrap()
+            .clone()
     };
     let speed = feature("ego_speed");
-    assert!(speed["a"]["mean"].as_f64() > speed["b"]["mean"].as_f64(), "{speed}");
+    assert!(
+        speed["a"]["mean"].as_f64() > speed["b"]["mean"].as_f64(),
+        "{speed}"
+    );
     assert!(speed["coefficient"].as_f64().unwrap() > 0.0, "{speed}");
     assert_eq!(feature("unknown_limits")["difference"], Value::Null);
     assert_eq!(found["scenes"][1].as_array().unwrap().len(), 10);
     let drawn = std::fs::read_to_string(figure).unwrap();
-    assert!(drawn.starts_with("<svg") && drawn.contains("speed of the ego, m/s"), "{drawn}");
+    assert!(
+        drawn.starts_with("<svg") && drawn.contains("speed of the ego, m/s"),
+        "{drawn}"
+    );
 
     let same = told(&["scenarios", "statistics", &fast, &fast]).remove(0);
-    assert!(same["classifier"]["mean"].as_f64().unwrap() <= 0.5, "{}", same["classifier"]);
-    let (code, table, stderr) = run(&["scenarios", "statistics", SCENE, "generated/changing_lane/4"]);
+    assert!(
+        same["classifier"]["mean"].as_f64().unwrap() <= 0.5,
+        "{}",
+        same["classifier"]
+    );
+    let (code, table, stderr) = run(&[
+        "scenarios",
+        "statistics",
+        SCENE,
+        "generated/changing_lane/4",
+    ]);
     assert_eq!(code, 0, "{stderr}");
-    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
+    assert!(
+        table.lines().all(|line| line.chars().count() <= 80),
+        "{table}"
+    );
     assert!(table.contains("no classifier"), "{table}");
 
-    let png = refused(&["scenarios", "statistics", SCENE, SCENE, "--figure", "statistics.png"]);
+    let png = refused(&[
+        "scenarios",
+        "statistics",
+        SCENE,
+        SCENE,
+        "--figure",
+        "statistics.png",
+    ]);
     assert!(png.contains("must end in .svg"), "{png}");
     let nowhere = refused(&["scenarios", "statistics", SCENE, "nowhere"]);
     assert!(nowhere.contains("no file or folder nowhere"), "{nowhere}");
@@ -118,20 +199,37 @@ fn hard_scenes_are_chosen_out_of_a_whole_run_only() {
     let out = out.to_str().unwrap();
     let error = refused(&["scenarios", "hard", out]);
     assert!(error.contains(out), "{error}");
-    let drive =
-        ["simulate", "--split", "generated-test14-candidates", "--planner", "pdm-closed", "--limit", "1", "--out"];
+    let drive = [
+        "simulate",
+        "--split",
+        "generated-test14-candidates",
+        "--planner",
+        "pdm-closed",
+        "--limit",
+        "1",
+        "--out",
+    ];
     let (code, _, stderr) = run(&[&drive[..], &[out]].concat());
     assert_eq!(code, 0, "{stderr}");
     let error = refused(&["scenarios", "hard", out]);
-    assert!(error.contains("1399 of the 1400") && error.contains("--planner pdm-closed"), "{error}");
+    assert!(
+        error.contains("1399 of the 1400") && error.contains("--planner pdm-closed"),
+        "{error}"
+    );
 }
 
 #[test]
 fn an_instant_outside_the_window_is_refused_with_the_window() {
     for at in ["-1", "-0.2", "15.1", "1e300", "NaN"] {
-        for command in [&["plan", "--scenario", SCENE][..], &["scenarios", "show", SCENE]] {
+        for command in [
+            &["plan", "--scenario", SCENE][..],
+            &["scenarios", "show", SCENE],
+        ] {
             let error = refused(&[command, &["--at", at]].concat());
-            assert!(error.contains("outside the window") && error.contains("from 0 to 15.0 s"), "{error}");
+            assert!(
+                error.contains("outside the window") && error.contains("from 0 to 15.0 s"),
+                "{error}"
+            );
         }
     }
     let view = refused(&["scenarios", "show", SCENE, "--view", "-5"]);
@@ -141,20 +239,44 @@ fn an_instant_outside_the_window_is_refused_with_the_window() {
 #[test]
 fn a_picture_has_the_format_of_its_ending() {
     let work = TempDir::new().unwrap();
-    let format = |path: &Path| image::ImageReader::open(path).unwrap().with_guessed_format().unwrap().format();
-    for (name, written) in
-        [("a.png", image::ImageFormat::Png), ("b.jpg", image::ImageFormat::Jpeg), ("c.JPEG", image::ImageFormat::Jpeg)]
-    {
+    let format = |path: &Path| {
+        image::ImageReader::open(path)
+            .unwrap()
+            .with_guessed_format()
+            .unwrap()
+            .format()
+    };
+    for (name, written) in [
+        ("a.png", image::ImageFormat::Png),
+        ("b.jpg", image::ImageFormat::Jpeg),
+        ("c.JPEG", image::ImageFormat::Jpeg),
+    ] {
         let path = work.path().join(name);
-        let (code, _, stderr) = run(&["scenarios", "show", SCENE, "--image", path.to_str().unwrap()]);
+        let (code, _, stderr) = run(&[
+            "scenarios",
+            "show",
+            SCENE,
+            "--image",
+            path.to_str().unwrap(),
+        ]);
         assert_eq!(code, 0, "{stderr}");
-        assert_eq!((format(&path), image::open(&path).unwrap().width()), (Some(written), 1024), "{name}");
+        assert_eq!(
+            (format(&path), image::open(&path).unwrap().width()),
+            (Some(written), 1024),
+            "{name}"
+        );
     }
     for name in ["d.gif", "e.webp", "f"] {
         let path = work.path().join(name);
-        for command in [&["plan", "--scenario", SCENE][..], &["scenarios", "show", SCENE]] {
+        for command in [
+            &["plan", "--scenario", SCENE][..],
+            &["scenarios", "show", SCENE],
+        ] {
             let error = refused(&[command, &["--image", path.to_str().unwrap()]].concat());
-            assert!(error.contains(".png, .jpg or .jpeg") && error.contains(name), "{error}");
+            assert!(
+                error.contains(".png, .jpg or .jpeg") && error.contains(name),
+                "{error}"
+            );
         }
         assert!(!path.exists());
     }
@@ -162,14 +284,18 @@ fn a_picture_has_the_format_of_its_ending() {
 
 #[test]
 fn no_zero_has_a_minus() {
-    for command in [&["plan", "--scenario", SCENE][..], &["scenarios", "show", SCENE, "--at", "-0.0"]] {
+    for command in [
+        &["plan", "--scenario", SCENE][..],
+        &["scenarios", "show", SCENE, "--at", "-0.0"],
+    ] {
         for form in [&[][..], &["--json"]] {
             let (code, stdout, stderr) = run(&[command, form].concat());
             assert_eq!(code, 0, "{stderr}");
             let bounds = |c: char| !(c.is_ascii_digit() || matches!(c, '-' | '.' | 'e'));
             let minus = stdout.split(bounds).find(|word| {
-                word.strip_prefix('-')
-                    .is_some_and(|rest| rest.contains('0') && rest.chars().all(|c| matches!(c, '0' | '.')))
+                word.strip_prefix('-').is_some_and(|rest| {
+                    rest.contains('0') && rest.chars().all(|c| matches!(c, '0' | '.'))
+                })
             });
             assert_eq!(minus, None, "{stdout}");
         }
@@ -183,7 +309,14 @@ fn a_log_below_a_folder_does_not_hide_its_folders_of_recordings() {
     std::fs::create_dir_all(work.path().join("vectors/deep")).unwrap();
     std::fs::create_dir(&womd).unwrap();
     std::fs::write(work.path().join("vectors/deep/x.db"), "no log").unwrap();
-    std::fs::write(womd.join("validation.tfrecord-00000-of-00001"), "no recording").unwrap();
+    std::fs::write(
+        womd.join("validation.tfrecord-00000-of-00001"),
+        "no recording",
+    )
+    .unwrap();
     let said = refused(&["scenarios", "list", work.path().to_str().unwrap()]);
-    assert!(said.contains("validation.tfrecord-00000-of-00001") && !said.contains("x.db"), "{said}");
+    assert!(
+        said.contains("validation.tfrecord-00000-of-00001") && !said.contains("x.db"),
+        "{said}"
+    );
 }

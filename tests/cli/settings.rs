@@ -8,20 +8,54 @@ use tempfile::TempDir;
 #[test]
 fn config_prints_every_setting_with_its_origin() {
     let work = TempDir::new().unwrap();
-    fs::write(work.path().join("planagent.toml"), "[reflection]\nthreshold = 0.5\nmax_exec = 2\n").unwrap();
-    let arguments = ["config", "--set", "reflection.max_exec=1", "--seed", "7", "--offline"];
-    let output = planagent().args(arguments).current_dir(work.path()).output().unwrap();
+    fs::write(
+        work.path().join("planagent.toml"),
+        "[reflection]\nthreshold = 0.5\nmax_exec = 2\n",
+    )
+    .unwrap();
+    let arguments = [
+        "config",
+        "--set",
+        "reflection.max_exec=1",
+        "--seed",
+        "7",
+        "--offline",
+    ];
+    let output = planagent()
+        .args(arguments)
+        .current_dir(work.path())
+        .output()
+        .unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
     insta::with_settings!({prepend_module_to_snapshot => false}, {
         insta::assert_snapshot!("config", text);
     });
     // The output is a configuration with the same values.
     fs::write(work.path().join("planagent.toml"), &text).unwrap();
-    let again = planagent().args(["config", "--json"]).current_dir(work.path()).output().unwrap();
-    let settings: Vec<Value> =
-        String::from_utf8(again.stdout).unwrap().lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    let value = |key: &str| settings.iter().find(|one| one["key"] == key).unwrap().clone();
-    assert_eq!((&value("seed")["value"], &value("reflection.max_exec")["value"]), (&7.into(), &1.into()));
+    let again = planagent()
+        .args(["config", "--json"])
+        .current_dir(work.path())
+        .output()
+        .unwrap();
+    let settings: Vec<Value> = String::from_utf8(again.stdout)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let value = |key: &str| {
+        settings
+            .iter()
+            .find(|one| one["key"] == key)
+            .unwrap()
+            .clone()
+    };
+    assert_eq!(
+        (
+            &value("seed")["value"],
+            &value("reflection.max_exec")["value"]
+        ),
+        (&7.into(), &1.into())
+    );
     assert_eq!(value("reflection.threshold")["origin"], "planagent.toml");
     assert_eq!(value("agent.gate")["value"], Value::Null);
 }
@@ -31,15 +65,36 @@ fn a_setting_is_replaced_for_one_run() {
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
     let out = out.to_str().unwrap();
-    let flags = ["simulate", "--planner", "simple", "--quiet", "--set", "reflection.threshold=0.25", "--out", out];
+    let flags = [
+        "simulate",
+        "--planner",
+        "simple",
+        "--quiet",
+        "--set",
+        "reflection.threshold=0.25",
+        "--out",
+        out,
+    ];
     let (code, _, stderr) = run(&[&flags[..], &["--set", "mllm.model=other"]].concat());
     assert_eq!(code, 0, "{stderr}");
-    let config: toml::Table = fs::read_to_string(work.path().join("run/config.toml")).unwrap().parse().unwrap();
+    let config: toml::Table = fs::read_to_string(work.path().join("run/config.toml"))
+        .unwrap()
+        .parse()
+        .unwrap();
     assert_eq!(config["reflection"]["threshold"].as_float(), Some(0.25));
     assert_eq!(config["mllm"]["model"].as_str(), Some("other"));
     // The run keeps it.
     assert_eq!(run(&["simulate", "--resume", out, "--quiet"]).0, 0);
-    let other = refused(&["simulate", "--resume", out, "--set", "reflection.threshold=0.5"]);
-    assert!(other.contains("config.reflection.threshold: was 0.25, is 0.5"), "{other}");
+    let other = refused(&[
+        "simulate",
+        "--resume",
+        out,
+        "--set",
+        "reflection.threshold=0.5",
+    ]);
+    assert!(
+        other.contains("config.reflection.threshold: was 0.25, is 0.5"),
+        "{other}"
+    );
     assert_eq!(read_json(&work.path().join("run/summary.json"))["seed"], 0);
 }

@@ -1,5 +1,6 @@
-//! The TOML and JSON blocks of README.md and docs are whole files of the program: each is parsed, alone and as printed, by the
-//! types that the program reads it with. The model of a description is opened, with a tiny model in the place of its files.
+//! The TOML and JSON blocks of README.md and docs are whole files of the program: each is parsed,
+//! alone and as printed, by the types that the program reads it with. The model of a description is
+//! opened, with a tiny model in the place of its files.
 
 use super::text::{Block, blocks};
 use super::{docs, name, read, root};
@@ -26,17 +27,30 @@ fn tiny(architecture: &str) -> PathBuf {
 
 /// Parses a description and opens its model.
 fn open(place: &str, text: &str) {
-    let mut spec =
-        ModelSpec::parse(Path::new("models/x.toml"), text).unwrap_or_else(|error| panic!("{place}: {error}"));
-    let registry = ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() });
-    let architecture = spec.architecture.map_or("llava", |architecture| architecture.name());
-    let here = || ModelSource::Folder { folder: tiny(architecture) };
+    let mut spec = ModelSpec::parse(Path::new("models/x.toml"), text)
+        .unwrap_or_else(|error| panic!("{place}: {error}"));
+    let registry = ModelRegistry::new(
+        "models",
+        HubAccess {
+            offline: true,
+            ..HubAccess::default()
+        },
+    );
+    let architecture = spec
+        .architecture
+        .map_or("llava", |architecture| architecture.name());
+    let here = || ModelSource::Folder {
+        folder: tiny(architecture),
+    };
     match &mut spec.source {
         // The key is the reader's.
         ModelSource::Endpoint(settings) => settings.key_env = None,
         files => *files = here(),
     }
-    for source in [&mut spec.tokenizer, &mut spec.draft_model].into_iter().flatten() {
+    for source in [&mut spec.tokenizer, &mut spec.draft_model]
+        .into_iter()
+        .flatten()
+    {
         *source = here();
     }
     let opened = registry.with_trust(Trust::Caller).open(&spec);
@@ -63,12 +77,19 @@ fn parse_settings(place: &str, text: &str) {
 fn toml_blocks_are_files_of_the_program() {
     let mut found = 0;
     for page in docs().into_iter().chain([root().join("README.md")]) {
-        for Block { line, language, text } in blocks(&read(&page)) {
+        for Block {
+            line,
+            language,
+            text,
+        } in blocks(&read(&page))
+        {
             if language != "toml" {
                 continue;
             }
             let place = format!("{}:{line}", name(&page));
-            let table: toml::Table = text.parse().unwrap_or_else(|error| panic!("{place}: {error}"));
+            let table: toml::Table = text
+                .parse()
+                .unwrap_or_else(|error| panic!("{place}: {error}"));
             match table {
                 table if table.contains_key("source") => open(&place, &text),
                 table if table.contains_key("variants") => parse_study(&place, &text),
@@ -83,7 +104,10 @@ fn toml_blocks_are_files_of_the_program() {
 #[test]
 fn json_blocks_are_json() {
     for page in docs().into_iter().chain([root().join("README.md")]) {
-        for Block { line, text, .. } in blocks(&read(&page)).into_iter().filter(|block| block.language == "json") {
+        for Block { line, text, .. } in blocks(&read(&page))
+            .into_iter()
+            .filter(|block| block.language == "json")
+        {
             let parsed = serde_json::from_str::<serde_json::Value>(&text);
             assert!(parsed.is_ok(), "{}:{line}: {parsed:?}", name(&page));
         }

@@ -1,7 +1,7 @@
 //! The commands of README.md and docs run as they stand there, in an empty folder, in their order.
 //!
-//! A command that cannot run here stands in [`NOT_RUN`] with its reason. The program must still know all of its subcommands,
-//! options and values.
+//! A command that cannot run here stands in [`NOT_RUN`] with its reason. The program must still
+//! know all of its subcommands, options and values.
 
 use super::text::{DocumentedCommand, commands};
 use super::{docs, name, read, root};
@@ -54,7 +54,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         NETWORK,
     ),
     ("docs/devkit.md", "python3.11 -m venv devkit-python", DEVKIT),
-    ("docs/devkit.md", "devkit-python/bin/pip install -r tests/devkit/requirements.txt", NETWORK),
+    (
+        "docs/devkit.md",
+        "devkit-python/bin/pip install -r tests/devkit/requirements.txt",
+        NETWORK,
+    ),
     (
         "docs/devkit.md",
         "devkit-python/bin/python tests/devkit/compare.py --program target/release/planagent --devkit nuplan-devkit --tuplan \
@@ -79,7 +83,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "devkit-python/bin/python tests/devkit/properties.py --devkit nuplan-devkit --exported compared/exported",
         DEVKIT,
     ),
-    ("docs/learned.md", "planagent simulate --planner plantf --checkpoint plantf.ckpt", CHECKPOINT),
+    (
+        "docs/learned.md",
+        "planagent simulate --planner plantf --checkpoint plantf.ckpt",
+        CHECKPOINT,
+    ),
     (
         "docs/learned.md",
         "planagent experiment main --quick --suite generated-test14,generated-test14-hard,recorded",
@@ -90,21 +98,57 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "planagent simulate --planner plantf,pdm-open,idm --checkpoint plantf=plantf.ckpt --checkpoint pdm-open=pdm_open.ckpt",
         CHECKPOINT,
     ),
-    ("docs/endpoint.md", "planagent simulate --model http://127.0.0.1:8080/v1", SERVER),
-    ("docs/endpoint.md", "planagent simulate --model local-server", SERVER),
-    ("docs/endpoint.md", "OPENAI_API_KEY=… planagent simulate --model openai", SERVER),
-    ("docs/endpoint.md", "planagent simulate --model path/to/description.toml", SERVER),
+    (
+        "docs/endpoint.md",
+        "planagent simulate --model http://127.0.0.1:8080/v1",
+        SERVER,
+    ),
+    (
+        "docs/endpoint.md",
+        "planagent simulate --model local-server",
+        SERVER,
+    ),
+    (
+        "docs/endpoint.md",
+        "OPENAI_API_KEY=… planagent simulate --model openai",
+        SERVER,
+    ),
+    (
+        "docs/endpoint.md",
+        "planagent simulate --model path/to/description.toml",
+        SERVER,
+    ),
     ("docs/experiments.md", "planagent experiment main", HOURS),
-    ("docs/experiments.md", "planagent experiment all --quick", HOURS),
-    ("docs/experiments.md", "planagent experiment environment --suite generated-test14", HOURS),
-    ("docs/experiments.md", "planagent experiment main --suite recorded --scenario folder/of/recordings", HOURS),
+    (
+        "docs/experiments.md",
+        "planagent experiment all --quick",
+        HOURS,
+    ),
+    (
+        "docs/experiments.md",
+        "planagent experiment environment --suite generated-test14",
+        HOURS,
+    ),
+    (
+        "docs/experiments.md",
+        "planagent experiment main --suite recorded --scenario folder/of/recordings",
+        HOURS,
+    ),
     (
         "docs/experiments.md",
         "NUPLAN_DATA_ROOT=… NUPLAN_MAPS_ROOT=… planagent experiment main --suite val14,test14-hard",
         NUPLAN,
     ),
-    ("docs/experiments.md", "planagent experiment mllm --bench runs/bench-2026.11.20.12.00.00", HOURS),
-    ("docs/experiments.md", "planagent experiment main --quick --csv", HOURS),
+    (
+        "docs/experiments.md",
+        "planagent experiment mllm --bench runs/bench-2026.11.20.12.00.00",
+        HOURS,
+    ),
+    (
+        "docs/experiments.md",
+        "planagent experiment main --quick --csv",
+        HOURS,
+    ),
     (
         "docs/generator.md",
         "planagent simulate --split generated-test14-candidates --planner pdm-closed --out runs/candidates",
@@ -116,7 +160,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
          statistics.svg",
         VALIDATION,
     ),
-    ("docs/generator.md", "planagent scenarios hard runs/candidates > suites/generated-test14-hard.txt", FORMER),
+    (
+        "docs/generator.md",
+        "planagent scenarios hard runs/candidates > suites/generated-test14-hard.txt",
+        FORMER,
+    ),
     (
         "docs/latency.md",
         "planagent bench --random-weights nano,llava-1.5-7b,llava-1.5-13b,cogvlm-chat-17b --quantize q4_k",
@@ -190,20 +238,56 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
          llava-hf/llava-1.5-7b-hf",
         WEIGHTS,
     ),
-    ("docs/models.md", "planagent simulate --model llava-v1.5-7b-Q4_K_M.gguf", WEIGHTS),
-    ("docs/models.md", "planagent simulate --model llava-hf/llava-1.5-7b-hf", WEIGHTS),
-    ("docs/models.md", "planagent simulate --model http://127.0.0.1:8080/v1", SERVER),
-    ("docs/models.md", "planagent simulate --model local-server", SERVER),
-    ("docs/models.md", "planagent ask \"What blocks the ego's lane?\" --model llava-1.5-7b", WEIGHTS),
+    (
+        "docs/models.md",
+        "planagent simulate --model llava-v1.5-7b-Q4_K_M.gguf",
+        WEIGHTS,
+    ),
+    (
+        "docs/models.md",
+        "planagent simulate --model llava-hf/llava-1.5-7b-hf",
+        WEIGHTS,
+    ),
+    (
+        "docs/models.md",
+        "planagent simulate --model http://127.0.0.1:8080/v1",
+        SERVER,
+    ),
+    (
+        "docs/models.md",
+        "planagent simulate --model local-server",
+        SERVER,
+    ),
+    (
+        "docs/models.md",
+        "planagent ask \"What blocks the ego's lane?\" --model llava-1.5-7b",
+        WEIGHTS,
+    ),
     (
         "docs/models.md",
         "planagent ask \"Is the light red?\" --scenario generated/changing_lane/3 --at 3 --model local-server --image scene.png",
         SERVER,
     ),
-    ("docs/models.md", "planagent models fetch llava-1.5-7b", NETWORK),
-    ("docs/nuplan.md", "export NUPLAN_DATA_ROOT=/data/nuplan/dataset/nuplan-v1.1/splits/val", NUPLAN),
-    ("docs/nuplan.md", "export NUPLAN_MAPS_ROOT=/data/nuplan/dataset/maps", NUPLAN),
-    ("docs/nuplan.md", "planagent simulate --split val14 --planner idm,pdm-closed --challenge both", NUPLAN),
+    (
+        "docs/models.md",
+        "planagent models fetch llava-1.5-7b",
+        NETWORK,
+    ),
+    (
+        "docs/nuplan.md",
+        "export NUPLAN_DATA_ROOT=/data/nuplan/dataset/nuplan-v1.1/splits/val",
+        NUPLAN,
+    ),
+    (
+        "docs/nuplan.md",
+        "export NUPLAN_MAPS_ROOT=/data/nuplan/dataset/maps",
+        NUPLAN,
+    ),
+    (
+        "docs/nuplan.md",
+        "planagent simulate --split val14 --planner idm,pdm-closed --challenge both",
+        NUPLAN,
+    ),
     (
         "docs/nuplan.md",
         "planagent simulate --scenario $NUPLAN_DATA_ROOT/2021.06.09.17.23.18_veh-38_00773_01140.db#0123456789abcdef",
@@ -214,28 +298,68 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "planagent simulate --scenario folder/of/recordings --planner plan-agent,pdm-closed,grid-code-four --challenge both",
         HOURS,
     ),
-    ("docs/results.md", "planagent experiment interactive --suite interactive-generated", HOURS),
-    ("docs/results.md", "planagent experiment interactive --suite interactive-recorded", HOURS),
-    ("docs/results.md", "planagent experiment main --suite generated-test14-hard", HOURS),
-    ("docs/results.md", "planagent experiment main --suite recorded", HOURS),
-    ("docs/modified.md", "planagent experiment interactive --quick", HOURS),
-    ("docs/reliability.md", "cargo test --release --test tests -- fuzz_corpus", CARGO),
+    (
+        "docs/results.md",
+        "planagent experiment interactive --suite interactive-generated",
+        HOURS,
+    ),
+    (
+        "docs/results.md",
+        "planagent experiment interactive --suite interactive-recorded",
+        HOURS,
+    ),
+    (
+        "docs/results.md",
+        "planagent experiment main --suite generated-test14-hard",
+        HOURS,
+    ),
+    (
+        "docs/results.md",
+        "planagent experiment main --suite recorded",
+        HOURS,
+    ),
+    (
+        "docs/modified.md",
+        "planagent experiment interactive --quick",
+        HOURS,
+    ),
+    (
+        "docs/reliability.md",
+        "cargo test --release --test tests -- fuzz_corpus",
+        CARGO,
+    ),
     ("docs/reliability.md", "cargo install cargo-fuzz", NETWORK),
     (
         "docs/reliability.md",
         "cargo +nightly fuzz run gguf -- -dict=fuzz/dictionaries/gguf.dict -max_total_time=600 -rss_limit_mb=4096 -timeout=20",
         CARGO,
     ),
-    ("docs/reliability.md", "cargo +nightly fuzz tmin gguf fuzz/artifacts/gguf/crash-0123", CARGO),
-    ("docs/latency.md", "planagent simulate --split generated-test14-hard --challenge both", HOURS),
-    ("docs/recordings.md", "cargo test --release --test tests -- routes_hold_the_recorded_ego", CARGO),
+    (
+        "docs/reliability.md",
+        "cargo +nightly fuzz tmin gguf fuzz/artifacts/gguf/crash-0123",
+        CARGO,
+    ),
+    (
+        "docs/latency.md",
+        "planagent simulate --split generated-test14-hard --challenge both",
+        HOURS,
+    ),
+    (
+        "docs/recordings.md",
+        "cargo test --release --test tests -- routes_hold_the_recorded_ego",
+        CARGO,
+    ),
     (
         "docs/recordings.md",
         "planagent experiment recorded --scenario $PLANAGENT_DATA/womd $PLANAGENT_DATA/argoverse2 $PLANAGENT_DATA/womd_validation \
          $PLANAGENT_DATA/argoverse2_validation",
         VALIDATION,
     ),
-    ("docs/report.md", "planagent serve runs/mine --open", ENDLESS),
+    (
+        "docs/report.md",
+        "planagent serve runs/mine --open",
+        ENDLESS,
+    ),
     ("docs/report.md", "cd runs/mine", DEVKIT),
     (
         "docs/report.md",
@@ -244,7 +368,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
          simulation_path=\"[$PWD/closed_loop_nonreactive_agents,$PWD/closed_loop_reactive_agents]\"",
         DEVKIT,
     ),
-    ("docs/report.md", "PYTHONPATH=$DEVKIT python tests/devkit/simulation_logs.py runs/exported exported", DEVKIT),
+    (
+        "docs/report.md",
+        "PYTHONPATH=$DEVKIT python tests/devkit/simulation_logs.py runs/exported exported",
+        DEVKIT,
+    ),
 ];
 
 /// What of the world outside a command needs that is not here.
@@ -261,17 +389,26 @@ fn lack(command: &str) -> Option<Missing> {
 /// The paths that a command writes: behind `--out` and `>`.
 fn outputs(command: &str) -> impl Iterator<Item = String> {
     let words: Vec<&str> = command.split_whitespace().collect();
-    let pairs = words.windows(2).filter(|pair| ["--out", ">"].contains(&pair[0]));
-    pairs.map(|pair| pair[1].trim_end_matches('/').to_owned()).collect::<Vec<_>>().into_iter()
+    let pairs = words
+        .windows(2)
+        .filter(|pair| ["--out", ">"].contains(&pair[0]));
+    pairs
+        .map(|pair| pair[1].trim_end_matches('/').to_owned())
+        .collect::<Vec<_>>()
+        .into_iter()
 }
 
 /// Whether a command names a path, or something below it.
 fn names(command: &str, path: &str) -> bool {
     let mut words = command.split(|c: char| c.is_whitespace() || "=,:".contains(c));
-    words.any(|word| word.strip_prefix(path).is_some_and(|rest| rest.is_empty() || rest.starts_with('/')))
+    words.any(|word| {
+        word.strip_prefix(path)
+            .is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+    })
 }
 
-/// The commands of a page that were not run for lack of something outside, and those that need what these would have made.
+/// The commands of a page that were not run for lack of something outside, and those that need what
+/// these would have made.
 #[derive(Default)]
 struct Skipped {
     outputs: Vec<String>,
@@ -282,8 +419,11 @@ impl Skipped {
     /// Whether a command of this line is skipped; remembers it if so.
     fn skips(&mut self, line: usize, command: &str) -> bool {
         let input = self.outputs.iter().find(|path| names(command, path));
-        let unmade = input.map(|path| Missing(format!("needs {path}, which a skipped command makes")));
-        let Some(Missing(reason)) = lack(command).or(unmade) else { return false };
+        let unmade =
+            input.map(|path| Missing(format!("needs {path}, which a skipped command makes")));
+        let Some(Missing(reason)) = lack(command).or(unmade) else {
+            return false;
+        };
         self.outputs.extend(outputs(command));
         self.reasons.push(format!("line {line} {reason}"));
         true
@@ -292,7 +432,11 @@ impl Skipped {
     /// A page with skipped commands shows as ignored, although its other commands ran.
     fn outcome(self) -> Needy {
         let reasons = self.reasons.join("; ");
-        if reasons.is_empty() { Ok(()) } else { Err(Missing(format!("the other commands ran; {reasons}"))) }
+        if reasons.is_empty() {
+            Ok(())
+        } else {
+            Err(Missing(format!("the other commands ran; {reasons}")))
+        }
     }
 }
 
@@ -302,7 +446,11 @@ fn given(page: &str, folder: &Path) {
         "README.md" => {
             let text = read(&root().join(page));
             let (_, block) = text.split_once("```python\n").unwrap();
-            fs::write(folder.join("my_planner.py"), block.split_once("```").unwrap().0).unwrap();
+            fs::write(
+                folder.join("my_planner.py"),
+                block.split_once("```").unwrap().0,
+            )
+            .unwrap();
             let recording = "motion_data_one_scenario.tfrecord";
             if let Ok(file) = data(&format!("womd/{recording}")) {
                 fs::copy(file, folder.join(recording)).unwrap();
@@ -310,20 +458,34 @@ fn given(page: &str, folder: &Path) {
         }
         "docs/exec.md" => {
             copy(&root().join("examples"), &folder.join("examples"));
-            for (script, example) in [("my_planner", "exec_planner.py"), ("my_agents", "exec_agents.py")] {
+            for (script, example) in [
+                ("my_planner", "exec_planner.py"),
+                ("my_agents", "exec_agents.py"),
+            ] {
                 let script = folder.join(script);
-                fs::write(&script, format!("#!/bin/sh\nexec python3 examples/{example}\n")).unwrap();
+                fs::write(
+                    &script,
+                    format!("#!/bin/sh\nexec python3 examples/{example}\n"),
+                )
+                .unwrap();
                 make_executable(&script);
             }
         }
         "docs/modified.md" => {
             fs::create_dir(folder.join("examples")).unwrap();
-            copy(&root().join("examples/modified"), &folder.join("examples/modified"));
+            copy(
+                &root().join("examples/modified"),
+                &folder.join("examples/modified"),
+            );
         }
         "docs/experiments.md" => {
             let text = read(&root().join(page));
             let (_, block) = text.split_once("```toml\n").unwrap();
-            fs::write(folder.join("my_study.toml"), block.split_once("```").unwrap().0).unwrap();
+            fs::write(
+                folder.join("my_study.toml"),
+                block.split_once("```").unwrap().0,
+            )
+            .unwrap();
         }
         "docs/nuplan.md" => {
             if let Ok(recording) = data("womd/eb4b91b10ca94ff2.tfrecord") {
@@ -372,16 +534,31 @@ fn make_executable(_: &Path) {}
 fn shell(line: &str, folder: &Path) -> Output {
     let program = PathBuf::from(env!("CARGO_BIN_EXE_planagent"));
     let mut paths = vec![program.parent().unwrap().to_owned()];
-    paths.extend(std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default()));
+    paths.extend(std::env::split_paths(
+        &std::env::var_os("PATH").unwrap_or_default(),
+    ));
     let mut command = Command::new("sh");
-    command.args(["-c", line]).current_dir(folder).env("PATH", std::env::join_paths(paths).unwrap());
-    for variable in
-        ["PLANAGENT_MODELS", "NUPLAN_DATA_ROOT", "NUPLAN_MAPS_ROOT", "NUPLAN_SPLITS_ROOT", "NUPLAN_EXP_ROOT"]
-    {
+    command
+        .args(["-c", line])
+        .current_dir(folder)
+        .env("PATH", std::env::join_paths(paths).unwrap());
+    for variable in [
+        "PLANAGENT_MODELS",
+        "NUPLAN_DATA_ROOT",
+        "NUPLAN_MAPS_ROOT",
+        "NUPLAN_SPLITS_ROOT",
+        "NUPLAN_EXP_ROOT",
+    ] {
         command.env_remove(variable);
     }
-    let caches = [("PLANAGENT_CACHE", "cache"), ("HF_HOME", "hub"), ("PLANAGENT_DATA", "recordings")];
-    command.envs(caches.map(|(variable, name)| (variable, folder.join(name)))).env("NO_COLOR", "1");
+    let caches = [
+        ("PLANAGENT_CACHE", "cache"),
+        ("HF_HOME", "hub"),
+        ("PLANAGENT_DATA", "recordings"),
+    ];
+    command
+        .envs(caches.map(|(variable, name)| (variable, folder.join(name))))
+        .env("NO_COLOR", "1");
     command.output().unwrap()
 }
 
@@ -394,8 +571,16 @@ fn run_page(page: &str) -> Needy {
     let work = TempDir::new().unwrap();
     given(page, work.path());
     let mut skipped = Skipped::default();
-    for DocumentedCommand { line, text: command, output: shown } in commands(&read(&root().join(page))) {
-        if let Some((.., why)) = NOT_RUN.iter().find(|(on, listed, _)| *on == page && *listed == command) {
+    for DocumentedCommand {
+        line,
+        text: command,
+        output: shown,
+    } in commands(&read(&root().join(page)))
+    {
+        if let Some((.., why)) = NOT_RUN
+            .iter()
+            .find(|(on, listed, _)| *on == page && *listed == command)
+        {
             assert!(!why.is_empty());
             continue;
         }
@@ -403,9 +588,17 @@ fn run_page(page: &str) -> Needy {
             continue;
         }
         let output = shell(&command, work.path());
-        assert!(output.status.success(), "{page}:{line}: {command}\n{}", text(&output));
+        assert!(
+            output.status.success(),
+            "{page}:{line}: {command}\n{}",
+            text(&output)
+        );
         for line in shown {
-            assert!(text(&output).contains(&line), "{page}: {command} does not print {line}\n{}", text(&output));
+            assert!(
+                text(&output).contains(&line),
+                "{page}: {command} does not print {line}\n{}",
+                text(&output)
+            );
         }
     }
     skipped.outcome()
@@ -446,16 +639,23 @@ pages! {
 
 #[test]
 fn what_a_skipped_command_would_have_made_is_not_used() {
-    let mut skipped = Skipped { outputs: vec!["exported".to_owned()], reasons: Vec::new() };
+    let mut skipped = Skipped {
+        outputs: vec!["exported".to_owned()],
+        reasons: Vec::new(),
+    };
     assert!(!skipped.skips(1, "planagent simulate --out runs/exported"));
-    assert!(
-        skipped.skips(2, "NUPLAN_MAPS_ROOT=exported/maps planagent simulate --scenario exported/data --out runs/two")
-    );
+    assert!(skipped.skips(
+        2,
+        "NUPLAN_MAPS_ROOT=exported/maps planagent simulate --scenario exported/data --out runs/two"
+    ));
     assert!(skipped.skips(3, "planagent compare runs/one runs/two > table.csv"));
     assert!(skipped.skips(4, "cut -d, -f1 table.csv"));
     assert!(!skipped.skips(5, "planagent report runs/twofold"));
     let Missing(reason) = skipped.outcome().unwrap_err();
-    assert!(reason.contains("line 3 needs runs/two, which a skipped command makes"), "{reason}");
+    assert!(
+        reason.contains("line 3 needs runs/two, which a skipped command makes"),
+        "{reason}"
+    );
 }
 
 #[test]
@@ -471,7 +671,10 @@ fn every_page_with_commands_is_tested() {
 fn the_commands_that_are_not_run_are_documented() {
     for (page, command, _) in NOT_RUN {
         let documented = commands(&read(&root().join(page)));
-        assert!(documented.iter().any(|known| known.text == *command), "{page} has no {command}");
+        assert!(
+            documented.iter().any(|known| known.text == *command),
+            "{page} has no {command}"
+        );
     }
 }
 
@@ -487,11 +690,22 @@ fn the_program_knows_the_options_of_commands_that_are_not_run() {
         if program != Some("planagent") {
             continue;
         }
-        let output = shell(&format!("{} --help", command.trim_end_matches(" &")), work.path());
-        assert!(output.status.success(), "{page}: {command}\n{}", text(&output));
+        let output = shell(
+            &format!("{} --help", command.trim_end_matches(" &")),
+            work.path(),
+        );
+        assert!(
+            output.status.success(),
+            "{page}: {command}\n{}",
+            text(&output)
+        );
         known += 1;
     }
     assert!(known > 10);
     let wrong = shell("planagent simulate --plannr idm --help", work.path());
-    assert_eq!(wrong.status.code(), Some(2), "an unknown option goes unseen");
+    assert_eq!(
+        wrong.status.code(),
+        Some(2),
+        "an unknown option goes unseen"
+    );
 }

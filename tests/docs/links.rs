@@ -25,9 +25,16 @@ fn every_relative_link_and_anchor_exists() {
                 continue;
             }
             checked += 1;
-            let (path, anchor) =
-                target.split_once('#').map_or((target.as_str(), None), |(path, anchor)| (path, Some(anchor)));
-            let file = if path.is_empty() { page.clone() } else { page.parent().unwrap().join(path) };
+            let (path, anchor) = target
+                .split_once('#')
+                .map_or((target.as_str(), None), |(path, anchor)| {
+                    (path, Some(anchor))
+                });
+            let file = if path.is_empty() {
+                page.clone()
+            } else {
+                page.parent().unwrap().join(path)
+            };
             if !file.exists() {
                 wrong.push(format!("{}:{line}: no {target}", name(&page)));
             } else if let Some(anchor) = anchor
@@ -37,21 +44,38 @@ fn every_relative_link_and_anchor_exists() {
             }
         }
     }
-    assert!(checked > 50 && wrong.is_empty(), "{checked} links\n{}", wrong.join("\n"));
+    assert!(
+        checked > 50 && wrong.is_empty(),
+        "{checked} links\n{}",
+        wrong.join("\n")
+    );
 }
 
 /// The sources, tests and examples that pages name between backticks.
 #[test]
 fn every_named_source_exists() {
     let mut wrong = Vec::new();
-    for page in pages().iter().filter(|page| !page.ends_with("CHANGELOG.md")) {
+    for page in pages()
+        .iter()
+        .filter(|page| !page.ends_with("CHANGELOG.md"))
+    {
         for (i, line) in without_blocks(&read(page)).lines().enumerate() {
             for word in line.split('`').skip(1).step_by(2) {
                 let path = word.split("::").next().unwrap_or_default();
-                let is_path = ["src/", "tests/", "examples/", "studies/", "suites/", "prompts/", "benches/"]
-                    .iter()
-                    .any(|folder| path.starts_with(folder));
-                let is_plain = path.chars().all(|c| c.is_ascii_alphanumeric() || "/_-.".contains(c));
+                let is_path = [
+                    "src/",
+                    "tests/",
+                    "examples/",
+                    "studies/",
+                    "suites/",
+                    "prompts/",
+                    "benches/",
+                ]
+                .iter()
+                .any(|folder| path.starts_with(folder));
+                let is_plain = path
+                    .chars()
+                    .all(|c| c.is_ascii_alphanumeric() || "/_-.".contains(c));
                 let is_placeholder = path.contains("NAME");
                 if is_path && is_plain && !is_placeholder && !root().join(path).exists() {
                     wrong.push(format!("{}:{}: no {path}", name(page), i + 1));
@@ -65,7 +89,10 @@ fn every_named_source_exists() {
 #[test]
 fn the_index_has_every_page() {
     let index = read(&root().join("docs/README.md"));
-    let targets: Vec<String> = links(&index).into_iter().map(|(_, target)| target).collect();
+    let targets: Vec<String> = links(&index)
+        .into_iter()
+        .map(|(_, target)| target)
+        .collect();
     for page in docs() {
         let file = page.file_name().unwrap().to_string_lossy().into_owned();
         assert!(targets.contains(&file), "docs/README.md lacks {file}");

@@ -23,15 +23,22 @@ fn docs() -> Vec<PathBuf> {
 
 /// The Markdown files of a folder, in order.
 fn markdown(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let mut files: Vec<PathBuf> = entries.filter(|path| path.extension().is_some_and(|e| e == "md")).collect();
+    let entries = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let mut files: Vec<PathBuf> = entries
+        .filter(|path| path.extension().is_some_and(|e| e == "md"))
+        .collect();
     files.sort();
     files
 }
 
 /// Path below the root, for messages.
 fn name(page: &Path) -> String {
-    page.strip_prefix(root()).unwrap().to_string_lossy().into_owned()
+    page.strip_prefix(root())
+        .unwrap()
+        .to_string_lossy()
+        .into_owned()
 }
 
 fn read(page: &Path) -> String {

@@ -13,8 +13,16 @@ const MAX_README_WORDS: usize = 700;
 fn every_page_begins_with_what_its_reader_can_do_after_it() {
     for page in docs() {
         let text = read(&page);
-        let first = text.lines().skip(1).find(|line| !line.is_empty()).unwrap_or_default();
-        assert!(first.starts_with("After this page you can "), "{}: {first}", name(&page));
+        let first = text
+            .lines()
+            .skip(1)
+            .find(|line| !line.is_empty())
+            .unwrap_or_default();
+        assert!(
+            first.starts_with("After this page you can "),
+            "{}: {first}",
+            name(&page)
+        );
     }
 }
 
@@ -25,9 +33,17 @@ fn numbers_stand_in_tables() {
     let mut wrong = Vec::new();
     for page in docs().into_iter().chain([root().join("README.md")]) {
         let text = without_code(&read(&page));
-        // Paragraphs and items of lists; tables, headings and remarks of the source have no sentences.
-        let is_prose = |line: &str| !["|", "#", "<!--"].iter().any(|start| line.trim_start().starts_with(start));
-        let lines: Vec<&str> = text.lines().map(|line| if is_prose(line) { line.trim() } else { "" }).collect();
+        // Paragraphs and items of lists; tables, headings and remarks of the source have no
+        // sentences.
+        let is_prose = |line: &str| {
+            !["|", "#", "<!--"]
+                .iter()
+                .any(|start| line.trim_start().starts_with(start))
+        };
+        let lines: Vec<&str> = text
+            .lines()
+            .map(|line| if is_prose(line) { line.trim() } else { "" })
+            .collect();
         let blocks = lines.join("\n").replace("\n- ", "\n\n- ");
         for block in blocks.split("\n\n") {
             let block = block.replace('\n', " ");
@@ -44,6 +60,8 @@ fn numbers_stand_in_tables() {
 
 #[test]
 fn the_readme_is_short() {
-    let words = without_blocks(&read(&root().join("README.md"))).split_whitespace().count();
+    let words = without_blocks(&read(&root().join("README.md")))
+        .split_whitespace()
+        .count();
     assert!(words <= MAX_README_WORDS, "README.md has {words} words");
 }

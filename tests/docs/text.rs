@@ -22,18 +22,32 @@ pub(super) fn commands(page: &str) -> Vec<DocumentedCommand> {
         } else if in_console {
             let command = line.strip_prefix("$ ");
             if let Some(last) = found.last_mut().filter(|_| continues) {
-                last.text = format!("{} {}", last.text.trim_end_matches('\\').trim_end(), line.trim());
+                last.text = format!(
+                    "{} {}",
+                    last.text.trim_end_matches('\\').trim_end(),
+                    line.trim()
+                );
             } else if let Some(command) = command {
-                found.push(DocumentedCommand { line: i + 1, text: command.to_owned(), output: Vec::new() });
+                found.push(DocumentedCommand {
+                    line: i + 1,
+                    text: command.to_owned(),
+                    output: Vec::new(),
+                });
             } else {
-                let last = found.last_mut().unwrap_or_else(|| panic!("line {}: output before a command", i + 1));
+                let last = found
+                    .last_mut()
+                    .unwrap_or_else(|| panic!("line {}: output before a command", i + 1));
                 last.output.push(line.to_owned());
             }
             continues = line.ends_with('\\');
         }
     }
     for command in &mut found {
-        if let Some((before, _)) = command.text.split_once("  #").or_else(|| command.text.split_once(" # ")) {
+        if let Some((before, _)) = command
+            .text
+            .split_once("  #")
+            .or_else(|| command.text.split_once(" # "))
+        {
             command.text = before.trim_end().to_owned();
         }
     }
@@ -58,7 +72,11 @@ pub(super) fn blocks(page: &str) -> Vec<Block> {
         if let Some(language) = line.strip_prefix("```") {
             is_open = !is_open;
             if is_open {
-                found.push(Block { line: i + 2, language: language.to_owned(), text: String::new() });
+                found.push(Block {
+                    line: i + 2,
+                    language: language.to_owned(),
+                    text: String::new(),
+                });
             }
         } else if let Some(block) = found.last_mut().filter(|_| is_open) {
             block.text += line;
@@ -108,7 +126,9 @@ pub(super) fn anchors(page: &str) -> Vec<String> {
     let headings = text.lines().filter(|line| line.starts_with('#'));
     let slug = |heading: &str| -> String {
         let lower = heading.trim_start_matches('#').trim().to_lowercase();
-        let kept = lower.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
+        let kept = lower
+            .chars()
+            .filter(|c| c.is_alphanumeric() || " -_".contains(*c));
         kept.map(|c| if c == ' ' { '-' } else { c }).collect()
     };
     headings.map(slug).collect()
@@ -123,18 +143,31 @@ fn commands_are_found_with_their_lines_and_output() {
         text: text.to_owned(),
         output: output.iter().map(|line| (*line).to_owned()).collect(),
     };
-    assert_eq!(found, [command(4, "one --a --b", &["out"]), command(7, "two", &[])]);
+    assert_eq!(
+        found,
+        [command(4, "one --a --b", &["out"]), command(7, "two", &[])]
+    );
 }
 
 #[test]
 fn blocks_have_a_language_and_a_line() {
-    let block = |line, language: &str, text: &str| Block { line, language: language.into(), text: text.into() };
-    assert_eq!(blocks("a\n```toml\nb = 1\n```\nc\n```\nd\n```\n"), [block(3, "toml", "b = 1\n"), block(7, "", "d\n")]);
+    let block = |line, language: &str, text: &str| Block {
+        line,
+        language: language.into(),
+        text: text.into(),
+    };
+    assert_eq!(
+        blocks("a\n```toml\nb = 1\n```\nc\n```\nd\n```\n"),
+        [block(3, "toml", "b = 1\n"), block(7, "", "d\n")]
+    );
 }
 
 #[test]
 fn links_and_anchors_are_found() {
     let page = "# One & two's `x`\n[a](b.md#c) and ![d](e.png)\n```\n[no](no.md)\n```\n";
-    assert_eq!(links(page), [(2, "b.md#c".to_owned()), (2, "e.png".to_owned())]);
+    assert_eq!(
+        links(page),
+        [(2, "b.md#c".to_owned()), (2, "e.png".to_owned())]
+    );
     assert_eq!(anchors(page), ["one--twos-x"]);
 }

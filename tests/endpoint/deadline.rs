@@ -13,8 +13,15 @@ fn tiny() -> Arc<LocalModel> {
 }
 
 fn prefix() -> PromptPrefix {
-    let image = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/tiny_llava/image.png")).unwrap();
-    PromptPrefix { system: "Drive safely.".into(), image: Some(image.into_rgb8().into()) }
+    let image = image::open(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/fixtures/tiny_llava/image.png"
+    ))
+    .unwrap();
+    PromptPrefix {
+        system: "Drive safely.".into(),
+        image: Some(image.into_rgb8().into()),
+    }
 }
 
 #[test]
@@ -28,26 +35,53 @@ fn a_local_model_stops_between_tokens_and_answers_later_as_if_never_asked() {
     let short = request(Constraint::Regex("[a-f]{6}".into()));
     let mut conversation = model.converse(&prefix(), 5).unwrap();
     // The deadline passes during the answer: 200 tokens take many milliseconds.
-    assert!(matches!(conversation.ask("Which lane?", &long), Err(MllmError::Deadline)));
+    assert!(matches!(
+        conversation.ask("Which lane?", &long),
+        Err(MllmError::Deadline)
+    ));
     let again = conversation.ask("Where to?", &short).unwrap();
-    let fresh = model.converse(&prefix(), 5).unwrap().ask("Where to?", &short).unwrap();
-    assert_eq!((again.text, again.prompt_hash), (fresh.text, fresh.prompt_hash));
+    let fresh = model
+        .converse(&prefix(), 5)
+        .unwrap()
+        .ask("Where to?", &short)
+        .unwrap();
+    assert_eq!(
+        (again.text, again.prompt_hash),
+        (fresh.text, fresh.prompt_hash)
+    );
 }
 
 #[test]
 fn a_local_model_does_not_begin_after_its_deadline() {
     let model = tiny();
-    let late = Request { deadline: Deadline::after(Instant::now(), Duration::ZERO), ..request(Constraint::Free) };
+    let late = Request {
+        deadline: Deadline::after(Instant::now(), Duration::ZERO),
+        ..request(Constraint::Free)
+    };
     let mut conversation = model.converse(&prefix(), 0).unwrap();
-    assert!(matches!(conversation.ask("Which lane?", &late), Err(MllmError::Deadline)));
+    assert!(matches!(
+        conversation.ask("Which lane?", &late),
+        Err(MllmError::Deadline)
+    ));
 }
 
 #[test]
 fn a_far_deadline_changes_no_answer() {
     let model = tiny();
     let ask = |deadline| {
-        let request = Request { deadline, ..request(Constraint::Free) };
-        model.converse(&prefix(), 0).unwrap().ask("Which lane?", &request).unwrap().text
+        let request = Request {
+            deadline,
+            ..request(Constraint::Free)
+        };
+        model
+            .converse(&prefix(), 0)
+            .unwrap()
+            .ask("Which lane?", &request)
+            .unwrap()
+            .text
     };
-    assert_eq!(ask(Deadline::NONE), ask(Deadline::after(Instant::now(), Duration::from_hours(1))));
+    assert_eq!(
+        ask(Deadline::NONE),
+        ask(Deadline::after(Instant::now(), Duration::from_hours(1)))
+    );
 }

@@ -1,4 +1,5 @@
-//! A server that repeats the API key: in answers, errors and headers, in every encoding, at every place.
+//! A server that repeats the API key: in answers, errors and headers, in every encoding, at every
+//! place.
 
 use base64::Engine;
 use base64::engine::general_purpose::{STANDARD, URL_SAFE_NO_PAD};
@@ -15,8 +16,16 @@ const KEY: &str = env!("CARGO_PKG_DESCRIPTION");
 const MAX_PART: usize = 11;
 
 fn encodings() -> Vec<String> {
-    let percent = KEY.bytes().map(|byte| format!("%{byte:02X}")).collect::<Vec<_>>().concat();
-    let hexadecimal = KEY.bytes().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().concat();
+    let percent = KEY
+        .bytes()
+        .map(|byte| format!("%{byte:02X}"))
+        .collect::<Vec<_>>()
+        .concat();
+    let hexadecimal = KEY
+        .bytes()
+        .map(|byte| format!("{byte:02x}"))
+        .collect::<Vec<_>>()
+        .concat();
     vec![
         KEY.to_owned(),
         percent,
@@ -32,7 +41,9 @@ fn leaks(text: &str) -> bool {
     let part = |encoded: &String| {
         let bytes = encoded.as_bytes();
         let length = (MAX_PART + 1) * encoded.len().div_ceil(KEY.len());
-        bytes.windows(length + 4).any(|part| text.contains(std::str::from_utf8(part).unwrap()))
+        bytes
+            .windows(length + 4)
+            .any(|part| text.contains(std::str::from_utf8(part).unwrap()))
     };
     encodings().iter().any(part)
 }
@@ -40,13 +51,20 @@ fn leaks(text: &str) -> bool {
 /// What is seen of a server's reaction: the answer, or the error.
 fn seen(react: impl Fn() -> Reaction + Send + Sync + 'static) -> String {
     let server = Server::always(react);
-    let settings = EndpointSettings { key_env: Some(VARIABLE.to_owned()), retries: 0, ..settings(&server.url()) };
+    let settings = EndpointSettings {
+        key_env: Some(VARIABLE.to_owned()),
+        retries: 0,
+        ..settings(&server.url())
+    };
     let endpoint = Endpoint::open("test", &settings).unwrap();
     let text = match ask(&endpoint, &request(Constraint::Free)) {
         Ok(answer) => answer.text,
         Err(error) => format!("{error} {error:?}"),
     };
-    assert!(server.received()[0].head.contains(KEY), "the header has the key");
+    assert!(
+        server.received()[0].head.contains(KEY),
+        "the header has the key"
+    );
     text
 }
 
@@ -60,10 +78,20 @@ fn no_answer_and_no_error_has_the_key() {
             |text| stream(&[text], true),
             |text| error("401 Unauthorized", "", text),
             |text| error("503 Service Unavailable", "", text),
-            |text| Reaction::Send(response("302 Found", &format!("Location: http://a.b/?key={text}\r\n"), "")),
+            |text| {
+                Reaction::Send(response(
+                    "302 Found",
+                    &format!("Location: http://a.b/?key={text}\r\n"),
+                    "",
+                ))
+            },
             |text| Reaction::Send(response("200 OK", "", &format!("<html>{text}"))),
             |text| {
-                Reaction::Send(response("200 OK", "", &format!("{{\"choices\": [{{\"finish_reason\": \"{text}\"}}]}}")))
+                Reaction::Send(response(
+                    "200 OK",
+                    "",
+                    &format!("{{\"choices\": [{{\"finish_reason\": \"{text}\"}}]}}"),
+                ))
             },
         ];
         for (number, react) in reactions.into_iter().enumerate() {
@@ -95,8 +123,17 @@ fn no_cut_leaves_a_part_of_the_key() {
 
 #[test]
 fn a_description_may_not_repeat_the_key() {
-    let mut settings = EndpointSettings { key_env: Some(VARIABLE.to_owned()), ..settings("http://127.0.0.1:1/v1") };
-    settings.extra.insert("token".into(), serde_json::json!({"inner": [STANDARD.encode(KEY)]}));
+    let mut settings = EndpointSettings {
+        key_env: Some(VARIABLE.to_owned()),
+        ..settings("http://127.0.0.1:1/v1")
+    };
+    settings.extra.insert(
+        "token".into(),
+        serde_json::json!({"inner": [STANDARD.encode(KEY)]}),
+    );
     let problem = Endpoint::open("test", &settings).unwrap_err().to_string();
-    assert!(problem.contains("extra") && problem.contains(VARIABLE) && !leaks(&problem), "{problem}");
+    assert!(
+        problem.contains("extra") && problem.contains(VARIABLE) && !leaks(&problem),
+        "{problem}"
+    );
 }

@@ -8,7 +8,9 @@ pub(crate) mod server;
 mod simulation;
 mod troubles;
 
-use planagent_mllm::{Constraint, Deadline, Endpoint, EndpointSettings, Mllm, MllmError, Request, Sampling};
+use planagent_mllm::{
+    Constraint, Deadline, Endpoint, EndpointSettings, Mllm, MllmError, Request, Sampling,
+};
 use server::Server;
 use toml::toml;
 
@@ -30,10 +32,19 @@ fn open(server: &Server) -> Endpoint {
 }
 
 fn request(constraint: Constraint) -> Request {
-    Request { constraint, max_new_tokens: 50, sampling: Sampling::Greedy, deadline: Deadline::NONE, draft: None }
+    Request {
+        constraint,
+        max_new_tokens: 50,
+        sampling: Sampling::Greedy,
+        deadline: Deadline::NONE,
+        draft: None,
+    }
 }
 
 /// Asks one question.
 fn ask(endpoint: &Endpoint, request: &Request) -> Result<planagent_mllm::Answer, MllmError> {
-    endpoint.converse(&planagent_mllm::PromptPrefix::default(), 0).unwrap().ask("Which lane?", request)
+    endpoint
+        .converse(&planagent_mllm::PromptPrefix::default(), 0)
+        .unwrap()
+        .ask("Which lane?", request)
 }

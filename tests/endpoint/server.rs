@@ -37,7 +37,9 @@ pub(crate) struct Server {
 
 impl Server {
     /// `react` gets the index of each request.
-    pub(crate) fn start(react: impl Fn(usize, &Received) -> Reaction + Send + Sync + 'static) -> Self {
+    pub(crate) fn start(
+        react: impl Fn(usize, &Received) -> Reaction + Send + Sync + 'static,
+    ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap().to_string();
         let received = Arc::new(Mutex::new(Vec::new()));
@@ -50,12 +52,18 @@ impl Server {
                     if stop.load(Ordering::SeqCst) {
                         return;
                     }
-                    let (received, stop, react) = (Arc::clone(&received), Arc::clone(&stop), Arc::clone(&react));
+                    let (received, stop, react) =
+                        (Arc::clone(&received), Arc::clone(&stop), Arc::clone(&react));
                     std::thread::spawn(move || serve(stream.unwrap(), &received, &stop, &*react));
                 }
             })
         };
-        Self { address, received, stop, thread: Some(thread) }
+        Self {
+            address,
+            received,
+            stop,
+            thread: Some(thread),
+        }
     }
 
     /// A server with the same reaction to every request.
@@ -91,7 +99,9 @@ fn serve(
     stop: &AtomicBool,
     react: &(dyn Fn(usize, &Received) -> Reaction + Send + Sync),
 ) {
-    let Some(request) = read(&mut stream) else { return };
+    let Some(request) = read(&mut stream) else {
+        return;
+    };
     let number = {
         let mut received = received.lock().unwrap();
         received.push(request.clone());
@@ -101,7 +111,9 @@ fn serve(
         Reaction::Send(bytes) => {
             let _ = stream.write_all(&bytes);
         }
-        Reaction::Repeat(bytes) => while !stop.load(Ordering::SeqCst) && stream.write_all(&bytes).is_ok() {},
+        Reaction::Repeat(bytes) => {
+            while !stop.load(Ordering::SeqCst) && stream.write_all(&bytes).is_ok() {}
+        }
         Reaction::Hang(bytes) => {
             let _ = stream.write_all(&bytes);
             while !stop.load(Ordering::SeqCst) {
@@ -127,7 +139,8 @@ fn read(stream: &mut TcpStream) -> Option<Received> {
     let head = String::from_utf8_lossy(&bytes[..end]).into_owned();
     let length = head.lines().find_map(|line| {
         let (name, value) = line.split_once(':')?;
-        name.eq_ignore_ascii_case("content-length").then(|| value.trim().parse::<usize>().unwrap())
+        name.eq_ignore_ascii_case("content-length")
+            .then(|| value.trim().parse::<usize>().unwrap())
     });
     let mut body = bytes.split_off(end);
     while body.len() < length.unwrap_or(0) {
@@ -137,14 +150,21 @@ fn read(stream: &mut TcpStream) -> Option<Received> {
         }
     }
     // A list of models is asked for without a body.
-    let body = if body.is_empty() { Value::Null } else { serde_json::from_slice(&body).unwrap() };
+    let body = if body.is_empty() {
+        Value::Null
+    } else {
+        serde_json::from_slice(&body).unwrap()
+    };
     Some(Received { head, body })
 }
 
 /// A response with additional header lines, each ended by `\r\n`.
 pub(crate) fn response(status: &str, headers: &str, body: &str) -> Vec<u8> {
     let length = body.len();
-    format!("HTTP/1.1 {status}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}").into_bytes()
+    format!(
+        "HTTP/1.1 {status}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}"
+    )
+    .into_bytes()
 }
 
 /// A chat completion in one piece.
@@ -154,15 +174,23 @@ pub(crate) fn completion(text: &str) -> Reaction {
         "choices": [{"index": 0, "message": {"role": "assistant", "content": text}, "finish_reason": "stop"}],
         "usage": {"prompt_tokens": 100, "completion_tokens": 7, "prompt_tokens_details": {"cached_tokens": 40}},
     });
-    Reaction::Send(response("200 OK", "Content-Type: application/json\r\n", &body.to_string()))
+    Reaction::Send(response(
+        "200 OK",
+        "Content-Type: application/json\r\n",
+        &body.to_string(),
+    ))
 }
 
 /// A streamed chat completion of these parts. If not `ended`, it breaks off after them.
 pub(crate) fn stream(parts: &[&str], ended: bool) -> Reaction {
-    let mut body = String::from("HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Type: text/event-stream\r\n\r\n");
+    let mut body = String::from(
+        "HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Type: text/event-stream\r\n\r\n",
+    );
     let mut event = |value: Value| write!(body, "data: {value}\n\n").unwrap();
     for part in parts {
-        event(json!({"choices": [{"index": 0, "delta": {"content": part}, "finish_reason": null}]}));
+        event(
+            json!({"choices": [{"index": 0, "delta": {"content": part}, "finish_reason": null}]}),
+        );
     }
     if ended {
         event(json!({"choices": [{"index": 0, "delta": {}, "finish_reason": "stop"}]}));
@@ -174,8 +202,15 @@ pub(crate) fn stream(parts: &[&str], ended: bool) -> Reaction {
 
 /// A list of models, owned by a server of this name.
 pub(crate) fn models(names: &[&str], owner: &str) -> Reaction {
-    let models: Vec<Value> = names.iter().map(|name| json!({"id": name, "owned_by": owner})).collect();
-    Reaction::Send(response("200 OK", "", &json!({"object": "list", "data": models}).to_string()))
+    let models: Vec<Value> = names
+        .iter()
+        .map(|name| json!({"id": name, "owned_by": owner}))
+        .collect();
+    Reaction::Send(response(
+        "200 OK",
+        "",
+        &json!({"object": "list", "data": models}).to_string(),
+    ))
 }
 
 /// An error response in `OpenAI`'s form.

@@ -38,12 +38,25 @@ impl Run {
         fs::write(&path, config).unwrap();
         let output = planagent()
             .env("TEST_KEY", KEY)
-            .args(["--config", path.to_str().unwrap(), "simulate", "--scenario", SCENE, "--model", model, "--out"])
+            .args([
+                "--config",
+                path.to_str().unwrap(),
+                "simulate",
+                "--scenario",
+                SCENE,
+                "--model",
+                model,
+                "--out",
+            ])
             .arg(folder.path().join("run"))
             .output()
             .unwrap();
         let stderr = String::from_utf8(output.stderr).unwrap();
-        Self { code: output.status.code().unwrap(), stderr, folder }
+        Self {
+            code: output.status.code().unwrap(),
+            stderr,
+            folder,
+        }
     }
 
     fn path(&self) -> PathBuf {
@@ -56,7 +69,9 @@ impl Run {
 
     fn calls(&self) -> Vec<Value> {
         let text = fs::read_to_string(self.path().join("calls.jsonl")).unwrap();
-        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+        text.lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect()
     }
 
     /// All text of the run's files and messages.
@@ -93,11 +108,18 @@ fn a_simulation_continues_over_failures_of_every_kind() {
         4 => Reaction::Send(Vec::new()),
         5 => Reaction::Send(response("200 OK", "", "<html>")),
         6 => error("429 Too Many Requests", "", &format!("slow down, {KEY}")),
-        7 => error("503 Service Unavailable", "Retry-After: 900\r\n", "come back later"),
+        7 => error(
+            "503 Service Unavailable",
+            "Retry-After: 900\r\n",
+            "come back later",
+        ),
         8 => stream(&["le"], false),
         _ => completion(ANSWER),
     });
-    let run = Run::with(&description(&server, ", retries = 0, timeout_ms = 2000"), "[reflection]\nenabled = false\n");
+    let run = Run::with(
+        &description(&server, ", retries = 0, timeout_ms = 2000"),
+        "[reflection]\nenabled = false\n",
+    );
     assert_eq!(run.code, 1, "{}", run.stderr);
     let calls = run.calls();
     assert_eq!(calls.len(), 8);
@@ -120,15 +142,29 @@ fn a_simulation_continues_over_failures_of_every_kind() {
                 (&decision(call)["kind"], &decision(call)["cause"]),
                 (&"keep_active_plan".into(), &"model".into())
             );
-            assert!(decision(call)["why"].as_str().unwrap().contains(why), "{why}: {}", decision(call));
+            assert!(
+                decision(call)["why"].as_str().unwrap().contains(why),
+                "{why}: {}",
+                decision(call)
+            );
         }
     }
     let row = &run.summary()["scenarios"][0];
-    assert_eq!((&row["succeeded"], &row["failed_calls"], &row["deadlines"]), (&true.into(), &6.into(), &0.into()));
+    assert_eq!(
+        (&row["succeeded"], &row["failed_calls"], &row["deadlines"]),
+        (&true.into(), &6.into(), &0.into())
+    );
     assert!(row["score"].as_f64().is_some());
-    assert!(run.stderr.contains("6 of 8 planning calls got no answer"), "{}", run.stderr);
+    assert!(
+        run.stderr.contains("6 of 8 planning calls got no answer"),
+        "{}",
+        run.stderr
+    );
     // The answers violate every round's grammar but parse, and the record says so.
-    assert_eq!(calls[0]["attempts"][0]["rounds"][0]["constraint"], "violated");
+    assert_eq!(
+        calls[0]["attempts"][0]["rounds"][0]["constraint"],
+        "violated"
+    );
     assert!(!run.everything().contains(KEY) && server.received()[0].head.contains(KEY));
 }
 
@@ -145,41 +181,65 @@ fn retries_complete_a_simulation() {
     assert_eq!(server.received().len(), 3 * 3 * 8);
     let time = &run.calls()[0]["time"];
     let first = &time["attempts"][0]["rounds"][0];
-    assert!(first["first_token"].as_f64().unwrap() > 0.0 && first["prefill"] == 0.0, "{first}");
+    assert!(
+        first["first_token"].as_f64().unwrap() > 0.0 && first["prefill"] == 0.0,
+        "{first}"
+    );
     assert!(time["call"]["remote"].as_f64().unwrap() <= time["call"]["total"].as_f64().unwrap());
     let manifest = fs::read_to_string(run.path().join("manifest.toml")).unwrap();
-    assert!(manifest.contains(&server.url()), "the record names who answered:\n{manifest}");
+    assert!(
+        manifest.contains(&server.url()),
+        "the record names who answered:\n{manifest}"
+    );
 }
 
 #[test]
 fn a_refused_key_fails_the_simulation_and_a_missing_one_the_start() {
-    let server = Server::always(|| error("401 Unauthorized", "", &format!("Incorrect API key provided: {KEY}")));
+    let server = Server::always(|| {
+        error(
+            "401 Unauthorized",
+            "",
+            &format!("Incorrect API key provided: {KEY}"),
+        )
+    });
     let run = Run::with(&description(&server, ""), "");
     assert_eq!(run.code, 1, "{}", run.stderr);
     let row = &run.summary()["scenarios"][0];
     let error = row["error"].as_str().unwrap();
-    assert!(row["succeeded"] == false && error.contains("status 401: Incorrect API key provided: [key]"), "{error}");
+    assert!(
+        row["succeeded"] == false
+            && error.contains("status 401: Incorrect API key provided: [key]"),
+        "{error}"
+    );
     assert!(!run.everything().contains(KEY));
 
     let other = description(&server, "").replace("TEST_KEY", "PLANAGENT_NO_SUCH_KEY");
     let run = Run::with(&other, "");
     assert_eq!(run.code, 2, "{}", run.stderr);
-    assert!(run.stderr.contains("PLANAGENT_NO_SUCH_KEY is not set"), "{}", run.stderr);
+    assert!(
+        run.stderr.contains("PLANAGENT_NO_SUCH_KEY is not set"),
+        "{}",
+        run.stderr
+    );
     assert!(!run.path().exists());
 
     let away = description(&server, "").replace(&server.url(), "http://192.0.2.1/v1");
     let run = Run::with(&away, "[mllm]\noffline = true\n");
     assert_eq!(run.code, 2, "{}", run.stderr);
-    assert!(run.stderr.contains("mllm.offline forbids"), "{}", run.stderr);
+    assert!(
+        run.stderr.contains("mllm.offline forbids"),
+        "{}",
+        run.stderr
+    );
 }
 
 #[test]
 fn a_fault_that_no_retry_mends_fails_the_simulation_at_the_first_call() {
-    let reasoning =
-        r#"{"choices": [{"message": {"content": null, "reasoning_content": "Hm."}, "finish_reason": "stop"}]}"#;
-    for (reply, told) in
-        [(reasoning, "reasoning parser"), (r#"{"error": "Unexpected endpoint"}"#, "Unexpected endpoint")]
-    {
+    let reasoning = r#"{"choices": [{"message": {"content": null, "reasoning_content": "Hm."}, "finish_reason": "stop"}]}"#;
+    for (reply, told) in [
+        (reasoning, "reasoning parser"),
+        (r#"{"error": "Unexpected endpoint"}"#, "Unexpected endpoint"),
+    ] {
         let server = Server::always(move || Reaction::Send(response("200 OK", "", reply)));
         let run = Run::with(&description(&server, ""), "");
         assert_eq!(run.code, 1, "{}", run.stderr);
@@ -193,7 +253,11 @@ fn a_fault_that_no_retry_mends_fails_the_simulation_at_the_first_call() {
 #[test]
 fn a_server_is_simulated_by_its_address_alone() {
     let server = Server::start(|_, received| {
-        if received.head.starts_with("GET /v1/models ") { models(&["eye"], "library") } else { completion(ANSWER) }
+        if received.head.starts_with("GET /v1/models ") {
+            models(&["eye"], "library")
+        } else {
+            completion(ANSWER)
+        }
     });
     let config = "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n";
     for address in [server.url(), server.url().replace("/v1", "")] {
@@ -201,18 +265,31 @@ fn a_server_is_simulated_by_its_address_alone() {
         assert_eq!(run.code, 0, "{}", run.stderr);
         assert_eq!(run.summary()["scenarios"][0]["failed_calls"], 0);
         let manifest = fs::read_to_string(run.path().join("manifest.toml")).unwrap();
-        assert!(manifest.contains("eye"), "the record names the model:\n{manifest}");
+        assert!(
+            manifest.contains("eye"),
+            "the record names the model:\n{manifest}"
+        );
     }
     assert_eq!(server.received()[1].body["model"], "eye");
     let several = Server::always(|| models(&["eye", "ear"], "library"));
     let run = Run::of(TempDir::new().unwrap(), &several.url(), config);
     assert_eq!(run.code, 2, "{}", run.stderr);
-    assert!(run.stderr.contains("offers eye, ear") && run.stderr.contains("/v1#NAME"), "{}", run.stderr);
+    assert!(
+        run.stderr.contains("offers eye, ear") && run.stderr.contains("/v1#NAME"),
+        "{}",
+        run.stderr
+    );
 }
 
 #[test]
 fn a_deadline_ends_the_call_and_keeps_the_active_plan() {
-    let server = Server::start(|number, _| if number < 3 { completion(ANSWER) } else { Reaction::Hang(Vec::new()) });
+    let server = Server::start(|number, _| {
+        if number < 3 {
+            completion(ANSWER)
+        } else {
+            Reaction::Hang(Vec::new())
+        }
+    });
     let config = "[reflection]\nenabled = false\n[agent]\ndeadline_ms = 1500\n";
     let run = Run::with(&description(&server, ""), config);
     assert_eq!(run.code, 0, "a deadline is no failure: {}", run.stderr);
@@ -226,15 +303,28 @@ fn a_deadline_ends_the_call_and_keeps_the_active_plan() {
         assert!(call["time"]["call"]["total"].as_f64().unwrap() >= 1500.0);
     }
     let row = &run.summary()["scenarios"][0];
-    assert_eq!((&row["deadlines"], &row["failed_calls"]), (&7.into(), &0.into()));
-    assert!(run.stderr.contains("7 of 8 planning calls ended at their deadline"), "{}", run.stderr);
+    assert_eq!(
+        (&row["deadlines"], &row["failed_calls"]),
+        (&7.into(), &0.into())
+    );
+    assert!(
+        run.stderr
+            .contains("7 of 8 planning calls ended at their deadline"),
+        "{}",
+        run.stderr
+    );
 }
 
 /// The fixtures' LLaVA with a context for whole prompts.
 fn roomy_llava(folder: &Path) -> PathBuf {
     let model = folder.join("llava");
     fs::create_dir(&model).unwrap();
-    for entry in fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/tiny_llava")).unwrap() {
+    for entry in fs::read_dir(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/fixtures/tiny_llava"
+    ))
+    .unwrap()
+    {
         let path = entry.unwrap().path();
         fs::copy(&path, model.join(path.file_name().unwrap())).unwrap();
     }
@@ -247,7 +337,10 @@ fn roomy_llava(folder: &Path) -> PathBuf {
 /// The keys of an object, of its nested objects, and of the first element of each list.
 fn shape(value: &Value) -> Value {
     match value {
-        Value::Object(fields) => fields.iter().map(|(name, field)| (name.clone(), shape(field))).collect(),
+        Value::Object(fields) => fields
+            .iter()
+            .map(|(name, field)| (name.clone(), shape(field)))
+            .collect(),
         Value::Array(items) => items.iter().take(1).map(shape).collect(),
         _ => Value::Null,
     }
@@ -283,13 +376,27 @@ fn another_model_changes_one_line_of_the_configuration_and_nothing_else() {
     let [nano, llava, endpoint] = runs.map(|run| {
         let calls = run.calls();
         assert_eq!(calls.len(), 8);
-        let prompts: Vec<Value> =
-            calls[0]["attempts"][0]["rounds"].as_array().unwrap().iter().map(|round| round["prompt"].clone()).collect();
-        let manifest: toml::Table = fs::read_to_string(run.path().join("manifest.toml")).unwrap().parse().unwrap();
+        let prompts: Vec<Value> = calls[0]["attempts"][0]["rounds"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|round| round["prompt"].clone())
+            .collect();
+        let manifest: toml::Table = fs::read_to_string(run.path().join("manifest.toml"))
+            .unwrap()
+            .parse()
+            .unwrap();
         let mut config = manifest["config"].as_table().unwrap().clone();
-        config["mllm"].as_table_mut().unwrap().remove("model").unwrap();
+        config["mllm"]
+            .as_table_mut()
+            .unwrap()
+            .remove("model")
+            .unwrap();
         let row = run.summary()["scenarios"][0].clone();
-        assert_eq!((&row["succeeded"], &row["failed_calls"]), (&true.into(), &0.into()));
+        assert_eq!(
+            (&row["succeeded"], &row["failed_calls"]),
+            (&true.into(), &0.into())
+        );
         let files: Vec<String> = {
             let mut names: Vec<String> = fs::read_dir(run.path())
                 .unwrap()
@@ -303,41 +410,77 @@ fn another_model_changes_one_line_of_the_configuration_and_nothing_else() {
     assert_eq!(nano, llava);
     assert_eq!(nano, endpoint);
     let url = &server.received()[0].body["messages"][1]["content"][0]["image_url"]["url"];
-    assert!(url.as_str().unwrap().starts_with("data:image/png;base64,"), "the server sees the picture");
+    assert!(
+        url.as_str().unwrap().starts_with("data:image/png;base64,"),
+        "the server sees the picture"
+    );
 }
 
 #[test]
 fn what_a_server_says_is_shown_and_not_obeyed() {
-    let hostile = format!("<img src=x onerror=alert(1)> & ![x](http://192.0.2.1/y) \u{1b}[2J\u{9b}31m {KEY}\n{ANSWER}");
+    let hostile = format!(
+        "<img src=x onerror=alert(1)> & ![x](http://192.0.2.1/y) \u{1b}[2J\u{9b}31m {KEY}\n{ANSWER}"
+    );
     let server = Server::always(move || completion(&hostile));
-    let run = Run::with(&description(&server, ""), "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n");
+    let run = Run::with(
+        &description(&server, ""),
+        "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n",
+    );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let simulation = &crate::runner::simulations(&run.path())[0];
     let transcript = fs::read_to_string(simulation.join("transcript.md")).unwrap();
-    assert!(transcript.contains("&lt;img src=x onerror=alert(1)> &amp; !\\[x]"), "{transcript}");
-    assert!(transcript.contains("\\u001b[2J\\u009b31m [key]") && !transcript.contains('\u{1b}'), "{transcript}");
+    assert!(
+        transcript.contains("&lt;img src=x onerror=alert(1)> &amp; !\\[x]"),
+        "{transcript}"
+    );
+    assert!(
+        transcript.contains("\\u001b[2J\\u009b31m [key]") && !transcript.contains('\u{1b}'),
+        "{transcript}"
+    );
     assert!(!run.everything().contains(KEY));
     // The record has the answer as it was, without the key.
-    let answer = run.calls()[0]["attempts"][0]["rounds"][0]["answer"].as_str().unwrap().to_owned();
-    assert!(answer.starts_with("<img src=x") && answer.contains("\u{1b}[2J\u{9b}31m [key]\n"), "{answer}");
+    let answer = run.calls()[0]["attempts"][0]["rounds"][0]["answer"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    assert!(
+        answer.starts_with("<img src=x") && answer.contains("\u{1b}[2J\u{9b}31m [key]\n"),
+        "{answer}"
+    );
 }
 
 #[test]
 fn another_description_of_the_server_is_no_way_to_resume() {
     let server = Server::always(|| completion(ANSWER));
-    let run = Run::with(&description(&server, ""), "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n");
+    let run = Run::with(
+        &description(&server, ""),
+        "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n",
+    );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let resumed = |more: &str| {
-        fs::write(run.folder.path().join("server.toml"), description(&server, more)).unwrap();
+        fs::write(
+            run.folder.path().join("server.toml"),
+            description(&server, more),
+        )
+        .unwrap();
         let mut command = planagent();
-        command.env("TEST_KEY", KEY).args(["simulate", "--resume"]).arg(run.path());
+        command
+            .env("TEST_KEY", KEY)
+            .args(["simulate", "--resume"])
+            .arg(run.path());
         let output = command.output().unwrap();
-        (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
+        (
+            output.status.code().unwrap(),
+            String::from_utf8(output.stderr).unwrap(),
+        )
     };
     let (code, stderr) = resumed(", timeout_ms = 1234");
     assert_eq!(code, 0, "a time limit changes no answer: {stderr}");
     let (code, stderr) = resumed(", extra = { top_k = 3 }");
-    assert!(code == 2 && stderr.contains("server description changed: extra"), "{stderr}");
+    assert!(
+        code == 2 && stderr.contains("server description changed: extra"),
+        "{stderr}"
+    );
     let (code, stderr) = resumed("");
     assert_eq!(code, 0, "{stderr}");
 }

@@ -12,8 +12,8 @@ use std::path::Path;
 const HIDDEN_SMALL: usize = 2;
 
 fn error_of(path: &Path, hidden: usize) -> String {
-    let loaded =
-        Checkpoint::open(path).and_then(|file| file.load("PDM-Open", |weights| PdmNetwork::open(weights, hidden)));
+    let loaded = Checkpoint::open(path)
+        .and_then(|file| file.load("PDM-Open", |weights| PdmNetwork::open(weights, hidden)));
     loaded.map(|_| ()).unwrap_err().to_string()
 }
 
@@ -25,7 +25,11 @@ fn loaded(path: &Path) -> BTreeMap<String, Vec<f32>> {
     for (name, _) in &manifest {
         found.insert(name.clone(), checkpoint.numbers(name).unwrap());
     }
-    checkpoint.load("PDM-Open", |weights| PdmNetwork::open(weights, HIDDEN_SMALL)).unwrap();
+    checkpoint
+        .load("PDM-Open", |weights| {
+            PdmNetwork::open(weights, HIDDEN_SMALL)
+        })
+        .unwrap();
     found
 }
 
@@ -33,12 +37,20 @@ fn loaded(path: &Path) -> BTreeMap<String, Vec<f32>> {
 fn lightning_and_plain_files_and_safetensors_hold_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let safetensors = folder.path().join("pdm_open.safetensors");
-    let expected = tensors(&manifest_of(|weights| PdmNetwork::open(weights, HIDDEN_SMALL)));
+    let expected = tensors(&manifest_of(|weights| {
+        PdmNetwork::open(weights, HIDDEN_SMALL)
+    }));
     let file: HashMap<String, Tensor> = expected.clone().into_iter().collect();
     candle_core::safetensors::save(&file, &safetensors).unwrap();
-    let expected: BTreeMap<String, Vec<f32>> =
-        expected.into_iter().map(|(name, tensor)| (name, tensor.flatten_all().unwrap().to_vec1().unwrap())).collect();
-    for path in [safetensors, fixture("checkpoints/lightning.ckpt"), fixture("checkpoints/plain.pth")] {
+    let expected: BTreeMap<String, Vec<f32>> = expected
+        .into_iter()
+        .map(|(name, tensor)| (name, tensor.flatten_all().unwrap().to_vec1().unwrap()))
+        .collect();
+    for path in [
+        safetensors,
+        fixture("checkpoints/lightning.ckpt"),
+        fixture("checkpoints/plain.pth"),
+    ] {
         assert_eq!(loaded(&path), expected, "{}", path.display());
     }
 }
@@ -47,22 +59,29 @@ fn lightning_and_plain_files_and_safetensors_hold_the_same() {
 fn another_model_is_named_with_all_that_does_not_fit() {
     let error = error_of(&fixture("checkpoints/plain.pth"), HIDDEN);
     assert!(
-        error.contains("does not fit PDM-Open: 9 of another shape: state_encoding.0.weight [2, 99] instead of"),
+        error.contains(
+            "does not fit PDM-Open: 9 of another shape: state_encoding.0.weight [2, 99] instead of"
+        ),
         "{error}"
     );
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("other.safetensors");
     let one = Tensor::zeros(3, DType::F32, &Device::Cpu).unwrap();
-    candle_core::safetensors::save(&HashMap::from([("model.other".to_owned(), one)]), &path).unwrap();
+    candle_core::safetensors::save(&HashMap::from([("model.other".to_owned(), one)]), &path)
+        .unwrap();
     let error = error_of(&path, HIDDEN_SMALL);
-    assert!(error.contains("10 missing: state_encoding.0.weight"), "{error}");
+    assert!(
+        error.contains("10 missing: state_encoding.0.weight"),
+        "{error}"
+    );
     assert!(error.ends_with("1 left over: other"), "{error}");
 }
 
 /// A file in PyTorch's format around a pickle.
 fn torch_file(path: &Path, pickle: &[u8], storage: &[u8]) {
     let mut archive = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
-    let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    let stored =
+        zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
     for (name, bytes) in [("a/data.pkl", pickle), ("a/data/0", storage)] {
         archive.start_file(name, stored).unwrap();
         archive.write_all(bytes).unwrap();
@@ -89,7 +108,12 @@ fn hostile_files_are_one_error_each() {
     assert!(error_of(folder.path(), HIDDEN_SMALL).contains("it is a folder"));
     let deep = [vec![b'N'], vec![0x85; 1 << 20], vec![b'.']].concat();
     // Each pair of instructions doubles what a copying reader would hold.
-    let doubling = [b"N".to_vec(), (0..200u8).flat_map(|i| [b'q', i, b'h', i, 0x86]).collect(), b".".to_vec()].concat();
+    let doubling = [
+        b"N".to_vec(),
+        (0..200u8).flat_map(|i| [b'q', i, b'h', i, 0x86]).collect(),
+        b".".to_vec(),
+    ]
+    .concat();
     let huge_text = [b"X".to_vec(), u32::MAX.to_le_bytes().to_vec()].concat();
     let call = b"cos\nsystem\nX\x04\x00\x00\x00echo\x85R.".to_vec();
     let pickles: [(&[u8], &str); 8] = [
@@ -111,8 +135,14 @@ fn hostile_files_are_one_error_each() {
 
 /// A state with one tensor of this shape and these strides over a storage of two numbers.
 fn with_tensor(shape: &[u8], strides: &[u8], offset: u8) -> Vec<u8> {
-    let tuple =
-        |sizes: &[u8]| [b"(".to_vec(), sizes.iter().flat_map(|&size| [b'K', size]).collect(), b"t".to_vec()].concat();
+    let tuple = |sizes: &[u8]| {
+        [
+            b"(".to_vec(),
+            sizes.iter().flat_map(|&size| [b'K', size]).collect(),
+            b"t".to_vec(),
+        ]
+        .concat()
+    };
     [
         b"}X\x01\x00\x00\x00ac".to_vec(),
         b"torch._utils\n_rebuild_tensor_v2\n((X\x07\x00\x00\x00storagectorch\nFloatStorage\nX\x01\x00\x00\x000X\x03\x00\x00\x00cpuK\x02tQ".to_vec(),
@@ -133,7 +163,12 @@ fn tensors_beyond_their_storage_are_refused() {
         (&[2], &[1], 1, "its tensor a lies outside its storage"),
         (&[3], &[1], 0, "its tensor a lies outside its storage"),
         (&[2], &[200], 0, "its tensor a lies outside its storage"),
-        (&[255, 255], &[0, 0], 0, "its tensor a lies outside its storage"),
+        (
+            &[255, 255],
+            &[0, 0],
+            0,
+            "its tensor a lies outside its storage",
+        ),
         (&[255; 8], &[0; 8], 0, "its tensors hold more than"),
     ] {
         torch_file(&path, &with_tensor(shape, strides, offset), &[0; 8]);

@@ -3,7 +3,8 @@
 use super::gameformer::{check_features, random_scene};
 use super::scene::scene;
 use super::vectors::{
-    NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json, network, numbers, vectors,
+    NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json, network, numbers,
+    vectors,
 };
 use crate::outside::Needy;
 use candle_core::{Device, Tensor};
@@ -14,7 +15,13 @@ use planagent_learned::dtpp::{
 use planagent_learned::gameformer::{ActorFeatures, SceneInputs};
 
 /// The tiny variant divides the width of the inner layer by sixteen twice.
-const TINY: DtppConfig = DtppConfig { dim: 16, inner: 4, encoder_layers: 2, neighbors: 4, branches: 6 };
+const TINY: DtppConfig = DtppConfig {
+    dim: 16,
+    inner: 4,
+    encoder_layers: 2,
+    neighbors: 4,
+    branches: 6,
+};
 
 fn inputs(file: &Vectors) -> (SceneInputs, Tensor) {
     let scene = SceneInputs {
@@ -42,11 +49,19 @@ fn random_inputs(steps: usize) -> (SceneInputs, Tensor) {
         for step in 0..steps {
             let speed = 5.0 + 2.0 * x(0, 3) + 0.5 * x(step, 3);
             along += 0.1 * speed;
-            let row = [along, 0.3 * x(step, 1), 0.05 * x(step, 2), speed, x(step, 4), 0.05 * x(step, 5)];
+            let row = [
+                along,
+                0.3 * x(step, 1),
+                0.05 * x(step, 2),
+                speed,
+                x(step, 4),
+                0.05 * x(step, 5),
+            ];
             tree[(branch * 80 + step) * 6..][..6].copy_from_slice(&row.map(|value| value as f32));
         }
     }
-    let tensor = |values: Vec<f32>, shape: &[usize]| Tensor::from_vec(values, shape, &Device::Cpu).unwrap();
+    let tensor =
+        |values: Vec<f32>, shape: &[usize]| Tensor::from_vec(values, shape, &Device::Cpu).unwrap();
     let scene = SceneInputs {
         ego: tensor(ego, &[1, 21, 7]),
         neighbors: tensor(neighbors, &[1, 20, 21, 11]),
@@ -56,7 +71,13 @@ fn random_inputs(steps: usize) -> (SceneInputs, Tensor) {
     (scene, tensor(tree, &[1, 30, 80, 6]))
 }
 
-fn check(network: &Dtpp, (scene, tree): &(SceneInputs, Tensor), steps: usize, file: &Vectors, name: &str) {
+fn check(
+    network: &Dtpp,
+    (scene, tree): &(SceneInputs, Tensor),
+    steps: usize,
+    file: &Vectors,
+    name: &str,
+) {
     let probe = Probe::on();
     let outputs = network.forward(scene, tree, steps, &probe).unwrap();
     for mid in [
@@ -69,23 +90,67 @@ fn check(network: &Dtpp, (scene, tree): &(SceneInputs, Tensor), steps: usize, fi
     ] {
         let expected = format!("mid.{mid}");
         if file.names().any(|name| name == expected) {
-            assert_close(&format!("{name} {mid}"), &probe.get(mid).unwrap(), file.get(&expected), NETWORK);
+            assert_close(
+                &format!("{name} {mid}"),
+                &probe.get(mid).unwrap(),
+                file.get(&expected),
+                NETWORK,
+            );
         }
     }
     let batch = tree.dim(0).unwrap();
-    for mid in ["decoder.interaction_feature_encoder", "decoder.interaction_feature_decoder"] {
+    for mid in [
+        "decoder.interaction_feature_encoder",
+        "decoder.interaction_feature_decoder",
+    ] {
         let expected = format!("mid.{mid}");
         if batch == 1 && file.names().any(|name| name == expected) {
-            assert_close(&format!("{name} {mid}"), &probe.get(mid).unwrap(), file.get(&expected), NETWORK);
+            assert_close(
+                &format!("{name} {mid}"),
+                &probe.get(mid).unwrap(),
+                file.get(&expected),
+                NETWORK,
+            );
         }
     }
-    let near = probe.get("collision").unwrap().narrow(1, 0, 1).unwrap().squeeze(1).unwrap();
-    assert_close(&format!("{name} collision"), &near, file.get("mid.collision_branch0"), NETWORK);
-    assert_close(&format!("{name} futures"), &outputs.futures, file.get("out.agent_trajectories"), NETWORK);
-    assert_close(&format!("{name} weights"), &outputs.weights, file.get("out.weights"), NETWORK);
-    assert_close(&format!("{name} ego"), &outputs.regularization, file.get("out.ego_regularization"), NETWORK);
+    let near = probe
+        .get("collision")
+        .unwrap()
+        .narrow(1, 0, 1)
+        .unwrap()
+        .squeeze(1)
+        .unwrap();
+    assert_close(
+        &format!("{name} collision"),
+        &near,
+        file.get("mid.collision_branch0"),
+        NETWORK,
+    );
+    assert_close(
+        &format!("{name} futures"),
+        &outputs.futures,
+        file.get("out.agent_trajectories"),
+        NETWORK,
+    );
+    assert_close(
+        &format!("{name} weights"),
+        &outputs.weights,
+        file.get("out.weights"),
+        NETWORK,
+    );
+    assert_close(
+        &format!("{name} ego"),
+        &outputs.regularization,
+        file.get("out.ego_regularization"),
+        NETWORK,
+    );
     let finite = |scores: &Tensor| scores.maximum(-1e9f64).unwrap();
-    assert_close(&format!("{name} scores"), &finite(&outputs.scores), &finite(file.get("out.scores")), NETWORK);
+    assert_close(
+        &format!("{name} scores"),
+        &finite(&outputs.scores),
+        &finite(file.get("out.scores")),
+        NETWORK,
+    );
 }
 
 #[test]
@@ -104,32 +169,50 @@ fn the_full_network_computes_what_pytorch_computes() -> Needy {
     for steps in [30, 80] {
         let name = format!("dtpp_full.random_b1_t{steps}");
         let path = vectors(&format!("dtpp/{name}.io.safetensors"))?;
-        check(&network, &random_inputs(steps), steps, &Vectors::open(&path), &name);
+        check(
+            &network,
+            &random_inputs(steps),
+            steps,
+            &Vectors::open(&path),
+            &name,
+        );
     }
     Ok(())
 }
 
 #[test]
 fn the_tensors_are_those_of_the_manifest() {
-    assert_manifest("dtpp/dtpp_full.manifest.json", |weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
+    assert_manifest("dtpp/dtpp_full.manifest.json", |weights| {
+        Dtpp::take(weights, DtppConfig::PUBLISHED)
+    });
 }
 
 #[test]
 fn the_features_are_those_of_the_original() {
     for name in ["scene_a", "scene_b"] {
-        check_features(name, 80.0, &Vectors::open(&fixture(&format!("dtpp/features_{name}.safetensors"))));
+        check_features(
+            name,
+            80.0,
+            &Vectors::open(&fixture(&format!("dtpp/features_{name}.safetensors"))),
+        );
     }
 }
 
-/// A place that lies on the border of two rows of the path may fall on either side in f32: one row is 0.1 m.
+/// A place that lies on the border of two rows of the path may fall on either side in f32: one row
+/// is 0.1 m.
 const ROW: f32 = 0.11;
 
-/// The largest distance between the places of two lists of steps, and the largest difference of speeds and accelerations.
+/// The largest distance between the places of two lists of steps, and the largest difference of
+/// speeds and accelerations.
 fn apart(found: &[Step], expected: &[Vec<f32>]) -> (f32, f32) {
     assert_eq!(found.len(), expected.len());
     let pairs = || found.iter().zip(expected);
-    let places = pairs().map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(0.0, f32::max);
-    let rates = pairs().map(|(a, b)| (a[3] - b[3]).abs().max((a[4] - b[4]).abs())).fold(0.0, f32::max);
+    let places = pairs()
+        .map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]))
+        .fold(0.0, f32::max);
+    let rates = pairs()
+        .map(|(a, b)| (a[3] - b[3]).abs().max((a[4] - b[4]).abs()))
+        .fold(0.0, f32::max);
     (places, rates)
 }
 
@@ -138,7 +221,12 @@ fn speed_profiles_are_those_of_the_original() {
     let cases = &json("dtpp/planner_cases.json")["spline_planner"];
     let row = |i: u32| {
         let s = 0.1 * f64::from(i);
-        [s, 0.002 * s * s, (0.004 * s).atan(), 0.004 / (1.0 + (0.004 * s).powi(2)).powf(1.5)]
+        [
+            s,
+            0.002 * s * s,
+            (0.004 * s).atan(),
+            0.004 / (1.0 + (0.004 * s).powi(2)).powf(1.5),
+        ]
     };
     let path: Vec<[f64; 4]> = (0..1200).map(row).collect();
     let rows = |value: &serde_json::Value| -> Vec<Vec<f32>> {
@@ -147,22 +235,43 @@ fn speed_profiles_are_those_of_the_original() {
     };
     for case in cases["cases"].as_array().unwrap() {
         let number = |key: &str| case[key].as_f64().unwrap() as f32;
-        let found = profile(&path, [number("v0"), number("a0"), number("vf")], number("tf"), number("offset"));
+        let found = profile(
+            &path,
+            [number("v0"), number("a0"), number("vf")],
+            number("tf"),
+            number("offset"),
+        );
         let (places, rates) = apart(&found.unwrap().unwrap(), &rows(&case["rows"])[1..]);
         assert!(places < ROW && rates < 1e-4, "{places} {rates}");
     }
-    let ends = |found: Vec<Vec<Step>>| found.iter().map(|steps| *steps.last().unwrap()).collect::<Vec<Step>>();
-    let state = |case: &serde_json::Value| numbers(&case["x0"]).iter().map(|&value| value as f32).collect::<Vec<f32>>();
+    let ends = |found: Vec<Vec<Step>>| {
+        found
+            .iter()
+            .map(|steps| *steps.last().unwrap())
+            .collect::<Vec<Step>>()
+    };
+    let state = |case: &serde_json::Value| {
+        numbers(&case["x0"])
+            .iter()
+            .map(|&value| value as f32)
+            .collect::<Vec<f32>>()
+    };
     let one = &cases["stage1"];
     let x = state(one);
     let limit = one["speed_limit"].as_f64().unwrap() as f32;
     let paths = std::slice::from_ref(&path);
-    let (places, rates) = apart(&ends(first_stage(paths, [x[3], x[4]], limit).unwrap()), &rows(&one["ends"]));
+    let (places, rates) = apart(
+        &ends(first_stage(paths, [x[3], x[4]], limit).unwrap()),
+        &rows(&one["ends"]),
+    );
     assert!(places < ROW && rates < 1e-4, "{places} {rates}");
     let two = &cases["stage2"];
     let x = state(two);
     let from = [x[0], x[1], x[2], x[3], x[4], 0.0];
-    let (places, rates) = apart(&ends(second_stage(paths, &from, limit).unwrap()), &rows(&two["ends"]));
+    let (places, rates) = apart(
+        &ends(second_stage(paths, &from, limit).unwrap()),
+        &rows(&two["ends"]),
+    );
     assert!(places < ROW && rates < 1e-4, "{places} {rates}");
 }
 
@@ -187,20 +296,40 @@ fn paths_trees_and_plans_are_those_of_the_original() {
         let (courses, limit) = paths(&view);
         assert!((limit - cases[name]["speed_limit"].as_f64().unwrap()).abs() < 1e-12);
         for (i, course) in courses.iter().enumerate() {
-            let values: Vec<f32> = course.as_flattened().iter().map(|&value| value as f32).collect();
+            let values: Vec<f32> = course
+                .as_flattened()
+                .iter()
+                .map(|&value| value as f32)
+                .collect();
             let found = Tensor::from_vec(values, (course.len(), 4), &Device::Cpu).unwrap();
-            assert_close(&format!("{name} path {i}"), &found, file.get(&format!("{name}.path.{i}")), NETWORK);
+            assert_close(
+                &format!("{name} path {i}"),
+                &found,
+                file.get(&format!("{name}.path.{i}")),
+                NETWORK,
+            );
         }
         let inputs = ActorFeatures::of(&view, 80.0).inputs().unwrap();
         let start = [view.ego.velocity.x as f32, view.ego.acceleration.x as f32];
         let tree = scored_tree(&network, &inputs, (&courses, limit), start, 0).unwrap();
         for (stage, (branches, scores)) in [("stage1", &tree.first), ("stage2", &tree.second)] {
-            let expected = file.get(&format!("{name}.{stage}.leaf_trajectories")).to_vec3::<f32>().unwrap();
+            let expected = file
+                .get(&format!("{name}.{stage}.leaf_trajectories"))
+                .to_vec3::<f32>()
+                .unwrap();
             assert_eq!(branches.len(), expected.len(), "{name} {stage}");
-            let theirs: Vec<f32> = file.get(&format!("{name}.{stage}.scores")).to_vec1().unwrap();
-            for (((found, expected), score), theirs) in branches.iter().zip(&expected).zip(scores).zip(theirs) {
+            let theirs: Vec<f32> = file
+                .get(&format!("{name}.{stage}.scores"))
+                .to_vec1()
+                .unwrap();
+            for (((found, expected), score), theirs) in
+                branches.iter().zip(&expected).zip(scores).zip(theirs)
+            {
                 let (places, rates) = apart(found, expected);
-                assert!(places < ROW && rates < 1e-3, "{name} {stage}: {places} m, {rates}");
+                assert!(
+                    places < ROW && rates < 1e-3,
+                    "{name} {stage}: {places} m, {rates}"
+                );
                 // Where a place falls on the next row, the score of its trajectory changes with it.
                 let tolerance = if places < 1e-3 { 1e-3 } else { 0.05 };
                 assert!(
@@ -209,10 +338,16 @@ fn paths_trees_and_plans_are_those_of_the_original() {
                 );
             }
         }
-        let best = file.get(&format!("{name}.best_trajectory")).to_vec2::<f32>().unwrap();
+        let best = file
+            .get(&format!("{name}.best_trajectory"))
+            .to_vec2::<f32>()
+            .unwrap();
         assert_eq!(tree.best.len(), best.len());
         for (found, expected) in tree.best.iter().zip(&best) {
-            assert!((found[0] - expected[0]).hypot(found[1] - expected[1]) < ROW, "{name}: {found:?} {expected:?}");
+            assert!(
+                (found[0] - expected[0]).hypot(found[1] - expected[1]) < ROW,
+                "{name}: {found:?} {expected:?}"
+            );
         }
     }
 }

@@ -1,5 +1,5 @@
-//! Networks of checkpoints that `python -m imitation` exported, with the inputs that it exported beside them. The bench of learned
-//! planners includes this file too.
+//! Networks of checkpoints that `python -m imitation` exported, with the inputs that it exported
+//! beside them. The bench of learned planners includes this file too.
 
 use candle_core::{DType, Device, Tensor};
 use planagent_learned::dtpp::{Dtpp, DtppConfig};
@@ -14,12 +14,22 @@ use std::collections::HashMap;
 use std::path::Path;
 
 /// The planners that are exported.
-pub(crate) const PLANNERS: [&str; 7] =
-    ["pdm-open", "plantf", "urban-driver", "raster-model", "gc-pgp", "gameformer", "dtpp"];
+pub(crate) const PLANNERS: [&str; 7] = [
+    "pdm-open",
+    "plantf",
+    "urban-driver",
+    "raster-model",
+    "gc-pgp",
+    "gameformer",
+    "dtpp",
+];
 
 /// Which shapes are exported.
 #[derive(Clone, Copy, PartialEq, Eq)]
-#[allow(dead_code, reason = "the tests have small ones, the bench published ones")]
+#[allow(
+    dead_code,
+    reason = "the tests have small ones, the bench published ones"
+)]
 pub(crate) enum Shape {
     /// Those of `selftest`.
     Small,
@@ -40,11 +50,16 @@ impl Exported {
 
     /// The outputs that were exported.
     pub(crate) fn outputs(&self) -> impl Iterator<Item = (&str, &Tensor)> {
-        self.0.iter().filter_map(|(name, tensor)| Some((name.strip_prefix("out.")?, tensor)))
+        self.0
+            .iter()
+            .filter_map(|(name, tensor)| Some((name.strip_prefix("out.")?, tensor)))
     }
 
     fn get(&self, name: &str) -> Tensor {
-        self.0.get(&format!("in.{name}")).unwrap_or_else(|| panic!("no in.{name}")).clone()
+        self.0
+            .get(&format!("in.{name}"))
+            .unwrap_or_else(|| panic!("no in.{name}"))
+            .clone()
     }
 
     fn of(&self, dtype: DType, name: &str) -> Tensor {
@@ -62,11 +77,17 @@ impl Exported {
 }
 
 fn load<M>(checkpoint: &Path, take: impl FnOnce(&mut Weights) -> candle_core::Result<M>) -> M {
-    Checkpoint::open(checkpoint).unwrap().load("the exported network", take).unwrap()
+    Checkpoint::open(checkpoint)
+        .unwrap()
+        .load("the exported network", take)
+        .unwrap()
 }
 
 fn named(outputs: Vec<(&str, Tensor)>) -> Vec<(String, Tensor)> {
-    outputs.into_iter().map(|(name, tensor)| (name.to_owned(), tensor)).collect()
+    outputs
+        .into_iter()
+        .map(|(name, tensor)| (name.to_owned(), tensor))
+        .collect()
 }
 
 /// The network of a planner in an exported shape.
@@ -74,7 +95,9 @@ pub(crate) fn network(planner: &str, checkpoint: &Path, io: &Exported, shape: Sh
     let small = shape == Shape::Small;
     match planner {
         "pdm-open" => {
-            let network = load(checkpoint, |weights| PdmNetwork::open(weights, if small { 32 } else { HIDDEN }));
+            let network = load(checkpoint, |weights| {
+                PdmNetwork::open(weights, if small { 32 } else { HIDDEN })
+            });
             let inputs = PdmInputs {
                 position: io.get("position"),
                 velocity: io.get("velocity"),
@@ -82,28 +105,74 @@ pub(crate) fn network(planner: &str, checkpoint: &Path, io: &Exported, shape: Sh
                 centerline: io.get("centerline"),
                 trajectory: None,
             };
-            Box::new(move || named(vec![("trajectory", network.forward(&inputs, &Probe::off()).unwrap())]))
+            Box::new(move || {
+                named(vec![(
+                    "trajectory",
+                    network.forward(&inputs, &Probe::off()).unwrap(),
+                )])
+            })
         }
         "plantf" => plantf(checkpoint, io, small),
         "urban-driver" => {
-            let config = UrbanDriverConfig { embedding: 32, layers: 2 };
-            let config = if small { config } else { UrbanDriverConfig::PUBLISHED };
+            let config = UrbanDriverConfig {
+                embedding: 32,
+                layers: 2,
+            };
+            let config = if small {
+                config
+            } else {
+                UrbanDriverConfig::PUBLISHED
+            };
             let network = load(checkpoint, |weights| UrbanDriver::take(weights, config));
-            let counts = if small { [1, 6, 8, 8, 8, 3, 4, 6] } else { [1, 30, 30, 30, 30, 20, 20, 30] };
-            let elements = Elements { points: io.get("points"), available: io.of(DType::U8, "available"), counts };
-            Box::new(move || named(vec![("trajectory", network.forward(&elements, &Probe::off()).unwrap())]))
+            let counts = if small {
+                [1, 6, 8, 8, 8, 3, 4, 6]
+            } else {
+                [1, 30, 30, 30, 30, 20, 20, 30]
+            };
+            let elements = Elements {
+                points: io.get("points"),
+                available: io.of(DType::U8, "available"),
+                counts,
+            };
+            Box::new(move || {
+                named(vec![(
+                    "trajectory",
+                    network.forward(&elements, &Probe::off()).unwrap(),
+                )])
+            })
         }
         "raster-model" => {
-            let config = RasterModelConfig { widths: [16, 8, 16, 32] };
-            let config = if small { config } else { RasterModelConfig::PUBLISHED };
+            let config = RasterModelConfig {
+                widths: [16, 8, 16, 32],
+            };
+            let config = if small {
+                config
+            } else {
+                RasterModelConfig::PUBLISHED
+            };
             let network = load(checkpoint, |weights| RasterModel::take(weights, config));
             let raster = io.get("raster");
-            Box::new(move || named(vec![("trajectory", network.forward(&raster, &Probe::off()).unwrap())]))
+            Box::new(move || {
+                named(vec![(
+                    "trajectory",
+                    network.forward(&raster, &Probe::off()).unwrap(),
+                )])
+            })
         }
         "gc-pgp" => gc_pgp(checkpoint, io),
         "gameformer" => {
-            let config = GameFormerConfig { dim: 16, encoder_layers: 2, levels: 2, modes: 3, neighbors: 4 };
-            let config = if small { config } else { GameFormerConfig::PUBLISHED };
+            let config = GameFormerConfig {
+                dim: 16,
+                encoder_layers: 2,
+                levels: 2,
+                modes: 3,
+                neighbors: 4,
+            };
+            let config = if small {
+                config
+            } else {
+                GameFormerConfig::PUBLISHED
+            };
             let network = load(checkpoint, |weights| GameFormer::take(weights, config));
             let (scene, route) = (io.scene(), io.get("route_lanes"));
             Box::new(move || {
@@ -117,7 +186,13 @@ pub(crate) fn network(planner: &str, checkpoint: &Path, io: &Exported, shape: Sh
             })
         }
         "dtpp" => {
-            let config = DtppConfig { dim: 16, inner: 4, encoder_layers: 2, neighbors: 4, branches: 30 };
+            let config = DtppConfig {
+                dim: 16,
+                inner: 4,
+                encoder_layers: 2,
+                neighbors: 4,
+                branches: 30,
+            };
             let config = if small { config } else { DtppConfig::PUBLISHED };
             let network = load(checkpoint, |weights| Dtpp::take(weights, config));
             let (scene, tree) = (io.scene(), io.get("tree"));
@@ -136,10 +211,27 @@ pub(crate) fn network(planner: &str, checkpoint: &Path, io: &Exported, shape: Sh
 }
 
 fn plantf(checkpoint: &Path, io: &Exported, small: bool) -> Run {
-    let config = PlanTfConfig { dim: 32, depth: 2, heads: 4, modes: 3 };
-    let config = if small { config } else { PlanTfConfig::PUBLISHED };
+    let config = PlanTfConfig {
+        dim: 32,
+        depth: 2,
+        heads: 4,
+        modes: 3,
+    };
+    let config = if small {
+        config
+    } else {
+        PlanTfConfig::PUBLISHED
+    };
     let network = load(checkpoint, |weights| PlanTf::take(weights, config));
-    let line = |name: &str| io.get(name).narrow(2, 0, 1).unwrap().squeeze(2).unwrap().contiguous().unwrap();
+    let line = |name: &str| {
+        io.get(name)
+            .narrow(2, 0, 1)
+            .unwrap()
+            .squeeze(2)
+            .unwrap()
+            .contiguous()
+            .unwrap()
+    };
     let inputs = PlanTfInputs {
         current_state: io.get("current_state"),
         position: io.get("agent.position"),
@@ -186,13 +278,24 @@ fn gc_pgp(checkpoint: &Path, io: &Exported) -> Run {
         on_route: io.get("on_route"),
     };
     let walks = io.of(DType::U32, "walks").to_vec3::<u32>().unwrap();
-    let walks: Vec<Vec<[u32; 16]>> =
-        walks.into_iter().map(|sample| sample.into_iter().map(|walk| walk.try_into().unwrap()).collect()).collect();
+    let walks: Vec<Vec<[u32; 16]>> = walks
+        .into_iter()
+        .map(|sample| {
+            sample
+                .into_iter()
+                .map(|walk| walk.try_into().unwrap())
+                .collect()
+        })
+        .collect();
     let latent = io.get("latent");
     Box::new(move || {
         let scene = network.encode(&inputs, false, &Probe::off()).unwrap();
         let contexts = network.aggregate(&scene.encodings, &walks).unwrap();
         let trajectories = network.decode(&contexts, &latent).unwrap();
-        named(vec![("policy", scene.policy), ("contexts", contexts), ("trajectories", trajectories)])
+        named(vec![
+            ("policy", scene.policy),
+            ("contexts", contexts),
+            ("trajectories", trajectories),
+        ])
     })
 }

@@ -9,10 +9,21 @@ use std::process::Command;
 #[test]
 fn exported_checkpoints_compute_what_pytorch_computes() -> Needy {
     let mut python = Command::new(python(&["torch", "safetensors"])?);
-    python.env("PYTHONPATH", Path::new(env!("CARGO_MANIFEST_DIR")).join("models/learned/train"));
+    python.env(
+        "PYTHONPATH",
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("models/learned/train"),
+    );
     let folder = tempfile::tempdir().unwrap();
-    let output = python.args(["-m", "imitation", "selftest", "--out"]).arg(folder.path()).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = python
+        .args(["-m", "imitation", "selftest", "--out"])
+        .arg(folder.path())
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     for planner in PLANNERS {
         let file = |kind: &str| folder.path().join(format!("{planner}{kind}.safetensors"));
         let io = Exported::open(&file(".io"));
@@ -21,7 +32,12 @@ fn exported_checkpoints_compute_what_pytorch_computes() -> Needy {
         for (name, expected) in io.outputs() {
             let (_, found) = found.iter().find(|(own, _)| own == name).unwrap();
             let finite = |tensor: &candle_core::Tensor| tensor.maximum(-1e9f64).unwrap();
-            assert_close(&format!("{planner} {name}"), &finite(found), &finite(expected), NETWORK);
+            assert_close(
+                &format!("{planner} {name}"),
+                &finite(found),
+                &finite(expected),
+                NETWORK,
+            );
             compared += 1;
         }
         assert_eq!(compared, found.len(), "{planner}");

@@ -1,4 +1,5 @@
-//! Reads the vectors of the learned planners and compares tensors with them. `tests/fixtures/learned/README.md` says what they are.
+//! Reads the vectors of the learned planners and compares tensors with them.
+//! `tests/fixtures/learned/README.md` says what they are.
 
 use crate::outside::{Missing, data};
 use candle_core::{DType, Device, Tensor};
@@ -15,7 +16,9 @@ pub(super) const FEATURES: f32 = 1e-5;
 
 /// A file that the repository has.
 pub(super) fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/learned").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/fixtures/learned")
+        .join(name)
 }
 
 /// A file of the data folder.
@@ -44,25 +47,53 @@ impl Vectors {
         let file = SafeTensors::deserialize(&bytes).unwrap();
         let tensor = |view: safetensors::tensor::TensorView<'_>| {
             let (data, shape) = (view.data(), view.shape());
-            let floats = |data: &[u8]| data.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect::<Vec<f32>>();
-            let longs = |data: &[u8]| data.as_chunks().0.iter().map(|&b| i64::from_le_bytes(b)).collect::<Vec<i64>>();
-            let ints =
-                |data: &[u8]| data.as_chunks().0.iter().map(|&b| i32::from_le_bytes(b).into()).collect::<Vec<i64>>();
+            let floats = |data: &[u8]| {
+                data.as_chunks()
+                    .0
+                    .iter()
+                    .map(|&b| f32::from_le_bytes(b))
+                    .collect::<Vec<f32>>()
+            };
+            let longs = |data: &[u8]| {
+                data.as_chunks()
+                    .0
+                    .iter()
+                    .map(|&b| i64::from_le_bytes(b))
+                    .collect::<Vec<i64>>()
+            };
+            let ints = |data: &[u8]| {
+                data.as_chunks()
+                    .0
+                    .iter()
+                    .map(|&b| i32::from_le_bytes(b).into())
+                    .collect::<Vec<i64>>()
+            };
             match view.dtype() {
                 Dtype::F32 => Tensor::from_vec(floats(data), shape, &Device::Cpu),
                 Dtype::U8 => Tensor::from_vec(data.to_vec(), shape, &Device::Cpu),
-                Dtype::I8 => Tensor::from_vec(data.iter().map(|&b| i64::from(b as i8)).collect(), shape, &Device::Cpu),
+                Dtype::I8 => Tensor::from_vec(
+                    data.iter().map(|&b| i64::from(b as i8)).collect(),
+                    shape,
+                    &Device::Cpu,
+                ),
                 Dtype::I32 => Tensor::from_vec(ints(data), shape, &Device::Cpu),
                 Dtype::I64 => Tensor::from_vec(longs(data), shape, &Device::Cpu),
                 other => panic!("{other:?} in {}", path.display()),
             }
             .unwrap()
         };
-        Self(file.tensors().into_iter().map(|(name, view)| (name, tensor(view))).collect())
+        Self(
+            file.tensors()
+                .into_iter()
+                .map(|(name, view)| (name, tensor(view)))
+                .collect(),
+        )
     }
 
     pub(super) fn get(&self, name: &str) -> &Tensor {
-        self.0.get(name).unwrap_or_else(|| panic!("no {name} among {:?}", self.0.keys()))
+        self.0
+            .get(name)
+            .unwrap_or_else(|| panic!("no {name} among {:?}", self.0.keys()))
     }
 
     pub(super) fn find(&self, name: &str) -> Option<&Tensor> {
@@ -79,14 +110,27 @@ impl Vectors {
 }
 
 /// Asserts that each number is within the tolerance; says how far off the worst is.
-#[allow(clippy::print_stdout, reason = "with --nocapture, a test prints its deviations")]
+#[allow(
+    clippy::print_stdout,
+    reason = "with --nocapture, a test prints its deviations"
+)]
 pub(super) fn assert_close(what: &str, found: &Tensor, expected: &Tensor, tolerance: f32) {
     assert_eq!(found.dims(), expected.dims(), "{what}");
     let numbers = |tensor: &Tensor| -> Vec<f32> {
-        tensor.to_dtype(DType::F32).unwrap().flatten_all().unwrap().to_vec1().unwrap()
+        tensor
+            .to_dtype(DType::F32)
+            .unwrap()
+            .flatten_all()
+            .unwrap()
+            .to_vec1()
+            .unwrap()
     };
     let mut worst = (0.0f32, 0usize, 0.0f32, 0.0f32);
-    for (i, (found, expected)) in numbers(found).into_iter().zip(numbers(expected)).enumerate() {
+    for (i, (found, expected)) in numbers(found)
+        .into_iter()
+        .zip(numbers(expected))
+        .enumerate()
+    {
         let deviation = (found - expected).abs() / (1.0 + expected.abs());
         if deviation.is_nan() || deviation > worst.0 {
             worst = (deviation, i, found, expected);
@@ -94,7 +138,10 @@ pub(super) fn assert_close(what: &str, found: &Tensor, expected: &Tensor, tolera
     }
     println!("{what}: worst deviation {:e}", worst.0);
     let (deviation, at, found, expected) = worst;
-    assert!(deviation <= tolerance, "{what}: {found} instead of {expected} at {at} (deviation {deviation:e})");
+    assert!(
+        deviation <= tolerance,
+        "{what}: {found} instead of {expected} at {at} (deviation {deviation:e})"
+    );
 }
 
 /// Weights by the recipe of the vectors: a generated number for each name and place.
@@ -104,12 +151,18 @@ pub(super) fn generated(manifest: &[(String, Vec<usize>)]) -> Weights {
 
 /// The tensors of [`generated`].
 pub(super) fn tensors(manifest: &[(String, Vec<usize>)]) -> BTreeMap<String, Tensor> {
-    manifest.iter().map(|(name, shape)| (name.clone(), recipe(name, shape))).collect()
+    manifest
+        .iter()
+        .map(|(name, shape)| (name.clone(), recipe(name, shape)))
+        .collect()
 }
 
 fn recipe(name: &str, shape: &[usize]) -> Tensor {
     // All interaction stages of GameFormer share the encoder of futures.
-    let shared = name.replace("interaction_stage.1.future_encoder", "interaction_stage.0.future_encoder");
+    let shared = name.replace(
+        "interaction_stage.1.future_encoder",
+        "interaction_stage.0.future_encoder",
+    );
     let name = shared.as_str();
     let last = name.rsplit('.').next().unwrap();
     let inner: usize = shape.iter().skip(1).product();
@@ -124,15 +177,17 @@ fn recipe(name: &str, shape: &[usize]) -> Tensor {
             _ => 0.1 * w,
         }
     };
-    let values: Vec<f32> = uniform(name, shape.iter().product()).map(|u| value(u) as f32).collect();
+    let values: Vec<f32> = uniform(name, shape.iter().product())
+        .map(|u| value(u) as f32)
+        .collect();
     Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
 }
 
 /// Numbers in [0, 1) from a key.
 pub(super) fn uniform(key: &str, count: usize) -> impl Iterator<Item = f64> {
-    let seed = key
-        .bytes()
-        .fold(0xcbf2_9ce4_8422_2325u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3));
+    let seed = key.bytes().fold(0xcbf2_9ce4_8422_2325u64, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+    });
     (1..=count as u64).map(move |i| {
         let mut z = seed.wrapping_add(i.wrapping_mul(0x9E37_79B9_7F4A_7C15));
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -143,7 +198,9 @@ pub(super) fn uniform(key: &str, count: usize) -> impl Iterator<Item = f64> {
 
 /// Inputs by the recipe: numbers within ±`bound`.
 pub(super) fn input(name: &str, count: usize, bound: f64) -> Vec<f32> {
-    uniform(&format!("input:{name}"), count).map(|u| (-bound + 2.0 * bound * u) as f32).collect()
+    uniform(&format!("input:{name}"), count)
+        .map(|u| (-bound + 2.0 * bound * u) as f32)
+        .collect()
 }
 
 /// A network with weights by the recipe: the names and shapes are those that it asks for.
@@ -156,22 +213,36 @@ pub(super) fn network<M>(take: impl Fn(&mut Weights) -> candle_core::Result<M>) 
 }
 
 /// The names and shapes that a network asks for.
-pub(super) fn manifest_of<M>(take: impl Fn(&mut Weights) -> candle_core::Result<M>) -> Vec<(String, Vec<usize>)> {
+pub(super) fn manifest_of<M>(
+    take: impl Fn(&mut Weights) -> candle_core::Result<M>,
+) -> Vec<(String, Vec<usize>)> {
     let mut asked = Weights::new(BTreeMap::new());
     take(&mut asked).unwrap();
     asked.manifest().to_vec()
 }
 
 /// Asserts that a network asks for exactly the tensors of a manifest.
-pub(super) fn assert_manifest<M>(file: &str, take: impl Fn(&mut Weights) -> candle_core::Result<M>) {
+pub(super) fn assert_manifest<M>(
+    file: &str,
+    take: impl Fn(&mut Weights) -> candle_core::Result<M>,
+) {
     let mut asked = manifest_of(take);
     asked.sort();
     let tensor = |tensor: &Value| {
-        let shape = tensor["shape"].as_array().unwrap().iter().map(|size| size.as_u64().unwrap() as usize).collect();
+        let shape = tensor["shape"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|size| size.as_u64().unwrap() as usize)
+            .collect();
         (tensor["key"].as_str().unwrap().to_owned(), shape)
     };
-    let mut expected: Vec<(String, Vec<usize>)> =
-        json(file)["tensors"].as_array().unwrap().iter().map(tensor).collect();
+    let mut expected: Vec<(String, Vec<usize>)> = json(file)["tensors"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(tensor)
+        .collect();
     expected.sort();
     assert_eq!(asked, expected);
 }

@@ -6,12 +6,21 @@ use planagent_world::geometry::{Pose, Vector};
 use serde_json::Value;
 
 fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+    value
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|v| v.as_f64().unwrap())
+        .collect()
 }
 
 fn worst(found: &[f64], expected: &[f64]) -> f64 {
     assert_eq!(found.len(), expected.len());
-    found.iter().zip(expected).map(|(f, e)| (f - e).abs()).fold(0.0, f64::max)
+    found
+        .iter()
+        .zip(expected)
+        .map(|(f, e)| (f - e).abs())
+        .fold(0.0, f64::max)
 }
 
 /// Tolerance of what the reference computed: it rounds to 8 decimals.
@@ -19,17 +28,48 @@ pub(super) const TOLERANCE: f64 = 1e-8;
 
 /// How many sequences each filter was run on and its greatest deviation from scipy's.
 pub(super) fn filters() -> Vec<(&'static str, usize, f64)> {
-    let vectors: Value = serde_json::from_str(include_str!("../fixtures/metrics/savgol.json")).unwrap();
+    let vectors: Value =
+        serde_json::from_str(include_str!("../fixtures/metrics/savgol.json")).unwrap();
     let cases = vectors["cases"].as_array().unwrap();
     assert_eq!(cases.len(), 11);
     let filters = [
-        ("accel_w8_p2", SavitzkyGolay { window: 8, order: 2, derivative: 0 }),
-        ("jerk_w15_p2_d1", SavitzkyGolay { window: 15, order: 2, derivative: 1 }),
-        ("yaw_rate_w5_p2_d1", SavitzkyGolay { window: 5, order: 2, derivative: 1 }),
-        ("yaw_acc_w5_p3_d2", SavitzkyGolay { window: 5, order: 3, derivative: 2 }),
+        (
+            "accel_w8_p2",
+            SavitzkyGolay {
+                window: 8,
+                order: 2,
+                derivative: 0,
+            },
+        ),
+        (
+            "jerk_w15_p2_d1",
+            SavitzkyGolay {
+                window: 15,
+                order: 2,
+                derivative: 1,
+            },
+        ),
+        (
+            "yaw_rate_w5_p2_d1",
+            SavitzkyGolay {
+                window: 5,
+                order: 2,
+                derivative: 1,
+            },
+        ),
+        (
+            "yaw_acc_w5_p3_d2",
+            SavitzkyGolay {
+                window: 5,
+                order: 3,
+                derivative: 2,
+            },
+        ),
     ];
     let compare = |(name, filter): (&'static str, SavitzkyGolay)| {
-        let known = cases.iter().filter_map(|case| Some((case, case.get(name).filter(|v| v.is_array())?)));
+        let known = cases
+            .iter()
+            .filter_map(|case| Some((case, case.get(name).filter(|v| v.is_array())?)));
         let off = known.map(|(case, expected)| {
             let (x, dt) = (numbers(&case["x"]), case["dt"].as_f64().unwrap());
             worst(&filter.apply(&x, dt).unwrap(), &numbers(expected))
@@ -46,13 +86,23 @@ fn filters_match_scipy_at_every_length() {
     for (name, _, worst) in &compared {
         assert!(*worst < TOLERANCE, "{name}: {worst:e}");
     }
-    assert!(compared.iter().map(|c| c.1).sum::<usize>() >= 33, "{compared:?}");
+    assert!(
+        compared.iter().map(|c| c.1).sum::<usize>() >= 33,
+        "{compared:?}"
+    );
 }
 
-/// nuPlan's name of each signal of a drive of 149 states and its greatest deviation from the devkit's extractor.
+/// nuPlan's name of each signal of a drive of 149 states and its greatest deviation from the
+/// devkit's extractor.
 pub(super) fn extractors() -> Vec<(&'static str, f64)> {
-    let vectors: Value = serde_json::from_str(include_str!("../fixtures/metrics/comfort_extractors.json")).unwrap();
-    let states: Vec<EgoState> = vectors["ego_states"].as_array().unwrap().iter().map(state).collect();
+    let vectors: Value =
+        serde_json::from_str(include_str!("../fixtures/metrics/comfort_extractors.json")).unwrap();
+    let states: Vec<EgoState> = vectors["ego_states"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(state)
+        .collect();
     assert_eq!(states.len(), 149);
     let pairs = [
         ("lon_accel", ComfortQuantity::LonAcceleration),
@@ -64,7 +114,10 @@ pub(super) fn extractors() -> Vec<(&'static str, f64)> {
         ("yaw_accel", ComfortQuantity::YawAcceleration),
     ];
     let compare = |(key, quantity): (&str, ComfortQuantity)| {
-        (quantity.name(), worst(&quantity.signal(&states).unwrap(), &numbers(&vectors[key])))
+        (
+            quantity.name(),
+            worst(&quantity.signal(&states).unwrap(), &numbers(&vectors[key])),
+        )
     };
     pairs.into_iter().map(compare).collect()
 }
@@ -112,7 +165,9 @@ fn bounds_are_strict_and_any_quantity_breaks_comfort() {
     assert_eq!(score(-4.05), Some(0.0));
 
     let turning = |rate: f64| -> Vec<EgoState> {
-        (0..30).map(|k| crate::road::ego(k, 0.0, 0.0, rate * 0.1 * k as f64, 5.0)).collect()
+        (0..30)
+            .map(|k| crate::road::ego(k, 0.0, 0.0, rate * 0.1 * k as f64, 5.0))
+            .collect()
     };
     assert_eq!(ego_is_comfortable(&turning(0.94)).unwrap().score, Some(1.0));
     assert_eq!(ego_is_comfortable(&turning(0.96)).unwrap().score, Some(0.0));

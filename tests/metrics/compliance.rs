@@ -1,9 +1,10 @@
-//! Drivable area, driving direction and speed limit on hand-made roads, each a number worked out by hand.
+//! Drivable area, driving direction and speed limit on hand-made roads, each a number worked out by
+//! hand.
 
 use crate::road::{Road, cruise, ego, rectangle, straight};
 use planagent_score::metrics::{
-    DrivenLanes, MetricResult, corners_in_drivable_area, drivable_area_compliance, driving_direction_compliance,
-    speed_limit_compliance,
+    DrivenLanes, MetricResult, corners_in_drivable_area, drivable_area_compliance,
+    driving_direction_compliance, speed_limit_compliance,
 };
 use planagent_world::{EgoState, LaneKind, LaneMap};
 
@@ -14,7 +15,12 @@ fn drivable(map: &LaneMap, y: f64) -> (f64, f64) {
     let states = cruise(5, 0.0, y, 5.0);
     let lanes = DrivenLanes::of(map, &states);
     let corners = corners_in_drivable_area(map, &states, &lanes);
-    (drivable_area_compliance(map, &states, &lanes).score.unwrap(), corners.statistics[0].value)
+    (
+        drivable_area_compliance(map, &states, &lanes)
+            .score
+            .unwrap(),
+        corners.statistics[0].value,
+    )
 }
 
 #[test]
@@ -32,8 +38,12 @@ fn corners_may_leave_the_road_by_less_than_three_tenths() {
 fn any_drivable_area_holds_a_corner_and_tolerates_beside_it() {
     let mut road = Road::default();
     road.lane((-100.0, 0.0), (400.0, 0.0));
-    road.parts.generic_drivable.push(rectangle((-100.0, 400.0), (2.0, 3.0)));
-    road.parts.carparks.push(rectangle((-100.0, 400.0), (10.0, 14.0)));
+    road.parts
+        .generic_drivable
+        .push(rectangle((-100.0, 400.0), (2.0, 3.0)));
+    road.parts
+        .carparks
+        .push(rectangle((-100.0, 400.0), (10.0, 14.0)));
     let map = road.build();
     assert_eq!(drivable(&map, 2.9 - HALF_WIDTH), (1.0, 1.0));
     assert_eq!(drivable(&map, 3.2 - HALF_WIDTH), (1.0, 0.0));
@@ -71,21 +81,34 @@ fn the_worst_second_against_the_lane_decides() {
 #[test]
 fn forwards_and_off_the_lanes_nothing_counts() {
     let map = straight();
-    assert!(direction(&map, &cruise(50, 0.0, 0.0, 10.0)).statistics[1].value.abs() < 1e-12);
-    assert_eq!(direction(&map, &cruise(50, 100.0, 300.0, -10.0)).score, Some(1.0));
+    assert!(
+        direction(&map, &cruise(50, 0.0, 0.0, 10.0)).statistics[1]
+            .value
+            .abs()
+            < 1e-12
+    );
+    assert_eq!(
+        direction(&map, &cruise(50, 100.0, 300.0, -10.0)).score,
+        Some(1.0)
+    );
 }
 
 #[test]
 fn after_each_change_of_lane_two_samples_count_nothing() {
     let mut road = Road::default();
-    let (a, b) = (road.lane((0.0, 0.0), (50.0, 0.0)), road.lane((50.0, 0.0), (100.0, 0.0)));
+    let (a, b) = (
+        road.lane((0.0, 0.0), (50.0, 0.0)),
+        road.lane((50.0, 0.0), (100.0, 0.0)),
+    );
     road.link(a, b);
     let map = road.build();
     // Backing at 5 m/s from x = 52.25: samples 0…4 in b, from sample 5 (x = 49.75) on in a.
     let result = direction(&map, &cruise(12, 52.25, 0.0, -5.0));
     let sums = result.time_series.unwrap().values;
     // Steps of −0.5 m at samples 1…4 (sample 0 has none before it), 0 at 5 and 6, −0.5 from 7 on.
-    let steps = [0.0, -0.5, -0.5, -0.5, -0.5, 0.0, 0.0, -0.5, -0.5, -0.5, -0.5, -0.5];
+    let steps = [
+        0.0, -0.5, -0.5, -0.5, -0.5, 0.0, 0.0, -0.5, -0.5, -0.5, -0.5, -0.5,
+    ];
     for (i, sum) in sums.iter().enumerate() {
         let expected: f64 = steps[i.saturating_sub(10)..=i].iter().sum();
         assert!((sum - expected).abs() < 1e-9, "{i}: {sum} {expected}");
@@ -99,10 +122,16 @@ fn an_arc_length_of_exactly_zero_counts_as_a_missing_one() {
     // The lane's area begins before its line: there every point projects to its start.
     road.parts.lanes[0].polygon = rectangle((-20.0, 100.0), (-2.0, 2.0));
     let map = road.build();
-    let states: Vec<EgoState> =
-        [0.5, -0.5, 1.0].iter().enumerate().map(|(k, &x)| ego(k as i64, x, 0.0, 0.0, 5.0)).collect();
+    let states: Vec<EgoState> = [0.5, -0.5, 1.0]
+        .iter()
+        .enumerate()
+        .map(|(k, &x)| ego(k as i64, x, 0.0, 0.0, 5.0))
+        .collect();
     // From 0.5 back to the start is no movement of −0.5; from there on 1 m ahead is.
-    assert_eq!(direction(&map, &states).time_series.unwrap().values, [0.0, 0.0, 1.0]);
+    assert_eq!(
+        direction(&map, &states).time_series.unwrap().values,
+        [0.0, 0.0, 1.0]
+    );
 }
 
 fn speeding(map: &LaneMap, states: &[EgoState]) -> MetricResult {
@@ -117,8 +146,14 @@ fn overspeed_costs_its_share_of_two_and_a_quarter_metres_per_second() {
     assert!((result.score.unwrap() - (1.0 - 14.9 / (2.23 * 14.8))).abs() < 1e-9);
     assert_eq!(result.statistics.len(), 5);
     assert!((result.statistics[3].value - 1.0).abs() < 1e-9);
-    assert_eq!(speeding(&map, &cruise(149, 0.0, 0.0, 15.0)).score, Some(1.0));
-    assert_eq!(speeding(&map, &cruise(149, 0.0, 0.0, 20.0)).score, Some(0.0));
+    assert_eq!(
+        speeding(&map, &cruise(149, 0.0, 0.0, 15.0)).score,
+        Some(1.0)
+    );
+    assert_eq!(
+        speeding(&map, &cruise(149, 0.0, 0.0, 20.0)).score,
+        Some(0.0)
+    );
 }
 
 #[test]
@@ -151,16 +186,36 @@ fn a_violation_ends_at_the_first_sample_that_keeps_the_limit() {
     }
     states[20].velocity.x = 18.0;
     let result = speeding(&map, &states);
-    assert_eq!(result.statistic("number_of_violations_of_speed_limit_compliance"), Some(2.0));
-    assert_eq!(result.statistic("max_violation_of_speed_limit_compliance"), Some(3.0));
-    assert_eq!(result.statistic("min_violation_of_speed_limit_compliance"), Some(1.0));
+    assert_eq!(
+        result.statistic("number_of_violations_of_speed_limit_compliance"),
+        Some(2.0)
+    );
+    assert_eq!(
+        result.statistic("max_violation_of_speed_limit_compliance"),
+        Some(3.0)
+    );
+    assert_eq!(
+        result.statistic("min_violation_of_speed_limit_compliance"),
+        Some(1.0)
+    );
     // The one at the last sample has no duration and leaves the mean: (1·0.3 + 3·0)/0.3.
-    assert!((result.statistic("mean_violation_of_speed_limit_compliance").unwrap() - 1.0).abs() < 1e-9);
+    assert!(
+        (result
+            .statistic("mean_violation_of_speed_limit_compliance")
+            .unwrap()
+            - 1.0)
+            .abs()
+            < 1e-9
+    );
 }
 
 #[test]
 fn a_drive_without_violations_tells_only_that_it_has_none() {
     let result = speeding(&straight(), &cruise(21, 0.0, 0.0, 15.0));
-    let told: Vec<(&str, f64)> = result.statistics.iter().map(|s| (s.name.as_str(), s.value)).collect();
+    let told: Vec<(&str, f64)> = result
+        .statistics
+        .iter()
+        .map(|s| (s.name.as_str(), s.value))
+        .collect();
     assert_eq!(told, [("speed_limit_compliance", 1.0)]);
 }

@@ -1,4 +1,5 @@
-//! The tables of `docs/metrics.md` are measured: they are computed again and compared with the file.
+//! The tables of `docs/metrics.md` are measured: they are computed again and compared with the
+//! file.
 
 use super::{comfort, devkit};
 use crate::outside::{Missing, Needy};
@@ -13,7 +14,11 @@ const END: &str = "<!-- measured: end -->\n";
 
 /// A bound that holds on any machine: the next power of ten above.
 fn power_of_ten(deviation: f64) -> String {
-    if deviation > 0.0 { format!("< 1e{}", deviation.log10().floor() as i32 + 1) } else { "0".to_owned() }
+    if deviation > 0.0 {
+        format!("< 1e{}", deviation.log10().floor() as i32 + 1)
+    } else {
+        "0".to_owned()
+    }
 }
 
 /// The measured tables.
@@ -24,20 +29,36 @@ fn measured() -> Result<String, Missing> {
         *count += 1;
         *worst = worst.max(vector.worst);
     }
-    let mut text = "| metric | devkit vectors | tolerance | worst deviation |\n|---|---|---|---|\n".to_owned();
+    let mut text =
+        "| metric | devkit vectors | tolerance | worst deviation |\n|---|---|---|---|\n".to_owned();
     for (metric, (count, worst)) in by_metric {
-        writeln!(text, "| `{metric}` | {count} | {} | {worst:.4} |", devkit::TOLERANCE).unwrap();
+        writeln!(
+            text,
+            "| `{metric}` | {count} | {} | {worst:.4} |",
+            devkit::TOLERANCE
+        )
+        .unwrap();
     }
     text += "\n| signal | reference | tolerance | worst deviation |\n|---|---|---|---|\n";
     let tolerance = "1e-8";
     assert!((comfort::TOLERANCE - 1e-8).abs() < 1e-20);
     for (filter, sequences, worst) in comfort::filters() {
         let reference = format!("`savgol.json`, {sequences} sequences");
-        writeln!(text, "| filter `{filter}` | {reference} | {tolerance} | {} |", power_of_ten(worst)).unwrap();
+        writeln!(
+            text,
+            "| filter `{filter}` | {reference} | {tolerance} | {} |",
+            power_of_ten(worst)
+        )
+        .unwrap();
     }
     for (metric, worst) in comfort::extractors() {
         let reference = "`comfort_extractors.json`, 149 states";
-        writeln!(text, "| `{metric}` | {reference} | {tolerance} | {} |", power_of_ten(worst)).unwrap();
+        writeln!(
+            text,
+            "| `{metric}` | {reference} | {tolerance} | {} |",
+            power_of_ten(worst)
+        )
+        .unwrap();
     }
     Ok(text)
 }
@@ -66,9 +87,13 @@ fn the_worked_cases_that_the_documentation_names_exist() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let text = std::fs::read_to_string(root.join("docs/metrics.md")).unwrap();
     let mut named = 0;
-    for word in text.split('`').filter(|word| word.starts_with("tests/") && word.contains("::")) {
+    for word in text
+        .split('`')
+        .filter(|word| word.starts_with("tests/") && word.contains("::"))
+    {
         let (file, test) = word.split_once("::").unwrap();
-        let source = std::fs::read_to_string(root.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+        let source = std::fs::read_to_string(root.join(file))
+            .unwrap_or_else(|error| panic!("{file}: {error}"));
         assert!(source.contains(&format!("fn {test}()")), "{word}");
         named += 1;
     }

@@ -2,15 +2,25 @@
 
 use crate::road::{cruise, ego, object, samples, straight};
 use planagent_score::metrics::{
-    EvaluatedSimulation, Evaluation, MetricError, MetricList, MetricRegistry, MetricSpec, ScoreUnit, evaluate,
+    EvaluatedSimulation, Evaluation, MetricError, MetricList, MetricRegistry, MetricSpec,
+    ScoreUnit, evaluate,
 };
 use planagent_world::geometry::Pose;
 use planagent_world::{EgoState, LaneMap, ObjectKind, TrackedObject};
 
 const PROGRESS: &str = "ego_progress_along_expert_route";
 
-fn judge(map: &LaneMap, states: &[EgoState], expert: &[EgoState], objects: &[TrackedObject]) -> Evaluation {
-    evaluate(MetricList::ClosedLoop, &EvaluatedSimulation::new(map, &samples(states, objects), expert)).unwrap()
+fn judge(
+    map: &LaneMap,
+    states: &[EgoState],
+    expert: &[EgoState],
+    objects: &[TrackedObject],
+) -> Evaluation {
+    evaluate(
+        MetricList::ClosedLoop,
+        &EvaluatedSimulation::new(map, &samples(states, objects), expert),
+    )
+    .unwrap()
 }
 
 #[test]
@@ -32,12 +42,28 @@ fn every_metric_has_nuplans_name_and_comes_once() {
     let evaluation = judge(&map, &expert[..29], &expert, &[]);
     let names: Vec<&str> = evaluation.metrics.iter().map(|m| m.name.as_str()).collect();
     for metric in MetricList::ClosedLoop.scored() {
-        assert_eq!(names.iter().filter(|name| **name == metric.name).count(), 1, "{}", metric.name);
+        assert_eq!(
+            names.iter().filter(|name| **name == metric.name).count(),
+            1,
+            "{}",
+            metric.name
+        );
     }
-    assert!(evaluation.metric("corners_in_drivable_area").unwrap().score.is_none());
+    assert!(
+        evaluation
+            .metric("corners_in_drivable_area")
+            .unwrap()
+            .score
+            .is_none()
+    );
     for metric in &evaluation.metrics {
         if let Some(series) = &metric.time_series {
-            assert_eq!((series.values.len(), series.time_stamps.len()), (29, 29), "{}", metric.name);
+            assert_eq!(
+                (series.values.len(), series.time_stamps.len()),
+                (29, 29),
+                "{}",
+                metric.name
+            );
         }
     }
 }
@@ -45,18 +71,32 @@ fn every_metric_has_nuplans_name_and_comes_once() {
 #[test]
 fn standing_still_while_the_expert_drives_is_named_as_the_cause_of_zero() {
     let map = straight();
-    let evaluation = judge(&map, &cruise(149, 0.0, 0.0, 0.0), &cruise(150, 0.0, 0.0, 10.0), &[]);
+    let evaluation = judge(
+        &map,
+        &cruise(149, 0.0, 0.0, 0.0),
+        &cruise(150, 0.0, 0.0, 10.0),
+        &[],
+    );
     // 0 m counts as 2 m: 2/149 is below a fifth.
     assert!((evaluation.score.metric(PROGRESS).unwrap() - 2.0 / 149.0).abs() < 1e-9);
     assert!(evaluation.score.value.abs() < 1e-12);
-    assert_eq!(evaluation.score.zero_multipliers().next(), Some("ego_is_making_progress"));
+    assert_eq!(
+        evaluation.score.zero_multipliers().next(),
+        Some("ego_is_making_progress")
+    );
 }
 
 #[test]
 fn standing_still_beside_a_standing_expert_is_perfect() {
     let map = straight();
     let still = cruise(150, 0.0, 0.0, 0.0);
-    let cone = object(1, ObjectKind::TrafficCone, Pose::new(4.0, 0.0, 0.0), (0.5, 0.5), 0.0);
+    let cone = object(
+        1,
+        ObjectKind::TrafficCone,
+        Pose::new(4.0, 0.0, 0.0),
+        (0.5, 0.5),
+        0.0,
+    );
     // A standing ego is never at fault, not even for what stands inside its box.
     assert!((judge(&map, &still[..149], &still, &[cone]).score.value - 1.0).abs() < 1e-12);
 }
@@ -65,10 +105,22 @@ fn standing_still_beside_a_standing_expert_is_perfect() {
 fn one_cone_halves_and_the_time_to_collision_goes() {
     let map = straight();
     let expert = cruise(150, 0.0, 0.0, 10.0);
-    let cone = object(1, ObjectKind::TrafficCone, Pose::new(60.0, 0.0, 0.0), (0.5, 0.5), 0.0);
+    let cone = object(
+        1,
+        ObjectKind::TrafficCone,
+        Pose::new(60.0, 0.0, 0.0),
+        (0.5, 0.5),
+        0.0,
+    );
     let score = judge(&map, &expert[..149], &expert, &[cone]).score;
     assert!((score.metric("no_ego_at_fault_collisions").unwrap() - 0.5).abs() < 1e-12);
-    assert!(score.metric("time_to_collision_within_bound").unwrap().abs() < 1e-12);
+    assert!(
+        score
+            .metric("time_to_collision_within_bound")
+            .unwrap()
+            .abs()
+            < 1e-12
+    );
     let ratio = 148.0 / 149.0;
     assert!((score.value - 0.5 * (5.0 * ratio + 6.0) / 16.0).abs() < 1e-9);
 }
@@ -78,18 +130,46 @@ fn drives_that_cannot_be_judged_are_refused() {
     let map = straight();
     let expert = cruise(10, 0.0, 0.0, 5.0);
     let of = |states: &[EgoState], expert: &[EgoState]| {
-        evaluate(MetricList::ClosedLoop, &EvaluatedSimulation::new(&map, &samples(states, &[]), expert)).unwrap_err()
+        evaluate(
+            MetricList::ClosedLoop,
+            &EvaluatedSimulation::new(&map, &samples(states, &[]), expert),
+        )
+        .unwrap_err()
     };
-    assert_eq!(of(&expert[..3], &expert), MetricError::TooFewSamples { got: 3, needed: 4 });
-    assert_eq!(of(&[], &expert), MetricError::TooFewSamples { got: 0, needed: 4 });
+    assert_eq!(
+        of(&expert[..3], &expert),
+        MetricError::TooFewSamples { got: 3, needed: 4 }
+    );
+    assert_eq!(
+        of(&[], &expert),
+        MetricError::TooFewSamples { got: 0, needed: 4 }
+    );
     assert_eq!(of(&expert, &[]), MetricError::NoExpert);
     let mut stuck = expert.clone();
     stuck[4].time_us = stuck[3].time_us;
-    assert_eq!(of(&stuck, &expert), MetricError::TimeNotIncreasing { index: 4, time_us: 300_000 });
+    assert_eq!(
+        of(&stuck, &expert),
+        MetricError::TimeNotIncreasing {
+            index: 4,
+            time_us: 300_000
+        }
+    );
     let mut lost = expert.clone();
     lost[2] = ego(2, f64::NAN, 0.0, 0.0, 5.0);
-    assert_eq!(of(&lost, &expert), MetricError::NotFinite { whose: "ego", index: 2 });
-    assert_eq!(of(&expert, &lost), MetricError::NotFinite { whose: "expert", index: 2 });
+    assert_eq!(
+        of(&lost, &expert),
+        MetricError::NotFinite {
+            whose: "ego",
+            index: 2
+        }
+    );
+    assert_eq!(
+        of(&expert, &lost),
+        MetricError::NotFinite {
+            whose: "expert",
+            index: 2
+        }
+    );
 }
 
 #[test]
@@ -98,9 +178,14 @@ fn off_every_lane_there_is_no_expert_route_and_progress_is_free() {
     let away = cruise(20, 0.0, 500.0, 5.0);
     let evaluation = judge(&map, &away, &away, &[]);
     assert!((evaluation.score.metric(PROGRESS).unwrap() - 1.0).abs() < 1e-12);
-    let progress = evaluation.metric("ego_progress_along_expert_route").unwrap();
+    let progress = evaluation
+        .metric("ego_progress_along_expert_route")
+        .unwrap();
     assert_eq!(progress.statistic("ego_total_progress_along_route"), None);
-    assert_eq!(evaluation.score.zero_multipliers().next(), Some("drivable_area_compliance"));
+    assert_eq!(
+        evaluation.score.zero_multipliers().next(),
+        Some("drivable_area_compliance")
+    );
 }
 
 /// nuPlan's categories and score units (devkit `simulation_metric/**/*.yaml`).
@@ -135,16 +220,37 @@ fn every_result_carries_nuplans_category_unit_and_computator() {
     let found: Vec<_> = evaluation
         .metrics
         .iter()
-        .map(|m| (m.name.as_str(), m.category.as_str(), m.score_unit.map(ScoreUnit::as_str)))
+        .map(|m| {
+            (
+                m.name.as_str(),
+                m.category.as_str(),
+                m.score_unit.map(ScoreUnit::as_str),
+            )
+        })
         .collect();
     assert_eq!(found, expected);
     for metric in &evaluation.metrics {
         let second = metric.name == "corners_in_drivable_area";
-        assert_eq!(metric.computator, if second { "drivable_area_compliance" } else { &metric.name });
-        assert_eq!(metric.score.is_some(), metric.score_unit.is_some(), "{}", metric.name);
+        assert_eq!(
+            metric.computator,
+            if second {
+                "drivable_area_compliance"
+            } else {
+                &metric.name
+            }
+        );
+        assert_eq!(
+            metric.score.is_some(),
+            metric.score_unit.is_some(),
+            "{}",
+            metric.name
+        );
     }
     // Meters and weighted radians together have the unit `None`.
-    for (name, unit) in [("ego_expert_L2_error", "meters"), ("ego_expert_l2_error_with_yaw", "None")] {
+    for (name, unit) in [
+        ("ego_expert_L2_error", "meters"),
+        ("ego_expert_l2_error_with_yaw", "None"),
+    ] {
         let metric = evaluation.metric(name).unwrap();
         let units = metric
             .statistics
@@ -157,8 +263,14 @@ fn every_result_carries_nuplans_category_unit_and_computator() {
 
 /// A metric of a user: the share of samples above a speed.
 const STEADY: MetricSpec = MetricSpec::new("ego_is_steady", |input| {
-    let slow = input.states().iter().filter(|state| state.speed() < 6.0).count();
-    Ok(Some(STEADY.scored(slow as f64 / input.states().len() as f64, vec![])))
+    let slow = input
+        .states()
+        .iter()
+        .filter(|state| state.speed() < 6.0)
+        .count();
+    Ok(Some(
+        STEADY.scored(slow as f64 / input.states().len() as f64, vec![]),
+    ))
 })
 .only(MetricList::ClosedLoop)
 .weight(16.0);
@@ -170,16 +282,27 @@ fn an_own_metric_enters_the_results_and_the_score() {
     let samples = samples(&expert[..29], &[]);
     let simulation = EvaluatedSimulation::new(&map, &samples, &expert);
     let ours = evaluate(MetricList::ClosedLoop, &simulation).unwrap();
-    let theirs = MetricRegistry::default().with(STEADY).evaluate(MetricList::ClosedLoop, &simulation).unwrap();
+    let theirs = MetricRegistry::default()
+        .with(STEADY)
+        .evaluate(MetricList::ClosedLoop, &simulation)
+        .unwrap();
     assert_eq!(theirs.metric("ego_is_steady").unwrap().score, Some(1.0));
     assert!((theirs.score.value - f64::midpoint(ours.score.value, 1.0)).abs() < 1e-12);
     // As a multiplier, and only where its list is evaluated.
-    let fails =
-        MetricSpec::new("fails", |_| Ok(Some(STEADY.scored(0.0, vec![])))).only(MetricList::OpenLoop).multiplier();
-    let score = MetricRegistry::default().with(fails).evaluate(MetricList::ClosedLoop, &simulation).unwrap().score;
+    let fails = MetricSpec::new("fails", |_| Ok(Some(STEADY.scored(0.0, vec![]))))
+        .only(MetricList::OpenLoop)
+        .multiplier();
+    let score = MetricRegistry::default()
+        .with(fails)
+        .evaluate(MetricList::ClosedLoop, &simulation)
+        .unwrap()
+        .score;
     assert_eq!(score, ours.score);
     // A scored metric without a result is an error.
-    let absent = MetricRegistry::default().with(MetricSpec::new("absent", |_| Ok(None)).weight(1.0));
-    let error = absent.evaluate(MetricList::ClosedLoop, &simulation).unwrap_err();
+    let absent =
+        MetricRegistry::default().with(MetricSpec::new("absent", |_| Ok(None)).weight(1.0));
+    let error = absent
+        .evaluate(MetricList::ClosedLoop, &simulation)
+        .unwrap_err();
     assert_eq!(error, MetricError::NoScore("absent"));
 }

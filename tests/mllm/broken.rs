@@ -11,13 +11,25 @@ const GATE: &str = "language_model.model.layers.1.mlp.gate_proj.weight";
 
 #[test]
 fn every_file_that_is_needed_is_missed() {
-    let all = ["config.json", "model.safetensors", "tokenizer.json", "preprocessor_config.json", "chat_template.jinja"];
-    for (name, files) in [("tiny_llava", &all[..]), ("tiny_llava_next", &all), ("tiny_cogvlm", &all[..3])] {
+    let all = [
+        "config.json",
+        "model.safetensors",
+        "tokenizer.json",
+        "preprocessor_config.json",
+        "chat_template.jinja",
+    ];
+    for (name, files) in [
+        ("tiny_llava", &all[..]),
+        ("tiny_llava_next", &all),
+        ("tiny_cogvlm", &all[..3]),
+    ] {
         for file in files {
             let copy = Copy::of(name);
             std::fs::remove_file(copy.path(file)).unwrap();
             match copy.error() {
-                MllmError::MissingFile { file: missing, .. } => assert!(missing.contains(file), "{missing}"),
+                MllmError::MissingFile { file: missing, .. } => {
+                    assert!(missing.contains(file), "{missing}")
+                }
                 other => panic!("{name}, {file}: {other}"),
             }
         }
@@ -28,13 +40,19 @@ fn every_file_that_is_needed_is_missed() {
 
 #[test]
 fn a_missing_tensor_is_named() {
-    for name in [GATE, "vision_tower.encoder.layers.2.mlp.fc2.bias", "multi_modal_projector.linear_1.bias"] {
+    for name in [
+        GATE,
+        "vision_tower.encoder.layers.2.mlp.fc2.bias",
+        "multi_modal_projector.linear_1.bias",
+    ] {
         let copy = Copy::new();
         copy.edit_tensors(|tensors| {
             tensors.remove(name).unwrap();
         });
         match copy.error() {
-            MllmError::MissingTensor { name: missing, .. } => assert_eq!(missing, name.replace(".model.", ".")),
+            MllmError::MissingTensor { name: missing, .. } => {
+                assert_eq!(missing, name.replace(".model.", "."))
+            }
             other => panic!("{other}"),
         }
     }
@@ -44,54 +62,160 @@ fn a_missing_tensor_is_named() {
 fn a_missing_or_misshapen_tensor_of_any_family_is_named() {
     for (folder, name) in [
         ("tiny_llava_next", "image_newline"),
-        ("tiny_llava_next_mistral", "language_model.model.layers.0.self_attn.k_proj.weight"),
+        (
+            "tiny_llava_next_mistral",
+            "language_model.model.layers.0.self_attn.k_proj.weight",
+        ),
         ("tiny_cogvlm", "model.vision.boi"),
         ("tiny_cogvlm", "model.vision.patch_embedding.proj.bias"),
-        ("tiny_cogvlm", "model.vision.transformer.layers.2.attention.query_key_value.weight"),
+        (
+            "tiny_cogvlm",
+            "model.vision.transformer.layers.2.attention.query_key_value.weight",
+        ),
         ("tiny_cogvlm", "model.vision.linear_proj.gate_proj.weight"),
-        ("tiny_cogvlm", "model.layers.1.self_attn.vision_expert_query_key_value.weight"),
-        ("tiny_cogvlm", "model.layers.1.mlp.language_mlp.down_proj.weight"),
+        (
+            "tiny_cogvlm",
+            "model.layers.1.self_attn.vision_expert_query_key_value.weight",
+        ),
+        (
+            "tiny_cogvlm",
+            "model.layers.1.mlp.language_mlp.down_proj.weight",
+        ),
     ] {
         let copy = Copy::of(folder);
         copy.edit_tensors(|tensors| drop(tensors.remove(name).unwrap()));
-        let canonical =
-            name.replacen("model.", "", usize::from(name.starts_with("model."))).replace("_model.model.", "_model.");
-        assert!(matches!(copy.error(), MllmError::MissingTensor { name, .. } if name == canonical), "{name}");
+        let canonical = name
+            .replacen("model.", "", usize::from(name.starts_with("model.")))
+            .replace("_model.model.", "_model.");
+        assert!(
+            matches!(copy.error(), MllmError::MissingTensor { name, .. } if name == canonical),
+            "{name}"
+        );
 
         let copy = Copy::of(folder);
         copy.edit_tensors(|tensors| tensors.get_mut(name).unwrap().1.push(1));
-        assert!(matches!(copy.error(), MllmError::TensorShape { name: found, .. } if found == name), "{name}");
+        assert!(
+            matches!(copy.error(), MllmError::TensorShape { name: found, .. } if found == name),
+            "{name}"
+        );
     }
 }
 
 #[test]
 fn wrong_keys_of_other_families_are_named() {
     for (folder, key, value, named) in [
-        ("tiny_llava_next", "model_type", json!("llava_onevision"), "model_type"),
-        ("tiny_llava_next", "image_grid_pinpoints", json!([[32, 33]]), "image_grid_pinpoints"),
-        ("tiny_llava_next", "image_grid_pinpoints", json!([[64, 64]]), "image_grid_pinpoints"),
-        ("tiny_llava_next", "vision_feature_select_strategy", json!("full"), "vision_feature_select_strategy"),
-        ("tiny_llava_next_mistral", "text_config.sliding_window", json!(0), "text_config.sliding_window"),
-        ("tiny_llava_next_mistral", "text_config.model_type", json!("mixtral"), "text_config.model_type"),
-        ("tiny_cogvlm", "architectures", json!(["CogVLMVideoForCausalLM"]), "architectures"),
+        (
+            "tiny_llava_next",
+            "model_type",
+            json!("llava_onevision"),
+            "model_type",
+        ),
+        (
+            "tiny_llava_next",
+            "image_grid_pinpoints",
+            json!([[32, 33]]),
+            "image_grid_pinpoints",
+        ),
+        (
+            "tiny_llava_next",
+            "image_grid_pinpoints",
+            json!([[64, 64]]),
+            "image_grid_pinpoints",
+        ),
+        (
+            "tiny_llava_next",
+            "vision_feature_select_strategy",
+            json!("full"),
+            "vision_feature_select_strategy",
+        ),
+        (
+            "tiny_llava_next_mistral",
+            "text_config.sliding_window",
+            json!(0),
+            "text_config.sliding_window",
+        ),
+        (
+            "tiny_llava_next_mistral",
+            "text_config.model_type",
+            json!("mixtral"),
+            "text_config.model_type",
+        ),
+        (
+            "tiny_cogvlm",
+            "architectures",
+            json!(["CogVLMVideoForCausalLM"]),
+            "architectures",
+        ),
         ("tiny_cogvlm", "architectures", json!([]), "model_type"),
-        ("tiny_cogvlm", "num_multi_query_heads", json!(8), "num_multi_query_heads"),
-        ("tiny_cogvlm", "template_version", json!("base"), "template_version"),
+        (
+            "tiny_cogvlm",
+            "num_multi_query_heads",
+            json!(8),
+            "num_multi_query_heads",
+        ),
+        (
+            "tiny_cogvlm",
+            "template_version",
+            json!("base"),
+            "template_version",
+        ),
         ("tiny_cogvlm", "bos_token_id", json!(344), "bos_token_id"),
         ("tiny_cogvlm", "hidden_act", json!("gelu"), "hidden_act"),
-        ("tiny_cogvlm", "hidden_size", json!(1_u64 << 50), "hidden_size"),
-        ("tiny_cogvlm", "num_attention_heads", json!(5), "hidden_size"),
-        ("tiny_cogvlm", "max_position_embeddings", json!(-1), "max_position_embeddings"),
-        ("tiny_cogvlm", "vision_config.num_positions", json!(18), "vision_config.num_positions"),
-        ("tiny_cogvlm", "vision_config.num_heads", json!(7), "vision_config.hidden_size"),
-        ("tiny_cogvlm", "vision_config.in_channels", json!(1), "vision_config.in_channels"),
-        ("tiny_cogvlm", "vision_config.patch_size", json!(57), "vision_config.patch_size"),
-        ("tiny_cogvlm", "vision_config.image_size", json!(100_000), "vision_config.image_size"),
+        (
+            "tiny_cogvlm",
+            "hidden_size",
+            json!(1_u64 << 50),
+            "hidden_size",
+        ),
+        (
+            "tiny_cogvlm",
+            "num_attention_heads",
+            json!(5),
+            "hidden_size",
+        ),
+        (
+            "tiny_cogvlm",
+            "max_position_embeddings",
+            json!(-1),
+            "max_position_embeddings",
+        ),
+        (
+            "tiny_cogvlm",
+            "vision_config.num_positions",
+            json!(18),
+            "vision_config.num_positions",
+        ),
+        (
+            "tiny_cogvlm",
+            "vision_config.num_heads",
+            json!(7),
+            "vision_config.hidden_size",
+        ),
+        (
+            "tiny_cogvlm",
+            "vision_config.in_channels",
+            json!(1),
+            "vision_config.in_channels",
+        ),
+        (
+            "tiny_cogvlm",
+            "vision_config.patch_size",
+            json!(57),
+            "vision_config.patch_size",
+        ),
+        (
+            "tiny_cogvlm",
+            "vision_config.image_size",
+            json!(100_000),
+            "vision_config.image_size",
+        ),
     ] {
         let copy = Copy::of(folder);
         copy.edit("config.json", |config| set(config, key, value.clone()));
         match copy.error() {
-            MllmError::Config { key: found, .. } => assert_eq!(found, named, "{folder}: {key} = {value}"),
+            MllmError::Config { key: found, .. } => {
+                assert_eq!(found, named, "{folder}: {key} = {value}")
+            }
             other => panic!("{folder}: {key} = {value}: {other}"),
         }
     }
@@ -109,7 +233,10 @@ fn preprocessors_of_another_kind_or_size_are_named() {
     ] {
         let copy = Copy::of("tiny_llava_next");
         copy.edit("preprocessor_config.json", |config| config[key] = value);
-        assert!(matches!(copy.error(), MllmError::Config { key: found, .. } if found == key), "{key}");
+        assert!(
+            matches!(copy.error(), MllmError::Config { key: found, .. } if found == key),
+            "{key}"
+        );
     }
 }
 
@@ -118,8 +245,16 @@ fn a_misshapen_tensor_is_named_with_both_shapes() {
     let copy = Copy::new();
     copy.edit_tensors(|tensors| tensors.get_mut(GATE).unwrap().1 = vec![32, 64]);
     match copy.error() {
-        MllmError::TensorShape { name, expected, found, .. } => {
-            assert_eq!((name.as_str(), expected, found), (GATE, vec![64, 32], vec![32, 64]));
+        MllmError::TensorShape {
+            name,
+            expected,
+            found,
+            ..
+        } => {
+            assert_eq!(
+                (name.as_str(), expected, found),
+                (GATE, vec![64, 32], vec![32, 64])
+            );
         }
         other => panic!("{other}"),
     }
@@ -127,13 +262,22 @@ fn a_misshapen_tensor_is_named_with_both_shapes() {
 
 #[test]
 fn weights_that_are_no_numbers_are_named() {
-    for (value, element) in [(f32::NAN, 0), (f32::INFINITY, 77), (f32::NEG_INFINITY, 2047)] {
+    for (value, element) in [
+        (f32::NAN, 0),
+        (f32::INFINITY, 77),
+        (f32::NEG_INFINITY, 2047),
+    ] {
         let copy = Copy::new();
         copy.edit_tensors(|tensors| {
-            tensors.get_mut(GATE).unwrap().2[4 * element..4 * element + 4].copy_from_slice(&value.to_le_bytes());
+            tensors.get_mut(GATE).unwrap().2[4 * element..4 * element + 4]
+                .copy_from_slice(&value.to_le_bytes());
         });
         match copy.error() {
-            MllmError::NonFiniteWeight { name, element: found, .. } => {
+            MllmError::NonFiniteWeight {
+                name,
+                element: found,
+                ..
+            } => {
                 assert_eq!((name.as_str(), found), (GATE, element));
             }
             other => panic!("{other}"),
@@ -165,7 +309,10 @@ fn truncated_weights_are_an_error() {
 fn logits_that_overflow_are_an_error() {
     let copy = Copy::new();
     copy.edit_tensors(|tensors| {
-        for name in ["language_model.lm_head.weight", "language_model.model.norm.weight"] {
+        for name in [
+            "language_model.lm_head.weight",
+            "language_model.model.norm.weight",
+        ] {
             for bytes in tensors.get_mut(name).unwrap().2.as_chunks_mut::<4>().0 {
                 *bytes = 3e38f32.to_le_bytes();
             }
@@ -173,7 +320,10 @@ fn logits_that_overflow_are_an_error() {
     });
     let model = copy.open().unwrap();
     let mut conversation = model.converse(&prefix(), 0).unwrap();
-    assert!(matches!(conversation.ask(FIRST, &free(3)), Err(MllmError::NonFiniteLogits { .. })));
+    assert!(matches!(
+        conversation.ask(FIRST, &free(3)),
+        Err(MllmError::NonFiniteLogits { .. })
+    ));
 }
 
 /// Sets the value at a dotted path.
@@ -219,10 +369,15 @@ fn wrong_configuration_keys_are_named() {
         let copy = Copy::new();
         copy.edit("config.json", |config| set(config, key, value.clone()));
         match copy.error() {
-            MllmError::Config { path, key: named, .. } => {
+            MllmError::Config {
+                path, key: named, ..
+            } => {
                 assert!(path.ends_with("config.json"));
-                let expected =
-                    if key.ends_with("num_attention_heads") && value != json!(0) { "hidden_size" } else { key };
+                let expected = if key.ends_with("num_attention_heads") && value != json!(0) {
+                    "hidden_size"
+                } else {
+                    key
+                };
                 assert!(named.ends_with(expected), "{key} = {value}: {named}");
             }
             other => panic!("{key} = {value}: {other}"),
@@ -232,7 +387,10 @@ fn wrong_configuration_keys_are_named() {
 
 /// Whether an error is about a tensor, or about a size beyond all models.
 fn is_of_size(error: &MllmError) -> bool {
-    matches!(error, MllmError::TensorShape { .. } | MllmError::MissingTensor { .. } | MllmError::Config { .. })
+    matches!(
+        error,
+        MllmError::TensorShape { .. } | MllmError::MissingTensor { .. } | MllmError::Config { .. }
+    )
 }
 
 #[test]
@@ -266,9 +424,13 @@ fn sizes_that_the_weights_do_not_have_are_errors_before_anything_is_built() {
 
 #[test]
 fn broken_json_says_where() {
-    for file in
-        ["config.json", "tokenizer.json", "tokenizer_config.json", "preprocessor_config.json", "generation_config.json"]
-    {
+    for file in [
+        "config.json",
+        "tokenizer.json",
+        "tokenizer_config.json",
+        "preprocessor_config.json",
+        "generation_config.json",
+    ] {
         let copy = Copy::new();
         std::fs::write(copy.path(file), "{\n  \"a\": ").unwrap();
         match copy.error() {
@@ -277,32 +439,57 @@ fn broken_json_says_where() {
         }
         std::fs::write(copy.path(file), "[]").unwrap();
         let error = copy.error();
-        assert!(matches!(error, MllmError::Config { .. } | MllmError::Tokenizer { .. }), "{file}: {error}");
+        assert!(
+            matches!(
+                error,
+                MllmError::Config { .. } | MllmError::Tokenizer { .. }
+            ),
+            "{file}: {error}"
+        );
     }
 }
 
 #[test]
 fn a_tokenizer_that_does_not_fit_the_model_is_an_error() {
     let copy = Copy::new();
-    copy.edit("tokenizer.json", |tokenizer| tokenizer["model"]["vocab"]["far"] = json!(9999));
+    copy.edit("tokenizer.json", |tokenizer| {
+        tokenizer["model"]["vocab"]["far"] = json!(9999)
+    });
     match copy.error() {
-        MllmError::Vocabulary { token, id, vocabulary } => {
+        MllmError::Vocabulary {
+            token,
+            id,
+            vocabulary,
+        } => {
             assert_eq!((token.as_str(), id, vocabulary), ("far", 9999, 352));
         }
         other => panic!("{other}"),
     }
 
     let copy = Copy::new();
-    copy.edit("config.json", |config| config["image_token_index"] = json!(351));
-    assert!(matches!(copy.error(), MllmError::Tokenizer { problem, .. } if problem.contains("351")));
+    copy.edit("config.json", |config| {
+        config["image_token_index"] = json!(351)
+    });
+    assert!(
+        matches!(copy.error(), MllmError::Tokenizer { problem, .. } if problem.contains("351"))
+    );
 
     let copy = Copy::new();
-    copy.edit("config.json", |config| config["image_token_index"] = json!(2));
-    assert!(matches!(copy.error(), MllmError::ChatTemplate { .. }), "the template writes another placeholder");
+    copy.edit("config.json", |config| {
+        config["image_token_index"] = json!(2)
+    });
+    assert!(
+        matches!(copy.error(), MllmError::ChatTemplate { .. }),
+        "the template writes another placeholder"
+    );
 
     let copy = Copy::new();
-    copy.edit("tokenizer.json", |tokenizer| tokenizer["decoder"] = json!(null));
-    copy.edit("tokenizer.json", |tokenizer| tokenizer["pre_tokenizer"] = json!(null));
+    copy.edit("tokenizer.json", |tokenizer| {
+        tokenizer["decoder"] = json!(null)
+    });
+    copy.edit("tokenizer.json", |tokenizer| {
+        tokenizer["pre_tokenizer"] = json!(null)
+    });
     assert!(matches!(copy.error(), MllmError::Tokenizer { .. }));
 }
 
@@ -310,7 +497,9 @@ fn a_tokenizer_that_does_not_fit_the_model_is_an_error() {
 fn end_tokens_outside_of_the_vocabulary_are_named() {
     for value in [json!(352), json!([2, 400]), json!("</s>")] {
         let copy = Copy::new();
-        copy.edit("generation_config.json", |config| config["eos_token_id"] = value);
+        copy.edit("generation_config.json", |config| {
+            config["eos_token_id"] = value
+        });
         assert!(matches!(copy.error(), MllmError::Config { key, .. } if key == "eos_token_id"));
     }
 }
@@ -318,7 +507,9 @@ fn end_tokens_outside_of_the_vocabulary_are_named() {
 #[test]
 fn a_preprocessor_for_another_size_is_an_error() {
     let copy = Copy::new();
-    copy.edit("preprocessor_config.json", |config| config["crop_size"] = json!(48));
+    copy.edit("preprocessor_config.json", |config| {
+        config["crop_size"] = json!(48)
+    });
     assert!(matches!(copy.error(), MllmError::Config { key, .. } if key == "crop_size"));
 }
 
@@ -327,10 +518,16 @@ fn a_template_that_fails_at_run_time_is_an_error() {
     let copy = Copy::new();
     let template = std::fs::read_to_string(copy.path("chat_template.jinja")).unwrap();
     let guard = "{% if messages[0]['role'] == 'system' %}{{ raise_exception('no system prompt, please') }}{% endif %}";
-    std::fs::write(copy.path("chat_template.jinja"), format!("{guard}{template}")).unwrap();
+    std::fs::write(
+        copy.path("chat_template.jinja"),
+        format!("{guard}{template}"),
+    )
+    .unwrap();
     let model = copy.open().unwrap();
     match model.converse(&prefix(), 0).map(|_| ()) {
-        Err(MllmError::ChatTemplate { problem, .. }) => assert!(problem.contains("no system prompt"), "{problem}"),
+        Err(MllmError::ChatTemplate { problem, .. }) => {
+            assert!(problem.contains("no system prompt"), "{problem}")
+        }
         other => panic!("{other:?}"),
     }
 }

@@ -1,6 +1,8 @@
 //! Answers under a constraint.
 
-use planagent_mllm::{Answer, Constraint, ConstraintUse, Deadline, FinishReason, Mllm, MllmError, Request, Sampling};
+use planagent_mllm::{
+    Answer, Constraint, ConstraintUse, Deadline, FinishReason, Mllm, MllmError, Request, Sampling,
+};
 
 use super::{FIRST, open, prefix, request};
 
@@ -16,13 +18,21 @@ fn texts(texts: &[&str]) -> Constraint {
 
 #[test]
 fn a_choice_is_one_of_its_texts() {
-    let odd = ["keep \"lane\"", "left\nand \\ back", "überholen \u{1f697}", "keep"];
+    let odd = [
+        "keep \"lane\"",
+        "left\nand \\ back",
+        "überholen \u{1f697}",
+        "keep",
+    ];
     let chosen = answer(texts(&odd), 60).unwrap();
     assert!(odd.contains(&chosen.text.as_str()), "{chosen:?}");
     for only in odd {
         let answer = answer(texts(&[only]), 60).unwrap();
         assert_eq!(answer.text, only);
-        assert_eq!((answer.finish, answer.tokens.sampled), (FinishReason::Complete, 0));
+        assert_eq!(
+            (answer.finish, answer.tokens.sampled),
+            (FinishReason::Complete, 0)
+        );
     }
 }
 
@@ -30,13 +40,26 @@ fn a_choice_is_one_of_its_texts() {
 fn what_the_grammar_forces_is_not_chosen() {
     let code = r#"start: "Generate_IDM_Planner(c=" ("left" | "right") ", v0=" /[0-9]\.[0-9]/ ")""#;
     let answer = answer(Constraint::Lark(code.into()), 80).unwrap();
-    let inside = answer.text.strip_prefix("Generate_IDM_Planner(c=").unwrap().strip_suffix(')').unwrap();
+    let inside = answer
+        .text
+        .strip_prefix("Generate_IDM_Planner(c=")
+        .unwrap()
+        .strip_suffix(')')
+        .unwrap();
     let (lane, speed) = inside.split_once(", v0=").unwrap();
-    assert!(["left", "right"].contains(&lane) && speed.len() == 3, "{}", answer.text);
+    assert!(
+        ["left", "right"].contains(&lane) && speed.len() == 3,
+        "{}",
+        answer.text
+    );
     assert_eq!(answer.finish, FinishReason::Complete);
     // Sampled are one token of the lane, and the digits around the point.
     assert!(answer.tokens.sampled <= 4, "{:?}", answer.tokens);
-    assert!(answer.tokens.fast_forwarded > answer.tokens.sampled, "{:?}", answer.tokens);
+    assert!(
+        answer.tokens.fast_forwarded > answer.tokens.sampled,
+        "{:?}",
+        answer.tokens
+    );
 }
 
 #[test]
@@ -48,9 +71,21 @@ fn a_sequence_is_its_parts_one_after_the_other() {
         Constraint::Regex("[a-f]{3}".into()),
     ];
     let answer = answer(Constraint::Sequence(parts), 80).unwrap();
-    let (lane, why) = answer.text.strip_prefix("lane=").unwrap().split_once(", because ").unwrap();
-    assert!(["left", "right"].contains(&lane) && why.len() == 3, "{}", answer.text);
-    assert_eq!((answer.finish, answer.constraint), (FinishReason::Complete, ConstraintUse::Enforced));
+    let (lane, why) = answer
+        .text
+        .strip_prefix("lane=")
+        .unwrap()
+        .split_once(", because ")
+        .unwrap();
+    assert!(
+        ["left", "right"].contains(&lane) && why.len() == 3,
+        "{}",
+        answer.text
+    );
+    assert_eq!(
+        (answer.finish, answer.constraint),
+        (FinishReason::Complete, ConstraintUse::Enforced)
+    );
 }
 
 #[test]
@@ -59,7 +94,10 @@ fn forced_tokens_are_spelled_as_the_tokenizer_spells_them() {
     let tokenizer = tokenizers::Tokenizer::from_file(super::tiny().join("tokenizer.json")).unwrap();
     let expected = tokenizer.encode(text, false).unwrap().len();
     let answer = answer(texts(&[text]), 80).unwrap();
-    assert_eq!((answer.text.as_str(), answer.tokens.fast_forwarded), (text, expected));
+    assert_eq!(
+        (answer.text.as_str(), answer.tokens.fast_forwarded),
+        (text, expected)
+    );
 }
 
 #[test]
@@ -73,9 +111,18 @@ fn a_regular_expression_is_matched_as_a_whole() {
 #[test]
 fn an_answer_that_is_cut_short_says_so() {
     let answer = answer(Constraint::Regex("a{50}".into()), 7).unwrap();
-    assert_eq!((answer.finish, answer.tokens.fast_forwarded + answer.tokens.sampled), (FinishReason::Length, 7));
+    assert_eq!(
+        (
+            answer.finish,
+            answer.tokens.fast_forwarded + answer.tokens.sampled
+        ),
+        (FinishReason::Length, 7)
+    );
     let none = super::constraints::answer(texts(&["keep"]), 0).unwrap();
-    assert_eq!((none.text.as_str(), none.finish), ("", FinishReason::Length));
+    assert_eq!(
+        (none.text.as_str(), none.finish),
+        ("", FinishReason::Length)
+    );
 }
 
 #[test]
@@ -87,7 +134,10 @@ fn sampled_answers_obey_as_well() {
         let request = Request {
             constraint: texts(&["keep lane", "left", "right"]),
             max_new_tokens: 20,
-            sampling: Sampling::Sample { temperature: 5.0, top_p: 1.0 },
+            sampling: Sampling::Sample {
+                temperature: 5.0,
+                top_p: 1.0,
+            },
             deadline: Deadline::NONE,
             draft: None,
         };
@@ -112,7 +162,10 @@ fn what_does_not_compile_is_an_error_and_never_dropped() {
         Constraint::Sequence(vec![Constraint::Free]),
     ] {
         match answer(constraint.clone(), 10) {
-            Err(MllmError::Grammar { constraint: shown, problem }) => {
+            Err(MllmError::Grammar {
+                constraint: shown,
+                problem,
+            }) => {
                 assert!(!shown.is_empty() && !problem.is_empty());
             }
             other => panic!("{constraint:?}: {other:?}"),
@@ -125,16 +178,26 @@ fn impossible_sampling_is_an_error() {
     let model = open();
     let mut conversation = model.converse(&prefix(), 0).unwrap();
     let mut request = request(Constraint::Free, 3);
-    request.sampling = Sampling::Sample { temperature: -1.0, top_p: 0.5 };
-    assert!(matches!(conversation.ask(FIRST, &request), Err(MllmError::Request { .. })));
+    request.sampling = Sampling::Sample {
+        temperature: -1.0,
+        top_p: 0.5,
+    };
+    assert!(matches!(
+        conversation.ask(FIRST, &request),
+        Err(MllmError::Request { .. })
+    ));
 }
 
 #[test]
 fn a_placeholder_in_an_answer_is_text_and_the_chat_goes_on() {
     let model = open();
     let mut conversation = model.converse(&prefix(), 0).unwrap();
-    let answer = conversation.ask(FIRST, &request(texts(&["see <image> </s>"]), 60)).unwrap();
+    let answer = conversation
+        .ask(FIRST, &request(texts(&["see <image> </s>"]), 60))
+        .unwrap();
     assert_eq!(answer.text, "see <image> </s>");
-    let next = conversation.ask("And now?", &request(texts(&["yes", "no"]), 8)).unwrap();
+    let next = conversation
+        .ask("And now?", &request(texts(&["yes", "no"]), 8))
+        .unwrap();
     assert!(["yes", "no"].contains(&next.text.as_str()));
 }

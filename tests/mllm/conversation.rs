@@ -1,16 +1,28 @@
 //! Conversations: rounds, marks, seeds, counts.
 
-use planagent_mllm::{Constraint, FinishReason, Mllm, MllmError, PromptPrefix, Sampling, prompt_hash};
+use planagent_mllm::{
+    Constraint, FinishReason, Mllm, MllmError, PromptPrefix, Sampling, prompt_hash,
+};
 
 use super::{FIRST, SECOND, free, open, prefix, request, tiny};
 
 /// The greedy answer that transformers gives in the reference.
 fn reference_answer(name: &str) -> String {
-    let tensors =
-        candle_core::safetensors::load(tiny().join("reference.safetensors"), &candle_core::Device::Cpu).unwrap();
-    let ids: Vec<u32> =
-        tensors[name].to_vec1::<i64>().unwrap().into_iter().map(|id| u32::try_from(id).unwrap()).collect();
-    tokenizers::Tokenizer::from_file(tiny().join("tokenizer.json")).unwrap().decode(&ids, true).unwrap()
+    let tensors = candle_core::safetensors::load(
+        tiny().join("reference.safetensors"),
+        &candle_core::Device::Cpu,
+    )
+    .unwrap();
+    let ids: Vec<u32> = tensors[name]
+        .to_vec1::<i64>()
+        .unwrap()
+        .into_iter()
+        .map(|id| u32::try_from(id).unwrap())
+        .collect();
+    tokenizers::Tokenizer::from_file(tiny().join("tokenizer.json"))
+        .unwrap()
+        .decode(&ids, true)
+        .unwrap()
 }
 
 #[test]
@@ -24,15 +36,28 @@ fn both_rounds_are_answered_as_transformers_answers_them() {
     assert_eq!(first.prompt_hash, prompt_hash("Drive safely.", &[], FIRST));
     let tokens = first.tokens;
     assert_eq!(tokens.text + tokens.image + tokens.cached, 45, "{tokens:?}");
-    assert_eq!((tokens.image, tokens.fast_forwarded, tokens.sampled), (16, 0, 12));
+    assert_eq!(
+        (tokens.image, tokens.fast_forwarded, tokens.sampled),
+        (16, 0, 12)
+    );
     assert!(tokens.cached > 0, "the system prompt is known");
     assert!(first.time.image_encode > 0.0 && first.time.prefill > 0.0 && first.time.decode > 0.0);
-    assert!(first.time.first_token >= first.time.prefill && first.time.total >= first.time.first_token);
+    assert!(
+        first.time.first_token >= first.time.prefill && first.time.total >= first.time.first_token
+    );
 
     // The reference chat continues after the answer "keep left".
     conversation.rewind(start);
-    let chosen = conversation.ask(FIRST, &request(Constraint::Choice(vec!["keep left".into()]), 12)).unwrap();
-    assert_eq!((chosen.text.as_str(), chosen.tokens.sampled), ("keep left", 0));
+    let chosen = conversation
+        .ask(
+            FIRST,
+            &request(Constraint::Choice(vec!["keep left".into()]), 12),
+        )
+        .unwrap();
+    assert_eq!(
+        (chosen.text.as_str(), chosen.tokens.sampled),
+        ("keep left", 0)
+    );
     let second = conversation.ask(SECOND, &free(12)).unwrap();
     assert_eq!(second.text, reference_answer("chat_generated"));
     assert_eq!(second.tokens.image, 0, "the image stays computed");
@@ -50,9 +75,20 @@ fn a_rewound_round_is_answered_as_the_first_time() {
     conversation.ask("And then?", &free(5)).unwrap();
     conversation.rewind(mark);
     let again = conversation.ask(SECOND, &free(20)).unwrap();
-    assert_eq!((&once.text, &once.prompt_hash), (&again.text, &again.prompt_hash));
-    assert!(again.tokens.cached > once.tokens.cached, "{:?} {:?}", once.tokens, again.tokens);
-    assert_eq!(again.tokens.text, 1, "only the last token of the prompt is computed again");
+    assert_eq!(
+        (&once.text, &once.prompt_hash),
+        (&again.text, &again.prompt_hash)
+    );
+    assert!(
+        again.tokens.cached > once.tokens.cached,
+        "{:?} {:?}",
+        once.tokens,
+        again.tokens
+    );
+    assert_eq!(
+        again.tokens.text, 1,
+        "only the last token of the prompt is computed again"
+    );
 }
 
 #[test]
@@ -79,7 +115,10 @@ fn sampling_follows_the_seed() {
     let model = open();
     let sampled = |seed| {
         let mut request = free(24);
-        request.sampling = Sampling::Sample { temperature: 1.5, top_p: 0.95 };
+        request.sampling = Sampling::Sample {
+            temperature: 1.5,
+            top_p: 0.95,
+        };
         let mut conversation = model.converse(&prefix(), seed).unwrap();
         let mark = conversation.mark();
         let first = conversation.ask(FIRST, &request).unwrap().text;
@@ -107,11 +146,17 @@ fn a_placeholder_in_the_text_is_refused_and_leaves_the_chat_as_it_was() {
     let mut conversation = model.converse(&prefix(), 0).unwrap();
     let before = conversation.mark();
     match conversation.ask("Look: <image>", &free(4)) {
-        Err(MllmError::ImagePlaceholder { expected: 1, found: 2 }) => {}
+        Err(MllmError::ImagePlaceholder {
+            expected: 1,
+            found: 2,
+        }) => {}
         other => panic!("{other:?}"),
     }
     assert_eq!(conversation.mark(), before);
-    assert_eq!(conversation.ask(FIRST, &free(12)).unwrap().text, reference_answer("generated"));
+    assert_eq!(
+        conversation.ask(FIRST, &free(12)).unwrap().text,
+        reference_answer("generated")
+    );
 }
 
 #[test]
@@ -120,16 +165,30 @@ fn a_prompt_beyond_the_context_is_refused_and_an_answer_ends_at_it() {
     let context = model.describe().context;
     let mut conversation = model.converse(&prefix(), 0).unwrap();
     match conversation.ask(&"left ".repeat(context), &free(4)) {
-        Err(MllmError::PromptTooLong { tokens, context: 256 }) => assert!(tokens > context),
+        Err(MllmError::PromptTooLong {
+            tokens,
+            context: 256,
+        }) => assert!(tokens > context),
         other => panic!("{other:?}"),
     }
     let long = "0 ".repeat(90);
-    let answer = conversation.ask(&long, &request(Constraint::Regex("[ab]*".into()), 1000)).unwrap();
+    let answer = conversation
+        .ask(&long, &request(Constraint::Regex("[ab]*".into()), 1000))
+        .unwrap();
     assert_eq!(answer.finish, FinishReason::ContextFull);
     let tokens = answer.tokens;
-    assert_eq!(tokens.text + tokens.image + tokens.cached + tokens.fast_forwarded + tokens.sampled, context);
+    assert_eq!(
+        tokens.text + tokens.image + tokens.cached + tokens.fast_forwarded + tokens.sampled,
+        context
+    );
     assert!(matches!(
-        model.converse(&PromptPrefix { system: "x ".repeat(400), image: None }, 0),
+        model.converse(
+            &PromptPrefix {
+                system: "x ".repeat(400),
+                image: None
+            },
+            0
+        ),
         Err(MllmError::PromptTooLong { .. })
     ));
 }
@@ -138,11 +197,24 @@ fn a_prompt_beyond_the_context_is_refused_and_an_answer_ends_at_it() {
 fn the_description_says_what_the_model_is() {
     let description = open().describe();
     assert_eq!(description.image_size, Some(32));
-    assert_eq!((description.image_tokens, description.vocabulary, description.context), (16, 352, 256));
+    assert_eq!(
+        (
+            description.image_tokens,
+            description.vocabulary,
+            description.context
+        ),
+        (16, 352, 256)
+    );
     let weights = std::fs::read(tiny().join("model.safetensors")).unwrap();
-    assert_eq!(description.weights_blake3, blake3::hash(&weights).to_hex().to_string());
+    assert_eq!(
+        description.weights_blake3,
+        blake3::hash(&weights).to_hex().to_string()
+    );
     // All tensors but the tower's last norm, which a LLaVA does not use.
     let tensors = safetensors::SafeTensors::deserialize(&weights).unwrap();
-    let elements: usize = tensors.iter().map(|(_, view)| view.shape().iter().product::<usize>()).sum();
+    let elements: usize = tensors
+        .iter()
+        .map(|(_, view)| view.shape().iter().product::<usize>())
+        .sum();
     assert_eq!(description.parameters, elements as u64 - 64);
 }

@@ -5,13 +5,14 @@ use std::sync::Arc;
 
 use image::RgbImage;
 use planagent_agent::planner::{
-    AfterMaxExec, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerName, ReflectionSettings,
+    AfterMaxExec, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerName,
+    ReflectionSettings,
 };
 use planagent_agent::reasoning::{PromptSet, Proposals, ReasoningSettings, Round, Speculation};
 use planagent_agent::simulation::{Challenge, simulate};
 use planagent_mllm::{
-    Architecture, Constraint, Families, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry,
-    ModelSource, PromptPrefix, RoundTokens, Sampling, Trust,
+    Architecture, Constraint, Families, FinishReason, GenerationSettings, HubAccess, Mllm,
+    MllmError, ModelRegistry, ModelSource, PromptPrefix, RoundTokens, Sampling, Trust,
 };
 use planagent_scenario::generator;
 use serde_json::json;
@@ -20,14 +21,38 @@ use super::{Copy, FIRST, SECOND, fixture, free, request};
 
 /// Every family's tiny checkpoint.
 const FAMILIES: [Tiny; 8] = [
-    Tiny { name: "tiny_llava", architecture: "llava" },
-    Tiny { name: "tiny_llava_next", architecture: "llava-next" },
-    Tiny { name: "tiny_llava_next_mistral", architecture: "llava-next" },
-    Tiny { name: "tiny_cogvlm", architecture: "cogvlm" },
-    Tiny { name: "tiny_smolvlm", architecture: "smolvlm" },
-    Tiny { name: "tiny_internvl3", architecture: "internvl" },
-    Tiny { name: "tiny_qwen3_vl", architecture: "qwen3-vl" },
-    Tiny { name: "tiny_qwen2_5_vl", architecture: "qwen2.5-vl" },
+    Tiny {
+        name: "tiny_llava",
+        architecture: "llava",
+    },
+    Tiny {
+        name: "tiny_llava_next",
+        architecture: "llava-next",
+    },
+    Tiny {
+        name: "tiny_llava_next_mistral",
+        architecture: "llava-next",
+    },
+    Tiny {
+        name: "tiny_cogvlm",
+        architecture: "cogvlm",
+    },
+    Tiny {
+        name: "tiny_smolvlm",
+        architecture: "smolvlm",
+    },
+    Tiny {
+        name: "tiny_internvl3",
+        architecture: "internvl",
+    },
+    Tiny {
+        name: "tiny_qwen3_vl",
+        architecture: "qwen3-vl",
+    },
+    Tiny {
+        name: "tiny_qwen2_5_vl",
+        architecture: "qwen2.5-vl",
+    },
 ];
 
 /// A tiny checkpoint with references.
@@ -45,25 +70,46 @@ fn families() -> impl Iterator<Item = (&'static Tiny, PathBuf)> {
 #[test]
 fn every_family_has_a_checkpoint() {
     for family in Families::default().iter() {
-        assert!(FAMILIES.iter().any(|tiny| tiny.architecture == family.name()), "{}", family.name());
+        assert!(
+            FAMILIES
+                .iter()
+                .any(|tiny| tiny.architecture == family.name()),
+            "{}",
+            family.name()
+        );
     }
 }
 
 fn registry() -> ModelRegistry {
-    ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() }).with_trust(Trust::Caller)
+    ModelRegistry::new(
+        "models",
+        HubAccess {
+            offline: true,
+            ..HubAccess::default()
+        },
+    )
+    .with_trust(Trust::Caller)
 }
 
 /// Opens a folder as `--model FOLDER` does.
 fn open_folder(folder: &Path) -> Box<dyn Mllm> {
     let registry = registry();
-    registry.open(&registry.find(folder.to_str().unwrap()).unwrap()).unwrap()
+    registry
+        .open(&registry.find(folder.to_str().unwrap()).unwrap())
+        .unwrap()
 }
 
 /// The prompt prefix of a checkpoint's reference chat.
 fn prefix(folder: &Path) -> PromptPrefix {
-    let image = ["image.png", "image_0.png"].map(|name| folder.join(name)).into_iter().find(|path| path.exists());
+    let image = ["image.png", "image_0.png"]
+        .map(|name| folder.join(name))
+        .into_iter()
+        .find(|path| path.exists());
     let image = image::open(image.unwrap()).unwrap().into_rgb8();
-    PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) }
+    PromptPrefix {
+        system: "Drive safely.".into(),
+        image: Some(image.into()),
+    }
 }
 
 /// Tokens of an answer that is compared.
@@ -71,30 +117,67 @@ const ANSWERED: usize = 12;
 
 /// The text of a reference's first greedy tokens.
 fn reference_answer(folder: &Path, name: &str) -> String {
-    let tensors =
-        candle_core::safetensors::load(folder.join("reference.safetensors"), &candle_core::Device::Cpu).unwrap();
-    let ids = tensors[name].flatten_all().unwrap().to_vec1::<i64>().unwrap();
-    let ids: Vec<u32> = ids.into_iter().take(ANSWERED).map(|id| u32::try_from(id).unwrap()).collect();
-    tokenizers::Tokenizer::from_file(folder.join("tokenizer.json")).unwrap().decode(&ids, true).unwrap()
+    let tensors = candle_core::safetensors::load(
+        folder.join("reference.safetensors"),
+        &candle_core::Device::Cpu,
+    )
+    .unwrap();
+    let ids = tensors[name]
+        .flatten_all()
+        .unwrap()
+        .to_vec1::<i64>()
+        .unwrap();
+    let ids: Vec<u32> = ids
+        .into_iter()
+        .take(ANSWERED)
+        .map(|id| u32::try_from(id).unwrap())
+        .collect();
+    tokenizers::Tokenizer::from_file(folder.join("tokenizer.json"))
+        .unwrap()
+        .decode(&ids, true)
+        .unwrap()
 }
 
 #[test]
 fn a_folder_is_opened_as_what_its_configuration_says_and_answers_as_the_reference() {
     for (Tiny { name, architecture }, folder) in families() {
-        assert_eq!(Families::default().detect(&folder).unwrap().name(), *architecture);
+        assert_eq!(
+            Families::default().detect(&folder).unwrap().name(),
+            *architecture
+        );
         let model = open_folder(&folder);
         let about = model.describe();
         assert_eq!(about.architecture, *architecture);
-        assert!(about.parameters > 60_000 && about.image_tokens > 0, "{about:?}");
+        assert!(
+            about.parameters > 60_000 && about.image_tokens > 0,
+            "{about:?}"
+        );
         let mut conversation = model.converse(&prefix(&folder), 0).unwrap();
         let answer = conversation.ask(FIRST, &free(ANSWERED)).unwrap();
-        assert_eq!(answer.text, reference_answer(&folder, "generated"), "{name}");
-        assert!(answer.tokens.image > 0 && answer.tokens.image <= about.image_tokens, "{:?}", answer.tokens);
+        assert_eq!(
+            answer.text,
+            reference_answer(&folder, "generated"),
+            "{name}"
+        );
+        assert!(
+            answer.tokens.image > 0 && answer.tokens.image <= about.image_tokens,
+            "{:?}",
+            answer.tokens
+        );
         if *name != "tiny_llava_next_mistral" {
             let mut conversation = model.converse(&prefix(&folder), 0).unwrap();
-            conversation.ask(FIRST, &request(Constraint::Choice(vec!["keep left".into()]), 12)).unwrap();
+            conversation
+                .ask(
+                    FIRST,
+                    &request(Constraint::Choice(vec!["keep left".into()]), 12),
+                )
+                .unwrap();
             let second = conversation.ask(SECOND, &free(ANSWERED)).unwrap();
-            assert_eq!(second.text, reference_answer(&folder, "chat_generated"), "{name}");
+            assert_eq!(
+                second.text,
+                reference_answer(&folder, "chat_generated"),
+                "{name}"
+            );
         }
     }
 }
@@ -109,23 +192,49 @@ fn rounds_and_rethinks_compute_the_image_once() {
         let mut whole = Vec::new();
         for attempt in 0..2 {
             let prompt = if attempt == 0 { "Look." } else { "Look again." };
-            let first = conversation.ask(prompt, &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
+            let first = conversation
+                .ask(prompt, &request(Constraint::Regex("[a-f]{4}".into()), 8))
+                .unwrap();
             if attempt == 0 {
                 assert!(first.time.image_encode > 0.0 && first.tokens.image > 0);
                 // The chat of a CogVLM begins with the image.
-                assert_eq!(first.tokens.cached == 0, *architecture == "cogvlm", "{:?}", first.tokens);
+                assert_eq!(
+                    first.tokens.cached == 0,
+                    *architecture == "cogvlm",
+                    "{:?}",
+                    first.tokens
+                );
             } else {
                 assert!(first.time.image_encode.abs() < f64::EPSILON);
                 assert_eq!(first.tokens.image, 0);
-                assert!(first.tokens.cached > whole[0], "{:?}: the image stays computed", first.tokens);
+                assert!(
+                    first.tokens.cached > whole[0],
+                    "{:?}: the image stays computed",
+                    first.tokens
+                );
             }
             whole.push(first.tokens.image);
-            let second = conversation.ask("Now?", &request(Constraint::Choice(vec!["keep".into()]), 8)).unwrap();
-            assert_eq!((second.text.as_str(), second.tokens.sampled, second.tokens.image), ("keep", 0, 0));
-            let third = conversation.ask("Code?", &request(Constraint::Lark(code.into()), 64)).unwrap();
+            let second = conversation
+                .ask("Now?", &request(Constraint::Choice(vec!["keep".into()]), 8))
+                .unwrap();
+            assert_eq!(
+                (
+                    second.text.as_str(),
+                    second.tokens.sampled,
+                    second.tokens.image
+                ),
+                ("keep", 0, 0)
+            );
+            let third = conversation
+                .ask("Code?", &request(Constraint::Lark(code.into()), 64))
+                .unwrap();
             assert_eq!(third.finish, FinishReason::Complete, "{name}: {third:?}");
             assert!(third.text.starts_with("Generate_IDM_Planner(c=") && third.tokens.image == 0);
-            assert!(third.tokens.fast_forwarded > third.tokens.sampled, "{:?}", third.tokens);
+            assert!(
+                third.tokens.fast_forwarded > third.tokens.sampled,
+                "{:?}",
+                third.tokens
+            );
             conversation.rewind(start);
         }
     }
@@ -151,34 +260,70 @@ fn images_of_any_shape_are_taken_and_empty_ones_refused() {
         let most = model.describe().image_tokens;
         for (width, height) in [(336, 336), (90, 20), (3, 70), (1, 1)] {
             let image = RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, 99]));
-            let prefix = PromptPrefix { system: String::new(), image: Some(image.into()) };
-            let answer = model.converse(&prefix, 0).unwrap().ask("Go?", &free(2)).unwrap();
-            assert!(answer.tokens.image > 0 && answer.tokens.image <= most, "{name}, {width} x {height}");
+            let prefix = PromptPrefix {
+                system: String::new(),
+                image: Some(image.into()),
+            };
+            let answer = model
+                .converse(&prefix, 0)
+                .unwrap()
+                .ask("Go?", &free(2))
+                .unwrap();
+            assert!(
+                answer.tokens.image > 0 && answer.tokens.image <= most,
+                "{name}, {width} x {height}"
+            );
         }
-        let prefix = PromptPrefix { system: String::new(), image: Some(RgbImage::new(0, 0).into()) };
-        let refused = model.converse(&prefix, 0).and_then(|mut conversation| conversation.ask("Go?", &free(2)));
-        assert!(matches!(refused, Err(MllmError::Image { .. })), "{name}: {refused:?}");
+        let prefix = PromptPrefix {
+            system: String::new(),
+            image: Some(RgbImage::new(0, 0).into()),
+        };
+        let refused = model
+            .converse(&prefix, 0)
+            .and_then(|mut conversation| conversation.ask("Go?", &free(2)));
+        assert!(
+            matches!(refused, Err(MllmError::Image { .. })),
+            "{name}: {refused:?}"
+        );
     }
 }
 
 #[test]
 fn an_image_takes_three_positions_of_cogvlm() {
     let copy = Copy::of("tiny_cogvlm");
-    copy.edit("config.json", |config| config["max_position_embeddings"] = json!(60));
+    copy.edit("config.json", |config| {
+        config["max_position_embeddings"] = json!(60)
+    });
     let model = open_folder(copy.folder());
     assert_eq!(model.describe().context, 60);
     let mut conversation = model.converse(&prefix(copy.folder()), 0).unwrap();
-    let answer = conversation.ask(FIRST, &request(Constraint::Regex("[ab]{900}".into()), 1000)).unwrap();
+    let answer = conversation
+        .ask(FIRST, &request(Constraint::Regex("[ab]{900}".into()), 1000))
+        .unwrap();
     assert_eq!(answer.finish, FinishReason::ContextFull);
     let tokens = answer.tokens;
     // The 18 image tokens share three positions, so 15 more than 60 fit.
-    assert_eq!(tokens.text + tokens.image + tokens.cached + tokens.fast_forwarded + tokens.sampled, 75, "{tokens:?}");
+    assert_eq!(
+        tokens.text + tokens.image + tokens.cached + tokens.fast_forwarded + tokens.sampled,
+        75,
+        "{tokens:?}"
+    );
     match conversation.ask(&"left ".repeat(40), &free(4)) {
-        Err(MllmError::PromptTooLong { tokens, context: 75 }) => assert!(tokens > 75),
+        Err(MllmError::PromptTooLong {
+            tokens,
+            context: 75,
+        }) => assert!(tokens > 75),
         other => panic!("{other:?}"),
     }
-    let no_image = PromptPrefix { system: "Drive safely.".into(), image: None };
-    match model.converse(&no_image, 0).unwrap().ask(&"left ".repeat(60), &free(4)) {
+    let no_image = PromptPrefix {
+        system: "Drive safely.".into(),
+        image: None,
+    };
+    match model
+        .converse(&no_image, 0)
+        .unwrap()
+        .ask(&"left ".repeat(60), &free(4))
+    {
         Err(MllmError::PromptTooLong { context: 60, .. }) => {}
         other => panic!("{other:?}"),
     }
@@ -187,9 +332,20 @@ fn an_image_takes_three_positions_of_cogvlm() {
 #[test]
 fn cogvlm_without_an_image_keeps_its_system_prompt() {
     let model = open_folder(&fixture("tiny_cogvlm"));
-    let prefix = PromptPrefix { system: "Drive safely.".into(), image: None };
-    let answer = model.converse(&prefix, 0).unwrap().ask(FIRST, &free(3)).unwrap();
-    assert!(answer.tokens.cached > 5 && answer.tokens.image == 0, "{:?}", answer.tokens);
+    let prefix = PromptPrefix {
+        system: "Drive safely.".into(),
+        image: None,
+    };
+    let answer = model
+        .converse(&prefix, 0)
+        .unwrap()
+        .ask(FIRST, &free(3))
+        .unwrap();
+    assert!(
+        answer.tokens.cached > 5 && answer.tokens.image == 0,
+        "{:?}",
+        answer.tokens
+    );
 }
 
 #[test]
@@ -197,7 +353,11 @@ fn a_tokenizer_may_lie_in_another_folder() {
     let copy = Copy::of("tiny_cogvlm");
     let expected = reference_answer(copy.folder(), "generated");
     let tokenizer = tempfile::tempdir().unwrap();
-    std::fs::rename(copy.path("tokenizer.json"), tokenizer.path().join("tokenizer.json")).unwrap();
+    std::fs::rename(
+        copy.path("tokenizer.json"),
+        tokenizer.path().join("tokenizer.json"),
+    )
+    .unwrap();
     let description = format!(
         "name = 'cog'\nsource = {{ folder = '{}' }}\ntokenizer = {{ folder = '{}' }}\nprompt_set = 'paper'\n",
         copy.folder().display(),
@@ -205,21 +365,34 @@ fn a_tokenizer_may_lie_in_another_folder() {
     );
     std::fs::write(copy.path("cog.toml"), description).unwrap();
     let model = open_folder(&copy.path("cog.toml"));
-    let answer = model.converse(&prefix(copy.folder()), 0).unwrap().ask(FIRST, &free(ANSWERED)).unwrap();
+    let answer = model
+        .converse(&prefix(copy.folder()), 0)
+        .unwrap()
+        .ask(FIRST, &free(ANSWERED))
+        .unwrap();
     assert_eq!(answer.text, expected);
     // Without it, the error says what to do.
-    assert!(copy.error().to_string().contains("copy it here"), "{}", copy.error());
+    assert!(
+        copy.error().to_string().contains("copy it here"),
+        "{}",
+        copy.error()
+    );
 }
 
 #[test]
 fn a_description_of_another_architecture_is_refused() {
     let registry = registry();
-    let mut spec = registry.find(fixture("tiny_llava_next").to_str().unwrap()).unwrap();
+    let mut spec = registry
+        .find(fixture("tiny_llava_next").to_str().unwrap())
+        .unwrap();
     spec.architecture = Architecture::named("cogvlm");
     match registry.open(&spec).map(|_| ()) {
         Err(MllmError::Config { key, problem, .. }) => {
             assert_eq!(key, "model_type");
-            assert!(problem.contains("llava-next") && problem.contains("cogvlm"), "{problem}");
+            assert!(
+                problem.contains("llava-next") && problem.contains("cogvlm"),
+                "{problem}"
+            );
         }
         other => panic!("{other:?}"),
     }
@@ -228,7 +401,13 @@ fn a_description_of_another_architecture_is_refused() {
 #[test]
 fn the_described_models_are_all_readable() {
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
-    let registry = ModelRegistry::new(&models, HubAccess { offline: true, ..HubAccess::default() });
+    let registry = ModelRegistry::new(
+        &models,
+        HubAccess {
+            offline: true,
+            ..HubAccess::default()
+        },
+    );
     let names = registry.names().unwrap();
     for (name, architecture) in [
         ("llava-1.5-7b", "llava"),
@@ -249,7 +428,10 @@ fn the_described_models_are_all_readable() {
     ] {
         assert!(names.iter().any(|known| known == name), "{names:?}");
         let spec = registry.find(name).unwrap();
-        assert_eq!((spec.name.as_str(), spec.architecture), (name, Architecture::named(architecture)));
+        assert_eq!(
+            (spec.name.as_str(), spec.architecture),
+            (name, Architecture::named(architecture))
+        );
         assert!(matches!(spec.source, ModelSource::Hub { .. }));
         assert_eq!(spec.tokenizer.is_some(), architecture == "cogvlm");
     }
@@ -257,9 +439,16 @@ fn the_described_models_are_all_readable() {
 
 /// Runs the beginning of a generated scene with one planning call.
 fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
-    let max_new_tokens = RoundTokens { understanding: 8, instruction: 64, code: 64 };
-    let mut settings =
-        PlanAgentSettings { plan_interval_s: 100.0, blocked_interval_s: 100.0, ..PlanAgentSettings::default() };
+    let max_new_tokens = RoundTokens {
+        understanding: 8,
+        instruction: 64,
+        code: 64,
+    };
+    let mut settings = PlanAgentSettings {
+        plan_interval_s: 100.0,
+        blocked_interval_s: 100.0,
+        ..PlanAgentSettings::default()
+    };
     settings.reflection = ReflectionSettings {
         threshold: 1.0,
         lane_change_threshold: 1.0,
@@ -270,15 +459,23 @@ fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
     };
     let reasoning = ReasoningSettings {
         rounds: Round::ALL.to_vec(),
-        generation: GenerationSettings { max_new_tokens, sampling: Sampling::Greedy },
+        generation: GenerationSettings {
+            max_new_tokens,
+            sampling: Sampling::Greedy,
+        },
         rethink_sampling: Sampling::Greedy,
         grammar: true,
         speculation: Speculation::History,
         proposals: Proposals::default(),
     };
-    let code_source = CodeSource::Model { model, prompts: Arc::new(PromptSet::open(prompts).unwrap()), reasoning };
+    let code_source = CodeSource::Model {
+        model,
+        prompts: Arc::new(PromptSet::open(prompts).unwrap()),
+        reasoning,
+    };
     let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source, settings);
-    let scenario = generator::generate(&"generated/high_magnitude_speed/1".parse().unwrap()).unwrap();
+    let scenario =
+        generator::generate(&"generated/high_magnitude_speed/1".parse().unwrap()).unwrap();
     simulate(&scenario, &mut agent, Challenge::NonReactive).unwrap();
     agent
 }
@@ -287,9 +484,14 @@ fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
 fn the_agent_plans_with_every_family_and_nothing_else_changes() {
     for (Tiny { name, architecture }, folder) in families() {
         let copy = Copy::of_folder(&folder);
-        // Random weights spell long answers in single bytes, so the chat needs more room than the reference's.
+        // Random weights spell long answers in single bytes, so the chat needs more room than the
+        // reference's.
         copy.edit("config.json", |config| {
-            let text = if *architecture == "cogvlm" { config } else { &mut config["text_config"] };
+            let text = if *architecture == "cogvlm" {
+                config
+            } else {
+                &mut config["text_config"]
+            };
             text["max_position_embeddings"] = json!(4096);
         });
         for prompts in ["compact", "brief"] {
@@ -301,7 +503,11 @@ fn the_agent_plans_with_every_family_and_nothing_else_changes() {
                 assert_eq!(rounds.len(), 3, "{name}");
                 assert!(attempt.answer.is_some(), "{name}: {}", rounds[2].answer);
                 let image = rounds.iter().map(|round| round.tokens.image).sum::<usize>();
-                assert_eq!(image > 0, index == 0, "{name}: the image is computed once, {image}");
+                assert_eq!(
+                    image > 0,
+                    index == 0,
+                    "{name}: the image is computed once, {image}"
+                );
             }
         }
     }

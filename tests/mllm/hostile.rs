@@ -1,4 +1,5 @@
-//! Chat templates and tokenizers that hang, kill or grow without end. A child process tries them first, within limits.
+//! Chat templates and tokenizers that hang, kill or grow without end. A child process tries them
+//! first, within limits.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -29,13 +30,25 @@ fn planagent(cache: &Path) -> Command {
 fn problems(model: &Path) -> Vec<String> {
     let cache = tempfile::tempdir().unwrap();
     let started = Instant::now();
-    let output = planagent(cache.path()).args(["models", "check", "--json"]).arg(model).output().unwrap();
-    let (took, stderr) = (started.elapsed(), String::from_utf8_lossy(&output.stderr).into_owned());
+    let output = planagent(cache.path())
+        .args(["models", "check", "--json"])
+        .arg(model)
+        .output()
+        .unwrap();
+    let (took, stderr) = (
+        started.elapsed(),
+        String::from_utf8_lossy(&output.stderr).into_owned(),
+    );
     assert!(took < MAX_CHECK, "{}: {took:?}", model.display());
     assert_eq!(output.status.code(), Some(1), "{stderr}");
     assert!(!stderr.contains("panicked"), "{stderr}");
     let row: Value = serde_json::from_slice(&output.stdout).unwrap();
-    row["problems"].as_array().unwrap().iter().map(|problem| problem.as_str().unwrap().to_owned()).collect()
+    row["problems"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|problem| problem.as_str().unwrap().to_owned())
+        .collect()
 }
 
 /// The only problem.
@@ -64,25 +77,45 @@ fn templates_without_end_are_problems_and_nothing_hangs() {
     for (source, said) in [
         (endless.to_owned(), "more than 500000 steps"),
         (DOUBLES.to_owned(), "child process"),
-        (format!("{{{{ {}true }}}}", "not ".repeat(10_000)), "chat template"),
-        (format!("{{{{ 1{} }}}}", "+1".repeat(20_000)), "chat template"),
+        (
+            format!("{{{{ {}true }}}}", "not ".repeat(10_000)),
+            "chat template",
+        ),
+        (
+            format!("{{{{ 1{} }}}}", "+1".repeat(20_000)),
+            "chat template",
+        ),
         (" ".repeat(100_000), "at most 65536 are read"),
         (" ".repeat(2_000_000), "at most 1048576 are read"),
     ] {
         let found = problem(with_template(&source).folder());
-        assert!(found.contains(said), "{}: {found}", &source[..60.min(source.len())]);
+        assert!(
+            found.contains(said),
+            "{}: {found}",
+            &source[..60.min(source.len())]
+        );
     }
 }
 
 #[test]
 fn tokenizers_without_end_are_problems_and_nothing_hangs() {
-    let doubling: Vec<Value> = vec![json!({"type": "Replace", "pattern": {"String": "e"}, "content": "ee"}); 40];
+    let doubling: Vec<Value> =
+        vec![json!({"type": "Replace", "pattern": {"String": "e"}, "content": "ee"}); 40];
     for (key, value) in [
-        ("normalizer", json!({"type": "Sequence", "normalizers": doubling})),
-        ("normalizer", json!({"type": "Precompiled", "precompiled_charsmap": "/////w=="})),
+        (
+            "normalizer",
+            json!({"type": "Sequence", "normalizers": doubling}),
+        ),
+        (
+            "normalizer",
+            json!({"type": "Precompiled", "precompiled_charsmap": "/////w=="}),
+        ),
     ] {
         let found = problem(with_tokenizer(|tokenizer| tokenizer[key] = value.clone()).folder());
-        assert!(found.contains("the tokenizer ") && found.contains("child process"), "{found}");
+        assert!(
+            found.contains("the tokenizer ") && found.contains("child process"),
+            "{found}"
+        );
         assert!(found.contains("--trust-model"), "{found}");
     }
     let backtracking = json!({
@@ -91,10 +124,16 @@ fn tokenizers_without_end_are_problems_and_nothing_hangs() {
     let copy = with_tokenizer(|tokenizer| tokenizer["pre_tokenizer"] = backtracking.clone());
     let cache = tempfile::tempdir().unwrap();
     let started = Instant::now();
-    planagent(cache.path()).args(["models", "check"]).arg(copy.folder()).output().unwrap();
+    planagent(cache.path())
+        .args(["models", "check"])
+        .arg(copy.folder())
+        .output()
+        .unwrap();
     assert!(started.elapsed() < MAX_CHECK, "{:?}", started.elapsed());
     let vocabulary = with_tokenizer(|_| {});
-    vocabulary.edit("config.json", |config| config["text_config"]["vocab_size"] = json!(1_u64 << 50));
+    vocabulary.edit("config.json", |config| {
+        config["text_config"]["vocab_size"] = json!(1_u64 << 50)
+    });
     assert!(!problems(vocabulary.folder()).is_empty());
 }
 
@@ -105,15 +144,28 @@ fn a_hostile_gguf_file_is_a_problem() {
     let file = folder.path().join("m.gguf");
     let registry = ModelRegistry::new("models", HubAccess::default()).with_trust(Trust::Caller);
     let spec = registry.find(copy.folder().to_str().unwrap()).unwrap();
-    let mut create =
-        |part: GgufPart| -> std::io::Result<Box<dyn Write>> { Ok(Box::new(File::create(part.path(&file))?)) };
-    registry.export(&spec, WeightFormat::Q8_0, &mut create, &mut |_, _| {}).unwrap();
+    let mut create = |part: GgufPart| -> std::io::Result<Box<dyn Write>> {
+        Ok(Box::new(File::create(part.path(&file))?))
+    };
+    registry
+        .export(&spec, WeightFormat::Q8_0, &mut create, &mut |_, _| {})
+        .unwrap();
     let found = problem(&file);
-    assert!(found.contains("the chat template ") && found.contains("child process"), "{found}");
+    assert!(
+        found.contains("the chat template ") && found.contains("child process"),
+        "{found}"
+    );
     let cache = tempfile::tempdir().unwrap();
-    let output = planagent(cache.path()).args(["plan", "--model"]).arg(&file).output().unwrap();
+    let output = planagent(cache.path())
+        .args(["plan", "--model"])
+        .arg(&file)
+        .output()
+        .unwrap();
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.code() == Some(2) && stderr.contains("child process"), "{stderr}");
+    assert!(
+        output.status.code() == Some(2) && stderr.contains("child process"),
+        "{stderr}"
+    );
 }
 
 #[test]
@@ -121,8 +173,17 @@ fn files_that_pass_are_tried_once_for_each_content() {
     let (copy, cache) = (Copy::new(), tempfile::tempdir().unwrap());
     let verdicts = || fs::read_dir(cache.path().join("models")).map_or(0, Iterator::count);
     let check = || {
-        let output = planagent(cache.path()).args(["models", "check"]).arg(copy.folder()).output().unwrap();
-        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stdout));
+        let output = planagent(cache.path())
+            .args(["models", "check"])
+            .arg(copy.folder())
+            .output()
+            .unwrap();
+        assert_eq!(
+            output.status.code(),
+            Some(0),
+            "{}",
+            String::from_utf8_lossy(&output.stdout)
+        );
     };
     check();
     assert_eq!(verdicts(), 1);
@@ -132,11 +193,15 @@ fn files_that_pass_are_tried_once_for_each_content() {
     fs::write(copy.path(TEMPLATE), template + "{# another #}").unwrap();
     check();
     assert_eq!(verdicts(), 2);
-    // A program that cannot be started cannot have tried a content that is new, and need not for one that is known.
+    // A program that cannot be started cannot have tried a content that is new, and need not for
+    // one that is known.
     let trial = |program: &str| Trust::Trial(Trial::by(program, &[], []));
-    let registry = ModelRegistry::new("models", HubAccess::default()).with_trust(trial("/nonexistent/program"));
+    let registry = ModelRegistry::new("models", HubAccess::default())
+        .with_trust(trial("/nonexistent/program"));
     match registry.open(&registry.find(copy.folder().to_str().unwrap()).unwrap()) {
-        Err(MllmError::Trial { problem, .. }) => assert!(problem.contains("cannot run"), "{problem}"),
+        Err(MllmError::Trial { problem, .. }) => {
+            assert!(problem.contains("cannot run"), "{problem}")
+        }
         other => panic!("{:?}", other.map(|model| model.name().to_owned())),
     }
 }
@@ -146,12 +211,30 @@ fn without_a_trial_somebody_has_to_vouch_for_a_folder() {
     let folder = fixture("tiny_llava");
     let registry = ModelRegistry::new("models", HubAccess::default());
     let spec = registry.find(folder.to_str().unwrap()).unwrap();
-    assert!(matches!(registry.open(&spec), Err(MllmError::Untrusted { .. })));
-    let trusted =
-        registry.find(folder.to_str().unwrap()).map(|spec| planagent_mllm::ModelSpec { trusted: true, ..spec });
+    assert!(matches!(
+        registry.open(&spec),
+        Err(MllmError::Untrusted { .. })
+    ));
+    let trusted = registry
+        .find(folder.to_str().unwrap())
+        .map(|spec| planagent_mllm::ModelSpec {
+            trusted: true,
+            ..spec
+        });
     assert!(registry.open(&trusted.unwrap()).is_ok());
-    assert!(registry.clone().with_trust(Trust::Caller).open(&spec).is_ok());
-    let agent = |builder: planagent::AgentBuilder| builder.model(folder.to_str().unwrap()).prompts("compact").build();
+    assert!(
+        registry
+            .clone()
+            .with_trust(Trust::Caller)
+            .open(&spec)
+            .is_ok()
+    );
+    let agent = |builder: planagent::AgentBuilder| {
+        builder
+            .model(folder.to_str().unwrap())
+            .prompts("compact")
+            .build()
+    };
     let error = agent(planagent::Agent::builder()).unwrap_err().to_string();
     assert!(error.contains("trust_model"), "{error}");
     agent(planagent::Agent::builder().trust_model()).unwrap();
@@ -164,24 +247,43 @@ fn a_panic_of_a_trusted_tokenizer_is_an_error() {
     let copy = with_tokenizer(|tokenizer| tokenizer["normalizer"] = charsmap);
     let registry = ModelRegistry::new("models", HubAccess::default()).with_trust(Trust::Caller);
     let spec = registry.find(copy.folder().to_str().unwrap()).unwrap();
-    assert!(matches!(registry.open(&spec), Err(MllmError::Panicked { .. })));
+    assert!(matches!(
+        registry.open(&spec),
+        Err(MllmError::Panicked { .. })
+    ));
     let cache = tempfile::tempdir().unwrap();
     let arguments = ["models", "check", "--trust-model", "--json"];
-    let output = planagent(cache.path()).args(arguments).arg(copy.folder()).output().unwrap();
+    let output = planagent(cache.path())
+        .args(arguments)
+        .arg(copy.folder())
+        .output()
+        .unwrap();
     let row: Value = serde_json::from_slice(&output.stdout).unwrap();
     let problem = row["problems"][0].as_str().unwrap();
-    assert!(output.status.code() == Some(1) && problem.contains("opening the model panicked"), "{problem}");
+    assert!(
+        output.status.code() == Some(1) && problem.contains("opening the model panicked"),
+        "{problem}"
+    );
 }
 
 /// A small file of any size, or a pipe in its place, is refused before it is read.
 #[test]
 fn small_files_have_limits() {
-    for (name, bytes) in [("config.json", 2 << 20), ("tokenizer.json", 200 << 20), ("tokenizer_config.json", 20 << 20)]
-    {
+    for (name, bytes) in [
+        ("config.json", 2 << 20),
+        ("tokenizer.json", 200 << 20),
+        ("tokenizer_config.json", 20 << 20),
+    ] {
         let copy = Copy::new();
-        File::create(copy.path(name)).unwrap().set_len(bytes).unwrap();
+        File::create(copy.path(name))
+            .unwrap()
+            .set_len(bytes)
+            .unwrap();
         let found = problem(copy.folder());
-        assert!(found.contains(name) && found.contains("are read"), "{found}");
+        assert!(
+            found.contains(name) && found.contains("are read"),
+            "{found}"
+        );
     }
     let copy = Copy::new();
     for number in 0..300 {
@@ -194,19 +296,29 @@ fn small_files_have_limits() {
 fn every_hostile_file_that_is_known_is_a_problem() -> Needy {
     let folder = data("hostile")?;
     for name in ["add.jinja", "dbl.jinja", "loop.jinja", "not.jinja"] {
-        let found = problem(with_template(&fs::read_to_string(folder.join(name)).unwrap()).folder());
-        assert!(found.contains("chat template") || found.contains(TEMPLATE), "{name}: {found}");
+        let found =
+            problem(with_template(&fs::read_to_string(folder.join(name)).unwrap()).folder());
+        assert!(
+            found.contains("chat template") || found.contains(TEMPLATE),
+            "{name}: {found}"
+        );
     }
     // These tokenizers are made for an earlier vocabulary of the model that ships.
     let nano = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/nano");
     let config: serde_json::Value =
         serde_json::from_str(&fs::read_to_string(nano.join("config.json")).unwrap()).unwrap();
-    let earlier =
-        [("pad_token_id", "600"), ("bos_token_id", "601"), ("eos_token_id", "602"), ("image_token_index", "603")];
+    let earlier = [
+        ("pad_token_id", "600"),
+        ("bos_token_id", "601"),
+        ("eos_token_id", "602"),
+        ("image_token_index", "603"),
+    ];
     let ids = earlier.map(|(name, earlier)| (config[name].to_string(), earlier));
-    for (name, is_harmless) in
-        [("norm_replace_bomb.json", false), ("precompiled.json", false), ("regex_bomb.json", true)]
-    {
+    for (name, is_harmless) in [
+        ("norm_replace_bomb.json", false),
+        ("precompiled.json", false),
+        ("regex_bomb.json", true),
+    ] {
         let copy = tempfile::tempdir().unwrap();
         for entry in fs::read_dir(&nano).unwrap() {
             let path = entry.unwrap().path();
@@ -214,16 +326,27 @@ fn every_hostile_file_that_is_known_is_a_problem() -> Needy {
                 fs::copy(&path, copy.path().join(path.file_name().unwrap())).unwrap();
             }
         }
-        fs::copy(folder.join("tokenizers").join(name), copy.path().join("tokenizer.json")).unwrap();
+        fs::copy(
+            folder.join("tokenizers").join(name),
+            copy.path().join("tokenizer.json"),
+        )
+        .unwrap();
         for file in ["config.json", "generation_config.json"] {
             let text = fs::read_to_string(nano.join(file)).unwrap();
-            let text = ids.iter().fold(text, |text, (now, earlier)| text.replace(now, earlier));
+            let text = ids
+                .iter()
+                .fold(text, |text, (now, earlier)| text.replace(now, earlier));
             fs::write(copy.path().join(file), text).unwrap();
         }
         if is_harmless {
             // Its pattern needs no backtracking in this version of the library.
             let cache = tempfile::tempdir().unwrap();
-            planagent(cache.path()).args(["models", "check"]).arg(copy.path()).timeout(MAX_CHECK).assert().success();
+            planagent(cache.path())
+                .args(["models", "check"])
+                .arg(copy.path())
+                .timeout(MAX_CHECK)
+                .assert()
+                .success();
             continue;
         }
         let found = problem(copy.path());

@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-use planagent_mllm::{FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, Trust, WeightFormat};
+use planagent_mllm::{
+    FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, Trust, WeightFormat,
+};
 
 use super::{FIRST, free, prefix, tiny};
 
@@ -36,7 +38,12 @@ impl Repository {
     /// All of these files.
     fn new(folder: &Path, files: &[&str]) -> Arc<Self> {
         let files = files.iter().map(ToString::to_string).collect();
-        Arc::new(Self { folder: folder.to_path_buf(), files, broken: AtomicUsize::new(0), sent: Mutex::default() })
+        Arc::new(Self {
+            folder: folder.to_path_buf(),
+            files,
+            broken: AtomicUsize::new(0),
+            sent: Mutex::default(),
+        })
     }
 
     /// Serves it as `org/tiny` and nothing else; gives the address.
@@ -64,17 +71,25 @@ impl Repository {
             let entries: Vec<serde_json::Value> = self.files.iter().map(entry).collect();
             return Some(serde_json::Value::from(entries).to_string().into_bytes());
         }
-        path.starts_with("/api/models/org/tiny")
-            .then(|| serde_json::json!({"id": "org/tiny", "sha": COMMIT, "siblings": []}).to_string().into_bytes())
+        path.starts_with("/api/models/org/tiny").then(|| {
+            serde_json::json!({"id": "org/tiny", "sha": COMMIT, "siblings": []})
+                .to_string()
+                .into_bytes()
+        })
     }
 }
 
 fn answer(mut stream: TcpStream, repository: &Repository) {
-    let mut lines = BufReader::new(stream.try_clone().unwrap()).lines().map_while(Result::ok);
+    let mut lines = BufReader::new(stream.try_clone().unwrap())
+        .lines()
+        .map_while(Result::ok);
     let first = lines.next().unwrap_or_default();
     lines.take_while(|line| !line.is_empty()).for_each(drop);
     let mut words = first.split(' ');
-    let (method, target) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+    let (method, target) = (
+        words.next().unwrap_or_default(),
+        words.next().unwrap_or_default(),
+    );
     let path = target.split('?').next().unwrap_or_default();
     let (status, body) = match repository.body(path) {
         Some(body) => ("200 OK", body),
@@ -89,9 +104,16 @@ fn answer(mut stream: TcpStream, repository: &Repository) {
     if method == "HEAD" {
         return;
     }
-    let is_weights = Path::new(path).extension().is_some_and(|extension| extension == "safetensors");
+    let is_weights = Path::new(path)
+        .extension()
+        .is_some_and(|extension| extension == "safetensors");
     let broken = is_weights
-        && repository.broken.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(1)).is_ok();
+        && repository
+            .broken
+            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| {
+                left.checked_sub(1)
+            })
+            .is_ok();
     if broken {
         stream.write_all(&body[..body.len() / 2]).unwrap();
         return;
@@ -115,12 +137,22 @@ fn a_hub_model_is_downloaded_once_and_then_found_offline() {
     let registry = |access| ModelRegistry::new("models", access).with_trust(Trust::Caller);
     let spec = registry(access(true, nowhere)).find("org/tiny").unwrap();
     let before = registry(access(true, nowhere)).open(&spec).map(|_| ());
-    assert!(matches!(before, Err(MllmError::NotInCache { .. })), "{before:?}");
+    assert!(
+        matches!(before, Err(MllmError::NotInCache { .. })),
+        "{before:?}"
+    );
 
     let address = Repository::new(&tiny(), &FILES).serve();
     let model = registry(access(false, &address)).open(&spec).unwrap();
     assert_eq!(model.name(), "tiny");
-    let answer = |model: &dyn Mllm| model.converse(&prefix(), 0).unwrap().ask(FIRST, &free(8)).unwrap().text;
+    let answer = |model: &dyn Mllm| {
+        model
+            .converse(&prefix(), 0)
+            .unwrap()
+            .ask(FIRST, &free(8))
+            .unwrap()
+            .text
+    };
     assert_eq!(answer(&*model), answer(&super::open()));
 
     let again = registry(access(true, nowhere)).open(&spec).unwrap();
@@ -133,12 +165,18 @@ fn a_hub_model_is_downloaded_once_and_then_found_offline() {
 
 /// A registry with a server and a cache, and its reports of progress.
 fn listening(cache: &Path, endpoint: &str) -> (ModelRegistry, Arc<Mutex<Vec<FetchProgress>>>) {
-    let access = HubAccess { offline: false, cache: Some(cache.to_path_buf()), endpoint: Some(endpoint.to_string()) };
+    let access = HubAccess {
+        offline: false,
+        cache: Some(cache.to_path_buf()),
+        endpoint: Some(endpoint.to_string()),
+    };
     let told = Arc::new(Mutex::new(Vec::new()));
     let listener = Arc::clone(&told);
     let registry = ModelRegistry::new("models", access)
         .with_trust(Trust::Caller)
-        .with_listener(Arc::new(move |progress| listener.lock().unwrap().push(progress)));
+        .with_listener(Arc::new(move |progress| {
+            listener.lock().unwrap().push(progress)
+        }));
     (registry, told)
 }
 
@@ -148,7 +186,10 @@ fn a_download_tells_how_far_it_is() {
     let (registry, told) = listening(cache.path(), &Repository::new(&tiny(), &FILES).serve());
     registry.fetch(&registry.find("org/tiny").unwrap()).unwrap();
     let told = told.lock().unwrap();
-    let all: u64 = FILES.iter().map(|file| std::fs::metadata(tiny().join(file)).unwrap().len()).sum();
+    let all: u64 = FILES
+        .iter()
+        .map(|file| std::fs::metadata(tiny().join(file)).unwrap().len())
+        .sum();
     let last = told.last().unwrap();
     assert_eq!((last.bytes, last.total), (all, all));
     assert!(told.iter().any(|progress| progress.bytes < all));
@@ -166,14 +207,24 @@ fn a_download_that_was_broken_off_is_taken_up_file_by_file() {
     let failed = registry.fetch(&spec);
     assert!(matches!(failed, Err(MllmError::Hub { .. })), "{failed:?}");
     assert!(registry.place_here(&spec).is_err(), "half a model is none");
-    let snapshot = cache.path().join("models--org--tiny/snapshots").join(COMMIT);
-    let kept: Vec<&str> = FILES.into_iter().filter(|file| snapshot.join(file).is_file()).collect();
+    let snapshot = cache
+        .path()
+        .join("models--org--tiny/snapshots")
+        .join(COMMIT);
+    let kept: Vec<&str> = FILES
+        .into_iter()
+        .filter(|file| snapshot.join(file).is_file())
+        .collect();
     repository.broken.store(0, Ordering::SeqCst);
     registry.open(&spec).unwrap();
     let sent = repository.sent.lock().unwrap().clone();
     assert!(sent.contains(&"model.safetensors".to_string()));
     for file in kept {
-        assert_eq!(sent.iter().filter(|name| *name == file).count(), 1, "{file} came twice: {sent:?}");
+        assert_eq!(
+            sent.iter().filter(|name| *name == file).count(),
+            1,
+            "{file} came twice: {sent:?}"
+        );
     }
 }
 
@@ -182,24 +233,46 @@ fn gguf_files_of_a_repository_are_fetched_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let local = ModelRegistry::new("models", HubAccess::default()).with_trust(Trust::Caller);
     let spec = local.find(tiny().to_str().unwrap()).unwrap();
-    for (file, weight_format) in [("tiny-q8_0.gguf", WeightFormat::Q8_0), ("tiny-f32.gguf", WeightFormat::F32)] {
+    for (file, weight_format) in [
+        ("tiny-q8_0.gguf", WeightFormat::Q8_0),
+        ("tiny-f32.gguf", WeightFormat::F32),
+    ] {
         let mut create = |part: GgufPart| -> std::io::Result<Box<dyn Write>> {
-            let path =
-                if part == GgufPart::Model { folder.path().join(file) } else { folder.path().join("mmproj.gguf") };
+            let path = if part == GgufPart::Model {
+                folder.path().join(file)
+            } else {
+                folder.path().join("mmproj.gguf")
+            };
             Ok(Box::new(std::fs::File::create(path)?))
         };
-        local.export(&spec, weight_format, &mut create, &mut |_, _| {}).unwrap();
+        local
+            .export(&spec, weight_format, &mut create, &mut |_, _| {})
+            .unwrap();
     }
-    let repository = Repository::new(folder.path(), &["tiny-q8_0.gguf", "tiny-f32.gguf", "mmproj.gguf"]);
+    let repository = Repository::new(
+        folder.path(),
+        &["tiny-q8_0.gguf", "tiny-f32.gguf", "mmproj.gguf"],
+    );
     let cache = tempfile::tempdir().unwrap();
     let (registry, _) = listening(cache.path(), &repository.serve());
-    let model = registry.open(&registry.find("org/tiny/tiny-f32.gguf").unwrap()).unwrap();
-    let answer = |model: &dyn Mllm| model.converse(&prefix(), 0).unwrap().ask(FIRST, &free(8)).unwrap().text;
+    let model = registry
+        .open(&registry.find("org/tiny/tiny-f32.gguf").unwrap())
+        .unwrap();
+    let answer = |model: &dyn Mllm| {
+        model
+            .converse(&prefix(), 0)
+            .unwrap()
+            .ask(FIRST, &free(8))
+            .unwrap()
+            .text
+    };
     assert_eq!(answer(&*model), answer(&super::open()));
     let mut sent = repository.sent.lock().unwrap().clone();
     sent.sort();
     assert_eq!(sent, ["mmproj.gguf", "tiny-f32.gguf"], "and nothing else");
-    let missing = registry.open(&registry.find("org/tiny/tiny-q4_k.gguf").unwrap()).map(|_| ());
+    let missing = registry
+        .open(&registry.find("org/tiny/tiny-q4_k.gguf").unwrap())
+        .map(|_| ());
     assert!(
         matches!(&missing, Err(MllmError::Hub { problem, .. }) if problem.contains("tiny-q4_k.gguf")),
         "{missing:?}"

@@ -8,7 +8,12 @@ use serde_json::json;
 use super::{Copy, FIRST, Tensors, free, open, prefix};
 
 fn answer(model: &LocalModel) -> String {
-    model.converse(&prefix(), 0).unwrap().ask(FIRST, &free(12)).unwrap().text
+    model
+        .converse(&prefix(), 0)
+        .unwrap()
+        .ask(FIRST, &free(12))
+        .unwrap()
+        .text
 }
 
 fn assert_same(copy: &Copy) {
@@ -18,18 +23,28 @@ fn assert_same(copy: &Copy) {
 fn renamed(rename: impl Fn(&str) -> String) -> Copy {
     let copy = Copy::new();
     copy.edit_tensors(|tensors| {
-        *tensors = std::mem::take(tensors).into_iter().map(|(name, tensor)| (rename(&name), tensor)).collect();
+        *tensors = std::mem::take(tensors)
+            .into_iter()
+            .map(|(name, tensor)| (rename(&name), tensor))
+            .collect();
     });
     copy
 }
 
 #[test]
 fn names_of_older_and_newer_files_are_read() {
-    assert_same(&renamed(|name| name.replace("vision_tower.", "vision_tower.vision_model.")));
     assert_same(&renamed(|name| {
-        let name =
-            name.replace("language_model.model.", "language_model.").replace("language_model.lm_head", "lm_head");
-        if name.starts_with("lm_head") { name } else { format!("model.{name}") }
+        name.replace("vision_tower.", "vision_tower.vision_model.")
+    }));
+    assert_same(&renamed(|name| {
+        let name = name
+            .replace("language_model.model.", "language_model.")
+            .replace("language_model.lm_head", "lm_head");
+        if name.starts_with("lm_head") {
+            name
+        } else {
+            format!("model.{name}")
+        }
     }));
 }
 
@@ -38,12 +53,18 @@ fn names_of_llava_next_are_read_in_every_layout() {
     let renamed = |rename: &dyn Fn(&str) -> String| {
         let copy = Copy::of("tiny_llava_next");
         copy.edit_tensors(|tensors| {
-            *tensors = std::mem::take(tensors).into_iter().map(|(name, tensor)| (rename(&name), tensor)).collect();
+            *tensors = std::mem::take(tensors)
+                .into_iter()
+                .map(|(name, tensor)| (rename(&name), tensor))
+                .collect();
         });
         answer(&copy.open().unwrap())
     };
     let as_it_is = renamed(&str::to_string);
-    assert_eq!(renamed(&|name| name.replace("vision_tower.", "vision_tower.vision_model.")), as_it_is);
+    assert_eq!(
+        renamed(&|name| name.replace("vision_tower.", "vision_tower.vision_model.")),
+        as_it_is
+    );
     let newest = |name: &str| match name.strip_prefix("language_model.") {
         Some("lm_head.weight") => "lm_head.weight".to_string(),
         Some(rest) => format!("model.language_model.{}", rest.trim_start_matches("model.")),
@@ -61,16 +82,30 @@ fn shards_are_joined_by_their_index() {
         let names: Vec<&String> = tensors.keys().collect();
         let (front, back) = names.split_at(names.len() / 2);
         let mut map = serde_json::Map::new();
-        for (file, part) in [("model-00001-of-00002.safetensors", front), ("model-00002-of-00002.safetensors", back)] {
-            let shard: Tensors = part.iter().map(|name| ((*name).clone(), tensors[*name].clone())).collect();
+        for (file, part) in [
+            ("model-00001-of-00002.safetensors", front),
+            ("model-00002-of-00002.safetensors", back),
+        ] {
+            let shard: Tensors = part
+                .iter()
+                .map(|name| ((*name).clone(), tensors[*name].clone()))
+                .collect();
             copy.write_tensors(file, &shard);
             map.extend(part.iter().map(|name| ((*name).clone(), json!(file))));
         }
         std::fs::remove_file(copy.path("model.safetensors")).unwrap();
-        std::fs::write(copy.path("model.safetensors.index.json"), json!({ "weight_map": map }).to_string()).unwrap();
+        std::fs::write(
+            copy.path("model.safetensors.index.json"),
+            json!({ "weight_map": map }).to_string(),
+        )
+        .unwrap();
         assert_eq!(answer(&copy.open().unwrap()), whole);
         std::fs::remove_file(copy.path("model-00002-of-00002.safetensors")).unwrap();
-        assert!(copy.error().to_string().contains("model-00002-of-00002.safetensors"));
+        assert!(
+            copy.error()
+                .to_string()
+                .contains("model-00002-of-00002.safetensors")
+        );
     }
 }
 
@@ -80,7 +115,12 @@ fn converted(dtype: Dtype, convert: impl Fn(f32) -> Vec<u8>) -> Copy {
     copy.edit_tensors(|tensors| {
         for (format, _, bytes) in tensors.values_mut() {
             *format = dtype;
-            *bytes = bytes.as_chunks::<4>().0.iter().flat_map(|bytes| convert(f32::from_le_bytes(*bytes))).collect();
+            *bytes = bytes
+                .as_chunks::<4>()
+                .0
+                .iter()
+                .flat_map(|bytes| convert(f32::from_le_bytes(*bytes)))
+                .collect();
         }
     });
     copy
@@ -88,13 +128,28 @@ fn converted(dtype: Dtype, convert: impl Fn(f32) -> Vec<u8>) -> Copy {
 
 #[test]
 fn half_precision_weights_are_widened() {
-    // The values change with the format, so the reference is the same checkpoint with rounded f32 weights.
-    let half = converted(Dtype::F16, |value| f16::from_f32(value).to_le_bytes().to_vec());
-    let rounded = converted(Dtype::F32, |value| f16::from_f32(value).to_f32().to_le_bytes().to_vec());
-    assert_eq!(answer(&half.open().unwrap()), answer(&rounded.open().unwrap()));
-    let brain = converted(Dtype::BF16, |value| bf16::from_f32(value).to_le_bytes().to_vec());
-    let rounded = converted(Dtype::F32, |value| bf16::from_f32(value).to_f32().to_le_bytes().to_vec());
-    assert_eq!(answer(&brain.open().unwrap()), answer(&rounded.open().unwrap()));
+    // The values change with the format, so the reference is the same checkpoint with rounded f32
+    // weights.
+    let half = converted(Dtype::F16, |value| {
+        f16::from_f32(value).to_le_bytes().to_vec()
+    });
+    let rounded = converted(Dtype::F32, |value| {
+        f16::from_f32(value).to_f32().to_le_bytes().to_vec()
+    });
+    assert_eq!(
+        answer(&half.open().unwrap()),
+        answer(&rounded.open().unwrap())
+    );
+    let brain = converted(Dtype::BF16, |value| {
+        bf16::from_f32(value).to_le_bytes().to_vec()
+    });
+    let rounded = converted(Dtype::F32, |value| {
+        bf16::from_f32(value).to_f32().to_le_bytes().to_vec()
+    });
+    assert_eq!(
+        answer(&brain.open().unwrap()),
+        answer(&rounded.open().unwrap())
+    );
 }
 
 #[test]
@@ -108,9 +163,18 @@ fn a_tied_head_is_the_embedding() {
     tied.edit_tensors(|tensors| {
         tensors.remove("language_model.lm_head.weight");
     });
-    assert_eq!(answer(&tied.open().unwrap()), answer(&copied.open().unwrap()), "a missing head is the embedding");
-    tied.edit("config.json", |config| config["text_config"]["tie_word_embeddings"] = json!(true));
-    assert_eq!(answer(&tied.open().unwrap()), answer(&copied.open().unwrap()));
+    assert_eq!(
+        answer(&tied.open().unwrap()),
+        answer(&copied.open().unwrap()),
+        "a missing head is the embedding"
+    );
+    tied.edit("config.json", |config| {
+        config["text_config"]["tie_word_embeddings"] = json!(true)
+    });
+    assert_eq!(
+        answer(&tied.open().unwrap()),
+        answer(&copied.open().unwrap())
+    );
 }
 
 #[test]
@@ -118,7 +182,9 @@ fn other_places_of_template_and_preprocessor_are_read() {
     let copy = Copy::new();
     let template = std::fs::read_to_string(copy.path("chat_template.jinja")).unwrap();
     std::fs::remove_file(copy.path("chat_template.jinja")).unwrap();
-    copy.edit("tokenizer_config.json", |config| config["chat_template"] = json!(template));
+    copy.edit("tokenizer_config.json", |config| {
+        config["chat_template"] = json!(template)
+    });
     let preprocessor = std::fs::read_to_string(copy.path("preprocessor_config.json")).unwrap();
     std::fs::remove_file(copy.path("preprocessor_config.json")).unwrap();
     let nested = format!(r#"{{"image_processor": {preprocessor}, "patch_size": 8}}"#);
@@ -133,12 +199,22 @@ fn other_places_of_template_and_preprocessor_are_read() {
 
 #[test]
 fn the_vision_layer_may_be_counted_from_either_end() {
-    for (layer, same) in
-        [(json!(-2), true), (json!(2), true), (json!([2]), true), (json!(-1), false), (json!(0), false)]
-    {
+    for (layer, same) in [
+        (json!(-2), true),
+        (json!(2), true),
+        (json!([2]), true),
+        (json!(-1), false),
+        (json!(0), false),
+    ] {
         let copy = Copy::new();
-        copy.edit("config.json", |config| config["vision_feature_layer"] = layer.clone());
-        assert_eq!(answer(&copy.open().unwrap()) == answer(&open()), same, "{layer}");
+        copy.edit("config.json", |config| {
+            config["vision_feature_layer"] = layer.clone()
+        });
+        assert_eq!(
+            answer(&copy.open().unwrap()) == answer(&open()),
+            same,
+            "{layer}"
+        );
     }
 }
 
@@ -150,6 +226,8 @@ fn rope_theta_stands_in_either_place() {
         config["text_config"]["rope_theta"] = json!(10_000);
     });
     assert_same(&copy);
-    copy.edit("config.json", |config| config["text_config"]["rope_theta"] = json!(10));
+    copy.edit("config.json", |config| {
+        config["text_config"]["rope_theta"] = json!(10)
+    });
     assert_ne!(answer(&copy.open().unwrap()), answer(&open()));
 }

@@ -1,4 +1,5 @@
-//! The language model stage, through its public interface, on the complete tiny checkpoints of `fixtures/tiny_*`.
+//! The language model stage, through its public interface, on the complete tiny checkpoints of
+//! `fixtures/tiny_*`.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
@@ -19,14 +20,18 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use planagent_mllm::{Constraint, Deadline, LocalModel, MllmError, PromptPrefix, Request, Sampling};
+use planagent_mllm::{
+    Constraint, Deadline, LocalModel, MllmError, PromptPrefix, Request, Sampling,
+};
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::Value;
 use tempfile::TempDir;
 
 /// A committed checkpoint.
 fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/fixtures")
+        .join(name)
 }
 
 /// The committed LLaVA.
@@ -44,7 +49,10 @@ fn picture() -> RgbImage {
 
 /// The prompt prefix of the reference chat.
 fn prefix() -> PromptPrefix {
-    PromptPrefix { system: "Drive safely.".into(), image: Some(picture().into()) }
+    PromptPrefix {
+        system: "Drive safely.".into(),
+        image: Some(picture().into()),
+    }
 }
 
 /// The first prompt of the reference chat.
@@ -53,7 +61,13 @@ const FIRST: &str = "Is there a crosswalk ahead?";
 const SECOND: &str = "Which lane, left or right? Überholen \u{1f697}!";
 
 fn request(constraint: Constraint, max_new_tokens: usize) -> Request {
-    Request { constraint, max_new_tokens, sampling: Sampling::Greedy, deadline: Deadline::NONE, draft: None }
+    Request {
+        constraint,
+        max_new_tokens,
+        sampling: Sampling::Greedy,
+        deadline: Deadline::NONE,
+        draft: None,
+    }
 }
 
 fn free(max_new_tokens: usize) -> Request {
@@ -81,7 +95,11 @@ impl Copy {
         for entry in std::fs::read_dir(from).unwrap() {
             let path = entry.unwrap().path();
             if path.is_file() {
-                std::fs::write(folder.path().join(path.file_name().unwrap()), std::fs::read(&path).unwrap()).unwrap();
+                std::fs::write(
+                    folder.path().join(path.file_name().unwrap()),
+                    std::fs::read(&path).unwrap(),
+                )
+                .unwrap();
             }
         }
         Self(folder)
@@ -101,7 +119,9 @@ impl Copy {
 
     /// The error that opening it gives.
     fn error(&self) -> MllmError {
-        self.open().map(|_| ()).expect_err("a broken checkpoint opens")
+        self.open()
+            .map(|_| ())
+            .expect_err("a broken checkpoint opens")
     }
 
     fn edit(&self, file: &str, change: impl FnOnce(&mut Value)) {
@@ -116,7 +136,12 @@ impl Copy {
         SafeTensors::deserialize(&bytes)
             .unwrap()
             .iter()
-            .map(|(name, view)| (name.to_string(), (view.dtype(), view.shape().to_vec(), view.data().to_vec())))
+            .map(|(name, view)| {
+                (
+                    name.to_string(),
+                    (view.dtype(), view.shape().to_vec(), view.data().to_vec()),
+                )
+            })
             .collect()
     }
 
@@ -124,7 +149,10 @@ impl Copy {
         let views: BTreeMap<&str, TensorView<'_>> = tensors
             .iter()
             .map(|(name, (dtype, shape, bytes))| {
-                (name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).unwrap())
+                (
+                    name.as_str(),
+                    TensorView::new(*dtype, shape.clone(), bytes).unwrap(),
+                )
             })
             .collect();
         serialize_to_file(views, None, &self.path(file)).unwrap();

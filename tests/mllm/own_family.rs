@@ -4,8 +4,9 @@ use std::ops::Range;
 
 use image::RgbImage;
 use planagent_mllm::{
-    Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, ImageFeatures, ImageLayout, LanguageModel,
-    Mllm, MllmError, ModelFiles, ModelInfo, ModelRegistry, PlacedImage, Positions, Tiles, Trust, VisionLanguageModel,
+    Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, ImageFeatures,
+    ImageLayout, LanguageModel, Mllm, MllmError, ModelFiles, ModelInfo, ModelRegistry, PlacedImage,
+    Positions, Tiles, Trust, VisionLanguageModel,
 };
 
 use super::{Copy, FIRST, free, open, prefix};
@@ -45,7 +46,11 @@ impl VisionLanguageModel for ToyModel {
         self.0.encode(tiles)
     }
 
-    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+    fn chat_format(
+        &self,
+        files: &ModelFiles,
+        tokenizer: &ChatTokenizer,
+    ) -> Result<Box<dyn ChatFormat>, MllmError> {
         self.0.chat_format(files, tokenizer)
     }
 
@@ -62,9 +67,16 @@ impl VisionLanguageModel for ToyModel {
 fn answer(model: &dyn Mllm, turned: bool) -> String {
     let mut prefix = prefix();
     if turned {
-        prefix.image = prefix.image.map(|image| image::imageops::rotate180(image.as_ref()).into());
+        prefix.image = prefix
+            .image
+            .map(|image| image::imageops::rotate180(image.as_ref()).into());
     }
-    model.converse(&prefix, 0).unwrap().ask(FIRST, &free(12)).unwrap().text
+    model
+        .converse(&prefix, 0)
+        .unwrap()
+        .ask(FIRST, &free(12))
+        .unwrap()
+        .text
 }
 
 #[test]
@@ -74,9 +86,18 @@ fn a_family_from_outside_opens_its_checkpoints() {
         config["model_type"] = "toy".into();
     });
     copy.edit_tensors(|tensors| {
-        *tensors = std::mem::take(tensors).into_iter().map(|(name, tensor)| (format!("toy.{name}"), tensor)).collect();
+        *tensors = std::mem::take(tensors)
+            .into_iter()
+            .map(|(name, tensor)| (format!("toy.{name}"), tensor))
+            .collect();
     });
-    let registry = ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() });
+    let registry = ModelRegistry::new(
+        "models",
+        HubAccess {
+            offline: true,
+            ..HubAccess::default()
+        },
+    );
     let registry = registry.with_trust(Trust::Caller);
     let folder = copy.folder().to_str().unwrap();
     let unknown = registry.open(&registry.find(folder).unwrap());
@@ -85,7 +106,14 @@ fn a_family_from_outside_opens_its_checkpoints() {
 
     let registry = registry.with_family(&TOY);
     let model = registry.open(&registry.find(folder).unwrap()).unwrap();
-    assert_eq!(Families::default().with(&TOY).detect(copy.folder()).unwrap().name(), "toy");
+    assert_eq!(
+        Families::default()
+            .with(&TOY)
+            .detect(copy.folder())
+            .unwrap()
+            .name(),
+        "toy"
+    );
     let plain = open();
     assert_eq!(answer(&*model, true), answer(&plain, false));
     assert_eq!(answer(&*model, false), answer(&plain, true));

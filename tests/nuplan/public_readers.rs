@@ -22,11 +22,17 @@ fn python() -> Result<String, Missing> {
 }
 
 fn placed(points: &[Point], origin: Point) -> Value {
-    points.iter().map(|p| json!([p.x + origin.x, p.y + origin.y])).collect()
+    points
+        .iter()
+        .map(|p| json!([p.x + origin.x, p.y + origin.y]))
+        .collect()
 }
 
 fn rings(areas: &[Polygon], origin: Point) -> Value {
-    areas.iter().map(|area| placed(area.ring(), origin)).collect()
+    areas
+        .iter()
+        .map(|area| placed(area.ring(), origin))
+        .collect()
 }
 
 /// The expected contents of the map package, in meters of the projection.
@@ -34,15 +40,25 @@ fn map_of(scenario: &Scenario, log: &ExportedLog, settings: &ExportSettings) -> 
     let (map, origin) = (&*scenario.map, settings.origin);
     let each = |kind: LaneKind, value: &dyn Fn(&Lane) -> Value| -> Map<String, Value> {
         let wanted = map.lanes().iter().filter(|lane| lane.kind == kind);
-        wanted.map(|lane| (lane.source_id.to_string(), value(lane))).collect()
+        wanted
+            .map(|lane| (lane.source_id.to_string(), value(lane)))
+            .collect()
     };
     let area = |lane: &Lane| placed(lane.polygon.ring(), origin);
     let path = |lane: &Lane| placed(lane.centerline.vertices(), origin);
     let ego = |frame: &planagent_scenario::Frame| frame.ego.center().position();
     let on_road: Vec<Point> = scenario.frames.iter().map(ego).collect();
     assert!(on_road.iter().all(|&point| map.is_drivable(point)));
-    let far = on_road.iter().map(|p| Point::new(p.x + 4000.0, p.y)).collect::<Vec<_>>();
-    let lit: Vec<i64> = map.lanes().iter().filter(|lane| lane.has_traffic_lights).map(|lane| lane.source_id).collect();
+    let far = on_road
+        .iter()
+        .map(|p| Point::new(p.x + 4000.0, p.y))
+        .collect::<Vec<_>>();
+    let lit: Vec<i64> = map
+        .lanes()
+        .iter()
+        .filter(|lane| lane.has_traffic_lights)
+        .map(|lane| lane.source_id)
+        .collect();
     json!({
         "location": log.location,
         "epsg": settings.epsg,
@@ -86,7 +102,10 @@ fn drive_of(scenario: &Scenario, log: &ExportedLog, settings: &ExportSettings) -
                 v.y
             ])
         });
-        let lights = frame.lights.iter().map(|(lane, status)| json!([map[lane].source_id, status.to_string()]));
+        let lights = frame
+            .lights
+            .iter()
+            .map(|(lane, status)| json!([map[lane].source_id, status.to_string()]));
         json!({
             "time_us": ego.time_us,
             "ego": [at.x + origin.x, at.y + origin.y, at.heading, ego.velocity.x, ego.velocity.y,
@@ -111,10 +130,23 @@ fn drive_of(scenario: &Scenario, log: &ExportedLog, settings: &ExportSettings) -
 
 /// Runs the script with words; what it printed.
 fn checked(python: &str, words: &[&Path]) -> String {
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/nuplan/check_with_geopandas.py");
-    let output = Command::new(python).arg(script).args(words).output().unwrap();
-    let (said, wrong) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.success() && said.starts_with("ok: "), "{said}{wrong}");
+    let script = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/nuplan/check_with_geopandas.py"
+    );
+    let output = Command::new(python)
+        .arg(script)
+        .args(words)
+        .output()
+        .unwrap();
+    let (said, wrong) = (
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr),
+    );
+    assert!(
+        output.status.success() && said.starts_with("ok: "),
+        "{said}{wrong}"
+    );
     said.into_owned()
 }
 
@@ -122,8 +154,11 @@ fn checked(python: &str, words: &[&Path]) -> String {
 fn public_readers_see_what_was_written() -> Needy {
     let python = python()?;
     // Seed 3: the areas of its roundabout cross themselves unless they are mended.
-    let scenarios: Vec<Scenario> =
-        types::in_suites().collect::<Vec<_>>().into_par_iter().map(|kind| generated(kind, 3)).collect();
+    let scenarios: Vec<Scenario> = types::in_suites()
+        .collect::<Vec<_>>()
+        .into_par_iter()
+        .map(|kind| generated(kind, 3))
+        .collect();
     let settings = ExportSettings::default();
     let home = tempfile::tempdir().unwrap();
     let folder = home.path().join("out");
@@ -136,15 +171,23 @@ fn public_readers_see_what_was_written() -> Needy {
     let expectations = home.path().join("expected.json");
     std::fs::write(&expectations, expected.to_string()).unwrap();
     let said = checked(&python, &[&folder, &expectations]);
-    assert!(said.starts_with(&format!("ok: {} scenarios", scenarios.len())), "{said}");
+    assert!(
+        said.starts_with(&format!("ok: {} scenarios", scenarios.len())),
+        "{said}"
+    );
     Ok(())
 }
 
 #[test]
 fn every_shape_of_more_seeds_is_valid() -> Needy {
     let python = python()?;
-    let specs: Vec<(ScenarioType, u64)> = types::in_suites().flat_map(|kind| [(kind, 1), (kind, 7)]).collect();
-    let scenarios: Vec<Scenario> = specs.into_par_iter().map(|(kind, seed)| generated(kind, seed)).collect();
+    let specs: Vec<(ScenarioType, u64)> = types::in_suites()
+        .flat_map(|kind| [(kind, 1), (kind, 7)])
+        .collect();
+    let scenarios: Vec<Scenario> = specs
+        .into_par_iter()
+        .map(|(kind, seed)| generated(kind, seed))
+        .collect();
     let home = tempfile::tempdir().unwrap();
     let folder = home.path().join("out");
     write_scenarios(&scenarios, &folder, &ExportSettings::default()).unwrap();
@@ -155,7 +198,10 @@ fn every_shape_of_more_seeds_is_valid() -> Needy {
 #[test]
 fn every_shape_of_a_recording_is_valid() -> Needy {
     let python = python()?;
-    let logs: Vec<Scenario> = argoverse2_logs()?.iter().map(|log| argoverse2::open(log).unwrap()).collect();
+    let logs: Vec<Scenario> = argoverse2_logs()?
+        .iter()
+        .map(|log| argoverse2::open(log).unwrap())
+        .collect();
     for scenarios in [recordings()?, &logs] {
         let home = tempfile::tempdir().unwrap();
         let folder = home.path().join("out");

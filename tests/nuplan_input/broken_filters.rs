@@ -12,20 +12,35 @@ fn error_of(content: &str) -> String {
 
 #[test]
 fn errors_name_file_and_line() {
-    let unquoted = error_of("scenario_types: null\nscenario_tokens:\n  - '0488dbdf03b55f00'\n  - 1234567890123456\n");
-    assert!(unquoted.contains("split.yaml, line 4: '1234567890123456' is read as a number"), "{unquoted}");
+    let unquoted = error_of(
+        "scenario_types: null\nscenario_tokens:\n  - '0488dbdf03b55f00'\n  - 1234567890123456\n",
+    );
+    assert!(
+        unquoted.contains("split.yaml, line 4: '1234567890123456' is read as a number"),
+        "{unquoted}"
+    );
     assert!(unquoted.contains("put it in quotes"), "{unquoted}");
     let twice = error_of("scenario_tokens: ['0488dbdf03b55f00',\n  '0488dbdf03b55f00']\n");
-    assert!(twice.contains("line 2: the token 0488dbdf03b55f00 stands in line 1 already"), "{twice}");
+    assert!(
+        twice.contains("line 2: the token 0488dbdf03b55f00 stands in line 1 already"),
+        "{twice}"
+    );
     let broken = error_of("scenario_tokens: [\n");
-    assert!(broken.contains("split.yaml, line") && broken.contains("in YAML"), "{broken}");
+    assert!(
+        broken.contains("split.yaml, line") && broken.contains("in YAML"),
+        "{broken}"
+    );
 }
 
 #[test]
 fn published_lists_are_known_by_their_tokens() -> Needy {
     let folder = data("splits")?;
     for split in &PUBLISHED_SPLITS {
-        let file = split.files.iter().map(|file| folder.join(file)).find(|path| path.is_file());
+        let file = split
+            .files
+            .iter()
+            .map(|file| folder.join(file))
+            .find(|path| path.is_file());
         let filter = FilterFile::open(&file.unwrap()).unwrap().filter;
         let tokens = filter.scenario_tokens.unwrap();
         assert!(split.is_published(&tokens), "{}", split.name);
@@ -40,6 +55,9 @@ fn published_lists_are_known_by_their_tokens() -> Needy {
 fn interplan_is_rejected_with_the_reason() -> Needy {
     let path = data("splits/interPlan__interplan10.yaml")?;
     let error = FilterFile::open(&path).unwrap_err().to_string();
-    assert!(error.contains("line 1: this is interPlan's filter"), "{error}");
+    assert!(
+        error.contains("line 1: this is interPlan's filter"),
+        "{error}"
+    );
     Ok(())
 }

@@ -5,8 +5,7 @@ use planagent_scenario::nuplan::{Exclusion, NuPlanError, ScenarioFault, Scenario
 use std::io::{Seek, SeekFrom, Write};
 
 /// SQL for the time at which the window of the scenario begins: 3 s before the tag.
-const START: &str =
-    "(SELECT p.timestamp - 3000000 FROM lidar_pc AS p, scenario_tag AS t WHERE t.lidar_pc_token = p.token)";
+const START: &str = "(SELECT p.timestamp - 3000000 FROM lidar_pc AS p, scenario_tag AS t WHERE t.lidar_pc_token = p.token)";
 
 #[test]
 fn the_unspoilt_data_set_opens() {
@@ -30,14 +29,26 @@ fn files_that_are_no_database() {
 fn damaged_pages_and_cut_files() {
     let set = DataSet::new();
     let length = std::fs::metadata(&set.log).unwrap().len();
-    let mut file = std::fs::OpenOptions::new().write(true).open(&set.log).unwrap();
+    let mut file = std::fs::OpenOptions::new()
+        .write(true)
+        .open(&set.log)
+        .unwrap();
     for page in 20..length / 4096 {
         file.seek(SeekFrom::Start(page * 4096)).unwrap();
         file.write_all(&[0xA5; 4096]).unwrap();
     }
-    set.assert_error_has(&[".db: damaged", "when reading table", "copy or download it again"]);
+    set.assert_error_has(&[
+        ".db: damaged",
+        "when reading table",
+        "copy or download it again",
+    ]);
     let set = DataSet::new();
-    std::fs::OpenOptions::new().write(true).open(&set.log).unwrap().set_len(length / 2).unwrap();
+    std::fs::OpenOptions::new()
+        .write(true)
+        .open(&set.log)
+        .unwrap()
+        .set_len(length / 2)
+        .unwrap();
     set.assert_error_has(&[".db: damaged"]);
 }
 
@@ -51,7 +62,8 @@ fn a_log_that_another_program_is_writing() {
 
 #[test]
 fn missing_tables_and_columns() {
-    DataSet::log_with("DROP TABLE scenario_tag").assert_error_has(&["no table scenario_tag; is it a nuPlan log?"]);
+    DataSet::log_with("DROP TABLE scenario_tag")
+        .assert_error_has(&["no table scenario_tag; is it a nuPlan log?"]);
     DataSet::log_with("ALTER TABLE ego_pose DROP COLUMN acceleration_x")
         .assert_error_has(&["table ego_pose has no column acceleration_x"]);
 }
@@ -59,28 +71,58 @@ fn missing_tables_and_columns() {
 #[test]
 fn cells_that_cannot_be_used() {
     for (sql, parts) in [
-        ("UPDATE lidar_box SET x = NULL", ["table lidar_box, row ", "column x is NULL"]),
-        ("UPDATE lidar_box SET yaw = 9e999", ["column yaw holds inf", "expected a finite number"]),
-        ("UPDATE lidar_box SET width = 0", ["column width holds 0", "expected meters above 0"]),
-        ("UPDATE lidar_box SET length = 'long'", ["column length holds a text", "expected a number"]),
+        (
+            "UPDATE lidar_box SET x = NULL",
+            ["table lidar_box, row ", "column x is NULL"],
+        ),
+        (
+            "UPDATE lidar_box SET yaw = 9e999",
+            ["column yaw holds inf", "expected a finite number"],
+        ),
+        (
+            "UPDATE lidar_box SET width = 0",
+            ["column width holds 0", "expected meters above 0"],
+        ),
+        (
+            "UPDATE lidar_box SET length = 'long'",
+            ["column length holds a text", "expected a number"],
+        ),
         (
             "UPDATE lidar_box SET track_token = x'0102030405060708'",
             ["column track_token names 0102030405060708", "table track"],
         ),
         (
             "UPDATE track SET category_token = x'0102030405060708'",
-            ["table track", "names 0102030405060708, which table category"],
+            [
+                "table track",
+                "names 0102030405060708, which table category",
+            ],
         ),
-        ("UPDATE category SET name = 'boat'", ["table category", "column name holds 'boat'"]),
-        ("UPDATE ego_pose SET qw = 0, qx = 0, qy = 0, qz = 0", ["table ego_pose", "column qw holds 0"]),
-        ("UPDATE ego_pose SET vx = NULL", ["table ego_pose", "column vx is NULL"]),
+        (
+            "UPDATE category SET name = 'boat'",
+            ["table category", "column name holds 'boat'"],
+        ),
+        (
+            "UPDATE ego_pose SET qw = 0, qx = 0, qy = 0, qz = 0",
+            ["table ego_pose", "column qw holds 0"],
+        ),
+        (
+            "UPDATE ego_pose SET vx = NULL",
+            ["table ego_pose", "column vx is NULL"],
+        ),
         (
             "UPDATE lidar_pc SET ego_pose_token = x'0102'",
-            ["table lidar_pc", "column ego_pose_token holds a token of 2 bytes, expected 8"],
+            [
+                "table lidar_pc",
+                "column ego_pose_token holds a token of 2 bytes, expected 8",
+            ],
         ),
         (
             "UPDATE lidar_pc SET ego_pose_token = x'0102030405060708'",
-            ["table lidar_pc", "names 0102030405060708, which table ego_pose"],
+            [
+                "table lidar_pc",
+                "names 0102030405060708, which table ego_pose",
+            ],
         ),
         (
             "UPDATE lidar_pc SET timestamp = 'now' WHERE token IN (SELECT lidar_pc_token FROM scenario_tag)",
@@ -102,15 +144,16 @@ fn routes_that_cannot_be_driven() {
         ("NULL", "its route is empty"),
         ("'12,34'", "its route holds '12,34'"),
         ("'None'", "its route holds 'None'"),
-        ("'987654321'", "its route holds roadblock 987654321, which the map test-town"),
+        (
+            "'987654321'",
+            "its route holds roadblock 987654321, which the map test-town",
+        ),
     ] {
-        DataSet::log_with(&format!("UPDATE scene SET roadblock_ids = {route}")).assert_error_has(&[
-            "scenario ",
-            ": scene ",
-            part,
-        ]);
+        DataSet::log_with(&format!("UPDATE scene SET roadblock_ids = {route}"))
+            .assert_error_has(&["scenario ", ": scene ", part]);
     }
-    DataSet::log_with("UPDATE log SET map_version = 'atlantis'").assert_error_has(&["no map of 'atlantis'", LOCATION]);
+    DataSet::log_with("UPDATE log SET map_version = 'atlantis'")
+        .assert_error_has(&["no map of 'atlantis'", LOCATION]);
 }
 
 #[test]
@@ -133,13 +176,17 @@ fn windows_that_the_log_does_not_hold() {
 
 #[test]
 fn a_window_that_reaches_over_the_end_is_cut_as_the_devkit_cuts_it() {
-    let set = DataSet::log_with(&format!("DELETE FROM lidar_pc WHERE timestamp > {START} + 8000000"));
+    let set = DataSet::log_with(&format!(
+        "DELETE FROM lidar_pc WHERE timestamp > {START} + 8000000"
+    ));
     assert_eq!(set.open().unwrap().iterations(), 81);
 }
 
 #[test]
 fn tokens_that_are_no_scenario_have_their_reason() {
-    let set = DataSet::log_with("DELETE FROM scene WHERE rowid NOT IN (SELECT rowid FROM scene ORDER BY name LIMIT 4)");
+    let set = DataSet::log_with(
+        "DELETE FROM scene WHERE rowid NOT IN (SELECT rowid FROM scene ORDER BY name LIMIT 4)",
+    );
     let filter = ScenarioFilter {
         scenario_tokens: Some(vec!["00000000000000aa".parse().unwrap(), set.token]),
         ..ScenarioFilter::default()
@@ -149,20 +196,62 @@ fn tokens_that_are_no_scenario_have_their_reason() {
     assert_eq!(findings.absent, ["00000000000000aa".parse().unwrap()]);
     assert_eq!(findings.excluded, [(set.token, Exclusion::SceneAtEdge)]);
     let refusal = |set: &DataSet, filter: ScenarioFilter| {
-        let filter = ScenarioFilter { scenario_tokens: Some(vec![set.token]), ..filter };
+        let filter = ScenarioFilter {
+            scenario_tokens: Some(vec![set.token]),
+            ..filter
+        };
         set.find(&filter).unwrap().excluded[0].1
     };
     let names = |name: &str| Some(vec![name.to_owned()]);
     let set = DataSet::log_with("UPDATE scene SET goal_ego_pose_token = NULL");
-    assert_eq!(refusal(&set, ScenarioFilter { remove_invalid_goals: true, ..Default::default() }), Exclusion::NoGoal);
-    assert_eq!(refusal(&set, ScenarioFilter { map_names: names("other"), ..Default::default() }), Exclusion::OtherMap);
-    assert_eq!(refusal(&set, ScenarioFilter { log_names: names("other"), ..Default::default() }), Exclusion::OtherLog);
     assert_eq!(
-        refusal(&set, ScenarioFilter { scenario_types: names("other"), ..Default::default() }),
+        refusal(
+            &set,
+            ScenarioFilter {
+                remove_invalid_goals: true,
+                ..Default::default()
+            }
+        ),
+        Exclusion::NoGoal
+    );
+    assert_eq!(
+        refusal(
+            &set,
+            ScenarioFilter {
+                map_names: names("other"),
+                ..Default::default()
+            }
+        ),
+        Exclusion::OtherMap
+    );
+    assert_eq!(
+        refusal(
+            &set,
+            ScenarioFilter {
+                log_names: names("other"),
+                ..Default::default()
+            }
+        ),
+        Exclusion::OtherLog
+    );
+    assert_eq!(
+        refusal(
+            &set,
+            ScenarioFilter {
+                scenario_types: names("other"),
+                ..Default::default()
+            }
+        ),
         Exclusion::OtherType
     );
-    let still = ScenarioFilter { ego_displacement_minimum_m: Some(1e6), ..Default::default() };
-    assert_eq!(refusal(&set, still), Exclusion::Filtered("ego_displacement_minimum_m"));
+    let still = ScenarioFilter {
+        ego_displacement_minimum_m: Some(1e6),
+        ..Default::default()
+    };
+    assert_eq!(
+        refusal(&set, still),
+        Exclusion::Filtered("ego_displacement_minimum_m")
+    );
     assert_eq!(set.open().unwrap().route.goal, None);
 }
 
@@ -179,7 +268,10 @@ fn a_token_that_is_not_in_the_log() {
     let mut found = set.found().unwrap();
     found.token = "00000000000000aa".parse().unwrap();
     match planagent_scenario::nuplan::open(&set.maps(), &found) {
-        Err(NuPlanError::Scenario { fault: ScenarioFault::NotInLog, .. }) => {}
+        Err(NuPlanError::Scenario {
+            fault: ScenarioFault::NotInLog,
+            ..
+        }) => {}
         other => panic!("{other:?}"),
     }
 }

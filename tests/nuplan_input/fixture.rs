@@ -24,9 +24,15 @@ fn written() -> &'static Written {
     WRITTEN.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
         let scenario = generate(&Spec::new(types::changing_lane::TYPE, 0)).unwrap();
-        let settings = ExportSettings { location: Some(LOCATION.to_owned()), ..ExportSettings::default() };
+        let settings = ExportSettings {
+            location: Some(LOCATION.to_owned()),
+            ..ExportSettings::default()
+        };
         let exported = write_scenario(&scenario, &folder.path().join("out"), &settings).unwrap();
-        Written { token: exported.logs[0].token.parse().unwrap(), folder }
+        Written {
+            token: exported.logs[0].token.parse().unwrap(),
+            folder,
+        }
     })
 }
 
@@ -44,9 +50,19 @@ impl DataSet {
         copy(&written().folder.path().join("out"), folder.path());
         let mut logs = std::fs::read_dir(folder.path().join("data")).unwrap();
         let log = logs.next().unwrap().unwrap().path();
-        let map = folder.path().join("maps").join(LOCATION).join("1.0").join("map.gpkg");
+        let map = folder
+            .path()
+            .join("maps")
+            .join(LOCATION)
+            .join("1.0")
+            .join("map.gpkg");
         assert!(map.is_file());
-        Self { folder, log, map, token: written().token }
+        Self {
+            folder,
+            log,
+            map,
+            token: written().token,
+        }
     }
 
     pub(super) fn log_with(sql: &str) -> Self {
@@ -62,7 +78,10 @@ impl DataSet {
     }
 
     pub(super) fn roots(&self) -> DataRoots {
-        DataRoots { data: Some(self.folder.path().join("data")), maps: Some(self.folder.path().join("maps")) }
+        DataRoots {
+            data: Some(self.folder.path().join("data")),
+            maps: Some(self.folder.path().join("maps")),
+        }
     }
 
     pub(super) fn maps(&self) -> MapStore {
@@ -76,10 +95,17 @@ impl DataSet {
 
     /// The exported scenario, found by its token.
     pub(super) fn found(&self) -> Result<LogScenario, NuPlanError> {
-        let filter = ScenarioFilter { scenario_tokens: Some(vec![self.token]), ..ScenarioFilter::default() };
+        let filter = ScenarioFilter {
+            scenario_tokens: Some(vec![self.token]),
+            ..ScenarioFilter::default()
+        };
         let findings = self.find(&filter)?;
         assert_eq!(findings.excluded, [], "the exported token is a scenario");
-        Ok(findings.scenarios.into_iter().next().expect("the exported token is in the log"))
+        Ok(findings
+            .scenarios
+            .into_iter()
+            .next()
+            .expect("the exported token is in the log"))
     }
 
     pub(super) fn open(&self) -> Result<Scenario, NuPlanError> {

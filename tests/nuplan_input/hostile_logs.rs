@@ -1,4 +1,5 @@
-//! Logs that were made to harm: what is no table, what never ends, and how the logs beside them fare.
+//! Logs that were made to harm: what is no table, what never ends, and how the logs beside them
+//! fare.
 
 use super::fixture::{DataSet, run};
 use crate::cli;
@@ -28,8 +29,10 @@ fn views_and_virtual_tables_are_no_tables() {
         DataSet::log_with(&sql).assert_error_has(&parts);
         assert!(begun.elapsed() < PATIENCE, "{sql}");
     }
-    DataSet::map_with("ALTER TABLE lanes_polygons RENAME TO old; CREATE VIEW lanes_polygons AS SELECT * FROM old")
-        .assert_error_has(&["lanes_polygons is a view and no table", "map.gpkg"]);
+    DataSet::map_with(
+        "ALTER TABLE lanes_polygons RENAME TO old; CREATE VIEW lanes_polygons AS SELECT * FROM old",
+    )
+    .assert_error_has(&["lanes_polygons is a view and no table", "map.gpkg"]);
 }
 
 #[test]
@@ -53,16 +56,28 @@ fn a_table_that_never_ends_is_given_up() {
     );
     let length = knot(&set.log);
     let begun = Instant::now();
-    let error = set.find(&ScenarioFilter::default()).unwrap_err().to_string();
+    let error = set
+        .find(&ScenarioFilter::default())
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("more steps than its size allows"), "{error}");
-    assert!(begun.elapsed() < PATIENCE, "{length} bytes took {:?}", begun.elapsed());
+    assert!(
+        begun.elapsed() < PATIENCE,
+        "{length} bytes took {:?}",
+        begun.elapsed()
+    );
 }
 
-/// Lets every cell of the first inner page of the tags lead to one page, again and again; gives the length of the file.
+/// Lets every cell of the first inner page of the tags lead to one page, again and again; gives the
+/// length of the file.
 fn knot(log: &std::path::Path) -> usize {
     let root = rusqlite::Connection::open(log)
         .unwrap()
-        .query_row("SELECT rootpage FROM sqlite_schema WHERE name = 'scenario_tag'", [], |row| row.get::<_, i64>(0))
+        .query_row(
+            "SELECT rootpage FROM sqlite_schema WHERE name = 'scenario_tag'",
+            [],
+            |row| row.get::<_, i64>(0),
+        )
         .unwrap();
     let root = usize::try_from(root).unwrap();
     let mut bytes = fs::read(log).unwrap();
@@ -79,11 +94,19 @@ fn knot(log: &std::path::Path) -> usize {
         u32::from_be_bytes(bytes[start + 8..start + 12].try_into().unwrap())
     };
     for level in 0..levels {
-        let below = if level + 1 == levels { leaf } else { u32::try_from(first + level + 1).unwrap() };
+        let below = if level + 1 == levels {
+            leaf
+        } else {
+            u32::try_from(first + level + 1).unwrap()
+        };
         bytes.extend(inner_page(page_size, children, below));
     }
     let start = (root - 1) * page_size;
-    bytes[start..start + page_size].copy_from_slice(&inner_page(page_size, children, u32::try_from(first).unwrap()));
+    bytes[start..start + page_size].copy_from_slice(&inner_page(
+        page_size,
+        children,
+        u32::try_from(first).unwrap(),
+    ));
     let pages = u32::try_from(bytes.len() / page_size).unwrap();
     bytes[28..32].copy_from_slice(&pages.to_be_bytes());
     fs::write(log, &bytes).unwrap();
@@ -102,7 +125,8 @@ fn inner_page(page_size: usize, children: usize, child: u32) -> Vec<u8> {
         content -= 5;
         page[content..content + 4].copy_from_slice(&child.to_be_bytes());
         page[content + 4] = u8::try_from(cell % 120 + 1).unwrap();
-        page[12 + 2 * cell..14 + 2 * cell].copy_from_slice(&u16::try_from(content).unwrap().to_be_bytes());
+        page[12 + 2 * cell..14 + 2 * cell]
+            .copy_from_slice(&u16::try_from(content).unwrap().to_be_bytes());
     }
     page[5..7].copy_from_slice(&u16::try_from(content).unwrap().to_be_bytes());
     page
@@ -125,9 +149,11 @@ fn an_endless_log_hides_no_log_beside_it() -> Needy {
 /// The log of the set is listed beside bad ones, of which each is an error.
 fn hides_no_log(set: &DataSet) {
     let folder = set.log.parent().unwrap();
-    for (name, bytes) in
-        [("empty.db", &b""[..]), ("page.db", &b"<html>"[..]), ("cut.db", &fs::read(&set.log).unwrap()[..5000])]
-    {
+    for (name, bytes) in [
+        ("empty.db", &b""[..]),
+        ("page.db", &b"<html>"[..]),
+        ("cut.db", &fs::read(&set.log).unwrap()[..5000]),
+    ] {
         fs::write(folder.join(name), bytes).unwrap();
     }
     let begun = Instant::now();

@@ -46,9 +46,16 @@ fn tables(browser: &mut Chromium, page: &Path) {
     browser.picture("overview");
     let rows = browser.value("document.querySelectorAll('.figures tbody tr').length");
     assert_eq!(rows, 2);
-    let score = browser.value("document.querySelector('.score-row:nth-child(3) .score-value output').textContent");
-    assert!(score.as_str().unwrap().parse::<f64>().unwrap() > 50.0, "{score}");
-    assert_eq!(browser.value("document.querySelectorAll('.view:not([hidden])').length"), 1);
+    let score = browser
+        .value("document.querySelector('.score-row:nth-child(3) .score-value output').textContent");
+    assert!(
+        score.as_str().unwrap().parse::<f64>().unwrap() > 50.0,
+        "{score}"
+    );
+    assert_eq!(
+        browser.value("document.querySelectorAll('.view:not([hidden])').length"),
+        1
+    );
     browser.press("2");
     // The score and its eight metrics.
     browser.wait_for("document.querySelectorAll('.card').length === 9");
@@ -60,7 +67,10 @@ fn tables(browser: &mut Chromium, page: &Path) {
 /// A replay plays and can be scrubbed, and its transcript follows.
 fn replay(browser: &mut Chromium, page: &Path, run: &Path) {
     let folders = fs::read_dir(run.join("simulations")).unwrap();
-    let first = folders.map(|entry| entry.unwrap().path()).find(|d| d.to_str().unwrap().contains("000000-")).unwrap();
+    let first = folders
+        .map(|entry| entry.unwrap().path())
+        .find(|d| d.to_str().unwrap().contains("000000-"))
+        .unwrap();
     let calls: Vec<Value> = fs::read_to_string(first.join("calls.jsonl"))
         .unwrap()
         .lines()
@@ -68,20 +78,28 @@ fn replay(browser: &mut Chromium, page: &Path, run: &Path) {
         .collect();
     browser.open(page, "scenarios/0/0");
     browser.wait_for("scenarios.replay !== null && document.querySelector('.transcript').dataset.iteration === '0'");
-    let scene =
-        "document.querySelector('.bev canvas').toDataURL().length + document.querySelector('.bev canvas').toDataURL()";
+    let scene = "document.querySelector('.bev canvas').toDataURL().length + document.querySelector('.bev canvas').toDataURL()";
     let before = browser.value(scene);
     assert!(before.as_str().unwrap().len() > 5_000, "the scene is empty");
 
     browser.press(" ");
     browser.wait_for(&format!("{NOW} > 0.5"));
-    assert_eq!(browser.value("document.querySelector('.play').getAttribute('aria-label')"), "Stop");
+    assert_eq!(
+        browser.value("document.querySelector('.play').getAttribute('aria-label')"),
+        "Stop"
+    );
     browser.press(" ");
     let stopped = browser.value(NOW);
     std::thread::sleep(std::time::Duration::from_millis(200));
     assert_eq!(browser.value(NOW), stopped, "it plays on");
     assert_ne!(browser.value(scene), before, "the scene stands still");
-    assert!(browser.value("location.hash").as_str().unwrap().starts_with("#scenarios/0/0/"));
+    assert!(
+        browser
+            .value("location.hash")
+            .as_str()
+            .unwrap()
+            .starts_with("#scenarios/0/0/")
+    );
 
     for call in &calls {
         // Half a second after each call, by the slider.
@@ -92,23 +110,48 @@ fn replay(browser: &mut Chromium, page: &Path, run: &Path) {
         assert!((browser.value(NOW).as_f64().unwrap() - at).abs() < 0.06);
         let shown = browser.value("document.querySelector('.transcript').dataset.iteration");
         assert_eq!(shown, call["iteration"].to_string());
-        let text = browser.value("document.querySelector('.transcript').textContent").as_str().unwrap().to_owned();
+        let text = browser
+            .value("document.querySelector('.transcript').textContent")
+            .as_str()
+            .unwrap()
+            .to_owned();
         let attempts = call["attempts"].as_array().unwrap();
         for attempt in attempts {
             let code = attempt["code"]["text"].as_str().unwrap();
             let score = format!("{:.2}", attempt["reflection"]["score"].as_f64().unwrap());
-            assert!(text.contains(code) && text.contains(&score), "no {code} with {score} in {text}");
+            assert!(
+                text.contains(code) && text.contains(&score),
+                "no {code} with {score} in {text}"
+            );
             for round in attempt["rounds"].as_array().unwrap() {
-                let (asked, answered) = (round["prompt"].as_str().unwrap(), round["answer"].as_str().unwrap());
-                assert!(text.contains(asked) && text.contains(answered), "no {asked}: {answered} in {text}");
+                let (asked, answered) = (
+                    round["prompt"].as_str().unwrap(),
+                    round["answer"].as_str().unwrap(),
+                );
+                assert!(
+                    text.contains(asked) && text.contains(answered),
+                    "no {asked}: {answered} in {text}"
+                );
             }
         }
-        assert_eq!(browser.value("document.querySelectorAll('.attempt').length"), attempts.len());
-        assert_eq!(browser.value("document.querySelectorAll('.attempt.executed').length"), 1);
+        assert_eq!(
+            browser.value("document.querySelectorAll('.attempt').length"),
+            attempts.len()
+        );
+        assert_eq!(
+            browser.value("document.querySelectorAll('.attempt.executed').length"),
+            1
+        );
         // A row for the environment, then rounds and reflection of each attempt.
-        assert_eq!(browser.value("document.querySelectorAll('.waterfall > div').length"), 1 + 4 * attempts.len());
+        assert_eq!(
+            browser.value("document.querySelectorAll('.waterfall > div').length"),
+            1 + 4 * attempts.len()
+        );
     }
-    assert!(browser.value("document.querySelectorAll('.thumb img').length") == 1, "no image of the prompt");
+    assert!(
+        browser.value("document.querySelectorAll('.thumb img').length") == 1,
+        "no image of the prompt"
+    );
     // The page has the key to nano's texts that the transcript begins with.
     let transcript = fs::read_to_string(first.join("transcript.md")).unwrap();
     let cells = "[...document.querySelectorAll('.text-key tbody tr')].map((row) => [...row.cells].map((cell) => cell.textContent))";
@@ -117,15 +160,41 @@ fn replay(browser: &mut Chromium, page: &Path, run: &Path) {
     assert!(shown.len() > 30, "only {} rows in the key", shown.len());
     let plain = transcript.replace('`', "");
     for row in shown {
-        let line = format!("| {} | {} |", row[0].as_str().unwrap(), row[1].as_str().unwrap());
+        let line = format!(
+            "| {} | {} |",
+            row[0].as_str().unwrap(),
+            row[1].as_str().unwrap()
+        );
         assert!(plain.contains(&line), "the transcript has no {line}");
     }
-    let key = plain.split("## Key to the compact texts").nth(1).unwrap().split("\n## ").next().unwrap();
-    let (rows, titles) = (key.matches("\n| ").count(), key.matches("| meaning |").count());
-    assert_eq!(shown.len(), rows - titles, "the page and the transcript have different keys");
-    let series = browser.value("document.querySelectorAll('.series').length").as_u64().unwrap();
+    let key = plain
+        .split("## Key to the compact texts")
+        .nth(1)
+        .unwrap()
+        .split("\n## ")
+        .next()
+        .unwrap();
+    let (rows, titles) = (
+        key.matches("\n| ").count(),
+        key.matches("| meaning |").count(),
+    );
+    assert_eq!(
+        shown.len(),
+        rows - titles,
+        "the page and the transcript have different keys"
+    );
+    let series = browser
+        .value("document.querySelectorAll('.series').length")
+        .as_u64()
+        .unwrap();
     assert!(series >= 12, "only {series} time series");
-    assert!(browser.value("document.querySelectorAll('.series .limit').length").as_u64().unwrap() >= 10);
+    assert!(
+        browser
+            .value("document.querySelectorAll('.series .limit').length")
+            .as_u64()
+            .unwrap()
+            >= 10
+    );
     browser.picture("scenarios");
 }
 

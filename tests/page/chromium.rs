@@ -13,7 +13,12 @@ use tempfile::TempDir;
 /// Maximum time of an answer on a busy machine.
 const PATIENCE: Duration = Duration::from_mins(2);
 /// Program names of Chromium.
-const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
+const NAMES: [&str; 4] = [
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+];
 
 /// A running browser with one page.
 pub(super) struct Chromium {
@@ -38,15 +43,34 @@ impl Chromium {
     pub(super) fn start(program: &Path) -> Self {
         let profile = TempDir::new().unwrap();
         let [to, from] = ["to", "from"].map(|name| profile.path().join(name));
-        assert!(Command::new("mkfifo").args([&to, &from]).status().unwrap().success());
+        assert!(
+            Command::new("mkfifo")
+                .args([&to, &from])
+                .status()
+                .unwrap()
+                .success()
+        );
         // The browser reads commands from descriptor 3 and answers on 4; the shell opens both.
         let script = "exec \"$0\" \"$@\" 3<\"$TO\" 4>\"$FROM\"";
         let process = Command::new("sh")
             .args(["-c", script])
             .arg(program)
-            .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"])
-            .args(["--remote-debugging-pipe", "--window-size=1280,800", "about:blank"])
-            .arg(format!("--user-data-dir={}", profile.path().join("profile").display()))
+            .args([
+                "--headless=new",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--disable-dev-shm-usage",
+                "--no-first-run",
+            ])
+            .args([
+                "--remote-debugging-pipe",
+                "--window-size=1280,800",
+                "about:blank",
+            ])
+            .arg(format!(
+                "--user-data-dir={}",
+                profile.path().join("profile").display()
+            ))
             .env("TO", &to)
             .env("FROM", &from)
             .stdin(Stdio::null())
@@ -59,15 +83,29 @@ impl Chromium {
         let (sender, receiver) = channel();
         std::thread::spawn(move || {
             for message in from.split(0).map_while(Result::ok) {
-                if sender.send(serde_json::from_slice(&message).unwrap()).is_err() {
+                if sender
+                    .send(serde_json::from_slice(&message).unwrap())
+                    .is_err()
+                {
                     return;
                 }
             }
         });
-        let mut browser =
-            Self { process, to, from: receiver, session: None, sent: 0, events: Vec::new(), _profile: profile };
-        let target = browser.call("Target.createTarget", &json!({"url": "about:blank"}))["targetId"].clone();
-        let attached = browser.call("Target.attachToTarget", &json!({"targetId": target, "flatten": true}));
+        let mut browser = Self {
+            process,
+            to,
+            from: receiver,
+            session: None,
+            sent: 0,
+            events: Vec::new(),
+            _profile: profile,
+        };
+        let target =
+            browser.call("Target.createTarget", &json!({"url": "about:blank"}))["targetId"].clone();
+        let attached = browser.call(
+            "Target.attachToTarget",
+            &json!({"targetId": target, "flatten": true}),
+        );
         browser.session = attached["sessionId"].as_str().map(str::to_owned);
         for domain in ["Runtime", "Log", "Page", "Network"] {
             browser.call(&format!("{domain}.enable"), &json!({}));
@@ -78,7 +116,8 @@ impl Chromium {
 
     /// Sets the size of the page in pixels, and the color scheme: `light` or `dark`.
     pub(super) fn show_at(&mut self, width: u32, height: u32, scheme: &str) {
-        let screen = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
+        let screen =
+            json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
         self.call("Emulation.setDeviceMetricsOverride", &screen);
         let features = json!([{"name": "prefers-color-scheme", "value": scheme}]);
         self.call("Emulation.setEmulatedMedia", &json!({"features": features}));
@@ -92,11 +131,16 @@ impl Chromium {
         if let Some(session) = &self.session {
             message["sessionId"] = json!(session);
         }
-        self.to.write_all(format!("{message}\0").as_bytes()).unwrap();
+        self.to
+            .write_all(format!("{message}\0").as_bytes())
+            .unwrap();
         let begun = Instant::now();
         loop {
             let left = PATIENCE.saturating_sub(begun.elapsed());
-            let answer = self.from.recv_timeout(left).unwrap_or_else(|_| panic!("no answer to {method}"));
+            let answer = self
+                .from
+                .recv_timeout(left)
+                .unwrap_or_else(|_| panic!("no answer to {method}"));
             if answer["id"] == id {
                 assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
                 return answer["result"].clone();
@@ -120,7 +164,11 @@ impl Chromium {
     pub(super) fn value(&mut self, expression: &str) -> Value {
         let asked = json!({"expression": expression, "awaitPromise": true, "returnByValue": true});
         let answer = self.call("Runtime.evaluate", &asked);
-        assert!(answer["exceptionDetails"].is_null(), "{expression}: {}", answer["exceptionDetails"]);
+        assert!(
+            answer["exceptionDetails"].is_null(),
+            "{expression}: {}",
+            answer["exceptionDetails"]
+        );
         answer["result"]["value"].clone()
     }
 
@@ -129,7 +177,11 @@ impl Chromium {
         let begun = Instant::now();
         while self.value(expression) != json!(true) {
             let said = self.value("document.getElementById('trouble')?.textContent");
-            assert!(begun.elapsed() < PATIENCE, "never: {expression}; the page says {said}; {:?}", self.errors());
+            assert!(
+                begun.elapsed() < PATIENCE,
+                "never: {expression}; the page says {said}; {:?}",
+                self.errors()
+            );
             std::thread::sleep(Duration::from_millis(30));
         }
     }
@@ -149,30 +201,47 @@ impl Chromium {
     pub(super) fn errors(&self) -> Vec<String> {
         let is_error = |event: &&Value| match event["method"].as_str() {
             Some("Runtime.exceptionThrown") => true,
-            Some("Runtime.consoleAPICalled") => {
-                ["error", "warning", "assert"].iter().any(|t| event["params"]["type"] == *t)
-            }
-            Some("Log.entryAdded") => ["error", "warning"].iter().any(|l| event["params"]["entry"]["level"] == *l),
+            Some("Runtime.consoleAPICalled") => ["error", "warning", "assert"]
+                .iter()
+                .any(|t| event["params"]["type"] == *t),
+            Some("Log.entryAdded") => ["error", "warning"]
+                .iter()
+                .any(|l| event["params"]["entry"]["level"] == *l),
             _ => false,
         };
-        self.events.iter().filter(is_error).map(ToString::to_string).collect()
+        self.events
+            .iter()
+            .filter(is_error)
+            .map(ToString::to_string)
+            .collect()
     }
 
     /// The network requests of the page, without its own file and data.
     pub(super) fn requests(&self) -> Vec<String> {
-        let urls = self.events.iter().filter(|event| event["method"] == "Network.requestWillBeSent");
+        let urls = self
+            .events
+            .iter()
+            .filter(|event| event["method"] == "Network.requestWillBeSent");
         let urls = urls.filter_map(|event| event["params"]["request"]["url"].as_str());
-        urls.filter(|url| !["file:", "data:", "blob:", "about:"].iter().any(|s| url.starts_with(s)))
-            .map(str::to_owned)
-            .collect()
+        urls.filter(|url| {
+            !["file:", "data:", "blob:", "about:"]
+                .iter()
+                .any(|s| url.starts_with(s))
+        })
+        .map(str::to_owned)
+        .collect()
     }
 
     /// Writes a screenshot into the folder `$PLANAGENT_SCREENSHOTS`, if it is set.
     pub(super) fn picture(&mut self, name: &str) {
         use base64::Engine;
-        let Some(folder) = std::env::var_os("PLANAGENT_SCREENSHOTS") else { return };
+        let Some(folder) = std::env::var_os("PLANAGENT_SCREENSHOTS") else {
+            return;
+        };
         let picture = self.call("Page.captureScreenshot", &json!({"format": "png"}));
-        let bytes = base64::engine::general_purpose::STANDARD.decode(picture["data"].as_str().unwrap()).unwrap();
+        let bytes = base64::engine::general_purpose::STANDARD
+            .decode(picture["data"].as_str().unwrap())
+            .unwrap();
         std::fs::write(Path::new(&folder).join(format!("{name}.png")), bytes).unwrap();
     }
 }

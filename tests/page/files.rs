@@ -9,8 +9,10 @@ use std::path::Path;
 use tempfile::TempDir;
 
 fn simulation_folders(run: &Path) -> Vec<std::path::PathBuf> {
-    let mut folders: Vec<_> =
-        fs::read_dir(run.join("simulations")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut folders: Vec<_> = fs::read_dir(run.join("simulations"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
     folders.sort();
     folders
 }
@@ -32,13 +34,23 @@ fn pages_hold_runs_and_name_what_is_missing() {
         serde_json::from_str(&stdout).unwrap()
     };
     let all = write(&[]);
-    assert_eq!((&all["simulations"], &all["replays"], &all["without_replay"]), (&8.into(), &7.into(), &1.into()));
+    assert_eq!(
+        (&all["simulations"], &all["replays"], &all["without_replay"]),
+        (&8.into(), &7.into(), &1.into())
+    );
     assert_eq!(all["bytes"], fs::metadata(&page).unwrap().len());
-    assert!(fs::read_to_string(&page).unwrap().contains("<title>PlanAgent: one, other</title>"));
+    assert!(
+        fs::read_to_string(&page)
+            .unwrap()
+            .contains("<title>PlanAgent: one, other</title>")
+    );
     let some = write(&["--scenario", "changing_lane"]);
     assert_eq!(some["replays"], 2, "{some}");
     let small = write(&["--max-mb", "0.16"]);
-    assert!(small["replays"].as_u64() < all["replays"].as_u64(), "{small}");
+    assert!(
+        small["replays"].as_u64() < all["replays"].as_u64(),
+        "{small}"
+    );
     assert!(small["bytes"].as_u64().unwrap() <= 160_000, "{small}");
 
     let nothing = refused(&["report", one.to_str().unwrap(), "--scenario", "submarine"]);
@@ -61,11 +73,16 @@ fn looks_like_the_page(run_folder: &str, png: &str) {
         [0, 2, 4].map(|i| u8::from_str_radix(&after[i..i + 2], 16).unwrap())
     };
     let pixels = 400;
-    let (code, _, stderr) = run(&["render", run_folder, "0", "--png", png, "--at", "2.0", "--pixels", "400"]);
+    let (code, _, stderr) = run(&[
+        "render", run_folder, "0", "--png", png, "--at", "2.0", "--pixels", "400",
+    ]);
     assert_eq!(code, 0, "{stderr}");
     let picture = image::open(png).unwrap().to_rgb8();
     let count = |name: &str, rows: std::ops::Range<u32>| {
-        picture.enumerate_pixels().filter(|(_, y, pixel)| rows.contains(y) && pixel.0 == color(name)).count()
+        picture
+            .enumerate_pixels()
+            .filter(|(_, y, pixel)| rows.contains(y) && pixel.0 == color(name))
+            .count()
     };
     let (scene, text) = (0..pixels, pixels..picture.height());
     for name in ["ground", "road", "route", "ego"] {
@@ -76,8 +93,11 @@ fn looks_like_the_page(run_folder: &str, png: &str) {
         assert!(count(name, text.clone()) > 20, "{name} in the legend");
     }
     // Antialiased letters have many shades.
-    let shades: std::collections::BTreeSet<[u8; 3]> =
-        picture.enumerate_pixels().filter(|(_, y, _)| text.contains(y)).map(|(_, _, pixel)| pixel.0).collect();
+    let shades: std::collections::BTreeSet<[u8; 3]> = picture
+        .enumerate_pixels()
+        .filter(|(_, y, _)| text.contains(y))
+        .map(|(_, _, pixel)| pixel.0)
+        .collect();
     assert!(shades.len() > 40, "{} shades", shades.len());
 }
 
@@ -87,15 +107,28 @@ fn a_simulation_is_rendered() {
     let out = work.path().join("run");
     simulate(&out, &scenes(1), "log-replay,simple");
     let run_folder = out.to_str().unwrap();
-    let [gif, png, mp4] = ["a.gif", "a.png", "a.mp4"].map(|name| work.path().join(name).to_str().unwrap().to_owned());
+    let [gif, png, mp4] =
+        ["a.gif", "a.png", "a.mp4"].map(|name| work.path().join(name).to_str().unwrap().to_owned());
     let small = ["--pixels", "160", "--view", "48"];
     let render = |more: &[&str]| {
         let (code, _, stderr) = run(&[&["render", run_folder], more, &small[..]].concat());
         assert_eq!(code, 0, "{stderr}");
     };
-    render(&["changing_lane/1", "--planner", "log-replay", "--gif", &gif, "--fps", "2"]);
-    let film = image::codecs::gif::GifDecoder::new(std::io::BufReader::new(fs::File::open(&gif).unwrap())).unwrap();
-    let frames = image::AnimationDecoder::into_frames(film).collect_frames().unwrap();
+    render(&[
+        "changing_lane/1",
+        "--planner",
+        "log-replay",
+        "--gif",
+        &gif,
+        "--fps",
+        "2",
+    ]);
+    let film =
+        image::codecs::gif::GifDecoder::new(std::io::BufReader::new(fs::File::open(&gif).unwrap()))
+            .unwrap();
+    let frames = image::AnimationDecoder::into_frames(film)
+        .collect_frames()
+        .unwrap();
     assert_eq!(frames.len(), 31);
     assert_ne!(frames[0].buffer(), frames[30].buffer());
     render(&["0", "--png", &png, "--at", "3.0"]);
@@ -103,24 +136,43 @@ fn a_simulation_is_rendered() {
     assert!(frame.width() == 160 && frame.height() > 160);
     // A decoded frame is the whole scene, not only its changes.
     let seen = frames[6].buffer();
-    let close =
-        |(a, b): (&image::Rgba<u8>, &image::Rgb<u8>)| a.0[3] == 255 && (0..3).all(|i| a.0[i].abs_diff(b.0[i]) < 48);
-    let same = seen.pixels().zip(frame.pixels()).filter(|&pair| close(pair)).count();
-    assert!(same * 100 > 97 * seen.pixels().len(), "{same} of {} pixels", seen.pixels().len());
+    let close = |(a, b): (&image::Rgba<u8>, &image::Rgb<u8>)| {
+        a.0[3] == 255 && (0..3).all(|i| a.0[i].abs_diff(b.0[i]) < 48)
+    };
+    let same = seen
+        .pixels()
+        .zip(frame.pixels())
+        .filter(|&pair| close(pair))
+        .count();
+    assert!(
+        same * 100 > 97 * seen.pixels().len(),
+        "{same} of {} pixels",
+        seen.pixels().len()
+    );
     render(&["0", "--png", &png]);
     assert!(image::open(&png).unwrap().width() > 4 * 160);
     looks_like_the_page(run_folder, &png);
 
     let fails = |more: &[&str]| refused(&[&["render", run_folder], more].concat());
     let several = fails(&["changing_lane/1", "--png", &png]);
-    assert!(several.contains("2 simulations") && several.contains("by log-replay, nonreactive"), "{several}");
+    assert!(
+        several.contains("2 simulations") && several.contains("by log-replay, nonreactive"),
+        "{several}"
+    );
     assert!(fails(&["7", "--png", &png]).contains("no simulation '7'"));
     assert!(fails(&["0", "--png", &png, "--at", "99"]).contains("outside the simulation"));
     assert!(fails(&["0"]).contains("--gif"));
     // Without ffmpeg the error has a hint.
-    let output = crate::cli::planagent().args(film_of(run_folder, &mp4)).env("PATH", work.path()).output().unwrap();
+    let output = crate::cli::planagent()
+        .args(film_of(run_folder, &mp4))
+        .env("PATH", work.path())
+        .output()
+        .unwrap();
     let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.code() == Some(2) && stderr.contains("ffmpeg") && stderr.contains("--gif"), "{stderr}");
+    assert!(
+        output.status.code() == Some(2) && stderr.contains("ffmpeg") && stderr.contains("--gif"),
+        "{stderr}"
+    );
 }
 
 /// The arguments that render a film.
@@ -134,7 +186,10 @@ fn ffmpeg_writes_a_film() -> Needy {
     let work = TempDir::new().unwrap();
     let [out, mp4] = ["run", "a.mp4"].map(|name| work.path().join(name));
     simulate(&out, &scenes(1), "log-replay");
-    assert_eq!(run(&film_of(out.to_str().unwrap(), mp4.to_str().unwrap())).0, 0);
+    assert_eq!(
+        run(&film_of(out.to_str().unwrap(), mp4.to_str().unwrap())).0,
+        0
+    );
     assert_eq!(&fs::read(&mp4).unwrap()[4..8], b"ftyp");
     Ok(())
 }

@@ -40,7 +40,11 @@ fn the_page_of_two_runs_fits_every_width() -> Needy {
 /// No view is wider than the window, and the scene is wide enough.
 fn fits(browser: &mut Chromium, page: &Path, name: &str) {
     for view in ["overview", "histograms", "scenarios"] {
-        let place = if view == "scenarios" { "scenarios/0/0/3.0" } else { view };
+        let place = if view == "scenarios" {
+            "scenarios/0/0/3.0"
+        } else {
+            view
+        };
         browser.open(page, place);
         browser.wait_for(&format!("document.body.dataset.view === '{view}'"));
         if view == "histograms" {
@@ -48,43 +52,72 @@ fn fits(browser: &mut Chromium, page: &Path, name: &str) {
         }
         if view == "scenarios" {
             browser.wait_for("scenarios.replay !== null && scenarios.bev.canvas.clientWidth > 0");
-            let scene = browser.value("scenarios.bev.canvas.getBoundingClientRect().width").as_f64().unwrap();
-            assert!(scene >= MIN_SCENE, "{name}: the scene is {scene} pixels wide");
+            let scene = browser
+                .value("scenarios.bev.canvas.getBoundingClientRect().width")
+                .as_f64()
+                .unwrap();
+            assert!(
+                scene >= MIN_SCENE,
+                "{name}: the scene is {scene} pixels wide"
+            );
         }
-        // Both at once: a view that grows between two questions gets a scrollbar, and the window is narrower.
-        let widths = browser.value("[document.documentElement.scrollWidth, document.documentElement.clientWidth]");
+        // Both at once: a view that grows between two questions gets a scrollbar, and the window is
+        // narrower.
+        let widths = browser
+            .value("[document.documentElement.scrollWidth, document.documentElement.clientWidth]");
         let [wide, window] = [0, 1].map(|i| widths[i].as_u64().unwrap());
-        assert!(wide <= window, "{name}, {view}: {wide} pixels in a window of {window}");
+        assert!(
+            wide <= window,
+            "{name}, {view}: {wide} pixels in a window of {window}"
+        );
         browser.picture(&format!("{view}_{name}"));
     }
 }
 
-/// Scores have intervals; runs are compared on the scenes that they share, and the page says how many.
+/// Scores have intervals; runs are compared on the scenes that they share, and the page says how
+/// many.
 fn comparison(browser: &mut Chromium, page: &Path) {
     browser.open(page, "overview");
     browser.wait_for("document.body.dataset.view === 'overview'");
     let text = |browser: &mut Chromium, selector: &str| -> String {
-        let found = browser.value(&format!("document.querySelector('{selector}')?.textContent"));
-        found.as_str().unwrap_or_else(|| panic!("no {selector}")).to_owned()
+        let found = browser.value(&format!(
+            "document.querySelector('{selector}')?.textContent"
+        ));
+        found
+            .as_str()
+            .unwrap_or_else(|| panic!("no {selector}"))
+            .to_owned()
     };
     let note = text(browser, ".scope-note");
-    assert!(note.contains("All 3 planners completed 2 of 3 scenes") && note.contains("common scenes"), "{note}");
+    assert!(
+        note.contains("All 3 planners completed 2 of 3 scenes") && note.contains("common scenes"),
+        "{note}"
+    );
     let shown = |browser: &mut Chromium| {
-        browser.value("[...document.querySelectorAll('.score-value output')].map((n) => n.textContent)")
+        browser.value(
+            "[...document.querySelectorAll('.score-value output')].map((n) => n.textContent)",
+        )
     };
     let common = shown(browser);
     browser.value("document.querySelector('.final-scores [data-value=all]').click()");
-    assert_ne!(shown(browser), common, "the score on three scenes is that on two");
+    assert_ne!(
+        shown(browser),
+        common,
+        "the score on three scenes is that on two"
+    );
     let interval = text(browser, ".score-value small");
     assert!(
-        interval
-            .split_once(" to ")
-            .is_some_and(|(low, high)| low.parse::<f64>().is_ok_and(|low| low <= high.parse().unwrap())),
+        interval.split_once(" to ").is_some_and(|(low, high)| low
+            .parse::<f64>()
+            .is_ok_and(|low| low <= high.parse().unwrap())),
         "{interval}"
     );
     let difference = text(browser, ".score-row:nth-child(3) .difference small");
     assert!(difference.contains(" to "), "{difference}");
-    assert_eq!(browser.value("document.querySelectorAll('.type-row:not(.axis-row)').length"), 3);
+    assert_eq!(
+        browser.value("document.querySelectorAll('.type-row:not(.axis-row)').length"),
+        3
+    );
 }
 
 /// The address follows the moment; the legend is complete; series have axes, and no limit is 0.
@@ -93,8 +126,17 @@ fn scene(browser: &mut Chromium, page: &Path) {
     browser.wait_for("scenarios.replay !== null");
     browser.value("scenarios.player.seek(4.2)");
     browser.wait_for("location.hash === '#scenarios/0/0/4.2'");
-    let legend = browser.value("document.querySelector('.scene-legend').textContent").to_string();
-    for entry in ["active plan", "trail", "recorded ego", "route", "lane", "vehicle"] {
+    let legend = browser
+        .value("document.querySelector('.scene-legend').textContent")
+        .to_string();
+    for entry in [
+        "active plan",
+        "trail",
+        "recorded ego",
+        "route",
+        "lane",
+        "vehicle",
+    ] {
         assert!(legend.contains(entry), "no {entry} in {legend}");
     }
     let before = browser.value("scenarios.bev.show.trail");
@@ -125,29 +167,44 @@ fn scene(browser: &mut Chromium, page: &Path) {
 fn decisions(browser: &mut Chromium) {
     let words = |browser: &mut Chromium, call: Value| -> String {
         let run = json!({"monitoring": true, "after_max_exec": "best"});
-        browser.value(&format!("decisionWords({call}, {run})")).as_str().unwrap().to_owned()
+        browser
+            .value(&format!("decisionWords({call}, {run})"))
+            .as_str()
+            .unwrap()
+            .to_owned()
     };
     let attempts = json!([{"reflection": {"score": 0.0}}, {"reflection": {"score": 0.41}}]);
     let refused = json!({"iteration": 20, "attempts": attempts, "decision": {"kind": "exhausted", "attempt": 1}, "emergency_brakes": 0});
     let said = words(browser, refused);
     assert!(
-        said.contains("Attempt 2, with 0.41, is executed all the same, because no other attempt scores more."),
+        said.contains(
+            "Attempt 2, with 0.41, is executed all the same, because no other attempt scores more."
+        ),
         "{said}"
     );
     let kept = json!({"iteration": 20, "attempts": attempts, "decision": {"kind": "keep_active_plan", "cause": "worse", "why": ""}, "emergency_brakes": 0});
     assert_eq!(browser.value(&format!("outcomeOf({kept})")), "exhausted");
     let said = words(browser, kept);
-    assert!(said.starts_with("The active plan is kept, because it scores more"), "{said}");
+    assert!(
+        said.starts_with("The active plan is kept, because it scores more"),
+        "{said}"
+    );
 
     // The model wrote the same code three times, the third time after other answers.
-    let attempt =
-        |answer: &str| json!({"code": {"text": "code"}, "rounds": [{"answer": answer}], "reflection": {"score": 0.2}});
+    let attempt = |answer: &str| json!({"code": {"text": "code"}, "rounds": [{"answer": answer}], "reflection": {"score": 0.2}});
     let attempts = json!([attempt("one"), attempt("one"), attempt("two")]);
     let repeats = browser.value(&format!("[0, 1, 2].map((i) => repeatOf({attempts}, i))"));
-    assert_eq!(repeats, json!([null, {"of": 0, "whole": true}, {"of": 0, "whole": false}]));
+    assert_eq!(
+        repeats,
+        json!([null, {"of": 0, "whole": true}, {"of": 0, "whole": false}])
+    );
     let same = json!({"iteration": 20, "attempts": attempts, "decision": {"kind": "exhausted", "attempt": 0}, "emergency_brakes": 0});
     let said = words(browser, same);
-    assert!(said.contains("All 3 attempts have the same code.") && said.contains("there is no better plan"), "{said}");
+    assert!(
+        said.contains("All 3 attempts have the same code.")
+            && said.contains("there is no better plan"),
+        "{said}"
+    );
 
     // A score stands beside a box, and inside the picture.
     let place = "(() => { const box = { left: 105, right: 155, top: 88, bottom: 113 }; const area = labelPlace({ x: 100, y: 100 }, [40, 18], [box], 400, 300); \

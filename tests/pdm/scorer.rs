@@ -9,17 +9,42 @@ use planagent_world::geometry::Pose;
 use planagent_world::{EgoState, LaneId, ObjectKind, TrackedObject, TrafficLights};
 use std::collections::BTreeSet;
 
-/// Scores straight proposals (a horizon of `states` states at constant speed) on an empty straight road.
-fn straight_scores(speeds: &[f64], states: usize, objects: &[TrackedObject], rival: f64) -> Vec<ProposalScore> {
+/// Scores straight proposals (a horizon of `states` states at constant speed) on an empty straight
+/// road.
+fn straight_scores(
+    speeds: &[f64],
+    states: usize,
+    objects: &[TrackedObject],
+    rival: f64,
+) -> Vec<ProposalScore> {
     let map = straight();
     let route = BTreeSet::from([LaneId(0)]);
-    let proposals: Vec<Vec<EgoState>> = speeds.iter().map(|&v| cruise(states, 0.0, 0.0, v)).collect();
+    let proposals: Vec<Vec<EgoState>> = speeds
+        .iter()
+        .map(|&v| cruise(states, 0.0, 0.0, v))
+        .collect();
     let start = ego(0, 0.0, 0.0, 0.0, 5.0);
-    let forecast = Forecast::new(&map, &route, &start, objects, &TrafficLights::default(), &mut Collided::default());
-    let drivable = DrivableMap::around(&map, &route, start.center().position(), DrivableLayers::Lanes);
+    let forecast = Forecast::new(
+        &map,
+        &route,
+        &start,
+        objects,
+        &TrafficLights::default(),
+        &mut Collided::default(),
+    );
+    let drivable = DrivableMap::around(
+        &map,
+        &route,
+        start.center().position(),
+        DrivableLayers::Lanes,
+    );
     let centerline = map.lanes()[0].centerline.clone();
-    let scene =
-        ScoringScene { drivable: &drivable, forecast: &forecast, centerline: &centerline, rival_progress: rival };
+    let scene = ScoringScene {
+        drivable: &drivable,
+        forecast: &forecast,
+        centerline: &centerline,
+        rival_progress: rival,
+    };
     score_proposals(&scene, &proposals).unwrap()
 }
 
@@ -30,22 +55,37 @@ fn progress_is_relative_to_the_best_or_to_a_rival() {
     assert!((scores[0].progress - 0.5).abs() < 1e-9 && (scores[1].progress - 1.0).abs() < 1e-9);
     assert!((scores[0].total - (5.0 * 0.5 + 7.0) / 12.0).abs() < 1e-9);
     let beside_rival = straight_scores(&[5.0, 10.0], 41, &[], 80.0);
-    assert!((beside_rival[0].progress - 0.25).abs() < 1e-9 && (beside_rival[1].progress - 0.5).abs() < 1e-9);
+    assert!(
+        (beside_rival[0].progress - 0.25).abs() < 1e-9
+            && (beside_rival[1].progress - 0.5).abs() < 1e-9
+    );
     // Nobody can move: standing still is perfect.
     assert!((straight_scores(&[0.0, 0.0], 41, &[], 0.0)[1].total - 1.0).abs() < 1e-12);
 }
 
 #[test]
 fn the_horizon_is_a_parameter() {
-    let cone = [object(1, ObjectKind::TrafficCone, Pose::new(30.0, 0.0, 0.0), (0.4, 0.4), 0.0)];
+    let cone = [object(
+        1,
+        ObjectKind::TrafficCone,
+        Pose::new(30.0, 0.0, 0.0),
+        (0.4, 0.4),
+        0.0,
+    )];
     // The front reaches the cone (29.8 m) when the centre is at 27.212 m: at 10 m/s after 2.8 s.
     let long = &straight_scores(&[10.0], 41, &cone, 0.0)[0];
-    assert_eq!((long.no_at_fault_collisions, long.time_to_collision), (0.5, 0.0));
+    assert_eq!(
+        (long.no_at_fault_collisions, long.time_to_collision),
+        (0.5, 0.0)
+    );
     assert!((long.first_at_fault_s.unwrap() - 2.8).abs() < 1e-9);
     // Seen from 0.9 s before.
     assert!((long.first_ttc_s.unwrap() - 1.9).abs() < 1e-9);
     let short = &straight_scores(&[10.0], 19, &cone, 0.0)[0];
-    assert_eq!((short.no_at_fault_collisions, short.time_to_collision), (1.0, 1.0));
+    assert_eq!(
+        (short.no_at_fault_collisions, short.time_to_collision),
+        (1.0, 1.0)
+    );
     assert!((short.progress_m - 18.0).abs() < 1e-9);
 }
 
@@ -54,8 +94,20 @@ fn proposals_that_are_too_short_are_refused() {
     let map = straight();
     let route = BTreeSet::new();
     let start = ego(0, 0.0, 0.0, 0.0, 5.0);
-    let forecast = Forecast::new(&map, &route, &start, &[], &TrafficLights::default(), &mut Collided::default());
-    let drivable = DrivableMap::around(&map, &route, start.center().position(), DrivableLayers::Lanes);
+    let forecast = Forecast::new(
+        &map,
+        &route,
+        &start,
+        &[],
+        &TrafficLights::default(),
+        &mut Collided::default(),
+    );
+    let drivable = DrivableMap::around(
+        &map,
+        &route,
+        start.center().position(),
+        DrivableLayers::Lanes,
+    );
     let scene = ScoringScene {
         drivable: &drivable,
         forecast: &forecast,

@@ -13,7 +13,12 @@ pub(super) struct Town {
 
 impl Town {
     /// Adds a piece with a roadblock of its own, both of one number.
-    pub(super) fn piece(&mut self, kind: LaneKind, line: &[(f64, f64)], limit: Option<f64>) -> LaneId {
+    pub(super) fn piece(
+        &mut self,
+        kind: LaneKind,
+        line: &[(f64, f64)],
+        limit: Option<f64>,
+    ) -> LaneId {
         let centerline = Polyline::new(line.iter().map(|&(x, y)| Point::new(x, y))).unwrap();
         let middle = centerline.pose_at(centerline.length() / 2.0);
         let polygon = OrientedBox::new(middle, centerline.length(), LANE_WIDTH).to_polygon();
@@ -21,7 +26,13 @@ impl Town {
     }
 
     /// Adds a piece of any outline.
-    pub(super) fn shaped(&mut self, kind: LaneKind, line: Polyline, polygon: Polygon, limit: Option<f64>) -> LaneId {
+    pub(super) fn shaped(
+        &mut self,
+        kind: LaneKind,
+        line: Polyline,
+        polygon: Polygon,
+        limit: Option<f64>,
+    ) -> LaneId {
         let number = self.parts.lanes.len() as u32;
         self.parts.roadblocks.push(Roadblock {
             id: RoadblockId(number),
@@ -62,7 +73,10 @@ impl Town {
     pub(super) fn link(&mut self, a: LaneId, b: LaneId) {
         self.parts.lanes[a.index()].outgoing.push(b);
         self.parts.lanes[b.index()].incoming.push(a);
-        let (a, b) = (self.parts.lanes[a.index()].roadblock, self.parts.lanes[b.index()].roadblock);
+        let (a, b) = (
+            self.parts.lanes[a.index()].roadblock,
+            self.parts.lanes[b.index()].roadblock,
+        );
         self.parts.roadblocks[a.index()].outgoing.push(b);
         self.parts.roadblocks[b.index()].incoming.push(a);
     }
@@ -88,5 +102,9 @@ pub(super) fn blocks(lanes: &[LaneId]) -> Vec<RoadblockId> {
 }
 
 pub(super) fn route(lanes: &[LaneId]) -> Route {
-    Route { roadblocks: blocks(lanes), goal: None, goal_lane: None }
+    Route {
+        roadblocks: blocks(lanes),
+        goal: None,
+        goal_lane: None,
+    }
 }

@@ -15,7 +15,10 @@ use std::sync::Mutex;
 use tempfile::TempDir;
 
 fn tasks() -> Vec<SimulationTask> {
-    let missing = ScenarioRef::unreadable(Path::new("nowhere.tfrecord"), "nowhere.tfrecord: cannot open".to_owned());
+    let missing = ScenarioRef::unreadable(
+        Path::new("nowhere.tfrecord"),
+        "nowhere.tfrecord: cannot open".to_owned(),
+    );
     let of = |source: &ScenarioRef, planner| SimulationTask {
         source: source.clone(),
         planner,
@@ -32,11 +35,16 @@ fn tasks() -> Vec<SimulationTask> {
 /// All records of a run of [`tasks`], by number.
 fn records(on_iteration: &(dyn Fn() + Sync)) -> BTreeMap<usize, SimulationRecord> {
     let records = Mutex::new(BTreeMap::new());
-    let outcome: Result<(), ()> =
-        runner::run(&tasks(), &[0, 1, 2], &AgentParts::default(), &|_| on_iteration(), &|number, record| {
+    let outcome: Result<(), ()> = runner::run(
+        &tasks(),
+        &[0, 1, 2],
+        &AgentParts::default(),
+        &|_| on_iteration(),
+        &|number, record| {
             assert!(records.lock().unwrap().insert(number, record).is_none());
             Ok(())
-        });
+        },
+    );
     outcome.unwrap();
     records.into_inner().unwrap()
 }
@@ -57,15 +65,22 @@ fn a_panic_is_recorded_with_its_place_and_the_run_continues() {
     panic_guard::install_hook();
     let records = records(&|| panic!("a wheel came off"));
     let error = records[&2].outcome.as_ref().unwrap_err();
-    assert!(error.contains("a wheel came off") && error.contains("failures.rs"), "{error}");
+    assert!(
+        error.contains("a wheel came off") && error.contains("failures.rs"),
+        "{error}"
+    );
     assert_eq!(records.len(), 3);
 }
 
 #[test]
 fn no_simulation_starts_after_a_record_that_cannot_be_written() {
-    let outcome = runner::run(&tasks(), &[0, 1, 2], &AgentParts::default(), &|_| (), &|number, _| {
-        Err(format!("disk full at {number}"))
-    });
+    let outcome = runner::run(
+        &tasks(),
+        &[0, 1, 2],
+        &AgentParts::default(),
+        &|_| (),
+        &|number, _| Err(format!("disk full at {number}")),
+    );
     assert!(outcome.unwrap_err().starts_with("disk full at"));
 }
 
@@ -73,8 +88,13 @@ fn no_simulation_starts_after_a_record_that_cannot_be_written() {
 fn mark_failed(folder: &Path) {
     let record = folder.join("record.toml");
     let text = fs::read_to_string(&record).unwrap();
-    let lines =
-        text.lines().map(|line| if line.starts_with("score = ") { "error = \"a wheel came off\"" } else { line });
+    let lines = text.lines().map(|line| {
+        if line.starts_with("score = ") {
+            "error = \"a wheel came off\""
+        } else {
+            line
+        }
+    });
     let header: Vec<&str> = lines.take_while(|line| *line != "[[metrics]]").collect();
     fs::write(&record, header.join("\n")).unwrap();
 }
@@ -84,16 +104,36 @@ fn failed_simulations_are_listed_and_repeated_only_on_demand() {
     let work = TempDir::new().unwrap();
     let [whole, mended] = ["whole", "mended"].map(|name| work.path().join(name));
     for out in [&whole, &mended] {
-        let flags = ["simulate", "--split", "generated", "--limit", "2", "--planner", "simple", "--quiet"];
-        assert_eq!(run(&[&flags[..], &["--out", out.to_str().unwrap()]].concat()).0, 0);
+        let flags = [
+            "simulate",
+            "--split",
+            "generated",
+            "--limit",
+            "2",
+            "--planner",
+            "simple",
+            "--quiet",
+        ];
+        assert_eq!(
+            run(&[&flags[..], &["--out", out.to_str().unwrap()]].concat()).0,
+            0
+        );
     }
     mark_failed(&simulations(&mended)[1]);
 
     let resume = ["simulate", "--resume", mended.to_str().unwrap()];
     let (code, stdout, stderr) = run(&resume);
     assert_eq!(code, 1, "{stderr}");
-    assert!(stderr.contains("a wheel came off") && stderr.contains("1 of 2 simulations failed"), "{stderr}");
-    assert!(stdout.lines().any(|line| line.starts_with("simple") && line.ends_with('1')), "{stdout}");
+    assert!(
+        stderr.contains("a wheel came off") && stderr.contains("1 of 2 simulations failed"),
+        "{stderr}"
+    );
+    assert!(
+        stdout
+            .lines()
+            .any(|line| line.starts_with("simple") && line.ends_with('1')),
+        "{stdout}"
+    );
     let summary = read_json(&mended.join("summary.json"));
     assert_eq!(summary["scenarios"][1]["error"], "a wheel came off");
     assert_eq!(summary["scenarios"][1]["succeeded"], false);
@@ -112,14 +152,32 @@ fn failed_simulations_are_listed_and_repeated_only_on_demand() {
 fn results_of_a_run_in_which_all_failed_can_be_read() {
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
-    let flags = ["simulate", "--split", "generated", "--limit", "2", "--planner", "simple", "--challenge", "both"];
-    assert_eq!(run(&[&flags[..], &["--quiet", "--out", out.to_str().unwrap()]].concat()).0, 0);
+    let flags = [
+        "simulate",
+        "--split",
+        "generated",
+        "--limit",
+        "2",
+        "--planner",
+        "simple",
+        "--challenge",
+        "both",
+    ];
+    assert_eq!(
+        run(&[&flags[..], &["--quiet", "--out", out.to_str().unwrap()]].concat()).0,
+        0
+    );
     for folder in simulations(&out) {
         mark_failed(&folder);
     }
     let (code, stdout, stderr) = run(&["simulate", "--resume", out.to_str().unwrap()]);
     assert_eq!(code, 1, "{stderr}");
-    assert!(stdout.lines().any(|line| line.starts_with("simple") && line.ends_with('4')), "{stdout}");
+    assert!(
+        stdout
+            .lines()
+            .any(|line| line.starts_with("simple") && line.ends_with('4')),
+        "{stdout}"
+    );
     assert!(!stdout.contains("coll ="), "a legend of nothing: {stdout}");
     for challenge in Challenge::CLOSED_LOOP {
         let (columns, rows) = aggregator_table(&out, &challenge.to_string());
@@ -142,7 +200,9 @@ fn results_of_a_run_in_which_all_failed_can_be_read() {
             "score",
         ];
         assert_eq!(columns, expected);
-        let report = out.join(challenge.to_string()).join("runner_report.parquet");
+        let report = out
+            .join(challenge.to_string())
+            .join("runner_report.parquet");
         assert_eq!(table(&report).1, 2);
     }
 }

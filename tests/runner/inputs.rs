@@ -36,28 +36,66 @@ fn another_prompt_or_model_file_is_named_and_must_be_accepted() {
     let prompts = copied("prompts/compact", &work.path().join("prompts"));
     let model = copied("models/nano", &work.path().join("model"));
     let set = format!("reasoning.prompt_set={prompts}");
-    let flags = ["--scenario", "generated/changing_lane/3", "--model", &model, "--set", &set];
-    let (code, _, stderr) =
-        run(&[&["simulate", "--out", folder, "--set", "reasoning.interval=1000"][..], &flags].concat());
+    let flags = [
+        "--scenario",
+        "generated/changing_lane/3",
+        "--model",
+        &model,
+        "--set",
+        &set,
+    ];
+    let (code, _, stderr) = run(&[
+        &[
+            "simulate",
+            "--out",
+            folder,
+            "--set",
+            "reasoning.interval=1000",
+        ][..],
+        &flags,
+    ]
+    .concat());
     assert_eq!(code, 0, "{stderr}");
     let summary = fs::read(out.join("summary.json")).unwrap();
 
     let resume = ["simulate", "--resume", folder];
     edit(&Path::new(&prompts).join("code.jinja"));
     let prompt = refused(&resume);
-    assert!(prompt.contains(&format!("prompt set changed: {prompts}/code.jinja")), "{prompt}");
-    assert!(!prompt.contains("model changed") && prompt.contains("--accept-changes"), "{prompt}");
+    assert!(
+        prompt.contains(&format!("prompt set changed: {prompts}/code.jinja")),
+        "{prompt}"
+    );
+    assert!(
+        !prompt.contains("model changed") && prompt.contains("--accept-changes"),
+        "{prompt}"
+    );
     edit(&Path::new(&model).join("chat_template.jinja"));
     fs::write(Path::new(&model).join("added.json"), "{}").unwrap();
     let both = refused(&resume);
-    assert!(both.contains("prompt set changed") && both.contains("model changed"), "{both}");
-    assert!(both.contains("chat_template.jinja") && both.contains("added.json is new"), "{both}");
+    assert!(
+        both.contains("prompt set changed") && both.contains("model changed"),
+        "{both}"
+    );
+    assert!(
+        both.contains("chat_template.jinja") && both.contains("added.json is new"),
+        "{both}"
+    );
 
     let (code, _, stderr) = run(&[&resume[..], &["--accept-changes"]].concat());
-    assert!(code == 0 && stderr.contains("accepted: prompt set changed"), "{stderr}");
-    let manifest: toml::Table = fs::read_to_string(out.join("manifest.toml")).unwrap().parse().unwrap();
+    assert!(
+        code == 0 && stderr.contains("accepted: prompt set changed"),
+        "{stderr}"
+    );
+    let manifest: toml::Table = fs::read_to_string(out.join("manifest.toml"))
+        .unwrap()
+        .parse()
+        .unwrap();
     let accepted = manifest["accepted"].as_array().unwrap();
-    assert_eq!(accepted[0]["changes"].as_array().unwrap().len(), 3, "{accepted:?}");
+    assert_eq!(
+        accepted[0]["changes"].as_array().unwrap().len(),
+        3,
+        "{accepted:?}"
+    );
     // From now on the new files are those of the run; its tables are what they were.
     assert_eq!(run(&resume).0, 0);
     assert_eq!(fs::read(out.join("summary.json")).unwrap(), summary);
@@ -69,30 +107,53 @@ fn another_prompt_or_model_file_is_named_and_must_be_accepted() {
 fn another_recording_under_the_same_name_is_refused() -> Needy {
     let recordings = data("womd")?;
     let work = TempDir::new().unwrap();
-    let (out, recording) = (work.path().join("run"), work.path().join("recording.tfrecord"));
+    let (out, recording) = (
+        work.path().join("run"),
+        work.path().join("recording.tfrecord"),
+    );
     let folder = out.to_str().unwrap();
     let [one, other] = ["eb4b91b10ca94ff2", "1446dc44bd6fd420"].map(|id| {
         let path = recordings.join(format!("{id}.tfrecord"));
         fs::read(path).unwrap()
     });
     fs::write(&recording, &one).unwrap();
-    let flags = ["simulate", "--planner", "log-replay", "--scenario", recording.to_str().unwrap(), "--out", folder];
+    let flags = [
+        "simulate",
+        "--planner",
+        "log-replay",
+        "--scenario",
+        recording.to_str().unwrap(),
+        "--out",
+        folder,
+    ];
     let (code, _, stderr) = run(&flags);
     assert_eq!(code, 0, "{stderr}");
 
     let resume = ["simulate", "--resume", folder];
     let touched = fs::File::options().write(true).open(&recording).unwrap();
-    touched.set_modified(SystemTime::now() + Duration::from_mins(1)).unwrap();
-    assert_eq!(run(&resume).0, 0, "the same content at another time is the same recording");
+    touched
+        .set_modified(SystemTime::now() + Duration::from_mins(1))
+        .unwrap();
+    assert_eq!(
+        run(&resume).0,
+        0,
+        "the same content at another time is the same recording"
+    );
 
     fs::remove_dir_all(&simulations(&out)[0]).unwrap();
     fs::write(&recording, &other).unwrap();
     let changed = refused(&resume);
-    assert!(changed.contains("recording changed: ") && changed.contains("recording.tfrecord"), "{changed}");
+    assert!(
+        changed.contains("recording changed: ") && changed.contains("recording.tfrecord"),
+        "{changed}"
+    );
     // With the recording back, the lost simulation is noticed and repeated.
     fs::write(&recording, &one).unwrap();
     let (code, _, stderr) = run(&resume);
-    assert!(code == 0 && stderr.contains("1 simulations of this run, which had ended, have no folder"), "{stderr}");
+    assert!(
+        code == 0 && stderr.contains("1 simulations of this run, which had ended, have no folder"),
+        "{stderr}"
+    );
     Ok(())
 }
 
@@ -101,7 +162,15 @@ fn damaged_results_are_simulated_again_and_a_damaged_manifest_is_no_dead_end() {
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
     let folder = out.to_str().unwrap();
-    let flags = ["simulate", "--scenario", "generated/changing_lane/3", "--planner", "log-replay", "--out", folder];
+    let flags = [
+        "simulate",
+        "--scenario",
+        "generated/changing_lane/3",
+        "--planner",
+        "log-replay",
+        "--out",
+        folder,
+    ];
     assert_eq!(run(&flags).0, 0);
     let summary = fs::read(out.join("summary.json")).unwrap();
     let metrics = simulations(&out)[0].join("metrics.toml");
@@ -110,9 +179,15 @@ fn damaged_results_are_simulated_again_and_a_damaged_manifest_is_no_dead_end() {
     for cut in ["", &whole[..last], &whole[..whole.len() / 2]] {
         fs::write(&metrics, cut).unwrap();
         let (code, _, stderr) = run(&["simulate", "--resume", folder]);
-        assert!(code == 0 && stderr.contains("is damaged; its simulation is repeated"), "{stderr}");
+        assert!(
+            code == 0 && stderr.contains("is damaged; its simulation is repeated"),
+            "{stderr}"
+        );
         assert_eq!(
-            (fs::read_to_string(&metrics).unwrap(), fs::read(out.join("summary.json")).unwrap()),
+            (
+                fs::read_to_string(&metrics).unwrap(),
+                fs::read(out.join("summary.json")).unwrap()
+            ),
             (whole.clone(), summary.clone())
         );
     }
@@ -120,7 +195,10 @@ fn damaged_results_are_simulated_again_and_a_damaged_manifest_is_no_dead_end() {
     for cut in ["", &manifest[..manifest.find("[scenarios]").unwrap()]] {
         fs::write(out.join("manifest.toml"), cut).unwrap();
         let again = refused(&flags);
-        assert!(again.contains("manifest.toml is damaged") && again.contains("holds simulations"), "{again}");
+        assert!(
+            again.contains("manifest.toml is damaged") && again.contains("holds simulations"),
+            "{again}"
+        );
     }
     fs::write(out.join("manifest.toml"), "").unwrap();
     for leftover in fs::read_dir(&out).unwrap() {
@@ -128,7 +206,9 @@ fn damaged_results_are_simulated_again_and_a_damaged_manifest_is_no_dead_end() {
         let name = path.file_name().unwrap().to_str().unwrap().to_owned();
         if path.is_dir() && name != "simulations" {
             fs::remove_dir_all(path).unwrap();
-        } else if path.is_file() && !["manifest.toml", "config.toml", ".lock"].contains(&name.as_str()) {
+        } else if path.is_file()
+            && !["manifest.toml", "config.toml", ".lock"].contains(&name.as_str())
+        {
             fs::remove_file(path).unwrap();
         }
     }

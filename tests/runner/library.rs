@@ -1,7 +1,11 @@
 //! Runs and experiments of a program that uses the library alone.
 
-use planagent::planning::{PlannerEntry, PlannerName, PlannerNeeds, PlannerRegistry, SimplePlanner};
-use planagent::runs::{Config, Event, Experiments, ExperimentsRequest, Listener, Request, resume, start};
+use planagent::planning::{
+    PlannerEntry, PlannerName, PlannerNeeds, PlannerRegistry, SimplePlanner,
+};
+use planagent::runs::{
+    Config, Event, Experiments, ExperimentsRequest, Listener, Request, resume, start,
+};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tempfile::TempDir;
@@ -11,9 +15,12 @@ const SCENE: &str = "generated/changing_lane/3";
 #[test]
 fn a_program_runs_its_own_planner_and_resumes_the_run() {
     let work = TempDir::new().unwrap();
-    let own = PlannerEntry::new(PlannerName::new("mine"), "straight ahead", PlannerNeeds::Nothing, |_| {
-        Ok(Box::new(SimplePlanner::default()))
-    });
+    let own = PlannerEntry::new(
+        PlannerName::new("mine"),
+        "straight ahead",
+        PlannerNeeds::Nothing,
+        |_| Ok(Box::new(SimplePlanner::default())),
+    );
     let request = Request {
         scenarios: vec![SCENE.to_owned()],
         planners: vec!["mine".to_owned(), "idm".to_owned()],
@@ -29,13 +36,27 @@ fn a_program_runs_its_own_planner_and_resumes_the_run() {
     });
     let (config, folder) = (Config::default(), work.path().join("run"));
     let results = start(&request, &config, Some(&folder), &listener).unwrap();
-    assert_eq!(results.rows.iter().map(|row| row.planner.as_str()).collect::<Vec<_>>(), ["mine", "idm"]);
+    assert_eq!(
+        results
+            .rows
+            .iter()
+            .map(|row| row.planner.as_str())
+            .collect::<Vec<_>>(),
+        ["mine", "idm"]
+    );
     let simulated = steps.load(Ordering::Relaxed);
     assert!(simulated >= 300, "{simulated} steps");
 
     let resumed = resume(&folder, &request, &config, &listener).unwrap();
-    assert_eq!((&resumed.rows, &resumed.summary), (&results.rows, &results.summary));
-    assert_eq!(steps.load(Ordering::Relaxed), simulated, "a simulation was repeated");
+    assert_eq!(
+        (&resumed.rows, &resumed.summary),
+        (&results.rows, &results.summary)
+    );
+    assert_eq!(
+        steps.load(Ordering::Relaxed),
+        simulated,
+        "a simulation was repeated"
+    );
     // A program that lacks the planner still reads the results.
     let read = resume(&folder, &Request::default(), &config, &listener).unwrap();
     assert_eq!((read.rows, read.missing.len()), (resumed.rows, 0));

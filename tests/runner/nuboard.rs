@@ -18,9 +18,17 @@ fn opened(python: &str) -> String {
     fs::rename(&out, &moved).unwrap();
 
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/runner/read_nuboard.py");
-    let output = Command::new(python).arg(script).arg(&moved).output().unwrap();
-    let [stdout, stderr] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
-    assert!(output.status.success() && stdout.contains("2 files opened"), "{stdout}\n{stderr}");
+    let output = Command::new(python)
+        .arg(script)
+        .arg(&moved)
+        .output()
+        .unwrap();
+    let [stdout, stderr] =
+        [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+    assert!(
+        output.status.success() && stdout.contains("2 files opened"),
+        "{stdout}\n{stderr}"
+    );
     stdout
 }
 

@@ -12,8 +12,12 @@ use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
 
-/// The scenes; every planner that needs no checkpoint simulates each with non-reactive and with reactive agents.
-const SCENES: [&str; 2] = ["generated/changing_lane/3", "generated/stopping_with_lead/1"];
+/// The scenes; every planner that needs no checkpoint simulates each with non-reactive and with
+/// reactive agents.
+const SCENES: [&str; 2] = [
+    "generated/changing_lane/3",
+    "generated/stopping_with_lead/1",
+];
 /// The pinned results.
 const PINNED: &str = "tests/fixtures/pinned_results.toml";
 /// Environment variable that writes them again.
@@ -38,13 +42,20 @@ fn tasks() -> Vec<SimulationTask> {
         let source = ScenarioRef::from(scene.parse::<Spec>().unwrap());
         let of_planner = move |planner| {
             let source = source.clone();
-            Challenge::CLOSED_LOOP.map(|challenge| SimulationTask { source: source.clone(), planner, challenge })
+            Challenge::CLOSED_LOOP.map(|challenge| SimulationTask {
+                source: source.clone(),
+                planner,
+                challenge,
+            })
         };
         let settings = PlanAgentSettings::default();
         let mut entries = all_planners().entries().to_vec();
         // Learned planners need a checkpoint of somebody.
         entries.retain(|entry| entry.prepare(&settings).is_ok());
-        entries.into_iter().map(|entry| entry.name).flat_map(of_planner)
+        entries
+            .into_iter()
+            .map(|entry| entry.name)
+            .flat_map(of_planner)
     };
     SCENES.into_iter().flat_map(of_scene).collect()
 }
@@ -64,24 +75,37 @@ fn simulate() -> Vec<Simulation> {
         }
         let codes = codes.finalize().to_hex().to_string();
         let (task, score) = (tasks[number].to_string(), outcome.score.value);
-        done.lock().unwrap().push((number, Simulation { task, score, codes }));
+        done.lock()
+            .unwrap()
+            .push((number, Simulation { task, score, codes }));
         Ok(())
     });
     outcome.unwrap();
     let mut simulations = done.into_inner().unwrap();
     simulations.sort_by_key(|(number, _)| *number);
-    simulations.into_iter().map(|(_, simulation)| simulation).collect()
+    simulations
+        .into_iter()
+        .map(|(_, simulation)| simulation)
+        .collect()
 }
 
 #[test]
 fn results_change_only_with_their_version() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(PINNED);
-    let now = Pinned { result_version: RESULT_VERSION, simulations: simulate() };
+    let now = Pinned {
+        result_version: RESULT_VERSION,
+        simulations: simulate(),
+    };
     if std::env::var_os(UPDATE).is_some() {
         fs::write(&path, toml::to_string(&now).unwrap()).unwrap();
     }
     let pinned: Pinned = toml::from_str(&fs::read_to_string(&path).unwrap()).unwrap();
-    let differing: Vec<_> = pinned.simulations.iter().zip(&now.simulations).filter(|(then, now)| then != now).collect();
+    let differing: Vec<_> = pinned
+        .simulations
+        .iter()
+        .zip(&now.simulations)
+        .filter(|(then, now)| then != now)
+        .collect();
     assert!(
         differing.is_empty() && pinned.simulations.len() == now.simulations.len(),
         "results changed: {differing:#?}\n\

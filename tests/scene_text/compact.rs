@@ -2,7 +2,8 @@
 
 use super::environment::lane_graph::{AgentName, Heading, NodePlace};
 use super::environment::text::{
-    AgentDescription, Description, GoalDescription, LightDescription, NodeDescription, OncomingDescription,
+    AgentDescription, Description, GoalDescription, LightDescription, NodeDescription,
+    OncomingDescription,
 };
 use super::lexer::{Failed, Reader, TextError};
 use super::paper::status;
@@ -33,7 +34,10 @@ fn read(reader: &mut Reader<'_>, estimates: bool) -> Result<Description, Failed>
         None
     } else {
         let status = status(reader)?;
-        Some(LightDescription { status, distance: reader.number("the distance to the light")? })
+        Some(LightDescription {
+            status,
+            distance: reader.number("the distance to the light")?,
+        })
     };
     reader.expect(&["turn"])?;
     let turn = reader.take("the turn of the route")?;
@@ -47,9 +51,27 @@ fn read(reader: &mut Reader<'_>, estimates: bool) -> Result<Description, Failed>
     }
     reader.expect(&["rest"])?;
     let rest = reader.number("the number of other agents")?;
-    let oncoming = if estimates && reader.accept("oncoming") { Some(read_oncoming(reader)?) } else { None };
-    let goal = if estimates && reader.accept("goal") { Some(read_goal(reader)?) } else { None };
-    Ok(Description { speed, limit, limit_estimate, lights: [light, None, None], turn, nodes, rest, oncoming, goal })
+    let oncoming = if estimates && reader.accept("oncoming") {
+        Some(read_oncoming(reader)?)
+    } else {
+        None
+    };
+    let goal = if estimates && reader.accept("goal") {
+        Some(read_goal(reader)?)
+    } else {
+        None
+    };
+    Ok(Description {
+        speed,
+        limit,
+        limit_estimate,
+        lights: [light, None, None],
+        turn,
+        nodes,
+        rest,
+        oncoming,
+        goal,
+    })
 }
 
 fn read_goal(reader: &mut Reader<'_>) -> Result<GoalDescription, Failed> {
@@ -61,16 +83,28 @@ fn read_goal(reader: &mut Reader<'_>) -> Result<GoalDescription, Failed> {
         NodePlace::Ego if changes == 0 => 0,
         _ => return reader.fail("the side of the goal contradicts its lane changes"),
     };
-    Ok(GoalDescription { changes, distance: reader.number("the distance to the goal")?.into() })
+    Ok(GoalDescription {
+        changes,
+        distance: reader.number("the distance to the goal")?.into(),
+    })
 }
 
 fn read_oncoming(reader: &mut Reader<'_>) -> Result<OncomingDescription, Failed> {
-    let blocked = (reader.number("the start of what blocks the lane")?, reader.number("its end")?);
+    let blocked = (
+        reader.number("the start of what blocks the lane")?,
+        reader.number("its end")?,
+    );
     if reader.accept(NOTHING) {
         reader.expect(&[NOTHING])?;
-        return Ok(OncomingDescription { blocked, next: None });
+        return Ok(OncomingDescription {
+            blocked,
+            next: None,
+        });
     }
-    Ok(OncomingDescription { blocked, next: Some((reader.number("a distance")?, reader.number("a speed")?)) })
+    Ok(OncomingDescription {
+        blocked,
+        next: Some((reader.number("a distance")?, reader.number("a speed")?)),
+    })
 }
 
 fn read_node(reader: &mut Reader<'_>) -> Result<Option<NodeDescription>, Failed> {
@@ -89,7 +123,18 @@ fn read_node(reader: &mut Reader<'_>) -> Result<Option<NodeDescription>, Failed>
     } else if reader.accept("oncoming") {
         (0, Heading::Oncoming)
     } else {
-        (reader.number("its speed, `crossing` or `oncoming`")?, Heading::Along)
+        (
+            reader.number("its speed, `crossing` or `oncoming`")?,
+            Heading::Along,
+        )
     };
-    Ok(Some(NodeDescription { apart: false, agents: vec![AgentDescription { name, distance, speed, heading }] }))
+    Ok(Some(NodeDescription {
+        apart: false,
+        agents: vec![AgentDescription {
+            name,
+            distance,
+            speed,
+            heading,
+        }],
+    }))
 }

@@ -37,18 +37,26 @@ fn words(text: &str) -> Vec<Word<'_>> {
                 continue;
             }
             if let Some((from, column)) = start.take() {
-                words.push(Word { text: &content[from..at], line: line + 1, column: column + 1 });
+                words.push(Word {
+                    text: &content[from..at],
+                    line: line + 1,
+                    column: column + 1,
+                });
             }
             if mark {
-                words.push(Word { text: &content[at..at + c.len_utf8()], line: line + 1, column: column + 1 });
+                words.push(Word {
+                    text: &content[at..at + c.len_utf8()],
+                    line: line + 1,
+                    column: column + 1,
+                });
             }
         }
     }
     words
 }
 
-/// Reads words from the first to the last. What goes wrong is an `Err(Failed)` with the error kept, so that reading can go
-/// on at the next safe place.
+/// Reads words from the first to the last. What goes wrong is an `Err(Failed)` with the error kept,
+/// so that reading can go on at the next safe place.
 pub(super) struct Reader<'a> {
     words: Vec<Word<'a>>,
     next: usize,
@@ -64,17 +72,28 @@ impl<'a> Reader<'a> {
     pub(super) fn new(text: &'a str) -> Self {
         let last_line = text.lines().last().unwrap_or_default();
         let end = (text.lines().count().max(1), last_line.chars().count() + 1);
-        Self { words: words(text), next: 0, end, errors: vec![] }
+        Self {
+            words: words(text),
+            next: 0,
+            end,
+            errors: vec![],
+        }
     }
 
     fn place(&self) -> (usize, usize) {
-        self.words.get(self.next).map_or(self.end, |word| (word.line, word.column))
+        self.words
+            .get(self.next)
+            .map_or(self.end, |word| (word.line, word.column))
     }
 
     /// Notes an error at the next word.
     pub(super) fn fail<T>(&mut self, what: impl Into<String>) -> Result<T, Failed> {
         let (line, column) = self.place();
-        self.errors.push(TextError { line, column, what: what.into() });
+        self.errors.push(TextError {
+            line,
+            column,
+            what: what.into(),
+        });
         Err(Failed)
     }
 
@@ -123,31 +142,44 @@ impl<'a> Reader<'a> {
     /// Takes a whole number from 0 to [`MAX_NUMBER`], without leading zeros.
     pub(super) fn number(&mut self, what: &str) -> Result<u8, Failed> {
         let word = self.peek().unwrap_or_default();
-        let number = word.parse::<u8>().ok().filter(|n| *n <= MAX_NUMBER && n.to_string() == word);
+        let number = word
+            .parse::<u8>()
+            .ok()
+            .filter(|n| *n <= MAX_NUMBER && n.to_string() == word);
         if let Some(number) = number {
             self.next += 1;
             return Ok(number);
         }
         let got = self.got();
-        self.fail(format!("expected {what}, a whole number from 0 to {MAX_NUMBER}, got {got}"))
+        self.fail(format!(
+            "expected {what}, a whole number from 0 to {MAX_NUMBER}, got {got}"
+        ))
     }
 
     /// Goes to the line of this number, if it lies ahead.
     pub(super) fn seek_line(&mut self, line: usize) {
-        while self.words.get(self.next).is_some_and(|word| word.line < line) {
+        while self
+            .words
+            .get(self.next)
+            .is_some_and(|word| word.line < line)
+        {
             self.next += 1;
         }
     }
 
     fn got(&self) -> String {
-        self.peek().map_or_else(|| "the end of the text".to_owned(), |word| format!("`{word}`"))
+        self.peek().map_or_else(
+            || "the end of the text".to_owned(),
+            |word| format!("`{word}`"),
+        )
     }
 
     /// The result, or all errors; words left over are one.
     pub(super) fn finish<T>(mut self, result: Option<T>) -> Result<T, Vec<TextError>> {
         if self.errors.is_empty() && self.peek().is_some() {
             let got = self.got();
-            let _: Result<(), Failed> = self.fail(format!("expected the end of the text, got {got}"));
+            let _: Result<(), Failed> =
+                self.fail(format!("expected the end of the text, got {got}"));
         }
         match result {
             Some(value) if self.errors.is_empty() => Ok(value),

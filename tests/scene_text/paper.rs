@@ -2,7 +2,8 @@
 
 use super::environment::lane_graph::{AgentName, CenterlineName, Heading, NodePlace};
 use super::environment::text::{
-    AgentDescription, Description, GoalDescription, LightDescription, NodeDescription, OncomingDescription,
+    AgentDescription, Description, GoalDescription, LightDescription, NodeDescription,
+    OncomingDescription,
 };
 use super::lexer::{Failed, Reader, TextError};
 use super::world::SignalStatus;
@@ -29,10 +30,21 @@ pub(super) fn parse(text: &str) -> Result<Description, Vec<TextError>> {
             }
             continue;
         }
-        whole &= lane_line(&mut reader, centerline, &mut beside[centerline as usize], &mut nodes).is_ok();
+        whole &= lane_line(
+            &mut reader,
+            centerline,
+            &mut beside[centerline as usize],
+            &mut nodes,
+        )
+        .is_ok();
     }
     let [_, left, right] = beside;
-    let description = ego.ok().map(|ego| Description { nodes, lights: [ego.lights[0], left, right], oncoming, ..ego });
+    let description = ego.ok().map(|ego| Description {
+        nodes,
+        lights: [ego.lights[0], left, right],
+        oncoming,
+        ..ego
+    });
     reader.finish(description.filter(|_| whole))
 }
 
@@ -55,7 +67,11 @@ fn ego_line(reader: &mut Reader<'_>) -> Result<Description, Failed> {
     reader.expect(&["route"])?;
     let turn = reader.take("the turn of the route")?;
     reader.expect(&[",", "light"])?;
-    let own = if reader.accept("none") { None } else { Some(light(reader)?) };
+    let own = if reader.accept("none") {
+        None
+    } else {
+        Some(light(reader)?)
+    };
     let rest = if reader.accept(",") {
         let rest = reader.number("the number of other agents")?;
         reader.expect(&["more"])?;
@@ -64,9 +80,23 @@ fn ego_line(reader: &mut Reader<'_>) -> Result<Description, Failed> {
         0
     };
     reader.expect(&["."])?;
-    let goal = if reader.accept("Goal") { Some(read_goal(reader)?) } else { None };
+    let goal = if reader.accept("Goal") {
+        Some(read_goal(reader)?)
+    } else {
+        None
+    };
     let (nodes, lights) = (Nodes::default(), [own, None, None]);
-    Ok(Description { speed, limit, limit_estimate, lights, turn, nodes, rest, oncoming: None, goal })
+    Ok(Description {
+        speed,
+        limit,
+        limit_estimate,
+        lights,
+        turn,
+        nodes,
+        rest,
+        oncoming: None,
+        goal,
+    })
 }
 
 /// The way to the goal's lane, behind its name.
@@ -109,7 +139,10 @@ fn oncoming_line(reader: &mut Reader<'_>) -> Result<OncomingDescription, Failed>
         Some((gap, speed))
     };
     reader.expect(&["."])?;
-    Ok(OncomingDescription { blocked: (from, to), next })
+    Ok(OncomingDescription {
+        blocked: (from, to),
+        next,
+    })
 }
 
 fn light(reader: &mut Reader<'_>) -> Result<LightDescription, Failed> {
@@ -122,8 +155,16 @@ fn light(reader: &mut Reader<'_>) -> Result<LightDescription, Failed> {
 
 /// Takes what a light shows.
 pub(super) fn status(reader: &mut Reader<'_>) -> Result<SignalStatus, Failed> {
-    let all = [SignalStatus::Green, SignalStatus::Yellow, SignalStatus::Red, SignalStatus::Unknown];
-    match all.into_iter().find(|status| reader.accept(&status.to_string())) {
+    let all = [
+        SignalStatus::Green,
+        SignalStatus::Yellow,
+        SignalStatus::Red,
+        SignalStatus::Unknown,
+    ];
+    match all
+        .into_iter()
+        .find(|status| reader.accept(&status.to_string()))
+    {
         Some(status) => Ok(status),
         None => reader.fail("expected what the light shows: green, yellow, red, unknown or none"),
     }
@@ -168,7 +209,10 @@ fn read_node(reader: &mut Reader<'_>) -> Result<Option<NodeDescription>, Failed>
         reader.expect(&["apart", ")"])?;
     }
     if reader.accept("free") {
-        return Ok(Some(NodeDescription { apart, agents: vec![] }));
+        return Ok(Some(NodeDescription {
+            apart,
+            agents: vec![],
+        }));
     }
     let mut agents = vec![read_agent(reader)?];
     while reader.accept(",") {
@@ -190,5 +234,10 @@ fn read_agent(reader: &mut Reader<'_>) -> Result<AgentDescription, Failed> {
     } else {
         Heading::Along
     };
-    Ok(AgentDescription { name, distance, speed, heading })
+    Ok(AgentDescription {
+        name,
+        distance,
+        speed,
+        heading,
+    })
 }

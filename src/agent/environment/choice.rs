@@ -10,7 +10,8 @@ pub struct UnknownChoice {
     pub expected: String,
 }
 
-/// Declares an enum with a text per variant: `ALL`, `as_str`, `Display`, `FromStr` and serde by that text.
+/// Declares an enum with a text per variant: `ALL`, `as_str`, `Display`, `FromStr` and serde by
+/// that text.
 macro_rules! choice {
     ($(#[$meta:meta])* pub enum $name:ident { $($(#[$variant_meta:meta])* $variant:ident = $text:literal,)+ }) => {
         $(#[$meta])*

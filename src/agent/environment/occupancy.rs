@@ -8,7 +8,8 @@ use std::fmt;
 /// Cells of a side.
 pub const CELLS: usize = 16;
 
-/// A grid over the area of a BEV map: row 0 at the top of the picture, column 0 at its left. The ego is no object.
+/// A grid over the area of a BEV map: row 0 at the top of the picture, column 0 at its left. The
+/// ego is no object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct OccupancyGrid {
     /// Row by row; column 0 is the highest bit.
@@ -16,7 +17,8 @@ pub struct OccupancyGrid {
 }
 
 impl OccupancyGrid {
-    /// The cells that the boxes of objects touch, in the picture around `center` (the ego's box center).
+    /// The cells that the boxes of objects touch, in the picture around `center` (the ego's box
+    /// center).
     pub fn of(objects: &[TrackedObject], view: &BevView, center: Pose) -> Self {
         let cell = view.metres() / CELLS as f64;
         let reach = view.metres() * std::f64::consts::FRAC_1_SQRT_2;
@@ -46,7 +48,11 @@ impl OccupancyGrid {
 
     /// Whether an object touches a cell; not outside the grid.
     pub fn is_occupied(&self, row: usize, column: usize) -> bool {
-        column < CELLS && self.rows.get(row).is_some_and(|bits| bits >> (CELLS - 1 - column) & 1 == 1)
+        column < CELLS
+            && self
+                .rows
+                .get(row)
+                .is_some_and(|bits| bits >> (CELLS - 1 - column) & 1 == 1)
     }
 }
 
@@ -65,7 +71,12 @@ mod tests {
 
     fn car(x: f64, y: f64, heading: f64) -> TrackedObject {
         let shape = OrientedBox::new(Pose::new(x, y, heading), 3.8, 1.8);
-        TrackedObject { token: TrackToken(1), kind: ObjectKind::Vehicle, shape, velocity: Vector::zeros() }
+        TrackedObject {
+            token: TrackToken(1),
+            kind: ObjectKind::Vehicle,
+            shape,
+            velocity: Vector::zeros(),
+        }
     }
 
     #[test]
@@ -85,9 +96,14 @@ mod tests {
         let touched = |object: TrackedObject| {
             let grid = OccupancyGrid::of(&[object], &BevView::default(), ego);
             let cells = (0..CELLS).flat_map(|row| (0..CELLS).map(move |column| (row, column)));
-            cells.filter(|&(row, column)| grid.is_occupied(row, column)).collect::<Vec<_>>()
+            cells
+                .filter(|&(row, column)| grid.is_occupied(row, column))
+                .collect::<Vec<_>>()
         };
-        assert_eq!(touched(car(4.0, 4.0, 0.0)), [(6, 6), (6, 7), (7, 6), (7, 7)]);
+        assert_eq!(
+            touched(car(4.0, 4.0, 0.0)),
+            [(6, 6), (6, 7), (7, 6), (7, 7)]
+        );
         assert!(touched(car(40.0, 0.0, 0.0)).is_empty());
     }
 }

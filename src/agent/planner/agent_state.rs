@@ -1,4 +1,5 @@
-//! The state that an agent's layers share: the active plan, PDM's memory, and the records of planning calls.
+//! The state that an agent's layers share: the active plan, PDM's memory, and the records of
+//! planning calls.
 
 use super::clock::Clock;
 use super::code_question::begins_lane_change;
@@ -33,8 +34,8 @@ impl From<IdmPlan> for ActivePlan {
 pub struct AgentState {
     pub(super) name: PlannerName,
     pub(super) active: ActivePlan,
-    /// Shared by the gate, Reflection and the emergency brake: the objects that the ego has touched, and the reference path of the
-    /// last planning call.
+    /// Shared by the gate, Reflection and the emergency brake: the objects that the ego has
+    /// touched, and the reference path of the last planning call.
     pub(super) memory: PdmMemory,
     pub(super) calls: Vec<PlanningCall>,
     pub(super) clock: Clock,
@@ -50,14 +51,20 @@ pub struct AgentState {
 
 impl AgentState {
     pub(super) fn new(name: PlannerName, settings: &PlanAgentSettings) -> Self {
-        let horizon_s = settings.reflection.horizon_s.max(TRAJECTORY_STEPS as f64 * STEP_S);
+        let horizon_s = settings
+            .reflection
+            .horizon_s
+            .max(TRAJECTORY_STEPS as f64 * STEP_S);
         Self {
             name,
             active: ActivePlan::None,
             memory: PdmMemory::default(),
             calls: Vec::new(),
             clock: Clock::default(),
-            builder: PlanBuilder { lead_policy: settings.reflection.lead_policy, horizon_s },
+            builder: PlanBuilder {
+                lead_policy: settings.reflection.lead_policy,
+                horizon_s,
+            },
             plan_interval_s: settings.plan_interval_s,
             blocked_interval_s: settings.blocked_interval_s,
             node_length_m: settings.environment.node_length_m,
@@ -67,7 +74,10 @@ impl AgentState {
     }
 
     pub(super) fn naming_oncoming_lane(self, oncoming_lane: bool) -> Self {
-        Self { oncoming_lane, ..self }
+        Self {
+            oncoming_lane,
+            ..self
+        }
     }
 
     pub(super) fn reset(&mut self) {
@@ -96,8 +106,12 @@ impl AgentState {
     }
 
     fn is_due(&self, clock: &Clock, scene: &SceneView<'_>) -> bool {
-        let is_obstructed = || self.lane_graph(scene).is_ok_and(|graph| graph.is_obstructed());
-        clock.is_due(self.plan_interval_s) || (clock.is_due(self.blocked_interval_s) && is_obstructed())
+        let is_obstructed = || {
+            self.lane_graph(scene)
+                .is_ok_and(|graph| graph.is_obstructed())
+        };
+        clock.is_due(self.plan_interval_s)
+            || (clock.is_due(self.blocked_interval_s) && is_obstructed())
     }
 
     /// Makes a planning call due at the next step.
@@ -107,16 +121,27 @@ impl AgentState {
 
     pub(super) fn lane_graph(&self, scene: &SceneView<'_>) -> Result<LaneGraph, LaneGraphError> {
         let graph = LaneGraph::build(scene, self.node_length_m)?;
-        let graph = if self.oncoming_lane { graph.with_oncoming_lane(scene) } else { graph };
+        let graph = if self.oncoming_lane {
+            graph.with_oncoming_lane(scene)
+        } else {
+            graph
+        };
         Ok(match &self.return_lane {
             Some(lane) => graph.with_way_back(scene, lane),
             None => graph,
         })
     }
 
-    /// Remembers the ego's lane where it leaves that to pass what blocks it, and forgets it when the ego is back.
-    pub(super) fn note_lane_change(&mut self, plan: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph) {
-        self.return_lane.take_if(|lane| lane.is_reached(scene, graph));
+    /// Remembers the ego's lane where it leaves that to pass what blocks it, and forgets it when
+    /// the ego is back.
+    pub(super) fn note_lane_change(
+        &mut self,
+        plan: &IdmPlan,
+        scene: &SceneView<'_>,
+        graph: &LaneGraph,
+    ) {
+        self.return_lane
+            .take_if(|lane| lane.is_reached(scene, graph));
         if plan.oncoming().is_none() && begins_lane_change(plan, scene, graph, self) {
             self.return_lane = ReturnLane::of(graph).or(self.return_lane.take());
         }

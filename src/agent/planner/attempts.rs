@@ -16,7 +16,10 @@ pub(super) trait Question {
     type Plan;
 
     /// The next answer; `None` when there are no more.
-    fn ask(&mut self, feedback: Option<&Feedback>) -> Result<Option<ReasoningTrace<Self::Answer>>, ReasoningError>;
+    fn ask(
+        &mut self,
+        feedback: Option<&Feedback>,
+    ) -> Result<Option<ReasoningTrace<Self::Answer>>, ReasoningError>;
 
     /// The plan of an answer with its reflection; `None` when the answer stands for no plan here.
     fn try_out(&mut self, answer: Self::Answer) -> Result<Option<Trial<Self::Plan>>, PlannerError>;
@@ -56,7 +59,10 @@ impl<P> Tried<P> {
     }
 
     fn score(&self) -> f64 {
-        self.record.reflection.as_ref().map_or(0.0, |report| report.score)
+        self.record
+            .reflection
+            .as_ref()
+            .map_or(0.0, |report| report.score)
     }
 }
 
@@ -68,10 +74,14 @@ pub(super) struct Attempts<P> {
 }
 
 impl<P> Attempts<P> {
-    pub(super) const NONE: Self = Self { tried: Vec::new(), interruption: None };
+    pub(super) const NONE: Self = Self {
+        tried: Vec::new(),
+        interruption: None,
+    };
 
-    /// Attempts until a plan is accepted, the maximum is reached, or the call is interrupted. `observation_ms` is the time that
-    /// Reflection took to observe the scene; the first attempt's record contains it.
+    /// Attempts until a plan is accepted, the maximum is reached, or the call is interrupted.
+    /// `observation_ms` is the time that Reflection took to observe the scene; the first attempt's
+    /// record contains it.
     pub(super) fn make<Q: Question<Plan = P>>(
         question: &mut Q,
         limits: AttemptLimits,
@@ -79,9 +89,16 @@ impl<P> Attempts<P> {
     ) -> Result<Self, PlannerError> {
         let mut attempts = Self::NONE;
         let mut needed = limits.threshold;
-        while (attempts.tried.len() < limits.max_exec || limits.compares) && attempts.interruption.is_none() {
-            let feedback = attempts.tried.last().map(|last| last.record.feedback(needed));
-            let Some(mut trace) = question.ask(feedback.as_ref())? else { break };
+        while (attempts.tried.len() < limits.max_exec || limits.compares)
+            && attempts.interruption.is_none()
+        {
+            let feedback = attempts
+                .tried
+                .last()
+                .map(|last| last.record.feedback(needed));
+            let Some(mut trace) = question.ask(feedback.as_ref())? else {
+                break;
+            };
             attempts.interruption = trace.interruption.take();
             if trace.rounds.is_empty() && attempts.interruption.is_some() {
                 break;
@@ -89,7 +106,8 @@ impl<P> Attempts<P> {
             let started = Instant::now();
             let (trial, proposals) = best_trial(question, &mut trace)?;
             needed = trial.as_ref().map_or(needed, |trial| trial.threshold);
-            let reflection_ms = std::mem::take(&mut observation_ms) + milliseconds(started.elapsed());
+            let reflection_ms =
+                std::mem::take(&mut observation_ms) + milliseconds(started.elapsed());
             let tried = tried(trace, trial, proposals, reflection_ms);
             if limits.compares {
                 attempts.keep_better(tried);
@@ -104,14 +122,17 @@ impl<P> Attempts<P> {
         Ok(attempts)
     }
 
-    /// Keeps the better of two, the earlier of equals. Its record contains the reflection time of all.
+    /// Keeps the better of two, the earlier of equals. Its record contains the reflection time of
+    /// all.
     fn keep_better(&mut self, tried: Tried<P>) {
-        let spent_ms = self.tried.first().map_or(0.0, |best| best.record.reflection_ms) + tried.record.reflection_ms;
-        if self
+        let spent_ms = self
             .tried
             .first()
-            .is_none_or(|best| rank(tried.record.reflection.as_ref()) > rank(best.record.reflection.as_ref()))
-        {
+            .map_or(0.0, |best| best.record.reflection_ms)
+            + tried.record.reflection_ms;
+        if self.tried.first().is_none_or(|best| {
+            rank(tried.record.reflection.as_ref()) > rank(best.record.reflection.as_ref())
+        }) {
             self.tried = vec![tried];
         }
         if let Some(best) = self.tried.first_mut() {
@@ -131,8 +152,15 @@ impl<P> Attempts<P> {
 
     /// The attempt with the best plan, the first of equals.
     pub(super) fn best(&self) -> Option<usize> {
-        let plans = self.tried.iter().enumerate().rev().filter(|(_, tried)| tried.plan.is_some());
-        plans.max_by(|(_, a), (_, b)| a.score().total_cmp(&b.score())).map(|(index, _)| index)
+        let plans = self
+            .tried
+            .iter()
+            .enumerate()
+            .rev()
+            .filter(|(_, tried)| tried.plan.is_some());
+        plans
+            .max_by(|(_, a), (_, b)| a.score().total_cmp(&b.score()))
+            .map(|(index, _)| index)
     }
 
     /// The score of an attempt.
@@ -142,20 +170,28 @@ impl<P> Attempts<P> {
 
     /// The records of all attempts, and the plan of one.
     pub(super) fn into_records(self, index: Option<usize>) -> (Vec<Attempt>, Option<P>) {
-        let (records, plans): (Vec<Attempt>, Vec<Option<P>>) =
-            self.tried.into_iter().map(|Tried { record, plan }| (record, plan)).unzip();
-        (records, index.and_then(|index| plans.into_iter().nth(index).flatten()))
+        let (records, plans): (Vec<Attempt>, Vec<Option<P>>) = self
+            .tried
+            .into_iter()
+            .map(|Tried { record, plan }| (record, plan))
+            .unzip();
+        (
+            records,
+            index.and_then(|index| plans.into_iter().nth(index).flatten()),
+        )
     }
 }
 
-/// Tries out the answer of an attempt. Where it proposes others, each is tried out. The best becomes its answer, among equals the
-/// likeliest.
+/// Tries out the answer of an attempt. Where it proposes others, each is tried out. The best
+/// becomes its answer, among equals the likeliest.
 #[allow(clippy::type_complexity, reason = "a trial and a record")]
 fn best_trial<Q: Question>(
     question: &mut Q,
     trace: &mut ReasoningTrace<Q::Answer>,
 ) -> Result<(Option<Trial<Q::Plan>>, Vec<Proposal>), PlannerError> {
-    let Some(likeliest) = trace.parsed.answer else { return Ok((None, Vec::new())) };
+    let Some(likeliest) = trace.parsed.answer else {
+        return Ok((None, Vec::new()));
+    };
     let mut best = question.try_out(likeliest)?;
     if trace.proposals.is_empty() {
         return Ok((best, Vec::new()));
@@ -164,7 +200,8 @@ fn best_trial<Q: Question>(
     for &answer in &trace.proposals {
         let trial = question.try_out(answer)?;
         proposals.push(Proposal::of(answer, trial.as_ref()));
-        let rank = |trial: &Option<Trial<_>>| trial.as_ref().map(|trial| rank(trial.reflection.as_ref()));
+        let rank =
+            |trial: &Option<Trial<_>>| trial.as_ref().map(|trial| rank(trial.reflection.as_ref()));
         if rank(&trial) > rank(&best) {
             (best, trace.parsed.answer) = (trial, Some(answer));
         }
@@ -174,13 +211,18 @@ fn best_trial<Q: Question>(
 
 impl Proposal {
     fn of<P>(answer: impl Into<PlannerAnswer>, trial: Option<&Trial<P>>) -> Self {
-        Self { answer: answer.into(), reflection: trial.and_then(|trial| trial.reflection.clone()) }
+        Self {
+            answer: answer.into(),
+            reflection: trial.and_then(|trial| trial.reflection.clone()),
+        }
     }
 }
 
 /// Order among answers that are compared: accepted plans first, then by score.
 fn rank(report: Option<&ReflectionReport>) -> (bool, f64) {
-    report.map_or((false, f64::NEG_INFINITY), |report| (report.verdict == Verdict::Execute, report.score))
+    report.map_or((false, f64::NEG_INFINITY), |report| {
+        (report.verdict == Verdict::Execute, report.score)
+    })
 }
 
 fn tried<A: Into<PlannerAnswer>, P>(
@@ -190,10 +232,32 @@ fn tried<A: Into<PlannerAnswer>, P>(
     reflection_ms: f64,
 ) -> Tried<P> {
     let (plan, path, reflection) = match trial {
-        Some(Trial { plan, path, reflection, .. }) => (Some(plan), path, reflection),
+        Some(Trial {
+            plan,
+            path,
+            reflection,
+            ..
+        }) => (Some(plan), path, reflection),
         None => (None, Vec::new(), None),
     };
-    let ReasoningTrace { rounds, instruction, parsed, .. } = trace;
+    let ReasoningTrace {
+        rounds,
+        instruction,
+        parsed,
+        ..
+    } = trace;
     let (answer, errors) = (parsed.answer.map(A::into), parsed.errors);
-    Tried { record: Attempt { rounds, instruction, answer, errors, reflection, proposals, path, reflection_ms }, plan }
+    Tried {
+        record: Attempt {
+            rounds,
+            instruction,
+            answer,
+            errors,
+            reflection,
+            proposals,
+            path,
+            reflection_ms,
+        },
+        plan,
+    }
 }

@@ -1,4 +1,5 @@
-//! The agent's clock. It runs in the scene's time, so that an agent plans at the same times at any step length.
+//! The agent's clock. It runs in the scene's time, so that an agent plans at the same times at any
+//! step length.
 
 use planagent_world::MICROS_PER_SECOND;
 
@@ -15,13 +16,18 @@ impl Clock {
     /// Begins a step.
     pub(super) fn step(&mut self, now_us: i64) {
         self.started.get_or_insert(now_us);
-        self.step_us = self.step.replace(now_us).map_or(0, |previous| now_us - previous);
+        self.step_us = self
+            .step
+            .replace(now_us)
+            .map_or(0, |previous| now_us - previous);
     }
 
-    /// Whether a planning call is due at this step, this time after the last one, seconds: no later step is nearer. The first call is
-    /// due at once.
+    /// Whether a planning call is due at this step, this time after the last one, seconds: no later
+    /// step is nearer. The first call is due at once.
     pub(super) fn is_due(&self, interval_s: f64) -> bool {
-        let (Some(called), Some(step)) = (self.called, self.step) else { return true };
+        let (Some(called), Some(step)) = (self.called, self.step) else {
+            return true;
+        };
         step + self.step_us / 2 >= called + (interval_s * MICROS_PER_SECOND).round() as i64
     }
 
@@ -37,7 +43,8 @@ impl Clock {
 
     /// Seconds since the first step.
     pub(super) fn elapsed_s(&self, now_us: i64) -> f64 {
-        self.started.map_or(0.0, |started| (now_us - started) as f64 / MICROS_PER_SECOND)
+        self.started
+            .map_or(0.0, |started| (now_us - started) as f64 / MICROS_PER_SECOND)
     }
 }
 
@@ -81,7 +88,10 @@ mod tests {
 
     #[test]
     fn recorded_times_that_jitter_or_run_slow_keep_their_iterations() {
-        assert_eq!(due(|k| k * 100_000 + [0, 4_000, -3_000][k as usize % 3], 150), [0, 20, 40, 60, 80, 100, 120, 140]);
+        assert_eq!(
+            due(|k| k * 100_000 + [0, 4_000, -3_000][k as usize % 3], 150),
+            [0, 20, 40, 60, 80, 100, 120, 140]
+        );
         assert_eq!(due(|k| k * 99_000, 150), [0, 20, 40, 60, 80, 100, 120, 140]);
     }
 }

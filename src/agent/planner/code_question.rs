@@ -15,8 +15,8 @@ pub(super) struct CodeQuestion<'a> {
     pub(super) seen: GraphedScene<'a>,
     pub(super) judge: Option<&'a Judge<'a>>,
     pub(super) state: &'a AgentState,
-    /// λ of plans that keep the lane or change to the goal's, and of those that begin another lane change or stay in a blocked lane that
-    /// can be left.
+    /// λ of plans that keep the lane or change to the goal's, and of those that begin another lane
+    /// change or stay in a blocked lane that can be left.
     pub(super) thresholds: (f64, f64),
 }
 
@@ -24,34 +24,62 @@ impl Question for CodeQuestion<'_> {
     type Answer = PlannerCode;
     type Plan = IdmPlan;
 
-    fn ask(&mut self, feedback: Option<&Feedback>) -> Result<Option<ReasoningTrace<PlannerCode>>, ReasoningError> {
+    fn ask(
+        &mut self,
+        feedback: Option<&Feedback>,
+    ) -> Result<Option<ReasoningTrace<PlannerCode>>, ReasoningError> {
         self.codes.next(feedback)
     }
 
     fn try_out(&mut self, code: PlannerCode) -> Result<Option<Trial<IdmPlan>>, PlannerError> {
         let builder = &self.state.builder;
         let GraphedScene { scene, graph } = self.seen;
-        let Some(mut plan) = builder.build(scene, graph, code)? else { return Ok(None) };
+        let Some(mut plan) = builder.build(scene, graph, code)? else {
+            return Ok(None);
+        };
         if let Some(active) = self.state.active_plan() {
             plan = plan.after(active, scene, builder.horizon_s)?;
         }
         let (lane_kept, lane_changed) = self.thresholds;
         let changes_lane = begins_lane_change(&plan, scene, graph, self.state);
-        let is_towards_goal = graph.goal.is_some_and(|goal| goal.is_towards(code.centerline.lane_changes()));
-        let stays_behind = !changes_lane && plan.oncoming().is_none() && graph.stop_point().is_some();
-        let threshold =
-            if stays_behind || (changes_lane && !is_towards_goal) { lane_kept.max(lane_changed) } else { lane_kept };
-        let reflection = self.judge.map(|judge| judge.reflect(&plan, threshold)).transpose()?;
-        Ok(Some(Trial { path: plan.path().vertex_poses(), plan, reflection, threshold }))
+        let is_towards_goal = graph
+            .goal
+            .is_some_and(|goal| goal.is_towards(code.centerline.lane_changes()));
+        let stays_behind =
+            !changes_lane && plan.oncoming().is_none() && graph.stop_point().is_some();
+        let threshold = if stays_behind || (changes_lane && !is_towards_goal) {
+            lane_kept.max(lane_changed)
+        } else {
+            lane_kept
+        };
+        let reflection = self
+            .judge
+            .map(|judge| judge.reflect(&plan, threshold))
+            .transpose()?;
+        Ok(Some(Trial {
+            path: plan.path().vertex_poses(),
+            plan,
+            reflection,
+            threshold,
+        }))
     }
 }
 
 /// Whether a plan is bound for another lane than the ego's and the active plan's.
-pub(super) fn begins_lane_change(plan: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph, state: &AgentState) -> bool {
+pub(super) fn begins_lane_change(
+    plan: &IdmPlan,
+    scene: &SceneView<'_>,
+    graph: &LaneGraph,
+    state: &AgentState,
+) -> bool {
     if plan.oncoming().is_some() {
-        return state.active_plan().is_none_or(|active| active.oncoming().is_none());
+        return state
+            .active_plan()
+            .is_none_or(|active| active.oncoming().is_none());
     }
     let bound_for = plan.lane_now(scene);
     !graph.ego_lane().path.lanes.contains(&bound_for)
-        && state.active_plan().is_none_or(|active| active.lane_now(scene) != bound_for)
+        && state
+            .active_plan()
+            .is_none_or(|active| active.lane_now(scene) != bound_for)
 }

@@ -1,4 +1,5 @@
-//! Simulated latency: the plan of a planning call becomes active only after the call's time has passed.
+//! Simulated latency: the plan of a planning call becomes active only after the call's time has
+//! passed.
 
 use super::agent_state::ActivePlan;
 use super::latency::Latency;
@@ -7,12 +8,12 @@ use super::{PlannerError, PlannerInput};
 use planagent_world::Trajectory;
 use std::time::Instant;
 
-/// Recorded steps are some microseconds longer or shorter than 0.1 s. A plan that is late by less than this is not delayed by a
-/// whole step, µs. Latencies are whole milliseconds.
+/// Recorded steps are some microseconds longer or shorter than 0.1 s. A plan that is late by less
+/// than this is not delayed by a whole step, µs. Latencies are whole milliseconds.
 const TOLERANCE_US: i64 = 500;
 
-/// An agent whose planning calls last in simulated time. Meanwhile the active plan is executed; before the first plan the ego keeps
-/// its lane and speed.
+/// An agent whose planning calls last in simulated time. Meanwhile the active plan is executed;
+/// before the first plan the ego keeps its lane and speed.
 #[derive(Debug)]
 pub struct Delayed<A> {
     inner: A,
@@ -30,7 +31,11 @@ struct Pending {
 impl<A> Delayed<A> {
     /// An agent whose planning calls have this latency.
     pub fn new(inner: A, latency: Latency) -> Self {
-        Self { inner, latency, pending: None }
+        Self {
+            inner,
+            latency,
+            pending: None,
+        }
     }
 }
 
@@ -45,15 +50,26 @@ impl<A: AgentLayer> AgentLayer for Delayed<A> {
     fn advance(&mut self, input: &PlannerInput<'_>) -> Result<(), PlannerError> {
         self.inner.advance(input)?;
         let now_us = input.scene.ego.time_us;
-        let ended = self.pending.take_if(|pending| now_us + TOLERANCE_US >= pending.ends_us);
-        let Some(Pending { plan: Some(plan), .. }) = ended else { return Ok(()) };
+        let ended = self
+            .pending
+            .take_if(|pending| now_us + TOLERANCE_US >= pending.ends_us);
+        let Some(Pending {
+            plan: Some(plan), ..
+        }) = ended
+        else {
+            return Ok(());
+        };
         let state = self.inner.state_mut();
         state.active = plan;
         state.note(|call| call.active_from = Some(input.iteration));
         state.extend(&input.scene)
     }
 
-    fn plan(&mut self, input: &PlannerInput<'_>, started: Instant) -> Result<Option<ActivePlan>, PlannerError> {
+    fn plan(
+        &mut self,
+        input: &PlannerInput<'_>,
+        started: Instant,
+    ) -> Result<Option<ActivePlan>, PlannerError> {
         if self.pending.is_some() {
             return Ok(None);
         }
@@ -65,11 +81,16 @@ impl<A: AgentLayer> AgentLayer for Delayed<A> {
         }
         let plan = self.inner.plan(input, started)?;
         let call = self.inner.state().calls.last();
-        let lasts_us = call.filter(|call| call.asks_model()).map_or(0, |call| self.latency.micros(call.total_ms));
+        let lasts_us = call
+            .filter(|call| call.asks_model())
+            .map_or(0, |call| self.latency.micros(call.total_ms));
         if lasts_us == 0 {
             return Ok(plan);
         }
-        self.pending = Some(Pending { ends_us: scene.ego.time_us + lasts_us, plan });
+        self.pending = Some(Pending {
+            ends_us: scene.ego.time_us + lasts_us,
+            plan,
+        });
         Ok(None)
     }
 }

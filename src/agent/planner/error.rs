@@ -19,7 +19,10 @@ pub enum PlannerError {
     #[error("the recording holds {samples} samples; iteration {iteration} has no future to replay")]
     NoRecordedFuture { iteration: usize, samples: usize },
     #[error("{planner} needs {part}")]
-    MissingPart { planner: PlannerName, part: &'static str },
+    MissingPart {
+        planner: PlannerName,
+        part: &'static str,
+    },
     #[error("the planned states make no trajectory")]
     Trajectory(#[from] TrajectoryError),
     #[error("the plan's path cannot be built")]
@@ -38,7 +41,10 @@ pub enum PlannerError {
     #[error(transparent)]
     Checkpoint(Box<dyn std::error::Error + Send + Sync>),
     #[error("{doing} failed")]
-    Failed { doing: &'static str, source: Box<dyn std::error::Error + Send + Sync> },
+    Failed {
+        doing: &'static str,
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
 }
 
 impl From<PdmError> for PlannerError {

@@ -13,7 +13,8 @@ use std::time::Instant;
 #[derive(Debug)]
 pub struct Gated<A> {
     inner: A,
-    /// The predicted score from which on PDM-Closed is executed and the agent makes no planning call.
+    /// The predicted score from which on PDM-Closed is executed and the agent makes no planning
+    /// call.
     gate: f64,
 }
 
@@ -27,10 +28,16 @@ impl<A> Gated<A> {
 impl<A: AgentLayer> AgentLayer for Gated<A> {
     forward!(inner: state, reset, advance, execute);
 
-    fn plan(&mut self, input: &PlannerInput<'_>, started: Instant) -> Result<Option<ActivePlan>, PlannerError> {
+    fn plan(
+        &mut self,
+        input: &PlannerInput<'_>,
+        started: Instant,
+    ) -> Result<Option<ActivePlan>, PlannerError> {
         let state = self.inner.state_mut();
         let score = predicted_score(&input.scene, &mut state.memory)?;
-        let Some(score) = score.filter(|&score| score >= self.gate) else { return self.inner.plan(input, started) };
+        let Some(score) = score.filter(|&score| score >= self.gate) else {
+            return self.inner.plan(input, started);
+        };
         let at_s = state.clock.elapsed_s(input.scene.ego.time_us);
         let call = PlanningCall::without_attempts(
             (input.iteration, at_s),
@@ -42,11 +49,20 @@ impl<A: AgentLayer> AgentLayer for Gated<A> {
     }
 }
 
-/// The predicted score of PDM-Closed's plan along the reference path that it chooses now, which is kept in `memory`; `None` where
-/// there is no reference path.
-fn predicted_score(scene: &SceneView<'_>, memory: &mut PdmMemory) -> Result<Option<f64>, PlannerError> {
+/// The predicted score of PDM-Closed's plan along the reference path that it chooses now, which is
+/// kept in `memory`; `None` where there is no reference path.
+fn predicted_score(
+    scene: &SceneView<'_>,
+    memory: &mut PdmMemory,
+) -> Result<Option<f64>, PlannerError> {
     memory.choose_reference_path(scene);
-    let PdmMemory { reference_path: Some(path), collided } = memory else { return Ok(None) };
+    let PdmMemory {
+        reference_path: Some(path),
+        collided,
+    } = memory
+    else {
+        return Ok(None);
+    };
     let plan = plan_along(path, scene, collided)?;
     Ok(Some(plan.scores[plan.best].total))
 }

@@ -5,7 +5,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::time::Duration;
 
-/// How long a planning call lasts in simulated time. Written `"none"`, `"measured"` or a number of milliseconds.
+/// How long a planning call lasts in simulated time. Written `"none"`, `"measured"` or a number of
+/// milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Latency {
@@ -68,7 +69,9 @@ impl Visitor<'_> for LatencyVisitor {
 
     fn visit_i64<E: Error>(self, milliseconds: i64) -> Result<Latency, E> {
         let unexpected = || E::invalid_value(serde::de::Unexpected::Signed(milliseconds), &self);
-        u64::try_from(milliseconds).map_err(|_| unexpected()).and_then(|milliseconds| self.visit_u64(milliseconds))
+        u64::try_from(milliseconds)
+            .map_err(|_| unexpected())
+            .and_then(|milliseconds| self.visit_u64(milliseconds))
     }
 }
 
@@ -86,7 +89,10 @@ mod tests {
         for (text, latency) in [
             ("latency = \"none\"\n", Latency::None),
             ("latency = \"measured\"\n", Latency::Measured),
-            ("latency = 5568\n", Latency::Fixed(Duration::from_millis(5568))),
+            (
+                "latency = 5568\n",
+                Latency::Fixed(Duration::from_millis(5568)),
+            ),
         ] {
             let held: Held = toml::from_str(text).unwrap();
             assert_eq!(held, Held { latency });
@@ -94,7 +100,10 @@ mod tests {
         }
         for wrong in ["latency = \"slow\"", "latency = -1", "latency = true"] {
             let error = toml::from_str::<Held>(wrong).unwrap_err().to_string();
-            assert!(error.contains("a whole number of milliseconds"), "{wrong}: {error}");
+            assert!(
+                error.contains("a whole number of milliseconds"),
+                "{wrong}: {error}"
+            );
         }
     }
 

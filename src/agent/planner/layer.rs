@@ -1,5 +1,6 @@
-//! The layers of an agent. [`PlanAgent`](super::PlanAgent) is the innermost; [`Gated`](super::Gated), [`Delayed`](super::Delayed)
-//! and [`Monitored`](super::Monitored) change its planning calls or the execution of its plans. Each is a [`Planner`].
+//! The layers of an agent. [`PlanAgent`](super::PlanAgent) is the innermost;
+//! [`Gated`](super::Gated), [`Delayed`](super::Delayed) and [`Monitored`](super::Monitored) change
+//! its planning calls or the execution of its plans. Each is a [`Planner`].
 
 use super::agent_state::{ActivePlan, AgentState};
 use super::record::PlanningCall;
@@ -24,12 +25,16 @@ pub trait AgentLayer: Send {
     /// When a plan cannot be built.
     fn advance(&mut self, input: &PlannerInput<'_>) -> Result<(), PlannerError>;
 
-    /// Makes a planning call and records it. The plan that it gives becomes active now; without one the active plan is extended.
-    /// `started` is the wall time at which the call began.
+    /// Makes a planning call and records it. The plan that it gives becomes active now; without one
+    /// the active plan is extended. `started` is the wall time at which the call began.
     ///
     /// # Errors
     /// When the call cannot be made. A wrong answer is no such error.
-    fn plan(&mut self, input: &PlannerInput<'_>, started: Instant) -> Result<Option<ActivePlan>, PlannerError>;
+    fn plan(
+        &mut self,
+        input: &PlannerInput<'_>,
+        started: Instant,
+    ) -> Result<Option<ActivePlan>, PlannerError>;
 
     /// The trajectory of the active plan.
     ///
@@ -123,7 +128,11 @@ impl AgentLayer for Box<dyn AgentLayer> {
         self.as_mut().advance(input)
     }
 
-    fn plan(&mut self, input: &PlannerInput<'_>, started: Instant) -> Result<Option<ActivePlan>, PlannerError> {
+    fn plan(
+        &mut self,
+        input: &PlannerInput<'_>,
+        started: Instant,
+    ) -> Result<Option<ActivePlan>, PlannerError> {
         self.as_mut().plan(input, started)
     }
 

@@ -4,7 +4,10 @@ use super::settings::PlanAgentSettings;
 use super::{AgentLayer, Delayed, Gated, Latency, Monitored};
 
 /// An agent with the layers that its settings ask for: `Delayed(Gated(Monitored(agent)))`.
-pub(super) fn with_layers(mut agent: Box<dyn AgentLayer>, settings: &PlanAgentSettings) -> Box<dyn AgentLayer> {
+pub(super) fn with_layers(
+    mut agent: Box<dyn AgentLayer>,
+    settings: &PlanAgentSettings,
+) -> Box<dyn AgentLayer> {
     if let Some(monitor) = settings.monitor() {
         agent = Box::new(Monitored::new(agent, monitor));
     }

@@ -8,10 +8,12 @@ const POSES: usize = 16;
 /// Steps of 0.1 s between poses: 16 poses make 8 s.
 const STEPS_BETWEEN: usize = 5;
 
-/// The log-replay planner: at iteration k the recorded state k and up to 16 later ones, 0.5 s apart.
+/// The log-replay planner: at iteration k the recorded state k and up to 16 later ones, 0.5 s
+/// apart.
 ///
-/// Where fewer are recorded, the shorter future is the trajectory, as in nuPlan. Where none is, nuPlan's planner fails. Recordings
-/// that end with their scenario get there in the last 0.4 s; here the last trajectory is kept.
+/// Where fewer are recorded, the shorter future is the trajectory, as in nuPlan. Where none is,
+/// nuPlan's planner fails. Recordings that end with their scenario get there in the last 0.4 s;
+/// here the last trajectory is kept.
 #[derive(Debug, Clone)]
 pub struct LogReplay {
     expert: Vec<EgoState>,
@@ -19,15 +21,23 @@ pub struct LogReplay {
 }
 
 impl LogReplay {
-    /// A planner that replays the recorded states, one per iteration, with those after the end of the scenario.
+    /// A planner that replays the recorded states, one per iteration, with those after the end of
+    /// the scenario.
     pub fn new(expert: Vec<EgoState>) -> Self {
-        Self { expert, current: None }
+        Self {
+            expert,
+            current: None,
+        }
     }
 
     /// The recorded state of an iteration and its recorded future.
     fn recorded(&self, iteration: usize) -> Vec<TrajectoryState> {
         let rest = self.expert.get(iteration..).unwrap_or_default();
-        rest.iter().step_by(STEPS_BETWEEN).take(1 + POSES).map(TrajectoryState::from).collect()
+        rest.iter()
+            .step_by(STEPS_BETWEEN)
+            .take(1 + POSES)
+            .map(TrajectoryState::from)
+            .collect()
     }
 }
 
@@ -48,7 +58,9 @@ impl Planner for LogReplay {
             self.current = Some(Trajectory::new(states)?);
         }
         let samples = self.expert.len();
-        self.current.clone().ok_or(PlannerError::NoRecordedFuture { iteration, samples })
+        self.current
+            .clone()
+            .ok_or(PlannerError::NoRecordedFuture { iteration, samples })
     }
 }
 
@@ -59,14 +71,29 @@ mod tests {
     use planagent_world::{History, STEP_US, SceneView, TrafficLights};
 
     fn recorded(samples: usize) -> LogReplay {
-        LogReplay::new((0..samples).map(|k| ego_at(k as i64 * STEP_US, k as f64, 10.0)).collect())
+        LogReplay::new(
+            (0..samples)
+                .map(|k| ego_at(k as i64 * STEP_US, k as f64, 10.0))
+                .collect(),
+        )
     }
 
     fn ask(planner: &mut LogReplay, iteration: usize) -> Result<Trajectory, PlannerError> {
         let map = straight_road(&[Stretch::Lane(100.0)], None);
-        let (route, lights, history) = (whole_route(&map), TrafficLights::default(), History::default());
+        let (route, lights, history) = (
+            whole_route(&map),
+            TrafficLights::default(),
+            History::default(),
+        );
         let ego = ego_at(0, 0.0, 0.0);
-        let scene = SceneView { map: &map, route: &route, ego: &ego, objects: &[], lights: &lights, history: &history };
+        let scene = SceneView {
+            map: &map,
+            route: &route,
+            ego: &ego,
+            objects: &[],
+            lights: &lights,
+            history: &history,
+        };
         planner.compute_trajectory(&PlannerInput { iteration, scene })
     }
 
@@ -74,7 +101,10 @@ mod tests {
     fn gives_seventeen_states_over_eight_seconds() {
         let trajectory = ask(&mut recorded(151), 30).unwrap();
         assert_eq!(trajectory.states().len(), 17);
-        assert_eq!((trajectory.start_us(), trajectory.end_us()), (3_000_000, 11_000_000));
+        assert_eq!(
+            (trajectory.start_us(), trajectory.end_us()),
+            (3_000_000, 11_000_000)
+        );
         assert!((trajectory.at(3_700_000).unwrap().rear_axle.x - 37.0).abs() < 1e-9);
     }
 
@@ -82,9 +112,16 @@ mod tests {
     fn a_shorter_future_is_used_as_it_is() {
         let mut planner = recorded(151);
         assert_eq!(ask(&mut planner, 70).unwrap().end_us(), 15_000_000);
-        for (iteration, end_us, states) in [(71, 14_600_000, 16), (143, 14_800_000, 2), (145, 15_000_000, 2)] {
+        for (iteration, end_us, states) in [
+            (71, 14_600_000, 16),
+            (143, 14_800_000, 2),
+            (145, 15_000_000, 2),
+        ] {
             let trajectory = ask(&mut planner, iteration).unwrap();
-            assert_eq!((trajectory.start_us(), trajectory.end_us()), (iteration as i64 * STEP_US, end_us));
+            assert_eq!(
+                (trajectory.start_us(), trajectory.end_us()),
+                (iteration as i64 * STEP_US, end_us)
+            );
             assert_eq!(trajectory.states().len(), states);
         }
     }
@@ -101,6 +138,12 @@ mod tests {
     #[test]
     fn has_nothing_to_replay_after_the_end() {
         let error = ask(&mut recorded(53), 52).unwrap_err();
-        assert!(matches!(error, PlannerError::NoRecordedFuture { iteration: 52, samples: 53 }));
+        assert!(matches!(
+            error,
+            PlannerError::NoRecordedFuture {
+                iteration: 52,
+                samples: 53
+            }
+        ));
     }
 }

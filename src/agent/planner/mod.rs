@@ -1,4 +1,5 @@
-//! Stage 6: the planners. The simulator knows an agent only through [`Planner`], whose shape is nuPlan's.
+//! Stage 6: the planners. The simulator knows an agent only through [`Planner`], whose shape is
+//! nuPlan's.
 
 mod agent_state;
 mod attempts;
@@ -32,8 +33,8 @@ pub use code_source::{CodeSource, DEFAULT_ACCELERATIONS, HandedCode, planner_cod
 pub use delayed::Delayed;
 pub use error::PlannerError;
 pub use exec::{
-    AnswerError, DEFAULT_EXEC_TIMEOUT, ExecAgent, ExecAgentsStep, ExecCommand, ExecError, ExecReply, ExecRequest,
-    ExecSession, is_exec, kept, moved,
+    AnswerError, DEFAULT_EXEC_TIMEOUT, ExecAgent, ExecAgentsStep, ExecCommand, ExecError,
+    ExecReply, ExecRequest, ExecSession, is_exec, kept, moved,
 };
 pub use gated::Gated;
 pub use idm::IdmPlanner;
@@ -47,9 +48,12 @@ pub use pdm_closed::PdmClosed;
 pub use pdm_closed_plus::PdmClosedPlus;
 pub use plan_agent::PlanAgent;
 pub use record::{Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal, feedback};
-pub use registry::{PlannerEntry, PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner, UsedSettings};
+pub use registry::{
+    PlannerEntry, PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner, UsedSettings,
+};
 pub use settings::{
-    AfterMaxExec, CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings,
+    AfterMaxExec, CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings,
+    ReflectionSettings,
 };
 pub use simple::SimplePlanner;
 
@@ -60,8 +64,11 @@ use planagent_world::{LaneMap, Route, SceneView, Trajectory};
 use std::sync::Arc;
 
 /// Renders the BEV image of another scene, the same one for the same draw.
-pub type BevSource =
-    Arc<dyn Fn(u64, &BevView) -> Result<RgbImage, Box<dyn std::error::Error + Send + Sync>> + Send + Sync>;
+pub type BevSource = Arc<
+    dyn Fn(u64, &BevView) -> Result<RgbImage, Box<dyn std::error::Error + Send + Sync>>
+        + Send
+        + Sync,
+>;
 
 /// A planner's input before the first iteration.
 #[derive(Debug, Clone, Copy)]
@@ -72,8 +79,8 @@ pub struct PlannerInitialization<'a> {
     pub route: &'a Route,
 }
 
-/// A planner's input at every iteration: the present and the recent past. By construction a planner never sees the logged future;
-/// log replay, which does, is built with the recording.
+/// A planner's input at every iteration: the present and the recent past. By construction a planner
+/// never sees the logged future; log replay, which does, is built with the recording.
 #[derive(Debug, Clone, Copy)]
 pub struct PlannerInput<'a> {
     /// The iteration, from 0.
@@ -87,13 +94,18 @@ pub trait Planner: Send {
     /// Name for tables and files, for example `log-replay`.
     fn name(&self) -> &str;
 
-    /// Prepares for one scenario. Called once before the first iteration; a second call discards all state.
+    /// Prepares for one scenario. Called once before the first iteration; a second call discards
+    /// all state.
     ///
     /// # Errors
     /// When the planner cannot plan on this map or route.
-    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError>;
+    fn initialize(
+        &mut self,
+        initialization: &PlannerInitialization<'_>,
+    ) -> Result<(), PlannerError>;
 
-    /// The trajectory to follow from now on. It starts at the present or before and reaches over the next step at least.
+    /// The trajectory to follow from now on. It starts at the present or before and reaches over
+    /// the next step at least.
     ///
     /// # Errors
     /// When no trajectory can be given.
@@ -109,7 +121,8 @@ pub trait Planner: Send {
         self.calls().to_vec()
     }
 
-    /// The drivable areas that the planner scores its plans with, if they are the same in the whole simulation.
+    /// The drivable areas that the planner scores its plans with, if they are the same in the whole
+    /// simulation.
     fn drivable_layers(&self) -> Option<DrivableLayers> {
         None
     }

@@ -19,13 +19,25 @@ pub(super) struct ModelInput<'a> {
 }
 
 impl ModelInput<'_> {
-    /// The BEV image and the lane-graph text of a scene, as far as the settings show them to the model.
-    pub(super) fn of(&self, scene: &SceneView<'_>, graph: &LaneGraph) -> Result<ScenarioPrompt, PlannerError> {
+    /// The BEV image and the lane-graph text of a scene, as far as the settings show them to the
+    /// model.
+    pub(super) fn of(
+        &self,
+        scene: &SceneView<'_>,
+        graph: &LaneGraph,
+    ) -> Result<ScenarioPrompt, PlannerError> {
         let environment = &self.settings.environment;
-        let form = self.source.prompts().map(|prompts| prompts.forms().scene_text).filter(|_| environment.lane_graph);
+        let form = self
+            .source
+            .prompts()
+            .map(|prompts| prompts.forms().scene_text)
+            .filter(|_| environment.lane_graph);
         let pixels = self.source.image_size().filter(|_| environment.bev);
         Ok(ScenarioPrompt {
-            image: pixels.map(|pixels| self.bev(scene, pixels)).transpose()?.map(Arc::new),
+            image: pixels
+                .map(|pixels| self.bev(scene, pixels))
+                .transpose()?
+                .map(Arc::new),
             text: form.map(|form| text::write(&Description::of(graph), form)),
             names: Names::of(graph),
             legend: bev::Palette::legend(),
@@ -33,14 +45,25 @@ impl ModelInput<'_> {
     }
 
     fn bev(&self, scene: &SceneView<'_>, pixels: u32) -> Result<RgbImage, PlannerError> {
-        let view = BevView::new(pixels, self.settings.environment.view_m)
-            .map_err(|error| PlannerError::Failed { doing: "rendering the BEV image", source: Box::new(error) })?;
+        let view = BevView::new(pixels, self.settings.environment.view_m).map_err(|error| {
+            PlannerError::Failed {
+                doing: "rendering the BEV image",
+                source: Box::new(error),
+            }
+        })?;
         if !self.settings.environment.shuffled_bev {
             return Ok(bev::render(scene, &view));
         }
-        let missing = PlannerError::MissingPart { planner: self.planner, part: "a source of shuffled BEV images" };
+        let missing = PlannerError::MissingPart {
+            planner: self.planner,
+            part: "a source of shuffled BEV images",
+        };
         let shuffled = self.shuffled_bev.ok_or(missing)?;
-        shuffled(self.settings.seed ^ scene.ego.time_us as u64, &view)
-            .map_err(|source| PlannerError::Failed { doing: "rendering a shuffled BEV image", source })
+        shuffled(self.settings.seed ^ scene.ego.time_us as u64, &view).map_err(|source| {
+            PlannerError::Failed {
+                doing: "rendering a shuffled BEV image",
+                source,
+            }
+        })
     }
 }

@@ -1,4 +1,5 @@
-//! Monitoring: Reflection scores the active plan at every step and chooses the version of it that is executed.
+//! Monitoring: Reflection scores the active plan at every step and chooses the version of it that
+//! is executed.
 
 use super::agent_state::ActivePlan;
 use super::layer::{AgentLayer, forward};
@@ -7,8 +8,9 @@ use crate::reflection::{IdmPlan, MonitoredStep, PlanMonitor};
 use planagent_world::{SceneView, Trajectory};
 use std::time::Instant;
 
-/// An agent whose active plan is monitored. A lane change or a pass that needs hard braking or scores less than λ is aborted where
-/// the plan is better in the ego's present lane; the ego stays there until the next planning call.
+/// An agent whose active plan is monitored. A lane change or a pass that needs hard braking or
+/// scores less than λ is aborted where the plan is better in the ego's present lane; the ego stays
+/// there until the next planning call.
 #[derive(Debug)]
 pub struct Monitored<A> {
     inner: A,
@@ -23,11 +25,19 @@ impl<A> Monitored<A> {
 }
 
 impl<A: AgentLayer> Monitored<A> {
-    /// The active plan in the ego's present lane, and its step; `None` when it is bound for that lane already.
-    fn aborted_lane_change(&mut self, scene: &SceneView<'_>) -> Result<Option<(IdmPlan, MonitoredStep)>, PlannerError> {
+    /// The active plan in the ego's present lane, and its step; `None` when it is bound for that
+    /// lane already.
+    fn aborted_lane_change(
+        &mut self,
+        scene: &SceneView<'_>,
+    ) -> Result<Option<(IdmPlan, MonitoredStep)>, PlannerError> {
         let state = self.inner.state_mut();
-        let (Some(plan), Ok(graph)) = (state.active_plan(), state.lane_graph(scene)) else { return Ok(None) };
-        let Some(back) = state.builder.back_to_ego_lane(plan, scene, &graph)? else { return Ok(None) };
+        let (Some(plan), Ok(graph)) = (state.active_plan(), state.lane_graph(scene)) else {
+            return Ok(None);
+        };
+        let Some(back) = state.builder.back_to_ego_lane(plan, scene, &graph)? else {
+            return Ok(None);
+        };
         let step = self.monitor.step(scene, &back, &mut state.memory)?;
         Ok(Some((back, step)))
     }
@@ -39,7 +49,9 @@ impl<A: AgentLayer> AgentLayer for Monitored<A> {
     fn execute(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let scene = &input.scene;
         let state = self.inner.state_mut();
-        let ActivePlan::Generated(plan) = &state.active else { return self.inner.execute(input) };
+        let ActivePlan::Generated(plan) = &state.active else {
+            return self.inner.execute(input);
+        };
         let mut step = self.monitor.step(scene, plan, &mut state.memory)?;
         let mut aborted = None;
         if (step.brakes || step.score < self.monitor.threshold)

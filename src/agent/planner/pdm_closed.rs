@@ -1,10 +1,12 @@
-//! PDM-Closed as a planner (Dauner et al. 2023, "Parting with Misconceptions about Learning-based Vehicle Motion Planning").
+//! PDM-Closed as a planner (Dauner et al. 2023, "Parting with Misconceptions about Learning-based
+//! Vehicle Motion Planning").
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use planagent_score::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
 use planagent_world::Trajectory;
 
-/// PDM-Closed: it chooses its reference path at the first iteration and keeps it, and scores fifteen proposals at every iteration.
+/// PDM-Closed: it chooses its reference path at the first iteration and keeps it, and scores
+/// fifteen proposals at every iteration.
 #[derive(Debug, Clone, Default)]
 pub struct PdmClosed {
     memory: PdmMemory,
@@ -22,9 +24,16 @@ impl Planner for PdmClosed {
         "pdm-closed"
     }
 
-    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+    fn initialize(
+        &mut self,
+        initialization: &PlannerInitialization<'_>,
+    ) -> Result<(), PlannerError> {
         *self = Self::default();
-        if initialization.route.lanes(initialization.map).is_empty() { Err(PlannerError::EmptyRoute) } else { Ok(()) }
+        if initialization.route.lanes(initialization.map).is_empty() {
+            Err(PlannerError::EmptyRoute)
+        } else {
+            Ok(())
+        }
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
@@ -32,6 +41,9 @@ impl Planner for PdmClosed {
     }
 
     fn drivable_layers(&self) -> Option<DrivableLayers> {
-        self.memory.reference_path.as_ref().map(ReferencePath::layers)
+        self.memory
+            .reference_path
+            .as_ref()
+            .map(ReferencePath::layers)
     }
 }

@@ -1,5 +1,5 @@
-//! The agent of the paper. A planning call transforms the environment, reasons, and reflects on the plan of each attempt; the plan
-//! is executed until the next call.
+//! The agent of the paper. A planning call transforms the environment, reasons, and reflects on the
+//! plan of each attempt; the plan is executed until the next call.
 
 use super::agent_state::{ActivePlan, AgentState};
 use super::attempts::{AttemptLimits, Attempts};
@@ -33,8 +33,9 @@ impl PlanAgent {
     /// The paper's loop. Gate, latency and monitoring are layers around it: [`Self::layered`].
     pub fn new(name: PlannerName, source: CodeSource, settings: PlanAgentSettings) -> Self {
         Self {
-            state: AgentState::new(name, &settings)
-                .naming_oncoming_lane(source.names_oncoming_lane(settings.environment.oncoming_lane)),
+            state: AgentState::new(name, &settings).naming_oncoming_lane(
+                source.names_oncoming_lane(settings.environment.oncoming_lane),
+            ),
             source,
             settings,
             shuffled_bev: None,
@@ -55,7 +56,8 @@ impl PlanAgent {
         with_layers(Box::new(self), &settings)
     }
 
-    /// Reasoning and Reflection: the attempts, and the score of the active plan where it may be kept instead of a refused one.
+    /// Reasoning and Reflection: the attempts, and the score of the active plan where it may be
+    /// kept instead of a refused one.
     fn attempt(
         &mut self,
         seen: GraphedScene<'_>,
@@ -63,24 +65,60 @@ impl PlanAgent {
         seed: u64,
         deadline: Deadline,
     ) -> Result<(Attempts<IdmPlan>, Option<f64>), PlannerError> {
-        let Self { state, source, settings, history, .. } = self;
+        let Self {
+            state,
+            source,
+            settings,
+            history,
+            ..
+        } = self;
         let GraphedScene { scene, graph } = seen;
-        let ReflectionSettings { threshold, lane_change_threshold, max_exec, .. } = settings.reflection;
-        let codes = source.open(prompt, graph, CodesAsked { seed, deadline, attempts: max_exec }, history)?;
+        let ReflectionSettings {
+            threshold,
+            lane_change_threshold,
+            max_exec,
+            ..
+        } = settings.reflection;
+        let codes = source.open(
+            prompt,
+            graph,
+            CodesAsked {
+                seed,
+                deadline,
+                attempts: max_exec,
+            },
+            history,
+        )?;
         let started = Instant::now();
         let judge = if settings.reflection.enabled {
-            Some(Judge::new(scene, graph, settings.reflection.horizon_s, &mut state.memory)?)
+            Some(Judge::new(
+                scene,
+                graph,
+                settings.reflection.horizon_s,
+                &mut state.memory,
+            )?)
         } else {
             None
         };
         let observation_ms = milliseconds(started.elapsed());
         let thresholds = (threshold, lane_change_threshold);
-        let mut question = CodeQuestion { codes, seen, judge: judge.as_ref(), state, thresholds };
-        let limits = AttemptLimits { max_exec, threshold, compares: source.compares() };
+        let mut question = CodeQuestion {
+            codes,
+            seen,
+            judge: judge.as_ref(),
+            state,
+            thresholds,
+        };
+        let limits = AttemptLimits {
+            max_exec,
+            threshold,
+            compares: source.compares(),
+        };
         let attempts = Attempts::make(&mut question, limits, observation_ms)?;
         let active = match (&judge, state.active_plan()) {
             (Some(judge), Some(active))
-                if attempts.accepted().is_none() && settings.reflection.after_max_exec == AfterMaxExec::Best =>
+                if attempts.accepted().is_none()
+                    && settings.reflection.after_max_exec == AfterMaxExec::Best =>
             {
                 let extended = state.builder.extend(active, scene, graph)?;
                 Some(judge.reflect(&extended, threshold)?.score)
@@ -98,7 +136,9 @@ impl PlanAgent {
         match (attempts.accepted(), &attempts.interruption, refused) {
             (Some(index), ..) => Decision::Execute(index),
             (None, Some(why), _) => self.state.keep_or_brake(NoPlan::Interrupted(why.clone())),
-            (None, None, Some(index)) if active.is_some_and(|active| active > attempts.score(index)) => {
+            (None, None, Some(index))
+                if active.is_some_and(|active| active > attempts.score(index)) =>
+            {
                 Decision::KeepActivePlan(NoPlan::Worse)
             }
             (None, None, Some(index)) => Decision::Exhausted(index),
@@ -125,25 +165,57 @@ impl AgentLayer for PlanAgent {
         Ok(())
     }
 
-    fn plan(&mut self, input: &PlannerInput<'_>, started: Instant) -> Result<Option<ActivePlan>, PlannerError> {
+    fn plan(
+        &mut self,
+        input: &PlannerInput<'_>,
+        started: Instant,
+    ) -> Result<Option<ActivePlan>, PlannerError> {
         let (scene, iteration) = (&input.scene, input.iteration);
         let at_s = self.state.clock.elapsed_s(scene.ego.time_us);
-        let deadline = self.settings.deadline().map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
+        let deadline = self
+            .settings
+            .deadline()
+            .map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
         let graph = match self.state.lane_graph(scene) {
             Ok(graph) => graph,
             Err(error) => {
-                let decision = self.state.keep_or_brake(NoPlan::NoLaneGraph(error.to_string()));
+                let decision = self
+                    .state
+                    .keep_or_brake(NoPlan::NoLaneGraph(error.to_string()));
                 let total_ms = milliseconds(started.elapsed());
-                self.state.calls.push(PlanningCall::without_attempts((iteration, at_s), decision, total_ms));
+                self.state.calls.push(PlanningCall::without_attempts(
+                    (iteration, at_s),
+                    decision,
+                    total_ms,
+                ));
                 return Ok(None);
             }
         };
-        let Self { state, source, settings, shuffled_bev, .. } = &*self;
-        let input = ModelInput { planner: state.name, source, settings, shuffled_bev: shuffled_bev.as_ref() };
+        let Self {
+            state,
+            source,
+            settings,
+            shuffled_bev,
+            ..
+        } = &*self;
+        let input = ModelInput {
+            planner: state.name,
+            source,
+            settings,
+            shuffled_bev: shuffled_bev.as_ref(),
+        };
         let prompt = input.of(scene, &graph)?;
         let environment_ms = milliseconds(started.elapsed());
         let seed = self.settings.call_seed(iteration);
-        let (attempts, active) = self.attempt(GraphedScene { scene, graph: &graph }, &prompt, seed, deadline)?;
+        let (attempts, active) = self.attempt(
+            GraphedScene {
+                scene,
+                graph: &graph,
+            },
+            &prompt,
+            seed,
+            deadline,
+        )?;
         let decision = self.decide(&attempts, active);
         let (attempts, mut plan) = attempts.into_records(decision.attempt());
         let mut aborted_lane_change = None;
@@ -151,7 +223,10 @@ impl AgentLayer for PlanAgent {
         if let (Decision::Exhausted(_), AfterMaxExec::Best, Some(refused)) =
             (&decision, self.settings.reflection.after_max_exec, &plan)
             && begins_lane_change(refused, scene, &graph, &self.state)
-            && let Some(back) = self.state.builder.back_to_ego_lane(refused, scene, &graph)?
+            && let Some(back) = self
+                .state
+                .builder
+                .back_to_ego_lane(refused, scene, &graph)?
         {
             (plan, aborted_lane_change) = (Some(back), Some(iteration));
         }
@@ -185,7 +260,9 @@ impl AgentLayer for PlanAgent {
             ActivePlan::None => return Ok(comfortable_stop(scene.ego, TRAJECTORY_STEPS)?),
         };
         let rollout = active.roll_out(scene, TRAJECTORY_STEPS);
-        if self.settings.reflection.emergency_brake && needs_emergency_brake(scene, &rollout, &mut state.memory) {
+        if self.settings.reflection.emergency_brake
+            && needs_emergency_brake(scene, &rollout, &mut state.memory)
+        {
             state.note(|call| call.emergency_brakes += 1);
             return Ok(emergency_brake(scene.ego, TRAJECTORY_STEPS)?);
         }

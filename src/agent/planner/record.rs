@@ -15,7 +15,8 @@ use std::sync::Arc;
 pub enum Decision {
     /// The plan of this attempt (from 0) scored λ or more and becomes active.
     Execute(usize),
-    /// All attempts were refused; the plan of this attempt becomes active all the same, as in the paper.
+    /// All attempts were refused; the plan of this attempt becomes active all the same, as in the
+    /// paper.
     Exhausted(usize),
     /// The call gave no plan; the active one is kept.
     KeepActivePlan(NoPlan),
@@ -23,7 +24,8 @@ pub enum Decision {
     Brake(NoPlan),
     /// The call gave no answer that is better than PDM-Closed, which is executed.
     RuleBased(NoPlan),
-    /// The model was not asked: the predicted score of PDM-Closed's plan, given here, passes the gate. PDM-Closed is executed.
+    /// The model was not asked: the predicted score of PDM-Closed's plan, given here, passes the
+    /// gate. PDM-Closed is executed.
     Gated(f64),
 }
 
@@ -105,15 +107,20 @@ impl fmt::Display for NoPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unreadable => f.write_str("no attempt gave a plan that can be read"),
-            Self::Outscored => f.write_str("PDM-Closed's own proposal scores no less than any answer"),
+            Self::Outscored => {
+                f.write_str("PDM-Closed's own proposal scores no less than any answer")
+            }
             Self::Worse => f.write_str("the active plan scores more than all attempts"),
             Self::Interrupted(Interruption::Deadline) => f.write_str("the deadline passed"),
-            Self::NoLaneGraph(why) | Self::Interrupted(Interruption::Model(why)) => f.write_str(why),
+            Self::NoLaneGraph(why) | Self::Interrupted(Interruption::Model(why)) => {
+                f.write_str(why)
+            }
         }
     }
 }
 
-/// One attempt: three rounds (one of LLM-ASSIST), an answer, its reflection. An interrupted attempt has fewer rounds and no answer.
+/// One attempt: three rounds (one of LLM-ASSIST), an answer, its reflection. An interrupted attempt
+/// has fewer rounds and no answer.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Attempt {
@@ -127,7 +134,8 @@ pub struct Attempt {
     pub errors: Vec<ParseError>,
     /// Reflection's report; `None` without a plan or with Reflection off.
     pub reflection: Option<ReflectionReport>,
-    /// Where several answers were proposed: each, the likeliest first. The best one is the attempt's answer.
+    /// Where several answers were proposed: each, the likeliest first. The best one is the
+    /// attempt's answer.
     pub proposals: Vec<Proposal>,
     /// Path of the plan, map frame.
     pub path: Vec<Pose>,
@@ -168,7 +176,12 @@ impl Attempt {
 
     /// The feedback that the next attempt gets.
     pub fn feedback(&self, threshold: f64) -> Feedback {
-        feedback(self.line(), self.reflection.as_ref(), &self.errors, threshold)
+        feedback(
+            self.line(),
+            self.reflection.as_ref(),
+            &self.errors,
+            threshold,
+        )
     }
 }
 
@@ -179,7 +192,13 @@ pub fn feedback(
     errors: &[ParseError],
     threshold: f64,
 ) -> Feedback {
-    let named = |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
+    let named = |report: &ReflectionReport| {
+        report
+            .parts
+            .named()
+            .map(|(name, value)| (name.to_owned(), value))
+            .to_vec()
+    };
     Feedback {
         code: line,
         score: reflection.map(|report| report.score),
@@ -211,12 +230,13 @@ pub struct PlanningCall {
     pub attempts: Vec<Attempt>,
     /// The outcome.
     pub decision: Decision,
-    /// Iterations after this call in which the ego braked hard against the active plan: by PDM-Closed's emergency brake, or by the
-    /// stop of a monitored plan.
+    /// Iterations after this call in which the ego braked hard against the active plan: by
+    /// PDM-Closed's emergency brake, or by the stop of a monitored plan.
     pub emergency_brakes: usize,
     /// The iteration at which a lane change was aborted.
     pub aborted_lane_change: Option<usize>,
-    /// With a latency: the iteration at which the call's plan became active; `None` where it did not.
+    /// With a latency: the iteration at which the call's plan became active; `None` where it did
+    /// not.
     pub active_from: Option<usize>,
     /// Wall time of the environment transformation, milliseconds.
     pub environment_ms: f64,
@@ -227,7 +247,11 @@ pub struct PlanningCall {
 impl PlanningCall {
     /// A call at an iteration and a time that ended before the first attempt.
     #[doc(hidden)]
-    pub fn without_attempts((iteration, at_s): (usize, f64), decision: Decision, total_ms: f64) -> Self {
+    pub fn without_attempts(
+        (iteration, at_s): (usize, f64),
+        decision: Decision,
+        total_ms: f64,
+    ) -> Self {
         Self {
             iteration,
             at_s,
@@ -252,7 +276,10 @@ impl PlanningCall {
 
     /// Errors in all answers.
     pub fn parse_errors(&self) -> usize {
-        self.attempts.iter().map(|attempt| attempt.errors.len()).sum()
+        self.attempts
+            .iter()
+            .map(|attempt| attempt.errors.len())
+            .sum()
     }
 
     /// Whether the gate skipped the model.

@@ -1,9 +1,11 @@
-//! The planners that a run can name. A new planner is its file and one line of [`PlannerRegistry::default`]; crates above
-//! and programs add theirs with [`PlannerRegistry::with`].
+//! The planners that a run can name. A new planner is its file and one line of
+//! [`PlannerRegistry::default`]; crates above and programs add theirs with
+//! [`PlannerRegistry::with`].
 
 use super::{
-    AgentLayer, AskedModel, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay, PdmClosed, PdmClosedPlus,
-    PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, SimplePlanner,
+    AgentLayer, AskedModel, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay,
+    PdmClosed, PdmClosedPlus, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName,
+    SimplePlanner,
 };
 use crate::reasoning::AssistVariant;
 use planagent_world::EgoState;
@@ -24,7 +26,8 @@ pub enum PlannerNeeds {
     Model,
     /// A file with the weights of a network.
     Checkpoint,
-    /// The agent's settings and the simulation itself, in which it looks ahead. Only runs have one to give.
+    /// The agent's settings and the simulation itself, in which it looks ahead. Only runs have one
+    /// to give.
     Simulation,
 }
 
@@ -93,7 +96,14 @@ impl PlannerEntry {
         build: impl Fn(&PlannerParts<'_>) -> Built + Send + Sync + 'static,
     ) -> Self {
         let prepare = Arc::new(|_: &PlanAgentSettings| Ok(()));
-        Self { name, summary, needs, build: Arc::new(build), unsupported: |_| None, prepare }
+        Self {
+            name,
+            summary,
+            needs,
+            build: Arc::new(build),
+            unsupported: |_| None,
+            prepare,
+        }
     }
 
     /// The same, with what a run does once before its first simulation.
@@ -103,7 +113,10 @@ impl PlannerEntry {
         self,
         prepare: impl Fn(&PlanAgentSettings) -> Result<(), PlannerError> + Send + Sync + 'static,
     ) -> Self {
-        Self { prepare: Arc::new(prepare), ..self }
+        Self {
+            prepare: Arc::new(prepare),
+            ..self
+        }
     }
 
     /// Prepares for the simulations of a run: loads the checkpoint of a planner that needs one.
@@ -130,7 +143,10 @@ impl PlannerEntry {
     /// When a part is missing.
     pub fn build(&self, parts: &PlannerParts<'_>) -> Result<Box<dyn Planner>, PlannerError> {
         if self.needs_model() && parts.model.is_none() {
-            return Err(PlannerError::MissingPart { planner: self.name, part: "a model" });
+            return Err(PlannerError::MissingPart {
+                planner: self.name,
+                part: "a model",
+            });
         }
         (self.build)(parts)
     }
@@ -138,7 +154,10 @@ impl PlannerEntry {
 
 impl fmt::Debug for PlannerEntry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("PlannerEntry").field("name", &self.name).field("needs", &self.needs).finish_non_exhaustive()
+        f.debug_struct("PlannerEntry")
+            .field("name", &self.name)
+            .field("needs", &self.needs)
+            .finish_non_exhaustive()
     }
 }
 
@@ -162,35 +181,76 @@ impl Default for PlannerRegistry {
     fn default() -> Self {
         use PlannerNeeds::{Model, Nothing, Recording, Settings, Simulation};
         let control = |name, summary, source: CodeSource| {
-            PlannerEntry::new(name, summary, Settings, move |parts| boxed(agent(parts, source.clone())))
+            PlannerEntry::new(name, summary, Settings, move |parts| {
+                boxed(agent(parts, source.clone()))
+            })
         };
         let assist = |name, summary, variant| PlannerEntry {
-            unsupported: |settings| (settings.agent.latency != Latency::None).then_some("agent.latency"),
-            ..PlannerEntry::new(name, summary, Model, move |parts| llm_assist(parts, variant))
+            unsupported: |settings| {
+                (settings.agent.latency != Latency::None).then_some("agent.latency")
+            },
+            ..PlannerEntry::new(name, summary, Model, move |parts| {
+                llm_assist(parts, variant)
+            })
         };
         let name = PlannerName::new;
         Self {
             entries: vec![
-                PlannerEntry::new(PlannerName::PLAN_AGENT, "the agent of the paper", Model, plan_agent),
-                PlannerEntry::new(name("log-replay"), "the recorded driver", Recording, |parts| {
-                    boxed(LogReplay::new(parts.recording.to_vec()))
+                PlannerEntry::new(
+                    PlannerName::PLAN_AGENT,
+                    "the agent of the paper",
+                    Model,
+                    plan_agent,
+                ),
+                PlannerEntry::new(
+                    name("log-replay"),
+                    "the recorded driver",
+                    Recording,
+                    |parts| boxed(LogReplay::new(parts.recording.to_vec())),
+                ),
+                PlannerEntry::new(name("idm"), "nuPlan's IDM planner", Nothing, |_| {
+                    boxed(IdmPlanner::default())
                 }),
-                PlannerEntry::new(name("idm"), "nuPlan's IDM planner", Nothing, |_| boxed(IdmPlanner::default())),
-                PlannerEntry::new(name("simple"), "nuPlan's planner that drives straight ahead", Nothing, |_| {
-                    boxed(SimplePlanner::default())
+                PlannerEntry::new(
+                    name("simple"),
+                    "nuPlan's planner that drives straight ahead",
+                    Nothing,
+                    |_| boxed(SimplePlanner::default()),
+                ),
+                PlannerEntry::new(PlannerName::PDM_CLOSED, "PDM-Closed", Nothing, |_| {
+                    boxed(PdmClosed::new())
                 }),
-                PlannerEntry::new(PlannerName::PDM_CLOSED, "PDM-Closed", Nothing, |_| boxed(PdmClosed::new())),
                 PlannerEntry::new(
                     name("pdm-closed-plus"),
                     "PDM-Closed with proposals on every centerline (a control)",
                     Nothing,
                     |_| boxed(PdmClosedPlus::new()),
                 ),
-                assist(name("llm-assist-unc"), "LLM-ASSIST; the model gives waypoints", AssistVariant::Unconstrained),
-                assist(name("llm-assist-par"), "LLM-ASSIST; the model tunes PDM-Closed", AssistVariant::Parameters),
-                control(name("random-code"), "the agent with random codes (a control)", CodeSource::Random),
-                control(name("fixed-code"), "the agent with one fixed code (a control)", CodeSource::Fixed),
-                control(name("grid-code"), "the agent with the best code of a grid (a control)", CodeSource::Grid),
+                assist(
+                    name("llm-assist-unc"),
+                    "LLM-ASSIST; the model gives waypoints",
+                    AssistVariant::Unconstrained,
+                ),
+                assist(
+                    name("llm-assist-par"),
+                    "LLM-ASSIST; the model tunes PDM-Closed",
+                    AssistVariant::Parameters,
+                ),
+                control(
+                    name("random-code"),
+                    "the agent with random codes (a control)",
+                    CodeSource::Random,
+                ),
+                control(
+                    name("fixed-code"),
+                    "the agent with one fixed code (a control)",
+                    CodeSource::Fixed,
+                ),
+                control(
+                    name("grid-code"),
+                    "the agent with the best code of a grid (a control)",
+                    CodeSource::Grid,
+                ),
                 control(
                     name("random-code-four"),
                     "the agent with the best of four random codes (a control)",
@@ -206,7 +266,10 @@ impl Default for PlannerRegistry {
                     "the agent with codes tried out ahead (a control)",
                     Simulation,
                     |parts| {
-                        Err(PlannerError::MissingPart { planner: parts.name, part: "a simulation to look ahead in" })
+                        Err(PlannerError::MissingPart {
+                            planner: parts.name,
+                            part: "a simulation to look ahead in",
+                        })
                     },
                 ),
             ],
@@ -233,10 +296,20 @@ impl PlannerRegistry {
     /// # Errors
     /// When no planner has it.
     pub fn find(&self, name: &str) -> Result<&PlannerEntry, UnknownPlanner> {
-        self.entries.iter().find(|entry| entry.name.as_str() == name).ok_or_else(|| {
-            let known = self.entries.iter().map(|entry| entry.name.to_string()).collect();
-            UnknownPlanner { name: name.to_owned(), known }
-        })
+        self.entries
+            .iter()
+            .find(|entry| entry.name.as_str() == name)
+            .ok_or_else(|| {
+                let known = self
+                    .entries
+                    .iter()
+                    .map(|entry| entry.name.to_string())
+                    .collect();
+                UnknownPlanner {
+                    name: name.to_owned(),
+                    known,
+                }
+            })
     }
 }
 
@@ -247,19 +320,41 @@ fn boxed(planner: impl Planner + 'static) -> Built {
 
 fn agent(parts: &PlannerParts<'_>, source: CodeSource) -> Box<dyn AgentLayer> {
     let agent = PlanAgent::new(parts.name, source, parts.settings.clone());
-    agent.with_shuffled_bev(parts.shuffled_bev.cloned()).layered()
+    agent
+        .with_shuffled_bev(parts.shuffled_bev.cloned())
+        .layered()
 }
 
 fn plan_agent(parts: &PlannerParts<'_>) -> Built {
-    let missing = PlannerError::MissingPart { planner: parts.name, part: "a model" };
+    let missing = PlannerError::MissingPart {
+        planner: parts.name,
+        part: "a model",
+    };
     Ok(Box::new(agent(parts, parts.model.cloned().ok_or(missing)?)))
 }
 
 fn llm_assist(parts: &PlannerParts<'_>, variant: AssistVariant) -> Built {
-    let Some(CodeSource::Model { model, prompts, reasoning }) = parts.model.cloned() else {
-        return Err(PlannerError::MissingPart { planner: parts.name, part: "a language model" });
+    let Some(CodeSource::Model {
+        model,
+        prompts,
+        reasoning,
+    }) = parts.model.cloned()
+    else {
+        return Err(PlannerError::MissingPart {
+            planner: parts.name,
+            part: "a language model",
+        });
     };
-    Ok(Box::new(LlmAssist::new(parts.name, variant, AskedModel { model, prompts, reasoning }, parts.settings.clone())))
+    Ok(Box::new(LlmAssist::new(
+        parts.name,
+        variant,
+        AskedModel {
+            model,
+            prompts,
+            reasoning,
+        },
+        parts.settings.clone(),
+    )))
 }
 
 #[cfg(test)]
@@ -270,21 +365,35 @@ mod tests {
     #[test]
     fn names_are_different_and_fit_into_file_names() {
         let registry = PlannerRegistry::default();
-        let names: BTreeSet<PlannerName> = registry.entries().iter().map(|entry| entry.name).collect();
+        let names: BTreeSet<PlannerName> =
+            registry.entries().iter().map(|entry| entry.name).collect();
         assert_eq!(names.len(), registry.entries().len());
-        let fits = |name: &PlannerName| name.as_str().chars().all(|c| c.is_ascii_lowercase() || c == '-');
+        let fits = |name: &PlannerName| {
+            name.as_str()
+                .chars()
+                .all(|c| c.is_ascii_lowercase() || c == '-')
+        };
         assert!(names.iter().all(fits), "{names:?}");
     }
 
     #[test]
     fn a_later_entry_replaces_an_earlier_one_of_its_name() {
-        let own = PlannerEntry::new(PlannerName::new("idm"), "mine", PlannerNeeds::Settings, |_| {
-            Ok(Box::new(SimplePlanner::default()))
-        });
+        let own = PlannerEntry::new(
+            PlannerName::new("idm"),
+            "mine",
+            PlannerNeeds::Settings,
+            |_| Ok(Box::new(SimplePlanner::default())),
+        );
         let registry = PlannerRegistry::default().with(own);
         assert_eq!(registry.find("idm").unwrap().summary, "mine");
-        assert_eq!(registry.entries().len(), PlannerRegistry::default().entries().len());
+        assert_eq!(
+            registry.entries().len(),
+            PlannerRegistry::default().entries().len()
+        );
         let error = registry.find("imd").unwrap_err().to_string();
-        assert!(error.starts_with("unknown planner 'imd'; known planners are plan-agent, log-replay"), "{error}");
+        assert!(
+            error.starts_with("unknown planner 'imd'; known planners are plan-agent, log-replay"),
+            "{error}"
+        );
     }
 }

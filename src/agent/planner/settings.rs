@@ -1,5 +1,5 @@
-//! Settings of the agent, in the sections of the configuration file. The defaults are those of the published results; where
-//! they differ from the paper, `docs/decisions` says why.
+//! Settings of the agent, in the sections of the configuration file. The defaults are those of the
+//! published results; where they differ from the paper, `docs/decisions` says why.
 
 use super::latency::Latency;
 use crate::environment::DEFAULT_NODE_LENGTH;
@@ -23,10 +23,12 @@ pub enum AfterMaxExec {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CallSettings {
-    /// Wall time after which a planning call is interrupted and the active plan is kept, milliseconds; `None` for no limit. The
-    /// image and a running reflection are completed all the same.
+    /// Wall time after which a planning call is interrupted and the active plan is kept,
+    /// milliseconds; `None` for no limit. The image and a running reflection are completed all the
+    /// same.
     pub deadline_ms: Option<u64>,
-    /// Predicted score of PDM-Closed from which on the model is not asked and PDM-Closed is executed; `None` always asks.
+    /// Predicted score of PDM-Closed from which on the model is not asked and PDM-Closed is
+    /// executed; `None` always asks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gate: Option<f64>,
     /// How long a planning call lasts in simulated time.
@@ -43,11 +45,13 @@ pub struct EnvironmentSettings {
     pub shuffled_bev: bool,
     /// Whether the model gets the lane-graph text.
     pub lane_graph: bool,
-    /// Side of the square that the BEV image shows, meters; its pixels are those of the model's vision tower.
+    /// Side of the square that the BEV image shows, meters; its pixels are those of the model's
+    /// vision tower.
     pub view_m: f64,
     /// Length of a lane-graph node, meters.
     pub node_length_m: f64,
-    /// Whether codes may name the oncoming lane to pass what blocks the ego's; `None` as the prompt set says.
+    /// Whether codes may name the oncoming lane to pass what blocks the ego's; `None` as the prompt
+    /// set says.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub oncoming_lane: Option<bool>,
 }
@@ -55,7 +59,14 @@ pub struct EnvironmentSettings {
 impl Default for EnvironmentSettings {
     fn default() -> Self {
         let (view_m, node_length_m) = (64.0, DEFAULT_NODE_LENGTH);
-        Self { bev: true, shuffled_bev: false, lane_graph: true, view_m, node_length_m, oncoming_lane: None }
+        Self {
+            bev: true,
+            shuffled_bev: false,
+            lane_graph: true,
+            view_m,
+            node_length_m,
+            oncoming_lane: None,
+        }
     }
 }
 
@@ -67,9 +78,10 @@ pub struct ReflectionSettings {
     pub enabled: bool,
     /// λ: a plan that scores this becomes active (the paper: 0.75).
     pub threshold: f64,
-    /// λ of a plan that begins a lane change, where it is higher. In 350 validation scenes, most lane changes that scored less
-    /// than 0.98 lowered the score of the simulation. A change towards the goal's lane needs λ alone. A plan that stays in a blocked lane
-    /// which the ego can leave needs this too, so that other lanes are tried.
+    /// λ of a plan that begins a lane change, where it is higher. In 350 validation scenes, most
+    /// lane changes that scored less than 0.98 lowered the score of the simulation. A change
+    /// towards the goal's lane needs λ alone. A plan that stays in a blocked lane which the ego can
+    /// leave needs this too, so that other lanes are tried.
     pub lane_change_threshold: f64,
     /// Maximum number of attempts of a planning call (the paper: 3).
     pub max_exec: usize,
@@ -79,11 +91,13 @@ pub struct ReflectionSettings {
     pub after_max_exec: AfterMaxExec,
     /// Which objects a plan follows.
     pub lead_policy: LeadPolicy,
-    /// Whether the active plan is monitored between planning calls. At every step it is scored with its slower and lateral
-    /// versions and a stop, and one of them is executed. A lane change whose score falls is aborted. Without monitoring the plan
-    /// is executed as the model wrote it (the paper).
+    /// Whether the active plan is monitored between planning calls. At every step it is scored with
+    /// its slower and lateral versions and a stop, and one of them is executed. A lane change whose
+    /// score falls is aborted. Without monitoring the plan is executed as the model wrote it (the
+    /// paper).
     pub monitoring: bool,
-    /// Whether the ego may brake hard against the active plan: by PDM-Closed's emergency brake, and under monitoring by the stop.
+    /// Whether the ego may brake hard against the active plan: by PDM-Closed's emergency brake, and
+    /// under monitoring by the stop.
     pub emergency_brake: bool,
 }
 
@@ -143,7 +157,8 @@ pub struct LearnedSettings {
 }
 
 impl LearnedSettings {
-    /// The checkpoint of a planner, by the planner's name; `None` where none is set, or the planner needs none.
+    /// The checkpoint of a planner, by the planner's name; `None` where none is set, or the planner
+    /// needs none.
     pub fn checkpoint(&self, planner: &str) -> Option<&str> {
         match planner {
             "pdm-open" => self.pdm_open.as_deref(),
@@ -180,18 +195,25 @@ impl LearnedSettings {
 
     /// The place for a planner's checkpoint; `None` for a planner that needs none.
     pub fn checkpoint_mut(&mut self, planner: &str) -> Option<&mut Option<String>> {
-        self.places().into_iter().find_map(|(name, place)| (name == planner).then_some(place))
+        self.places()
+            .into_iter()
+            .find_map(|(name, place)| (name == planner).then_some(place))
     }
 
     /// The checkpoint of one planner alone.
     pub fn only(mut self, planner: &str) -> Self {
-        self.places().into_iter().filter(|(name, _)| *name != planner).for_each(|(_, place)| *place = None);
+        self.places()
+            .into_iter()
+            .filter(|(name, _)| *name != planner)
+            .for_each(|(_, place)| *place = None);
         self
     }
 
     /// All checkpoints.
     pub fn all_mut(&mut self) -> impl Iterator<Item = &mut String> {
-        self.places().into_iter().filter_map(|(_, place)| place.as_mut())
+        self.places()
+            .into_iter()
+            .filter_map(|(_, place)| place.as_mut())
     }
 
     /// Whether no checkpoint is set.
@@ -213,7 +235,8 @@ pub struct PlanAgentSettings {
     pub learned: LearnedSettings,
     /// Time between planning calls, seconds (the paper: 2).
     pub plan_interval_s: f64,
-    /// Time between planning calls while something blocks the ego's lane or its lead agent stands, seconds (the paper: 2).
+    /// Time between planning calls while something blocks the ego's lane or its lead agent stands,
+    /// seconds (the paper: 2).
     pub blocked_interval_s: f64,
     /// Seed of the simulation; each planning call draws from a stream of its own.
     pub seed: u64,
@@ -223,7 +246,15 @@ impl Default for PlanAgentSettings {
     fn default() -> Self {
         let (agent, environment) = (CallSettings::default(), EnvironmentSettings::default());
         let (reflection, learned) = Default::default();
-        Self { agent, environment, reflection, learned, plan_interval_s: 2.0, blocked_interval_s: 0.5, seed: 0 }
+        Self {
+            agent,
+            environment,
+            reflection,
+            learned,
+            plan_interval_s: 2.0,
+            blocked_interval_s: 0.5,
+            seed: 0,
+        }
     }
 }
 
@@ -235,12 +266,25 @@ impl PlanAgentSettings {
 
     /// How the active plan is monitored; `None` where it is not.
     pub(super) fn monitor(&self) -> Option<PlanMonitor> {
-        let ReflectionSettings { enabled, monitoring, horizon_s, threshold, emergency_brake, .. } = self.reflection;
-        (enabled && monitoring).then(|| PlanMonitor { steps: steps_of(horizon_s), threshold, emergency_brake })
+        let ReflectionSettings {
+            enabled,
+            monitoring,
+            horizon_s,
+            threshold,
+            emergency_brake,
+            ..
+        } = self.reflection;
+        (enabled && monitoring).then(|| PlanMonitor {
+            steps: steps_of(horizon_s),
+            threshold,
+            emergency_brake,
+        })
     }
 
     /// The seed of the planning call at an iteration.
     pub(super) fn call_seed(&self, iteration: usize) -> u64 {
-        self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64)
+        self.seed
+            .wrapping_mul(0x9E37_79B9_7F4A_7C15)
+            .wrapping_add(iteration as u64)
     }
 }

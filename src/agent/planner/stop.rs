@@ -9,7 +9,10 @@ const DECELERATION: f64 = 4.0;
 ///
 /// # Errors
 /// When the ego's state is not finite.
-pub(super) fn comfortable_stop(ego: &EgoState, steps: usize) -> Result<Trajectory, TrajectoryError> {
+pub(super) fn comfortable_stop(
+    ego: &EgoState,
+    steps: usize,
+) -> Result<Trajectory, TrajectoryError> {
     let mut speed = ego.velocity.x.max(0.0);
     let mut distance = 0.0;
     let mut states = vec![TrajectoryState::from(ego)];
@@ -17,7 +20,12 @@ pub(super) fn comfortable_stop(ego: &EgoState, steps: usize) -> Result<Trajector
         distance += speed * STEP_S;
         speed = (speed - DECELERATION * STEP_S).max(0.0);
         let pose = ego.rear_axle.translated(distance, 0.0);
-        states.push(TrajectoryState::moving(ego.time_us + step as i64 * STEP_US, pose, speed, -DECELERATION));
+        states.push(TrajectoryState::moving(
+            ego.time_us + step as i64 * STEP_US,
+            pose,
+            speed,
+            -DECELERATION,
+        ));
     }
     Trajectory::new(states)
 }

@@ -6,7 +6,8 @@ use std::fmt;
 /// The function that planner code calls (paper, section 3, planner code generation).
 pub const FUNCTION: &str = "Generate_IDM_Planner";
 
-/// A call `Generate_IDM_Planner(c, la, v0, acc, dec)`: an IDM planner along a centerline behind a lead agent.
+/// A call `Generate_IDM_Planner(c, la, v0, acc, dec)`: an IDM planner along a centerline behind a
+/// lead agent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlannerCode {
     /// `c`: the centerline to follow.
@@ -34,11 +35,23 @@ pub struct Range {
 }
 
 /// `v0`: from standstill to more than any speed limit of nuPlan's maps.
-pub const TARGET_SPEED: Range = Range { min: 0.0, max: 40.0, unit: "m/s" };
+pub const TARGET_SPEED: Range = Range {
+    min: 0.0,
+    max: 40.0,
+    unit: "m/s",
+};
 /// `acc`: up to what a passenger car can give.
-pub const ACCEL_MAX: Range = Range { min: 0.1, max: 5.0, unit: "m/s²" };
+pub const ACCEL_MAX: Range = Range {
+    min: 0.1,
+    max: 5.0,
+    unit: "m/s²",
+};
 /// `dec`: up to a full brake on dry road.
-pub const DECEL_MAX: Range = Range { min: 0.1, max: 9.0, unit: "m/s²" };
+pub const DECEL_MAX: Range = Range {
+    min: 0.1,
+    max: 9.0,
+    unit: "m/s²",
+};
 
 impl Range {
     pub fn contains(&self, value: f64) -> bool {
@@ -54,7 +67,13 @@ impl fmt::Display for Range {
 
 impl fmt::Display for PlannerCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { centerline, lead_agent, target_speed, accel_max, decel_max } = self;
+        let Self {
+            centerline,
+            lead_agent,
+            target_speed,
+            accel_max,
+            decel_max,
+        } = self;
         write!(f, "{FUNCTION}(c={centerline}, la=")?;
         match lead_agent {
             Some(name) => write!(f, "{name}")?,
@@ -71,7 +90,8 @@ pub struct Names {
     pub centerlines: Vec<CenterlineName>,
     /// Agents and obstacles that may lead.
     pub lead_agents: Vec<AgentName>,
-    /// Speed limit of the ego's lane, whole m/s, the upper bound of v0 under a grammar. `None` where it is unknown.
+    /// Speed limit of the ego's lane, whole m/s, the upper bound of v0 under a grammar. `None`
+    /// where it is unknown.
     pub speed_limit: Option<u32>,
 }
 
@@ -81,7 +101,10 @@ impl Names {
         Self {
             centerlines: graph.named().map(|centerline| centerline.name).collect(),
             lead_agents: graph.agents.iter().map(|agent| agent.name).collect(),
-            speed_limit: graph.ego_lane().speed_limit.map(|limit| limit.round() as u32),
+            speed_limit: graph
+                .ego_lane()
+                .speed_limit
+                .map(|limit| limit.round() as u32),
         }
     }
 }

@@ -48,21 +48,28 @@ pub(super) fn tokens(text: &str) -> Vec<Spanned> {
             c if c.is_ascii_digit() || "+-.".contains(c) => number(rest, c),
             c => (Token::Other(c), c.len_utf8()),
         };
-        found.push(Spanned { token, span: start..start + length });
+        found.push(Spanned {
+            token,
+            span: start..start + length,
+        });
         rest = &rest[length..];
     }
     found
 }
 
 fn word(rest: &str) -> (Token, usize) {
-    let end = rest.find(|c: char| !(c.is_alphanumeric() || c == '_')).unwrap_or(rest.len());
+    let end = rest
+        .find(|c: char| !(c.is_alphanumeric() || c == '_'))
+        .unwrap_or(rest.len());
     (Token::Word(rest[..end].to_owned()), end)
 }
 
 /// A quoted string; an unclosed quote is a stray character.
 fn quoted(rest: &str, quote: char) -> (Token, usize) {
     match rest[1..].find([quote, '\n']) {
-        Some(end) if rest[1 + end..].starts_with(quote) => (Token::Word(rest[1..=end].to_owned()), end + 2),
+        Some(end) if rest[1 + end..].starts_with(quote) => {
+            (Token::Word(rest[1..=end].to_owned()), end + 2)
+        }
         _ => (Token::Other(quote), 1),
     }
 }
@@ -95,7 +102,10 @@ mod tests {
 
     #[test]
     fn splits_a_call() {
-        let words: Vec<Token> = tokens("f(c='a b', x=-1.5)").into_iter().map(|s| s.token).collect();
+        let words: Vec<Token> = tokens("f(c='a b', x=-1.5)")
+            .into_iter()
+            .map(|s| s.token)
+            .collect();
         let expected = [
             Token::Word("f".into()),
             Token::Open,

@@ -1,8 +1,10 @@
-//! Reads planner code from a model's answer. Reading never fails: it gives the code or a list of errors with their place. The
-//! errors go into the feedback prompt and are counted.
+//! Reads planner code from a model's answer. Reading never fails: it gives the code or a list of
+//! errors with their place. The errors go into the feedback prompt and are counted.
 
 use super::call_parser::{Call, ParseError, Signature};
-use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, NO_LEAD_AGENT, Names, PlannerCode, TARGET_SPEED};
+use super::code::{
+    ACCEL_MAX, DECEL_MAX, FUNCTION, NO_LEAD_AGENT, Names, PlannerCode, TARGET_SPEED,
+};
 
 /// What was read in an answer: the whole line, or the errors in it.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,31 +17,52 @@ pub struct Parsed<A> {
 
 impl<A> Parsed<A> {
     /// Nothing read, and nothing wrong.
-    pub const NOTHING: Self = Self { answer: None, errors: Vec::new() };
+    pub const NOTHING: Self = Self {
+        answer: None,
+        errors: Vec::new(),
+    };
 
     /// An answer without errors.
     pub fn of(answer: A) -> Self {
-        Self { answer: Some(answer), errors: Vec::new() }
+        Self {
+            answer: Some(answer),
+            errors: Vec::new(),
+        }
     }
 }
 
 /// The call of planner code.
-const SIGNATURE: Signature<'_> = Signature { function: FUNCTION, parameters: &["c", "la", "v0", "acc", "dec"] };
+const SIGNATURE: Signature<'_> = Signature {
+    function: FUNCTION,
+    parameters: &["c", "la", "v0", "acc", "dec"],
+};
 
 /// Reads the last call of the function in `text`; names are checked against those of the scene.
 pub fn parse(text: &str, names: &Names) -> Parsed<PlannerCode> {
     let mut call = match Call::find(text, SIGNATURE) {
         Ok(call) => call,
-        Err(error) => return Parsed { answer: None, errors: vec![error] },
+        Err(error) => {
+            return Parsed {
+                answer: None,
+                errors: vec![error],
+            };
+        }
     };
     let answer = read(&mut call, names);
-    Parsed { answer, errors: call.into_errors() }
+    Parsed {
+        answer,
+        errors: call.into_errors(),
+    }
 }
 
 fn read(call: &mut Call<'_>, names: &Names) -> Option<PlannerCode> {
     let centerline = call.name("c", &names.centerlines, None);
     let follows = !call.is("la", NO_LEAD_AGENT);
-    let lead_agent = if follows { call.name("la", &names.lead_agents, Some(NO_LEAD_AGENT)) } else { None };
+    let lead_agent = if follows {
+        call.name("la", &names.lead_agents, Some(NO_LEAD_AGENT))
+    } else {
+        None
+    };
     let target_speed = call.number("v0", TARGET_SPEED);
     let accel_max = call.number("acc", ACCEL_MAX);
     let decel_max = call.magnitude("dec", DECEL_MAX);
@@ -61,13 +84,19 @@ mod tests {
     fn names() -> Names {
         Names {
             centerlines: vec![CenterlineName::EgoLane, CenterlineName::LeftLane],
-            lead_agents: ["vehicle1", "pedestrian2"].map(|name| name.parse().unwrap()).to_vec(),
+            lead_agents: ["vehicle1", "pedestrian2"]
+                .map(|name| name.parse().unwrap())
+                .to_vec(),
             speed_limit: None,
         }
     }
 
     fn messages(text: &str) -> Vec<String> {
-        parse(text, &names()).errors.into_iter().map(|error| error.message).collect()
+        parse(text, &names())
+            .errors
+            .into_iter()
+            .map(|error| error.message)
+            .collect()
     }
 
     #[test]
@@ -85,7 +114,12 @@ mod tests {
             "First Generate_IDM_Planner(ego_lane, None, 1, 1, 1)\nno: generate_idm_planner(dec=3, acc=1.5, v0=8, la=vehicle1, c=left_lane).",
         ] {
             let parsed = parse(text, &names());
-            assert_eq!(parsed.answer.as_ref(), Some(&expected), "{text}: {:?}", parsed.errors);
+            assert_eq!(
+                parsed.answer.as_ref(),
+                Some(&expected),
+                "{text}: {:?}",
+                parsed.errors
+            );
             assert!(parsed.errors.is_empty(), "{:?}", parsed.errors);
         }
     }
@@ -97,11 +131,23 @@ mod tests {
             messages("Generate_IDM_Planner(up_lane, vehicle1, 8, 1, 3)"),
             ["c names 'up_lane', which is not in the scene"]
         );
-        assert_eq!(messages("Generate_IDM_Planner(ego_lane, None, 800, 1, 3)"), ["v0 = 800 is out of range"]);
-        assert_eq!(messages("Generate_IDM_Planner(ego_lane, None, 8, 1"), ["the call is not closed", "dec is missing"]);
-        assert_eq!(messages("Generate_IDM_Planner(ego_lane, None, v0=8, v0=9, acc=1, dec=2)"), ["v0 is given twice"]);
+        assert_eq!(
+            messages("Generate_IDM_Planner(ego_lane, None, 800, 1, 3)"),
+            ["v0 = 800 is out of range"]
+        );
+        assert_eq!(
+            messages("Generate_IDM_Planner(ego_lane, None, 8, 1"),
+            ["the call is not closed", "dec is missing"]
+        );
+        assert_eq!(
+            messages("Generate_IDM_Planner(ego_lane, None, v0=8, v0=9, acc=1, dec=2)"),
+            ["v0 is given twice"]
+        );
         let error = &parse("x Generate_IDM_Planner(ego_lane, 7, 8, 1, 3)", &names()).errors[0];
-        assert_eq!((error.span.clone(), error.message.as_str()), (33..34, "la is not a name"));
+        assert_eq!(
+            (error.span.clone(), error.message.as_str()),
+            (33..34, "la is not a name")
+        );
     }
 
     proptest! {

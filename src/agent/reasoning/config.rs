@@ -8,24 +8,27 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReasoningConfig {
-    /// `paper`, `brief`, `compact`, a folder of `prompts/`, or the path of a folder of templates; `None` for the set that the model's
-    /// description or its own files name.
+    /// `paper`, `brief`, `compact`, a folder of `prompts/`, or the path of a folder of templates;
+    /// `None` for the set that the model's description or its own files name.
     pub prompt_set: Option<String>,
     /// The rounds in order; the last must be `code`.
     pub rounds: Vec<Round>,
     /// Iterations of 0.1 s between planning calls (the paper: 20).
     pub interval: usize,
-    /// Iterations of 0.1 s between planning calls while something blocks the ego's lane or its lead agent stands (the paper: 20).
+    /// Iterations of 0.1 s between planning calls while something blocks the ego's lane or its lead
+    /// agent stands (the paper: 20).
     pub blocked_interval: usize,
-    /// Sampling temperature of later attempts; 0 takes the most likely token. The model's description decides for the first.
+    /// Sampling temperature of later attempts; 0 takes the most likely token. The model's
+    /// description decides for the first.
     pub rethink_temperature: f64,
     /// Whether answers are decoded under grammars.
     pub grammar: bool,
-    /// Where drafts of answers come from: `none` or `history`, the default. No answer depends on it.
+    /// Where drafts of answers come from: `none` or `history`, the default. No answer depends on
+    /// it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speculation: Option<Speculation>,
-    /// Codes that an attempt proposes, 1 to 4: the likeliest ones under the grammar. Reflection tries all of them out, and the best
-    /// one is the attempt's. 1 is the paper's.
+    /// Codes that an attempt proposes, 1 to 4: the likeliest ones under the grammar. Reflection
+    /// tries all of them out, and the best one is the attempt's. 1 is the paper's.
     #[serde(skip_serializing_if = "Proposals::is_one")]
     pub proposals: Proposals,
 }
@@ -44,7 +47,10 @@ impl Proposals {
         self.0
     }
 
-    #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+    #[allow(
+        clippy::trivially_copy_pass_by_ref,
+        reason = "serde passes a reference"
+    )]
     fn is_one(&self) -> bool {
         self.0 == 1
     }
@@ -68,7 +74,10 @@ impl TryFrom<usize> for Proposals {
     fn try_from(count: usize) -> Result<Self, String> {
         match count {
             1..=Self::MAX => Ok(Self(count)),
-            _ => Err(format!("{count} proposals; an attempt has 1 to {}", Self::MAX)),
+            _ => Err(format!(
+                "{count} proposals; an attempt has 1 to {}",
+                Self::MAX
+            )),
         }
     }
 }
@@ -97,7 +106,10 @@ impl ReasoningConfig {
     /// The settings for a model with these generation settings.
     pub fn settings(&self, generation: GenerationSettings) -> ReasoningSettings {
         let rethink_sampling = if self.rethink_temperature > 0.0 {
-            Sampling::Sample { temperature: self.rethink_temperature, top_p: 1.0 }
+            Sampling::Sample {
+                temperature: self.rethink_temperature,
+                top_p: 1.0,
+            }
         } else {
             Sampling::Greedy
         };

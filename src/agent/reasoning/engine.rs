@@ -13,8 +13,8 @@ use super::round::Round;
 use super::variables;
 use image::RgbImage;
 use planagent_mllm::{
-    Answer, Constraint, ConstraintUse, Conversation, Deadline, FinishReason, GenerationSettings, Mark, Mllm, MllmError,
-    PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
+    Answer, Constraint, ConstraintUse, Conversation, Deadline, FinishReason, GenerationSettings,
+    Mark, Mllm, MllmError, PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
 };
 use std::sync::Arc;
 
@@ -108,7 +108,13 @@ impl<A> ReasoningTrace<A> {
 
     /// A line that no model gave, as it was read.
     pub fn of_parsed(parsed: Parsed<A>) -> Self {
-        Self { rounds: Vec::new(), interruption: None, instruction: None, parsed, proposals: Vec::new() }
+        Self {
+            rounds: Vec::new(),
+            interruption: None,
+            instruction: None,
+            parsed,
+            proposals: Vec::new(),
+        }
     }
 }
 
@@ -155,7 +161,8 @@ pub struct Reasoning<'a> {
 }
 
 impl<'a> Reasoning<'a> {
-    /// Opens the conversation of a planning call that must end by `deadline`. `history` has the answers of the simulation so far.
+    /// Opens the conversation of a planning call that must end by `deadline`. `history` has the
+    /// answers of the simulation so far.
     pub fn open(
         model: &'a dyn Mllm,
         prompts: &'a PromptSet,
@@ -166,7 +173,13 @@ impl<'a> Reasoning<'a> {
         history: &'a mut AnswerHistory,
     ) -> Result<Self, ReasoningError> {
         let system = system_prompt(prompts, &scenario.legend)?;
-        let conversation = model.converse(&PromptPrefix { system, image: scenario.image.clone() }, seed)?;
+        let conversation = model.converse(
+            &PromptPrefix {
+                system,
+                image: scenario.image.clone(),
+            },
+            seed,
+        )?;
         let start = conversation.mark();
         Ok(Self {
             conversation,
@@ -181,29 +194,52 @@ impl<'a> Reasoning<'a> {
         })
     }
 
-    /// One attempt: all rounds from the start, with feedback on the last attempt in the first prompt.
+    /// One attempt: all rounds from the start, with feedback on the last attempt in the first
+    /// prompt.
     ///
     /// # Errors
-    /// On a permanent failure of the model, or when a prompt cannot be rendered. Wrong answers and interruptions are no errors.
-    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace<PlannerCode>, ReasoningError> {
+    /// On a permanent failure of the model, or when a prompt cannot be rendered. Wrong answers and
+    /// interruptions are no errors.
+    pub fn think(
+        &mut self,
+        feedback: Option<&Feedback>,
+    ) -> Result<ReasoningTrace<PlannerCode>, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;
         // Of several proposals the feedback is on the best, which need not be the likeliest.
-        let slow = feedback.filter(|feedback| feedback.is_slow).and_then(|feedback| feedback.code.as_deref());
-        self.refused.slow.extend(slow.and_then(|code| parse(code, &self.scenario.names).answer));
-        let mut feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
+        let slow = feedback
+            .filter(|feedback| feedback.is_slow)
+            .and_then(|feedback| feedback.code.as_deref());
+        self.refused
+            .slow
+            .extend(slow.and_then(|code| parse(code, &self.scenario.names).answer));
+        let mut feedback = feedback
+            .map(|f| feedback_text(self.prompts, f))
+            .transpose()?;
         let mut scene_text = self.scenario.text.as_deref();
         let mut rounds = Vec::with_capacity(self.settings.rounds.len());
         let (mut instruction, mut less_likely) = (None, Vec::new());
         for &round in &self.settings.rounds {
             let names = &self.scenario.names;
-            let prompt = round_prompt(self.prompts, round, names, scene_text.take(), feedback.take().as_deref())?;
+            let prompt = round_prompt(
+                self.prompts,
+                round,
+                names,
+                scene_text.take(),
+                feedback.take().as_deref(),
+            )?;
             let (answer, others) = match self.answer(round, &prompt) {
                 Ok(answers) => answers,
                 Err(error) if error.is_transient() => {
                     let interruption = Some(error.into());
                     let (parsed, proposals) = (Parsed::NOTHING, Vec::new());
-                    return Ok(ReasoningTrace { rounds, interruption, instruction, parsed, proposals });
+                    return Ok(ReasoningTrace {
+                        rounds,
+                        interruption,
+                        instruction,
+                        parsed,
+                        proposals,
+                    });
                 }
                 Err(error) => return Err(error.into()),
             };
@@ -214,7 +250,10 @@ impl<'a> Reasoning<'a> {
             rounds.push(record(round, prompt, answer));
             less_likely = others;
         }
-        let code = rounds.last().filter(|last| last.round == Round::Code).map_or("", |last| last.answer.as_str());
+        let code = rounds
+            .last()
+            .filter(|last| last.round == Round::Code)
+            .map_or("", |last| last.answer.as_str());
         let names = &self.scenario.names;
         let parsed = parse(code, names);
         let proposals: Vec<PlannerCode> = less_likely
@@ -222,23 +261,38 @@ impl<'a> Reasoning<'a> {
             .filter_map(|text| parse(text, names).answer)
             .filter(|code| parsed.answer != Some(*code))
             .collect();
-        self.refused.codes.extend(parsed.answer.iter().chain(&proposals));
-        Ok(ReasoningTrace { rounds, interruption: None, instruction, parsed, proposals })
+        self.refused
+            .codes
+            .extend(parsed.answer.iter().chain(&proposals));
+        Ok(ReasoningTrace {
+            rounds,
+            interruption: None,
+            instruction,
+            parsed,
+            proposals,
+        })
     }
 
-    /// The answer to a round, and the texts of less likely ones where several codes are proposed. Its counts and times contain
-    /// theirs.
+    /// The answer to a round, and the texts of less likely ones where several codes are proposed.
+    /// Its counts and times contain theirs.
     fn answer(&mut self, round: Round, prompt: &str) -> Result<(Answer, Vec<String>), MllmError> {
         let request = self.request(round);
         let proposals = self.settings.proposals.get();
         if round != Round::Code || proposals == 1 {
             return Ok((self.conversation.ask(prompt, &request)?, Vec::new()));
         }
-        let mut answers = self.conversation.ask_likeliest(prompt, &request, proposals)?;
+        let mut answers = self
+            .conversation
+            .ask_likeliest(prompt, &request, proposals)?;
         let others = answers.split_off(1.min(answers.len()));
-        let nothing = || MllmError::Request { problem: "the model gave no proposal".to_owned() };
+        let nothing = || MllmError::Request {
+            problem: "the model gave no proposal".to_owned(),
+        };
         let likeliest = answers.pop().ok_or_else(nothing)?;
-        Ok((likeliest, others.into_iter().map(|answer| answer.text).collect()))
+        Ok((
+            likeliest,
+            others.into_iter().map(|answer| answer.text).collect(),
+        ))
     }
 
     fn request(&self, round: Round) -> Request {
@@ -249,14 +303,23 @@ impl<'a> Reasoning<'a> {
             Round::Instruction => grammar::instruction(forms.instruction),
             Round::Code => grammar::code(&self.scenario.names, &self.refused),
         };
-        let sampling =
-            if self.attempts > 1 { self.settings.rethink_sampling } else { self.settings.generation.sampling };
+        let sampling = if self.attempts > 1 {
+            self.settings.rethink_sampling
+        } else {
+            self.settings.generation.sampling
+        };
         let max_new_tokens = forms.max_tokens(round, self.settings.max_new_tokens(round));
         let draft = match self.settings.speculation {
             Speculation::None => None,
             Speculation::History => Some(self.history.last(round).to_vec()),
         };
-        Request { constraint, max_new_tokens, sampling, deadline: self.deadline, draft }
+        Request {
+            constraint,
+            max_new_tokens,
+            sampling,
+            deadline: self.deadline,
+            draft,
+        }
     }
 }
 

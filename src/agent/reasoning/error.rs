@@ -9,13 +9,26 @@ pub enum PromptError {
     #[error(
         "prompt set '{name}' is neither built in ({}), nor a folder of prompts/, nor a folder of templates", known.join(", ")
     )]
-    Unknown { name: String, known: Vec<&'static str> },
+    Unknown {
+        name: String,
+        known: Vec<&'static str>,
+    },
     #[error("cannot read {path}: {source}")]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error("{path}: {source}")]
-    Settings { path: PathBuf, source: Box<toml::de::Error> },
+    Settings {
+        path: PathBuf,
+        source: Box<toml::de::Error>,
+    },
     #[error("prompt template {name} of set '{set}': {source}")]
-    Template { set: String, name: &'static str, source: minijinja::Error },
+    Template {
+        set: String,
+        name: &'static str,
+        source: minijinja::Error,
+    },
 }
 
 /// Why reasoning failed as a whole. A wrong answer is no such failure.

@@ -23,7 +23,12 @@ const AHEAD: [&str; 5] = ["nothing", "vehicle", "bicycle", "pedestrian", "obstac
 
 /// One of these words.
 pub(super) fn any_of<S: AsRef<str>>(words: impl IntoIterator<Item = S>) -> Constraint {
-    Constraint::Choice(words.into_iter().map(|word| word.as_ref().to_owned()).collect())
+    Constraint::Choice(
+        words
+            .into_iter()
+            .map(|word| word.as_ref().to_owned())
+            .collect(),
+    )
 }
 
 pub(super) fn text(text: impl AsRef<str>) -> Constraint {
@@ -35,10 +40,17 @@ pub(super) fn understanding(form: UnderstandingForm) -> Constraint {
     match form {
         UnderstandingForm::Free => Constraint::Free,
         UnderstandingForm::Choices | UnderstandingForm::Choices2 => {
-            let answers = form.questions().iter().enumerate().flat_map(|(i, question)| {
-                let space = if i == 0 { "" } else { " " };
-                [text(format!("{space}{}=", question.as_str())), any_of(question.choices())]
-            });
+            let answers = form
+                .questions()
+                .iter()
+                .enumerate()
+                .flat_map(|(i, question)| {
+                    let space = if i == 0 { "" } else { " " };
+                    [
+                        text(format!("{space}{}=", question.as_str())),
+                        any_of(question.choices()),
+                    ]
+                });
             Constraint::Sequence(answers.collect())
         }
         UnderstandingForm::Short => Constraint::Sequence(vec![
@@ -110,19 +122,28 @@ pub(super) struct Refused {
 }
 
 impl Refused {
-    /// Whether a plan along a centerline at this target speed is as slow as one that was refused for it.
+    /// Whether a plan along a centerline at this target speed is as slow as one that was refused
+    /// for it.
     fn is_slow(&self, centerline: CenterlineName, target_speed: u32) -> bool {
-        self.slow.iter().any(|code| code.centerline == centerline && code.target_speed >= f64::from(target_speed))
+        self.slow.iter().any(|code| {
+            code.centerline == centerline && code.target_speed >= f64::from(target_speed)
+        })
     }
 }
 
-/// The grammar of round 3: one call with the names of this scene, other than those that were refused. After a plan that lacked
-/// nothing but progress, it names another centerline or a higher speed.
+/// The grammar of round 3: one call with the names of this scene, other than those that were
+/// refused. After a plan that lacked nothing but progress, it names another centerline or a higher
+/// speed.
 pub(super) fn code(names: &Names, refused: &Refused) -> Constraint {
     let slots = |centerlines: &[CenterlineName], speeds: Vec<u32>| {
         [
             centerlines.iter().map(ToString::to_string).collect(),
-            names.lead_agents.iter().map(ToString::to_string).chain([NO_LEAD_AGENT.to_owned()]).collect(),
+            names
+                .lead_agents
+                .iter()
+                .map(ToString::to_string)
+                .chain([NO_LEAD_AGENT.to_owned()])
+                .collect(),
             speeds.iter().map(ToString::to_string).collect(),
             ACCELERATIONS.iter().map(ToString::to_string).collect(),
             DECELERATIONS.iter().map(ToString::to_string).collect(),
@@ -133,15 +154,24 @@ pub(super) fn code(names: &Names, refused: &Refused) -> Constraint {
     let all = slots(&names.centerlines, target_speeds(names).collect());
     let other = || other_call(&all, 0, &codes).map(Constraint::Sequence);
     let faster = names.centerlines.iter().filter_map(|&centerline| {
-        let speeds: Vec<u32> = target_speeds(names).filter(|&speed| !refused.is_slow(centerline, speed)).collect();
+        let speeds: Vec<u32> = target_speeds(names)
+            .filter(|&speed| !refused.is_slow(centerline, speed))
+            .collect();
         if speeds.is_empty() {
             return None;
         }
-        let codes: Vec<&[String]> =
-            codes.iter().filter(|code| code.first() == Some(&centerline.to_string())).copied().collect();
+        let codes: Vec<&[String]> = codes
+            .iter()
+            .filter(|code| code.first() == Some(&centerline.to_string()))
+            .copied()
+            .collect();
         other_call(&slots(&[centerline], speeds), 0, &codes).map(Constraint::Sequence)
     });
-    let faster: Vec<Constraint> = if refused.slow.is_empty() { Vec::new() } else { faster.collect() };
+    let faster: Vec<Constraint> = if refused.slow.is_empty() {
+        Vec::new()
+    } else {
+        faster.collect()
+    };
     if faster.is_empty() {
         // Where every code was refused, one has to be repeated.
         return other().unwrap_or_else(|| Constraint::Sequence(call(&all, 0).collect()));
@@ -156,25 +186,48 @@ const AROUND: [&str; SLOTS + 1] = ["(c=", ", la=", ", v0=", ", acc=", ", dec=", 
 
 /// The arguments of a code as the grammar writes them.
 fn filled(code: &PlannerCode) -> [String; SLOTS] {
-    let PlannerCode { centerline, lead_agent, target_speed, accel_max, decel_max } = code;
+    let PlannerCode {
+        centerline,
+        lead_agent,
+        target_speed,
+        accel_max,
+        decel_max,
+    } = code;
     let lead_agent = lead_agent.map_or_else(|| NO_LEAD_AGENT.to_owned(), |name| name.to_string());
-    [centerline.to_string(), lead_agent, target_speed.to_string(), accel_max.to_string(), decel_max.to_string()]
+    [
+        centerline.to_string(),
+        lead_agent,
+        target_speed.to_string(),
+        accel_max.to_string(),
+        decel_max.to_string(),
+    ]
 }
 
 /// The text before an argument, or behind the last.
 fn around(slot: usize) -> Constraint {
     let function = if slot == 0 { FUNCTION } else { "" };
-    text(format!("{function}{}", AROUND.get(slot).copied().expect("texts stand around all arguments")))
+    text(format!(
+        "{function}{}",
+        AROUND
+            .get(slot)
+            .copied()
+            .expect("texts stand around all arguments")
+    ))
 }
 
 /// A call from an argument on.
 fn call(slots: &[Vec<String>], slot: usize) -> impl Iterator<Item = Constraint> + '_ {
     let rest = slots.iter().enumerate().skip(slot);
-    rest.flat_map(|(slot, values)| [around(slot), any_of(values)]).chain([around(slots.len())])
+    rest.flat_map(|(slot, values)| [around(slot), any_of(values)])
+        .chain([around(slots.len())])
 }
 
 /// A call from an argument on that differs from each of these; `None` where there is none.
-fn other_call(slots: &[Vec<String>], slot: usize, refused: &[&[String]]) -> Option<Vec<Constraint>> {
+fn other_call(
+    slots: &[Vec<String>],
+    slot: usize,
+    refused: &[&[String]],
+) -> Option<Vec<Constraint>> {
     if refused.is_empty() {
         return Some(call(slots, slot).collect());
     }
@@ -186,13 +239,21 @@ fn other_call(slots: &[Vec<String>], slot: usize, refused: &[&[String]]) -> Opti
         ways.push([vec![any_of(other)], call(slots, slot + 1).collect()].concat());
     }
     for value in same {
-        let begun = refused.iter().filter_map(|code| code.split_first().filter(|(first, _)| *first == value));
+        let begun = refused
+            .iter()
+            .filter_map(|code| code.split_first().filter(|(first, _)| *first == value));
         let rests: Vec<&[String]> = begun.map(|(_, rest)| rest).collect();
-        ways.extend(other_call(slots, slot + 1, &rests).map(|rest| [vec![text(value)], rest].concat()));
+        ways.extend(
+            other_call(slots, slot + 1, &rests).map(|rest| [vec![text(value)], rest].concat()),
+        );
     }
     // The text behind a value belongs to its way.
-    (!ways.is_empty())
-        .then(|| vec![around(slot), Constraint::OneOf(ways.into_iter().map(Constraint::Sequence).collect())])
+    (!ways.is_empty()).then(|| {
+        vec![
+            around(slot),
+            Constraint::OneOf(ways.into_iter().map(Constraint::Sequence).collect()),
+        ]
+    })
 }
 
 #[cfg(test)]
@@ -207,7 +268,9 @@ mod tests {
             lead_agents: vec!["vehicle1".parse().unwrap()],
             speed_limit: Some(2),
         };
-        let Constraint::Sequence(parts) = code(&names, &Refused::default()) else { panic!("not a sequence") };
+        let Constraint::Sequence(parts) = code(&names, &Refused::default()) else {
+            panic!("not a sequence")
+        };
         for offered in [&["0", "1", "2"][..], &["ego_lane"], &["vehicle1", "None"]] {
             assert!(parts.contains(&any_of(offered)), "{offered:?}: {parts:?}");
         }
@@ -218,10 +281,17 @@ mod tests {
         match constraint {
             Constraint::Choice(texts) => texts.iter().cloned().collect(),
             Constraint::OneOf(ways) => ways.iter().flat_map(texts).collect(),
-            Constraint::Sequence(parts) => parts.iter().fold(BTreeSet::from([String::new()]), |before, part| {
-                let ends = texts(part);
-                before.iter().flat_map(|text| ends.iter().map(move |end| format!("{text}{end}"))).collect()
-            }),
+            Constraint::Sequence(parts) => {
+                parts
+                    .iter()
+                    .fold(BTreeSet::from([String::new()]), |before, part| {
+                        let ends = texts(part);
+                        before
+                            .iter()
+                            .flat_map(|text| ends.iter().map(move |end| format!("{text}{end}")))
+                            .collect()
+                    })
+            }
             other => panic!("{other:?} is not finite"),
         }
     }
@@ -234,38 +304,79 @@ mod tests {
             speed_limit: Some(3),
         };
         let all = texts(&code(&names, &Refused::default()));
-        assert_eq!(all.len(), 2 * 2 * 4 * ACCELERATIONS.len() * DECELERATIONS.len());
+        assert_eq!(
+            all.len(),
+            2 * 2 * 4 * ACCELERATIONS.len() * DECELERATIONS.len()
+        );
         let of = |line: &str| super::super::parse(line, &names).answer.unwrap();
         let mut refused = Vec::new();
         for line in all.iter().step_by(7).chain(all.iter().take(9)) {
             refused.push(of(line));
-            let left = texts(&code(&names, &Refused { codes: refused.clone(), slow: Vec::new() }));
-            let expected: BTreeSet<String> = all.iter().filter(|line| !refused.contains(&of(line))).cloned().collect();
+            let left = texts(&code(
+                &names,
+                &Refused {
+                    codes: refused.clone(),
+                    slow: Vec::new(),
+                },
+            ));
+            let expected: BTreeSet<String> = all
+                .iter()
+                .filter(|line| !refused.contains(&of(line)))
+                .cloned()
+                .collect();
             assert_eq!(left, expected, "without {refused:?}");
         }
-        let every = Refused { codes: all.iter().map(|line| of(line)).collect(), slow: Vec::new() };
-        assert_eq!(texts(&code(&names, &every)), all, "a refused code is repeated where there is no other");
+        let every = Refused {
+            codes: all.iter().map(|line| of(line)).collect(),
+            slow: Vec::new(),
+        };
+        assert_eq!(
+            texts(&code(&names, &every)),
+            all,
+            "a refused code is repeated where there is no other"
+        );
     }
 
     #[test]
     fn after_a_plan_that_lacked_only_progress_the_code_names_another_lane_or_a_higher_speed() {
-        let names = |centerlines| Names { centerlines, lead_agents: Vec::new(), speed_limit: Some(3) };
+        let names = |centerlines| Names {
+            centerlines,
+            lead_agents: Vec::new(),
+            speed_limit: Some(3),
+        };
         let both = names(vec![CenterlineName::EgoLane, CenterlineName::LeftLane]);
         let of = |line: &str| super::super::parse(line, &both).answer.unwrap();
         let all = texts(&code(&both, &Refused::default()));
         let refused = |v0: u32| {
-            let slow = of(&format!("Generate_IDM_Planner(c=ego_lane, la=None, v0={v0}, acc=1.5, dec=3)"));
-            Refused { codes: vec![slow], slow: vec![slow] }
+            let slow = of(&format!(
+                "Generate_IDM_Planner(c=ego_lane, la=None, v0={v0}, acc=1.5, dec=3)"
+            ));
+            Refused {
+                codes: vec![slow],
+                slow: vec![slow],
+            }
         };
         for v0 in 0..=3 {
             let left = texts(&code(&both, &refused(v0)));
-            let is_faster =
-                |code: PlannerCode| code.centerline == CenterlineName::LeftLane || code.target_speed > f64::from(v0);
-            let expected: BTreeSet<String> = all.iter().filter(|line| is_faster(of(line))).cloned().collect();
+            let is_faster = |code: PlannerCode| {
+                code.centerline == CenterlineName::LeftLane || code.target_speed > f64::from(v0)
+            };
+            let expected: BTreeSet<String> = all
+                .iter()
+                .filter(|line| is_faster(of(line)))
+                .cloned()
+                .collect();
             assert_eq!(left, expected, "after v0={v0}");
         }
         let only = names(vec![CenterlineName::EgoLane]);
-        let (any, left) = (texts(&code(&only, &Refused::default())), texts(&code(&only, &refused(3))));
-        assert_eq!(left.len() + 1, any.len(), "no other lane is there: all but the refused code");
+        let (any, left) = (
+            texts(&code(&only, &Refused::default())),
+            texts(&code(&only, &refused(3))),
+        );
+        assert_eq!(
+            left.len() + 1,
+            any.len(),
+            "no other lane is there: all but the refused code"
+        );
     }
 }

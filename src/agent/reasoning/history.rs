@@ -3,8 +3,8 @@
 use super::round::Round;
 use serde::{Deserialize, Serialize};
 
-/// Where drafts of answers come from. A draft changes no answer: the model computes several tokens in one pass, and keeps those
-/// that it chooses itself.
+/// Where drafts of answers come from. A draft changes no answer: the model computes several tokens
+/// in one pass, and keeps those that it chooses itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Speculation {

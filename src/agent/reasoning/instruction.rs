@@ -61,7 +61,9 @@ choice! {
 }
 
 /// The answer of round 2.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
+)]
 pub struct MotionInstruction {
     pub longitudinal: Longitudinal,
     pub lateral: Lateral,
@@ -77,7 +79,10 @@ impl MotionInstruction {
             .collect();
         let longitudinal = words.iter().find_map(|word| word.parse().ok())?;
         let lateral = words.iter().find_map(|word| word.parse().ok())?;
-        Some(Self { longitudinal, lateral })
+        Some(Self {
+            longitudinal,
+            lateral,
+        })
     }
 }
 
@@ -87,9 +92,16 @@ mod tests {
 
     #[test]
     fn reads_both_forms() {
-        let expected = Some(MotionInstruction { longitudinal: Longitudinal::Decelerate, lateral: Lateral::Keep });
-        assert_eq!(MotionInstruction::find("lon=decelerate because=light lat=keep because=lane_serves"), expected);
-        let sentences = "Longitudinal: decelerate, because the light is red\nLateral: keep, because it serves";
+        let expected = Some(MotionInstruction {
+            longitudinal: Longitudinal::Decelerate,
+            lateral: Lateral::Keep,
+        });
+        assert_eq!(
+            MotionInstruction::find("lon=decelerate because=light lat=keep because=lane_serves"),
+            expected
+        );
+        let sentences =
+            "Longitudinal: decelerate, because the light is red\nLateral: keep, because it serves";
         assert_eq!(MotionInstruction::find(sentences), expected);
         assert_eq!(MotionInstruction::find("slow down"), None);
     }

@@ -1,5 +1,5 @@
-//! Stage 4: the Reasoning Engine of the paper. It asks the model three rounds, scene understanding, motion instruction and
-//! planner code, and reads the answers.
+//! Stage 4: the Reasoning Engine of the paper. It asks the model three rounds, scene understanding,
+//! motion instruction and planner code, and reads the answers.
 
 mod answer;
 mod assist;
@@ -22,21 +22,23 @@ mod variables;
 
 pub use answer::PlannerAnswer;
 pub use assist::{
-    AssistParameters, AssistQuestion, AssistReasoning, AssistVariant, Assistance, WAYPOINT_SECONDS, Waypoint,
-    Waypoints, parse_assistance,
+    AssistParameters, AssistQuestion, AssistReasoning, AssistVariant, Assistance, WAYPOINT_SECONDS,
+    Waypoint, Waypoints, parse_assistance,
 };
 pub use call_parser::ParseError;
 pub use code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range, TARGET_SPEED};
 pub use code_parser::{Parsed, parse};
 pub use config::{Proposals, ReasoningConfig};
 pub use engine::{
-    Feedback, Interruption, Reasoning, ReasoningSettings, ReasoningTrace, RoundRecord, ScenarioPrompt, feedback_text,
-    round_prompt, system_prompt,
+    Feedback, Interruption, Reasoning, ReasoningSettings, ReasoningTrace, RoundRecord,
+    ScenarioPrompt, feedback_text, round_prompt, system_prompt,
 };
 pub use error::{PromptError, ReasoningError};
 pub use grammar::{ACCELERATIONS, DECELERATIONS, target_speeds};
 pub use history::{AnswerHistory, Speculation};
-pub use instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction};
+pub use instruction::{
+    Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction,
+};
 pub use prompt_set::{InstructionForm, PromptForms, PromptSet, UnderstandingForm};
 pub use prompt_source::{PromptPlace, built_in_prompts};
 pub use question::{FreeQuestion, question_prompt};

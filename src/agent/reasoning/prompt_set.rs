@@ -13,8 +13,14 @@ use std::collections::BTreeMap;
 /// The file with the forms.
 const SETTINGS: &str = "set.toml";
 /// The files of a set.
-const FILES: [&str; 6] =
-    [SETTINGS, "system.jinja", "understanding.jinja", "instruction.jinja", "code.jinja", "feedback.jinja"];
+const FILES: [&str; 6] = [
+    SETTINGS,
+    "system.jinja",
+    "understanding.jinja",
+    "instruction.jinja",
+    "code.jinja",
+    "feedback.jinja",
+];
 /// Sets of a question outside the rounds, with their files.
 const QUESTION_SETS: [&str; 3] = ["llm_assist_unc", "llm_assist_par", "ask"];
 const QUESTION_FILES: [&str; 2] = ["system.jinja", "question.jinja"];
@@ -91,7 +97,8 @@ impl PromptForms {
     }
 }
 
-/// A set of prompts: its forms and its compiled templates, and beside them those of LLM-ASSIST's questions.
+/// A set of prompts: its forms and its compiled templates, and beside them those of LLM-ASSIST's
+/// questions.
 #[derive(Debug)]
 pub struct PromptSet {
     forms: PromptForms,
@@ -104,17 +111,23 @@ pub struct PromptSet {
 }
 
 impl PromptSet {
-    /// The set of a name, or the set in a folder. `prompts/NAME`, in the working directory or where `PLANAGENT_PROMPTS` says,
-    /// overrides the built-in set NAME.
+    /// The set of a name, or the set in a folder. `prompts/NAME`, in the working directory or where
+    /// `PLANAGENT_PROMPTS` says, overrides the built-in set NAME.
     pub fn open(name_or_folder: &str) -> Result<Self, PromptError> {
         let files = PromptFiles::find(name_or_folder, &FILES)?;
         let questions = QUESTION_SETS.map(|set| PromptFiles::find(set, &QUESTION_FILES));
-        Self::compile(&files, &questions.into_iter().collect::<Result<Vec<_>, _>>()?)
+        Self::compile(
+            &files,
+            &questions.into_iter().collect::<Result<Vec<_>, _>>()?,
+        )
     }
 
     fn compile(files: &PromptFiles, questions: &[PromptFiles]) -> Result<Self, PromptError> {
-        let forms = toml::from_str(files.text(SETTINGS))
-            .map_err(|source| PromptError::Settings { path: files.path(SETTINGS), source: Box::new(source) })?;
+        let forms =
+            toml::from_str(files.text(SETTINGS)).map_err(|source| PromptError::Settings {
+                path: files.path(SETTINGS),
+                source: Box::new(source),
+            })?;
         let mut hasher = blake3::Hasher::new();
         let all = || std::iter::once(files).chain(questions);
         all().for_each(|files| files.hash(&mut hasher));
@@ -152,8 +165,14 @@ impl PromptSet {
 
     /// The templates of a question outside the rounds.
     pub(super) fn question_set(&self, name: &'static str) -> Result<&Templates, PromptError> {
-        let found = self.questions.iter().find(|templates| templates.set() == name);
-        found.ok_or_else(|| PromptError::Unknown { name: name.to_owned(), known: Vec::new() })
+        let found = self
+            .questions
+            .iter()
+            .find(|templates| templates.set() == name);
+        found.ok_or_else(|| PromptError::Unknown {
+            name: name.to_owned(),
+            known: Vec::new(),
+        })
     }
 
     /// The name or folder that it was opened by.
@@ -193,8 +212,14 @@ mod tests {
     #[test]
     fn a_set_may_bound_answers() {
         let brief = *PromptSet::open("brief").unwrap().forms();
-        let limits = Round::ALL.iter().map(|&round| brief.max_tokens(round, 320)).collect::<Vec<_>>();
-        assert!(limits[0] < 50 && limits[1] < 50 && limits[2] == 320, "{limits:?}");
+        let limits = Round::ALL
+            .iter()
+            .map(|&round| brief.max_tokens(round, 320))
+            .collect::<Vec<_>>();
+        assert!(
+            limits[0] < 50 && limits[1] < 50 && limits[2] == 320,
+            "{limits:?}"
+        );
         assert_eq!(brief.max_tokens(Round::Understanding, 8), 8);
         let paper = *PromptSet::open("paper").unwrap().forms();
         assert_eq!(paper.max_tokens(Round::Instruction, 320), 320);
@@ -202,20 +227,33 @@ mod tests {
 
     #[test]
     fn wrong_sets_say_what_is_wrong() {
-        assert!(matches!(PromptSet::open("nowhere"), Err(PromptError::Unknown { .. })));
+        assert!(matches!(
+            PromptSet::open("nowhere"),
+            Err(PromptError::Unknown { .. })
+        ));
         let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join(SETTINGS), "scene_text = 'compact'\nunderstandng = 'free'").unwrap();
-        let missing = PromptSet::open(folder.path().to_str().unwrap()).unwrap_err().to_string();
+        std::fs::write(
+            folder.path().join(SETTINGS),
+            "scene_text = 'compact'\nunderstandng = 'free'",
+        )
+        .unwrap();
+        let missing = PromptSet::open(folder.path().to_str().unwrap())
+            .unwrap_err()
+            .to_string();
         assert!(missing.contains("system.jinja"), "{missing}");
         for name in &FILES[1..] {
             std::fs::write(folder.path().join(name), "x").unwrap();
         }
-        let settings = PromptSet::open(folder.path().to_str().unwrap()).unwrap_err().to_string();
+        let settings = PromptSet::open(folder.path().to_str().unwrap())
+            .unwrap_err()
+            .to_string();
         assert!(settings.contains("understandng"), "{settings}");
         let forms = "scene_text = 'compact'\nunderstanding = 'free'\ninstruction = 'choices'";
         std::fs::write(folder.path().join(SETTINGS), forms).unwrap();
         let own = PromptSet::open(folder.path().to_str().unwrap()).unwrap();
-        assert!(!own.is_built_in() && own.place() == &PromptPlace::Folder(folder.path().to_owned()));
+        assert!(
+            !own.is_built_in() && own.place() == &PromptPlace::Folder(folder.path().to_owned())
+        );
         assert_ne!(own.blake3(), PromptSet::open("paper").unwrap().blake3());
     }
 }

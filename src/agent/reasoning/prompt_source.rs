@@ -58,12 +58,15 @@ const BUILT_IN: [BuiltIn; 7] = [
 
 /// The texts of the prompt sets in the program.
 pub fn built_in_prompts() -> impl Iterator<Item = &'static str> {
-    BUILT_IN.iter().flat_map(|(_, files)| files.iter().map(|&(_, text)| text))
+    BUILT_IN
+        .iter()
+        .flat_map(|(_, files)| files.iter().map(|&(_, text)| text))
 }
 
 impl PromptFiles {
-    /// The set of a name: from the folder of prompt sets, else from the program, else from the folder that the name is a path
-    /// of. It has the files `names`, the first of which shows that a folder is a set.
+    /// The set of a name: from the folder of prompt sets, else from the program, else from the
+    /// folder that the name is a path of. It has the files `names`, the first of which shows that a
+    /// folder is a set.
     pub(super) fn find(name: &str, names: &[&'static str]) -> Result<Self, PromptError> {
         Self::find_in(&data_folder(PROMPTS_VARIABLE, PROMPTS), name, names)
     }
@@ -75,35 +78,61 @@ impl PromptFiles {
         }
         let first = names.first().copied().expect("a set has one file at least");
         let fits = |(_, files): &&BuiltIn| files.iter().any(|(file, _)| *file == first);
-        if let Some(built_in) = BUILT_IN.iter().filter(fits).find(|(known, _)| *known == name) {
+        if let Some(built_in) = BUILT_IN
+            .iter()
+            .filter(fits)
+            .find(|(known, _)| *known == name)
+        {
             return Ok(Self::built_in(built_in));
         }
         let folder = Path::new(name);
         if folder.join(first).is_file() {
             return Self::read(name, folder, names);
         }
-        let known = BUILT_IN.iter().filter(fits).map(|(known, _)| *known).collect();
-        Err(PromptError::Unknown { name: name.to_owned(), known })
+        let known = BUILT_IN
+            .iter()
+            .filter(fits)
+            .map(|(known, _)| *known)
+            .collect();
+        Err(PromptError::Unknown {
+            name: name.to_owned(),
+            known,
+        })
     }
 
     fn built_in(&(name, files): &BuiltIn) -> Self {
-        let texts = files.iter().map(|&(file, text)| (file, text.to_owned())).collect();
-        Self { name: name.to_owned(), place: PromptPlace::BuiltIn, texts }
+        let texts = files
+            .iter()
+            .map(|&(file, text)| (file, text.to_owned()))
+            .collect();
+        Self {
+            name: name.to_owned(),
+            place: PromptPlace::BuiltIn,
+            texts,
+        }
     }
 
     fn read(name: &str, folder: &Path, names: &[&'static str]) -> Result<Self, PromptError> {
         let read = |&file: &&'static str| {
             let path = folder.join(file);
             let text = planagent_files::read_text(&path, planagent_files::MAX_SETTINGS_BYTES);
-            text.map(|text| (file, text)).map_err(|source| PromptError::Read { path, source })
+            text.map(|text| (file, text))
+                .map_err(|source| PromptError::Read { path, source })
         };
         let texts = names.iter().map(read).collect::<Result<_, _>>()?;
-        Ok(Self { name: name.to_owned(), place: PromptPlace::Folder(folder.to_owned()), texts })
+        Ok(Self {
+            name: name.to_owned(),
+            place: PromptPlace::Folder(folder.to_owned()),
+            texts,
+        })
     }
 
     /// The text of a file; empty where the set has none of this name.
     pub(super) fn text(&self, file: &str) -> &str {
-        self.texts.iter().find(|(name, _)| *name == file).map_or("", |(_, text)| text)
+        self.texts
+            .iter()
+            .find(|(name, _)| *name == file)
+            .map_or("", |(_, text)| text)
     }
 
     /// The path of a file in messages.
@@ -116,7 +145,9 @@ impl PromptFiles {
 
     /// The templates: name without `.jinja`, and text.
     pub(super) fn templates(&self) -> impl Iterator<Item = (&'static str, String)> + '_ {
-        self.texts.iter().filter_map(|(file, text)| Some((file.strip_suffix(".jinja")?, text.clone())))
+        self.texts
+            .iter()
+            .filter_map(|(file, text)| Some((file.strip_suffix(".jinja")?, text.clone())))
     }
 
     /// Whether the texts are those of the program.
@@ -128,13 +159,18 @@ impl PromptFiles {
     /// BLAKE3 of each text, hexadecimal, by set and file.
     pub(super) fn digests(&self) -> Vec<(String, String)> {
         let digest = |text: &str| blake3::hash(text.as_bytes()).to_hex().to_string();
-        self.texts.iter().map(|(file, text)| (format!("{}/{file}", self.name), digest(text))).collect()
+        self.texts
+            .iter()
+            .map(|(file, text)| (format!("{}/{file}", self.name), digest(text)))
+            .collect()
     }
 
     /// Adds name and texts to a digest.
     pub(super) fn hash(&self, hasher: &mut blake3::Hasher) {
         let mut part = |text: &str| {
-            hasher.update(&(text.len() as u64).to_le_bytes()).update(text.as_bytes());
+            hasher
+                .update(&(text.len() as u64).to_le_bytes())
+                .update(text.as_bytes());
         };
         for (file, text) in &self.texts {
             part(file);
@@ -154,18 +190,34 @@ mod tests {
         let prompts = tempfile::tempdir().unwrap();
         let find = |name: &str| PromptFiles::find_in(prompts.path(), name, &FILES);
         let program = find("llm_assist_par").unwrap();
-        assert_eq!((program.place.to_string().as_str(), program.is_built_in()), ("built in", true));
+        assert_eq!(
+            (program.place.to_string().as_str(), program.is_built_in()),
+            ("built in", true)
+        );
         let folder = prompts.path().join("llm_assist_par");
         std::fs::create_dir(&folder).unwrap();
         std::fs::write(folder.join("system.jinja"), "Be careful.").unwrap();
         let incomplete = find("llm_assist_par").unwrap_err().to_string();
         assert!(incomplete.contains("question.jinja"), "{incomplete}");
-        std::fs::write(folder.join("question.jinja"), program.text("question.jinja")).unwrap();
+        std::fs::write(
+            folder.join("question.jinja"),
+            program.text("question.jinja"),
+        )
+        .unwrap();
         let edited = find("llm_assist_par").unwrap();
-        assert_eq!((&edited.place, edited.is_built_in()), (&PromptPlace::Folder(folder.clone()), false));
+        assert_eq!(
+            (&edited.place, edited.is_built_in()),
+            (&PromptPlace::Folder(folder.clone()), false)
+        );
         std::fs::write(folder.join("system.jinja"), program.text("system.jinja")).unwrap();
-        assert!(find("llm_assist_par").unwrap().is_built_in(), "the same texts are the same set, wherever they are");
+        assert!(
+            find("llm_assist_par").unwrap().is_built_in(),
+            "the same texts are the same set, wherever they are"
+        );
         assert!(matches!(find("nowhere"), Err(PromptError::Unknown { .. })));
-        assert_eq!(find(folder.to_str().unwrap()).unwrap().place, PromptPlace::Folder(folder));
+        assert_eq!(
+            find(folder.to_str().unwrap()).unwrap().place,
+            PromptPlace::Folder(folder)
+        );
     }
 }

@@ -19,10 +19,16 @@ pub struct FreeQuestion<'a> {
 }
 
 /// The system prompt and the prompt of a question, for a model that is asked with a prompt set.
-pub fn question_prompt(prompts: &PromptSet, question: &FreeQuestion<'_>) -> Result<(String, String), PromptError> {
+pub fn question_prompt(
+    prompts: &PromptSet,
+    question: &FreeQuestion<'_>,
+) -> Result<(String, String), PromptError> {
     let templates = prompts.question_set(ASK)?;
     let context = variables::ask(question, prompts.forms().scene_text.is_for_small_models());
-    Ok((templates.render("system", context.clone())?, templates.render("question", context)?))
+    Ok((
+        templates.render("system", context.clone())?,
+        templates.render("question", context)?,
+    ))
 }
 
 #[cfg(test)]
@@ -31,12 +37,27 @@ mod tests {
 
     #[test]
     fn a_question_stands_after_the_scene_text() {
-        let question = FreeQuestion { question: "What blocks us? ", scene_text: None, legend: "Colours: none." };
-        let asked = |set: &str, question| question_prompt(&PromptSet::open(set).unwrap(), &question).unwrap();
+        let question = FreeQuestion {
+            question: "What blocks us? ",
+            scene_text: None,
+            legend: "Colours: none.",
+        };
+        let asked = |set: &str, question| {
+            question_prompt(&PromptSet::open(set).unwrap(), &question).unwrap()
+        };
         let (system, prompt) = asked("paper", question);
         assert!(system.contains("Colours: none."), "{system}");
         assert_eq!(prompt, "What blocks us?");
-        let (system, prompt) = asked("compact", FreeQuestion { scene_text: Some("ego 3"), ..question });
-        assert_eq!((system.as_str(), prompt.as_str()), ("drive", "ego 3\nWhat blocks us?"));
+        let (system, prompt) = asked(
+            "compact",
+            FreeQuestion {
+                scene_text: Some("ego 3"),
+                ..question
+            },
+        );
+        assert_eq!(
+            (system.as_str(), prompt.as_str()),
+            ("drive", "ego 3\nWhat blocks us?")
+        );
     }
 }

@@ -19,13 +19,18 @@ impl Templates {
         let mut environment = Environment::new();
         environment.set_undefined_behavior(UndefinedBehavior::Strict);
         for (name, source) in templates {
-            environment.add_template_owned(name, source).map_err(|source| PromptError::Template {
-                set: set.to_owned(),
-                name,
-                source,
-            })?;
+            environment
+                .add_template_owned(name, source)
+                .map_err(|source| PromptError::Template {
+                    set: set.to_owned(),
+                    name,
+                    source,
+                })?;
         }
-        Ok(Self { set: set.to_owned(), environment })
+        Ok(Self {
+            set: set.to_owned(),
+            environment,
+        })
     }
 
     pub(super) fn set(&self) -> &str {
@@ -34,11 +39,16 @@ impl Templates {
 
     /// The text of a template, without white space around it.
     pub(super) fn render(&self, name: &'static str, context: Value) -> Result<String, PromptError> {
-        let rendered = self.environment.get_template(name).and_then(|template| template.render(context));
-        rendered.map(|text| text.trim().to_owned()).map_err(|source| PromptError::Template {
-            set: self.set.clone(),
-            name,
-            source,
-        })
+        let rendered = self
+            .environment
+            .get_template(name)
+            .and_then(|template| template.render(context));
+        rendered
+            .map(|text| text.trim().to_owned())
+            .map_err(|source| PromptError::Template {
+                set: self.set.clone(),
+                name,
+                source,
+            })
     }
 }

@@ -1,11 +1,13 @@
-//! The variables of the templates of a prompt set. docs/prompts.md lists them; a test holds the list equal to this file.
+//! The variables of the templates of a prompt set. docs/prompts.md lists them; a test holds the
+//! list equal to this file.
 
 use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, TARGET_SPEED};
 use super::engine::Feedback;
 use super::question::FreeQuestion;
 use minijinja::{Value, context};
 
-/// Variables of `system`: the same for all calls of a run. `legend` is the meaning of the image's colors.
+/// Variables of `system`: the same for all calls of a run. `legend` is the meaning of the image's
+/// colors.
 pub(super) fn system(legend: &str) -> Value {
     context! {
         function => FUNCTION,
@@ -43,7 +45,11 @@ pub(super) fn feedback(feedback: &Feedback) -> Value {
 
 /// Variables of `ask`. `compact` says whether the model reads compact texts.
 pub(super) fn ask(question: &FreeQuestion<'_>, compact: bool) -> Value {
-    let FreeQuestion { question, scene_text, legend } = *question;
+    let FreeQuestion {
+        question,
+        scene_text,
+        legend,
+    } = *question;
     context! { compact => compact, question => question.trim(), scene_text => scene_text, legend => legend }
 }
 
@@ -52,8 +58,13 @@ pub(super) fn assist_system(signature: &str, compact: bool) -> Value {
     context! { compact => compact, signature => signature }
 }
 
-/// Variables of LLM-ASSIST's `question`: the scene and the score of PDM-Closed's best proposal, and feedback on the last answer.
-pub(super) fn assist_question((scene_text, score): (&str, f64), feedback: Option<&str>, compact: bool) -> Value {
+/// Variables of LLM-ASSIST's `question`: the scene and the score of PDM-Closed's best proposal, and
+/// feedback on the last answer.
+pub(super) fn assist_question(
+    (scene_text, score): (&str, f64),
+    feedback: Option<&str>,
+    compact: bool,
+) -> Value {
     let score = format!("{score:.2}");
     context! { compact => compact, scene_text => scene_text, score => score, feedback => feedback }
 }
@@ -67,7 +78,8 @@ mod tests {
     use minijinja::value::ValueKind;
     use std::collections::BTreeMap;
 
-    /// The call that the examples of docs/prompts.md are from, and one in which everything optional is missing.
+    /// The call that the examples of docs/prompts.md are from, and one in which everything optional
+    /// is missing.
     fn contexts() -> [(&'static str, [Value; 2]); 6] {
         let names = Names {
             centerlines: vec![CenterlineName::EgoLane, CenterlineName::LeftLane],
@@ -75,14 +87,20 @@ mod tests {
             speed_limit: Some(13),
         };
         let refused = Feedback {
-            code: Some("Generate_IDM_Planner(c=left_lane, la=None, v0=11, acc=1.5, dec=3)".to_owned()),
+            code: Some(
+                "Generate_IDM_Planner(c=left_lane, la=None, v0=11, acc=1.5, dec=3)".to_owned(),
+            ),
             score: Some(0.414),
             threshold: 0.75,
             parts: vec![("collision".to_owned(), 1.0), ("progress".to_owned(), 0.2)],
             is_slow: true,
             errors: Vec::new(),
         };
-        let error = ParseError { span: 0..4, message: "no call".to_owned(), hint: "write one line".to_owned() };
+        let error = ParseError {
+            span: 0..4,
+            message: "no call".to_owned(),
+            hint: "write one line".to_owned(),
+        };
         let unread = Feedback {
             code: None,
             score: None,
@@ -94,19 +112,48 @@ mod tests {
         let scene = "Ego: 9 m/s, limit 13 m/s, route straight, light red in 24 m.";
         let last = "Your last planner was refused.";
         let legend = Palette::legend();
-        let free = FreeQuestion { question: "What blocks us?", scene_text: Some(scene), legend: &legend };
+        let free = FreeQuestion {
+            question: "What blocks us?",
+            scene_text: Some(scene),
+            legend: &legend,
+        };
         let line = "Tune_PDM(v0, gap, headway, acc, dec, brake)";
         [
             ("system", [system(&legend), system("")]),
-            ("rounds", [round(&names, Some(scene), Some(last)), round(&Names::default(), None, None)]),
+            (
+                "rounds",
+                [
+                    round(&names, Some(scene), Some(last)),
+                    round(&Names::default(), None, None),
+                ],
+            ),
             ("feedback", [feedback(&refused), feedback(&unread)]),
-            ("ask", [ask(&free, false), ask(&FreeQuestion { scene_text: None, ..free }, false)]),
-            ("LLM-ASSIST's system", [false, false].map(|compact| assist_system(line, compact))),
-            ("LLM-ASSIST's question", [Some(last), None].map(|last| assist_question((scene, 0.414), last, false))),
+            (
+                "ask",
+                [
+                    ask(&free, false),
+                    ask(
+                        &FreeQuestion {
+                            scene_text: None,
+                            ..free
+                        },
+                        false,
+                    ),
+                ],
+            ),
+            (
+                "LLM-ASSIST's system",
+                [false, false].map(|compact| assist_system(line, compact)),
+            ),
+            (
+                "LLM-ASSIST's question",
+                [Some(last), None].map(|last| assist_question((scene, 0.414), last, false)),
+            ),
         ]
     }
 
-    /// Names, types and examples of all values of a context; those of a map with its name before a point.
+    /// Names, types and examples of all values of a context; those of a map with its name before a
+    /// point.
     fn variables(prefix: &str, value: &Value, found: &mut BTreeMap<String, (Vec<String>, String)>) {
         for key in value.try_iter().unwrap() {
             let (name, value) = (format!("{prefix}{key}"), value.get_item(&key).unwrap());
@@ -117,7 +164,9 @@ mod tests {
             let (kinds, example) = found.entry(name).or_default();
             let kind = match value.kind() {
                 ValueKind::Seq if value.len() == Some(0) => continue,
-                ValueKind::Seq if value.get_item_by_index(0).unwrap().kind() == ValueKind::Seq => "list of pairs",
+                ValueKind::Seq if value.get_item_by_index(0).unwrap().kind() == ValueKind::Seq => {
+                    "list of pairs"
+                }
                 ValueKind::Seq => "list of strings",
                 ValueKind::None => "none",
                 ValueKind::Number => "number",
@@ -138,13 +187,24 @@ mod tests {
     fn documented() -> BTreeMap<(String, String), (String, String)> {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/prompts.md");
         let text = std::fs::read_to_string(path).unwrap();
-        let rows = text.lines().skip_while(|line| !line.starts_with("| variable | template")).skip(2);
+        let rows = text
+            .lines()
+            .skip_while(|line| !line.starts_with("| variable | template"))
+            .skip(2);
         let rows = rows.take_while(|line| line.starts_with('|'));
         rows.map(|row| {
-            let cells: Vec<&str> =
-                row.trim_matches('|').split(" | ").map(|cell| cell.trim().trim_matches('`')).collect();
-            let [name, template, kind, _, example] = cells[..] else { panic!("not five cells: {row}") };
-            ((template.to_owned(), name.to_owned()), (kind.to_owned(), example.to_owned()))
+            let cells: Vec<&str> = row
+                .trim_matches('|')
+                .split(" | ")
+                .map(|cell| cell.trim().trim_matches('`'))
+                .collect();
+            let [name, template, kind, _, example] = cells[..] else {
+                panic!("not five cells: {row}")
+            };
+            (
+                (template.to_owned(), name.to_owned()),
+                (kind.to_owned(), example.to_owned()),
+            )
         })
         .collect()
     }
@@ -160,10 +220,14 @@ mod tests {
             }
             for (name, (kinds, example)) in found {
                 let row = documented.get(&(template.to_owned(), name.clone()));
-                let (kind, shown) = row.unwrap_or_else(|| panic!("docs/prompts.md lacks `{name}` of {template}"));
+                let (kind, shown) =
+                    row.unwrap_or_else(|| panic!("docs/prompts.md lacks `{name}` of {template}"));
                 assert_eq!(*kind, kinds.join(" or "), "type of {name}");
                 let start = shown.trim_end_matches('…');
-                assert!(example == *shown || (shown.ends_with('…') && example.starts_with(start)), "{name}: {example}");
+                assert!(
+                    example == *shown || (shown.ends_with('…') && example.starts_with(start)),
+                    "{name}: {example}"
+                );
                 names.push((template.to_owned(), name));
             }
         }

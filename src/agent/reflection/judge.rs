@@ -7,23 +7,31 @@ use super::rollout::{IdmPlan, Rollout, Version};
 use crate::environment::LaneGraph;
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{
-    self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PassVerdict, PdmInstant, PdmMemory, ProposalScore,
-    ReferencePath, ScoringScene, no_at_fault_collisions, score_passing, score_proposals, simulate_proposals,
+    self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PassVerdict, PdmInstant, PdmMemory,
+    ProposalScore, ReferencePath, ScoringScene, no_at_fault_collisions, score_passing,
+    score_proposals, simulate_proposals,
 };
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::geometry::{GeometryError, Polyline};
 use planagent_world::{EgoState, PACIFICA, STEP_S, SceneView, TrajectoryError};
 
-/// Whether PDM-Closed's emergency brake would overrule this roll-out: the ego is slow and would be at fault for a collision
-/// within two seconds. What the ego touches is added to `memory`; areas are those of its reference path, which is chosen now if
-/// there is none.
-pub fn needs_emergency_brake(scene: &SceneView<'_>, rollout: &Rollout, memory: &mut PdmMemory) -> bool {
+/// Whether PDM-Closed's emergency brake would overrule this roll-out: the ego is slow and would be
+/// at fault for a collision within two seconds. What the ego touches is added to `memory`; areas
+/// are those of its reference path, which is chosen now if there is none.
+pub fn needs_emergency_brake(
+    scene: &SceneView<'_>,
+    rollout: &Rollout,
+    memory: &mut PdmMemory,
+) -> bool {
     memory.keep_reference_path(scene);
     let instant = observe(scene, memory);
     let steps = steps_of(EMERGENCY_TIME_S);
     let reference = rollout.poses.get(..=steps).unwrap_or(&rollout.poses);
     let states = simulate_proposal(scene.ego, reference, JerkPenalty::PdmClosed);
-    let areas: Vec<EgoAreas> = states.iter().map(|state| instant.drivable.areas_of(state)).collect();
+    let areas: Vec<EgoAreas> = states
+        .iter()
+        .map(|state| instant.drivable.areas_of(state))
+        .collect();
     let first = no_at_fault_collisions(&states, &areas, &instant.forecast).state;
     pdm::needs_emergency_brake(first.map(|state| state as f64 * STEP_S), scene.ego)
 }
@@ -33,12 +41,17 @@ pub fn steps_of(seconds: f64) -> usize {
     (seconds / STEP_S).round() as usize
 }
 
-/// PDM's view of the scene along the reference path in `memory`; without one, along the lanes of the route. Drivable is what
-/// nuPlan's metric will find so ([`DrivableMap::judged_as_by_the_metric`]).
+/// PDM's view of the scene along the reference path in `memory`; without one, along the lanes of
+/// the route. Drivable is what nuPlan's metric will find so
+/// ([`DrivableMap::judged_as_by_the_metric`]).
 ///
-/// [`DrivableMap::judged_as_by_the_metric`]: planagent_score::pdm::DrivableMap::judged_as_by_the_metric
+/// [`DrivableMap::judged_as_by_the_metric`]:
+/// planagent_score::pdm::DrivableMap::judged_as_by_the_metric
 pub(super) fn observe<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
-    let PdmMemory { reference_path, collided } = memory;
+    let PdmMemory {
+        reference_path,
+        collided,
+    } = memory;
     if let Some(reference_path) = reference_path {
         return observe_along(reference_path, scene, collided);
     }
@@ -47,12 +60,22 @@ pub(super) fn observe<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmI
     judged(scene, PdmInstant::new(scene, &lanes, layers, collided))
 }
 
-fn observe_along<'a>(reference_path: &ReferencePath, scene: &SceneView<'a>, collided: &mut Collided) -> PdmInstant<'a> {
+fn observe_along<'a>(
+    reference_path: &ReferencePath,
+    scene: &SceneView<'a>,
+    collided: &mut Collided,
+) -> PdmInstant<'a> {
     judged(scene, PdmInstant::along(reference_path, scene, collided))
 }
 
-fn judged<'a>(scene: &SceneView<'a>, PdmInstant { drivable, forecast }: PdmInstant<'a>) -> PdmInstant<'a> {
-    PdmInstant { drivable: drivable.judged_as_by_the_metric(), forecast: forecast.along_lanes(scene.map) }
+fn judged<'a>(
+    scene: &SceneView<'a>,
+    PdmInstant { drivable, forecast }: PdmInstant<'a>,
+) -> PdmInstant<'a> {
+    PdmInstant {
+        drivable: drivable.judged_as_by_the_metric(),
+        forecast: forecast.along_lanes(scene.map),
+    }
 }
 
 /// Why a plan cannot be scored or executed.
@@ -82,8 +105,10 @@ pub struct Judge<'a> {
 }
 
 impl<'a> Judge<'a> {
-    /// Observes the scene: forecast, areas, and the progress of PDM-Closed's proposals, all along the reference path that PDM-Closed
-    /// chooses now. Where the ego's lane is blocked, or all proposals stand, also what a plan could reach beyond the horizon. It is kept in `memory`, with what the ego has touched. Where PDM-Closed finds none, there are no proposals, and
+    /// Observes the scene: forecast, areas, and the progress of PDM-Closed's proposals, all along
+    /// the reference path that PDM-Closed chooses now. Where the ego's lane is blocked, or all
+    /// proposals stand, also what a plan could reach beyond the horizon. It is kept in `memory`,
+    /// with what the ego has touched. Where PDM-Closed finds none, there are no proposals, and
     /// progress is measured along the ego's own centerline.
     ///
     /// # Errors
@@ -95,7 +120,11 @@ impl<'a> Judge<'a> {
         memory: &mut PdmMemory,
     ) -> Result<Self, ReflectionError> {
         memory.choose_reference_path(scene);
-        if let PdmMemory { reference_path: Some(reference_path), collided } = memory {
+        if let PdmMemory {
+            reference_path: Some(reference_path),
+            collided,
+        } = memory
+        {
             let mut judge = Self::along(scene, reference_path, horizon_s, collided)?;
             if is_compared(graph, judge.rivals.progress_m) {
                 judge.compare_with_lanes(graph, horizon_s)?;
@@ -106,10 +135,19 @@ impl<'a> Judge<'a> {
         let centerline = graph.ego_lane().path.centerline.clone();
         let reference = ProgressReference::OwnProgress;
         let (proposals, rivals) = (Vec::new(), Reach::default());
-        Ok(Self { scene, instant, centerline, steps, proposals, rivals, reference })
+        Ok(Self {
+            scene,
+            instant,
+            centerline,
+            steps,
+            proposals,
+            rivals,
+            reference,
+        })
     }
 
-    /// As [`Self::new`], along a given reference path. What the ego touches now is added to `collided`.
+    /// As [`Self::new`], along a given reference path. What the ego touches now is added to
+    /// `collided`.
     ///
     /// # Errors
     /// When the horizon is too short to be scored.
@@ -119,26 +157,54 @@ impl<'a> Judge<'a> {
         horizon_s: f64,
         collided: &mut Collided,
     ) -> Result<Self, ReflectionError> {
-        let (instant, steps) = (observe_along(reference_path, scene, collided), steps_of(horizon_s));
+        let (instant, steps) = (
+            observe_along(reference_path, scene, collided),
+            steps_of(horizon_s),
+        );
         let centerline = reference_path.centerline().line().clone();
         let proposals = instant.proposals(reference_path, scene.ego, steps);
         let simulated = simulate_proposals(scene.ego, proposals.all());
         let scores = score_proposals(&instant.scoring(&centerline, 0.0), &simulated)?;
         drop(proposals);
-        let reaches = scores.iter().zip(&simulated).map(|(score, states)| Reach::of_rival(score, states));
+        let reaches = scores
+            .iter()
+            .zip(&simulated)
+            .map(|(score, states)| Reach::of_rival(score, states));
         let proposals: Vec<Reach> = reaches.collect();
-        let (rivals, reference) = (Reach::best(proposals.iter().copied()), ProgressReference::PdmProposals);
-        Ok(Self { scene, instant, centerline, steps, proposals, rivals, reference })
+        let (rivals, reference) = (
+            Reach::best(proposals.iter().copied()),
+            ProgressReference::PdmProposals,
+        );
+        Ok(Self {
+            scene,
+            instant,
+            centerline,
+            steps,
+            proposals,
+            rivals,
+            reference,
+        })
     }
 
-    /// Compares progress with what plans at the limit could reach, too. Where a plan stops early because something leads past
-    /// what blocks the lane, so do the rivals that do not pass it.
-    fn compare_with_lanes(&mut self, graph: &LaneGraph, horizon_s: f64) -> Result<(), ReflectionError> {
+    /// Compares progress with what plans at the limit could reach, too. Where a plan stops early
+    /// because something leads past what blocks the lane, so do the rivals that do not pass it.
+    fn compare_with_lanes(
+        &mut self,
+        graph: &LaneGraph,
+        horizon_s: f64,
+    ) -> Result<(), ReflectionError> {
         let lanes = reach_of_lanes(self.scene, graph, &self.scoring(), self.steps, horizon_s)?;
         if let (Some(blocked), Some(_)) = (graph.blocked, graph.stop_point()) {
-            let front = self.centerline.project(PACIFICA.front_of(self.scene.ego.rear_axle)).s;
-            let obstacle = self.centerline.project(graph.ego_lane().path.centerline.point_at(blocked.from_s)).s;
-            self.proposals.retain(|one| one.progress_m > obstacle - front);
+            let front = self
+                .centerline
+                .project(PACIFICA.front_of(self.scene.ego.rear_axle))
+                .s;
+            let obstacle = self
+                .centerline
+                .project(graph.ego_lane().path.centerline.point_at(blocked.from_s))
+                .s;
+            self.proposals
+                .retain(|one| one.progress_m > obstacle - front);
             self.rivals = Reach::best(self.proposals.iter().copied().chain([lanes.own]));
         }
         self.rivals.reach_m = self.rivals.reach_m.max(lanes.best_m);
@@ -154,22 +220,32 @@ impl<'a> Judge<'a> {
     }
 
     fn scoring(&self) -> ScoringScene<'_> {
-        self.instant.scoring(&self.centerline, self.rivals.progress_m)
+        self.instant
+            .scoring(&self.centerline, self.rivals.progress_m)
     }
 
     /// Rolls a plan out, scores it, and compares the score with λ.
     ///
     /// # Errors
     /// When the horizon is too short to be scored.
-    pub fn reflect(&self, plan: &IdmPlan, threshold: f64) -> Result<ReflectionReport, ReflectionError> {
+    pub fn reflect(
+        &self,
+        plan: &IdmPlan,
+        threshold: f64,
+    ) -> Result<ReflectionReport, ReflectionError> {
         self.assess_along(self.simulate(plan), Some(plan), threshold)
     }
 
-    /// Scores the ego's states, one every 0.1 s over the horizon, the present one first, and compares the score with λ.
+    /// Scores the ego's states, one every 0.1 s over the horizon, the present one first, and
+    /// compares the score with λ.
     ///
     /// # Errors
     /// When the horizon is too short to be scored.
-    pub fn assess(&self, states: Vec<EgoState>, threshold: f64) -> Result<ReflectionReport, ReflectionError> {
+    pub fn assess(
+        &self,
+        states: Vec<EgoState>,
+        threshold: f64,
+    ) -> Result<ReflectionReport, ReflectionError> {
         self.assess_along(states, None, threshold)
     }
 
@@ -181,17 +257,26 @@ impl<'a> Judge<'a> {
     ) -> Result<ReflectionReport, ReflectionError> {
         let batch = [states];
         let scores = match plan {
-            Some(plan) => score_versions(self.scene, plan, &[Version::PLAN], &self.scoring(), &batch)?,
+            Some(plan) => {
+                score_versions(self.scene, plan, &[Version::PLAN], &self.scoring(), &batch)?
+            }
             None => score_proposals(&self.scoring(), &batch)?,
         };
         let [states] = batch;
         // One proposal in, one score out.
-        let mut score = scores.first().copied().ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
+        let mut score = scores
+            .first()
+            .copied()
+            .ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
         if self.reference == ProgressReference::Reach {
             let own = Reach::of(&score, &states).reach_m;
             score = score.with_progress(score.progress.min(own / self.rivals.reach_m.max(own)));
         }
-        let verdict = if score.total >= threshold { Verdict::Execute } else { Verdict::Rethink };
+        let verdict = if score.total >= threshold {
+            Verdict::Execute
+        } else {
+            Verdict::Rethink
+        };
         Ok(ReflectionReport {
             score: score.total,
             parts: parts(&score),
@@ -207,8 +292,9 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Scores versions of a plan by their simulated states. One that passes something over the oncoming lane is on its route there
-/// while it keeps the rules. Otherwise it has 0 for the driving direction.
+/// Scores versions of a plan by their simulated states. One that passes something over the oncoming
+/// lane is on its route there while it keeps the rules. Otherwise it has 0 for the driving
+/// direction.
 pub(super) fn score_versions(
     scene: &SceneView<'_>,
     plan: &IdmPlan,
@@ -216,9 +302,17 @@ pub(super) fn score_versions(
     scoring: &ScoringScene<'_>,
     simulated: &[Vec<EgoState>],
 ) -> Result<Vec<ProposalScore>, MetricError> {
-    let Some(way) = plan.oncoming() else { return score_proposals(scoring, simulated) };
+    let Some(way) = plan.oncoming() else {
+        return score_proposals(scoring, simulated);
+    };
     let rules = PassRules::new(way, scene);
-    let verdict = |&version: &Version| rules.verdict(&plan.roll_out_version(version, scene, PassRules::STEPS).poses);
+    let verdict = |&version: &Version| {
+        rules.verdict(
+            &plan
+                .roll_out_version(version, scene, PassRules::STEPS)
+                .poses,
+        )
+    };
     let verdicts: Vec<PassVerdict> = versions.iter().map(verdict).collect();
     score_passing(scoring, &way.lanes, &verdicts, simulated)
 }

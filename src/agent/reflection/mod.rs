@@ -1,5 +1,5 @@
-//! Stage 5: the Reflection module of the paper. It builds the plan of a planner code, rolls it out over a short horizon and scores
-//! it before it becomes active.
+//! Stage 5: the Reflection module of the paper. It builds the plan of a planner code, rolls it out
+//! over a short horizon and scores it before it becomes active.
 
 mod judge;
 mod monitor;

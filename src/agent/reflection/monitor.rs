@@ -3,7 +3,9 @@
 use super::judge::{ReflectionError, observe, score_versions};
 use super::rollout::{IdmPlan, Version};
 use planagent_score::metrics::MetricError;
-use planagent_score::pdm::{PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake};
+use planagent_score::pdm::{
+    PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake,
+};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::{EgoState, SceneView, Trajectory};
 
@@ -45,10 +47,12 @@ pub struct MonitoredStep {
 }
 
 impl MonitoredStep {
-    /// Whether it keeps the rules of a pass where `other` does not, or else avoids hard braking where `other` does not, or else
-    /// has the higher score. Scores of hard braking say little: their progress is relative to versions that all collide.
+    /// Whether it keeps the rules of a pass where `other` does not, or else avoids hard braking
+    /// where `other` does not, or else has the higher score. Scores of hard braking say little:
+    /// their progress is relative to versions that all collide.
     pub fn is_better_than(&self, other: &Self) -> bool {
-        (!self.is_refused, !self.brakes, self.score) > (!other.is_refused, !other.brakes, other.score)
+        (!self.is_refused, !self.brakes, self.score)
+            > (!other.is_refused, !other.brakes, other.score)
     }
 }
 
@@ -67,28 +71,36 @@ impl PlanMonitor {
         let trajectory = if choice.emergency_brake {
             emergency_brake(scene.ego, TRAJECTORY_STEPS)?
         } else {
-            plan.roll_out_version(choice.version, scene, TRAJECTORY_STEPS).to_trajectory(scene.ego)?
+            plan.roll_out_version(choice.version, scene, TRAJECTORY_STEPS)
+                .to_trajectory(scene.ego)?
         };
         let brakes = choice.emergency_brake || choice.version == Version::STOP;
-        Ok(MonitoredStep { trajectory, score: choice.score, brakes, is_refused: choice.is_refused })
+        Ok(MonitoredStep {
+            trajectory,
+            score: choice.score,
+            brakes,
+            is_refused: choice.is_refused,
+        })
     }
 
-    /// Chooses between the versions of a plan by PDM's measure, as PDM-Closed does between its proposals; progress is relative to
-    /// the best of them. In this order:
-    /// 1. The best version on the plan's own path, if it scores λ. A path beside the centerline is often a little shorter; without
-    ///    this rule the ego drifts towards the next lane for a gain of centimeters.
+    /// Chooses between the versions of a plan by PDM's measure, as PDM-Closed does between its
+    /// proposals; progress is relative to the best of them. In this order:
+    /// 1. The best version on the plan's own path, if it scores λ. A path beside the centerline is
+    ///    often a little shorter; without this rule the ego drifts towards the next lane for a gain
+    ///    of centimeters.
     /// 2. The best of all versions but the stop.
-    /// 3. The stop, where that version would be at fault for a collision or come near one, or is a refused pass, and the stop scores
-    ///    more.
+    /// 3. The stop, where that version would be at fault for a collision or come near one, or is a
+    ///    refused pass, and the stop scores more.
     ///
-    /// Of equals the first is chosen. Where nothing avoids the collision, a slow ego brakes by PDM-Closed's rule, and a fast one
-    /// executes the plan: such forecasts are often wrong.
+    /// Of equals the first is chosen. Where nothing avoids the collision, a slow ego brakes by
+    /// PDM-Closed's rule, and a fast one executes the plan: such forecasts are often wrong.
     ///
-    /// A version that passes something over the oncoming lane and breaks a rule has the score 0, until the ego is beside what it
-    /// passes.
+    /// A version that passes something over the oncoming lane and breaks a rule has the score 0,
+    /// until the ego is beside what it passes.
     ///
-    /// Areas and progress are those of the reference path in `memory`, which is chosen now if there is none. Where PDM-Closed finds
-    /// none, progress is measured along the plan's own path. What the ego touches is added to `memory`.
+    /// Areas and progress are those of the reference path in `memory`, which is chosen now if there
+    /// is none. Where PDM-Closed finds none, progress is measured along the plan's own path. What
+    /// the ego touches is added to `memory`.
     ///
     /// # Errors
     /// When the roll-outs are too short to be scored.
@@ -100,39 +112,73 @@ impl PlanMonitor {
     ) -> Result<Choice, ReflectionError> {
         memory.keep_reference_path(scene);
         let instant = observe(scene, memory);
-        let centerline = memory.reference_path.as_ref().map_or(plan.path(), |path| path.centerline().line());
+        let centerline = memory
+            .reference_path
+            .as_ref()
+            .map_or(plan.path(), |path| path.centerline().line());
         let (versions, batch): (Vec<Version>, Vec<Vec<EgoState>>) = plan
             .roll_out_versions(scene, self.steps)
             .into_iter()
-            .map(|(version, rollout)| (version, simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed)))
+            .map(|(version, rollout)| {
+                (
+                    version,
+                    simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed),
+                )
+            })
             .unzip();
-        let scores = score_versions(scene, plan, &versions, &instant.scoring(centerline, 0.0), &batch)?;
+        let scores = score_versions(
+            scene,
+            plan,
+            &versions,
+            &instant.scoring(centerline, 0.0),
+            &batch,
+        )?;
         let scored: Vec<(Version, ProposalScore)> = versions.into_iter().zip(scores).collect();
         self.best(&scored, plan.oncoming().is_some(), scene.ego)
-            .ok_or(ReflectionError::Score(MetricError::TooFewSamples { needed: 1, got: 0 }))
+            .ok_or(ReflectionError::Score(MetricError::TooFewSamples {
+                needed: 1,
+                got: 0,
+            }))
     }
 
-    fn best(&self, scored: &[(Version, ProposalScore)], passes: bool, ego: &EgoState) -> Option<Choice> {
+    fn best(
+        &self,
+        scored: &[(Version, ProposalScore)],
+        passes: bool,
+        ego: &EgoState,
+    ) -> Option<Choice> {
         let is_refused = |score: &ProposalScore| passes && score.driving_direction <= 0.0;
         let best = |among: fn(Version) -> bool| {
             let among = scored.iter().filter(|&&(version, _)| among(version));
-            among.rev().max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total))
+            among
+                .rev()
+                .max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total))
         };
         let own = best(Version::is_on_own_path).filter(|(_, score)| score.total >= self.threshold);
         let moving = own.or_else(|| best(|version| version != Version::STOP))?;
-        let stop = scored.iter().find(|&&(version, _)| version == Version::STOP);
+        let stop = scored
+            .iter()
+            .find(|&&(version, _)| version == Version::STOP);
         let helps = |(_, stop): &&(Version, ProposalScore)| {
             let matters = is_in_danger(&moving.1) || is_refused(&moving.1);
             self.emergency_brake && matters && stop.total > moving.1.total
         };
         let &(version, score) = stop.filter(helps).unwrap_or(moving);
-        let emergency_brake = self.emergency_brake && needs_emergency_brake(score.first_at_fault_s, ego);
-        Some(Choice { version, score: score.total, emergency_brake, is_refused: is_refused(&score) })
+        let emergency_brake =
+            self.emergency_brake && needs_emergency_brake(score.first_at_fault_s, ego);
+        Some(Choice {
+            version,
+            score: score.total,
+            emergency_brake,
+            is_refused: is_refused(&score),
+        })
     }
 }
 
-/// Whether a version would be at fault for a collision, or come near one while all of its path can be driven. A path that leaves the
-/// drivable area does not count: at the mouth of a junction the ego would stop and never start again.
+/// Whether a version would be at fault for a collision, or come near one while all of its path can
+/// be driven. A path that leaves the drivable area does not count: at the mouth of a junction the
+/// ego would stop and never start again.
 fn is_in_danger(moving: &ProposalScore) -> bool {
-    moving.no_at_fault_collisions < 1.0 || (moving.time_to_collision < 1.0 && moving.multiplier() > 0.0)
+    moving.no_at_fault_collisions < 1.0
+        || (moving.time_to_collision < 1.0 && moving.multiplier() > 0.0)
 }

@@ -11,12 +11,14 @@ use planagent_world::{PACIFICA, STEP_S, SceneView};
 
 /// Time within which a pass has to be complete, steps of 0.1 s.
 const STEPS: usize = 120;
-/// Distance to an oncoming agent when the ego is back in its lane: at standstill, meters, and as a time at the agent's limit, seconds.
+/// Distance to an oncoming agent when the ego is back in its lane: at standstill, meters, and as a
+/// time at the agent's limit, seconds.
 const MIN_GAP: f64 = 2.0;
 const HEADWAY: f64 = 1.0;
 /// A corner of the ego this far over the border of its lane is on the oncoming one, meters.
 const OVER_BORDER: f64 = 0.1;
-/// From this distance between front bumper and obstacle on, an ego over its border has begun to pass, and does not turn back, meters.
+/// From this distance between front bumper and obstacle on, an ego over its border has begun to
+/// pass, and does not turn back, meters.
 const BEGUN: f64 = 2.0;
 /// Acceleration of oncoming traffic up to its limit, m/s²: that of nuPlan's IDM agents.
 const ACCELERATION: f64 = IDM_AGENT.accel_max;
@@ -35,13 +37,22 @@ impl<'a> PassRules<'a> {
 
     /// The rules for a way past.
     pub fn new(way: &'a OncomingLane, scene: &'a SceneView<'a>) -> Self {
-        Self { way, scene, oncoming: way.agents(scene).collect() }
+        Self {
+            way,
+            scene,
+            oncoming: way.agents(scene).collect(),
+        }
     }
 
     /// Whether the ego is beside what it passes: it completes the pass, whatever comes.
     pub fn has_begun(&self) -> bool {
-        let front = self.way.own.project(PACIFICA.front_of(self.scene.ego.rear_axle)).s;
-        is_over_border(self.way, &self.scene.ego.footprint()) && front > self.way.blocked.from_s - BEGUN
+        let front = self
+            .way
+            .own
+            .project(PACIFICA.front_of(self.scene.ego.rear_axle))
+            .s;
+        is_over_border(self.way, &self.scene.ego.footprint())
+            && front > self.way.blocked.from_s - BEGUN
     }
 
     /// The verdict on a roll-out: poses of the rear axle every 0.1 s, the present one first.
@@ -56,17 +67,24 @@ impl<'a> PassRules<'a> {
         }
     }
 
-    /// Whether the rules way back, gap and sight are kept; `None` where the ego stays in its lane. The ego must be back in its
-    /// lane and before what is next there. It must keep a distance to all that comes, seen or from beyond the sight.
+    /// Whether the rules way back, gap and sight are kept; `None` where the ego stays in its lane.
+    /// The ego must be back in its lane and before what is next there. It must keep a distance to
+    /// all that comes, seen or from beyond the sight.
     fn are_kept(&self, poses: &[Pose]) -> Option<bool> {
         let is_out = |pose: &Pose| is_over_border(self.way, &PACIFICA.footprint(*pose));
         let first = poses.iter().position(is_out)?;
         let last = poses.iter().rposition(is_out).unwrap_or(first);
-        let Some(back) = poses.get(last + 1) else { return Some(false) };
+        let Some(back) = poses.get(last + 1) else {
+            return Some(false);
+        };
         let (leaves, returns) = (at(first), at(last + 1));
         let front = PACIFICA.front_of(*back);
         let is_past = self.way.own.project(back.position()).s > self.way.blocked.to_s;
-        Some(is_past && self.has_gap(front, returns) && self.is_clear((poses[first], leaves), (front, returns)))
+        Some(
+            is_past
+                && self.has_gap(front, returns)
+                && self.is_clear((poses[first], leaves), (front, returns)),
+        )
     }
 
     /// Whether there is room for the ego in its lane behind what it passes.
@@ -76,18 +94,24 @@ impl<'a> PassRules<'a> {
         self.scene.objects.iter().all(|object| {
             let foot = way.own.project(object.shape.center.position());
             let half = object.shape.length / 2.0;
-            let is_beyond = foot.s - half > way.blocked.to_s && foot.lateral.abs() <= way.border.abs();
-            let along = object.velocity.x * foot.heading.cos() + object.velocity.y * foot.heading.sin();
+            let is_beyond =
+                foot.s - half > way.blocked.to_s && foot.lateral.abs() <= way.border.abs();
+            let along =
+                object.velocity.x * foot.heading.cos() + object.velocity.y * foot.heading.sin();
             !is_beyond || foot.s - half + along.max(0.0) * returns >= needed
         })
     }
 
-    /// Whether nothing that comes is near when the ego is back. `leaves` and `returns`: places and times of the ego. What comes
-    /// may accelerate until then; whether it has passed before, its present speed says.
+    /// Whether nothing that comes is near when the ego is back. `leaves` and `returns`: places and
+    /// times of the ego. What comes may accelerate until then; whether it has passed before, its
+    /// present speed says.
     fn is_clear(&self, (out, leaves): (Pose, f64), (front, returns): (Point, f64)) -> bool {
         let line = &self.way.traffic;
         let here = line.project(PACIFICA.front_of(self.scene.ego.rear_axle)).s;
-        let (out, back) = (line.project(PACIFICA.front_of(out)).s, line.project(front).s);
+        let (out, back) = (
+            line.project(PACIFICA.front_of(out)).s,
+            line.project(front).s,
+        );
         let limit = self.way.speed_limit.unwrap_or(FALLBACK_LIMIT);
         // Whatever may come from beyond the sight. Nothing comes from before the start of a lane.
         let unseen = (here > ONCOMING_SIGHT).then_some(OncomingAgent {
@@ -100,15 +124,21 @@ impl<'a> PassRules<'a> {
             let comes = driven(agent.speed, limit, returns) + headway * agent.speed.max(limit);
             has_passed || agent.front_s + comes + MIN_GAP <= back
         };
-        unseen.is_none_or(|unseen| keeps(&unseen, 0.0)) && self.oncoming.iter().all(|agent| keeps(agent, HEADWAY))
+        unseen.is_none_or(|unseen| keeps(&unseen, 0.0))
+            && self.oncoming.iter().all(|agent| keeps(agent, HEADWAY))
     }
 }
 
 /// The way past what blocks the ego's lane, if a plan at the limit may take it now.
 pub fn allowed_pass<'g>(scene: &SceneView<'_>, graph: &'g LaneGraph) -> Option<&'g OncomingLane> {
     let way = graph.oncoming.as_ref()?;
-    let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: at(STEPS) };
-    let plan = builder.at_limit(scene, graph, CenterlineName::OncomingLane).ok()??;
+    let builder = PlanBuilder {
+        lead_policy: LeadPolicy::Nearest,
+        horizon_s: at(STEPS),
+    };
+    let plan = builder
+        .at_limit(scene, graph, CenterlineName::OncomingLane)
+        .ok()??;
     let verdict = PassRules::new(way, scene).verdict(&plan.roll_out(scene, STEPS).poses);
     (verdict == PassVerdict::Allowed).then_some(way)
 }
@@ -127,7 +157,9 @@ fn at(step: usize) -> f64 {
 
 fn is_over_border(way: &OncomingLane, ego: &OrientedBox) -> bool {
     let side = way.border.signum();
-    ego.corners().iter().any(|&corner| way.own.project(corner).lateral * side > way.border.abs() + OVER_BORDER)
+    ego.corners()
+        .iter()
+        .any(|&corner| way.own.project(corner).lateral * side > way.border.abs() + OVER_BORDER)
 }
 
 #[cfg(test)]
@@ -139,19 +171,32 @@ mod tests {
     use planagent_world::{Scene, SceneBuilder};
     use std::f64::consts::PI;
 
-    const BUILDER: PlanBuilder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: 8.0 };
+    const BUILDER: PlanBuilder = PlanBuilder {
+        lead_policy: LeadPolicy::Nearest,
+        horizon_s: 8.0,
+    };
 
-    /// A lane to the east along y = 0 and one against it, a broken-down car at x = 25, and the ego at x = 0.
+    /// A lane to the east along y = 0 and one against it, a broken-down car at x = 25, and the ego
+    /// at x = 0.
     fn road(limit: f64, speed: f64) -> SceneBuilder {
-        let lanes =
-            Scene::builder().speed_limit(limit).lane([[-100.0, 0.0], [300.0, 0.0]]).lane([[300.0, 3.5], [-100.0, 3.5]]);
-        lanes.ego([0.0, 0.0], 0.0, speed).vehicle([25.0, 0.0], 0.0, 0.0)
+        let lanes = Scene::builder()
+            .speed_limit(limit)
+            .lane([[-100.0, 0.0], [300.0, 0.0]])
+            .lane([[300.0, 3.5], [-100.0, 3.5]]);
+        lanes
+            .ego([0.0, 0.0], 0.0, speed)
+            .vehicle([25.0, 0.0], 0.0, 0.0)
     }
 
     fn plan(scene: &Scene, name: CenterlineName) -> (IdmPlan, LaneGraph) {
         let view = scene.view();
-        let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap().with_oncoming_lane(&view);
-        (BUILDER.at_limit(&view, &graph, name).unwrap().unwrap(), graph)
+        let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH)
+            .unwrap()
+            .with_oncoming_lane(&view);
+        (
+            BUILDER.at_limit(&view, &graph, name).unwrap().unwrap(),
+            graph,
+        )
     }
 
     fn verdict(scene: SceneBuilder) -> PassVerdict {
@@ -163,29 +208,79 @@ mod tests {
 
     fn judged(scene: &Scene, name: CenterlineName) -> ReflectionReport {
         let (view, (plan, graph)) = (scene.view(), plan(scene, name));
-        Judge::new(&view, &graph, 4.0, &mut PdmMemory::default()).unwrap().reflect(&plan, 0.98).unwrap()
+        Judge::new(&view, &graph, 4.0, &mut PdmMemory::default())
+            .unwrap()
+            .reflect(&plan, 0.98)
+            .unwrap()
     }
 
     #[test]
     fn a_pass_needs_sight_a_gap_and_a_way_back() {
         assert_eq!(verdict(road(13.0, 8.0)), PassVerdict::Allowed);
-        assert_eq!(verdict(road(13.0, 8.0).vehicle([70.0, 3.5], PI, 8.0)), PassVerdict::Refused, "a car comes");
-        assert_eq!(verdict(road(13.0, 8.0).vehicle([140.0, 3.5], PI, 4.0)), PassVerdict::Allowed, "it is far away");
-        assert_eq!(verdict(road(13.0, 8.0).vehicle([4.0, 3.5], PI, 8.0)), PassVerdict::Allowed, "it has passed before");
-        assert_eq!(verdict(road(28.0, 1.0)), PassVerdict::Refused, "something fast may come from beyond the sight");
-        assert_eq!(verdict(road(13.0, 8.0).vehicle([43.0, 0.0], 0.0, 0.5)), PassVerdict::Refused, "no room behind it");
-        assert_eq!(verdict(road(13.0, 8.0).vehicle([35.0, 3.5], PI, 0.0)), PassVerdict::Refused, "no way back");
+        assert_eq!(
+            verdict(road(13.0, 8.0).vehicle([70.0, 3.5], PI, 8.0)),
+            PassVerdict::Refused,
+            "a car comes"
+        );
+        assert_eq!(
+            verdict(road(13.0, 8.0).vehicle([140.0, 3.5], PI, 4.0)),
+            PassVerdict::Allowed,
+            "it is far away"
+        );
+        assert_eq!(
+            verdict(road(13.0, 8.0).vehicle([4.0, 3.5], PI, 8.0)),
+            PassVerdict::Allowed,
+            "it has passed before"
+        );
+        assert_eq!(
+            verdict(road(28.0, 1.0)),
+            PassVerdict::Refused,
+            "something fast may come from beyond the sight"
+        );
+        assert_eq!(
+            verdict(road(13.0, 8.0).vehicle([43.0, 0.0], 0.0, 0.5)),
+            PassVerdict::Refused,
+            "no room behind it"
+        );
+        assert_eq!(
+            verdict(road(13.0, 8.0).vehicle([35.0, 3.5], PI, 0.0)),
+            PassVerdict::Refused,
+            "no way back"
+        );
     }
 
     #[test]
     fn the_driving_direction_refuses_a_pass_only_where_a_rule_is_broken() {
         let free = road(13.0, 8.0).build().unwrap();
-        let (pass, own) = (judged(&free, CenterlineName::OncomingLane), judged(&free, CenterlineName::EgoLane));
-        assert!(pass.parts.driving_direction >= 1.0 && pass.score > own.score, "{:?} {:?}", pass.parts, own.parts);
-        assert!(pass.parts.progress > 0.95 && own.parts.progress < 0.7, "{:?} {:?}", pass.parts, own.parts);
-        let busy = road(13.0, 8.0).vehicle([70.0, 3.5], PI, 8.0).build().unwrap();
-        let (pass, own) = (judged(&busy, CenterlineName::OncomingLane), judged(&busy, CenterlineName::EgoLane));
-        assert!(pass.parts.driving_direction <= 0.0 && pass.score <= 0.0, "{:?}", pass.parts);
+        let (pass, own) = (
+            judged(&free, CenterlineName::OncomingLane),
+            judged(&free, CenterlineName::EgoLane),
+        );
+        assert!(
+            pass.parts.driving_direction >= 1.0 && pass.score > own.score,
+            "{:?} {:?}",
+            pass.parts,
+            own.parts
+        );
+        assert!(
+            pass.parts.progress > 0.95 && own.parts.progress < 0.7,
+            "{:?} {:?}",
+            pass.parts,
+            own.parts
+        );
+        let busy = road(13.0, 8.0)
+            .vehicle([70.0, 3.5], PI, 8.0)
+            .build()
+            .unwrap();
+        let (pass, own) = (
+            judged(&busy, CenterlineName::OncomingLane),
+            judged(&busy, CenterlineName::EgoLane),
+        );
+        assert!(
+            pass.parts.driving_direction <= 0.0 && pass.score <= 0.0,
+            "{:?}",
+            pass.parts
+        );
         assert!(own.parts.progress >= 1.0, "the ego waits: {:?}", own.parts);
     }
 
@@ -196,41 +291,90 @@ mod tests {
         let rollout = plan.roll_out(&scene.view(), 150);
         let front = rollout.poses.last().unwrap().x + PACIFICA.front_length;
         let rear_of_car = 25.0 - 2.3;
-        assert!(rear_of_car - front > 9.5 && rear_of_car - front < 13.0, "{front}");
+        assert!(
+            rear_of_car - front > 9.5 && rear_of_car - front < 13.0,
+            "{front}"
+        );
     }
 
     #[test]
     fn monitoring_gives_a_pass_up_when_a_rule_breaks_and_completes_one_that_has_begun() {
-        let monitor = PlanMonitor { steps: 40, threshold: 0.75, emergency_brake: true };
+        let monitor = PlanMonitor {
+            steps: 40,
+            threshold: 0.75,
+            emergency_brake: true,
+        };
         let choice = |scene: SceneBuilder| {
             let scene = scene.build().unwrap();
             let (plan, _) = plan(&scene, CenterlineName::OncomingLane);
-            monitor.choose(&scene.view(), &plan, &mut PdmMemory::default()).unwrap()
+            monitor
+                .choose(&scene.view(), &plan, &mut PdmMemory::default())
+                .unwrap()
         };
         assert!(choice(road(13.0, 8.0)).score >= 0.75);
         let refused = choice(road(13.0, 8.0).vehicle([70.0, 3.5], PI, 8.0));
         assert!(refused.is_refused && refused.score <= 0.0, "{refused:?}");
-        let lanes = Scene::builder().lane([[-100.0, 0.0], [300.0, 0.0]]).lane([[300.0, 3.5], [-100.0, 3.5]]);
-        let beside = |y: f64| lanes.clone().ego([22.0, y], 0.0, 8.0).vehicle([25.0, 0.0], 0.0, 0.0).route([0]);
-        assert_eq!(verdict(beside(2.9).vehicle([90.0, 3.5], PI, 8.0)), PassVerdict::Allowed, "it has begun");
+        let lanes = Scene::builder()
+            .lane([[-100.0, 0.0], [300.0, 0.0]])
+            .lane([[300.0, 3.5], [-100.0, 3.5]]);
+        let beside = |y: f64| {
+            lanes
+                .clone()
+                .ego([22.0, y], 0.0, 8.0)
+                .vehicle([25.0, 0.0], 0.0, 0.0)
+                .route([0])
+        };
+        assert_eq!(
+            verdict(beside(2.9).vehicle([90.0, 3.5], PI, 8.0)),
+            PassVerdict::Allowed,
+            "it has begun"
+        );
         assert!(choice(beside(2.9)).score > 0.5);
     }
 
     #[test]
     fn the_ego_gives_a_refused_pass_up_also_where_that_needs_hard_braking() {
-        let monitor = PlanMonitor { steps: 40, threshold: 0.75, emergency_brake: true };
-        let scene = road(13.0, 8.0).vehicle([70.0, 3.5], PI, 8.0).build().unwrap();
-        let step = |name| monitor.step(&scene.view(), &plan(&scene, name).0, &mut PdmMemory::default()).unwrap();
-        let (pass, own) = (step(CenterlineName::OncomingLane), step(CenterlineName::EgoLane));
+        let monitor = PlanMonitor {
+            steps: 40,
+            threshold: 0.75,
+            emergency_brake: true,
+        };
+        let scene = road(13.0, 8.0)
+            .vehicle([70.0, 3.5], PI, 8.0)
+            .build()
+            .unwrap();
+        let step = |name| {
+            monitor
+                .step(
+                    &scene.view(),
+                    &plan(&scene, name).0,
+                    &mut PdmMemory::default(),
+                )
+                .unwrap()
+        };
+        let (pass, own) = (
+            step(CenterlineName::OncomingLane),
+            step(CenterlineName::EgoLane),
+        );
         assert!(pass.is_refused && !pass.brakes && !own.is_refused);
         assert!(own.is_better_than(&pass));
-        assert!(MonitoredStep { brakes: true, score: 0.0, ..own }.is_better_than(&pass));
+        assert!(
+            MonitoredStep {
+                brakes: true,
+                score: 0.0,
+                ..own
+            }
+            .is_better_than(&pass)
+        );
     }
 
     #[test]
     fn an_ego_that_waits_behind_the_obstacle_has_not_begun_to_pass_it() {
         let waits = road(13.0, 0.0).ego([17.5, 0.0], 0.0, 0.0);
-        assert_ne!(verdict(waits.vehicle([60.0, 3.5], PI, 8.0)), PassVerdict::Allowed);
+        assert_ne!(
+            verdict(waits.vehicle([60.0, 3.5], PI, 8.0)),
+            PassVerdict::Allowed
+        );
     }
 
     #[test]
@@ -238,12 +382,19 @@ mod tests {
         let scene = road(13.0, 0.0).build().unwrap();
         let (view, (plan, graph)) = (scene.view(), plan(&scene, CenterlineName::EgoLane));
         let rules = PassRules::new(graph.oncoming.as_ref().unwrap(), &view);
-        assert_eq!(rules.verdict(&plan.roll_out(&view, STEPS).poses), PassVerdict::Stays);
+        assert_eq!(
+            rules.verdict(&plan.roll_out(&view, STEPS).poses),
+            PassVerdict::Stays
+        );
     }
 
     #[test]
     fn traffic_accelerates_up_to_its_limit() {
-        for (speed, seconds, meters) in [(8.0, 1.0, 8.5), (8.0, 4.0, 8.0 * 2.0 + 2.0 + 10.0 * 2.0), (12.0, 2.0, 24.0)] {
+        for (speed, seconds, meters) in [
+            (8.0, 1.0, 8.5),
+            (8.0, 4.0, 8.0 * 2.0 + 2.0 + 10.0 * 2.0),
+            (12.0, 2.0, 24.0),
+        ] {
             assert!((driven(speed, 10.0, seconds) - meters).abs() < 1e-12);
         }
     }

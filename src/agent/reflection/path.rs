@@ -3,7 +3,8 @@
 use planagent_world::EgoState;
 use planagent_world::geometry::{GeometryError, Point, Polyline, Pose, wrap_angle};
 
-/// Time in which a lateral offset of one lane width decays, seconds; a smaller offset decays in proportionally less.
+/// Time in which a lateral offset of one lane width decays, seconds; a smaller offset decays in
+/// proportionally less.
 const LANE_CHANGE_S: f64 = 3.5;
 /// Time in which the smallest offset decays, seconds.
 const SETTLE_S: f64 = 1.2;
@@ -11,10 +12,11 @@ const SETTLE_S: f64 = 1.2;
 const LANE_WIDTH: f64 = 3.5;
 /// Minimum length of the decay, meters, so that a slow ego does not have to turn on the spot.
 const MIN_DECAY: f64 = 8.0;
-/// The same for a large offset, as a multiple of it. A whole lane in 8 m is a curve of 3 m radius, which the tracker cannot
-/// follow.
+/// The same for a large offset, as a multiple of it. A whole lane in 8 m is a curve of 3 m radius,
+/// which the tracker cannot follow.
 const MIN_DECAY_OF_OFFSET: f64 = 3.5;
-/// Maximum curvature that the decay of a slope may need, 1/m: that of one lane's offset in the shortest decay.
+/// Maximum curvature that the decay of a slope may need, 1/m: that of one lane's offset in the
+/// shortest decay.
 const MAX_CURVATURE: f64 = OFFSET_BEND / (MIN_DECAY_OF_OFFSET * MIN_DECAY_OF_OFFSET * LANE_WIDTH);
 /// Largest |d''|·L²/d(0) of the quintic of an offset, and largest |d''|·L/d'(0) of that of a slope.
 const OFFSET_BEND: f64 = 5.77;
@@ -23,7 +25,8 @@ const SLOPE_BEND: f64 = 3.94;
 const MAX_LATERAL_ACCEL: f64 = 2.5;
 /// Distance between the vertices of the path, meters.
 const SPACING: f64 = 1.0;
-/// Maximum slope (tangent of the heading error) at the start of the path: beyond it the ego does not follow the lane.
+/// Maximum slope (tangent of the heading error) at the start of the path: beyond it the ego does
+/// not follow the lane.
 const MAX_SLOPE: f64 = 0.7;
 
 /// A path onto a centerline.
@@ -35,12 +38,13 @@ pub(super) struct Approach {
     pub(super) settled: Point,
 }
 
-/// The path of the rear axle from the ego's present pose to `beside` meters to the left of `centerline`, then along it for
-/// `length` meters.
+/// The path of the rear axle from the ego's present pose to `beside` meters to the left of
+/// `centerline`, then along it for `length` meters.
 ///
-/// In the centerline's frame the distance d(s) from that line is a quintic. It starts with the ego's distance and slope and
-/// without curvature, and has d = d' = d'' = 0 at the end of the decay. A plan after another one for the same lane is on the line
-/// where that one is (`settled`), as far as comfort allows: otherwise each planning call would put the end of a lane change off.
+/// In the centerline's frame the distance d(s) from that line is a quintic. It starts with the
+/// ego's distance and slope and without curvature, and has d = d' = d'' = 0 at the end of the
+/// decay. A plan after another one for the same lane is on the line where that one is (`settled`),
+/// as far as comfort allows: otherwise each planning call would put the end of a lane change off.
 ///
 /// # Errors
 /// When the ego's pose is not finite.
@@ -53,12 +57,17 @@ pub(super) fn onto_centerline(
     let rear = ego.rear_axle;
     let foot = centerline.project(rear.position());
     let offset = foot.lateral - beside;
-    let slope = wrap_angle(rear.heading - centerline.smooth_pose_at(foot.s).heading).tan().clamp(-MAX_SLOPE, MAX_SLOPE);
+    let slope = wrap_angle(rear.heading - centerline.smooth_pose_at(foot.s).heading)
+        .tan()
+        .clamp(-MAX_SLOPE, MAX_SLOPE);
     let seconds = SETTLE_S + (LANE_CHANGE_S - SETTLE_S) * (offset.abs() / LANE_WIDTH).min(1.0);
-    let shortest = MIN_DECAY.max(MIN_DECAY_OF_OFFSET * offset.abs()).max(decay_of_slope(offset, slope));
+    let shortest = MIN_DECAY
+        .max(MIN_DECAY_OF_OFFSET * offset.abs())
+        .max(decay_of_slope(offset, slope));
     let usual = shortest.max(ego.speed() * seconds);
     let decay = settled.map_or(usual, |settled| {
-        let comfortable = ego.speed() * SETTLE_S.max((OFFSET_BEND * offset.abs() / MAX_LATERAL_ACCEL).sqrt());
+        let comfortable =
+            ego.speed() * SETTLE_S.max((OFFSET_BEND * offset.abs() / MAX_LATERAL_ACCEL).sqrt());
         let rest = centerline.project(settled).s - foot.s;
         usual.min(rest.max(comfortable).max(shortest))
     });
@@ -68,23 +77,35 @@ pub(super) fn onto_centerline(
     let count = ((end - foot.s) / SPACING).ceil().max(1.0) as usize;
     let points = (1..=count).map(|i| {
         let s = (foot.s + i as f64 * SPACING).min(end);
-        centerline.smooth_pose_at(s).to_map(Point::new(0.0, beside + lateral(s - foot.s)))
+        centerline
+            .smooth_pose_at(s)
+            .to_map(Point::new(0.0, beside + lateral(s - foot.s)))
     });
     let path = Polyline::new(std::iter::once(rear.position()).chain(points));
     // An ego at the very end of its centerline continues straight ahead.
-    Ok(Approach { path: path.or_else(|_| straight_ahead(rear, length))?, settled })
+    Ok(Approach {
+        path: path.or_else(|_| straight_ahead(rear, length))?,
+        settled,
+    })
 }
 
 /// A straight line from a pose.
 fn straight_ahead(from: Pose, length: f64) -> Result<Polyline, GeometryError> {
-    Polyline::new([from.position(), from.translated(length.max(SPACING), 0.0).position()])
+    Polyline::new([
+        from.position(),
+        from.translated(length.max(SPACING), 0.0).position(),
+    ])
 }
 
-/// The shortest decay of a slope that needs no more than [`MAX_CURVATURE`]. A slope away from the line bends the path as its offset
-/// does, and their curvatures add up.
+/// The shortest decay of a slope that needs no more than [`MAX_CURVATURE`]. A slope away from the
+/// line bends the path as its offset does, and their curvatures add up.
 fn decay_of_slope(offset: f64, slope: f64) -> f64 {
     let bend = SLOPE_BEND * slope.abs();
-    let offset_bend = if offset * slope > 0.0 { OFFSET_BEND * offset.abs() } else { 0.0 };
+    let offset_bend = if offset * slope > 0.0 {
+        OFFSET_BEND * offset.abs()
+    } else {
+        0.0
+    };
     (bend + (bend * bend + 4.0 * MAX_CURVATURE * offset_bend).sqrt()) / (2.0 * MAX_CURVATURE)
 }
 
@@ -108,7 +129,12 @@ mod tests {
     use planagent_world::geometry::Vector;
 
     fn ego(x: f64, y: f64, heading: f64, speed: f64) -> EgoState {
-        EgoState::from_log(0, Pose::new(x, y, heading), Vector::new(speed, 0.0), Vector::zeros())
+        EgoState::from_log(
+            0,
+            Pose::new(x, y, heading),
+            Vector::new(speed, 0.0),
+            Vector::zeros(),
+        )
     }
 
     fn road() -> Polyline {
@@ -116,27 +142,45 @@ mod tests {
     }
 
     fn path(ego: &EgoState, beside: f64, length: f64) -> Polyline {
-        onto_centerline(ego, &road(), (beside, length), None).unwrap().path
+        onto_centerline(ego, &road(), (beside, length), None)
+            .unwrap()
+            .path
     }
 
     #[test]
     fn a_lane_change_that_is_planned_again_ends_where_it_would_have_ended() {
         let speed = 10.0;
-        let first = onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), (0.0, 100.0), None).unwrap();
+        let first =
+            onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), (0.0, 100.0), None).unwrap();
         let replanned = |settles: bool| {
             let (mut approach, mut x) = (first.clone(), 0.0);
             for _ in 0..6 {
                 x += 0.5 * speed;
-                let pose = approach.path.pose_at(approach.path.project(Point::new(x, 0.0)).s);
+                let pose = approach
+                    .path
+                    .pose_at(approach.path.project(Point::new(x, 0.0)).s);
                 let settled = settles.then_some(approach.settled);
-                approach =
-                    onto_centerline(&ego(pose.x, pose.y, pose.heading, speed), &road(), (0.0, 100.0), settled).unwrap();
+                approach = onto_centerline(
+                    &ego(pose.x, pose.y, pose.heading, speed),
+                    &road(),
+                    (0.0, 100.0),
+                    settled,
+                )
+                .unwrap();
             }
             approach.settled.x
         };
         assert!((first.settled.x - 35.0).abs() < 1.0, "{}", first.settled.x);
-        assert!(replanned(false) > first.settled.x + 5.0, "{}", replanned(false));
-        assert!(replanned(true) < first.settled.x + 8.0 && replanned(true) < replanned(false), "{}", replanned(true));
+        assert!(
+            replanned(false) > first.settled.x + 5.0,
+            "{}",
+            replanned(false)
+        );
+        assert!(
+            replanned(true) < first.settled.x + 8.0 && replanned(true) < replanned(false),
+            "{}",
+            replanned(true)
+        );
     }
 
     #[test]
@@ -152,20 +196,28 @@ mod tests {
     fn a_path_beside_the_centerline_stays_beside_it() {
         let path = path(&ego(10.0, 0.0, 0.0, 10.0), 1.0, 100.0);
         assert!((path.start() - Point::new(10.0, 0.0)).norm() < 1e-12);
-        assert!((path.project(Point::new(60.0, 0.0)).distance - 1.0).abs() < 1e-9 && path.end().y > 0.9);
+        assert!(
+            (path.project(Point::new(60.0, 0.0)).distance - 1.0).abs() < 1e-9 && path.end().y > 0.9
+        );
     }
 
     #[test]
     fn the_offset_decays_without_overshoot_from_parallel() {
         let path = path(&ego(0.0, 3.5, 0.0, 8.0), 0.0, 80.0);
-        assert!(path.vertices().windows(2).all(|w| w[1].y <= w[0].y + 1e-9 && w[1].y >= -1e-9));
+        assert!(
+            path.vertices()
+                .windows(2)
+                .all(|w| w[1].y <= w[0].y + 1e-9 && w[1].y >= -1e-9)
+        );
     }
 
     #[test]
     fn a_lane_change_stays_within_comfortable_curvature() {
         let speed = 10.0;
         let path = path(&ego(0.0, 3.5, 0.0, speed), 0.0, 80.0);
-        let lateral_accel = (0..60).map(|i| path.curvature_at(f64::from(i)).abs() * speed * speed).fold(0.0, f64::max);
+        let lateral_accel = (0..60)
+            .map(|i| path.curvature_at(f64::from(i)).abs() * speed * speed)
+            .fold(0.0, f64::max);
         assert!(lateral_accel < 2.5, "{lateral_accel}");
     }
 
@@ -173,12 +225,23 @@ mod tests {
     fn a_slow_ego_that_drives_away_from_the_line_turns_no_sharper_than_in_a_lane_change() {
         let sharpest = |heading: f64, y: f64| {
             let path = path(&ego(0.0, y, heading, 3.2), 0.0, 80.0);
-            (0..80).map(|i| path.curvature_at(f64::from(i) * 0.5).abs()).fold(0.0, f64::max)
+            (0..80)
+                .map(|i| path.curvature_at(f64::from(i) * 0.5).abs())
+                .fold(0.0, f64::max)
         };
         let lane_change = sharpest(0.0, -3.5);
-        for (heading, y) in [(-0.45, -3.5), (-0.45, -1.0), (0.45, 3.5), (0.45, -1.0), (-0.6, 0.0)] {
+        for (heading, y) in [
+            (-0.45, -3.5),
+            (-0.45, -1.0),
+            (0.45, 3.5),
+            (0.45, -1.0),
+            (-0.6, 0.0),
+        ] {
             let turn = sharpest(heading, y);
-            assert!(turn < 1.3 * lane_change, "{heading} {y}: {turn} of {lane_change}");
+            assert!(
+                turn < 1.3 * lane_change,
+                "{heading} {y}: {turn} of {lane_change}"
+            );
         }
     }
 

@@ -14,7 +14,8 @@ const KEEP_LANE_ACCELERATIONS: (f64, f64) = (1.0, 3.0);
 /// The same for a plan at the limit, which shows what can be reached: PDM-Closed's.
 const LIMIT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
 
-/// What all plans of an agent have in common. Its functions fail where the ego's pose is not finite.
+/// What all plans of an agent have in common. Its functions fail where the ego's pose is not
+/// finite.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlanBuilder {
     /// Which objects a plan follows.
@@ -31,14 +32,25 @@ impl PlanBuilder {
         graph: &LaneGraph,
         code: PlannerCode,
     ) -> Result<Option<IdmPlan>, GeometryError> {
-        let Some(centerline) = graph.centerline(code.centerline) else { return Ok(None) };
+        let Some(centerline) = graph.centerline(code.centerline) else {
+            return Ok(None);
+        };
         let name = match self.lead_policy {
             LeadPolicy::Named => code.lead_agent,
             LeadPolicy::Nearest => centerline.lead_agent,
         };
-        let lead_agent = name.and_then(|name| graph.agent(name)).map(|agent| agent.token);
+        let lead_agent = name
+            .and_then(|name| graph.agent(name))
+            .map(|agent| agent.token);
         let path = centerline.path.clone();
-        let plan = IdmPlan::new(scene, code, path, lead_agent, self.lead_policy, self.horizon_s)?;
+        let plan = IdmPlan::new(
+            scene,
+            code,
+            path,
+            lead_agent,
+            self.lead_policy,
+            self.horizon_s,
+        )?;
         Ok(Some(plan.at_blocked_lane(graph, centerline.name)))
     }
 
@@ -50,38 +62,79 @@ impl PlanBuilder {
         centerline: CenterlineName,
     ) -> Result<Option<IdmPlan>, GeometryError> {
         let (accel_max, decel_max) = LIMIT_ACCELERATIONS;
-        let target_speed = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT).round();
-        self.build(scene, graph, PlannerCode { centerline, lead_agent: None, target_speed, accel_max, decel_max })
+        let target_speed = graph
+            .ego_lane()
+            .speed_limit
+            .unwrap_or(FALLBACK_LIMIT)
+            .round();
+        self.build(
+            scene,
+            graph,
+            PlannerCode {
+                centerline,
+                lead_agent: None,
+                target_speed,
+                accel_max,
+                decel_max,
+            },
+        )
     }
 
-    /// A plan that stays active: its path begins at the ego's present place, on the centerline that it is bound for. A pass that
-    /// has begun is completed, also where the graph no longer has its way.
-    pub fn extend(&self, plan: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph) -> Result<IdmPlan, GeometryError> {
-        let begun = plan.oncoming().filter(|pass| graph.oncoming.is_none() && PassRules::new(pass, scene).has_begun());
+    /// A plan that stays active: its path begins at the ego's present place, on the centerline that
+    /// it is bound for. A pass that has begun is completed, also where the graph no longer has its
+    /// way.
+    pub fn extend(
+        &self,
+        plan: &IdmPlan,
+        scene: &SceneView<'_>,
+        graph: &LaneGraph,
+    ) -> Result<IdmPlan, GeometryError> {
+        let begun = plan
+            .oncoming()
+            .filter(|pass| graph.oncoming.is_none() && PassRules::new(pass, scene).has_begun());
         if let Some(pass) = begun {
             let plan = plan.extended(scene, pass.centerline.path.clone(), self.horizon_s)?;
             return Ok(plan.completing(pass));
         }
         let lane = plan.lane_now(scene);
-        let passes = graph.oncoming.as_ref().map(|oncoming| &oncoming.centerline).filter(|_| plan.oncoming().is_some());
-        let beside = || graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));
+        let passes = graph
+            .oncoming
+            .as_ref()
+            .map(|oncoming| &oncoming.centerline)
+            .filter(|_| plan.oncoming().is_some());
+        let beside = || {
+            graph
+                .centerlines
+                .iter()
+                .find(|centerline| centerline.path.lanes.contains(&lane))
+        };
         let bound_for = passes.or_else(beside).unwrap_or(graph.ego_lane());
         let plan = plan.extended(scene, bound_for.path.clone(), self.horizon_s)?;
         Ok(plan.at_blocked_lane(graph, bound_for.name))
     }
 
-    /// The plan of the same code in the ego's present lane; `None` when the plan is bound for that lane already.
+    /// The plan of the same code in the ego's present lane; `None` when the plan is bound for that
+    /// lane already.
     pub fn back_to_ego_lane(
         &self,
         plan: &IdmPlan,
         scene: &SceneView<'_>,
         graph: &LaneGraph,
     ) -> Result<Option<IdmPlan>, GeometryError> {
-        if plan.oncoming().is_none() && graph.ego_lane().path.lanes.contains(&plan.lane_now(scene)) {
+        if plan.oncoming().is_none() && graph.ego_lane().path.lanes.contains(&plan.lane_now(scene))
+        {
             return Ok(None);
         }
         let (centerline, lead_agent) = ego_lane(graph);
-        self.build(scene, graph, PlannerCode { centerline, lead_agent, ..plan.code })
+        self.build(
+            scene,
+            graph,
+            PlannerCode {
+                centerline,
+                lead_agent,
+                ..plan.code
+            },
+        )
     }
 
     /// The plan of an ego that keeps its lane and its speed behind the lead agent.
@@ -92,7 +145,13 @@ impl PlanBuilder {
     ) -> Result<Option<IdmPlan>, GeometryError> {
         let (centerline, lead_agent) = ego_lane(graph);
         let (accel_max, decel_max) = KEEP_LANE_ACCELERATIONS;
-        let code = PlannerCode { centerline, lead_agent, target_speed: scene.ego.speed(), accel_max, decel_max };
+        let code = PlannerCode {
+            centerline,
+            lead_agent,
+            target_speed: scene.ego.speed(),
+            accel_max,
+            decel_max,
+        };
         self.build(scene, graph, code)
     }
 }

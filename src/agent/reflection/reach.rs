@@ -10,9 +10,11 @@ use planagent_world::{EgoState, SceneView};
 
 /// Time beyond the horizon for which an ego is taken to keep its final speed, seconds.
 const BEYOND_S: f64 = 4.0;
-/// A shorter reach does not count, meters: an ego that waits may creep that far. About the length of the ego.
+/// A shorter reach does not count, meters: an ego that waits may creep that far. About the length
+/// of the ego.
 pub(super) const MIN_REACH: f64 = 5.0;
-/// Below this progress of PDM-Closed's proposals standing still is as good as any, meters (PDM's scorer).
+/// Below this progress of PDM-Closed's proposals standing still is as good as any, meters (PDM's
+/// scorer).
 const STANDS: f64 = 0.1;
 
 /// How far a roll-out comes along the line of progress, meters, times its multipliers.
@@ -28,13 +30,23 @@ impl Reach {
     pub(super) fn of(score: &ProposalScore, states: &[EgoState]) -> Self {
         let progress_m = score.progress_m * score.multiplier();
         let beyond = states.last().map_or(0.0, EgoState::speed) * BEYOND_S;
-        Self { progress_m, reach_m: (score.progress_m + beyond) * score.multiplier() }
+        Self {
+            progress_m,
+            reach_m: (score.progress_m + beyond) * score.multiplier(),
+        }
     }
 
     /// That of a rival: one that comes near a collision reaches nothing.
     pub(super) fn of_rival(score: &ProposalScore, states: &[EgoState]) -> Self {
         let reach = Self::of(score, states);
-        if score.time_to_collision < 1.0 { Self { reach_m: 0.0, ..reach } } else { reach }
+        if score.time_to_collision < 1.0 {
+            Self {
+                reach_m: 0.0,
+                ..reach
+            }
+        } else {
+            reach
+        }
     }
 
     /// The largest progress and the largest reach of some rivals.
@@ -55,14 +67,14 @@ pub(super) struct LaneReach {
     pub(super) best_m: f64,
 }
 
-/// Whether progress is compared with what can be reached: the ego's lane is blocked by what stands permanently, or PDM-Closed's best
-/// proposal stands.
+/// Whether progress is compared with what can be reached: the ego's lane is blocked by what stands
+/// permanently, or PDM-Closed's best proposal stands.
 pub(super) fn is_compared(graph: &LaneGraph, rival_progress: f64) -> bool {
     graph.blocked.is_some() || rival_progress <= STANDS
 }
 
-/// The reach of plans at the limit: on the ego's lane and, where that is blocked, on those that lead past. A red light, a
-/// queue and a person stop these plans as they stop any other.
+/// The reach of plans at the limit: on the ego's lane and, where that is blocked, on those that
+/// lead past. A red light, a queue and a person stop these plans as they stop any other.
 pub(super) fn reach_of_lanes(
     scene: &SceneView<'_>,
     graph: &LaneGraph,
@@ -70,16 +82,30 @@ pub(super) fn reach_of_lanes(
     steps: usize,
     horizon_s: f64,
 ) -> Result<LaneReach, ReflectionError> {
-    let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s };
+    let builder = PlanBuilder {
+        lead_policy: LeadPolicy::Nearest,
+        horizon_s,
+    };
     let mut lanes = LaneReach::default();
     for lane in graph.named() {
         if lane.name != CenterlineName::EgoLane && graph.blocked.is_none() {
             continue;
         }
-        let Some(plan) = builder.at_limit(scene, graph, lane.name)? else { continue };
-        let simulated = [simulate_proposal(scene.ego, &plan.roll_out(scene, steps).poses, JerkPenalty::PdmClosed)];
+        let Some(plan) = builder.at_limit(scene, graph, lane.name)? else {
+            continue;
+        };
+        let simulated = [simulate_proposal(
+            scene.ego,
+            &plan.roll_out(scene, steps).poses,
+            JerkPenalty::PdmClosed,
+        )];
         let scores = score_versions(scene, &plan, &[Version::PLAN], scoring, &simulated)?;
-        let reach = Reach::best(scores.iter().zip(&simulated).map(|(score, states)| Reach::of_rival(score, states)));
+        let reach = Reach::best(
+            scores
+                .iter()
+                .zip(&simulated)
+                .map(|(score, states)| Reach::of_rival(score, states)),
+        );
         lanes.best_m = lanes.best_m.max(reach.reach_m);
         if lane.name == CenterlineName::EgoLane {
             lanes.own = reach;
@@ -96,7 +122,8 @@ mod tests {
     use planagent_score::pdm::PdmMemory;
     use planagent_world::{ObjectKind, Scene, SceneBuilder, SignalStatus};
 
-    /// Two lanes to the east, the left one along y = 0, and behind them an intersection from x = 150 on.
+    /// Two lanes to the east, the left one along y = 0, and behind them an intersection from x =
+    /// 150 on.
     fn road() -> SceneBuilder {
         Scene::builder().lanes(2, [[-50.0, 0.0], [150.0, 0.0]])
     }
@@ -106,19 +133,39 @@ mod tests {
         let scene = scene.build().unwrap();
         let view = scene.view();
         let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
-        let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: 4.0 };
-        let plan = builder.at_limit(&view, &graph, centerline).unwrap().unwrap();
-        Judge::new(&view, &graph, 4.0, &mut PdmMemory::default()).unwrap().reflect(&plan, 0.75).unwrap()
+        let builder = PlanBuilder {
+            lead_policy: LeadPolicy::Nearest,
+            horizon_s: 4.0,
+        };
+        let plan = builder
+            .at_limit(&view, &graph, centerline)
+            .unwrap()
+            .unwrap();
+        Judge::new(&view, &graph, 4.0, &mut PdmMemory::default())
+            .unwrap()
+            .reflect(&plan, 0.75)
+            .unwrap()
     }
 
     #[test]
-    fn an_ego_that_stands_behind_a_broken_down_car_has_little_progress_where_there_is_room_beside() {
+    fn an_ego_that_stands_behind_a_broken_down_car_has_little_progress_where_there_is_room_beside()
+    {
         for (gap, speed) in [(14.0, 0.0), (30.0, 7.0)] {
-            let scene = || road().ego([0.0, -3.5], 0.0, speed).vehicle([5.0 + gap, -3.5], 0.0, 0.0);
-            let (own, left) = (judged(scene(), CenterlineName::EgoLane), judged(scene(), CenterlineName::LeftLane));
+            let scene = || {
+                road()
+                    .ego([0.0, -3.5], 0.0, speed)
+                    .vehicle([5.0 + gap, -3.5], 0.0, 0.0)
+            };
+            let (own, left) = (
+                judged(scene(), CenterlineName::EgoLane),
+                judged(scene(), CenterlineName::LeftLane),
+            );
             assert_eq!(own.progress_reference, ProgressReference::Reach);
             let parts = (own.parts, left.parts);
-            assert!(own.parts.progress < 0.7 && own.score < left.score, "{gap}: {parts:?}");
+            assert!(
+                own.parts.progress < 0.7 && own.score < left.score,
+                "{gap}: {parts:?}"
+            );
             assert!(left.parts.progress > 0.95, "{gap}: {parts:?}");
         }
     }
@@ -126,13 +173,31 @@ mod tests {
     #[test]
     fn an_ego_has_full_progress_where_it_waits() {
         let waiting: [(&str, SceneBuilder); 5] = [
-            ("no way past", road().vehicle([6.0, -3.5], 0.0, 0.0).vehicle([4.0, 0.0], 0.0, 0.0)),
+            (
+                "no way past",
+                road()
+                    .vehicle([6.0, -3.5], 0.0, 0.0)
+                    .vehicle([4.0, 0.0], 0.0, 0.0),
+            ),
             (
                 "a person before it",
-                road().vehicle([6.0, -3.5], 0.0, 0.0).object(ObjectKind::Pedestrian, [11.0, -5.0], 1.6, 1.0),
+                road().vehicle([6.0, -3.5], 0.0, 0.0).object(
+                    ObjectKind::Pedestrian,
+                    [11.0, -5.0],
+                    1.6,
+                    1.0,
+                ),
             ),
-            ("a person", road().object(ObjectKind::Pedestrian, [4.0, -3.5], 1.6, 0.0)),
-            ("slow traffic", road().vehicle([6.0, -3.5], 0.0, 0.0).vehicle([12.0, -3.5], 0.0, 0.5)),
+            (
+                "a person",
+                road().object(ObjectKind::Pedestrian, [4.0, -3.5], 1.6, 0.0),
+            ),
+            (
+                "slow traffic",
+                road()
+                    .vehicle([6.0, -3.5], 0.0, 0.0)
+                    .vehicle([12.0, -3.5], 0.0, 0.5),
+            ),
             (
                 "a red light",
                 Scene::builder()

@@ -4,7 +4,9 @@ use planagent_score::pdm::DrivableLayers;
 use planagent_world::EgoState;
 
 /// Whether a plan is executed (paper, section 3, Reflection).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// s ≥ λ: the plan is executed.
@@ -14,22 +16,26 @@ pub enum Verdict {
 }
 
 /// What the progress of a plan is divided by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum ProgressReference {
     /// The best progress among this plan and PDM-Closed's 15 proposals of the same instant.
     PdmProposals,
-    /// What could be reached beyond the horizon by these and by plans at the limit, on the ego's lane and those beside: something that
-    /// stands permanently blocks the ego's lane, or all proposals stand. A plan that reaches less than it made of its 4 s has less
-    /// progress.
+    /// What could be reached beyond the horizon by these and by plans at the limit, on the ego's
+    /// lane and those beside: something that stands permanently blocks the ego's lane, or all
+    /// proposals stand. A plan that reaches less than it made of its 4 s has less progress.
     Reach,
-    /// The plan's own progress: PDM-Closed found no reference path (a route without lanes), so there are no proposals to compare
-    /// with. A plan that moves without fault gets the whole term.
+    /// The plan's own progress: PDM-Closed found no reference path (a route without lanes), so
+    /// there are no proposals to compare with. A plan that moves without fault gets the whole term.
     OwnProgress,
 }
 
 /// The parts of the score (PDM's, with its weights).
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
+)]
 pub struct SubScores {
     /// Multiplier: 1 without an at-fault collision, 0.5 or 0 with one.
     pub no_collision: f64,

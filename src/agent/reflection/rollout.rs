@@ -7,10 +7,12 @@ use crate::environment::{CenterlineName, LaneGraph};
 use crate::reasoning::{DECELERATIONS, PlannerCode};
 use planagent_score::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
 use planagent_world::dynamics::{IdmParameters, Lead};
-use planagent_world::geometry::{Corridor, GeometryError, OrientedBox, Point, Polyline, Pose, Vector};
+use planagent_world::geometry::{
+    Corridor, GeometryError, OrientedBox, Point, Polyline, Pose, Vector,
+};
 use planagent_world::{
-    EgoState, LaneId, LanePath, PACIFICA, STEP_S, STEP_US, SceneView, SignalStatus, TrackToken, TrackedObject,
-    Trajectory, TrajectoryError, TrajectoryState,
+    EgoState, LaneId, LanePath, PACIFICA, STEP_S, STEP_US, SceneView, SignalStatus, TrackToken,
+    TrackedObject, Trajectory, TrajectoryError, TrajectoryState,
 };
 
 /// Exponent δ of the plan's IDM (PDM-Closed's).
@@ -37,8 +39,8 @@ const PATH_MARGIN: f64 = 30.0;
 pub enum LeadPolicy {
     /// The named lead agent alone: exactly what the code says.
     Named,
-    /// The nearest of the centerline's lead agent, all objects on the path, and red lights, as in PDM-Closed's roll-out. The name in
-    /// the code does not matter.
+    /// The nearest of the centerline's lead agent, all objects on the path, and red lights, as in
+    /// PDM-Closed's roll-out. The name in the code does not matter.
     #[default]
     Nearest,
 }
@@ -58,15 +60,15 @@ pub struct IdmPlan {
     oncoming: Option<Box<OncomingLane>>,
     /// Where the ego stops in its lane before what it may pass.
     stop_point: Option<Point>,
-    /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline. The first is the code's, which keeps
-    /// a distance from what stands at the edge of the lane.
+    /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline. The
+    /// first is the code's, which keeps a distance from what stands at the edge of the lane.
     paths: [Polyline; LATERAL_OFFSETS.len()],
     /// Where the first path has come onto its line.
     settled: Point,
 }
 
-/// A version of a plan: slower, or to the side within its lane, by the fractions and offsets of PDM-Closed's proposals, or a hard
-/// stop. The first is the plan itself.
+/// A version of a plan: slower, or to the side within its lane, by the fractions and offsets of
+/// PDM-Closed's proposals, or a hard stop. The first is the plan itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Version {
     /// Index of its path in [`LATERAL_OFFSETS`].
@@ -77,9 +79,15 @@ pub struct Version {
 
 impl Version {
     /// The plan itself.
-    pub const PLAN: Self = Self { path: 0, fraction: 1.0 };
+    pub const PLAN: Self = Self {
+        path: 0,
+        fraction: 1.0,
+    };
     /// A stop on the plan's own path, at the highest deceleration that a code may contain.
-    pub const STOP: Self = Self { path: 0, fraction: 0.0 };
+    pub const STOP: Self = Self {
+        path: 0,
+        fraction: 0.0,
+    };
 
     const COUNT: usize = LATERAL_OFFSETS.len() * SPEED_FRACTIONS.len() + 1;
 
@@ -99,7 +107,8 @@ pub struct Rollout {
 }
 
 impl IdmPlan {
-    /// The plan of `code` from the present state on, along `lanes`, with paths for roll-outs of `horizon_s` seconds.
+    /// The plan of `code` from the present state on, along `lanes`, with paths for roll-outs of
+    /// `horizon_s` seconds.
     ///
     /// # Errors
     /// When the ego's pose is not finite.
@@ -112,25 +121,49 @@ impl IdmPlan {
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
         let (paths, settled) = lay_paths(scene, (&code, &lanes), horizon_s, None)?;
-        Ok(Self { code, lanes, lead_agent, lead_policy, oncoming: None, stop_point: None, paths, settled })
+        Ok(Self {
+            code,
+            lanes,
+            lead_agent,
+            lead_policy,
+            oncoming: None,
+            stop_point: None,
+            paths,
+            settled,
+        })
     }
 
-    /// The same after another plan: bound for the same lane, it comes onto its line where that one does.
+    /// The same after another plan: bound for the same lane, it comes onto its line where that one
+    /// does.
     ///
     /// # Errors
     /// When the ego's pose is not finite.
-    pub fn after(self, active: &Self, scene: &SceneView<'_>, horizon_s: f64) -> Result<Self, GeometryError> {
-        let goes_on =
-            self.lane_now(scene) == active.lane_now(scene) && self.oncoming.is_some() == active.oncoming.is_some();
+    pub fn after(
+        self,
+        active: &Self,
+        scene: &SceneView<'_>,
+        horizon_s: f64,
+    ) -> Result<Self, GeometryError> {
+        let goes_on = self.lane_now(scene) == active.lane_now(scene)
+            && self.oncoming.is_some() == active.oncoming.is_some();
         if !goes_on {
             return Ok(self);
         }
-        let (paths, settled) = lay_paths(scene, (&self.code, &self.lanes), horizon_s, Some(active.settled))?;
-        Ok(Self { paths, settled, ..self })
+        let (paths, settled) = lay_paths(
+            scene,
+            (&self.code, &self.lanes),
+            horizon_s,
+            Some(active.settled),
+        )?;
+        Ok(Self {
+            paths,
+            settled,
+            ..self
+        })
     }
 
-    /// The same where something may block the ego's lane. A plan over the oncoming lane passes it. A plan in the ego's lane stops
-    /// where the ego can still leave the lane.
+    /// The same where something may block the ego's lane. A plan over the oncoming lane passes it.
+    /// A plan in the ego's lane stops where the ego can still leave the lane.
     pub(super) fn at_blocked_lane(mut self, graph: &LaneGraph, follows: CenterlineName) -> Self {
         (self.oncoming, self.stop_point) = match follows {
             CenterlineName::OncomingLane => (graph.oncoming.clone().map(Box::new), None),
@@ -153,16 +186,32 @@ impl IdmPlan {
 
     /// The lane of the plan beside the ego's present place.
     pub fn lane_now(&self, scene: &SceneView<'_>) -> LaneId {
-        self.lanes.lane_at(self.lanes.centerline.project(scene.ego.center().position()).s)
+        self.lanes.lane_at(
+            self.lanes
+                .centerline
+                .project(scene.ego.center().position())
+                .s,
+        )
     }
 
     /// The plan along `lanes`, which reach further, with a path from the ego's present place.
     ///
     /// # Errors
     /// When the ego's pose is not finite.
-    pub fn extended(&self, scene: &SceneView<'_>, lanes: LanePath, horizon_s: f64) -> Result<Self, GeometryError> {
-        let (paths, settled) = lay_paths(scene, (&self.code, &lanes), horizon_s, Some(self.settled))?;
-        Ok(Self { lanes, paths, settled, ..self.clone() })
+    pub fn extended(
+        &self,
+        scene: &SceneView<'_>,
+        lanes: LanePath,
+        horizon_s: f64,
+    ) -> Result<Self, GeometryError> {
+        let (paths, settled) =
+            lay_paths(scene, (&self.code, &lanes), horizon_s, Some(self.settled))?;
+        Ok(Self {
+            lanes,
+            paths,
+            settled,
+            ..self.clone()
+        })
     }
 
     /// The path of the rear axle, from the ego's place when the plan was built.
@@ -170,13 +219,18 @@ impl IdmPlan {
         &self.paths[0]
     }
 
-    /// The roll-out from the present state, `steps` steps of 0.1 s long. Other objects keep their velocity.
+    /// The roll-out from the present state, `steps` steps of 0.1 s long. Other objects keep their
+    /// velocity.
     pub fn roll_out(&self, scene: &SceneView<'_>, steps: usize) -> Rollout {
         self.roll_out_version(Version::PLAN, scene, steps)
     }
 
     /// The roll-outs of every [`Version`], in order; the stop is the last.
-    pub fn roll_out_versions(&self, scene: &SceneView<'_>, steps: usize) -> Vec<(Version, Rollout)> {
+    pub fn roll_out_versions(
+        &self,
+        scene: &SceneView<'_>,
+        steps: usize,
+    ) -> Vec<(Version, Rollout)> {
         let mut rollouts = Vec::with_capacity(Version::COUNT);
         for (path, line) in self.paths.iter().enumerate() {
             let road = Road::new(self, line, scene, steps);
@@ -185,20 +239,42 @@ impl IdmPlan {
                 rollouts.push((version, self.roll_out_along(&road, version, scene, steps)));
             }
         }
-        rollouts.push((Version::STOP, self.roll_out_version(Version::STOP, scene, steps)));
+        rollouts.push((
+            Version::STOP,
+            self.roll_out_version(Version::STOP, scene, steps),
+        ));
         rollouts
     }
 
     /// The roll-out of one version.
-    pub fn roll_out_version(&self, version: Version, scene: &SceneView<'_>, steps: usize) -> Rollout {
+    pub fn roll_out_version(
+        &self,
+        version: Version,
+        scene: &SceneView<'_>,
+        steps: usize,
+    ) -> Rollout {
         let path = self.paths.get(version.path).unwrap_or(self.path());
         self.roll_out_along(&Road::new(self, path, scene, steps), version, scene, steps)
     }
 
-    fn roll_out_along(&self, road: &Road<'_>, version: Version, scene: &SceneView<'_>, steps: usize) -> Rollout {
-        let PlannerCode { target_speed, accel_max, .. } = self.code;
+    fn roll_out_along(
+        &self,
+        road: &Road<'_>,
+        version: Version,
+        scene: &SceneView<'_>,
+        steps: usize,
+    ) -> Rollout {
+        let PlannerCode {
+            target_speed,
+            accel_max,
+            ..
+        } = self.code;
         let target_velocity = version.fraction * target_speed;
-        let decel_max = if version == Version::STOP { STOP_DECEL } else { self.code.decel_max };
+        let decel_max = if version == Version::STOP {
+            STOP_DECEL
+        } else {
+            self.code.decel_max
+        };
         let idm = IdmParameters {
             target_velocity,
             min_gap: MIN_GAP,
@@ -211,7 +287,10 @@ impl IdmPlan {
         let mut progress = path.project(scene.ego.rear_axle.position()).s;
         let mut speed = scene.ego.velocity.x.max(0.0);
         let mut lead = None;
-        let mut rollout = Rollout { poses: vec![path.smooth_pose_at(progress)], speeds: vec![speed] };
+        let mut rollout = Rollout {
+            poses: vec![path.smooth_pose_at(progress)],
+            speeds: vec![speed],
+        };
         for step in 0..steps {
             if step % LEAD_REFRESH == 0 {
                 lead = road.lead(progress, step as f64 * STEP_S);
@@ -230,7 +309,8 @@ impl IdmPlan {
     }
 }
 
-/// The paths of a plan from the present state on, long enough for its fastest roll-out, and where the first has come onto its line.
+/// The paths of a plan from the present state on, long enough for its fastest roll-out, and where
+/// the first has come onto its line.
 fn lay_paths(
     scene: &SceneView<'_>,
     (code, lanes): (&PlannerCode, &LanePath),
@@ -240,8 +320,8 @@ fn lay_paths(
     let length = code.target_speed.max(scene.ego.speed()) * horizon_s + PATH_MARGIN;
     let [on, right, left] = LATERAL_OFFSETS;
     let on = on + shift(scene, lanes);
-    let [on, right, left] =
-        [on, right, left].map(|beside| onto_centerline(scene.ego, &lanes.centerline, (beside, length), settled));
+    let [on, right, left] = [on, right, left]
+        .map(|beside| onto_centerline(scene.ego, &lanes.centerline, (beside, length), settled));
     let on = on?;
     Ok(([on.path, right?.path, left?.path], on.settled))
 }
@@ -252,11 +332,21 @@ impl Rollout {
     /// # Errors
     /// When a pose is not finite.
     pub fn to_trajectory(&self, ego: &EgoState) -> Result<Trajectory, TrajectoryError> {
-        let planned = self.poses.iter().zip(&self.speeds).enumerate().skip(1).map(|(i, (&pose, &speed))| {
-            let accel = (speed - self.speeds[i - 1]) / STEP_S;
-            TrajectoryState::moving(ego.time_us + i as i64 * STEP_US, pose, speed, accel)
-        });
-        Trajectory::new(std::iter::once(TrajectoryState::from(ego)).chain(planned).collect())
+        let planned =
+            self.poses
+                .iter()
+                .zip(&self.speeds)
+                .enumerate()
+                .skip(1)
+                .map(|(i, (&pose, &speed))| {
+                    let accel = (speed - self.speeds[i - 1]) / STEP_S;
+                    TrajectoryState::moving(ego.time_us + i as i64 * STEP_US, pose, speed, accel)
+                });
+        Trajectory::new(
+            std::iter::once(TrajectoryState::from(ego))
+                .chain(planned)
+                .collect(),
+        )
     }
 
     /// Length of the path, meters.
@@ -275,7 +365,10 @@ struct LeadOnPath {
 impl LeadOnPath {
     /// As IDM takes it, for an ego whose rear axle is at arc length `progress`.
     fn behind(self, progress: f64) -> Lead {
-        Lead { gap: self.rear_s - progress - PACIFICA.front_length, speed: self.speed }
+        Lead {
+            gap: self.rear_s - progress - PACIFICA.front_length,
+            speed: self.speed,
+        }
     }
 }
 
@@ -300,32 +393,54 @@ impl<'a> Road<'a> {
             let sweep = object.shape.bounds().joined(later.bounds());
             corridor.bounds().overlaps(&sweep) && !object.shape.overlaps(&footprint)
         };
-        // Beside what stands there is nothing to follow: whether the ego touches it, the score says. Nor is there behind what
-        // stands in the lane where the path leads past it.
+        // Beside what stands there is nothing to follow: whether the ego touches it, the score
+        // says. Nor is there behind what stands in the lane where the path leads past it.
         let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
         let is_beside = |object: &TrackedObject| {
-            let rear_s =
-                object.shape.corners().map(|corner| path.project(corner).s).into_iter().fold(f64::INFINITY, f64::min);
+            let rear_s = object
+                .shape
+                .corners()
+                .map(|corner| path.project(corner).s)
+                .into_iter()
+                .fold(f64::INFINITY, f64::min);
             object.speed() < STANDING && rear_s < front
         };
-        let named = plan.lead_agent.and_then(|token| scene.objects.iter().find(|o| o.token == token).copied());
+        let named = plan
+            .lead_agent
+            .and_then(|token| scene.objects.iter().find(|o| o.token == token).copied());
         let (objects, named) = match plan.lead_policy {
             LeadPolicy::Named => (Vec::new(), named),
             LeadPolicy::Nearest => {
-                let ahead = scene.objects.iter().filter(may_come).filter(|object| !is_beside(object));
-                let is_passed =
-                    |object: &TrackedObject| object.speed() < STANDING && !corridor.meets_box(&object.shape);
-                (ahead.copied().collect(), named.filter(|object| !is_beside(object) && !is_passed(object)))
+                let ahead = scene
+                    .objects
+                    .iter()
+                    .filter(may_come)
+                    .filter(|object| !is_beside(object));
+                let is_passed = |object: &TrackedObject| {
+                    object.speed() < STANDING && !corridor.meets_box(&object.shape)
+                };
+                (
+                    ahead.copied().collect(),
+                    named.filter(|object| !is_beside(object) && !is_passed(object)),
+                )
             }
         };
         let stop_s = match plan.lead_policy {
             LeadPolicy::Named => path.length(),
             LeadPolicy::Nearest => {
-                let stops = red_light(plan, path, scene).into_iter().chain(before_obstacle(plan, path, scene));
+                let stops = red_light(plan, path, scene)
+                    .into_iter()
+                    .chain(before_obstacle(plan, path, scene));
                 stops.fold(path.length(), f64::min)
             }
         };
-        Self { path, corridor, objects, named, stop_s }
+        Self {
+            path,
+            corridor,
+            objects,
+            named,
+            stop_s,
+        }
     }
 
     /// The lead object after `seconds`, for an ego at arc length `progress`.
@@ -338,44 +453,74 @@ impl<'a> Road<'a> {
             }
             self.place(object, &shape, progress)
         });
-        let named = self.named.iter().filter_map(|object| self.place(object, &moved(object, seconds), progress));
-        let stop = (self.stop_s > front - MIN_GAP).then_some(LeadOnPath { rear_s: self.stop_s, speed: 0.0 });
-        on_path.chain(named).chain(stop).min_by(|a, b| a.rear_s.total_cmp(&b.rear_s))
+        let named = self
+            .named
+            .iter()
+            .filter_map(|object| self.place(object, &moved(object, seconds), progress));
+        let stop = (self.stop_s > front - MIN_GAP).then_some(LeadOnPath {
+            rear_s: self.stop_s,
+            speed: 0.0,
+        });
+        on_path
+            .chain(named)
+            .chain(stop)
+            .min_by(|a, b| a.rear_s.total_cmp(&b.rear_s))
     }
 
     /// The object's place on the path; `None` when its center lies behind the ego's rear axle.
-    fn place(&self, object: &TrackedObject, shape: &OrientedBox, progress: f64) -> Option<LeadOnPath> {
+    fn place(
+        &self,
+        object: &TrackedObject,
+        shape: &OrientedBox,
+        progress: f64,
+    ) -> Option<LeadOnPath> {
         let foot = self.path.project(shape.center.position());
         if foot.s <= progress {
             return None;
         }
-        let rear_s = shape.corners().iter().map(|&corner| self.path.project(corner).s).fold(f64::INFINITY, f64::min);
+        let rear_s = shape
+            .corners()
+            .iter()
+            .map(|&corner| self.path.project(corner).s)
+            .fold(f64::INFINITY, f64::min);
         let along = Vector::new(foot.heading.cos(), foot.heading.sin());
-        Some(LeadOnPath { rear_s, speed: object.velocity.dot(&along).max(0.0) })
+        Some(LeadOnPath {
+            rear_s,
+            speed: object.velocity.dot(&along).max(0.0),
+        })
     }
 }
 
 /// The box of an object that keeps its velocity.
 fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
     let at = object.shape.center.position() + object.velocity * seconds;
-    object.shape.moved_to(Pose::at(at, object.shape.center.heading))
+    object
+        .shape
+        .moved_to(Pose::at(at, object.shape.center.heading))
 }
 
-/// Arc length on the path of the place before an obstacle at which the ego can still leave its lane. Where the ego is beyond that
-/// place, it stops as soon as its code allows.
+/// Arc length on the path of the place before an obstacle at which the ego can still leave its
+/// lane. Where the ego is beyond that place, it stops as soon as its code allows.
 fn before_obstacle(plan: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f64> {
     let stop_s = path.project(plan.stop_point?).s;
     let front = path.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
-    let soonest = front + MIN_GAP + scene.ego.velocity.x.max(0.0).powi(2) / (2.0 * plan.code.decel_max);
+    let soonest =
+        front + MIN_GAP + scene.ego.velocity.x.max(0.0).powi(2) / (2.0 * plan.code.decel_max);
     Some(stop_s.max(soonest))
 }
 
 /// Arc length on the path of the first red light ahead: the start of its connector.
 fn red_light(plan: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f64> {
-    let here = plan.lanes.centerline.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
+    let here = plan
+        .lanes
+        .centerline
+        .project(scene.ego.rear_axle.position())
+        .s
+        + PACIFICA.front_length;
     let lanes = plan.lanes.lanes.iter().zip(&plan.lanes.starts);
-    let red = lanes
-        .filter(|&(&lane, &start)| start >= here - MIN_GAP && scene.lights.status(lane) == Some(SignalStatus::Red));
+    let red = lanes.filter(|&(&lane, &start)| {
+        start >= here - MIN_GAP && scene.lights.status(lane) == Some(SignalStatus::Red)
+    });
     let start = red.map(|(_, &start)| start).next()?;
     Some(path.project(plan.lanes.centerline.point_at(start)).s)
 }

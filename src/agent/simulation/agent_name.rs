@@ -6,10 +6,16 @@ use std::fmt;
 /// What the names of challenges with own agents begin with.
 const OWN: &str = "closed_loop_own_agents_";
 /// Words that mean something else in the place of a challenge.
-const RESERVED: [&str; 5] = ["nonreactive", "reactive", "both", "open-loop", "open_loop_boxes"];
+const RESERVED: [&str; 5] = [
+    "nonreactive",
+    "reactive",
+    "both",
+    "open-loop",
+    "open_loop_boxes",
+];
 
-/// Name of a policy of the other agents that a user brings. It stands where the challenges of nuPlan stand: in tables, records
-/// and file names.
+/// Name of a policy of the other agents that a user brings. It stands where the challenges of
+/// nuPlan stand: in tables, records and file names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct AgentPolicyName {
     name: &'static str,
@@ -17,11 +23,15 @@ pub struct AgentPolicyName {
 }
 
 impl AgentPolicyName {
-    /// The name of lowercase letters, digits, minuses and underscores; `None` for other texts, and for the names of challenges.
+    /// The name of lowercase letters, digits, minuses and underscores; `None` for other texts, and
+    /// for the names of challenges.
     pub fn new(name: &str) -> Option<Self> {
         let fits = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
         let is_name = !name.is_empty() && name.chars().all(fits) && !RESERVED.contains(&name);
-        is_name.then(|| Self { name: kept(name.to_owned()), challenge: kept(format!("{OWN}{name}")) })
+        is_name.then(|| Self {
+            name: kept(name.to_owned()),
+            challenge: kept(format!("{OWN}{name}")),
+        })
     }
 
     /// The name in [`Self::challenge`].

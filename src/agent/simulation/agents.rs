@@ -24,8 +24,8 @@ pub trait AgentPolicy: Debug + Send + Sync {
     /// The objects now; `logged` is the recorded frame of this iteration.
     fn objects(&self, logged: &Frame) -> Arc<[TrackedObject]>;
 
-    /// Moves to the next iteration, `dt_s` seconds later; `next` is its recorded frame. As in nuPlan, `ego` is still the
-    /// state before the step.
+    /// Moves to the next iteration, `dt_s` seconds later; `next` is its recorded frame. As in
+    /// nuPlan, `ego` is still the state before the step.
     ///
     /// # Errors
     /// When the policy fails; the simulation fails with it.
@@ -54,23 +54,38 @@ pub struct AgentPolicySpec {
 /// All objects replay the log.
 pub(super) const LOG_REPLAY: AgentPolicySpec = AgentPolicySpec {
     name: "box_observation",
-    new: |scenario, first| match scenario.interaction.as_deref().filter(|added| !added.crossing.is_empty()) {
-        Some(added) => Box::new(LoggedAndCrossing(CrossingActors::new(&added.crossing, &first.ego))),
+    new: |scenario, first| match scenario
+        .interaction
+        .as_deref()
+        .filter(|added| !added.crossing.is_empty())
+    {
+        Some(added) => Box::new(LoggedAndCrossing(CrossingActors::new(
+            &added.crossing,
+            &first.ego,
+        ))),
         None => Box::new(LoggedAgents),
     },
 };
-/// Vehicles follow their lanes by the intelligent driver model and react to the ego; the rest replays the log.
+/// Vehicles follow their lanes by the intelligent driver model and react to the ego; the rest
+/// replays the log.
 pub(super) const IDM: AgentPolicySpec = AgentPolicySpec {
     name: "idm_agents_observation",
     new: |scenario, first| match &scenario.interaction {
-        Some(added) => Box::new(InteractiveTraffic::new(&scenario.map, &first.objects, &first.ego, added)),
+        Some(added) => Box::new(InteractiveTraffic::new(
+            &scenario.map,
+            &first.objects,
+            &first.ego,
+            added,
+        )),
         None => Box::new(IdmTraffic::new(&scenario.map, &first.objects, &first.ego)),
     },
 };
 
 /// In place of a policy that the user has to bring: fails at the first step.
-pub(super) const NOT_GIVEN: AgentPolicySpec =
-    AgentPolicySpec { name: "own_agents", new: |_, first| Box::new(NotGiven(first.objects.clone())) };
+pub(super) const NOT_GIVEN: AgentPolicySpec = AgentPolicySpec {
+    name: "own_agents",
+    new: |_, first| Box::new(NotGiven(first.objects.clone())),
+};
 
 #[derive(Debug, Clone)]
 struct NotGiven(Arc<[TrackedObject]>);
@@ -117,7 +132,11 @@ struct LoggedAndCrossing(CrossingActors);
 
 impl AgentPolicy for LoggedAndCrossing {
     fn objects(&self, logged: &Frame) -> Arc<[TrackedObject]> {
-        let others = logged.objects.iter().filter(|object| !self.0.has(object.token)).copied();
+        let others = logged
+            .objects
+            .iter()
+            .filter(|object| !self.0.has(object.token))
+            .copied();
         others.chain(self.0.objects()).collect()
     }
 

@@ -1,4 +1,5 @@
-//! nuPlan's challenges: who controls the ego, who controls the other agents, and which metrics apply.
+//! nuPlan's challenges: who controls the ego, who controls the other agents, and which metrics
+//! apply.
 
 use super::agent_name::AgentPolicyName;
 use super::agents::AgentPolicySpec;
@@ -16,7 +17,8 @@ use std::str::FromStr;
 pub enum Challenge {
     /// Closed loop with non-reactive agents: they replay the log.
     NonReactive,
-    /// Closed loop with reactive agents: vehicles follow their lanes by the intelligent driver model.
+    /// Closed loop with reactive agents: vehicles follow their lanes by the intelligent driver
+    /// model.
     Reactive,
     /// Open loop: ego and agents replay the log, and the plans are compared with it.
     OpenLoop,
@@ -54,8 +56,12 @@ const OPEN_LOOP: ChallengeSpec = ChallengeSpec {
     ..NON_REACTIVE
 };
 
-const OWN_AGENTS: ChallengeSpec =
-    ChallengeSpec { name: "", short_name: "", agents: super::agents::NOT_GIVEN, ..NON_REACTIVE };
+const OWN_AGENTS: ChallengeSpec = ChallengeSpec {
+    name: "",
+    short_name: "",
+    agents: super::agents::NOT_GIVEN,
+    ..NON_REACTIVE
+};
 
 impl Challenge {
     /// nuPlan's challenges.
@@ -117,9 +123,13 @@ impl FromStr for Challenge {
     type Err = UnknownChallenge;
 
     fn from_str(name: &str) -> Result<Self, Self::Err> {
-        let known = Self::ALL.into_iter().find(|c| name == c.short_name() || name == c.name());
+        let known = Self::ALL
+            .into_iter()
+            .find(|c| name == c.short_name() || name == c.name());
         let own = || AgentPolicyName::of_challenge(name).map(Self::OwnAgents);
-        known.or_else(own).ok_or_else(|| UnknownChallenge(name.to_owned()))
+        known
+            .or_else(own)
+            .ok_or_else(|| UnknownChallenge(name.to_owned()))
     }
 }
 
@@ -161,13 +171,22 @@ mod tests {
         for challenge in Challenge::ALL {
             assert_eq!(challenge.to_string().parse(), Ok(challenge));
             assert_eq!(challenge.short_name().parse(), Ok(challenge));
-            assert_eq!(serde_json::to_value(challenge).unwrap(), challenge.to_string());
+            assert_eq!(
+                serde_json::to_value(challenge).unwrap(),
+                challenge.to_string()
+            );
         }
         let own = Challenge::OwnAgents(AgentPolicyName::new("exec-mine").unwrap());
-        assert_eq!((own.name(), own.short_name()), ("closed_loop_own_agents_exec-mine", "exec-mine"));
+        assert_eq!(
+            (own.name(), own.short_name()),
+            ("closed_loop_own_agents_exec-mine", "exec-mine")
+        );
         let written = serde_json::to_string(&own).unwrap();
         assert_eq!(serde_json::from_str::<Challenge>(&written).unwrap(), own);
-        assert!("exec-mine".parse::<Challenge>().is_err() && "closed_loop_own_agents_A".parse::<Challenge>().is_err());
+        assert!(
+            "exec-mine".parse::<Challenge>().is_err()
+                && "closed_loop_own_agents_A".parse::<Challenge>().is_err()
+        );
         assert_eq!(AgentPolicyName::new("reactive"), None);
         let unknown = "openloop".parse::<Challenge>().unwrap_err();
         assert!(unknown.to_string().contains("openloop"));

@@ -1,9 +1,11 @@
-//! Agents that a command of another program controls: each iteration it gets the ego and the objects, and answers their next
-//! states.
+//! Agents that a command of another program controls: each iteration it gets the ego and the
+//! objects, and answers their next states.
 
 use super::agent_name::AgentPolicyName;
 use super::agents::{AgentPolicy, AgentPolicyError};
-use crate::planner::{AnswerError, ExecAgentsStep, ExecReply, ExecRequest, ExecSession, PlannerInitialization, moved};
+use crate::planner::{
+    AnswerError, ExecAgentsStep, ExecReply, ExecRequest, ExecSession, PlannerInitialization, moved,
+};
 use planagent_scenario::{Frame, Scenario};
 use planagent_world::{EgoState, TrackedObject};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -21,12 +23,20 @@ pub struct AgentCommand {
 }
 
 impl AgentCommand {
-    /// Starts the command for a simulation. It controls the agents from the first step on; at iteration 0, they are where they
-    /// were recorded. A command that cannot be started fails the first step.
+    /// Starts the command for a simulation. It controls the agents from the first step on; at
+    /// iteration 0, they are where they were recorded. A command that cannot be started fails the
+    /// first step.
     pub fn policy(&self, scenario: &Scenario, first: &Frame) -> Box<dyn AgentPolicy> {
-        let initialization = PlannerInitialization { map: &scenario.map, route: &scenario.route };
+        let initialization = PlannerInitialization {
+            map: &scenario.map,
+            route: &scenario.route,
+        };
         let session = ExecSession::start(&self.command, self.timeout, &initialization);
-        Box::new(ExecAgents { session: Mutex::new(session), objects: first.objects.clone(), iteration: 0 })
+        Box::new(ExecAgents {
+            session: Mutex::new(session),
+            objects: first.objects.clone(),
+            iteration: 0,
+        })
     }
 }
 
@@ -45,17 +55,38 @@ impl AgentPolicy for ExecAgents {
 
     fn step(&mut self, ego: &EgoState, next: &Frame, dt_s: f64) -> Result<(), AgentPolicyError> {
         let iteration = self.iteration + 1;
-        let state = self.session.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let state = self
+            .session
+            .get_mut()
+            .unwrap_or_else(PoisonError::into_inner);
         let session = match state {
             Ok(session) => session,
             // The step fails the simulation, so the error is needed once.
-            Err(error) => return Err(AgentPolicyError::new(std::mem::replace(error, AnswerError::Copied))),
+            Err(error) => {
+                return Err(AgentPolicyError::new(std::mem::replace(
+                    error,
+                    AnswerError::Copied,
+                )));
+            }
         };
-        let message = ExecAgentsStep::of((iteration, dt_s), ego, &self.objects, &next.lights, &next.objects);
-        let answer = session.ask(&ExecRequest::Agents(Box::new(message))).and_then(|(reply, shown)| match reply {
-            ExecReply::Agents { objects } => moved(&objects, &self.objects, &next.objects).map_err(AnswerError::Agents),
-            _ => Err(AnswerError::Other { expected: "agents", answer: shown }),
-        });
+        let message = ExecAgentsStep::of(
+            (iteration, dt_s),
+            ego,
+            &self.objects,
+            &next.lights,
+            &next.objects,
+        );
+        let answer = session
+            .ask(&ExecRequest::Agents(Box::new(message)))
+            .and_then(|(reply, shown)| match reply {
+                ExecReply::Agents { objects } => {
+                    moved(&objects, &self.objects, &next.objects).map_err(AnswerError::Agents)
+                }
+                _ => Err(AnswerError::Other {
+                    expected: "agents",
+                    answer: shown,
+                }),
+            });
         self.objects = answer.map_err(AgentPolicyError::new)?.into();
         self.iteration = iteration;
         Ok(())
@@ -63,6 +94,10 @@ impl AgentPolicy for ExecAgents {
 
     fn boxed_clone(&self) -> Box<dyn AgentPolicy> {
         let session = Mutex::new(Err(AnswerError::Copied));
-        Box::new(Self { session, objects: Arc::clone(&self.objects), iteration: self.iteration })
+        Box::new(Self {
+            session,
+            objects: Arc::clone(&self.objects),
+            iteration: self.iteration,
+        })
     }
 }

@@ -39,7 +39,11 @@ impl SimulationLog {
     ///
     /// # Errors
     /// As [`MetricRegistry::evaluate`].
-    pub fn evaluate_with(&self, scenario: &Scenario, metrics: &MetricRegistry) -> Result<Evaluation, MetricError> {
+    pub fn evaluate_with(
+        &self,
+        scenario: &Scenario,
+        metrics: &MetricRegistry,
+    ) -> Result<Evaluation, MetricError> {
         let expert: Vec<EgoState> = scenario.expert().copied().collect();
         let simulation = EvaluatedSimulation::new(&scenario.map, &self.samples, &expert)
             .with_plans(&self.trajectories, &scenario.future)
@@ -79,11 +83,16 @@ pub fn simulate_with_progress(
     challenge: Challenge,
     on_progress: &mut dyn FnMut(Progress),
 ) -> Result<SimulationLog, SimulationError> {
-    simulate_prepared(ClosedLoop::new(scenario, challenge)?, planner, challenge, on_progress)
+    simulate_prepared(
+        ClosedLoop::new(scenario, challenge)?,
+        planner,
+        challenge,
+        on_progress,
+    )
 }
 
-/// Like [`simulate`], with other agents than the challenge's. `agents` makes their policy from the recorded frame of
-/// iteration 0.
+/// Like [`simulate`], with other agents than the challenge's. `agents` makes their policy from the
+/// recorded frame of iteration 0.
 ///
 /// # Errors
 /// As [`simulate`].
@@ -93,7 +102,12 @@ pub fn simulate_with_agents(
     challenge: Challenge,
     agents: impl FnOnce(&Frame) -> Box<dyn AgentPolicy>,
 ) -> Result<SimulationLog, SimulationError> {
-    simulate_prepared(ClosedLoop::with_agents(scenario, challenge, agents)?, planner, challenge, &mut |_| ())
+    simulate_prepared(
+        ClosedLoop::with_agents(scenario, challenge, agents)?,
+        planner,
+        challenge,
+        &mut |_| (),
+    )
 }
 
 /// Runs a simulation that was prepared to its end.
@@ -123,7 +137,10 @@ pub fn simulate_prepared(
         log.samples.push(simulation.present().clone());
         simulation.advance(&trajectory, &name)?;
         log.trajectories.push(trajectory);
-        on_progress(Progress { done: log.samples.len(), total });
+        on_progress(Progress {
+            done: log.samples.len(),
+            total,
+        });
     }
     Ok(log)
 }

@@ -20,8 +20,9 @@ pub(crate) struct DataArguments {
     maps_root: Option<PathBuf>,
     /// Modify the scenarios: a TOML file, or the name of a kind.
     ///
-    /// FILE.toml or KIND, with a seed as FILE.toml.SEED or KIND.SEED. A scenario SCENARIO~FILE.toml says the same of one. docs/modified.md
-    /// has the tables of the file and the names of the kinds.
+    /// FILE.toml or KIND, with a seed as FILE.toml.SEED or KIND.SEED. A scenario SCENARIO~FILE.toml
+    /// says the same of one. docs/modified.md has the tables of the file and the names of the
+    /// kinds.
     #[arg(long, value_name = "FILE", value_parser = path_word(), hide_short_help = true)]
     modify: Option<String>,
 }
@@ -34,15 +35,21 @@ impl DataArguments {
 
     /// The words of scenarios or splits, with the modification.
     pub(crate) fn modified(&self, words: &[String]) -> anyhow::Result<Vec<String>> {
-        let Some(word) = &self.modify else { return Ok(words.to_vec()) };
+        let Some(word) = &self.modify else {
+            return Ok(words.to_vec());
+        };
         let known = || InteractionKind::ALL.map(InteractionKind::name).join(", ");
         let name = ModifiedName::parse(word).with_context(|| {
-            format!("--modify {word}: neither a file whose name ends in .toml nor one of {}", known())
+            format!(
+                "--modify {word}: neither a file whose name ends in .toml nor one of {}",
+                known()
+            )
         })?;
         Ok(words.iter().map(|word| name.mark(word)).collect())
     }
 
-    /// The scenarios of a command, with the modification; it applies to the default scenario where no word names one.
+    /// The scenarios of a command, with the modification; it applies to the default scenario where
+    /// no word names one.
     pub(crate) fn modified_or_default(&self, words: &[String]) -> anyhow::Result<Vec<String>> {
         match &self.modify {
             Some(_) if words.is_empty() => self.modified(&[generator::DEFAULT.to_string()]),
@@ -53,7 +60,10 @@ impl DataArguments {
     /// The folders of these flags, else of the environment.
     pub(crate) fn roots(&self) -> DataRoots {
         let known = DataRoots::from_environment();
-        DataRoots { data: self.data_root.clone().or(known.data), maps: self.maps_root.clone().or(known.maps) }
+        DataRoots {
+            data: self.data_root.clone().or(known.data),
+            maps: self.maps_root.clone().or(known.maps),
+        }
     }
 
     /// The scenario readers, with nuPlan's data in these folders.

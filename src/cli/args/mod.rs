@@ -13,14 +13,17 @@ pub(super) use ask::AskArguments;
 pub(super) use data::DataArguments;
 pub(super) use model::{ModelArguments, ModelFlags};
 pub(super) use models::{ModelsCommand, QuantizeArguments};
-pub(super) use results::{CompareArguments, MergeArguments, RenderArguments, ReportArguments, ServeArguments};
+pub(super) use results::{
+    CompareArguments, MergeArguments, RenderArguments, ReportArguments, ServeArguments,
+};
 pub(super) use scenarios::{
-    ExportArguments, ExportFormat, GenerateArguments, InteractiveArguments, ListArguments, ScenariosCommand,
-    ShowArguments, StatisticsArguments, TwinArguments,
+    ExportArguments, ExportFormat, GenerateArguments, InteractiveArguments, ListArguments,
+    ScenariosCommand, ShowArguments, StatisticsArguments, TwinArguments,
 };
 pub(super) use simulate::{PlanArguments, SimulateArguments};
 pub(super) use studies::{
-    ALL_EXPERIMENTS, BENCH_PROCESS, BenchArguments, DatasetArguments, DatasetKind, ExperimentArguments, OtherEngine,
+    ALL_EXPERIMENTS, BENCH_PROCESS, BenchArguments, DatasetArguments, DatasetKind,
+    ExperimentArguments, OtherEngine,
 };
 
 use super::help;
@@ -54,8 +57,8 @@ pub(super) struct GlobalArguments {
     pub(super) config: Option<PathBuf>,
     /// Replace a setting, for example reflection.threshold=0.5.
     ///
-    /// KEY is a key of planagent.toml with its section; VALUE is written as there, and quotes may be left out. May be given
-    /// several times. `planagent config` lists all settings.
+    /// KEY is a key of planagent.toml with its section; VALUE is written as there, and quotes may
+    /// be left out. May be given several times. `planagent config` lists all settings.
     #[arg(long, global = true, value_name = "KEY=VALUE", help_heading = GLOBAL)]
     pub(super) set: Vec<String>,
     /// Seed of all random numbers.
@@ -80,8 +83,9 @@ pub(super) struct GlobalArguments {
 pub(super) enum Command {
     /// Simulate scenarios and score them with nuPlan's metrics.
     ///
-    /// Every scenario is simulated with every planner in every challenge. The table goes to stdout, all else to a folder: scores,
-    /// transcripts, replays, nuPlan's Parquet files. An interrupted run continues with --resume.
+    /// Every scenario is simulated with every planner in every challenge. The table goes to stdout,
+    /// all else to a folder: scores, transcripts, replays, nuPlan's Parquet files. An interrupted
+    /// run continues with --resume.
     #[command(after_long_help = help::SIMULATE)]
     Simulate(SimulateArguments),
     /// Run one planning call; show its input, answers, code and scores.
@@ -89,7 +93,8 @@ pub(super) enum Command {
     Plan(PlanArguments),
     /// Put a question about the picture of a scene to the model.
     ///
-    /// The answer goes to stdout as it is generated. The models of models/ other than nano answer in sentences.
+    /// The answer goes to stdout as it is generated. The models of models/ other than nano answer
+    /// in sentences.
     #[command(after_long_help = help::ASK)]
     Ask(AskArguments),
     /// Write an HTML page of runs: scores, histograms, replays.
@@ -99,25 +104,26 @@ pub(super) enum Command {
     Report(ReportArguments),
     /// Serve the page of runs while they go on.
     ///
-    /// The page shows each simulation when it is complete. The server listens on 127.0.0.1 only and changes no file; Ctrl-C ends
-    /// it. Without RUN, the last run in runs/ is taken.
+    /// The page shows each simulation when it is complete. The server listens on 127.0.0.1 only and
+    /// changes no file; Ctrl-C ends it. Without RUN, the last run in runs/ is taken.
     #[command(after_long_help = help::SERVE)]
     Serve(ServeArguments),
     /// Write simulations of a run as films or pictures.
     ///
-    /// Without SIMULATION, all simulations of the run are written to a folder. Without RUN, the last run in runs/ is taken.
+    /// Without SIMULATION, all simulations of the run are written to a folder. Without RUN, the
+    /// last run in runs/ is taken.
     #[command(after_long_help = help::RENDER)]
     Render(RenderArguments),
     /// Compare two runs on the scenes that both have.
     ///
-    /// The difference is taken scene by scene; its interval is a bootstrap over scenes. Planners that both runs have are
-    /// compared, or the only ones.
+    /// The difference is taken scene by scene; its interval is a bootstrap over scenes. Planners
+    /// that both runs have are compared, or the only ones.
     #[command(after_long_help = help::COMPARE)]
     Compare(CompareArguments),
     /// Merge the shards of a run.
     ///
-    /// The result is the run that one process would have made, apart from measured times. Settings, versions and scenarios of
-    /// the shards must be equal.
+    /// The result is the run that one process would have made, apart from measured times. Settings,
+    /// versions and scenarios of the shards must be equal.
     #[command(after_long_help = help::MERGE)]
     Merge(MergeArguments),
     /// List, show and generate scenarios.
@@ -152,7 +158,8 @@ pub(super) enum Command {
     /// The measuring process of `bench`: requests on stdin, replies on stdout.
     #[command(name = BENCH_PROCESS, hide = true)]
     BenchProcess(ModelArguments),
-    /// The process that tries the files of a model: a request on stdin, what it tries and the outcome on stdout.
+    /// The process that tries the files of a model: a request on stdin, what it tries and the
+    /// outcome on stdout.
     #[command(name = TRIAL_PROCESS, hide = true)]
     TrialProcess,
 }

@@ -24,14 +24,16 @@ pub(crate) struct ModelFlags {
 pub(crate) struct ModelArguments {
     /// Model: a name of `models list`, a folder, a GGUF file, a hub id, or a description.
     ///
-    /// A name of models/, a folder in Hugging Face's layout, a GGUF file, a hub id (ORG/NAME or ORG/NAME/FILE.gguf), or a
-    /// description FILE.toml. A description may name a server with OpenAI's chat completions.
+    /// A name of models/, a folder in Hugging Face's layout, a GGUF file, a hub id (ORG/NAME or
+    /// ORG/NAME/FILE.gguf), or a description FILE.toml. A description may name a server with
+    /// OpenAI's chat completions.
     #[arg(long, value_name = "MODEL", help_heading = HEADING)]
     model: Option<String>,
     /// Prompt set: paper, brief, compact, compact-2, or a folder [default: the model's own].
     ///
-    /// paper, brief, compact, compact-2, a folder of prompts/, or the path of a folder of templates. By default, the description of the model
-    /// names it, or planagent.json among its files; else it is paper.
+    /// paper, brief, compact, compact-2, a folder of prompts/, or the path of a folder of
+    /// templates. By default, the description of the model names it, or planagent.json among its
+    /// files; else it is paper.
     #[arg(long, value_name = "SET", help_heading = HEADING, hide_short_help = true)]
     prompt_set: Option<String>,
     #[command(flatten)]
@@ -49,8 +51,8 @@ pub(crate) struct ModelArguments {
 pub(crate) struct TrustArgument {
     /// Trust the model's files: open its tokenizer and chat template without a trial.
     ///
-    /// Both are programs by nature. By default, a child process with limits of memory and time tries them first, once for each
-    /// content of the files.
+    /// Both are programs by nature. By default, a child process with limits of memory and time
+    /// tries them first, once for each content of the files.
     #[arg(long, help_heading = HEADING, hide_short_help = true)]
     trust_model: bool,
 }
@@ -58,7 +60,8 @@ pub(crate) struct TrustArgument {
 /// The format of weights in memory.
 #[derive(Debug, Args)]
 pub(crate) struct FormatArgument {
-    /// Weight format in memory: `f32`, `f16`, `q8_0`, `q6_k`, `q5_1`, `q5_k`, `q5_0`, `q4_1`, `q4_k`, `q4_0` or `q3_k`.
+    /// Weight format in memory: `f32`, `f16`, `q8_0`, `q6_k`, `q5_1`, `q5_k`, `q5_0`, `q4_1`,
+    /// `q4_k`, `q4_0` or `q3_k`.
     ///
     /// The default is that of the model's description, else of the files; bf16 becomes f32.
     #[arg(long, value_name = "KIND", help_heading = HEADING, hide_short_help = true)]
@@ -70,7 +73,8 @@ pub(crate) struct FormatArgument {
 pub(crate) struct MemoryArgument {
     /// Longest chat, tokens: prompts, image and answers [default: the model's].
     ///
-    /// It bounds the memory of keys and values. A prompt that does not fit is an error; an answer ends there.
+    /// It bounds the memory of keys and values. A prompt that does not fit is an error; an answer
+    /// ends there.
     #[arg(long, alias = "ctx-size", value_name = "TOKENS", help_heading = HEADING, hide_short_help = true)]
     context: Option<NonZeroUsize>,
     /// Load the model even if it seems to need more memory than is free.
@@ -89,9 +93,20 @@ pub(crate) struct NetworkArgument {
 impl ModelArguments {
     /// What the options say.
     pub(super) fn flags(&self) -> ModelFlags {
-        let Self { model, prompt_set, format, memory, network, trust } = self;
+        let Self {
+            model,
+            prompt_set,
+            format,
+            memory,
+            network,
+            trust,
+        } = self;
         let rest = ModelFlags::of(Some(format), Some(memory), network, Some(trust));
-        ModelFlags { model: model.clone(), prompt_set: prompt_set.clone(), ..rest }
+        ModelFlags {
+            model: model.clone(),
+            prompt_set: prompt_set.clone(),
+            ..rest
+        }
     }
 }
 
@@ -107,7 +122,9 @@ impl ModelFlags {
             model: None,
             prompt_set: None,
             quantize: format.and_then(|format| format.quantize),
-            context: memory.and_then(|memory| memory.context).map(NonZeroUsize::get),
+            context: memory
+                .and_then(|memory| memory.context)
+                .map(NonZeroUsize::get),
             ignore_memory: memory.is_some_and(|memory| memory.ignore_memory),
             offline: network.offline,
             trust_model: trust.is_some_and(|trust| trust.trust_model),

@@ -62,7 +62,8 @@ pub(crate) struct QuantizeArguments {
     /// The model, as `--model` takes it.
     #[arg(value_name = "MODEL")]
     pub(crate) source: String,
-    /// Weight format: `f32`, `f16`, `q8_0`, `q6_k`, `q5_1`, `q5_k`, `q5_0`, `q4_1`, `q4_k`, `q4_0` or `q3_k`.
+    /// Weight format: `f32`, `f16`, `q8_0`, `q6_k`, `q5_1`, `q5_k`, `q5_0`, `q4_1`, `q4_k`, `q4_0`
+    /// or `q3_k`.
     #[arg(long, value_name = "KIND")]
     pub(crate) to: WeightFormat,
     /// The file, NAME.gguf.
@@ -86,13 +87,20 @@ impl ModelsCommand {
     pub(super) fn flags(&self) -> ModelFlags {
         match self {
             Self::List { .. } | Self::Show { .. } => ModelFlags::default(),
-            Self::Check { format, memory, network, trust, .. } => {
-                ModelFlags::of(Some(format), Some(memory), network, Some(trust))
-            }
+            Self::Check {
+                format,
+                memory,
+                network,
+                trust,
+                ..
+            } => ModelFlags::of(Some(format), Some(memory), network, Some(trust)),
             Self::Fetch { network, .. } => ModelFlags::of(None, None, network, None),
-            Self::Quantize(QuantizeArguments { memory, network, trust, .. }) => {
-                ModelFlags::of(None, Some(memory), network, Some(trust))
-            }
+            Self::Quantize(QuantizeArguments {
+                memory,
+                network,
+                trust,
+                ..
+            }) => ModelFlags::of(None, Some(memory), network, Some(trust)),
         }
     }
 }

@@ -51,7 +51,8 @@ pub(crate) struct RenderArguments {
     /// Folder of the run [default: the last run in runs/].
     #[arg(value_name = "RUN")]
     pub(crate) run: Option<String>,
-    /// The simulation: its number, or a part of its scenario's name that no other has [default: all].
+    /// The simulation: its number, or a part of its scenario's name that no other has [default:
+    /// all].
     #[arg(value_name = "SIMULATION")]
     pub(crate) simulation: Option<String>,
     /// Only simulations of this planner.
@@ -69,7 +70,12 @@ pub(crate) struct RenderArguments {
     #[arg(long, value_name = "N", default_value_t = 640, hide_short_help = true)]
     pub(crate) pixels: u32,
     /// Side of the scene, meters.
-    #[arg(long, value_name = "METERS", default_value_t = 64.0, hide_short_help = true)]
+    #[arg(
+        long,
+        value_name = "METERS",
+        default_value_t = 64.0,
+        hide_short_help = true
+    )]
     pub(crate) view: f64,
     /// Frames per second of a film; a simulation has 10 [default: 5].
     #[arg(long, value_name = "N", conflicts_with = "png", value_parser = clap::value_parser!(u32).range(1..=10))]
@@ -96,7 +102,8 @@ impl RenderOutput {
     pub(crate) fn film(&self) -> Option<FilmFile> {
         let Self { gif, mp4, png } = self;
         let gif = gif.clone().map(FilmFile::Gif);
-        gif.or_else(|| mp4.clone().map(FilmFile::Mp4)).or_else(|| png.clone().map(FilmFile::Png))
+        gif.or_else(|| mp4.clone().map(FilmFile::Mp4))
+            .or_else(|| png.clone().map(FilmFile::Png))
     }
 }
 

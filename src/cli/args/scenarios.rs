@@ -32,7 +32,8 @@ pub(crate) enum ScenariosCommand {
     /// Draw text twins, by the search and without a model.
     #[command(after_long_help = help::SCENARIOS_TWINS)]
     Twins(TwinArguments),
-    /// Select the scenes of generated-test14-hard from a run of PDM-Closed on generated-test14-candidates.
+    /// Select the scenes of generated-test14-hard from a run of PDM-Closed on
+    /// generated-test14-candidates.
     #[command(after_long_help = help::SCENARIOS_HARD)]
     Hard {
         /// Folder of the run.
@@ -165,7 +166,12 @@ pub(crate) struct ExportArguments {
     #[arg(long, value_name = "TYPE", hide_short_help = true)]
     pub(crate) scenario_type: Option<String>,
     /// UTM zone of the scenarios, as an EPSG code.
-    #[arg(long, value_name = "CODE", default_value_t = 32_611, hide_short_help = true)]
+    #[arg(
+        long,
+        value_name = "CODE",
+        default_value_t = 32_611,
+        hide_short_help = true
+    )]
     pub(crate) epsg: u32,
     /// Easting and northing of their origin, meters.
     #[arg(long, value_name = "METERS", num_args = 2, default_values_t = [664_000.0, 3_998_000.0], hide_short_help = true)]

@@ -18,8 +18,9 @@ use std::time::Duration;
 pub(crate) struct SimulateArguments {
     /// Scenarios: files, folders, or generated/TYPE/SEED[.TRAFFIC].
     ///
-    /// TFRecord files of Waymo Open Motion, nuPlan logs (LOG.db, or one scenario as LOG.db#TOKEN), Argoverse 2 logs, folders
-    /// of these, or generated/TYPE/SEED[.TRAFFIC]. The default is one generated scenario.
+    /// TFRecord files of Waymo Open Motion, nuPlan logs (LOG.db, or one scenario as LOG.db#TOKEN),
+    /// Argoverse 2 logs, folders of these, or generated/TYPE/SEED[.TRAFFIC]. The default is one
+    /// generated scenario.
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word())]
     pub(crate) scenarios: Vec<String>,
     #[command(flatten)]
@@ -30,8 +31,8 @@ pub(crate) struct SimulateArguments {
     pub(crate) planner: Vec<String>,
     /// The checkpoint of a learned planner, or PLANNER=FILE for each of several.
     ///
-    /// A Lightning .ckpt, a .pth or .safetensors file; its names and shapes must be those of the planner's authors. The setting
-    /// learned.PLANNER says the same.
+    /// A Lightning .ckpt, a .pth or .safetensors file; its names and shapes must be those of the
+    /// planner's authors. The setting learned.PLANNER says the same.
     #[arg(long, value_name = "FILE", value_parser = path_word(), hide_short_help = true)]
     pub(crate) checkpoint: Vec<String>,
     /// With a command as planner or agents: seconds that it may take for a step.
@@ -39,14 +40,16 @@ pub(crate) struct SimulateArguments {
     exec_timeout: f64,
     /// Challenges: nonreactive, reactive, both or open-loop [default: nonreactive].
     ///
-    /// Separated by commas. nonreactive: agents replay the log. reactive: agents are controlled by IDM. both: these two.
-    /// open-loop: plans are compared with the log. The default is nonreactive.
+    /// Separated by commas. nonreactive: agents replay the log. reactive: agents are controlled by
+    /// IDM. both: these two. open-loop: plans are compared with the log. The default is
+    /// nonreactive.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(crate) challenge: Vec<String>,
     /// A command that controls the other agents: exec:COMMAND or NAME=exec:COMMAND.
     ///
-    /// The closed loop with these agents is no challenge of nuPlan's: NAME stands in its place in tables and files. Without
-    /// --challenge, it alone is simulated. --exec-timeout bounds each step.
+    /// The closed loop with these agents is no challenge of nuPlan's: NAME stands in its place in
+    /// tables and files. Without --challenge, it alone is simulated. --exec-timeout bounds each
+    /// step.
     #[arg(long, value_name = "COMMAND", hide_short_help = true)]
     agents: Option<String>,
     /// Folder for the results, new or empty [default: the next free runs/NNNN].
@@ -60,8 +63,8 @@ pub(crate) struct SimulateArguments {
     pub(crate) retry_failed: bool,
     /// With --resume: go on although prompts, model files or recordings changed.
     ///
-    /// The manifest then lists the changes. Without this option such a run is refused, because its table would mix two
-    /// experiments.
+    /// The manifest then lists the changes. Without this option such a run is refused, because its
+    /// table would mix two experiments.
     #[arg(long, requires = "resume", hide_short_help = true)]
     pub(crate) accept_changes: bool,
     /// Print the simulations on stdout as CSV.
@@ -89,8 +92,9 @@ pub(crate) struct SampleArguments {
     limit: Option<usize>,
     /// Simulate one of N parts of the run, for example 2/8; `planagent merge` joins them.
     ///
-    /// A scenario is always in the same part of N, whatever else is simulated. `auto` takes the part from
-    /// `SLURM_ARRAY_TASK_ID` and `SLURM_ARRAY_TASK_COUNT`, else from `NODE_RANK` and `NUM_NODES`.
+    /// A scenario is always in the same part of N, whatever else is simulated. `auto` takes the
+    /// part from `SLURM_ARRAY_TASK_ID` and `SLURM_ARRAY_TASK_COUNT`, else from `NODE_RANK` and
+    /// `NUM_NODES`.
     #[arg(long, value_name = "I/N", value_parser = shard_word, hide_short_help = true)]
     shard: Option<Shard>,
 }
@@ -104,18 +108,28 @@ impl SampleArguments {
 
 impl SimulateArguments {
     pub(crate) fn request(&self) -> anyhow::Result<Request> {
-        let exec_timeout = Duration::try_from_secs_f64(self.exec_timeout).ok().filter(|time| !time.is_zero());
-        let exec_timeout = exec_timeout
-            .with_context(|| format!("--exec-timeout is {}; it must be a number greater than 0", self.exec_timeout))?;
+        let exec_timeout = Duration::try_from_secs_f64(self.exec_timeout)
+            .ok()
+            .filter(|time| !time.is_zero());
+        let exec_timeout = exec_timeout.with_context(|| {
+            format!(
+                "--exec-timeout is {}; it must be a number greater than 0",
+                self.exec_timeout
+            )
+        })?;
         let data = &self.split.data;
         let mut splits = data.modified(&self.split.splits)?;
-        if data.modifies() && splits.is_empty() && self.scenarios.is_empty() && self.sample.draws() {
+        if data.modifies() && splits.is_empty() && self.scenarios.is_empty() && self.sample.draws()
+        {
             // A draw without --scenario and --split is one from this suite.
             splits = data.modified(&[Suite::DEMONSTRATION.name.to_owned()])?;
         }
         let names_some = !splits.is_empty() || self.sample.draws() || self.resume.is_some();
-        let scenarios =
-            if names_some { data.modified(&self.scenarios)? } else { data.modified_or_default(&self.scenarios)? };
+        let scenarios = if names_some {
+            data.modified(&self.scenarios)?
+        } else {
+            data.modified_or_default(&self.scenarios)?
+        };
         Ok(Request {
             scenarios,
             splits,
@@ -148,12 +162,14 @@ pub(crate) struct PlanArguments {
     pub(crate) at: f64,
     /// Judge this planner code, quoted as one word, instead of asking a model.
     ///
-    /// Reflection scores it as it scores the agent's own, with the settings of the section reflection. Prints every part of the
-    /// score, and whether the code would be executed. No model is loaded.
+    /// Reflection scores it as it scores the agent's own, with the settings of the section
+    /// reflection. Prints every part of the score, and whether the code would be executed. No model
+    /// is loaded.
     #[arg(long, value_name = "CODE", conflicts_with_all = ["model", "prompt_set", "quantize", "offline", "context", "ignore_memory", "trust_model"])]
     pub(crate) code: Option<String>,
-    /// Write a picture of the call to this file, a .png or .jpg: the scene with its plans, and the model's own picture beside
-    /// it. The model's picture as the model sees it goes to NAME.model.EXTENSION.
+    /// Write a picture of the call to this file, a .png or .jpg: the scene with its plans, and the
+    /// model's own picture beside it. The model's picture as the model sees it goes to
+    /// NAME.model.EXTENSION.
     #[arg(long, value_name = "FILE", value_parser = picture_file())]
     pub(crate) image: Option<PictureFile>,
     #[command(flatten)]

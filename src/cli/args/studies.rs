@@ -24,15 +24,16 @@ pub(crate) const BENCH_PROCESS: &str = "bench-process";
 pub(crate) struct DatasetArguments {
     /// What is trained: a vision-language model (labels), or a learned planner (imitation).
     ///
-    /// labels: images and planner codes, for a vision-language model. imitation: the features of a learned planner and what the
-    /// logged driver did, a sample a second, as safetensors.
+    /// labels: images and planner codes, for a vision-language model. imitation: the features of a
+    /// learned planner and what the logged driver did, a sample a second, as safetensors.
     #[arg(long = "for", value_name = "KIND", value_enum, default_value_t = DatasetKind::Labels)]
     pub(crate) kind: DatasetKind,
     /// With --for imitation: the learned planner [default: plantf].
     #[cfg(feature = "learned")]
     #[arg(long, value_name = "NAME", value_parser = imitation_planner(), hide_short_help = true)]
     pub(crate) planner: Option<String>,
-    /// With --for imitation: logs, as `simulate` takes them [default: generated ones of training seeds].
+    /// With --for imitation: logs, as `simulate` takes them [default: generated ones of training
+    /// seeds].
     #[cfg(feature = "learned")]
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word(), hide_short_help = true)]
     pub(crate) scenarios: Vec<String>,
@@ -50,16 +51,31 @@ pub(crate) struct DatasetArguments {
     /// Labeled states for validation, from seeds of their own.
     #[arg(long, default_value_t = 2_000)]
     pub(crate) validation: usize,
-    /// Share of the scenarios that are modified, from 0 to 1: interPlan's kinds, as far as one fits.
+    /// Share of the scenarios that are modified, from 0 to 1: interPlan's kinds, as far as one
+    /// fits.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share, hide_short_help = true)]
     pub(crate) modified: f64,
-    /// Pairs of text twins for training: two states with the same prompts, other pictures and other best codes.
+    /// Pairs of text twins for training: two states with the same prompts, other pictures and other
+    /// best codes.
     ///
-    /// Their shards lie beside the others. The two states of a pair follow each other and have its name in `twin`.
-    #[arg(long, value_name = "PAIRS", default_value_t = 0, conflicts_with = "driven", hide_short_help = true)]
+    /// Their shards lie beside the others. The two states of a pair follow each other and have its
+    /// name in `twin`.
+    #[arg(
+        long,
+        value_name = "PAIRS",
+        default_value_t = 0,
+        conflicts_with = "driven",
+        hide_short_help = true
+    )]
     pub(crate) twins: usize,
     /// Pairs of text twins for validation.
-    #[arg(long, value_name = "PAIRS", default_value_t = 0, conflicts_with = "driven", hide_short_help = true)]
+    #[arg(
+        long,
+        value_name = "PAIRS",
+        default_value_t = 0,
+        conflicts_with = "driven",
+        hide_short_help = true
+    )]
     pub(crate) validation_twins: usize,
     /// Label the states that PlanAgent reaches with the model in control.
     ///
@@ -72,8 +88,14 @@ pub(crate) struct DatasetArguments {
 
 /// A share from 0 to 1.
 fn share(text: &str) -> Result<f64, String> {
-    let share: f64 = text.parse().map_err(|_| format!("'{text}' is not a number"))?;
-    if (0.0..=1.0).contains(&share) { Ok(share) } else { Err(format!("{share} must be from 0 to 1")) }
+    let share: f64 = text
+        .parse()
+        .map_err(|_| format!("'{text}' is not a number"))?;
+    if (0.0..=1.0).contains(&share) {
+        Ok(share)
+    } else {
+        Err(format!("{share} must be from 0 to 1"))
+    }
 }
 
 /// What a dataset is for.
@@ -101,7 +123,8 @@ pub(crate) struct ExperimentArguments {
     /// Splits as `simulate` takes them, or recorded, the recordings of --scenario.
     #[arg(long = "suite", value_name = "NAMES", value_delimiter = ',')]
     pub(crate) suites: Vec<String>,
-    /// Scenarios of the suite recorded, as `simulate` takes them [default: the recordings in `$PLANAGENT_DATA`].
+    /// Scenarios of the suite recorded, as `simulate` takes them [default: the recordings in
+    /// `$PLANAGENT_DATA`].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word())]
     pub(crate) scenarios: Vec<String>,
     #[command(flatten)]
@@ -127,14 +150,21 @@ impl ExperimentArguments {
         let modified = |suite: &String| match suite.as_str() {
             // The words of its recordings carry the modification.
             RECORDED => Ok(suite.clone()),
-            _ => self.data.modified(std::slice::from_ref(suite)).map(|words| words.concat()),
+            _ => self
+                .data
+                .modified(std::slice::from_ref(suite))
+                .map(|words| words.concat()),
         };
         let scenarios = self.data.modified(&self.scenarios)?;
         if self.data.modifies() && self.suites.is_empty() && scenarios.is_empty() {
             bail!("--modify: name the suites by --suite, or recordings by --scenario");
         }
         Ok(ExperimentsRequest {
-            suites: self.suites.iter().map(modified).collect::<anyhow::Result<_>>()?,
+            suites: self
+                .suites
+                .iter()
+                .map(modified)
+                .collect::<anyhow::Result<_>>()?,
             scenarios,
             registry: all_planners(),
             roots: self.data.roots(),
@@ -157,7 +187,12 @@ pub(crate) struct BenchArguments {
     /// Shapes of known models to fill with random weights, separated by commas.
     ///
     /// Nothing is downloaded. A wrong name lists the shapes.
-    #[arg(long, value_name = "SHAPES", value_delimiter = ',', hide_short_help = true)]
+    #[arg(
+        long,
+        value_name = "SHAPES",
+        value_delimiter = ',',
+        hide_short_help = true
+    )]
     pub(crate) random_weights: Vec<String>,
     /// Planning calls of each model before the measurement.
     #[arg(long, value_name = "N", default_value_t = 1, hide_short_help = true)]
@@ -165,21 +200,31 @@ pub(crate) struct BenchArguments {
     /// Measured planning calls of each model.
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub(crate) iterations: usize,
-    /// Prompt sets whose planning calls are measured, separated by commas [default: that of the model].
+    /// Prompt sets whose planning calls are measured, separated by commas [default: that of the
+    /// model].
     ///
     /// A call with brief has one attempt, with paper and compact two.
-    #[arg(long, value_name = "SETS", value_delimiter = ',', conflicts_with = "prompt_set", hide_short_help = true)]
+    #[arg(
+        long,
+        value_name = "SETS",
+        value_delimiter = ',',
+        conflicts_with = "prompt_set",
+        hide_short_help = true
+    )]
     pub(crate) calls: Vec<String>,
-    /// Also measure calls with drafts of four tokens, of which a quarter, half and three quarters are accepted.
+    /// Also measure calls with drafts of four tokens, of which a quarter, half and three quarters
+    /// are accepted.
     #[arg(long, hide_short_help = true)]
     pub(crate) speculation: bool,
     /// Compare with another engine on the same GGUF files, in alternation.
     #[arg(long, value_name = "ENGINE", value_enum)]
     pub(crate) vs: Option<OtherEngine>,
-    /// Python interpreter with the package llama-cpp-python [default: `$PLANAGENT_LLAMA_PYTHON`, else python3].
+    /// Python interpreter with the package llama-cpp-python [default: `$PLANAGENT_LLAMA_PYTHON`,
+    /// else python3].
     #[arg(long, value_name = "FILE", requires = "vs", hide_short_help = true)]
     pub(crate) llama_python: Option<PathBuf>,
-    /// Folder for the GGUF files of random weights for --vs [default: weights in the folder of the results].
+    /// Folder for the GGUF files of random weights for --vs [default: weights in the folder of the
+    /// results].
     #[arg(long, value_name = "FOLDER", requires = "vs", hide_short_help = true)]
     pub(crate) weights: Option<PathBuf>,
     /// Folder for the results, new or empty [default: runs/bench-DATE].

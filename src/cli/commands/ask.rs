@@ -10,7 +10,9 @@ use planagent_agent::environment::bev::{Palette, render};
 use planagent_agent::environment::text::write;
 use planagent_agent::environment::{BevView, Description, LaneGraph};
 use planagent_agent::reasoning::{FreeQuestion, PromptSet, question_prompt};
-use planagent_mllm::{Answer, Constraint, Deadline, FinishReason, Mllm, PromptPrefix, Request, TokenCounts};
+use planagent_mllm::{
+    Answer, Constraint, Deadline, FinishReason, Mllm, PromptPrefix, Request, TokenCounts,
+};
 use planagent_runs::report::fixed;
 use planagent_runs::runner::{Config, load_model};
 use planagent_world::{STEP_S, SceneView};
@@ -53,9 +55,15 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
     let (model, prompts, reasoning) = loaded.parts().context("there is no model to ask")?;
     let history = history(&scenario, iteration);
     let scene = scenario.scene(frame, &history);
-    let scene_text = flags.lane_graph.then(|| lane_graph(&scene, prompts, config)).transpose()?;
+    let scene_text = flags
+        .lane_graph
+        .then(|| lane_graph(&scene, prompts, config))
+        .transpose()?;
     let image = match model.describe().image_size {
-        Some(pixels) => Arc::new(render(&scene, &BevView::new(pixels, config.environment.view_m)?)),
+        Some(pixels) => Arc::new(render(
+            &scene,
+            &BevView::new(pixels, config.environment.view_m)?,
+        )),
         None => bail!("the model {} reads no pictures", model.name()),
     };
     if let Some(file) = &flags.image {
@@ -68,7 +76,11 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
         ));
     }
     let legend = Palette::legend();
-    let question = FreeQuestion { question: &flags.question, scene_text: scene_text.as_deref(), legend: &legend };
+    let question = FreeQuestion {
+        question: &flags.question,
+        scene_text: scene_text.as_deref(),
+        legend: &legend,
+    };
     let (system, prompt) = question_prompt(prompts, &question)?;
     let request = Request {
         constraint: Constraint::Free,
@@ -77,7 +89,10 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
         deadline: Deadline::NONE,
         draft: None,
     };
-    let prefix = PromptPrefix { system: system.clone(), image: Some(image) };
+    let prefix = PromptPrefix {
+        system: system.clone(),
+        image: Some(image),
+    };
     let answer = match asked(model, &prefix, &prompt, &request, config.seed, printer) {
         Ok(answer) => answer,
         Err(error) if error.is_transient() => {
@@ -122,8 +137,13 @@ fn asked(
 }
 
 /// The lane-graph text in the form of the model's prompts.
-fn lane_graph(scene: &SceneView<'_>, prompts: &PromptSet, config: &Config) -> anyhow::Result<String> {
-    let graph = LaneGraph::build(scene, config.environment.node_length_m).context("--lane-graph")?;
+fn lane_graph(
+    scene: &SceneView<'_>,
+    prompts: &PromptSet,
+    config: &Config,
+) -> anyhow::Result<String> {
+    let graph =
+        LaneGraph::build(scene, config.environment.node_length_m).context("--lane-graph")?;
     Ok(write(&Description::of(&graph), prompts.forms().scene_text))
 }
 
@@ -132,13 +152,21 @@ fn tell(answer: &Answer, flags: &AskArguments, printer: Printer) {
     let Answer { tokens, time, .. } = answer;
     let read = tokens.text + tokens.image + tokens.cached;
     let seconds = fixed(time.total / 1000.0, 2);
-    printer.note(format!("{} tokens in {seconds} s, after {read} tokens of prompt and picture", tokens.sampled));
+    printer.note(format!(
+        "{} tokens in {seconds} s, after {read} tokens of prompt and picture",
+        tokens.sampled
+    ));
     match answer.finish {
         _ if answer.text.trim().is_empty() => printer.note("the model gave an empty answer"),
         FinishReason::Length => {
-            printer.note(format!("the answer is cut off at --max-tokens {}", flags.max_tokens));
+            printer.note(format!(
+                "the answer is cut off at --max-tokens {}",
+                flags.max_tokens
+            ));
         }
-        FinishReason::ContextFull => printer.note("the answer is cut off at the end of the model's context"),
+        FinishReason::ContextFull => {
+            printer.note("the answer is cut off at the end of the model's context")
+        }
         _ => {}
     }
 }

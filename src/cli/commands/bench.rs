@@ -7,9 +7,15 @@ use crate::{Exit, Printer, interrupt};
 use anyhow::{Context, bail};
 use planagent_files::{quoted, word_of};
 use planagent_lab::bench::protocol::{GgufPair, ModelChoice};
-use planagent_lab::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
-use planagent_lab::report::{BenchFigures, BenchFolder, BenchMetadata, bench_markdown, bench_table};
-use planagent_mllm::{GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, Trust, export_model};
+use planagent_lab::bench::{
+    BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve,
+};
+use planagent_lab::report::{
+    BenchFigures, BenchFolder, BenchMetadata, bench_markdown, bench_table,
+};
+use planagent_mllm::{
+    GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, Trust, export_model,
+};
 use planagent_runs::report::{ReportError, check_writable, stamp};
 use planagent_runs::runner::{Config, build_commit, cpu, memory, model_registry};
 use serde_json::{Map, Value, json};
@@ -21,13 +27,21 @@ use std::time::SystemTime;
 /// Environment variable with the Python interpreter that has llama.cpp.
 const LLAMA_PYTHON: &str = "PLANAGENT_LLAMA_PYTHON";
 
-/// Measures models. Prints the table and writes all results to a folder. A model that fails is a row, not an error.
-pub(crate) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+/// Measures models. Prints the table and writes all results to a folder. A model that fails is a
+/// row, not an error.
+pub(crate) fn run(
+    flags: &BenchArguments,
+    config: &Config,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
     if flags.iterations == 0 {
         bail!("--iterations is 0; it must be at least 1");
     }
     let started = stamp(SystemTime::now());
-    let out = flags.out.clone().unwrap_or_else(|| Path::new("runs").join(format!("bench-{started}")));
+    let out = flags
+        .out
+        .clone()
+        .unwrap_or_else(|| Path::new("runs").join(format!("bench-{started}")));
     check_writable(flags.resume.as_deref().unwrap_or(&out))?;
     flags.weights.as_deref().map_or(Ok(()), check_writable)?;
     let registry = model_registry(config, &listener(printer));
@@ -40,10 +54,15 @@ pub(crate) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> 
     let own = quoted(&word_of(folder.path().as_os_str()));
     let advice = format!("`planagent bench --resume {own}` with the same options goes on");
     interrupt::advise(advice, printer)?;
-    let mut left: Vec<Candidate> =
-        candidates.into_iter().filter(|candidate| !folder.done().contains(candidate.name.as_str())).collect();
+    let mut left: Vec<Candidate> = candidates
+        .into_iter()
+        .filter(|candidate| !folder.done().contains(candidate.name.as_str()))
+        .collect();
     if flags.vs.is_some() {
-        let weights = flags.weights.clone().unwrap_or_else(|| folder.path().join("weights"));
+        let weights = flags
+            .weights
+            .clone()
+            .unwrap_or_else(|| folder.path().join("weights"));
         for candidate in &mut left {
             *candidate = as_gguf(candidate, &weights, config, &registry, printer)?;
         }
@@ -57,8 +76,8 @@ pub(crate) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> 
         speculation: flags.speculation,
         versus: llama_cpp(flags),
     };
-    let program =
-        std::env::current_exe().context("cannot find the path of this program to start the measuring process")?;
+    let program = std::env::current_exe()
+        .context("cannot find the path of this program to start the measuring process")?;
     let own = || {
         let mut command = Command::new(&program);
         command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
@@ -70,10 +89,15 @@ pub(crate) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> 
         command.args((config.mllm.trust == Trust::Caller).then_some("--trust-model"));
         command
     };
-    let committed: Result<(), ReportError> =
-        measure(&left, &settings, &own, &mut |rows| folder.commit(rows), &|progress| {
+    let committed: Result<(), ReportError> = measure(
+        &left,
+        &settings,
+        &own,
+        &mut |rows| folder.commit(rows),
+        &|progress| {
             printer.note(progress_line(progress));
-        });
+        },
+    );
     committed?;
 
     let figures = BenchFigures::of(folder.rows());
@@ -83,7 +107,10 @@ pub(crate) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> 
         settings.threads,
         metadata.commit.as_deref().unwrap_or("unknown")
     );
-    folder.finish(&figures, &bench_markdown(&figures, &metadata.command.join(" "), &machine))?;
+    folder.finish(
+        &figures,
+        &bench_markdown(&figures, &metadata.command.join(" "), &machine),
+    )?;
     if printer.is_json() {
         printer.json(&figures)?;
     } else {
@@ -94,7 +121,11 @@ pub(crate) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> 
     } else {
         printer.note("no model could be measured, so nothing was written");
     }
-    Ok(if figures.failed.is_empty() { Exit::Success } else { Exit::SomeFailed })
+    Ok(if figures.failed.is_empty() {
+        Exit::Success
+    } else {
+        Exit::SomeFailed
+    })
 }
 
 /// The measuring process; runs until stdin ends.
@@ -103,12 +134,20 @@ pub(crate) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit>
     #[cfg(target_os = "linux")]
     rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))
         .context("cannot follow the end of the caller")?;
-    serve(&model_registry(config, &listener(printer)), io::stdin().lock(), io::stdout().lock())?;
+    serve(
+        &model_registry(config, &listener(printer)),
+        io::stdin().lock(),
+        io::stdout().lock(),
+    )?;
     Ok(Exit::Success)
 }
 
 /// The models to measure.
-fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry) -> anyhow::Result<Vec<Candidate>> {
+fn candidates(
+    flags: &BenchArguments,
+    config: &Config,
+    registry: &ModelRegistry,
+) -> anyhow::Result<Vec<Candidate>> {
     let configured = [config.mllm.model.clone()];
     let none = flags.models.is_empty() && flags.random_weights.is_empty();
     let named = if none { &configured[..] } else { &flags.models };
@@ -116,25 +155,47 @@ fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry)
     for name in named {
         let spec = registry.find(name)?;
         let sets = prompt_sets(flags, config, || Ok(registry.asking(&spec)?.prompt_set))?;
-        all.extend(of_sets(&spec.name, &ModelChoice::Named(name.clone()), &sets));
+        all.extend(of_sets(
+            &spec.name,
+            &ModelChoice::Named(name.clone()),
+            &sets,
+        ));
     }
     for name in &flags.random_weights {
         let shape = ModelShape::find(name)?;
         let own = || {
-            Ok(registry.find(name).ok().and_then(|spec| spec.prompt_set).unwrap_or(PromptSet::Paper).name().to_owned())
+            Ok(registry
+                .find(name)
+                .ok()
+                .and_then(|spec| spec.prompt_set)
+                .unwrap_or(PromptSet::Paper)
+                .name()
+                .to_owned())
         };
         let sets = prompt_sets(flags, config, own)?;
-        all.extend(of_sets(name, &ModelChoice::Random(shape.name.to_owned()), &sets));
+        all.extend(of_sets(
+            name,
+            &ModelChoice::Random(shape.name.to_owned()),
+            &sets,
+        ));
     }
     for (index, candidate) in all.iter().enumerate() {
-        if all.iter().take(index).any(|other| other.name == candidate.name) {
-            bail!("two models are called {}; measure them in two runs", candidate.name);
+        if all
+            .iter()
+            .take(index)
+            .any(|other| other.name == candidate.name)
+        {
+            bail!(
+                "two models are called {}; measure them in two runs",
+                candidate.name
+            );
         }
     }
     Ok(all)
 }
 
-/// The prompt sets whose tokens are measured: those of the flag, else that of the settings, else the model's own.
+/// The prompt sets whose tokens are measured: those of the flag, else that of the settings, else
+/// the model's own.
 fn prompt_sets(
     flags: &BenchArguments,
     config: &Config,
@@ -158,7 +219,11 @@ fn prompt_sets(
 /// A model once for each prompt set; its name says which, where there are several.
 fn of_sets(name: &str, model: &ModelChoice, sets: &[PromptSet]) -> Vec<Candidate> {
     let candidate = |prompts: &PromptSet| Candidate {
-        name: if sets.len() > 1 { format!("{name} {}", prompts.name()) } else { name.to_owned() },
+        name: if sets.len() > 1 {
+            format!("{name} {}", prompts.name())
+        } else {
+            name.to_owned()
+        },
         weights: name.to_owned(),
         model: model.clone(),
         prompts: *prompts,
@@ -180,15 +245,29 @@ fn as_gguf(
             let spec = registry.find(name)?;
             (registry.place(&spec)?, registry.loading(&spec)?)
         }
-        ModelChoice::Random(shape) => {
-            (ModelPlace::Random { shape: ModelShape::find(shape)?, seed: config.seed }, registry.plain_loading())
-        }
+        ModelChoice::Random(shape) => (
+            ModelPlace::Random {
+                shape: ModelShape::find(shape)?,
+                seed: config.seed,
+            },
+            registry.plain_loading(),
+        ),
     };
     let pair = |decoder: &Path, projector: &Path| {
-        let files = GgufPair { decoder: decoder.to_owned(), projector: projector.to_owned() };
-        Candidate { model: ModelChoice::Gguf(files), ..candidate.clone() }
+        let files = GgufPair {
+            decoder: decoder.to_owned(),
+            projector: projector.to_owned(),
+        };
+        Candidate {
+            model: ModelChoice::Gguf(files),
+            ..candidate.clone()
+        }
     };
-    if let ModelPlace::Gguf { model, mmproj: Some(mmproj) } = &place {
+    if let ModelPlace::Gguf {
+        model,
+        mmproj: Some(mmproj),
+    } = &place
+    {
         return Ok(pair(model, mmproj));
     }
     let Some(weight_format) = config.mllm.quantize else {
@@ -196,18 +275,25 @@ fn as_gguf(
             "--vs needs --quantize, or a model of GGUF files with mmproj, because both engines must read the same files"
         );
     };
-    let decoder = folder.join(format!("{}-{weight_format}-seed-{}.gguf", candidate.weights, config.seed));
+    let decoder = folder.join(format!(
+        "{}-{weight_format}-seed-{}.gguf",
+        candidate.weights, config.seed
+    ));
     let projector = GgufPart::Tower.path(&decoder);
     if !decoder.is_file() || !projector.is_file() {
         printer.note(format!("{}: writing {}", candidate.name, decoder.display()));
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot create the folder {}", folder.display()))?;
         write_gguf(&decoder, printer, |create, progress| {
             export_model(&candidate.weights, &place, &loading, &[], create, progress)
         })
         .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
     }
     if !projector.is_file() {
-        bail!("cannot compare {}: llama.cpp's file format does not support its vision tower", candidate.name);
+        bail!(
+            "cannot compare {}: llama.cpp's file format does not support its vision tower",
+            candidate.name
+        );
     }
     Ok(pair(&decoder, &projector))
 }
@@ -215,8 +301,13 @@ fn as_gguf(
 /// llama.cpp, if the flags ask for it.
 fn llama_cpp(flags: &BenchArguments) -> Option<LlamaCpp> {
     flags.vs.map(|OtherEngine::LlamaCpp| {
-        let python = flags.llama_python.clone().or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
-        LlamaCpp { python: python.unwrap_or_else(|| "python3".into()) }
+        let python = flags
+            .llama_python
+            .clone()
+            .or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
+        LlamaCpp {
+            python: python.unwrap_or_else(|| "python3".into()),
+        }
     })
 }
 
@@ -230,7 +321,10 @@ fn metadata(
         .iter()
         .map(|candidate| {
             let budget = CallBudget::of(candidate.prompts);
-            Ok((candidate.name.clone(), json!({"model": &candidate.model, "budget": budget})))
+            Ok((
+                candidate.name.clone(),
+                json!({"model": &candidate.model, "budget": budget}),
+            ))
         })
         .collect::<anyhow::Result<_>>()?;
     let settings = json!({
@@ -243,7 +337,9 @@ fn metadata(
         "vs_llama_cpp": flags.vs.is_some(),
         "speculation": flags.speculation,
     });
-    let Value::Object(settings) = settings else { bail!("the settings are not a JSON object") };
+    let Value::Object(settings) = settings else {
+        bail!("the settings are not a JSON object")
+    };
     Ok(BenchMetadata {
         planagent: env!("CARGO_PKG_VERSION").to_owned(),
         commit: build_commit().map(str::to_owned),
@@ -258,12 +354,20 @@ fn metadata(
 /// A line of progress.
 fn progress_line(progress: Progress<'_>) -> String {
     match progress {
-        Progress::Loading(engine, candidate) => format!("{}: {engine} loads the model", candidate.name),
+        Progress::Loading(engine, candidate) => {
+            format!("{}: {engine} loads the model", candidate.name)
+        }
         Progress::LeftOut(candidate, why) => format!("{}: skipped: {why}", candidate.name),
         Progress::Done(row, of) => {
             let warm_up = if row.warm_up { ", warm-up" } else { "" };
             let done = row.iteration + 1;
-            format!("{}: {} {} {done}/{of}{warm_up}: {:.0} ms", row.model, row.engine, row.workload, row.total_ms())
+            format!(
+                "{}: {} {} {done}/{of}{warm_up}: {:.0} ms",
+                row.model,
+                row.engine,
+                row.workload,
+                row.total_ms()
+            )
         }
     }
 }

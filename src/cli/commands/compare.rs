@@ -13,17 +13,28 @@ pub(crate) fn run(flags: &CompareArguments, printer: Printer) -> anyhow::Result<
     let rows = [completed(first, printer)?, completed(second, printer)?];
     let named = match flags.planner.as_slice() {
         [] => None,
-        [first, second] => Some(PlannerPair { first: first.clone(), second: second.clone() }),
-        other => bail!("--planner {}: expected two planners, FIRST,SECOND", other.join(",")),
+        [first, second] => Some(PlannerPair {
+            first: first.clone(),
+            second: second.clone(),
+        }),
+        other => bail!(
+            "--planner {}: expected two planners, FIRST,SECOND",
+            other.join(",")
+        ),
     };
-    let comparison = RunComparison::new((&manifests[0], &rows[0]), (&manifests[1], &rows[1]), named)?;
+    let comparison =
+        RunComparison::new((&manifests[0], &rows[0]), (&manifests[1], &rows[1]), named)?;
     if flags.csv {
         printer.csv(&comparison.scenes)?;
     } else if printer.is_json() {
         printer.json(&comparison)?;
     } else {
         let names = [first.display().to_string(), second.display().to_string()];
-        printer.line(comparison_table(&comparison, [&names[0], &names[1]], flags.by_type));
+        printer.line(comparison_table(
+            &comparison,
+            [&names[0], &names[1]],
+            flags.by_type,
+        ));
     }
     Ok(Exit::Success)
 }

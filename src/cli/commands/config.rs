@@ -25,7 +25,10 @@ pub(crate) fn run(settings: &Settings, printer: Printer) -> anyhow::Result<Exit>
             continue;
         }
         let (own, key) = setting.key.split_once('.').unwrap_or(("", &setting.key));
-        if section.replace(own.to_owned()).is_some_and(|before| before != own) {
+        if section
+            .replace(own.to_owned())
+            .is_some_and(|before| before != own)
+        {
             printer.line(format!("\n[{own}]"));
         }
         printer.line(line(key, &setting));
@@ -47,9 +50,17 @@ fn prompts(config: &Config, setting: &Setting) -> String {
         (name.clone(), setting.origin.clone())
     } else {
         let registry = model_registry(config, &silent());
-        match registry.find(&config.mllm.model).and_then(|spec| registry.asking_here(&spec)) {
-            Ok(asking) => (asking.prompt_set.clone(), format!("{} ({})", asking.prompt_set, asking.named_by)),
-            Err(MllmError::NotInCache { .. }) => return "the model is not on this machine".to_owned(),
+        match registry
+            .find(&config.mllm.model)
+            .and_then(|spec| registry.asking_here(&spec))
+        {
+            Ok(asking) => (
+                asking.prompt_set.clone(),
+                format!("{} ({})", asking.prompt_set, asking.named_by),
+            ),
+            Err(MllmError::NotInCache { .. }) => {
+                return "the model is not on this machine".to_owned();
+            }
             Err(error) => return error.to_string(),
         }
     };

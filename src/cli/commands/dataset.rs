@@ -26,7 +26,11 @@ const PROMPT_SET: &str = "compact";
 const DEFAULT_PLANNER: &str = "plantf";
 
 /// Writes labeled states.
-pub(crate) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(
+    flags: &DatasetArguments,
+    config: &Config,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
     check_writable(&flags.out)?;
     interrupt::advise("the same command goes on", printer)?;
     check_options(flags)?;
@@ -35,23 +39,49 @@ pub(crate) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -
     }
     let prompts = PromptSet::open(config.reasoning.prompt_set.as_deref().unwrap_or(PROMPT_SET))?;
     let view = BevView::new(BevView::default().pixels(), config.environment.view_m)?;
-    let settings = Settings { seed: config.seed, prompts: &prompts, view, driver: None, modified: flags.modified };
+    let settings = Settings {
+        seed: config.seed,
+        prompts: &prompts,
+        view,
+        driver: None,
+        modified: flags.modified,
+    };
     check_folder(&flags.out, &settings)?;
-    let loaded = if flags.driven { Some(load_model(config, &listener(printer))?) } else { None };
+    let loaded = if flags.driven {
+        Some(load_model(config, &listener(printer))?)
+    } else {
+        None
+    };
     let driver = loaded.as_ref().map(|loaded| loaded.agent_parts(config));
-    let settings = Settings { driver: driver.as_ref(), ..settings };
-    let splits = [(Split::Train, flags.states), (Split::Validation, flags.validation)];
-    for (split, states) in splits.into_iter().filter(|(split, _)| *split == Split::Train || !flags.driven) {
+    let settings = Settings {
+        driver: driver.as_ref(),
+        ..settings
+    };
+    let splits = [
+        (Split::Train, flags.states),
+        (Split::Validation, flags.validation),
+    ];
+    for (split, states) in splits
+        .into_iter()
+        .filter(|(split, _)| *split == Split::Train || !flags.driven)
+    {
         let bar = printer.progress(states as u64, "states");
         bar.set_message(split.as_str());
-        let written = write_split(&flags.out, split, states, &settings, &|states| bar.inc(states as u64))?;
+        let written = write_split(&flags.out, split, states, &settings, &|states| {
+            bar.inc(states as u64)
+        })?;
         bar.finish_and_clear();
         printer.note(format!("{}: {written} states", split.as_str()));
     }
-    for (split, pairs) in [(Split::Train, flags.twins), (Split::Validation, flags.validation_twins)] {
+    for (split, pairs) in [
+        (Split::Train, flags.twins),
+        (Split::Validation, flags.validation_twins),
+    ] {
         let bar = printer.progress(pairs as u64, "pairs");
         bar.set_message(format!("{} twins", split.as_str()));
-        let written = write_twins(&flags.out, split, pairs, &settings, &|pairs| bar.inc(pairs as u64))?;
+        let written = write_twins(&flags.out, split, pairs, &settings, &|pairs| {
+            bar.inc(pairs as u64)
+        })?;
         bar.finish_and_clear();
         if pairs > 0 {
             printer.note(format!("{}: {written} pairs of text twins", split.as_str()));
@@ -98,28 +128,53 @@ fn check_options(flags: &DatasetArguments) -> anyhow::Result<()> {
 #[cfg(feature = "learned")]
 fn imitation(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let name = flags.planner.as_deref().unwrap_or(DEFAULT_PLANNER);
-    let planner = ImitationPlanner::ALL.into_iter().find(|planner| planner.name() == name);
-    let planner = planner.with_context(|| format!("--planner {name}: no dataset is made for it"))?;
+    let planner = ImitationPlanner::ALL
+        .into_iter()
+        .find(|planner| planner.name() == name);
+    let planner =
+        planner.with_context(|| format!("--planner {name}: no dataset is made for it"))?;
     let readers = Readers::new(&flags.data.roots());
     let mut listed = Vec::new();
     for word in &flags.data.modified(&flags.scenarios)? {
         listed.extend(readers.find(word)?);
     }
-    readers.take_notes().into_iter().for_each(|text| printer.note(text));
-    let generated = |split| (split, ImitationSource::Generated { split, seed: config.seed });
+    readers
+        .take_notes()
+        .into_iter()
+        .for_each(|text| printer.note(text));
+    let generated = |split| {
+        (
+            split,
+            ImitationSource::Generated {
+                split,
+                seed: config.seed,
+            },
+        )
+    };
     let splits = if listed.is_empty() {
-        vec![(generated(Split::Train), flags.states), (generated(Split::Validation), flags.validation)]
+        vec![
+            (generated(Split::Train), flags.states),
+            (generated(Split::Validation), flags.validation),
+        ]
     } else {
-        vec![((Split::Train, ImitationSource::Listed(&listed)), flags.states)]
+        vec![(
+            (Split::Train, ImitationSource::Listed(&listed)),
+            flags.states,
+        )]
     };
     for ((split, source), samples) in splits {
         let bar = printer.progress(samples as u64, "samples");
         bar.set_message(split.as_str());
         let started = Instant::now();
-        let written = write_samples(&flags.out, planner, source, samples, &|samples| bar.inc(samples as u64))?;
+        let written = write_samples(&flags.out, planner, source, samples, &|samples| {
+            bar.inc(samples as u64)
+        })?;
         bar.finish_and_clear();
         let minutes = started.elapsed().as_secs_f64() / 60.0;
-        printer.note(format!("{}: {written} samples in {minutes:.1} minutes", split.as_str()));
+        printer.note(format!(
+            "{}: {written} samples in {minutes:.1} minutes",
+            split.as_str()
+        ));
         if printer.is_json() {
             printer.json(&serde_json::json!({"split": split.as_str(), "samples": written}))?;
         }

@@ -4,7 +4,9 @@ use crate::args::{ALL_EXPERIMENTS, ExperimentArguments};
 use crate::progress::listener;
 use crate::{Exit, Printer, interrupt};
 use anyhow::anyhow;
-use planagent_lab::experiments::{Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
+use planagent_lab::experiments::{
+    Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS,
+};
 use planagent_lab::report::{ChallengeResults, StudyResults, study_table, token_table, twin_table};
 use planagent_lab::study::{self, StudyError};
 use planagent_lab::twins::TwinResults;
@@ -13,8 +15,13 @@ use planagent_runs::runner::Config;
 use serde::Serialize;
 use std::path::Path;
 
-/// Runs the simulations of experiments that are not completed; the results go to a folder, the tables to stdout.
-pub(crate) fn run(flags: &ExperimentArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+/// Runs the simulations of experiments that are not completed; the results go to a folder, the
+/// tables to stdout.
+pub(crate) fn run(
+    flags: &ExperimentArguments,
+    config: &Config,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
     check_name(&flags.name)?;
     interrupt::advise("the same command goes on", printer)?;
     let (request, listener) = (flags.request()?, listener(printer));
@@ -31,7 +38,11 @@ pub(crate) fn run(flags: &ExperimentArguments, config: &Config, printer: Printer
     }
     if ![TOKENS, TWINS].contains(&flags.name.as_str()) {
         let all = flags.name == ALL_EXPERIMENTS;
-        let words = if all { study::names().collect() } else { vec![flags.name.as_str()] };
+        let words = if all {
+            study::names().collect()
+        } else {
+            vec![flags.name.as_str()]
+        };
         exit = exit.max(show(&experiments.simulate(words)?, flags.csv, printer)?);
     }
     Ok(exit)
@@ -43,9 +54,11 @@ fn check_name(name: &str) -> anyhow::Result<()> {
         return Ok(());
     }
     match study::find(name) {
-        Err(StudyError::Unknown { word, known }) => {
-            Err(StudyError::Unknown { word, known: format!("{known}, {TOKENS}, {TWINS}, {ALL_EXPERIMENTS}") }.into())
+        Err(StudyError::Unknown { word, known }) => Err(StudyError::Unknown {
+            word,
+            known: format!("{known}, {TOKENS}, {TWINS}, {ALL_EXPERIMENTS}"),
         }
+        .into()),
         other => Ok(other.map(|_| ())?),
     }
 }
@@ -80,7 +93,13 @@ fn csv_rows(results: &StudyResults) -> Vec<Row<'_>> {
 /// Prints tables to stdout, folders and failures to stderr.
 fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<Exit> {
     if csv {
-        printer.csv(&outcome.studies.iter().flat_map(|(_, results, _)| csv_rows(results)).collect::<Vec<_>>())?;
+        printer.csv(
+            &outcome
+                .studies
+                .iter()
+                .flat_map(|(_, results, _)| csv_rows(results))
+                .collect::<Vec<_>>(),
+        )?;
     }
     for (study, results, folder) in &outcome.studies {
         if printer.is_json() {
@@ -96,13 +115,19 @@ fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<E
     }
     let lost = outcome.failed_calls;
     if lost > 0 {
-        printer.failure(format!("{lost} planning calls got no answer; calls.jsonl of the runs says why"));
+        printer.failure(format!(
+            "{lost} planning calls got no answer; calls.jsonl of the runs says why"
+        ));
     }
     for list in &outcome.missing {
         printer.error(&anyhow!("not simulated: {list}"));
     }
     let succeeded = outcome.failed.is_empty() && lost == 0 && outcome.missing.is_empty();
-    Ok(if succeeded { Exit::Success } else { Exit::SomeFailed })
+    Ok(if succeeded {
+        Exit::Success
+    } else {
+        Exit::SomeFailed
+    })
 }
 
 fn show_tokens(counted: &[SuiteTokens], folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
@@ -110,15 +135,21 @@ fn show_tokens(counted: &[SuiteTokens], folder: &Path, printer: Printer) -> anyh
         printer.json(&counted)?;
     } else {
         for suite in counted {
-            let heading =
-                format!("{TOKENS_TITLE}\n\n{}: {} states of {} scenes", suite.suite, suite.table.states, suite.scenes);
+            let heading = format!(
+                "{TOKENS_TITLE}\n\n{}: {} states of {} scenes",
+                suite.suite, suite.table.states, suite.scenes
+            );
             printer.line(format!("{heading}\n{}\n", token_table(&suite.table)));
         }
     }
     printer.note(format!("results in {}", folder.display()));
     let failed = || counted.iter().flat_map(|suite| &suite.failed);
     failed().for_each(|line| printer.note(format!("failed: {line}")));
-    Ok(if failed().next().is_none() { Exit::Success } else { Exit::SomeFailed })
+    Ok(if failed().next().is_none() {
+        Exit::Success
+    } else {
+        Exit::SomeFailed
+    })
 }
 
 fn show_twins(results: &[TwinResults], folder: &Path, printer: Printer) -> anyhow::Result<Exit> {

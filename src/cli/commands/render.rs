@@ -6,7 +6,9 @@ use crate::film::FilmFile;
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_agent::simulation::Challenge;
-use planagent_runs::report::render::{Film, Look, RenderError, SimulationChoice, named, words, write_gif, write_mp4};
+use planagent_runs::report::render::{
+    Film, Look, RenderError, SimulationChoice, named, words, write_gif, write_mp4,
+};
 use planagent_runs::report::{SimulationRow, last_run, simulation_folders};
 use planagent_world::STEP_S;
 use serde_json::json;
@@ -21,39 +23,59 @@ const DEFAULT_RATE: NonZeroU32 = NonZeroU32::new(5).unwrap();
 
 /// Writes simulations as films or pictures: one to a file, or all that are chosen to a folder.
 pub(crate) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::Result<Exit> {
-    let output = flags.output.film().context("name the output by --gif, --mp4 or --png")?;
+    let output = flags
+        .output
+        .film()
+        .context("name the output by --gif, --mp4 or --png")?;
     let is_file = output.is_file()?;
     let (run, simulation) = run_and_simulation(flags, printer)?;
     let rows = chosen(flags, &run, simulation, printer);
     let rows = match (&flags.run, &flags.simulation) {
-        (Some(word), None) if simulation.is_some() => rows.with_context(|| format!("there is no folder {word}"))?,
+        (Some(word), None) if simulation.is_some() => {
+            rows.with_context(|| format!("there is no folder {word}"))?
+        }
         _ => rows?,
     };
     if is_file {
-        let [row] = rows.as_slice() else { return Err(several(&rows)) };
+        let [row] = rows.as_slice() else {
+            return Err(several(&rows));
+        };
         write(flags, &run, row, &output, printer)?;
         return Ok(Exit::Success);
     }
     let folders = simulation_folders(&run)?;
     let mut exit = Exit::Success;
     for row in &rows {
-        let folder = folders.get(&row.number).and_then(|folder| folder.file_name());
-        let name = folder.map_or_else(|| row.number.to_string(), |name| name.to_string_lossy().into_owned());
+        let folder = folders
+            .get(&row.number)
+            .and_then(|folder| folder.file_name());
+        let name = folder.map_or_else(
+            || row.number.to_string(),
+            |name| name.to_string_lossy().into_owned(),
+        );
         let file = output.inside(&name);
         if row.error.is_some() {
-            printer.failure(format!("simulation {} failed and has no film: {}", row.number, words(row)));
+            printer.failure(format!(
+                "simulation {} failed and has no film: {}",
+                row.number,
+                words(row)
+            ));
             exit = Exit::SomeFailed;
             continue;
         }
         let parent = file.path().parent().unwrap_or(Path::new("."));
-        std::fs::create_dir_all(parent).with_context(|| format!("cannot create the folder {}", parent.display()))?;
+        std::fs::create_dir_all(parent)
+            .with_context(|| format!("cannot create the folder {}", parent.display()))?;
         write(flags, &run, row, &file, printer)?;
     }
     Ok(exit)
 }
 
 /// The run and the simulation of the two arguments; one alone is a run if it is the folder of one.
-fn run_and_simulation(flags: &RenderArguments, printer: Printer) -> anyhow::Result<(PathBuf, Option<&str>)> {
+fn run_and_simulation(
+    flags: &RenderArguments,
+    printer: Printer,
+) -> anyhow::Result<(PathBuf, Option<&str>)> {
     let (run, simulation) = match (&flags.run, &flags.simulation) {
         (Some(run), Some(simulation)) => return Ok((run.into(), Some(simulation))),
         (Some(word), None) if Path::new(word).is_dir() => return Ok((word.into(), None)),
@@ -75,34 +97,69 @@ fn chosen(
     printer: Printer,
 ) -> anyhow::Result<Vec<SimulationRow>> {
     let mut rows = completed(run, printer)?;
-    let known: BTreeSet<String> = rows.iter().map(|row| format!("{} in {}", row.planner, row.challenge)).collect();
+    let known: BTreeSet<String> = rows
+        .iter()
+        .map(|row| format!("{} in {}", row.planner, row.challenge))
+        .collect();
     let known = known.into_iter().collect::<Vec<_>>().join(", ");
-    let challenge = flags.challenge.as_deref().map(|word| challenge(word, &rows)).transpose()?;
+    let challenge = flags
+        .challenge
+        .as_deref()
+        .map(|word| challenge(word, &rows))
+        .transpose()?;
     if let Some(simulation) = simulation {
         rows = named(&rows, simulation, run)?;
     }
-    rows.retain(|row| flags.planner.as_ref().is_none_or(|planner| row.planner == *planner));
+    rows.retain(|row| {
+        flags
+            .planner
+            .as_ref()
+            .is_none_or(|planner| row.planner == *planner)
+    });
     rows.retain(|row| challenge.is_none_or(|challenge| row.challenge == challenge));
     if rows.is_empty() {
-        let planner = flags.planner.as_deref().map_or_else(String::new, |planner| format!(" of planner {planner}"));
-        let challenge = challenge.map_or_else(String::new, |challenge| format!(" in challenge {challenge}"));
-        let what = simulation.map_or_else(|| "simulation".to_owned(), |word| format!("simulation '{word}'"));
-        bail!("the run {} has no completed {what}{planner}{challenge}; it has {known}", run.display());
+        let planner = flags
+            .planner
+            .as_deref()
+            .map_or_else(String::new, |planner| format!(" of planner {planner}"));
+        let challenge = challenge.map_or_else(String::new, |challenge| {
+            format!(" in challenge {challenge}")
+        });
+        let what = simulation.map_or_else(
+            || "simulation".to_owned(),
+            |word| format!("simulation '{word}'"),
+        );
+        bail!(
+            "the run {} has no completed {what}{planner}{challenge}; it has {known}",
+            run.display()
+        );
     }
     Ok(rows)
 }
 
 /// The challenge of a word: one of nuPlan's, or the name of a policy of the run's own agents.
 fn challenge(word: &str, rows: &[SimulationRow]) -> anyhow::Result<Challenge> {
-    let own = rows.iter().map(|row| row.challenge).find(|challenge| challenge.short_name() == word);
+    let own = rows
+        .iter()
+        .map(|row| row.challenge)
+        .find(|challenge| challenge.short_name() == word);
     let named = own.map_or_else(|| word.parse(), Ok);
-    named.context("--challenge takes nonreactive, reactive, open-loop, or the name of a policy of --agents")
+    named.context(
+        "--challenge takes nonreactive, reactive, open-loop, or the name of a policy of --agents",
+    )
 }
 
 fn several(rows: &[SimulationRow]) -> anyhow::Error {
-    let listed = rows.iter().take(MAX_LISTED).map(|row| format!("\n  {:>3}  {}", row.number, words(row)));
+    let listed = rows
+        .iter()
+        .take(MAX_LISTED)
+        .map(|row| format!("\n  {:>3}  {}", row.number, words(row)));
     let more = rows.len().saturating_sub(MAX_LISTED);
-    let more = if more > 0 { format!("\n  and {more} more") } else { String::new() };
+    let more = if more > 0 {
+        format!("\n  and {more} more")
+    } else {
+        String::new()
+    };
     anyhow::anyhow!(
         "a file holds one simulation, and {} simulations are named; name one by its number, or a folder for all:{}{more}",
         rows.len(),
@@ -121,8 +178,19 @@ fn write(
     let rate = flags.fps.and_then(NonZeroU32::new).unwrap_or(DEFAULT_RATE);
     let shown = output.path();
     let output = output.behind_links()?;
-    let choice = SimulationChoice { simulation: row.number.to_string(), planner: None, challenge: None };
-    let film = Film::open(run, &choice, Look { pixels: flags.pixels, meters: flags.view })?;
+    let choice = SimulationChoice {
+        simulation: row.number.to_string(),
+        planner: None,
+        challenge: None,
+    };
+    let film = Film::open(
+        run,
+        &choice,
+        Look {
+            pixels: flags.pixels,
+            meters: flags.view,
+        },
+    )?;
     let frames = (film.iterations() as f64 * STEP_S * f64::from(rate.get())).ceil() as u64;
     let bar = printer.progress(frames, "frames");
     let on_frame = || bar.inc(1);
@@ -134,7 +202,9 @@ fn write(
                 Some(at_s) => film.frame(film.iteration_at(at_s)?),
                 None => film.sheet(),
             };
-            picture.save_with_format(path, image::ImageFormat::Png).map_err(RenderError::output(path))?;
+            picture
+                .save_with_format(path, image::ImageFormat::Png)
+                .map_err(RenderError::output(path))?;
         }
     }
     bar.finish_and_clear();

@@ -28,7 +28,10 @@ pub(crate) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<E
         None => first.join(PAGE),
     };
     check_output(&out)?;
-    let settings = PageSettings { max_bytes: (flags.max_mb * MEGABYTE) as usize, scenario: flags.scenario.clone() };
+    let settings = PageSettings {
+        max_bytes: (flags.max_mb * MEGABYTE) as usize,
+        scenario: flags.scenario.clone(),
+    };
     let bar = printer.progress(0, "simulations");
     let written = page::write(&runs, &out, &settings, &|done, all| {
         bar.set_length(all as u64);
@@ -47,7 +50,10 @@ pub(crate) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<E
     }
     printer.line(contents.page.display().to_string());
     let megabytes = contents.bytes as f64 / MEGABYTE;
-    printer.note(format!("{} simulations, {} with replay, {megabytes:.1} MB", contents.simulations, contents.replays));
+    printer.note(format!(
+        "{} simulations, {} with replay, {megabytes:.1} MB",
+        contents.simulations, contents.replays
+    ));
     if contents.without_replay > 0 {
         printer.note(format!(
             "{} simulations have no replay: they failed, or an older version ran them",
@@ -55,11 +61,15 @@ pub(crate) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<E
         ));
     }
     if contents.bytes > settings.max_bytes {
-        printer.note(format!("tables and statistics alone take {megabytes:.1} MB, more than --max-mb"));
+        printer.note(format!(
+            "tables and statistics alone take {megabytes:.1} MB, more than --max-mb"
+        ));
     }
     let left_out = contents.simulations - contents.replays - contents.without_replay;
     if left_out > 0 && flags.scenario.is_none() {
-        printer.note(format!("{left_out} replays did not fit; raise --max-mb or select some by --scenario"));
+        printer.note(format!(
+            "{left_out} replays did not fit; raise --max-mb or select some by --scenario"
+        ));
     }
     Ok(Exit::Success)
 }

@@ -8,7 +8,11 @@ use planagent_runs::report::{SimulationRow, failures, main_table};
 use planagent_runs::runner::{self, Config, RunResults};
 
 /// Runs simulations; the results go to a folder, the table to stdout.
-pub(crate) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(
+    flags: &SimulateArguments,
+    config: &Config,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
     let (request, listener) = (flags.request()?, listener(printer));
     let results = match &flags.resume {
         Some(folder) => runner::resume(folder, &request, config, &listener)?,
@@ -17,10 +21,17 @@ pub(crate) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) 
     show(&results, flags.csv, printer)
 }
 
-/// Prints tables to stdout, folder and failures to stderr. Success if every simulation ended and every planning call was
-/// answered.
+/// Prints tables to stdout, folder and failures to stderr. Success if every simulation ended and
+/// every planning call was answered.
 pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow::Result<Exit> {
-    let RunResults { folder, summary, timing, rows, missing, .. } = results;
+    let RunResults {
+        folder,
+        summary,
+        timing,
+        rows,
+        missing,
+        ..
+    } = results;
     if csv {
         printer.csv(&summary.scenarios)?;
     } else if printer.is_json() {
@@ -29,7 +40,10 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
         printer.line(main_table(summary, &timing.planners, rows, printer.width()));
         if let Some(total) = timing.planning_call_ms.total {
             let count = timing.planning_calls;
-            printer.line(format!("\n{count} planning calls: p50 {:.0} ms, p95 {:.0} ms", total.p50, total.p95));
+            printer.line(format!(
+                "\n{count} planning calls: p50 {:.0} ms, p95 {:.0} ms",
+                total.p50, total.p95
+            ));
         }
     }
     if rows.is_empty() {
@@ -41,25 +55,44 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
         printer.failure(format!("failed: {line}"));
     }
     if !failed.is_empty() {
-        printer.failure(format!("{} of {} simulations failed", failed.len(), rows.len()));
+        printer.failure(format!(
+            "{} of {} simulations failed",
+            failed.len(),
+            rows.len()
+        ));
     }
     let count = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum::<usize>();
-    let (calls, deadlines, lost) =
-        (count(|row| row.planning_calls), count(|row| row.deadlines), count(|row| row.failed_calls));
+    let (calls, deadlines, lost) = (
+        count(|row| row.planning_calls),
+        count(|row| row.deadlines),
+        count(|row| row.failed_calls),
+    );
     let gated = count(|row| row.gated_calls);
     if gated > 0 {
-        printer.note(format!("the gate skipped {gated} of {} planning calls", gated + calls));
+        printer.note(format!(
+            "the gate skipped {gated} of {} planning calls",
+            gated + calls
+        ));
     }
     if deadlines > 0 {
-        printer.note(format!("{deadlines} of {calls} planning calls ended at their deadline"));
+        printer.note(format!(
+            "{deadlines} of {calls} planning calls ended at their deadline"
+        ));
     }
     if lost > 0 {
         let calls_file = folder.join("calls.jsonl");
-        printer.failure(format!("{lost} of {calls} planning calls got no answer; {} says why", calls_file.display()));
+        printer.failure(format!(
+            "{lost} of {calls} planning calls got no answer; {} says why",
+            calls_file.display()
+        ));
     }
     for list in missing {
         printer.error(&anyhow!("not simulated: {list}"));
     }
     let succeeded = failed.is_empty() && lost == 0 && missing.is_empty();
-    Ok(if succeeded { Exit::Success } else { Exit::SomeFailed })
+    Ok(if succeeded {
+        Exit::Success
+    } else {
+        Exit::SomeFailed
+    })
 }

@@ -12,8 +12,13 @@ const MAX_REQUEST_BYTES: u64 = 4 << 20;
 pub(crate) fn run() -> anyhow::Result<Exit> {
     limit_this_process().context("cannot limit memory and time")?;
     let mut line = String::new();
-    io::stdin().lock().take(MAX_REQUEST_BYTES).read_line(&mut line).context("cannot read the request")?;
-    let request: TrialRequest = serde_json::from_str(&line).context("the request is none of this program's")?;
+    io::stdin()
+        .lock()
+        .take(MAX_REQUEST_BYTES)
+        .read_line(&mut line)
+        .context("cannot read the request")?;
+    let request: TrialRequest =
+        serde_json::from_str(&line).context("the request is none of this program's")?;
     exercise(&request, &mut io::stdout().lock()).context("cannot write to stdout")?;
     Ok(Exit::Success)
 }

@@ -36,7 +36,8 @@ impl StoredFloat for u16 {
     const IS_F32: bool = false;
 
     fn from_f32(from: &[f32], to: &mut [Self]) {
-        to.reinterpret_cast_mut::<f16>().convert_from_f32_slice(from);
+        to.reinterpret_cast_mut::<f16>()
+            .convert_from_f32_slice(from);
     }
 
     #[inline(always)]
@@ -54,7 +55,8 @@ pub enum Precision {
     Half,
 }
 
-/// Keys and values of one layer in blocks. Growth adds blocks and moves none. Clones share blocks until one of them writes.
+/// Keys and values of one layer in blocks. Growth adds blocks and moves none. Clones share blocks
+/// until one of them writes.
 #[derive(Debug, Clone)]
 pub struct KeyValues {
     pub(super) shape: HeadShape,
@@ -70,7 +72,8 @@ pub(super) enum Blocks {
 /// Keys and values of [`BLOCK`] positions.
 #[derive(Debug, Clone)]
 pub(super) struct Block<N> {
-    /// (key heads, head width, positions): a vector of keys is one channel of consecutive positions.
+    /// (key heads, head width, positions): a vector of keys is one channel of consecutive
+    /// positions.
     keys: Vec<N>,
     /// (key heads, positions, head width rounded up to whole vectors).
     values: Vec<N>,
@@ -110,7 +113,11 @@ impl<N: StoredFloat> Block<N> {
         let mut key = vec![0f32; shape.width];
         let mut number = vec![N::default(); shape.width];
         for (place, token) in (first..).zip(tokens) {
-            for (head, keys) in self.keys.chunks_exact_mut(shape.width * BLOCK_POSITIONS).enumerate() {
+            for (head, keys) in self
+                .keys
+                .chunks_exact_mut(shape.width * BLOCK_POSITIONS)
+                .enumerate()
+            {
                 rows.rotated(token, rows.key(token, head), 1.0, &mut key);
                 N::from_f32(&key, &mut number);
                 for (number, channel) in number.iter().zip(keys.chunks_exact_mut(BLOCK_POSITIONS)) {
@@ -118,7 +125,11 @@ impl<N: StoredFloat> Block<N> {
                 }
             }
             let padded = shape.padded();
-            for (head, values) in self.values.chunks_exact_mut(BLOCK_POSITIONS * padded).enumerate() {
+            for (head, values) in self
+                .values
+                .chunks_exact_mut(BLOCK_POSITIONS * padded)
+                .enumerate()
+            {
                 let at = place * padded;
                 N::from_f32(rows.value(token, head), &mut values[at..at + shape.width]);
             }
@@ -139,7 +150,11 @@ impl KeyValues {
     /// Writes the rotated keys and the values of rows to the positions from `start` on.
     pub fn write(&mut self, rows: &Projected<'_>, start: usize) -> candle_core::Result<()> {
         if rows.shape() != self.shape {
-            candle_core::bail!("cannot write keys and values of {:?} to a cache of {:?}", rows.shape(), self.shape);
+            candle_core::bail!(
+                "cannot write keys and values of {:?} to a cache of {:?}",
+                rows.shape(),
+                self.shape
+            );
         }
         match &mut self.blocks {
             Blocks::Single(blocks) => write(blocks, rows, start),
@@ -159,14 +174,20 @@ impl KeyValues {
 
 fn write<N: StoredFloat>(blocks: &mut Vec<Arc<Block<N>>>, rows: &Projected<'_>, start: usize) {
     let end = start + rows.tokens();
-    blocks.resize_with(end.div_ceil(BLOCK_POSITIONS).max(blocks.len()), || Arc::new(Block::new(rows.shape())));
+    blocks.resize_with(end.div_ceil(BLOCK_POSITIONS).max(blocks.len()), || {
+        Arc::new(Block::new(rows.shape()))
+    });
     let write = |(index, block): (usize, &mut Arc<Block<N>>)| {
         let base = index * BLOCK_POSITIONS;
         let (from, to) = (start.max(base), end.min(base + BLOCK_POSITIONS));
         Arc::make_mut(block).write(rows, from - start..to - start, from - base);
     };
     let touched = start / BLOCK_POSITIONS..end.div_ceil(BLOCK_POSITIONS);
-    let blocks = blocks.iter_mut().enumerate().take(touched.end).skip(touched.start);
+    let blocks = blocks
+        .iter_mut()
+        .enumerate()
+        .take(touched.end)
+        .skip(touched.start);
     if touched.len() == 1 {
         blocks.for_each(write);
     } else {

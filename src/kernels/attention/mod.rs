@@ -1,9 +1,13 @@
-//! Exact attention over cached keys and values. A block of keys is scored, weighted and summed while it is in the CPU cache,
-//! and the score matrix is never stored (T. Dao et al., "`FlashAttention`", arXiv:2205.14135).
+//! Exact attention over cached keys and values. A block of keys is scored, weighted and summed
+//! while it is in the CPU cache, and the score matrix is never stored (T. Dao et al.,
+//! "`FlashAttention`", arXiv:2205.14135).
 //!
-//! Only the shapes decide how the work is cut into units, and partial results are merged in a fixed order. So the result is
-//! the same at any thread count.
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
+//! Only the shapes decide how the work is cut into units, and partial results are merged in a fixed
+//! order. So the result is the same at any thread count.
+#![allow(
+    clippy::inline_always,
+    reason = "kernels must be inlined into the functions that enable the instructions"
+)]
 
 mod key_values;
 mod mask;
@@ -35,22 +39,27 @@ use unit::{PartialOutput, WorkUnit};
 
 use super::matrix::Instructions;
 
-/// Maximum rows of a work unit, one for each token and query head. More rows read the keys fewer times; the sums of this
-/// many stay in the second-level cache.
+/// Maximum rows of a work unit, one for each token and query head. More rows read the keys fewer
+/// times; the sums of this many stay in the second-level cache.
 const MAX_UNIT_ROWS: usize = 192;
 /// Positions of a work unit where one unit takes all tokens.
 const UNIT_POSITIONS: usize = 8 * BLOCK_POSITIONS;
 /// Minimum multiplications for which other threads are worth waking: some 30 µs of one core.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 
-/// Maximum number of tokens whose results have the same bits as if each token attended alone. A unit takes all of them, and
-/// positions are cut as for one token.
+/// Maximum number of tokens whose results have the same bits as if each token attended alone. A
+/// unit takes all of them, and positions are cut as for one token.
 pub fn exact_tokens(shape: HeadShape) -> usize {
     (MAX_UNIT_ROWS / shape.group()).max(1)
 }
 
-/// Attends from the queries of `rows` to cached positions; returns (tokens, query heads · head width).
-pub fn attend(rows: &Projected<'_>, held: &KeyValues, mask: AttentionMask) -> candle_core::Result<Tensor> {
+/// Attends from the queries of `rows` to cached positions; returns (tokens, query heads · head
+/// width).
+pub fn attend(
+    rows: &Projected<'_>,
+    held: &KeyValues,
+    mask: AttentionMask,
+) -> candle_core::Result<Tensor> {
     let tokens = rows.tokens();
     let shape = rows.shape();
     if shape != held.shape || tokens > 0 && mask.of(tokens - 1).end > held.capacity() {
@@ -60,13 +69,34 @@ pub fn attend(rows: &Projected<'_>, held: &KeyValues, mask: AttentionMask) -> ca
         );
     }
     let partial = mix(rows, held, mask, Instructions::best());
-    Tensor::from_vec(partial, (tokens, shape.query_heads * shape.width), &Device::Cpu)
+    Tensor::from_vec(
+        partial,
+        (tokens, shape.query_heads * shape.width),
+        &Device::Cpu,
+    )
 }
 
-fn mix(rows: &Projected<'_>, held: &KeyValues, mask: AttentionMask, instructions: Instructions) -> Vec<f32> {
+fn mix(
+    rows: &Projected<'_>,
+    held: &KeyValues,
+    mask: AttentionMask,
+    instructions: Instructions,
+) -> Vec<f32> {
     match &held.blocks {
-        Blocks::Single(blocks) => Attention { rows: *rows, blocks, mask, instructions }.run(),
-        Blocks::Half(blocks) => Attention { rows: *rows, blocks, mask, instructions }.run(),
+        Blocks::Single(blocks) => Attention {
+            rows: *rows,
+            blocks,
+            mask,
+            instructions,
+        }
+        .run(),
+        Blocks::Half(blocks) => Attention {
+            rows: *rows,
+            blocks,
+            mask,
+            instructions,
+        }
+        .run(),
     }
 }
 
@@ -89,7 +119,11 @@ impl<N: StoredFloat> Attention<'_, N> {
         let step = exact_tokens(shape);
         if tokens <= step {
             let seen = self.mask.of(tokens - 1).end;
-            self.attend_few(0..tokens, &mut out, tokens * width * seen >= MIN_PARALLEL_PRODUCTS);
+            self.attend_few(
+                0..tokens,
+                &mut out,
+                tokens * width * seen >= MIN_PARALLEL_PRODUCTS,
+            );
         } else {
             let chunks = out.par_chunks_mut(step * width).enumerate();
             chunks.for_each(|(index, out)| {
@@ -106,11 +140,18 @@ impl<N: StoredFloat> Attention<'_, N> {
         let spans = seen.len().div_ceil(UNIT_POSITIONS).max(1);
         let unit = |index: usize| {
             let from = seen.start + index % spans * UNIT_POSITIONS;
-            self.mix(index / spans, tokens.clone(), from..seen.end.min(from + UNIT_POSITIONS))
+            self.mix(
+                index / spans,
+                tokens.clone(),
+                from..seen.end.min(from + UNIT_POSITIONS),
+            )
         };
         let count = self.rows.shape().key_heads * spans;
-        let parts: Vec<PartialOutput> =
-            if parallel { (0..count).into_par_iter().map(unit).collect() } else { (0..count).map(unit).collect() };
+        let parts: Vec<PartialOutput> = if parallel {
+            (0..count).into_par_iter().map(unit).collect()
+        } else {
+            (0..count).map(unit).collect()
+        };
         let mut parts = parts.into_iter();
         for head in 0..self.rows.shape().key_heads {
             PartialOutput::join(parts.by_ref().take(spans)).write(self.rows.shape(), head, out);
@@ -121,7 +162,9 @@ impl<N: StoredFloat> Attention<'_, N> {
     fn attend_many(&self, tokens: Range<usize>, out: &mut [f32]) {
         let seen = self.seen(&tokens);
         let heads = (0..self.rows.shape().key_heads).into_par_iter();
-        let partial: Vec<PartialOutput> = heads.map(|head| self.mix(head, tokens.clone(), seen.clone())).collect();
+        let partial: Vec<PartialOutput> = heads
+            .map(|head| self.mix(head, tokens.clone(), seen.clone()))
+            .collect();
         for (head, partial) in partial.iter().enumerate() {
             partial.write(self.rows.shape(), head, out);
         }
@@ -133,7 +176,14 @@ impl<N: StoredFloat> Attention<'_, N> {
     }
 
     fn mix(&self, head: usize, tokens: Range<usize>, positions: Range<usize>) -> PartialOutput {
-        WorkUnit { rows: self.rows, blocks: self.blocks, mask: self.mask, head, tokens, positions }
-            .run(self.instructions)
+        WorkUnit {
+            rows: self.rows,
+            blocks: self.blocks,
+            mask: self.mask,
+            head,
+            tokens,
+            positions,
+        }
+        .run(self.instructions)
     }
 }

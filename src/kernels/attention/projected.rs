@@ -34,7 +34,8 @@ impl HeadShape {
     }
 }
 
-/// Queries, keys and values of tokens before the rotary embedding, (tokens, (query heads + 2 · key heads) · head width).
+/// Queries, keys and values of tokens before the rotary embedding, (tokens, (query heads + 2 · key
+/// heads) · head width).
 #[derive(Debug, Clone, Copy)]
 pub struct Projected<'a> {
     values: &'a [f32],
@@ -43,7 +44,8 @@ pub struct Projected<'a> {
 }
 
 impl<'a> Projected<'a> {
-    /// Runs `read` on the rows of a tensor. `rotary` has the angles of queries and keys; `None` for no rotary embedding.
+    /// Runs `read` on the rows of a tensor. `rotary` has the angles of queries and keys; `None` for
+    /// no rotary embedding.
     pub fn of<T>(
         tensor: &Tensor,
         shape: HeadShape,
@@ -52,12 +54,20 @@ impl<'a> Projected<'a> {
     ) -> candle_core::Result<T> {
         let (tokens, width) = tensor.dims2()?;
         if width != shape.row() || !shape.query_heads.is_multiple_of(shape.key_heads) {
-            candle_core::bail!("rows of {width} numbers do not hold queries, keys and values of {shape:?}");
+            candle_core::bail!(
+                "rows of {width} numbers do not hold queries, keys and values of {shape:?}"
+            );
         }
         if rotary.is_some_and(|rotary| !rotary.fits(tokens, shape.width)) {
             candle_core::bail!("the rotary angles do not fit {tokens} tokens of {shape:?}");
         }
-        with_contiguous(tensor, |values| read(&Projected { values, shape, rotary }))
+        with_contiguous(tensor, |values| {
+            read(&Projected {
+                values,
+                shape,
+                rotary,
+            })
+        })
     }
 
     pub(super) fn shape(&self) -> HeadShape {
@@ -84,14 +94,21 @@ impl<'a> Projected<'a> {
     }
 
     pub(super) fn value(&self, token: usize, head: usize) -> &'a [f32] {
-        self.heads(token, self.shape.query_heads + self.shape.key_heads + head, 1)
+        self.heads(
+            token,
+            self.shape.query_heads + self.shape.key_heads + head,
+            1,
+        )
     }
 
     /// A query or key, rotated by its token's angles and scaled.
     pub(super) fn rotated(&self, token: usize, head: &[f32], scale: f32, out: &mut [f32]) {
         match self.rotary {
             Some(rotary) => rotary.rotate(token, head, scale, out),
-            None => out.iter_mut().zip(head).for_each(|(out, value)| *out = value * scale),
+            None => out
+                .iter_mut()
+                .zip(head)
+                .for_each(|(out, value)| *out = value * scale),
         }
     }
 }

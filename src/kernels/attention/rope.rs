@@ -11,18 +11,24 @@ pub struct Rope {
     pub sections: Option<RotarySections>,
 }
 
-/// The pairs of a head's channels that each axis of a position turns: time, height, width (`mrope_section`).
+/// The pairs of a head's channels that each axis of a position turns: time, height, width
+/// (`mrope_section`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RotarySections {
     /// Pairs of time, height and width.
     pub lengths: [usize; 3],
-    /// Whether the axes take turns, pair by pair (Qwen3-VL); otherwise each has one block (Qwen2.5-VL).
+    /// Whether the axes take turns, pair by pair (Qwen3-VL); otherwise each has one block
+    /// (Qwen2.5-VL).
     pub interleaved: bool,
 }
 
 impl Default for Rope {
     fn default() -> Self {
-        Self { theta: 10_000.0, scaling: RopeScaling::None, sections: None }
+        Self {
+            theta: 10_000.0,
+            scaling: RopeScaling::None,
+            sections: None,
+        }
     }
 }
 

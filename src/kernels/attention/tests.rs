@@ -6,13 +6,17 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
 use super::key_values::BLOCK_POSITIONS;
-use super::{AttentionMask, HeadShape, KeyValues, Precision, Projected, Rope, RotaryEmbedding, attend, mix};
+use super::{
+    AttentionMask, HeadShape, KeyValues, Precision, Projected, Rope, RotaryEmbedding, attend, mix,
+};
 use crate::matrix::Instructions;
 
 /// Random projections of tokens, between ±`scale`.
 fn projections(tokens: usize, shape: HeadShape, scale: f32, seed: u64) -> Tensor {
     let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
-    let values: Vec<f32> = (0..tokens * shape.row()).map(|_| random.random_range(-scale..scale)).collect();
+    let values: Vec<f32> = (0..tokens * shape.row())
+        .map(|_| random.random_range(-scale..scale))
+        .collect();
     Tensor::from_vec(values, (tokens, shape.row()), &Device::Cpu).unwrap()
 }
 
@@ -28,12 +32,23 @@ fn held(tensor: &Tensor, shape: HeadShape, precision: Precision) -> KeyValues {
 }
 
 /// The definition: masked softmax(q kᵀ / √width) v of the last `tokens` rows.
-fn plain(all: &Tensor, shape: HeadShape, tokens: usize, precision: Precision, mask: AttentionMask) -> Vec<f32> {
+fn plain(
+    all: &Tensor,
+    shape: HeadShape,
+    tokens: usize,
+    precision: Precision,
+    mask: AttentionMask,
+) -> Vec<f32> {
     let rounded = |value: &f32| match precision {
         Precision::Single => f64::from(*value),
         Precision::Half => f16::from_f32(*value).to_f64(),
     };
-    let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * rounded(b)).sum::<f64>();
+    let dot = |a: &[f32], b: &[f32]| {
+        a.iter()
+            .zip(b)
+            .map(|(a, b)| f64::from(*a) * rounded(b))
+            .sum::<f64>()
+    };
     with(all, shape, |rows| {
         let mut out = Vec::new();
         for token in 0..tokens {
@@ -43,14 +58,22 @@ fn plain(all: &Tensor, shape: HeadShape, tokens: usize, precision: Precision, ma
                 let seen = mask.of(token);
                 let scores: Vec<f64> = seen
                     .clone()
-                    .map(|position| dot(query, rows.key(position, key_head)) / (shape.width as f64).sqrt())
+                    .map(|position| {
+                        dot(query, rows.key(position, key_head)) / (shape.width as f64).sqrt()
+                    })
                     .collect();
                 let most = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
                 let weights: Vec<f64> = scores.iter().map(|score| (score - most).exp()).collect();
                 let total: f64 = weights.iter().sum();
                 for channel in 0..shape.width {
-                    let values = seen.clone().map(|position| rounded(&rows.value(position, key_head)[channel]));
-                    let sum: f64 = weights.iter().zip(values).map(|(weight, value)| weight * value).sum();
+                    let values = seen
+                        .clone()
+                        .map(|position| rounded(&rows.value(position, key_head)[channel]));
+                    let sum: f64 = weights
+                        .iter()
+                        .zip(values)
+                        .map(|(weight, value)| weight * value)
+                        .sum();
                     out.push((sum / total) as f32);
                 }
             }
@@ -61,10 +84,15 @@ fn plain(all: &Tensor, shape: HeadShape, tokens: usize, precision: Precision, ma
 
 fn difference(found: &[f32], expected: &[f32]) -> f32 {
     assert_eq!(found.len(), expected.len());
-    found.iter().zip(expected).map(|(found, expected)| (found - expected).abs()).fold(0.0, f32::max)
+    found
+        .iter()
+        .zip(expected)
+        .map(|(found, expected)| (found - expected).abs())
+        .fold(0.0, f32::max)
 }
 
-/// Largest deviation from the definition in any instruction set, for the last `tokens` of `positions` rows.
+/// Largest deviation from the definition in any instruction set, for the last `tokens` of
+/// `positions` rows.
 fn deviations(
     shape: HeadShape,
     tokens: usize,
@@ -76,7 +104,10 @@ fn deviations(
     let all = projections(positions, shape, scale, positions as u64);
     let last = all.narrow(0, positions - tokens, tokens).unwrap();
     let mask = if causal {
-        AttentionMask::Causal { start: positions - tokens, window }
+        AttentionMask::Causal {
+            start: positions - tokens,
+            window,
+        }
     } else {
         AttentionMask::All { positions }
     };
@@ -109,7 +140,11 @@ proptest! {
 
 #[test]
 fn long_and_wide_attentions_are_what_their_definition_says() {
-    let shape = |query_heads, key_heads, width| HeadShape { query_heads, key_heads, width };
+    let shape = |query_heads, key_heads, width| HeadShape {
+        query_heads,
+        key_heads,
+        width,
+    };
     for (shape, tokens, positions, causal, window) in [
         (shape(4, 2, 64), 1, 1100, true, None),
         (shape(1, 1, 112), 150, 150, false, None),
@@ -123,44 +158,74 @@ fn long_and_wide_attentions_are_what_their_definition_says() {
 
 #[test]
 fn any_thread_count_gives_the_same_bits() {
-    let shape = HeadShape { query_heads: 8, key_heads: 2, width: 64 };
+    let shape = HeadShape {
+        query_heads: 8,
+        key_heads: 2,
+        width: 64,
+    };
     let all = projections(2200, shape, 1.0, 1);
     let held = held(&all, shape, Precision::Half);
     for tokens in [1, 5, 120] {
         let last = all.narrow(0, 2200 - tokens, tokens).unwrap();
-        let mask = AttentionMask::Causal { start: 2200 - tokens, window: None };
+        let mask = AttentionMask::Causal {
+            start: 2200 - tokens,
+            window: None,
+        };
         let found = [1, 2, 3, 7].map(|threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
             pool.install(|| with(&last, shape, |rows| attend(rows, &held, mask).unwrap()))
         });
         let bits = found.map(|tensor| {
             let values: Vec<f32> = tensor.flatten_all().unwrap().to_vec1().unwrap();
             values.into_iter().map(f32::to_bits).collect::<Vec<_>>()
         });
-        assert!(bits.iter().all(|other| *other == bits[0]), "{tokens} tokens");
+        assert!(
+            bits.iter().all(|other| *other == bits[0]),
+            "{tokens} tokens"
+        );
     }
 }
 
 #[test]
 fn a_copy_shares_memory_until_it_is_written_to() {
-    let shape = HeadShape { query_heads: 2, key_heads: 1, width: 16 };
-    let (first, second) = (projections(100, shape, 1.0, 2), projections(30, shape, 1.0, 3));
+    let shape = HeadShape {
+        query_heads: 2,
+        key_heads: 1,
+        width: 16,
+    };
+    let (first, second) = (
+        projections(100, shape, 1.0, 2),
+        projections(30, shape, 1.0, 3),
+    );
     let original = held(&first, shape, Precision::Single);
     let mut copy = original.clone();
     with(&second, shape, |rows| copy.write(rows, 90)).unwrap();
     let question = projections(1, shape, 1.0, 4);
     let ask = |held: &KeyValues, positions| -> Vec<f32> {
-        with(&question, shape, |rows| attend(rows, held, AttentionMask::All { positions }).unwrap())
-            .flatten_all()
-            .unwrap()
-            .to_vec1()
-            .unwrap()
+        with(&question, shape, |rows| {
+            attend(rows, held, AttentionMask::All { positions }).unwrap()
+        })
+        .flatten_all()
+        .unwrap()
+        .to_vec1()
+        .unwrap()
     };
-    assert_eq!(ask(&original, 100), ask(&held(&first, shape, Precision::Single), 100));
+    assert_eq!(
+        ask(&original, 100),
+        ask(&held(&first, shape, Precision::Single), 100)
+    );
     let both = Tensor::cat(&[&first.narrow(0, 0, 90).unwrap(), &second], 0).unwrap();
-    assert_eq!(ask(&copy, 120), ask(&held(&both, shape, Precision::Single), 120));
+    assert_eq!(
+        ask(&copy, 120),
+        ask(&held(&both, shape, Precision::Single), 120)
+    );
     let shared = |index: usize| match (&original.blocks, &copy.blocks) {
-        (super::Blocks::Single(a), super::Blocks::Single(b)) => std::sync::Arc::ptr_eq(&a[index], &b[index]),
+        (super::Blocks::Single(a), super::Blocks::Single(b)) => {
+            std::sync::Arc::ptr_eq(&a[index], &b[index])
+        }
         _ => panic!("of single precision"),
     };
     assert_eq!((shared(0), shared(90 / BLOCK_POSITIONS)), (true, false));
@@ -168,25 +233,47 @@ fn a_copy_shares_memory_until_it_is_written_to() {
 
 #[test]
 fn nan_appears_in_the_result() {
-    let shape = HeadShape { query_heads: 2, key_heads: 1, width: 16 };
+    let shape = HeadShape {
+        query_heads: 2,
+        key_heads: 1,
+        width: 16,
+    };
     for part in [0, 2, 3] {
-        let mut values: Vec<f32> = projections(70, shape, 1.0, 5).flatten_all().unwrap().to_vec1().unwrap();
+        let mut values: Vec<f32> = projections(70, shape, 1.0, 5)
+            .flatten_all()
+            .unwrap()
+            .to_vec1()
+            .unwrap();
         values[66 * shape.row() + part * shape.width] = f32::NAN;
         let all = Tensor::from_vec(values, (70, shape.row()), &Device::Cpu).unwrap();
         let held = held(&all, shape, Precision::Single);
-        let mask = AttentionMask::Causal { start: 0, window: None };
+        let mask = AttentionMask::Causal {
+            start: 0,
+            window: None,
+        };
         for instructions in Instructions::available() {
             let found = with(&all, shape, |rows| mix(rows, &held, mask, instructions));
             let own = &found[66 * 32..67 * 32];
-            assert!(own.iter().any(|value| value.is_nan()), "{instructions:?}, {part}");
+            assert!(
+                own.iter().any(|value| value.is_nan()),
+                "{instructions:?}, {part}"
+            );
         }
     }
 }
 
 #[test]
 fn shapes_that_do_not_fit_are_errors() {
-    let shape = HeadShape { query_heads: 2, key_heads: 1, width: 16 };
-    let other = HeadShape { width: 32, query_heads: 1, ..shape };
+    let shape = HeadShape {
+        query_heads: 2,
+        key_heads: 1,
+        width: 16,
+    };
+    let other = HeadShape {
+        width: 32,
+        query_heads: 1,
+        ..shape
+    };
     let rows = projections(3, shape, 1.0, 6);
     let of = |tensor: &Tensor, shape| Projected::of(tensor, shape, None, |_| Ok(()));
     assert!(of(&rows, HeadShape { width: 17, ..shape }).is_err());
@@ -194,10 +281,39 @@ fn shapes_that_do_not_fit_are_errors() {
     assert!(of(&rows.to_dtype(DType::F64).unwrap(), shape).is_err());
     let held = held(&rows, shape, Precision::Single);
     with(&rows, shape, |rows| {
-        assert!(attend(rows, &held, AttentionMask::All { positions: BLOCK_POSITIONS }).is_ok());
-        assert!(attend(rows, &held, AttentionMask::All { positions: BLOCK_POSITIONS + 1 }).is_err());
-        assert!(attend(rows, &KeyValues::new(other, Precision::Half), AttentionMask::All { positions: 0 }).is_err());
-        assert!(KeyValues::new(other, Precision::Half).write(rows, 0).is_err());
+        assert!(
+            attend(
+                rows,
+                &held,
+                AttentionMask::All {
+                    positions: BLOCK_POSITIONS
+                }
+            )
+            .is_ok()
+        );
+        assert!(
+            attend(
+                rows,
+                &held,
+                AttentionMask::All {
+                    positions: BLOCK_POSITIONS + 1
+                }
+            )
+            .is_err()
+        );
+        assert!(
+            attend(
+                rows,
+                &KeyValues::new(other, Precision::Half),
+                AttentionMask::All { positions: 0 }
+            )
+            .is_err()
+        );
+        assert!(
+            KeyValues::new(other, Precision::Half)
+                .write(rows, 0)
+                .is_err()
+        );
     });
     let context = 2048;
     let table = RotaryEmbedding::new(&Rope::default(), 16, context);

@@ -8,7 +8,8 @@ use super::mask::AttentionMask;
 use super::projected::{HeadShape, Projected};
 use crate::matrix::{Instructions, Kernel, LANES, Simd};
 
-/// Minimum rows for which one conversion of an f16 block is cheaper than a conversion for every few rows.
+/// Minimum rows for which one conversion of an f16 block is cheaper than a conversion for every few
+/// rows.
 const MIN_WIDENED_ROWS: usize = 16;
 /// Minimum registers for the sums of six rows and four vectors, their factors, and a spare.
 const MIN_TILE_REGISTERS: usize = 32;
@@ -27,8 +28,8 @@ pub(super) struct WorkUnit<'a, N> {
     pub(super) positions: Range<usize>,
 }
 
-/// Result of a unit. A row is a token and query head; it has the sum of its weights e^(score − maximum score), and the sum of
-/// the values with these weights.
+/// Result of a unit. A row is a token and query head; it has the sum of its weights e^(score −
+/// maximum score), and the sum of the values with these weights.
 #[derive(Debug)]
 pub(super) struct PartialOutput {
     max_score: Vec<f32>,
@@ -37,7 +38,8 @@ pub(super) struct PartialOutput {
     values: Vec<[f32; LANES]>,
 }
 
-/// Keys of a head in a block, (head width, vectors of positions), and its values, (positions, vectors of channels).
+/// Keys of a head in a block, (head width, vectors of positions), and its values, (positions,
+/// vectors of channels).
 #[derive(Clone, Copy)]
 struct HeadBlock<'a, N> {
     keys: &'a [[N; LANES]],
@@ -58,18 +60,39 @@ struct WorkUnitKernel<'a, N> {
 impl<N: StoredFloat> Kernel for WorkUnitKernel<'_, N> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { unit, queries, partial } = self;
+        let Self {
+            unit,
+            queries,
+            partial,
+        } = self;
         let shape = unit.rows.shape();
         let widen = partial.max_score.len() >= MIN_WIDENED_ROWS && !N::IS_F32;
         let (mut keys, mut values) = (Vec::new(), Vec::new());
-        for index in unit.positions.start / BLOCK_POSITIONS..unit.positions.end.div_ceil(BLOCK_POSITIONS) {
-            let Some(block) = unit.blocks.get(index) else { break };
+        for index in
+            unit.positions.start / BLOCK_POSITIONS..unit.positions.end.div_ceil(BLOCK_POSITIONS)
+        {
+            let Some(block) = unit.blocks.get(index) else {
+                break;
+            };
             let base = index * BLOCK_POSITIONS;
-            let held = HeadBlock { keys: block.keys(shape, unit.head), values: block.values(shape, unit.head), base };
+            let held = HeadBlock {
+                keys: block.keys(shape, unit.head),
+                values: block.values(shape, unit.head),
+                base,
+            };
             if widen {
                 widen_all(simd, held.keys, &mut keys);
                 widen_all(simd, held.values, &mut values);
-                unit.attend(simd, HeadBlock { keys: &keys, values: &values, base }, queries, partial);
+                unit.attend(
+                    simd,
+                    HeadBlock {
+                        keys: &keys,
+                        values: &values,
+                        base,
+                    },
+                    queries,
+                    partial,
+                );
             } else {
                 unit.attend(simd, held, queries, partial);
             }
@@ -80,12 +103,18 @@ impl<N: StoredFloat> Kernel for WorkUnitKernel<'_, N> {
 impl<N: StoredFloat> WorkUnit<'_, N> {
     pub(super) fn run(&self, instructions: Instructions) -> PartialOutput {
         let shape = self.rows.shape();
-        let mut partial = PartialOutput::new(self.tokens.len() * shape.group(), shape.padded() / LANES);
-        instructions.run(WorkUnitKernel { unit: self, queries: &self.queries(), partial: &mut partial });
+        let mut partial =
+            PartialOutput::new(self.tokens.len() * shape.group(), shape.padded() / LANES);
+        instructions.run(WorkUnitKernel {
+            unit: self,
+            queries: &self.queries(),
+            partial: &mut partial,
+        });
         partial
     }
 
-    /// The queries, rotated and scaled by 1/√width. Rows that are computed together alternate channel by channel.
+    /// The queries, rotated and scaled by 1/√width. Rows that are computed together alternate
+    /// channel by channel.
     fn queries(&self) -> Vec<f32> {
         let HeadShape { width, .. } = self.rows.shape();
         let group = self.rows.shape().group();
@@ -143,11 +172,17 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
     ) -> usize {
         let shape = self.rows.shape();
         let seen: [Range<usize>; R] = std::array::from_fn(|r| self.seen(row + r, block.base));
-        let depth = seen.iter().map(|seen| seen.end).max().expect("a pass takes one row at least");
+        let depth = seen
+            .iter()
+            .map(|seen| seen.end)
+            .max()
+            .expect("a pass takes one row at least");
         if seen.iter().all(Range::is_empty) {
             return R;
         }
-        let rows = queries[row * shape.width..(row + R) * shape.width].as_chunks::<R>().0;
+        let rows = queries[row * shape.width..(row + R) * shape.width]
+            .as_chunks::<R>()
+            .0;
         let mut scores = [[[0f32; LANES]; KEY_VECTORS]; R];
         let mut column = 0;
         while column < KEY_VECTORS {
@@ -182,11 +217,22 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
         R
     }
 
-    /// The positions that a row attends to in the block whose first position is `base`, relative to it.
+    /// The positions that a row attends to in the block whose first position is `base`, relative to
+    /// it.
     fn seen(&self, row: usize, base: usize) -> Range<usize> {
-        let seen = self.mask.of(self.tokens.start + row / self.rows.shape().group());
-        let start = seen.start.max(self.positions.start).saturating_sub(base).min(BLOCK_POSITIONS);
-        let end = seen.end.min(self.positions.end).saturating_sub(base).min(BLOCK_POSITIONS);
+        let seen = self
+            .mask
+            .of(self.tokens.start + row / self.rows.shape().group());
+        let start = seen
+            .start
+            .max(self.positions.start)
+            .saturating_sub(base)
+            .min(BLOCK_POSITIONS);
+        let end = seen
+            .end
+            .min(self.positions.end)
+            .saturating_sub(base)
+            .min(BLOCK_POSITIONS);
         start..end.max(start)
     }
 }
@@ -209,7 +255,8 @@ fn widen_all<S: Simd, N: StoredFloat>(simd: S, from: &[[N; LANES]], to: &mut Vec
     }
 }
 
-/// Adds A·B to sums. `columns` are the columns of A; B has rows of `stride` vectors, of which the first `C` count.
+/// Adds A·B to sums. `columns` are the columns of A; B has rows of `stride` vectors, of which the
+/// first `C` count.
 #[inline(always)]
 fn add_product<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     simd: S,
@@ -219,7 +266,9 @@ fn add_product<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     mut sums: [[S::Floats; C]; R],
 ) -> [[S::Floats; C]; R] {
     for (factors, row) in columns.zip(b.chunks(stride)) {
-        let Some(row) = row.first_chunk::<C>() else { break };
+        let Some(row) = row.first_chunk::<C>() else {
+            break;
+        };
         let mut vectors = [simd.floats(0.0); C];
         for c in 0..C {
             vectors[c] = N::load(simd, &row[c]);
@@ -244,7 +293,13 @@ fn score<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     scores: &mut Scores<R>,
 ) -> usize {
     let zero = [[simd.floats(0.0); C]; R];
-    let sums = add_product(simd, queries.iter().copied(), &keys[column..], KEY_VECTORS, zero);
+    let sums = add_product(
+        simd,
+        queries.iter().copied(),
+        &keys[column..],
+        KEY_VECTORS,
+        zero,
+    );
     for r in 0..R {
         for c in 0..C {
             simd.store(sums[r][c], &mut scores[r][column + c]);
@@ -253,8 +308,8 @@ fn score<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     C
 }
 
-/// Turns scores into weights e^(score − maximum score), 0 at masked positions, and adds them to the weight sums. Returns the
-/// factor that rescales the rows' earlier weights to the new maximum.
+/// Turns scores into weights e^(score − maximum score), 0 at masked positions, and adds them to the
+/// weight sums. Returns the factor that rescales the rows' earlier weights to the new maximum.
 #[inline(always)]
 fn weigh<S: Simd, const R: usize>(
     simd: S,
@@ -311,11 +366,20 @@ fn mix<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     let mut sums = [[simd.floats(0.0); C]; R];
     for r in 0..R {
         for c in 0..C {
-            sums[r][c] = simd.mul(simd.load(&out[r * vectors + column + c]), simd.floats(rescale[r]));
+            sums[r][c] = simd.mul(
+                simd.load(&out[r * vectors + column + c]),
+                simd.floats(rescale[r]),
+            );
         }
     }
     let column_of = |k: usize| std::array::from_fn(|r| weights[r].as_flattened()[k]);
-    let sums = add_product(simd, (0..depth.min(BLOCK_POSITIONS)).map(column_of), &values[column..], vectors, sums);
+    let sums = add_product(
+        simd,
+        (0..depth.min(BLOCK_POSITIONS)).map(column_of),
+        &values[column..],
+        vectors,
+        sums,
+    );
     for r in 0..R {
         for c in 0..C {
             simd.store(sums[r][c], &mut out[r * vectors + column + c]);
@@ -348,7 +412,10 @@ impl PartialOutput {
         for row in 0..rows {
             let top = self.max_score[row].max(other.max_score[row]);
             let shift = if top == f32::NEG_INFINITY { 0.0 } else { top };
-            let (own, others) = ((self.max_score[row] - shift).exp(), (other.max_score[row] - shift).exp());
+            let (own, others) = (
+                (self.max_score[row] - shift).exp(),
+                (other.max_score[row] - shift).exp(),
+            );
             self.max_score[row] = top;
             self.weight_sum[row] = self.weight_sum[row] * own + other.weight_sum[row] * others;
             let values = self.values[row * vectors..(row + 1) * vectors].as_flattened_mut();
@@ -359,15 +426,24 @@ impl PartialOutput {
         }
     }
 
-    /// Writes the weighted means of the values to the query heads of a key head in (tokens, query heads · head width).
+    /// Writes the weighted means of the values to the query heads of a key head in (tokens, query
+    /// heads · head width).
     pub(super) fn write(&self, shape: HeadShape, head: usize, out: &mut [f32]) {
         let group = shape.group() * shape.width;
         let tokens = out.chunks_exact_mut(shape.query_heads * shape.width);
-        let places = tokens.flat_map(|token| token[head * group..(head + 1) * group].chunks_exact_mut(shape.width));
-        let rows = self.values.chunks_exact(shape.padded() / LANES).zip(&self.weight_sum);
+        let places = tokens.flat_map(|token| {
+            token[head * group..(head + 1) * group].chunks_exact_mut(shape.width)
+        });
+        let rows = self
+            .values
+            .chunks_exact(shape.padded() / LANES)
+            .zip(&self.weight_sum);
         for (place, (values, weight_sum)) in places.zip(rows) {
             let scale = 1.0 / weight_sum;
-            place.iter_mut().zip(values.as_flattened()).for_each(|(out, value)| *out = value * scale);
+            place
+                .iter_mut()
+                .zip(values.as_flattened())
+                .for_each(|(out, value)| *out = value * scale);
         }
     }
 }

@@ -6,8 +6,8 @@ use super::format::{Format, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
 
-/// Numbers in a span: the unpacked spans of two tiles fill half of a 32 KiB first-level cache. Each span has sums of its own, so that
-/// long rows round less.
+/// Numbers in a span: the unpacked spans of two tiles fill half of a 32 KiB first-level cache. Each
+/// span has sums of its own, so that long rows round less.
 const SPAN: usize = 128;
 
 /// The differences between the floating-point formats.
@@ -76,7 +76,8 @@ impl<W: Width> Format for Float<W> {
                 simd.store(W::load(simd, line, index), numbers);
             }
         }
-        // Past the end of a row the activations are zero, but values left from an earlier row may be infinite.
+        // Past the end of a row the activations are zero, but values left from an earlier row may
+        // be infinite.
         for numbers in block.iter_mut().skip(lines.len() * W::NUMBERS) {
             *numbers = [0.0; LANES];
         }

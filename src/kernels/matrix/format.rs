@@ -3,17 +3,19 @@
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
 
-/// Weight tiles that a kernel multiplies at once. Two, so that every loaded activation is used twice.
+/// Weight tiles that a kernel multiplies at once. Two, so that every loaded activation is used
+/// twice.
 pub(super) const TILES: usize = 2;
 
-/// Maximum rows of activations in a batch that a kernel multiplies at once. The sums of six rows fill AVX-512's registers.
+/// Maximum rows of activations in a batch that a kernel multiplies at once. The sums of six rows
+/// fill AVX-512's registers.
 pub(super) const MAX_BATCH: usize = 6;
 
 /// Sums of one row of activations with the outputs of [`TILES`] tiles.
 pub(super) type TileSums = [[f32; LANES]; TILES];
 
-/// A weight format in a product. A product goes span by span along the inputs. It unpacks the weights of a span once for all
-/// rows, and packs the activations once for all outputs.
+/// A weight format in a product. A product goes span by span along the inputs. It unpacks the
+/// weights of a span once for all rows, and packs the activations once for all outputs.
 pub(super) trait Format {
     /// Inputs in a span.
     const SPAN: usize;
@@ -24,7 +26,8 @@ pub(super) trait Format {
     /// The unpacked weights of a tile in a span.
     type Block: Clone;
 
-    /// Words of a row's packed activations in all spans. The last may have fewer than [`Self::WORDS`].
+    /// Words of a row's packed activations in all spans. The last may have fewer than
+    /// [`Self::WORDS`].
     fn row_words(inputs: usize) -> usize {
         inputs.div_ceil(Self::SPAN) * Self::WORDS
     }
@@ -34,11 +37,12 @@ pub(super) trait Format {
     /// Packs the [`Self::SPAN`] activations of a row in a span.
     fn pack<S: Simd>(simd: S, values: &[f32], words: &mut [i32]);
 
-    /// Unpacks the weights of a span. The last span of a row may have fewer than [`Self::LINES`] lines.
+    /// Unpacks the weights of a span. The last span of a row may have fewer than [`Self::LINES`]
+    /// lines.
     fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Self::Block);
 
-    /// Adds the products of a span with a batch of `ROWS` rows to their sums. Only the first `inputs` of a span count; the others
-    /// are zeros behind the end of a row.
+    /// Adds the products of a span with a batch of `ROWS` rows to their sums. Only the first
+    /// `inputs` of a span count; the others are zeros behind the end of a row.
     fn multiply<S: Simd, const ROWS: usize>(
         simd: S,
         blocks: &[Self::Block; TILES],
@@ -47,8 +51,9 @@ pub(super) trait Format {
         sums: &mut [TileSums; ROWS],
     );
 
-    /// Adds the products of a span with one row to its sums, straight from the packed lines. Decoding reads every weight once, so
-    /// unpacked weights would only be copies. `tiles` has whole spans; the lines from `ahead` on are prefetched.
+    /// Adds the products of a span with one row to its sums, straight from the packed lines.
+    /// Decoding reads every weight once, so unpacked weights would only be copies. `tiles` has
+    /// whole spans; the lines from `ahead` on are prefetched.
     fn multiply_row<S: Simd>(
         simd: S,
         tiles: [&[CacheLine]; TILES],
@@ -59,8 +64,8 @@ pub(super) trait Format {
     );
 }
 
-/// Prefetches part `part` of `parts` of the `lines` from `ahead` on. Requests in small groups overlap with products; the memory
-/// system holds only some dozens at a time.
+/// Prefetches part `part` of `parts` of the `lines` from `ahead` on. Requests in small groups
+/// overlap with products; the memory system holds only some dozens at a time.
 #[inline(always)]
 pub(super) fn prefetch_part<S: Simd>(
     simd: S,

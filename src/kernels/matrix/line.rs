@@ -15,7 +15,10 @@ impl CacheLine {
     #[inline(always)]
     pub(crate) fn halves(&self, half: usize) -> [u16; LANES] {
         let mut values = [0; LANES];
-        for (value, bytes) in values.iter_mut().zip(&self.0.as_chunks::<2>().0[half * LANES..]) {
+        for (value, bytes) in values
+            .iter_mut()
+            .zip(&self.0.as_chunks::<2>().0[half * LANES..])
+        {
             *value = u16::from_le_bytes(*bytes);
         }
         values

@@ -1,5 +1,8 @@
 //! Weight matrices in their stored weight format, and their products with rows of activations.
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
+#![allow(
+    clippy::inline_always,
+    reason = "kernels must be inlined into the functions that enable the instructions"
+)]
 
 mod blocks;
 mod float;
@@ -36,7 +39,8 @@ pub use weight_format::{UnknownWeightFormat, WeightFormat};
 
 use super::values::{PIECE, with_values};
 
-/// A matrix W of shape (outputs, inputs); its product with rows x is x Wᵀ. Clones share one copy of the weights.
+/// A matrix W of shape (outputs, inputs); its product with rows x is x Wᵀ. Clones share one copy of
+/// the weights.
 #[derive(Debug, Clone)]
 pub struct Matrix {
     inputs: usize,
@@ -52,46 +56,83 @@ impl Matrix {
     }
 
     /// Quantizes row-major values with ggml's reference quantizers.
-    pub fn quantize(values: &[f32], outputs: usize, inputs: usize, weight_format: WeightFormat) -> Result<Self> {
+    pub fn quantize(
+        values: &[f32],
+        outputs: usize,
+        inputs: usize,
+        weight_format: WeightFormat,
+    ) -> Result<Self> {
         check_shape(weight_format, outputs, inputs)?;
         if outputs.checked_mul(inputs) != Some(values.len()) {
-            bail!("{} values do not fill a matrix of {outputs} x {inputs}", values.len());
+            bail!(
+                "{} values do not fill a matrix of {outputs} x {inputs}",
+                values.len()
+            );
         }
-        let mut blocks = vec![0; values.len() / weight_format.block() * weight_format.block_bytes()];
-        let pieces = blocks.par_chunks_mut(PIECE / weight_format.block() * weight_format.block_bytes());
-        pieces.zip(values.par_chunks(PIECE)).try_for_each(|(blocks, values)| {
-            let tensor = Tensor::from_slice(values, values.len(), &Device::Cpu)?;
-            blocks.copy_from_slice(&QTensor::quantize(&tensor, weight_format.ggml())?.data()?);
-            Result::Ok(())
-        })?;
+        let mut blocks =
+            vec![0; values.len() / weight_format.block() * weight_format.block_bytes()];
+        let pieces =
+            blocks.par_chunks_mut(PIECE / weight_format.block() * weight_format.block_bytes());
+        pieces
+            .zip(values.par_chunks(PIECE))
+            .try_for_each(|(blocks, values)| {
+                let tensor = Tensor::from_slice(values, values.len(), &Device::Cpu)?;
+                blocks.copy_from_slice(&QTensor::quantize(&tensor, weight_format.ggml())?.data()?);
+                Result::Ok(())
+            })?;
         Self::from_blocks(weight_format, outputs, inputs, &blocks)
     }
 
     /// Takes ggml's row-major blocks as a GGUF file stores them.
-    pub fn from_blocks(weight_format: WeightFormat, outputs: usize, inputs: usize, bytes: &[u8]) -> Result<Self> {
+    pub fn from_blocks(
+        weight_format: WeightFormat,
+        outputs: usize,
+        inputs: usize,
+        bytes: &[u8],
+    ) -> Result<Self> {
         check_shape(weight_format, outputs, inputs)?;
         if weight_format.matrix_bytes(outputs, inputs) != Some(bytes.len()) {
-            bail!("{} bytes do not fill a {weight_format} matrix of {outputs} x {inputs}", bytes.len());
+            bail!(
+                "{} bytes do not fill a {weight_format} matrix of {outputs} x {inputs}",
+                bytes.len()
+            );
         }
         let tiles = PackedTiles::pack(weight_format, outputs, inputs, bytes);
-        Ok(Self { inputs, outputs, segments: vec![Arc::new(tiles)] })
+        Ok(Self {
+            inputs,
+            outputs,
+            segments: vec![Arc::new(tiles)],
+        })
     }
 
     /// Takes an f32 tensor of shape (outputs, inputs).
     pub fn from_tensor(tensor: &Tensor) -> Result<Self> {
         let (outputs, inputs) = tensor.dims2()?;
-        let bytes = |values: &[f32]| Ok(values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>());
-        Self::from_blocks(WeightFormat::F32, outputs, inputs, &with_values(tensor, bytes)?)
+        let bytes = |values: &[f32]| {
+            Ok(values
+                .iter()
+                .flat_map(|value| value.to_le_bytes())
+                .collect::<Vec<u8>>())
+        };
+        Self::from_blocks(
+            WeightFormat::F32,
+            outputs,
+            inputs,
+            &with_values(tensor, bytes)?,
+        )
     }
 
-    /// Concatenates the outputs of matrices with the same inputs, so that one product replaces several. Their weight
-    /// formats may differ.
+    /// Concatenates the outputs of matrices with the same inputs, so that one product replaces
+    /// several. Their weight formats may differ.
     pub fn stack(matrices: Vec<Self>) -> Result<Self> {
         let Some(inputs) = matrices.first().map(|matrix| matrix.inputs) else {
             bail!("cannot stack zero matrices");
         };
         if let Some(other) = matrices.iter().find(|matrix| matrix.inputs != inputs) {
-            bail!("cannot stack matrices of {inputs} and {} inputs", other.inputs);
+            bail!(
+                "cannot stack matrices of {inputs} and {} inputs",
+                other.inputs
+            );
         }
         let outputs = matrices.iter().map(|matrix| matrix.outputs).sum();
         let mut segments: Vec<Arc<PackedTiles>> = Vec::new();
@@ -101,7 +142,11 @@ impl Matrix {
                 segments.push(segment);
             }
         }
-        Ok(Self { inputs, outputs, segments })
+        Ok(Self {
+            inputs,
+            outputs,
+            segments,
+        })
     }
 
     /// Rows of the matrix: numbers of a product.
@@ -116,7 +161,9 @@ impl Matrix {
 
     /// The weight format of the first segment.
     pub fn weight_format(&self) -> WeightFormat {
-        self.segments.first().map_or_else(WeightFormat::default, |segment| segment.weight_format())
+        self.segments
+            .first()
+            .map_or_else(WeightFormat::default, |segment| segment.weight_format())
     }
 
     /// Size in memory, bytes.
@@ -124,9 +171,12 @@ impl Matrix {
         self.segments.iter().map(|segment| segment.bytes()).sum()
     }
 
-    /// Writes the row-major blocks that [`Self::from_blocks`] takes, bit for bit, segment after segment.
+    /// Writes the row-major blocks that [`Self::from_blocks`] takes, bit for bit, segment after
+    /// segment.
     pub fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
-        self.segments.iter().try_for_each(|segment| segment.write_blocks(out))
+        self.segments
+            .iter()
+            .try_for_each(|segment| segment.write_blocks(out))
     }
 
     /// Reads rows of the matrix as f32, (ids, inputs), as an embedding needs them.
@@ -142,7 +192,10 @@ impl Matrix {
                 found
             });
             let Some(segment) = segment else {
-                bail!("row {id} is out of range: the matrix has {} rows", self.outputs);
+                bail!(
+                    "row {id} is out of range: the matrix has {} rows",
+                    self.outputs
+                );
             };
             segment.read_row(index, row)?;
         }
@@ -154,17 +207,29 @@ impl Matrix {
         self.forward_onto(x, None, None)
     }
 
-    /// The product with rows (tokens, inputs) plus a bias (outputs) plus a residual (tokens, outputs).
-    pub fn forward_onto(&self, x: &Tensor, bias: Option<&Tensor>, residual: Option<&Tensor>) -> Result<Tensor> {
+    /// The product with rows (tokens, inputs) plus a bias (outputs) plus a residual (tokens,
+    /// outputs).
+    pub fn forward_onto(
+        &self,
+        x: &Tensor,
+        bias: Option<&Tensor>,
+        residual: Option<&Tensor>,
+    ) -> Result<Tensor> {
         let (tokens, width) = x.dims2()?;
         if width != self.inputs {
-            bail!("cannot multiply rows of {width} numbers with a matrix of {} inputs", self.inputs);
+            bail!(
+                "cannot multiply rows of {width} numbers with a matrix of {} inputs",
+                self.inputs
+            );
         }
         let read = |tensor: &Tensor, shape: &[usize]| {
             if tensor.dims() == shape {
                 with_values(tensor, |values| Ok(values.to_vec()))
             } else {
-                bail!("cannot add a tensor of {:?} to a product of {shape:?}", tensor.shape())
+                bail!(
+                    "cannot add a tensor of {:?} to a product of {shape:?}",
+                    tensor.shape()
+                )
             }
         };
         let bias = bias.map(|bias| read(bias, &[self.outputs])).transpose()?;
@@ -175,8 +240,11 @@ impl Matrix {
         with_values(x, |x| {
             let mut first = 0;
             for segment in &self.segments {
-                let bias = bias.as_deref().and_then(|bias| bias.get(first..first + segment.outputs()));
-                let columns = Columns::new(&mut result, self.outputs, first, segment.outputs(), bias);
+                let bias = bias
+                    .as_deref()
+                    .and_then(|bias| bias.get(first..first + segment.outputs()));
+                let columns =
+                    Columns::new(&mut result, self.outputs, first, segment.outputs(), bias);
                 first += segment.outputs();
                 if let Some(columns) = columns {
                     product::multiply(segment, x, &columns, Instructions::best());

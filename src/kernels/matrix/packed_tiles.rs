@@ -1,8 +1,9 @@
 //! The layout of packed weights: tiles of sixteen rows that the kernels load as vectors.
 //!
-//! A vector register holds one number, or four bytes, of each row of a tile. A tile is cut into groups along its inputs. A
-//! group holds the bytes of the rows' blocks in another order, so the original blocks can be written again bit for bit. The
-//! packed weights take hardly more memory than the file.
+//! A vector register holds one number, or four bytes, of each row of a tile. A tile is cut into
+//! groups along its inputs. A group holds the bytes of the rows' blocks in another order, so the
+//! original blocks can be written again bit for bit. The packed weights take hardly more memory
+//! than the file.
 
 use std::io::{self, Write};
 
@@ -42,8 +43,8 @@ enum Change {
     None,
     /// 128 is added, which makes signed numbers unsigned.
     Bias,
-    /// Four bytes with a bit of each of 32 numbers: byte k gets those of the numbers 4 n + k, so that a kernel adds them to four numbers
-    /// at once.
+    /// Four bytes with a bit of each of 32 numbers: byte k gets those of the numbers 4 n + k, so
+    /// that a kernel adds them to four numbers at once.
     Spread,
 }
 
@@ -68,20 +69,34 @@ impl Change {
 fn move_bits(bytes: &mut [u8], place: impl Fn(u32) -> u32) {
     if let Ok(four) = <&mut [u8; 4]>::try_from(bytes) {
         let bits = u32::from_le_bytes(*four);
-        *four = (0..32).fold(0, |moved, bit| moved | (bits >> bit & 1) << place(bit)).to_le_bytes();
+        *four = (0..32)
+            .fold(0, |moved, bit| moved | (bits >> bit & 1) << place(bit))
+            .to_le_bytes();
     }
 }
 
 impl Layout {
     pub(super) fn of(weight_format: WeightFormat) -> Self {
         use Change::{Bias, None, Spread};
-        // Byte numbers come first, four of each row a cache line; then the scales of whole blocks. Each entry is the first
-        // byte, the width and the count of runs, and their change. Two blocks of one scale each fill a cache line with scales.
+        // Byte numbers come first, four of each row a cache line; then the scales of whole blocks.
+        // Each entry is the first byte, the width and the count of runs, and their change. Two
+        // blocks of one scale each fill a cache line with scales.
         let (span, entries): (usize, &[(usize, usize, usize, Change)]) = match weight_format {
             WeightFormat::F32 => (1, &[(0, 4, 1, None)]),
             WeightFormat::F16 => (2, &[(0, 2, 2, None)]),
-            WeightFormat::Q8_0 => (64, &[(2, 4, 8, Bias), (36, 4, 8, Bias), (0, 2, 1, None), (34, 2, 1, None)]),
-            WeightFormat::Q6K => (256, &[(0, 4, 48, None), (192, 1, 16, None), (208, 2, 1, None)]),
+            WeightFormat::Q8_0 => (
+                64,
+                &[
+                    (2, 4, 8, Bias),
+                    (36, 4, 8, Bias),
+                    (0, 2, 1, None),
+                    (34, 2, 1, None),
+                ],
+            ),
+            WeightFormat::Q6K => (
+                256,
+                &[(0, 4, 48, None), (192, 1, 16, None), (208, 2, 1, None)],
+            ),
             WeightFormat::Q5_1 => (32, &[(8, 4, 4, None), (4, 4, 1, Spread), (0, 2, 2, None)]),
             WeightFormat::Q5_0 => (
                 64,
@@ -94,21 +109,55 @@ impl Layout {
                     (22, 2, 1, None),
                 ],
             ),
-            WeightFormat::Q5K => (256, &[(48, 4, 32, None), (16, 4, 8, None), (0, 2, 2, None), (4, 1, 12, None)]),
+            WeightFormat::Q5K => (
+                256,
+                &[
+                    (48, 4, 32, None),
+                    (16, 4, 8, None),
+                    (0, 2, 2, None),
+                    (4, 1, 12, None),
+                ],
+            ),
             WeightFormat::Q4_1 => (32, &[(4, 4, 4, None), (0, 2, 2, None)]),
             WeightFormat::Q4K => (256, &[(16, 4, 32, None), (0, 2, 2, None), (4, 1, 12, None)]),
-            WeightFormat::Q4_0 => (64, &[(2, 4, 4, None), (20, 4, 4, None), (0, 2, 1, None), (18, 2, 1, None)]),
-            WeightFormat::Q3K => (256, &[(32, 4, 16, None), (0, 4, 8, None), (96, 1, 12, None), (108, 2, 1, None)]),
+            WeightFormat::Q4_0 => (
+                64,
+                &[
+                    (2, 4, 4, None),
+                    (20, 4, 4, None),
+                    (0, 2, 1, None),
+                    (18, 2, 1, None),
+                ],
+            ),
+            WeightFormat::Q3K => (
+                256,
+                &[
+                    (32, 4, 16, None),
+                    (0, 4, 8, None),
+                    (96, 1, 12, None),
+                    (108, 2, 1, None),
+                ],
+            ),
         };
         let (mut runs, mut end) = (Vec::new(), 0);
         for &(from, width, count, change) in entries {
             for index in 0..count {
-                runs.push(Run { from: from + index * width, width, to: end, change });
+                runs.push(Run {
+                    from: from + index * width,
+                    width,
+                    to: end,
+                    change,
+                });
                 end += width * LANES;
             }
         }
         let row_bytes = span / weight_format.block() * weight_format.block_bytes();
-        Self { span, row_bytes, lines: end.div_ceil(LINE), runs }
+        Self {
+            span,
+            row_bytes,
+            lines: end.div_ceil(LINE),
+            runs,
+        }
     }
 
     /// Writes a row's bytes of a group. The last group of a row may get fewer bytes.
@@ -133,7 +182,9 @@ impl Layout {
     }
 
     fn runs_within(&self, bytes: usize) -> impl Iterator<Item = &Run> {
-        self.runs.iter().filter(move |run| run.from + run.width <= bytes)
+        self.runs
+            .iter()
+            .filter(move |run| run.from + run.width <= bytes)
     }
 }
 
@@ -149,27 +200,46 @@ pub(super) struct PackedTiles {
 
 impl PackedTiles {
     /// Packs row-major blocks. `bytes` has exactly the size of the shape.
-    pub(super) fn pack(weight_format: WeightFormat, outputs: usize, inputs: usize, bytes: &[u8]) -> Self {
+    pub(super) fn pack(
+        weight_format: WeightFormat,
+        outputs: usize,
+        inputs: usize,
+        bytes: &[u8],
+    ) -> Self {
         let layout = Layout::of(weight_format);
-        let mut tiles = Self { weight_format, outputs, inputs, layout, lines: Vec::new() };
+        let mut tiles = Self {
+            weight_format,
+            outputs,
+            inputs,
+            layout,
+            lines: Vec::new(),
+        };
         tiles.lines = vec![CacheLine::ZERO; outputs.div_ceil(LANES) * tiles.tile_lines()];
         let row_bytes = bytes.len() / outputs;
         let layout = &tiles.layout;
         let rows = bytes.par_chunks(row_bytes * LANES);
-        tiles.lines.par_chunks_mut(inputs.div_ceil(layout.span) * layout.lines).zip(rows).for_each(|(tile, rows)| {
-            for (row, bytes) in rows.chunks_exact(row_bytes).enumerate() {
-                for (group, bytes) in tile.chunks_exact_mut(layout.lines).zip(bytes.chunks(layout.row_bytes)) {
-                    layout.pack(row, bytes, group);
+        tiles
+            .lines
+            .par_chunks_mut(inputs.div_ceil(layout.span) * layout.lines)
+            .zip(rows)
+            .for_each(|(tile, rows)| {
+                for (row, bytes) in rows.chunks_exact(row_bytes).enumerate() {
+                    for (group, bytes) in tile
+                        .chunks_exact_mut(layout.lines)
+                        .zip(bytes.chunks(layout.row_bytes))
+                    {
+                        layout.pack(row, bytes, group);
+                    }
                 }
-            }
-        });
+            });
         tiles
     }
 
     /// Appends rows of the same weight format; returns false where that is not possible.
     pub(super) fn append(&mut self, other: &Self) -> bool {
         let whole = self.outputs.is_multiple_of(LANES);
-        let alike = whole && self.weight_format == other.weight_format && self.inputs == other.inputs;
+        let alike =
+            whole && self.weight_format == other.weight_format && self.inputs == other.inputs;
         if alike {
             self.lines.reserve_exact(other.lines.len());
             self.lines.extend_from_slice(&other.lines);
@@ -206,9 +276,17 @@ impl PackedTiles {
 
     /// The original blocks of a row.
     fn row_blocks(&self, index: usize) -> Vec<u8> {
-        let mut bytes = vec![0; self.inputs / self.weight_format.block() * self.weight_format.block_bytes()];
-        let tile = self.lines.chunks_exact(self.tile_lines()).nth(index / LANES).expect("the row is one of the matrix");
-        for (bytes, group) in bytes.chunks_mut(self.layout.row_bytes).zip(tile.chunks_exact(self.layout.lines)) {
+        let mut bytes =
+            vec![0; self.inputs / self.weight_format.block() * self.weight_format.block_bytes()];
+        let tile = self
+            .lines
+            .chunks_exact(self.tile_lines())
+            .nth(index / LANES)
+            .expect("the row is one of the matrix");
+        for (bytes, group) in bytes
+            .chunks_mut(self.layout.row_bytes)
+            .zip(tile.chunks_exact(self.layout.lines))
+        {
             self.layout.unpack(index % LANES, bytes, group);
         }
         bytes

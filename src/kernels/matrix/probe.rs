@@ -1,15 +1,19 @@
-//! Byte products from registers, for `benches/mllm.rs`: the bound of every product with quantized weights.
+//! Byte products from registers, for `benches/mllm.rs`: the bound of every product with quantized
+//! weights.
 
 use std::hint::black_box;
 
 use super::line::{CacheLine, LANES};
 use super::simd::{Instructions, Kernel, Simd};
 
-/// Multiplies and adds bytes that stay in registers, `rounds` times for each of several sums, on this thread. Returns the operations:
-/// two for each product.
+/// Multiplies and adds bytes that stay in registers, `rounds` times for each of several sums, on
+/// this thread. Returns the operations: two for each product.
 pub fn byte_operations(rounds: usize) -> usize {
     let mut sums = 0;
-    Instructions::best().run(ByteOperations { rounds, sums: &mut sums });
+    Instructions::best().run(ByteOperations {
+        rounds,
+        sums: &mut sums,
+    });
     2 * 4 * LANES * sums * rounds
 }
 
@@ -23,7 +27,11 @@ impl Kernel for ByteOperations<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         // Enough sums that none waits for its last product, as far as registers hold them.
-        *self.sums = if S::REGISTERS >= 32 { add::<S, 12>(simd, self.rounds) } else { add::<S, 4>(simd, self.rounds) };
+        *self.sums = if S::REGISTERS >= 32 {
+            add::<S, 12>(simd, self.rounds)
+        } else {
+            add::<S, 4>(simd, self.rounds)
+        };
     }
 }
 

@@ -16,7 +16,8 @@ use super::weight_format::WeightFormat;
 /// Outputs that a kernel computes at once.
 const COLUMNS: usize = TILES * LANES;
 
-/// Maximum bytes of packed activations that one pass over the weights multiplies; they stay in a core's second-level cache.
+/// Maximum bytes of packed activations that one pass over the weights multiplies; they stay in a
+/// core's second-level cache.
 const MAX_PACKED_BYTES: usize = 1 << 20;
 
 /// Minimum multiplications for which other threads are worth waking: about 20 µs of one core.
@@ -25,8 +26,8 @@ const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 /// Cache lines between the one that is unpacked and the one that is prefetched.
 const PREFETCH_LINES: usize = 64;
 
-/// Bytes of weights between those that a single row is multiplied with and those that are prefetched. Half and twice of it were
-/// slower on Zen 5.
+/// Bytes of weights between those that a single row is multiplied with and those that are
+/// prefetched. Half and twice of it were slower on Zen 5.
 const PREFETCH_BYTES: usize = 8 << 10;
 
 /// Pieces of work for each thread; a slower core takes fewer of them.
@@ -47,8 +48,8 @@ pub(super) struct Columns<'a> {
 unsafe impl Sync for Columns<'_> {}
 
 impl<'a> Columns<'a> {
-    /// `width` columns from `first` on of a result whose rows have `stride` columns; `None` if they do not exist. `bias` has
-    /// one number a column and is added to every row.
+    /// `width` columns from `first` on of a result whose rows have `stride` columns; `None` if they
+    /// do not exist. `bias` has one number a column and is added to every row.
     pub(super) fn new(
         result: &'a mut [f32],
         stride: usize,
@@ -57,12 +58,22 @@ impl<'a> Columns<'a> {
         bias: Option<&'a [f32]>,
     ) -> Option<Self> {
         let rows = result.len().checked_div(stride)?;
-        if first.checked_add(width)? > stride || rows == 0 || bias.is_some_and(|bias| bias.len() != width) {
+        if first.checked_add(width)? > stride
+            || rows == 0
+            || bias.is_some_and(|bias| bias.len() != width)
+        {
             return None;
         }
         // SAFETY: `first` is within the first row.
         let start = unsafe { result.as_mut_ptr().add(first) };
-        Some(Self { start, stride, width, rows, bias, result: PhantomData })
+        Some(Self {
+            start,
+            stride,
+            width,
+            rows,
+            bias,
+            result: PhantomData,
+        })
     }
 
     /// Adds the sums of a row from a column on, up to the last column.
@@ -71,11 +82,16 @@ impl<'a> Columns<'a> {
     /// No other thread may read or write these columns at the same time.
     #[inline(always)]
     unsafe fn add(&self, row: usize, column: usize, sums: &[f32]) {
-        assert!(row < self.rows && column < self.width, "a sum outside the result");
+        assert!(
+            row < self.rows && column < self.width,
+            "a sum outside the result"
+        );
         let count = sums.len().min(self.width - column);
-        // SAFETY: the assertion shows that the row and `count` columns from `column` on are within the result; the caller
-        // has exclusive access.
-        let result = unsafe { std::slice::from_raw_parts_mut(self.start.add(row * self.stride + column), count) };
+        // SAFETY: the assertion shows that the row and `count` columns from `column` on are within
+        // the result; the caller has exclusive access.
+        let result = unsafe {
+            std::slice::from_raw_parts_mut(self.start.add(row * self.stride + column), count)
+        };
         if let Some(bias) = self.bias {
             for ((result, sum), bias) in result.iter_mut().zip(sums).zip(&bias[column..]) {
                 *result += sum + bias;
@@ -89,7 +105,12 @@ impl<'a> Columns<'a> {
 }
 
 /// Adds the products of row-major activations with tiles to columns.
-pub(super) fn multiply(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
+pub(super) fn multiply(
+    tiles: &PackedTiles,
+    x: &[f32],
+    out: &Columns<'_>,
+    instructions: Instructions,
+) {
     match tiles.weight_format() {
         WeightFormat::F32 => multiply_as::<Float<Single>>(tiles, x, out, instructions),
         WeightFormat::F16 => multiply_as::<Float<Half>>(tiles, x, out, instructions),
@@ -105,7 +126,12 @@ pub(super) fn multiply(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instru
     }
 }
 
-fn multiply_as<F: Format>(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
+fn multiply_as<F: Format>(
+    tiles: &PackedTiles,
+    x: &[f32],
+    out: &Columns<'_>,
+    instructions: Instructions,
+) {
     let inputs = tiles.inputs();
     let row_words = F::row_words(inputs);
     let chunk = (MAX_PACKED_BYTES / size_of::<i32>() / row_words / MAX_BATCH).max(1) * MAX_BATCH;
@@ -114,12 +140,30 @@ fn multiply_as<F: Format>(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, ins
         let count = rows.len() / inputs;
         let parallel = threads > 1 && count * inputs * tiles.outputs() >= MIN_PARALLEL_PRODUCTS;
         let mut words = vec![0; count * row_words];
-        let batches = words.chunks_mut(MAX_BATCH * row_words).zip(rows.chunks(MAX_BATCH * inputs));
+        let batches = words
+            .chunks_mut(MAX_BATCH * row_words)
+            .zip(rows.chunks(MAX_BATCH * inputs));
         if parallel && count > MAX_BATCH {
-            let batches = words.par_chunks_mut(MAX_BATCH * row_words).zip(rows.par_chunks(MAX_BATCH * inputs));
-            batches.for_each(|(words, rows)| instructions.run(Pack::<F> { inputs, rows, words, format: PhantomData }));
+            let batches = words
+                .par_chunks_mut(MAX_BATCH * row_words)
+                .zip(rows.par_chunks(MAX_BATCH * inputs));
+            batches.for_each(|(words, rows)| {
+                instructions.run(Pack::<F> {
+                    inputs,
+                    rows,
+                    words,
+                    format: PhantomData,
+                })
+            });
         } else {
-            batches.for_each(|(words, rows)| instructions.run(Pack::<F> { inputs, rows, words, format: PhantomData }));
+            batches.for_each(|(words, rows)| {
+                instructions.run(Pack::<F> {
+                    inputs,
+                    rows,
+                    words,
+                    format: PhantomData,
+                })
+            });
         }
         let product = |first: usize, lines: &[CacheLine]| {
             instructions.run(Product::<F> {
@@ -161,7 +205,10 @@ impl<F: Format> Kernel for Pack<'_, F> {
         let mut padded = vec![0.0; F::SPAN];
         let mut packed = vec![0; F::WORDS];
         for (row, values) in self.rows.chunks_exact(self.inputs).enumerate() {
-            for (values, words) in values.chunks(F::SPAN).zip(self.words.chunks_mut(count * F::WORDS)) {
+            for (values, words) in values
+                .chunks(F::SPAN)
+                .zip(self.words.chunks_mut(count * F::WORDS))
+            {
                 if values.len() == F::SPAN {
                     F::pack(simd, values, &mut packed);
                 } else {
@@ -193,7 +240,8 @@ struct Product<'a, F> {
 }
 
 impl<F: Format> Product<'_, F> {
-    /// Multiplies one row with the whole spans of a pair of tiles. Returns how many spans these are.
+    /// Multiplies one row with the whole spans of a pair of tiles. Returns how many spans these
+    /// are.
     #[inline(always)]
     fn multiply_row<S: Simd>(
         &self,
@@ -208,12 +256,22 @@ impl<F: Format> Product<'_, F> {
         }
         let whole = self.tile_lines / F::LINES;
         let distance = PREFETCH_BYTES.div_ceil(TILES * F::LINES * size_of::<CacheLine>());
-        let spans = tiles.0.chunks_exact(F::LINES).zip(tiles.1.chunks_exact(F::LINES));
+        let spans = tiles
+            .0
+            .chunks_exact(F::LINES)
+            .zip(tiles.1.chunks_exact(F::LINES));
         for ((span, words), lines) in self.words.chunks_exact(F::WORDS).enumerate().zip(spans) {
             // Past the end of a tile, its successor in the next pair follows one tile later.
-            let beyond = if span + distance < whole { 0 } else { self.tile_lines };
+            let beyond = if span + distance < whole {
+                0
+            } else {
+                self.tile_lines
+            };
             let next = distance * F::LINES + beyond;
-            let ahead = [lines.0.as_ptr().wrapping_add(next), lines.1.as_ptr().wrapping_add(next)];
+            let ahead = [
+                lines.0.as_ptr().wrapping_add(next),
+                lines.1.as_ptr().wrapping_add(next),
+            ];
             F::multiply_row(simd, [lines.0, lines.1], ahead, blocks, words, sums);
         }
         whole

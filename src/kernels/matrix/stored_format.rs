@@ -20,7 +20,9 @@ pub enum StoredFormat {
 }
 
 /// The table of [`StoredFormat::Iq4Nl`] and [`StoredFormat::Iq4Xs`] (`kvalues_iq4nl`).
-const IQ4: [i8; 16] = [-127, -104, -83, -65, -49, -35, -22, -10, 1, 13, 25, 38, 53, 69, 89, 113];
+const IQ4: [i8; 16] = [
+    -127, -104, -83, -65, -49, -35, -22, -10, 1, 13, 25, 38, 53, 69, 89, 113,
+];
 /// Twice the values of the 4-bit floats (`kvalues_mxfp4`).
 const MXFP4: [i8; 16] = [0, 1, 2, 3, 4, 6, 8, 12, 0, -1, -2, -3, -4, -6, -8, -12];
 /// Exponent of [`MXFP4`]'s scale for the stored byte 0: its bias, and one for the doubled table.
@@ -61,7 +63,8 @@ impl StoredFormat {
         match self {
             Self::Ggml(format) => {
                 let name = format!("{format:?}").to_lowercase();
-                name.strip_suffix('k').map_or_else(|| name.clone(), |digits| format!("{digits}_k"))
+                name.strip_suffix('k')
+                    .map_or_else(|| name.clone(), |digits| format!("{digits}_k"))
             }
             Self::Iq4Nl => "iq4_nl".into(),
             Self::Iq4Xs => "iq4_xs".into(),
@@ -74,7 +77,8 @@ impl StoredFormat {
         (8 * self.type_size()) as f64 / self.block_size() as f64
     }
 
-    /// Whether `q8_0` holds its numbers: exactly, but for the rounding of `iq4_xs`'s scales to half precision.
+    /// Whether `q8_0` holds its numbers: exactly, but for the rounding of `iq4_xs`'s scales to half
+    /// precision.
     pub fn is_within_q8_0(self) -> bool {
         !matches!(self, Self::Ggml(_))
     }
@@ -90,9 +94,13 @@ impl StoredFormat {
 
     /// Whole blocks as blocks of `q8_0`, where [`Self::is_within_q8_0`].
     pub fn to_q8_0(self, bytes: &[u8]) -> Option<Vec<u8>> {
-        let mut out = Vec::with_capacity(bytes.len() / self.type_size() * self.block_size() / BLOCK * (BLOCK + 2));
+        let mut out = Vec::with_capacity(
+            bytes.len() / self.type_size() * self.block_size() / BLOCK * (BLOCK + 2),
+        );
         match self {
-            Self::Iq4Nl => each::<18>(bytes, |block| put(&mut out, half(block, 0), &nibbles(&block[2..], &IQ4))),
+            Self::Iq4Nl => each::<18>(bytes, |block| {
+                put(&mut out, half(block, 0), &nibbles(&block[2..], &IQ4))
+            }),
             Self::Iq4Xs => each::<136>(bytes, |block| iq4_xs(block, &mut out)),
             Self::Mxfp4 => each::<17>(bytes, |block| mxfp4(block, &mut out)),
             Self::Ggml(_) => return None,
@@ -112,7 +120,9 @@ fn put(out: &mut Vec<u8>, scale: f16, numbers: &[i8; BLOCK]) {
 }
 
 fn half(block: &[u8], at: usize) -> f16 {
-    block.get(at..at + 2).map_or(f16::ZERO, |bytes| f16::from_le_bytes([bytes[0], bytes[1]]))
+    block
+        .get(at..at + 2)
+        .map_or(f16::ZERO, |bytes| f16::from_le_bytes([bytes[0], bytes[1]]))
 }
 
 /// The numbers of 16 bytes: of the low halves, then of the high ones.
@@ -136,12 +146,17 @@ fn iq4_xs(block: &[u8; 136], out: &mut Vec<u8>) {
     }
 }
 
-/// The scale is a power of two. One that is too large for half precision is divided by up to 8, which the numbers take.
+/// The scale is a power of two. One that is too large for half precision is divided by up to 8,
+/// which the numbers take.
 fn mxfp4(block: &[u8; 17], out: &mut Vec<u8>) {
     let exponent = i32::from(block[0]) - MXFP4_BIAS;
     let shift = (exponent - MAX_HALF_EXPONENT).clamp(0, 3);
     let table = MXFP4.map(|number| number << shift);
-    put(out, f16::from_f32((f64::from(exponent - shift)).exp2() as f32), &nibbles(&block[1..], &table));
+    put(
+        out,
+        f16::from_f32((f64::from(exponent - shift)).exp2() as f32),
+        &nibbles(&block[1..], &table),
+    );
 }
 
 #[cfg(test)]
@@ -155,14 +170,21 @@ mod tests {
         (block[2], block[17]) = (0x0f, 0x80);
         let found = StoredFormat::Iq4Nl.widen(block).unwrap();
         // Byte 0 holds numbers 0 and 16, byte 15 numbers 15 and 31.
-        assert_eq!([0, 16, 15, 31].map(|at| found[at].to_bits()), [56.5, -63.5, -63.5, 0.5].map(f32::to_bits));
+        assert_eq!(
+            [0, 16, 15, 31].map(|at| found[at].to_bits()),
+            [56.5, -63.5, -63.5, 0.5].map(f32::to_bits)
+        );
 
         for (exponent, scale) in [(127_u8, 0.5_f32), (120, 0.003_906_25), (146, 262_144.0)] {
             let mut block = vec![0x72; 17];
             block[0] = exponent;
             let found = StoredFormat::Mxfp4.widen(block).unwrap();
             let expected = [2.0 * scale, 12.0 * scale].map(f32::to_bits);
-            assert_eq!([0, 16].map(|at| found[at].to_bits()), expected, "{exponent}");
+            assert_eq!(
+                [0, 16].map(|at| found[at].to_bits()),
+                expected,
+                "{exponent}"
+            );
         }
 
         let mut block = vec![0; 136];
@@ -176,7 +198,11 @@ mod tests {
 
     #[test]
     fn names_are_ggmls() {
-        let names = [StoredFormat::Ggml(GgmlDType::Q3K), StoredFormat::Ggml(GgmlDType::BF16), StoredFormat::Iq4Nl];
+        let names = [
+            StoredFormat::Ggml(GgmlDType::Q3K),
+            StoredFormat::Ggml(GgmlDType::BF16),
+            StoredFormat::Iq4Nl,
+        ];
         assert_eq!(names.map(StoredFormat::name), ["q3_k", "bf16", "iq4_nl"]);
         assert!((StoredFormat::Ggml(GgmlDType::Q4_0).bits() - 4.5).abs() < 1e-9);
     }

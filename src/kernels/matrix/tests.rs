@@ -16,7 +16,9 @@ fn random_blocks(
     random: &mut Pcg64Mcg,
 ) -> Vec<u8> {
     if weight_format == WeightFormat::F32 {
-        return (0..outputs * inputs).flat_map(|_| random.random_range(-largest..largest).to_le_bytes()).collect();
+        return (0..outputs * inputs)
+            .flat_map(|_| random.random_range(-largest..largest).to_le_bytes())
+            .collect();
     }
     let mut bytes = vec![0; weight_format.matrix_bytes(outputs, inputs).unwrap()];
     random.fill_bytes(&mut bytes);
@@ -32,7 +34,14 @@ fn random_blocks(
 fn random_rows(count: usize, inputs: usize, random: &mut Pcg64Mcg) -> Vec<f32> {
     // Like activations, a few numbers are much larger than the others.
     (0..count * inputs)
-        .map(|_| random.random_range(-1.0..1.0) * if random.random_range(0..50) == 0 { 40.0 } else { 1.0 })
+        .map(|_| {
+            random.random_range(-1.0..1.0)
+                * if random.random_range(0..50) == 0 {
+                    40.0
+                } else {
+                    1.0
+                }
+        })
         .collect()
 }
 
@@ -47,8 +56,11 @@ fn multiplied(tiles: &PackedTiles, x: &[f32], instructions: Instructions) -> Vec
 fn rounded(row: &[f32], scaled: usize) -> Vec<f32> {
     row.chunks(scaled)
         .flat_map(|span| {
-            let largest = span.iter().fold(0f32, |largest, value| largest.max(value.abs()));
-            span.iter().map(move |value| (value * (127.0 / largest)).round_ties_even() * (largest / 127.0))
+            let largest = span
+                .iter()
+                .fold(0f32, |largest, value| largest.max(value.abs()));
+            span.iter()
+                .map(move |value| (value * (127.0 / largest)).round_ties_even() * (largest / 127.0))
         })
         .collect()
 }
@@ -59,7 +71,10 @@ fn plain(tiles: &PackedTiles, x: &[f32]) -> Vec<(f64, f64)> {
     let mut result = vec![(0.0, 0.0); x.len() / tiles.inputs() * tiles.outputs()];
     for output in 0..tiles.outputs() {
         tiles.read_row(output, &mut weights).unwrap();
-        for (row, results) in x.chunks_exact(tiles.inputs()).zip(result.chunks_exact_mut(tiles.outputs())) {
+        for (row, results) in x
+            .chunks_exact(tiles.inputs())
+            .zip(result.chunks_exact_mut(tiles.outputs()))
+        {
             let row = match tiles.weight_format() {
                 WeightFormat::F32 | WeightFormat::F16 => row.to_vec(),
                 format => rounded(row, format.block()),
@@ -77,7 +92,8 @@ fn plain(tiles: &PackedTiles, x: &[f32]) -> Vec<(f64, f64)> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Odd numbers of rows, tails of tiles, spans and batches, scales from the smallest to the largest.
+    /// Odd numbers of rows, tails of tiles, spans and batches, scales from the smallest to the
+    /// largest.
     #[test]
     fn every_kernel_multiplies_as_plain_arithmetic_does(
         outputs in 1usize..70, blocks in 1usize..4, rows in 1usize..15, exponent in -24i32..16, seed: u64,
@@ -125,12 +141,21 @@ fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
         let x = random_rows(rows, inputs, &mut random);
         for instructions in Instructions::available() {
             let together = multiplied(&tiles, &x, instructions);
-            let alone: Vec<f32> = x.chunks(inputs).flat_map(|row| multiplied(&tiles, row, instructions)).collect();
+            let alone: Vec<f32> = x
+                .chunks(inputs)
+                .flat_map(|row| multiplied(&tiles, row, instructions))
+                .collect();
             assert_eq!(together, alone, "{weight_format} {instructions:?}");
             for threads in [1, 3] {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                let pool = rayon::ThreadPoolBuilder::new()
+                    .num_threads(threads)
+                    .build()
+                    .unwrap();
                 let there = pool.install(|| multiplied(&tiles, &x, instructions));
-                assert_eq!(together, there, "{weight_format} {instructions:?}, {threads} threads");
+                assert_eq!(
+                    together, there,
+                    "{weight_format} {instructions:?}, {threads} threads"
+                );
             }
         }
     }
@@ -147,8 +172,14 @@ fn nan_and_infinity_appear_in_the_result() {
             x[700] = strange;
             for instructions in Instructions::available() {
                 let result = multiplied(&tiles, &x, instructions);
-                assert!(result[..20].iter().all(|value| value.is_finite()), "{weight_format}");
-                assert!(result[20..].iter().all(|value| !value.is_finite()), "{weight_format}");
+                assert!(
+                    result[..20].iter().all(|value| value.is_finite()),
+                    "{weight_format}"
+                );
+                assert!(
+                    result[20..].iter().all(|value| !value.is_finite()),
+                    "{weight_format}"
+                );
             }
         }
     }
@@ -172,29 +203,68 @@ fn a_stack_multiplies_and_reads_like_its_matrices() {
             Matrix::quantize(&values, *outputs, inputs, *weight_format).unwrap()
         })
         .collect();
-    let x = Tensor::from_vec(random_rows(7, inputs, &mut random), (7, inputs), &Device::Cpu).unwrap();
-    let apart: Vec<Tensor> = matrices.iter().map(|matrix| matrix.forward(&x).unwrap()).collect();
-    let rows: Vec<Tensor> = matrices.iter().map(|matrix| matrix.rows(&[0, 2]).unwrap()).collect();
+    let x = Tensor::from_vec(
+        random_rows(7, inputs, &mut random),
+        (7, inputs),
+        &Device::Cpu,
+    )
+    .unwrap();
+    let apart: Vec<Tensor> = matrices
+        .iter()
+        .map(|matrix| matrix.forward(&x).unwrap())
+        .collect();
+    let rows: Vec<Tensor> = matrices
+        .iter()
+        .map(|matrix| matrix.rows(&[0, 2]).unwrap())
+        .collect();
     let bytes: usize = matrices.iter().map(Matrix::bytes).sum();
     let stack = Matrix::stack(matrices).unwrap();
-    assert_eq!((stack.outputs(), stack.inputs(), stack.bytes()), (88, inputs, bytes));
-    assert_eq!(stack.segments.len(), 3, "matrices that are stored alike are one");
+    assert_eq!(
+        (stack.outputs(), stack.inputs(), stack.bytes()),
+        (88, inputs, bytes)
+    );
+    assert_eq!(
+        stack.segments.len(),
+        3,
+        "matrices that are stored alike are one"
+    );
     let expected = Tensor::cat(&apart, 1).unwrap().to_vec2::<f32>().unwrap();
-    assert_eq!(stack.forward(&x).unwrap().to_vec2::<f32>().unwrap(), expected);
-    let (bias, residual) =
-        (stack.rows(&[3]).unwrap().narrow(1, 0, 88).unwrap(), (&x.narrow(1, 9, 88).unwrap() * 2.0).unwrap());
-    let onto = stack.forward_onto(&x, Some(&bias.squeeze(0).unwrap()), Some(&residual)).unwrap();
+    assert_eq!(
+        stack.forward(&x).unwrap().to_vec2::<f32>().unwrap(),
+        expected
+    );
+    let (bias, residual) = (
+        stack.rows(&[3]).unwrap().narrow(1, 0, 88).unwrap(),
+        (&x.narrow(1, 9, 88).unwrap() * 2.0).unwrap(),
+    );
+    let onto = stack
+        .forward_onto(&x, Some(&bias.squeeze(0).unwrap()), Some(&residual))
+        .unwrap();
     let sum = (stack.forward(&x).unwrap().broadcast_add(&bias).unwrap() + &residual).unwrap();
-    let difference = (onto - sum).unwrap().abs().unwrap().max_all().unwrap().to_scalar::<f32>().unwrap();
+    let difference = (onto - sum)
+        .unwrap()
+        .abs()
+        .unwrap()
+        .max_all()
+        .unwrap()
+        .to_scalar::<f32>()
+        .unwrap();
     assert!(difference < 1e-3, "{difference}");
     assert!(stack.forward_onto(&x, None, Some(&x)).is_err());
     let starts = [0, 32, 52, 69, 85];
     for (start, rows) in starts.into_iter().zip(rows) {
         let found = stack.rows(&[start, start + 2]).unwrap();
-        assert_eq!(found.to_vec2::<f32>().unwrap(), rows.to_vec2::<f32>().unwrap());
+        assert_eq!(
+            found.to_vec2::<f32>().unwrap(),
+            rows.to_vec2::<f32>().unwrap()
+        );
     }
     assert!(stack.rows(&[88]).is_err());
-    assert!(stack.forward(&Tensor::zeros((2, 255), candle_core::DType::F32, &Device::Cpu).unwrap()).is_err());
+    assert!(
+        stack
+            .forward(&Tensor::zeros((2, 255), candle_core::DType::F32, &Device::Cpu).unwrap())
+            .is_err()
+    );
 }
 
 #[test]
@@ -211,11 +281,28 @@ fn shapes_that_do_not_fit_are_errors() {
 fn each_format_has_the_error_of_its_bits() {
     let mut random = Pcg64Mcg::seed_from_u64(4);
     let (outputs, inputs) = (40, 512);
-    let values: Vec<f32> = (0..outputs * inputs).map(|_| random.random_range(-0.1..0.1)).collect();
-    let x = Tensor::from_vec(random_rows(9, inputs, &mut random), (9, inputs), &Device::Cpu).unwrap();
-    let exact = Matrix::quantize(&values, outputs, inputs, WeightFormat::F32).unwrap().forward(&x).unwrap();
-    let size = exact.sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap();
-    // A step of n bits over ±1 leaves an error of 2 / 2ⁿ / √12 against numbers of 1 / √3; activations add theirs.
+    let values: Vec<f32> = (0..outputs * inputs)
+        .map(|_| random.random_range(-0.1..0.1))
+        .collect();
+    let x = Tensor::from_vec(
+        random_rows(9, inputs, &mut random),
+        (9, inputs),
+        &Device::Cpu,
+    )
+    .unwrap();
+    let exact = Matrix::quantize(&values, outputs, inputs, WeightFormat::F32)
+        .unwrap()
+        .forward(&x)
+        .unwrap();
+    let size = exact
+        .sqr()
+        .unwrap()
+        .sum_all()
+        .unwrap()
+        .to_scalar::<f32>()
+        .unwrap();
+    // A step of n bits over ±1 leaves an error of 2 / 2ⁿ / √12 against numbers of 1 / √3;
+    // activations add theirs.
     for (weight_format, least, most) in [
         (WeightFormat::F16, 1e-5, 1e-3),
         (WeightFormat::Q8_0, 1e-3, 2e-2),
@@ -228,9 +315,22 @@ fn each_format_has_the_error_of_its_bits() {
         (WeightFormat::Q4_0, 2e-2, 1e-1),
         (WeightFormat::Q3K, 5e-2, 2e-1),
     ] {
-        let product = Matrix::quantize(&values, outputs, inputs, weight_format).unwrap().forward(&x).unwrap();
-        let error = (product - &exact).unwrap().sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap();
+        let product = Matrix::quantize(&values, outputs, inputs, weight_format)
+            .unwrap()
+            .forward(&x)
+            .unwrap();
+        let error = (product - &exact)
+            .unwrap()
+            .sqr()
+            .unwrap()
+            .sum_all()
+            .unwrap()
+            .to_scalar::<f32>()
+            .unwrap();
         let relative = (error / size).sqrt();
-        assert!((least..most).contains(&relative), "{weight_format}: {relative}");
+        assert!(
+            (least..most).contains(&relative),
+            "{weight_format}: {relative}"
+        );
     }
 }

@@ -98,7 +98,8 @@ impl WeightFormat {
         }
     }
 
-    /// Offsets of the half-precision numbers in a block: its scale, and its minimum or the scale of its minima.
+    /// Offsets of the half-precision numbers in a block: its scale, and its minimum or the scale of
+    /// its minima.
     pub fn halves(self) -> &'static [usize] {
         match self {
             Self::F32 => &[],
@@ -114,9 +115,12 @@ impl WeightFormat {
         (8 * self.block_bytes()) as f64 / self.block() as f64
     }
 
-    /// Bytes of a matrix of this shape; `None` if the format cannot hold it or the number overflows.
+    /// Bytes of a matrix of this shape; `None` if the format cannot hold it or the number
+    /// overflows.
     pub fn matrix_bytes(self, outputs: usize, inputs: usize) -> Option<usize> {
-        let blocks = inputs.is_multiple_of(self.block()).then(|| inputs / self.block())?;
+        let blocks = inputs
+            .is_multiple_of(self.block())
+            .then(|| inputs / self.block())?;
         blocks.checked_mul(self.block_bytes())?.checked_mul(outputs)
     }
 
@@ -127,7 +131,11 @@ impl WeightFormat {
             Self::Q8_0 | Self::Q5_1 | Self::Q5_0 | Self::Q4_1 | Self::Q4_0 => Self::F16,
             Self::F16 | Self::F32 => return self,
         };
-        if inputs.is_multiple_of(self.block()) { self } else { finer.or_finer(inputs) }
+        if inputs.is_multiple_of(self.block()) {
+            self
+        } else {
+            finer.or_finer(inputs)
+        }
     }
 
     /// Candle's name of the same format.
@@ -168,7 +176,9 @@ impl FromStr for WeightFormat {
         Self::ALL
             .into_iter()
             .find(|weight_format| weight_format.name() == name)
-            .ok_or_else(|| UnknownWeightFormat { name: name.to_string() })
+            .ok_or_else(|| UnknownWeightFormat {
+                name: name.to_string(),
+            })
     }
 }
 
@@ -180,12 +190,27 @@ mod tests {
     fn names_are_read_back() {
         for weight_format in WeightFormat::ALL {
             assert_eq!(weight_format.name().parse(), Ok(weight_format));
-            assert_eq!(serde_json::to_value(weight_format).unwrap(), weight_format.name());
-            assert_eq!(serde_json::from_value::<WeightFormat>(weight_format.name().into()).unwrap(), weight_format);
-            assert_eq!(weight_format.block_bytes(), weight_format.ggml().type_size());
+            assert_eq!(
+                serde_json::to_value(weight_format).unwrap(),
+                weight_format.name()
+            );
+            assert_eq!(
+                serde_json::from_value::<WeightFormat>(weight_format.name().into()).unwrap(),
+                weight_format
+            );
+            assert_eq!(
+                weight_format.block_bytes(),
+                weight_format.ggml().type_size()
+            );
             assert_eq!(weight_format.block(), weight_format.ggml().block_size());
         }
-        assert!("q2_k".parse::<WeightFormat>().unwrap_err().to_string().contains("q4_k"));
+        assert!(
+            "q2_k"
+                .parse::<WeightFormat>()
+                .unwrap_err()
+                .to_string()
+                .contains("q4_k")
+        );
     }
 
     #[test]

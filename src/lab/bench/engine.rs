@@ -29,7 +29,10 @@ impl fmt::Display for EngineName {
 #[derive(Debug, thiserror::Error)]
 pub enum EngineError {
     #[error("cannot start {program}: {source}")]
-    Start { program: String, source: std::io::Error },
+    Start {
+        program: String,
+        source: std::io::Error,
+    },
     #[error("{engine} ended without a reply{status}")]
     Ended { engine: EngineName, status: String },
     #[error("{engine} sent an invalid reply: {found}")]
@@ -60,8 +63,16 @@ impl Engine {
             .spawn()
             .map_err(|source| EngineError::Start { program, source })?;
         match (child.stdin.take(), child.stdout.take()) {
-            (Some(requests), Some(replies)) => Ok(Self { name, child, requests, replies: BufReader::new(replies) }),
-            _ => Err(EngineError::Ended { engine: name, status: String::new() }),
+            (Some(requests), Some(replies)) => Ok(Self {
+                name,
+                child,
+                requests,
+                replies: BufReader::new(replies),
+            }),
+            _ => Err(EngineError::Ended {
+                engine: name,
+                status: String::new(),
+            }),
         }
     }
 
@@ -85,37 +96,56 @@ impl Engine {
         }
     }
 
-    /// Peak memory of the process so far, bytes (`VmHWM`); `None` where the system does not report it.
+    /// Peak memory of the process so far, bytes (`VmHWM`); `None` where the system does not report
+    /// it.
     pub fn peak_memory(&self) -> Option<u64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
-        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+        let line = status
+            .lines()
+            .find_map(|line| line.strip_prefix("VmHWM:"))?;
         let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
         Some(kibibytes * 1024)
     }
 
     fn ask(&mut self, request: &Request) -> Result<Reply, EngineError> {
-        let mut line = serde_json::to_string(request).map_err(|error| self.invalid(&error.to_string()))?;
+        let mut line =
+            serde_json::to_string(request).map_err(|error| self.invalid(&error.to_string()))?;
         line.push('\n');
-        let sent = self.requests.write_all(line.as_bytes()).and_then(|()| self.requests.flush());
+        let sent = self
+            .requests
+            .write_all(line.as_bytes())
+            .and_then(|()| self.requests.flush());
         let mut answer = String::new();
         let read = sent.and_then(|()| self.replies.read_line(&mut answer));
         if !read.is_ok_and(|bytes| bytes > 0) {
             return Err(self.ended());
         }
         match serde_json::from_str(&answer) {
-            Ok(Reply::Failed(problem)) => Err(EngineError::Failed { engine: self.name, problem }),
+            Ok(Reply::Failed(problem)) => Err(EngineError::Failed {
+                engine: self.name,
+                problem,
+            }),
             Ok(reply) => Ok(reply),
             Err(_) => Err(self.invalid(&answer)),
         }
     }
 
     fn ended(&mut self) -> EngineError {
-        let status = self.child.wait().map_or_else(|_| String::new(), |status| format!(" ({status})"));
-        EngineError::Ended { engine: self.name, status }
+        let status = self
+            .child
+            .wait()
+            .map_or_else(|_| String::new(), |status| format!(" ({status})"));
+        EngineError::Ended {
+            engine: self.name,
+            status,
+        }
     }
 
     fn invalid(&self, found: &str) -> EngineError {
-        EngineError::InvalidReply { engine: self.name, found: found.chars().take(MAX_SHOWN).collect() }
+        EngineError::InvalidReply {
+            engine: self.name,
+            found: found.chars().take(MAX_SHOWN).collect(),
+        }
     }
 }
 

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-/// The measuring process: reads requests, calls the low-level interface of `llama_cpp`, writes replies.
+/// The measuring process: reads requests, calls the low-level interface of `llama_cpp`, writes
+/// replies.
 const WORKER: &str = include_str!("llama_cpp_worker.py");
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -46,6 +47,9 @@ mod tests {
             assert!(WORKER.contains(&format!("name == \"{word}\"")), "{word}");
         }
         let layout = serde_json::to_string(&Layout::PrefixFirst).unwrap();
-        assert!(WORKER.contains(&format!("\"layout\": {layout}")), "{layout}");
+        assert!(
+            WORKER.contains(&format!("\"layout\": {layout}")),
+            "{layout}"
+        );
     }
 }

@@ -1,8 +1,8 @@
 //! The cost of a planning call, for each model, also compared with llama.cpp.
 //!
-//! Each model has its own process ([`Engine`]), so that its peak memory is its own. The process is this program ([`serve`]) or
-//! Python with llama.cpp ([`LlamaCpp`]). Both use the same [`protocol`] and run the same [`Step`](planagent_mllm::Step)s of a
-//! [`Workload`].
+//! Each model has its own process ([`Engine`]), so that its peak memory is its own. The process is
+//! this program ([`serve`]) or Python with llama.cpp ([`LlamaCpp`]). Both use the same [`protocol`]
+//! and run the same [`Step`](planagent_mllm::Step)s of a [`Workload`].
 
 mod budget;
 mod engine;

@@ -68,7 +68,9 @@ impl IterationRow {
     /// Wall time of image encoding, milliseconds; `None` without an image.
     pub fn image_encode_ms(&self) -> Option<f64> {
         let encodings = self.steps.iter().filter(|timed| timed.step == Step::Encode);
-        encodings.map(|timed| timed.time.ms).reduce(|sum, ms| sum + ms)
+        encodings
+            .map(|timed| timed.time.ms)
+            .reduce(|sum, ms| sum + ms)
     }
 
     /// From the start to the first sampled token, milliseconds.
@@ -95,8 +97,8 @@ impl IterationRow {
         sum
     }
 
-    /// The passes of answers, fast-forwarded tokens included. The first pass after a prompt computes the prompt and does not
-    /// count.
+    /// The passes of answers, fast-forwarded tokens included. The first pass after a prompt
+    /// computes the prompt and does not count.
     pub fn decode(&self) -> PassTime {
         let mut sum = PassTime::default();
         let mut after_prompt = false;
@@ -121,9 +123,23 @@ impl IterationRow {
 mod tests {
     use super::*;
 
-    fn timed(step: Step, ms: f64, first_token_ms: Option<f64>, batch: (usize, f64), single: (usize, f64)) -> TimedStep {
+    fn timed(
+        step: Step,
+        ms: f64,
+        first_token_ms: Option<f64>,
+        batch: (usize, f64),
+        single: (usize, f64),
+    ) -> TimedStep {
         let pass = |(tokens, ms)| PassTime { tokens, ms };
-        TimedStep { step, time: StepTime { ms, first_token_ms, batch: pass(batch), single: pass(single) } }
+        TimedStep {
+            step,
+            time: StepTime {
+                ms,
+                first_token_ms,
+                batch: pass(batch),
+                single: pass(single),
+            },
+        }
     }
 
     #[test]
@@ -143,10 +159,28 @@ mod tests {
                 timed(Step::Sampled(2), 25.0, Some(15.0), (9, 15.0), (1, 10.0)),
             ],
         };
-        assert_eq!((row.total_ms(), row.image_encode_ms(), row.first_token_ms()), (195.0, Some(100.0), Some(150.0)));
-        assert_eq!(row.prefill(), PassTime { tokens: 84, ms: 50.0 });
-        assert_eq!(row.decode(), PassTime { tokens: 12, ms: 45.0 });
+        assert_eq!(
+            (row.total_ms(), row.image_encode_ms(), row.first_token_ms()),
+            (195.0, Some(100.0), Some(150.0))
+        );
+        assert_eq!(
+            row.prefill(),
+            PassTime {
+                tokens: 84,
+                ms: 50.0
+            }
+        );
+        assert_eq!(
+            row.decode(),
+            PassTime {
+                tokens: 12,
+                ms: 45.0
+            }
+        );
         let text = serde_json::to_string(&Row::Iteration(row.clone())).unwrap();
-        assert_eq!(serde_json::from_str::<Row>(&text).unwrap(), Row::Iteration(row));
+        assert_eq!(
+            serde_json::from_str::<Row>(&text).unwrap(),
+            Row::Iteration(row)
+        );
     }
 }

@@ -32,7 +32,8 @@ pub struct BenchSettings {
     pub seed: u64,
     /// Weight format of the matrices; `None` for that of the files.
     pub weight_format: Option<WeightFormat>,
-    /// Whether this program also measures calls with drafts, of which a quarter, half and three quarters are accepted.
+    /// Whether this program also measures calls with drafts, of which a quarter, half and three
+    /// quarters are accepted.
     pub speculation: bool,
     /// llama.cpp, to compare with. It requires that all models are GGUF files.
     pub versus: Option<LlamaCpp>,
@@ -47,8 +48,9 @@ pub enum Progress<'a> {
     Done(&'a IterationRow, usize),
 }
 
-/// Measures models. `program` starts a process of this program that runs [`serve`](super::serve()). `commit` gets all rows of
-/// a model at once. A model that fails gives a [`Row::Failed`], and the next model follows.
+/// Measures models. `program` starts a process of this program that runs [`serve`](super::serve()).
+/// `commit` gets all rows of a model at once. A model that fails gives a [`Row::Failed`], and the
+/// next model follows.
 ///
 /// # Errors
 /// The error of `commit`.
@@ -60,9 +62,17 @@ pub fn run<E>(
     progress: &dyn Fn(Progress<'_>),
 ) -> Result<(), E> {
     for candidate in candidates {
-        let bench = Bench { candidate, settings, program, progress };
+        let bench = Bench {
+            candidate,
+            settings,
+            program,
+            progress,
+        };
         let rows = bench.measure().unwrap_or_else(|error| {
-            vec![Row::Failed(FailedRow { model: candidate.name.clone(), problem: error.to_string() })]
+            vec![Row::Failed(FailedRow {
+                model: candidate.name.clone(),
+                problem: error.to_string(),
+            })]
         });
         commit(&rows)?;
     }
@@ -91,11 +101,24 @@ impl Bench<'_> {
             Some(llama_cpp) => {
                 let ours = self.load(self.own()?, None)?;
                 let theirs = Engine::start(EngineName::LlamaCpp, &mut llama_cpp.command())?;
-                let Loaded { context, image_side, .. } = ours.loaded;
-                let mut theirs = self.load(theirs, Some(Like { context, image_side }))?;
+                let Loaded {
+                    context,
+                    image_side,
+                    ..
+                } = ours.loaded;
+                let mut theirs = self.load(
+                    theirs,
+                    Some(Like {
+                        context,
+                        image_side,
+                    }),
+                )?;
                 // llama.cpp reports these for the decoder only; the files are the same.
                 theirs.loaded.parameters = ours.loaded.parameters;
-                theirs.loaded.weight_format.clone_from(&ours.loaded.weight_format);
+                theirs
+                    .loaded
+                    .weight_format
+                    .clone_from(&ours.loaded.weight_format);
                 engines.extend([ours, theirs]);
                 workloads.splice(0..0, DEPTHS.map(Workload::Depth));
             }
@@ -110,18 +133,37 @@ impl Bench<'_> {
                     continue;
                 }
             }
-            rows.extend(self.alternate(workload, &mut engines)?.into_iter().map(Row::Iteration));
+            rows.extend(
+                self.alternate(workload, &mut engines)?
+                    .into_iter()
+                    .map(Row::Iteration),
+            );
         }
-        for accepted in if self.settings.speculation { 1..DRAFTED } else { 0..0 } {
-            let workload = Workload::Call(CallBudget::of(self.candidate.prompts).with_drafts(accepted));
+        for accepted in if self.settings.speculation {
+            1..DRAFTED
+        } else {
+            0..0
+        } {
+            let workload =
+                Workload::Call(CallBudget::of(self.candidate.prompts).with_drafts(accepted));
             let own = engines.get_mut(..1).expect("the own engine comes first");
-            rows.extend(self.alternate(&workload, own)?.into_iter().map(Row::Iteration));
+            rows.extend(
+                self.alternate(&workload, own)?
+                    .into_iter()
+                    .map(Row::Iteration),
+            );
         }
         let prompt_tokens = CallBudget::of(self.candidate.prompts).prompt_tokens();
         rows.extend(engines.into_iter().map(|Ready { engine, loaded }| {
             let peak_memory = engine.peak_memory();
             let (model, engine) = (self.candidate.name.clone(), engine.name());
-            Row::Model(ModelRow { model, engine, loaded, prompt_tokens, peak_memory })
+            Row::Model(ModelRow {
+                model,
+                engine,
+                loaded,
+                prompt_tokens,
+                peak_memory,
+            })
         }));
         Ok(rows)
     }
@@ -132,9 +174,20 @@ impl Bench<'_> {
 
     fn load(&self, mut engine: Engine, like: Option<Like>) -> Result<Ready, EngineError> {
         (self.progress)(Progress::Loading(engine.name(), self.candidate));
-        let BenchSettings { weight_format, threads, seed, .. } = *self.settings;
+        let BenchSettings {
+            weight_format,
+            threads,
+            seed,
+            ..
+        } = *self.settings;
         let model = self.candidate.model.clone();
-        let loaded = engine.load(LoadRequest { model, weight_format, threads, like, seed })?;
+        let loaded = engine.load(LoadRequest {
+            model,
+            weight_format,
+            threads,
+            like,
+            seed,
+        })?;
         Ok(Ready { engine, loaded })
     }
 
@@ -142,17 +195,32 @@ impl Bench<'_> {
     fn misfit(workload: &Workload, engines: &[Ready]) -> Option<EngineError> {
         engines.iter().find_map(|Ready { engine, loaded }| {
             let needed = workload.longest(loaded.image_tokens);
-            let problem = format!("{} takes {needed} tokens, and the context has {}", workload.name(), loaded.context);
-            (needed > loaded.context).then(|| EngineError::Failed { engine: engine.name(), problem })
+            let problem = format!(
+                "{} takes {needed} tokens, and the context has {}",
+                workload.name(),
+                loaded.context
+            );
+            (needed > loaded.context).then(|| EngineError::Failed {
+                engine: engine.name(),
+                problem,
+            })
         })
     }
 
     /// Runs the iterations of a workload; in each, one engine follows the other.
-    fn alternate(&self, workload: &Workload, engines: &mut [Ready]) -> Result<Vec<IterationRow>, EngineError> {
+    fn alternate(
+        &self,
+        workload: &Workload,
+        engines: &mut [Ready],
+    ) -> Result<Vec<IterationRow>, EngineError> {
         for Ready { engine, loaded } in engines.iter_mut() {
             engine.run(workload.first_steps(loaded.layout))?;
         }
-        let BenchSettings { warm_up, iterations, .. } = *self.settings;
+        let BenchSettings {
+            warm_up,
+            iterations,
+            ..
+        } = *self.settings;
         let mut rows = Vec::new();
         for iteration in 0..warm_up + iterations {
             for Ready { engine, loaded } in engines.iter_mut() {
@@ -164,7 +232,11 @@ impl Bench<'_> {
                     workload: workload.name(),
                     iteration,
                     warm_up: iteration < warm_up,
-                    steps: steps.into_iter().zip(times).map(|(step, time)| TimedStep { step, time }).collect(),
+                    steps: steps
+                        .into_iter()
+                        .zip(times)
+                        .map(|(step, time)| TimedStep { step, time })
+                        .collect(),
                 };
                 (self.progress)(Progress::Done(&row, warm_up + iterations));
                 rows.push(row);

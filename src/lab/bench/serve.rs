@@ -10,13 +10,16 @@ use std::time::Instant;
 ///
 /// # Errors
 /// When a reply cannot be written. Any other failure is a reply.
-pub fn serve(registry: &ModelRegistry, requests: impl BufRead, mut replies: impl Write) -> io::Result<()> {
+pub fn serve(
+    registry: &ModelRegistry,
+    requests: impl BufRead,
+    mut replies: impl Write,
+) -> io::Result<()> {
     let mut probe = None;
     for line in requests.lines() {
         let reply = match serde_json::from_str(&line?) {
-            Ok(request) => {
-                answer(registry, &mut probe, request).unwrap_or_else(|error| Reply::Failed(error.to_string()))
-            }
+            Ok(request) => answer(registry, &mut probe, request)
+                .unwrap_or_else(|error| Reply::Failed(error.to_string())),
             Err(error) => Reply::Failed(format!("invalid request: {error}")),
         };
         writeln!(replies, "{}", serde_json::to_string(&reply)?)?;
@@ -25,21 +28,31 @@ pub fn serve(registry: &ModelRegistry, requests: impl BufRead, mut replies: impl
     Ok(())
 }
 
-fn answer(registry: &ModelRegistry, probe: &mut Option<LatencyProbe>, request: Request) -> Result<Reply, MllmError> {
+fn answer(
+    registry: &ModelRegistry,
+    probe: &mut Option<LatencyProbe>,
+    request: Request,
+) -> Result<Reply, MllmError> {
     Ok(match (request, probe) {
         (Request::Load(request), probe) => {
             let (loaded, opened) = load(registry, &request)?;
             *probe = Some(opened);
             Reply::Loaded(loaded)
         }
-        (Request::Run(steps), Some(probe)) => {
-            Reply::Ran(steps.into_iter().map(|step| probe.run(step)).collect::<Result<_, _>>()?)
-        }
+        (Request::Run(steps), Some(probe)) => Reply::Ran(
+            steps
+                .into_iter()
+                .map(|step| probe.run(step))
+                .collect::<Result<_, _>>()?,
+        ),
         (Request::Run(_), None) => Reply::Failed("no model is loaded".into()),
     })
 }
 
-fn load(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, LatencyProbe), MllmError> {
+fn load(
+    registry: &ModelRegistry,
+    request: &LoadRequest,
+) -> Result<(Loaded, LatencyProbe), MllmError> {
     let start = Instant::now();
     let registry = registry.clone().with_quantize(request.weight_format);
     let (place, loading) = match &request.model {
@@ -48,11 +61,17 @@ fn load(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, Late
             (registry.place(&spec)?, registry.loading(&spec)?)
         }
         ModelChoice::Random(shape) => {
-            let place = ModelPlace::Random { shape: ModelShape::find(shape)?, seed: request.seed };
+            let place = ModelPlace::Random {
+                shape: ModelShape::find(shape)?,
+                seed: request.seed,
+            };
             (place, registry.plain_loading())
         }
         ModelChoice::Gguf(GgufPair { decoder, projector }) => {
-            let place = ModelPlace::Gguf { model: decoder.clone(), mmproj: Some(projector.clone()) };
+            let place = ModelPlace::Gguf {
+                model: decoder.clone(),
+                mmproj: Some(projector.clone()),
+            };
             (place, registry.plain_loading())
         }
     };
@@ -66,7 +85,11 @@ fn load(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, Late
         image_side: info.image_size as u32,
         image_tokens,
         context: model.context(image_tokens),
-        layout: if info.image_first { Layout::ImageFirst } else { Layout::PrefixFirst },
+        layout: if info.image_first {
+            Layout::ImageFirst
+        } else {
+            Layout::PrefixFirst
+        },
         load_s,
         version: env!("CARGO_PKG_VERSION").to_owned(),
     };

@@ -41,7 +41,11 @@ impl Workload {
         match self {
             Self::Call(budget) => budget.call_steps(layout, image),
             // The prompt's pass gives the first token.
-            Self::Depth(tokens) => vec![Step::Keep(0), Step::Text(*tokens), Step::Sampled(DECODED + 1)],
+            Self::Depth(tokens) => vec![
+                Step::Keep(0),
+                Step::Text(*tokens),
+                Step::Sampled(DECODED + 1),
+            ],
         }
     }
 

@@ -56,7 +56,9 @@ impl Counts {
 
     fn add(&mut self, row: &Row) {
         self.states += 1;
-        self.modified += usize::from(row.state.contains(planagent_scenario::modified::MARK) && row.twin.is_none());
+        self.modified += usize::from(
+            row.state.contains(planagent_scenario::modified::MARK) && row.twin.is_none(),
+        );
         self.wide += usize::from(row.state.contains("/wide/"));
         self.twins += usize::from(row.twin.is_some());
         if let Some(lateral) = row.facts.get("lateral") {
@@ -72,10 +74,29 @@ impl Counts {
 
 impl fmt::Display for Counts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let share = |count: usize| format!("{count} ({:.1} %)", 100.0 * count as f64 / self.states.max(1) as f64);
-        let Self { states, modified, wide, twins, .. } = *self;
-        write!(f, "{states} states: {} modified, {} wide, {} of twins", share(modified), share(wide), share(twins))?;
+        let share = |count: usize| {
+            format!(
+                "{count} ({:.1} %)",
+                100.0 * count as f64 / self.states.max(1) as f64
+            )
+        };
+        let Self {
+            states,
+            modified,
+            wide,
+            twins,
+            ..
+        } = *self;
+        write!(
+            f,
+            "{states} states: {} modified, {} wide, {} of twins",
+            share(modified),
+            share(wide),
+            share(twins)
+        )?;
         let counted = self.lateral.iter().chain(&self.asked);
-        counted.into_iter().try_for_each(|(name, &count)| write!(f, "\n  {name}: {}", share(count)))
+        counted
+            .into_iter()
+            .try_for_each(|(name, &count)| write!(f, "\n  {name}: {}", share(count)))
     }
 }

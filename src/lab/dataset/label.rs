@@ -6,8 +6,8 @@ use planagent_agent::environment::facts::{Ahead, Light, Question};
 use planagent_agent::environment::text::{self, Description, TextForm};
 use planagent_agent::environment::{CenterlineName, LaneGraph, SceneFacts};
 use planagent_agent::reasoning::{
-    Lateral, LateralReason, Longitudinal, LongitudinalReason, Names, PromptError, PromptSet, Round, round_prompt,
-    system_prompt,
+    Lateral, LateralReason, Longitudinal, LongitudinalReason, Names, PromptError, PromptSet, Round,
+    round_prompt, system_prompt,
 };
 use planagent_runs::worker::search::{Candidate, NEAR_LIMIT};
 use serde::Serialize;
@@ -43,14 +43,16 @@ pub struct LabeledState {
     pub image: usize,
     /// System prompt, then prompts and answers.
     pub conversation: Vec<Message>,
-    /// All answers by question: those of round 1, `lateral`, `longitudinal`, and the search's `code`.
+    /// All answers by question: those of round 1, `lateral`, `longitudinal`, and the search's
+    /// `code`.
     pub facts: BTreeMap<String, String>,
     /// nuPlan's score of the labeled planner over the search's horizon.
     pub score: f64,
     /// Codes for expert iteration, the label among them; none where there is only one.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub tried: Vec<TriedCode>,
-    /// Occupancy grids now, 1 s and 2 s later, as 64 hexadecimal digits each (see [`OccupancyGrid`](planagent_agent::environment::OccupancyGrid)).
+    /// Occupancy grids now, 1 s and 2 s later, as 64 hexadecimal digits each (see
+    /// [`OccupancyGrid`](planagent_agent::environment::OccupancyGrid)).
     pub occupancy: [String; 3],
     /// Name of the text-twin pair that this state is one half of.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -98,7 +100,12 @@ impl Answer {
     }
 
     fn message(self) -> Message {
-        Message { role: "assistant", content: self.text, learn: self.learn, weights: self.weights }
+        Message {
+            role: "assistant",
+            content: self.text,
+            learn: self.learn,
+            weights: self.weights,
+        }
     }
 }
 
@@ -111,7 +118,8 @@ struct Instruction {
     why_longitudinal: LongitudinalReason,
 }
 
-/// The label of a state, without its occupancy grids. The first prompt contains `feedback` on a rejected planner, if any.
+/// The label of a state, without its occupancy grids. The first prompt contains `feedback` on a
+/// rejected planner, if any.
 pub(super) fn label(
     state: String,
     graph: &LaneGraph,
@@ -123,30 +131,66 @@ pub(super) fn label(
     let scene_text = text::write(&Description::of(graph), prompts.forms().scene_text);
     let instruction = instruction(graph, facts, best, limit(graph, prompts));
     let asked = prompts.forms().understanding.questions();
-    let questions = if asked.is_empty() { Question::first_version() } else { asked };
+    let questions = if asked.is_empty() {
+        Question::first_version()
+    } else {
+        asked
+    };
     let names = Names::of(graph);
-    let mut conversation =
-        vec![Message { role: "system", content: system_prompt(prompts, "")?, learn: vec![], weights: vec![] }];
+    let mut conversation = vec![Message {
+        role: "system",
+        content: system_prompt(prompts, "")?,
+        learn: vec![],
+        weights: vec![],
+    }];
     for &round in Round::ALL {
         let first = round == Round::Understanding;
-        let prompt =
-            round_prompt(prompts, round, &names, first.then_some(scene_text.as_str()), feedback.filter(|_| first))?;
-        let content = if first { format!("<image>\n{prompt}") } else { prompt };
-        conversation.push(Message { role: "user", content, learn: vec![], weights: vec![] });
+        let prompt = round_prompt(
+            prompts,
+            round,
+            &names,
+            first.then_some(scene_text.as_str()),
+            feedback.filter(|_| first),
+        )?;
+        let content = if first {
+            format!("<image>\n{prompt}")
+        } else {
+            prompt
+        };
+        conversation.push(Message {
+            role: "user",
+            content,
+            learn: vec![],
+            weights: vec![],
+        });
         conversation.push(match round {
             Round::Understanding => understanding_answer(facts, questions),
             Round::Instruction => instruction_answer(instruction, weights),
             Round::Code => code_answer(best, weights),
         });
     }
-    let mut answers: BTreeMap<String, String> =
-        questions.iter().map(|&q| (q.to_string(), facts.answer(q).to_owned())).collect();
+    let mut answers: BTreeMap<String, String> = questions
+        .iter()
+        .map(|&q| (q.to_string(), facts.answer(q).to_owned()))
+        .collect();
     answers.insert("lateral".to_owned(), instruction.lateral.to_string());
-    answers.insert("longitudinal".to_owned(), instruction.longitudinal.to_string());
+    answers.insert(
+        "longitudinal".to_owned(),
+        instruction.longitudinal.to_string(),
+    );
     answers.insert("code".to_owned(), best.code.to_string());
     let occupancy = Default::default();
     let tried = Vec::new();
-    Ok(LabeledState { state, image: 0, conversation, facts: answers, score: best.score, tried, occupancy, twin: None })
+    Ok(LabeledState {
+        state,
+        image: 0,
+        conversation,
+        facts: answers,
+        score: best.score,
+        tried,
+        occupancy,
+        twin: None,
+    })
 }
 
 /// The codes of a state for expert iteration; none where there is only one.
@@ -160,11 +204,24 @@ pub(super) fn tried_codes(
         return Vec::new();
     }
     let limit = limit(graph, prompts);
-    let tried = lessons.iter().map(|&Lesson { candidate, chance, weights }| {
-        let instruction = instruction(graph, facts, candidate, limit);
-        let answers = [instruction_answer(instruction, weights), code_answer(candidate, weights)];
-        TriedCode { chance, value: candidate.value, answers }
-    });
+    let tried = lessons.iter().map(
+        |&Lesson {
+             candidate,
+             chance,
+             weights,
+         }| {
+            let instruction = instruction(graph, facts, candidate, limit);
+            let answers = [
+                instruction_answer(instruction, weights),
+                code_answer(candidate, weights),
+            ];
+            TriedCode {
+                chance,
+                value: candidate.value,
+                answers,
+            }
+        },
+    );
     tried.collect()
 }
 
@@ -172,7 +229,9 @@ fn understanding_answer(facts: &SceneFacts, questions: &[Question]) -> Message {
     let mut answer = Answer::default();
     for (i, &question) in questions.iter().enumerate() {
         let space = if i == 0 { "" } else { " " };
-        answer = answer.fixed(&format!("{space}{question}=")).chosen(facts.answer(question));
+        answer = answer
+            .fixed(&format!("{space}{question}="))
+            .chosen(facts.answer(question));
     }
     answer.message()
 }
@@ -197,7 +256,12 @@ fn code_answer(best: &Candidate, weights: DecisionWeights) -> Message {
         .decided(code.centerline.as_str(), weights.lane)
         .fixed(", la=")
         // The lead agent on a centerline is a fact of the scene.
-        .decided(&code.lead_agent.map_or_else(|| "None".to_owned(), |name| name.to_string()), UNIT_GAIN)
+        .decided(
+            &code
+                .lead_agent
+                .map_or_else(|| "None".to_owned(), |name| name.to_string()),
+            UNIT_GAIN,
+        )
         .fixed(", v0=")
         .decided(&code.target_speed.to_string(), weights.speed)
         .fixed(", acc=")
@@ -210,7 +274,11 @@ fn code_answer(best: &Candidate, weights: DecisionWeights) -> Message {
 
 /// The limit that the text of a prompt set gives, m/s: the map's, or its estimate.
 fn limit(graph: &LaneGraph, prompts: &PromptSet) -> f64 {
-    let unknown = if prompts.forms().scene_text == TextForm::Compact { f64::INFINITY } else { graph.limit_estimate };
+    let unknown = if prompts.forms().scene_text == TextForm::Compact {
+        f64::INFINITY
+    } else {
+        graph.limit_estimate
+    };
     graph.ego_lane().speed_limit.unwrap_or(unknown)
 }
 
@@ -218,7 +286,9 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f
     let lateral = match best.code.centerline {
         CenterlineName::EgoLane => Lateral::Keep,
         CenterlineName::RightLane => Lateral::ChangeRight,
-        CenterlineName::OncomingLane if graph.oncoming.as_ref().is_some_and(|way| way.border < 0.0) => {
+        CenterlineName::OncomingLane
+            if graph.oncoming.as_ref().is_some_and(|way| way.border < 0.0) =>
+        {
             Lateral::ChangeRight
         }
         CenterlineName::LeftLane | CenterlineName::OncomingLane => Lateral::ChangeLeft,
@@ -226,7 +296,10 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f
     let why_lateral = match lateral {
         Lateral::Keep => LateralReason::LaneServes,
         _ if facts.blocked != Ahead::None => LateralReason::Blocked,
-        _ if graph.goal.is_some_and(|goal| goal.is_towards(best.code.centerline.lane_changes())) => {
+        _ if graph
+            .goal
+            .is_some_and(|goal| goal.is_towards(best.code.centerline.lane_changes())) =>
+        {
             LateralReason::GoalLane
         }
         _ if graph.lead_agent(CenterlineName::EgoLane).is_some() => LateralReason::SlowLead,
@@ -240,11 +313,21 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f
     } else {
         Longitudinal::Maintain
     };
-    Instruction { lateral, why_lateral, longitudinal, why_longitudinal: why_longitudinal(facts, best, lateral, limit) }
+    Instruction {
+        lateral,
+        why_lateral,
+        longitudinal,
+        why_longitudinal: why_longitudinal(facts, best, lateral, limit),
+    }
 }
 
 /// The visible reason that limits the speed most.
-fn why_longitudinal(facts: &SceneFacts, best: &Candidate, lateral: Lateral, limit: f64) -> LongitudinalReason {
+fn why_longitudinal(
+    facts: &SceneFacts,
+    best: &Candidate,
+    lateral: Lateral,
+    limit: f64,
+) -> LongitudinalReason {
     if best.speed_later > NEAR_LIMIT * limit {
         return LongitudinalReason::SpeedLimit;
     }

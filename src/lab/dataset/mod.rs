@@ -1,5 +1,5 @@
-//! Labeled states for training. A noisy search or a model controls the ego in generated scenarios, and the search labels each
-//! state with the best planner.
+//! Labeled states for training. A noisy search or a model controls the ego in generated scenarios,
+//! and the search labels each state with the best planner.
 //!
 //! The seeds of training, validation and test are disjoint (see [`Split`]).
 
@@ -32,8 +32,9 @@ pub struct Settings<'a> {
     pub prompts: &'a PromptSet,
     /// Size of the images and of the area that they show.
     pub view: BevView,
-    /// PlanAgent with a model that controls the ego between the states (`DAgger`): the states and the rejections are its own.
-    /// Without it, the search controls the ego, with exploration. The search labels the states in both cases.
+    /// PlanAgent with a model that controls the ego between the states (`DAgger`): the states and
+    /// the rejections are its own. Without it, the search controls the ego, with exploration. The
+    /// search labels the states in both cases.
     pub driver: Option<&'a AgentParts>,
     /// Share of the scenarios that are modified by interPlan's kinds, from 0 to 1.
     pub modified: f64,
@@ -53,7 +54,8 @@ pub enum DatasetError {
     NoScenarioLeft { split: &'static str, seed: u64 },
 }
 
-/// Checks that a dataset with these settings can be begun or resumed in a folder, and writes nothing.
+/// Checks that a dataset with these settings can be begun or resumed in a folder, and writes
+/// nothing.
 ///
 /// # Errors
 /// When it holds other files, or a dataset with other settings.
@@ -62,8 +64,8 @@ pub fn check_folder(folder: &Path, settings: &Settings<'_>) -> Result<(), Datase
     Ok(())
 }
 
-/// Writes shards until a split has `states` labeled states. Complete shards of an earlier run stay. Gives the number of states;
-/// `on_states` gets that of each shard.
+/// Writes shards until a split has `states` labeled states. Complete shards of an earlier run stay.
+/// Gives the number of states; `on_states` gets that of each shard.
 pub fn write_split(
     folder: &Path,
     split: Split,
@@ -72,17 +74,27 @@ pub fn write_split(
     on_states: &dyn Fn(usize),
 ) -> Result<usize, DatasetError> {
     shard::open_folder(folder, &meta(settings))?;
-    let name = if settings.driver.is_some() { format!("{}-driven", split.as_str()) } else { split.as_str().to_owned() };
+    let name = if settings.driver.is_some() {
+        format!("{}-driven", split.as_str())
+    } else {
+        split.as_str().to_owned()
+    };
     let make = |number: usize| -> Result<LabeledStates, DatasetError> {
         let scenarios = scenes::scenarios(split, number, settings)?;
-        let labeled = scenarios.par_iter().map(|spec| states::label_scenario(spec, settings));
-        Ok(labeled.collect::<Result<Vec<_>, PromptError>>()?.into_iter().flatten().collect())
+        let labeled = scenarios
+            .par_iter()
+            .map(|spec| states::label_scenario(spec, settings));
+        Ok(labeled
+            .collect::<Result<Vec<_>, PromptError>>()?
+            .into_iter()
+            .flatten()
+            .collect())
     };
     write_shards(folder, &name, states, settings, (&make, on_states))
 }
 
-/// Writes shards until a split has the states of `pairs` text twins; the two states of a pair follow each other. Gives the
-/// number of pairs; `on_pairs` gets that of each shard.
+/// Writes shards until a split has the states of `pairs` text twins; the two states of a pair
+/// follow each other. Gives the number of pairs; `on_pairs` gets that of each shard.
 pub fn write_twins(
     folder: &Path,
     split: Split,
@@ -94,16 +106,30 @@ pub fn write_twins(
     let make = |number: usize| -> Result<LabeledStates, DatasetError> {
         let names = twins::candidates(split, number, settings)?;
         let labeled = names.par_iter().map(|name| twins::labeled(name, settings));
-        Ok(labeled.collect::<Result<Vec<_>, PromptError>>()?.into_iter().flatten().flatten().collect())
+        Ok(labeled
+            .collect::<Result<Vec<_>, PromptError>>()?
+            .into_iter()
+            .flatten()
+            .flatten()
+            .collect())
     };
     let name = format!("{}-twins", split.as_str());
-    Ok(write_shards(folder, &name, 2 * pairs, settings, (&make, &|states| on_pairs(states / 2)))? / 2)
+    Ok(write_shards(
+        folder,
+        &name,
+        2 * pairs,
+        settings,
+        (&make, &|states| on_pairs(states / 2)),
+    )? / 2)
 }
 
 /// States with their images.
 type LabeledStates = Vec<(LabeledState, RgbImage)>;
 /// Makes the shard of a number, and gets the number of its states.
-type ShardMaker<'a> = (&'a dyn Fn(usize) -> Result<LabeledStates, DatasetError>, &'a dyn Fn(usize));
+type ShardMaker<'a> = (
+    &'a dyn Fn(usize) -> Result<LabeledStates, DatasetError>,
+    &'a dyn Fn(usize),
+);
 
 /// Writes shards until there are at least `states` states, and returns their number.
 fn write_shards(

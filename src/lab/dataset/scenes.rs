@@ -17,7 +17,8 @@ pub(super) const SCENARIOS_PER_SEED: u64 = 100_000;
 /// The first of these for datasets in which a model controls the ego.
 pub(super) const FIRST_OF_MODEL: u64 = SCENARIOS_PER_SEED / 2;
 
-/// Types of the scenarios, in turn. Those in which a lane change is often right occur more than once.
+/// Types of the scenarios, in turn. Those in which a lane change is often right occur more than
+/// once.
 pub(super) const MIX: [ScenarioType; 20] = [
     types::starting_left_turn::TYPE,
     types::starting_right_turn::TYPE,
@@ -42,29 +43,44 @@ pub(super) const MIX: [ScenarioType; 20] = [
 ];
 
 /// The scenarios of a shard.
-pub(super) fn scenarios(split: Split, shard: usize, settings: &Settings<'_>) -> Result<Vec<Spec>, DatasetError> {
+pub(super) fn scenarios(
+    split: Split,
+    shard: usize,
+    settings: &Settings<'_>,
+) -> Result<Vec<Spec>, DatasetError> {
     let Range { start, end } = split.seeds();
     let own = start.saturating_add(settings.seed.saturating_mul(SCENARIOS_PER_SEED));
     let (begin, end) = match settings.driver {
-        Some(_) => (own.saturating_add(FIRST_OF_MODEL), own.saturating_add(SCENARIOS_PER_SEED).min(end)),
+        Some(_) => (
+            own.saturating_add(FIRST_OF_MODEL),
+            own.saturating_add(SCENARIOS_PER_SEED).min(end),
+        ),
         None => (own, own.saturating_add(FIRST_OF_MODEL).min(end)),
     };
     let first = begin.saturating_add((shard as u64).saturating_mul(SCENARIOS_PER_SHARD));
     if first.saturating_add(SCENARIOS_PER_SHARD) > end {
-        return Err(DatasetError::NoScenarioLeft { split: split.as_str(), seed: settings.seed });
+        return Err(DatasetError::NoScenarioLeft {
+            split: split.as_str(),
+            seed: settings.seed,
+        });
     }
     let has_wide = settings.prompts.forms().scene_text == TextForm::Compact2;
     let spec = |seed: u64| {
         let (round, kind) = (seed as usize / MIX.len(), seed as usize % MIX.len());
         let spec = Spec::new(MIX[kind], seed);
-        // Limits are unknown in wide scenarios alone, and the second compact text says what they may be.
-        if has_wide && round % 2 == 1 { spec.widened() } else { spec }
+        // Limits are unknown in wide scenarios alone, and the second compact text says what they
+        // may be.
+        if has_wide && round % 2 == 1 {
+            spec.widened()
+        } else {
+            spec
+        }
     };
     Ok((first..first + SCENARIOS_PER_SHARD).map(spec).collect())
 }
 
-/// The scenario of a spec. For the share of scenarios that the settings name, one of interPlan's kinds modifies it, if one fits.
-/// None if the generator discards all its draws.
+/// The scenario of a spec. For the share of scenarios that the settings name, one of interPlan's
+/// kinds modifies it, if one fits. None if the generator discards all its draws.
 pub(super) fn scenario(spec: &Spec, settings: &Settings<'_>) -> Option<Scenario> {
     let base = generator::generate(spec).ok()?;
     let mut random = Pcg64Mcg::seed_from_u64(spec.seed.wrapping_mul(0xD6E8_FEB8_6659_FD93));
@@ -74,7 +90,13 @@ pub(super) fn scenario(spec: &Spec, settings: &Settings<'_>) -> Option<Scenario>
     let kinds = InteractionKind::ALL;
     let first = random.random_range(0..kinds.len());
     let mut in_turn = kinds.iter().cycle().skip(first).take(kinds.len());
-    let modified = |kind: &InteractionKind| ModifiedName::of(*kind).read().ok()?.apply(base.clone()).ok();
+    let modified = |kind: &InteractionKind| {
+        ModifiedName::of(*kind)
+            .read()
+            .ok()?
+            .apply(base.clone())
+            .ok()
+    };
     Some(in_turn.find_map(modified).unwrap_or(base))
 }
 
@@ -98,12 +120,19 @@ mod tests {
         };
         let ends = |scenes: Vec<Spec>| (scenes[0].seed, scenes.last().unwrap().seed);
         assert_eq!(ends(scenes(0, 0).unwrap()), (10_000_000, 10_000_019));
-        assert_eq!(ends(scenes(0, last).unwrap()), (10_049_980, 10_049_999), "the rest is for datasets with a model");
+        assert_eq!(
+            ends(scenes(0, last).unwrap()),
+            (10_049_980, 10_049_999),
+            "the rest is for datasets with a model"
+        );
         assert_eq!(ends(scenes(1, 0).unwrap()).0, 10_100_000);
         assert_eq!(ends(scenes(99, last).unwrap()).1, 19_949_999);
         for (seed, shard) in [(0, last + 1), (100, 0), (u64::MAX, 0)] {
             let error = scenes(seed, shard).unwrap_err().to_string();
-            assert!(error.contains(&format!("no more scenarios for seed {seed}")), "{error}");
+            assert!(
+                error.contains(&format!("no more scenarios for seed {seed}")),
+                "{error}"
+            );
         }
     }
 }

@@ -1,11 +1,12 @@
 //! Shards on disk: a JSONL file of labeled states and a PNG with their images, one below the other.
 //!
-//! Beside its conversation, a state has `occupancy`: three grids of 16 x 16 cells, for now, 1 s and 2 s later. All of them cover
-//! the area of the present picture. Each is 64 hexadecimal digits, row by row and four digits a row. Row 0 is the top of the
-//! picture, and the highest bit of a row is its left column. A bit is set where the box of a vehicle, bicycle, pedestrian or
-//! static object touches the cell. Where the search accepts several codes, `tried` has each with its chance, its value and the
-//! answers of the last two rounds that lead to it. Two consecutive states with the same `twin` have the same prompts, other pictures and other
-//! best codes.
+//! Beside its conversation, a state has `occupancy`: three grids of 16 x 16 cells, for now, 1 s and
+//! 2 s later. All of them cover the area of the present picture. Each is 64 hexadecimal digits, row
+//! by row and four digits a row. Row 0 is the top of the picture, and the highest bit of a row is
+//! its left column. A bit is set where the box of a vehicle, bicycle, pedestrian or static object
+//! touches the cell. Where the search accepts several codes, `tried` has each with its chance, its
+//! value and the answers of the last two rounds that lead to it. Two consecutive states with the
+//! same `twin` have the same prompts, other pictures and other best codes.
 
 use super::label::LabeledState;
 use image::{ImageError, RgbImage};
@@ -59,14 +60,19 @@ pub(super) fn is_begun(folder: &Path, meta: &impl Serialize) -> Result<bool, Sha
     match fs::read_to_string(folder.join(META)) {
         Ok(present) if present == text(meta)? => Ok(true),
         Ok(_) => Err(other()),
-        Err(_) if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) => Err(other()),
+        Err(_) if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) => {
+            Err(other())
+        }
         Err(_) => Ok(false),
     }
 }
 
 /// Creates the folder with its `meta.json`, or resumes a dataset with the same `meta.json`.
 pub(super) fn open_folder(folder: &Path, meta: &impl Serialize) -> Result<(), ShardError> {
-    fs::create_dir_all(folder).map_err(|source| ShardError::Write { path: folder.to_owned(), source })?;
+    fs::create_dir_all(folder).map_err(|source| ShardError::Write {
+        path: folder.to_owned(),
+        source,
+    })?;
     if is_begun(folder, meta)? {
         return Ok(());
     }
@@ -84,29 +90,54 @@ pub(super) fn paths(folder: &Path, split: &str, shard: usize) -> (PathBuf, PathB
     (base.with_extension("jsonl"), base.with_extension("png"))
 }
 
-/// Number of states of a complete shard. The JSONL file is written last, so its presence shows completeness.
+/// Number of states of a complete shard. The JSONL file is written last, so its presence shows
+/// completeness.
 pub(super) fn complete(folder: &Path, split: &str, shard: usize) -> Option<usize> {
-    fs::read_to_string(paths(folder, split, shard).0).ok().map(|text| text.lines().count())
+    fs::read_to_string(paths(folder, split, shard).0)
+        .ok()
+        .map(|text| text.lines().count())
 }
 
 /// The lines of all complete shards of a split, in the order of their names.
 pub(super) fn lines(folder: &Path, split: &str) -> Result<Vec<String>, ShardError> {
-    let failed = |source| ShardError::Read { path: folder.to_owned(), source };
-    let is_of_split = |path: &PathBuf| {
-        let name = path.file_name().expect("an entry of a folder has a name").to_string_lossy();
-        name.starts_with(&format!("{split}-")) && name.ends_with(".jsonl") && !name.contains(".unfinished")
+    let failed = |source| ShardError::Read {
+        path: folder.to_owned(),
+        source,
     };
-    let entries = fs::read_dir(folder).map_err(failed)?.collect::<Result<Vec<_>, _>>().map_err(failed)?;
-    let mut paths: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).filter(is_of_split).collect();
+    let is_of_split = |path: &PathBuf| {
+        let name = path
+            .file_name()
+            .expect("an entry of a folder has a name")
+            .to_string_lossy();
+        name.starts_with(&format!("{split}-"))
+            && name.ends_with(".jsonl")
+            && !name.contains(".unfinished")
+    };
+    let entries = fs::read_dir(folder)
+        .map_err(failed)?
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(failed)?;
+    let mut paths: Vec<PathBuf> = entries
+        .into_iter()
+        .map(|entry| entry.path())
+        .filter(is_of_split)
+        .collect();
     paths.sort();
-    let texts = paths
-        .iter()
-        .map(|path| fs::read_to_string(path).map_err(|source| ShardError::Read { path: path.clone(), source }));
+    let texts = paths.iter().map(|path| {
+        fs::read_to_string(path).map_err(|source| ShardError::Read {
+            path: path.clone(),
+            source,
+        })
+    });
     let texts = texts.collect::<Result<Vec<_>, _>>()?;
-    Ok(texts.iter().flat_map(|text| text.lines().map(str::to_owned)).collect())
+    Ok(texts
+        .iter()
+        .flat_map(|text| text.lines().map(str::to_owned))
+        .collect())
 }
 
-/// Writes a shard, and gives the number of its states: each file under a temporary name first, the PNG before the JSONL.
+/// Writes a shard, and gives the number of its states: each file under a temporary name first, the
+/// PNG before the JSONL.
 pub(super) fn write(
     folder: &Path,
     split: &str,
@@ -125,14 +156,25 @@ pub(super) fn write(
         lines.push('\n');
     }
     let unfinished = png.with_extension("unfinished.png");
-    stack.save(&unfinished).map_err(|source| ShardError::Image { path: unfinished.clone(), source })?;
+    stack
+        .save(&unfinished)
+        .map_err(|source| ShardError::Image {
+            path: unfinished.clone(),
+            source,
+        })?;
     rename(&unfinished, &png)?;
     let unfinished = jsonl.with_extension("unfinished.jsonl");
-    fs::write(&unfinished, lines).map_err(|source| ShardError::Write { path: unfinished.clone(), source })?;
+    fs::write(&unfinished, lines).map_err(|source| ShardError::Write {
+        path: unfinished.clone(),
+        source,
+    })?;
     rename(&unfinished, &jsonl)?;
     Ok(count)
 }
 
 fn rename(from: &Path, to: &Path) -> Result<(), ShardError> {
-    fs::rename(from, to).map_err(|source| ShardError::Write { path: to.to_owned(), source })
+    fs::rename(from, to).map_err(|source| ShardError::Write {
+        path: to.to_owned(),
+        source,
+    })
 }

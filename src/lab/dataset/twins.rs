@@ -1,8 +1,8 @@
 //! Text twins: pairs of scenes with byte-identical prompts, other pictures and other best codes.
 //!
-//! A pair is one generated scenario with two modifications ([`Twin`]). It counts if in each scene the best code gains at least
-//! [`MIN_GAIN`] over the best code of the other. No code of the search may be right in both. So a model that reads the text alone
-//! is right in one scene at most.
+//! A pair is one generated scenario with two modifications ([`Twin`]). It counts if in each scene
+//! the best code gains at least [`MIN_GAIN`] over the best code of the other. No code of the search
+//! may be right in both. So a model that reads the text alone is right in one scene at most.
 
 use super::label::{self, LabeledState};
 use super::label_weights::DecisionWeights;
@@ -13,7 +13,9 @@ use planagent_agent::environment::text::{self, Description};
 use planagent_agent::environment::{
     BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, SceneFacts, TextForm, bev,
 };
-use planagent_agent::reasoning::{Names, PlannerCode, PromptError, PromptSet, Round, round_prompt, system_prompt};
+use planagent_agent::reasoning::{
+    Names, PlannerCode, PromptError, PromptSet, Round, round_prompt, system_prompt,
+};
 use planagent_agent::simulation::{Challenge, ClosedLoop};
 use planagent_runs::worker::search::{self, Candidate};
 use planagent_scenario::Scenario;
@@ -51,29 +53,48 @@ pub struct PairName {
 }
 
 impl PairName {
-    /// The candidates of a seed; the first that fits counts. Their kind and type depend on `number` alone.
+    /// The candidates of a seed; the first that fits counts. Their kind and type depend on `number`
+    /// alone.
     pub fn candidates(seed: u64, number: u64, may_be_wide: bool) -> [Self; 2] {
         let kind = TwinKind::ALL[(number % 4) as usize];
         let base = Spec::new(TYPES[(number / 8 % 4) as usize], seed);
-        let base = if may_be_wide && number / 32 % 2 == 1 { base.widened() } else { base };
+        let base = if may_be_wide && number / 32 % 2 == 1 {
+            base.widened()
+        } else {
+            base
+        };
         let of_side = |side| Self { kind, side, base };
         let sides = [TwinSide::Left, TwinSide::Right].map(of_side);
-        if (number / 4).is_multiple_of(2) { sides } else { [sides[1], sides[0]] }
+        if (number / 4).is_multiple_of(2) {
+            sides
+        } else {
+            [sides[1], sides[0]]
+        }
     }
 
     fn twin(&self, part: TwinPart) -> Twin {
-        Twin { kind: self.kind, side: self.side, part }
+        Twin {
+            kind: self.kind,
+            side: self.side,
+            part,
+        }
     }
 
     /// The words of its two scenes, as `simulate` takes them.
     pub fn words(&self) -> [String; 2] {
-        TwinPart::ALL.map(|part| ModifiedName::of_twin(self.twin(part)).mark(&self.base.to_string()))
+        TwinPart::ALL
+            .map(|part| ModifiedName::of_twin(self.twin(part)).mark(&self.base.to_string()))
     }
 }
 
 impl fmt::Display for PairName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{MARK}{}", self.base, self.twin(TwinPart::OwnClosed).pair())
+        write!(
+            f,
+            "{}{MARK}{}",
+            self.base,
+            self.twin(TwinPart::OwnClosed).pair()
+        )
     }
 }
 
@@ -91,7 +112,11 @@ impl FromStr for PairName {
         let parse = || {
             let (base, name) = word.rsplit_once(MARK)?;
             let Twin { kind, side, .. } = Twin::named(&format!("{name}_a"))?;
-            Some(Self { kind, side, base: base.parse().ok()? })
+            Some(Self {
+                kind,
+                side,
+                base: base.parse().ok()?,
+            })
         };
         parse().ok_or_else(|| UnknownPair(word.to_owned()))
     }
@@ -110,18 +135,26 @@ pub struct TwinScene {
 impl TwinScene {
     /// The value of a code here; none if it gives no plan.
     pub fn value(&self, code: PlannerCode) -> Option<f64> {
-        let tried = self.tried.iter().find(|candidate| candidate.code == code).map(|candidate| candidate.value);
-        tried.or_else(|| search::attempt(&self.simulation, &self.graph, code).map(|candidate| candidate.value))
+        let tried = self
+            .tried
+            .iter()
+            .find(|candidate| candidate.code == code)
+            .map(|candidate| candidate.value);
+        tried.or_else(|| {
+            search::attempt(&self.simulation, &self.graph, code).map(|candidate| candidate.value)
+        })
     }
 
     /// Whether a code is as good as the best one, but for [`RIGHT_WITHIN`].
     pub fn is_right(&self, code: PlannerCode) -> bool {
-        self.value(code).is_some_and(|value| value >= self.best.value - RIGHT_WITHIN)
+        self.value(code)
+            .is_some_and(|value| value >= self.best.value - RIGHT_WITHIN)
     }
 
     /// The gain of the best code over another; infinite over one without a plan.
     fn gain_over(&self, code: PlannerCode) -> f64 {
-        self.value(code).map_or(f64::INFINITY, |value| self.best.value - value)
+        self.value(code)
+            .map_or(f64::INFINITY, |value| self.best.value - value)
     }
 }
 
@@ -151,16 +184,31 @@ fn asked(
     prompts: &PromptSet,
 ) -> Result<(Vec<String>, BTreeSet<String>), PromptError> {
     let form = prompts.forms().scene_text;
-    let graph = if form.names_oncoming_lane() { &graph.clone().with_oncoming_lane(scene) } else { graph };
+    let graph = if form.names_oncoming_lane() {
+        &graph.clone().with_oncoming_lane(scene)
+    } else {
+        graph
+    };
     let names = Names::of(graph);
     let scene_text = text::write(&Description::of(graph), form);
     let mut texts = vec![system_prompt(prompts, "")?];
     for &round in Round::ALL {
         let first = round == Round::Understanding;
-        texts.push(round_prompt(prompts, round, &names, first.then_some(scene_text.as_str()), None)?);
+        texts.push(round_prompt(
+            prompts,
+            round,
+            &names,
+            first.then_some(scene_text.as_str()),
+            None,
+        )?);
     }
     let may_name = names.lead_agents.iter().map(ToString::to_string);
-    Ok((texts, may_name.chain(names.centerlines.iter().map(ToString::to_string)).collect()))
+    Ok((
+        texts,
+        may_name
+            .chain(names.centerlines.iter().map(ToString::to_string))
+            .collect(),
+    ))
 }
 
 /// Both scenes of a pair, if it is one in these prompt sets and this view.
@@ -188,7 +236,9 @@ pub fn open_first(
     view: &BevView,
 ) -> Result<(PairName, Result<[TwinScene; 2], NoPair>), PromptError> {
     let [first, second] = names;
-    let Ok(base) = generator::generate(&first.base) else { return Ok((*first, Err(NoPair::NoScene))) };
+    let Ok(base) = generator::generate(&first.base) else {
+        return Ok((*first, Err(NoPair::NoScene)));
+    };
     match open_on(&base, first, prompts, view)? {
         Err(NoPair::NoScene) => Ok((*second, open_on(&base, second, prompts, view)?)),
         opened => Ok((*first, opened)),
@@ -201,10 +251,15 @@ fn open_on(
     prompts: &[PromptSet],
     view: &BevView,
 ) -> Result<Result<[TwinScene; 2], NoPair>, PromptError> {
-    let Some(own) = scene(base, name.twin(TwinPart::OwnClosed)) else { return Ok(Err(NoPair::NoScene)) };
-    let Some(beside) = scene(base, name.twin(TwinPart::BesideClosed)) else { return Ok(Err(NoPair::NoScene)) };
+    let Some(own) = scene(base, name.twin(TwinPart::OwnClosed)) else {
+        return Ok(Err(NoPair::NoScene));
+    };
+    let Some(beside) = scene(base, name.twin(TwinPart::BesideClosed)) else {
+        return Ok(Err(NoPair::NoScene));
+    };
     for set in prompts {
-        let [own, beside] = [&own, &beside].map(|(simulation, graph)| asked(&simulation.scene(), graph, set));
+        let [own, beside] =
+            [&own, &beside].map(|(simulation, graph)| asked(&simulation.scene(), graph, set));
         if own? != beside? {
             return Ok(Err(NoPair::TextDiffers));
         }
@@ -219,7 +274,11 @@ type Prepared = (ClosedLoop<'static>, LaneGraph);
 
 /// A scene at its start.
 fn scene(base: &Scenario, twin: Twin) -> Option<Prepared> {
-    let scenario = ModifiedName::of_twin(twin).read().ok()?.apply(base.clone()).ok()?;
+    let scenario = ModifiedName::of_twin(twin)
+        .read()
+        .ok()?
+        .apply(base.clone())
+        .ok()?;
     let simulation = ClosedLoop::new(Arc::new(scenario), Challenge::CLOSED_LOOP[0]).ok()?;
     let graph = LaneGraph::build(&simulation.scene(), DEFAULT_NODE_LENGTH).ok()?;
     Some((simulation, graph))
@@ -229,7 +288,12 @@ fn searched(own: Prepared, beside: Prepared) -> Result<[TwinScene; 2], NoPair> {
     let search = |(simulation, graph): Prepared| {
         let tried = search::search(&simulation, &graph);
         let best = search::best(&tried)?.clone();
-        Some(TwinScene { simulation, graph, tried, best })
+        Some(TwinScene {
+            simulation,
+            graph,
+            tried,
+            best,
+        })
     };
     let own = search(own).ok_or(NoPair::NoCode)?;
     if own.best.code.centerline == CenterlineName::EgoLane {
@@ -239,7 +303,11 @@ fn searched(own: Prepared, beside: Prepared) -> Result<[TwinScene; 2], NoPair> {
     if own.gain_over(beside.best.code) < MIN_GAIN || beside.gain_over(own.best.code) < MIN_GAIN {
         return Err(NoPair::SmallGain);
     }
-    let mut tried = own.tried.iter().chain(&beside.tried).map(|candidate| candidate.code);
+    let mut tried = own
+        .tried
+        .iter()
+        .chain(&beside.tried)
+        .map(|candidate| candidate.code);
     if tried.any(|code| own.is_right(code) && beside.is_right(code)) {
         return Err(NoPair::BothRight);
     }
@@ -254,12 +322,20 @@ pub(super) fn candidates(
 ) -> Result<Vec<[PairName; 2]>, DatasetError> {
     let first = (shard as u64).saturating_mul(CANDIDATES_PER_SHARD);
     let last = first.saturating_add(CANDIDATES_PER_SHARD);
-    let own = split.seeds().start.saturating_add(settings.seed.saturating_mul(SCENARIOS_PER_SEED));
+    let own = split
+        .seeds()
+        .start
+        .saturating_add(settings.seed.saturating_mul(SCENARIOS_PER_SEED));
     if last > SCENARIOS_PER_SEED || own.saturating_add(last) > split.seeds().end {
-        return Err(DatasetError::NoScenarioLeft { split: split.as_str(), seed: settings.seed });
+        return Err(DatasetError::NoScenarioLeft {
+            split: split.as_str(),
+            seed: settings.seed,
+        });
     }
     let may_be_wide = settings.prompts.forms().scene_text == TextForm::Compact2;
-    Ok((first..last).map(|number| PairName::candidates(own + number, number, may_be_wide)).collect())
+    Ok((first..last)
+        .map(|number| PairName::candidates(own + number, number, may_be_wide))
+        .collect())
 }
 
 /// The two labeled states of a pair; none if neither name is one.
@@ -267,19 +343,43 @@ pub(super) fn labeled(
     names: &[PairName; 2],
     settings: &Settings<'_>,
 ) -> Result<Option<[(LabeledState, RgbImage); 2]>, PromptError> {
-    let (name, opened) = open_first(names, std::slice::from_ref(settings.prompts), &settings.view)?;
+    let (name, opened) = open_first(
+        names,
+        std::slice::from_ref(settings.prompts),
+        &settings.view,
+    )?;
     let Ok(pair) = opened else { return Ok(None) };
     let state = |one: &TwinScene| -> Result<Option<(LabeledState, RgbImage)>, PromptError> {
-        let TwinScene { simulation, graph, tried, best } = one;
-        let Some(occupancy) = states::occupancy(simulation, graph, best, &settings.view) else { return Ok(None) };
+        let TwinScene {
+            simulation,
+            graph,
+            tried,
+            best,
+        } = one;
+        let Some(occupancy) = states::occupancy(simulation, graph, best, &settings.view) else {
+            return Ok(None);
+        };
         let scene = simulation.scene();
         let facts = SceneFacts::of(&scene, graph);
         let weights = DecisionWeights::of(best, tried, false);
         let state = format!("{}@0.0", simulation.scenario().id);
-        let label = label::label(state, graph, &facts, (best, weights), settings.prompts, None)?;
-        let label = LabeledState { occupancy, twin: Some(name.to_string()), ..label };
+        let label = label::label(
+            state,
+            graph,
+            &facts,
+            (best, weights),
+            settings.prompts,
+            None,
+        )?;
+        let label = LabeledState {
+            occupancy,
+            twin: Some(name.to_string()),
+            ..label
+        };
         Ok(Some((label, bev::render(&scene, &settings.view))))
     };
     let [own, beside] = &pair;
-    Ok(state(own)?.zip(state(beside)?).map(|(own, beside)| [own, beside]))
+    Ok(state(own)?
+        .zip(state(beside)?)
+        .map(|(own, beside)| [own, beside]))
 }

@@ -10,7 +10,8 @@ pub use request::ExperimentsRequest;
 pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
 
 use crate::report::{
-    BenchFigures, BenchFolder, ModelFigures, Outcome, StudyFolder, StudyResults, SuiteSimulations, VariantSimulations,
+    BenchFigures, BenchFolder, ModelFigures, Outcome, StudyFolder, StudyResults, SuiteSimulations,
+    VariantSimulations,
 };
 use crate::study::{Quick, Study, StudyError, find};
 use crate::twins::{TwinError, TwinResults};
@@ -68,7 +69,12 @@ impl<'a> Experiments<'a> {
         config: &'a Config,
         listener: &'a Listener,
     ) -> Result<Self, RunnerError> {
-        Ok(Self { request, config, listener, suites: Suites::new(request, listener)? })
+        Ok(Self {
+            request,
+            config,
+            listener,
+            suites: Suites::new(request, listener)?,
+        })
     }
 
     /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
@@ -82,33 +88,47 @@ impl<'a> Experiments<'a> {
         Ok((counted, folder.path().to_owned()))
     }
 
-    /// Asks the model in the text twins that are left, and writes the results; gives the folder of these.
+    /// Asks the model in the text twins that are left, and writes the results; gives the folder of
+    /// these.
     pub fn ask_twins(&mut self) -> Result<(Vec<TwinResults>, PathBuf), RunnerError> {
-        let (runs, folder) = (self.request.out.join(RUNS), StudyFolder::new(self.folder(TWINS)));
+        let (runs, folder) = (
+            self.request.out.join(RUNS),
+            StudyFolder::new(self.folder(TWINS)),
+        );
         check_writable(&runs)?;
         check_writable(folder.path())?;
         let lists = twins::lists(self.request)?;
-        let results = lists.iter().map(|list| twins::judge(list, self.config, &runs, self.listener));
+        let results = lists
+            .iter()
+            .map(|list| twins::judge(list, self.config, &runs, self.listener));
         let results = results.collect::<Result<Vec<_>, _>>()?;
         twins::write(&folder, &results, &self.command(TWINS)?)?;
         Ok((results, folder.path().to_owned()))
     }
 
-    /// Simulates what is left of the studies' runs, and writes the results. A word is the name of a study or the path of its
-    /// file.
-    pub fn simulate<'w>(&mut self, words: impl IntoIterator<Item = &'w str>) -> Result<StudyOutcome, RunnerError> {
+    /// Simulates what is left of the studies' runs, and writes the results. A word is the name of a
+    /// study or the path of its file.
+    pub fn simulate<'w>(
+        &mut self,
+        words: impl IntoIterator<Item = &'w str>,
+    ) -> Result<StudyOutcome, RunnerError> {
         let started = Instant::now();
         let studies = words.into_iter().map(find).collect::<Result<Vec<_>, _>>()?;
         let bench = self.bench()?;
         // Planning loads the models, which takes long: what is wrong with a folder is said before.
         check_writable(&self.request.out.join(RUNS))?;
-        studies.iter().try_for_each(|study| check_writable(&self.folder(&study.name)))?;
+        studies
+            .iter()
+            .try_for_each(|study| check_writable(&self.folder(&study.name)))?;
         let mut runs = PlannedRuns::new(self.config, &self.request.registry, self.listener);
         let mut planned = Vec::new();
         for study in studies {
             let mut suites = Vec::new();
             for suite in self.suites.of(&study.name, &study.suites, study.starts)? {
-                let names = study.variants.iter().map(|variant| runs.add(&suite, variant));
+                let names = study
+                    .variants
+                    .iter()
+                    .map(|variant| runs.add(&suite, variant));
                 let names = names.collect::<Result<_, RunnerError>>()?;
                 suites.push((suite, names));
             }
@@ -121,12 +141,19 @@ impl<'a> Experiments<'a> {
         let parameters = runs.parameters();
         let mut open = runs.open(&self.request.out.join(RUNS), self.request.retry_failed)?;
         let (runs, completed, left) = open.counts();
-        (self.listener)(Event::Planned { runs, completed, left });
+        (self.listener)(Event::Planned {
+            runs,
+            completed,
+            left,
+        });
         if left > 0 {
             open.simulate_first()?;
             let left = open.counts().2;
             if left > 0 {
-                (self.listener)(Event::Estimated { left, time: open.time_left() });
+                (self.listener)(Event::Estimated {
+                    left,
+                    time: open.time_left(),
+                });
             }
         }
         let rows = open.complete(started)?;
@@ -139,8 +166,10 @@ impl<'a> Experiments<'a> {
                     missing.push(list.clone());
                 }
             }
-            let simulated: Vec<SuiteSimulations> =
-                suites.iter().map(|(suite, names)| simulations(suite, names, &rows, &parameters)).collect();
+            let simulated: Vec<SuiteSimulations> = suites
+                .iter()
+                .map(|(suite, names)| simulations(suite, names, &rows, &parameters))
+                .collect();
             let quick = self.request.quick.then_some(Quick::DEFAULT);
             let of_study = StudyResults::new(&study, &simulated, quick, self.config.seed, &bench);
             let folder = StudyFolder::new(self.folder(&study.name));
@@ -158,7 +187,9 @@ impl<'a> Experiments<'a> {
 
     /// The models of the bench that is named.
     fn bench(&self) -> Result<Vec<ModelFigures>, RunnerError> {
-        let Some(path) = &self.request.bench else { return Ok(Vec::new()) };
+        let Some(path) = &self.request.bench else {
+            return Ok(Vec::new());
+        };
         let figures = BenchFigures::of(&BenchFolder::read(path)?);
         if figures.models.is_empty() {
             return Err(RunnerError::EmptyBench(path.clone()));
@@ -168,10 +199,15 @@ impl<'a> Experiments<'a> {
 
     /// The folder of a study's results.
     fn folder(&self, name: &str) -> PathBuf {
-        self.request.out.join(if self.request.quick { format!("{name}-quick") } else { name.to_owned() })
+        self.request.out.join(if self.request.quick {
+            format!("{name}-quick")
+        } else {
+            name.to_owned()
+        })
     }
 
-    /// The command that makes the results of a study. Settings of files and of options are those of `--set`.
+    /// The command that makes the results of a study. Settings of files and of options are those of
+    /// `--set`.
     fn command(&self, name: &str) -> Result<String, RunnerError> {
         let mut words = vec!["planagent experiment".to_owned(), name.to_owned()];
         words.extend(self.request.quick.then(|| "--quick".to_owned()));
@@ -179,11 +215,18 @@ impl<'a> Experiments<'a> {
             words.push(format!("--suite {}", self.request.suites.join(",")));
         }
         if !self.request.scenarios.is_empty() {
-            let scenarios = self.request.scenarios.iter().map(|word| quoted(word)).collect::<Vec<_>>();
+            let scenarios = self
+                .request
+                .scenarios
+                .iter()
+                .map(|word| quoted(word))
+                .collect::<Vec<_>>();
             words.push(format!("--scenario {}", scenarios.join(" ")));
         }
         for (key, value) in self.config.changes()? {
-            let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            let value = value
+                .as_str()
+                .map_or_else(|| value.to_string(), str::to_owned);
             words.push(format!("--set {}", quoted(&format!("{key}={value}"))));
         }
         Ok(words.join(" "))
@@ -199,11 +242,23 @@ fn simulations(
 ) -> SuiteSimulations {
     let variant = |name: &RunName| match name {
         Ok(name) => {
-            let rows = rows.get(name).cloned().expect("every run of the plan has ended");
-            let outcome = Outcome::Simulated { run: format!("../{RUNS}/{name}"), rows };
-            VariantSimulations { outcome, parameters: parameters.get(name).copied() }
+            let rows = rows
+                .get(name)
+                .cloned()
+                .expect("every run of the plan has ended");
+            let outcome = Outcome::Simulated {
+                run: format!("../{RUNS}/{name}"),
+                rows,
+            };
+            VariantSimulations {
+                outcome,
+                parameters: parameters.get(name).copied(),
+            }
         }
-        Err(why) => VariantSimulations { outcome: Outcome::NotSimulated(why), parameters: None },
+        Err(why) => VariantSimulations {
+            outcome: Outcome::NotSimulated(why),
+            parameters: None,
+        },
     };
     SuiteSimulations {
         name: suite.name.clone(),

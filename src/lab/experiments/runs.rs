@@ -1,5 +1,5 @@
-//! The runs of experiments. Each has a folder whose name is a digest of everything that determines the run, so that
-//! experiments share equal runs and resume interrupted ones.
+//! The runs of experiments. Each has a folder whose name is a digest of everything that determines
+//! the run, so that experiments share equal runs and resume interrupted ones.
 
 use super::suites::SelectedSuite;
 use crate::study::Variant;
@@ -52,15 +52,33 @@ pub(super) struct OpenRuns<'a> {
 }
 
 impl<'a> PlannedRuns<'a> {
-    pub(super) fn new(config: &'a Config, registry: &'a PlannerRegistry, listener: &'a Listener) -> Self {
+    pub(super) fn new(
+        config: &'a Config,
+        registry: &'a PlannerRegistry,
+        listener: &'a Listener,
+    ) -> Self {
         let (models, plans, parameters) = Default::default();
-        Self { config, registry, listener, models, plans, parameters }
+        Self {
+            config,
+            registry,
+            listener,
+            models,
+            plans,
+            parameters,
+        }
     }
 
-    /// Plans the run of a variant on a suite and gives its name; or why the variant cannot be simulated.
-    pub(super) fn add(&mut self, suite: &SelectedSuite, variant: &Variant) -> Result<RunName, RunnerError> {
+    /// Plans the run of a variant on a suite and gives its name; or why the variant cannot be
+    /// simulated.
+    pub(super) fn add(
+        &mut self,
+        suite: &SelectedSuite,
+        variant: &Variant,
+    ) -> Result<RunName, RunnerError> {
         let config = self.config.overlaid(&variant.settings)?;
-        let is_learned = LearnedSettings::default().checkpoint_mut(&variant.planner).is_some();
+        let is_learned = LearnedSettings::default()
+            .checkpoint_mut(&variant.planner)
+            .is_some();
         if is_learned && config.learned.checkpoint(&variant.planner).is_none() {
             return Ok(Err(NO_CHECKPOINT));
         }
@@ -85,9 +103,14 @@ impl<'a> PlannedRuns<'a> {
         };
         let manifest = manifest(subject, loaded.as_ref(), &relevant)?;
         let digest = manifest.digest();
-        let name = format!("{planner}-{}-{}", suite.name, digest.get(..DIGEST).unwrap_or(&digest));
+        let name = format!(
+            "{planner}-{}-{}",
+            suite.name,
+            digest.get(..DIGEST).unwrap_or(&digest)
+        );
         if let Some(loaded) = &loaded {
-            self.parameters.insert(name.clone(), loaded.about.parameters);
+            self.parameters
+                .insert(name.clone(), loaded.about.parameters);
         }
         let tasks = tasks(&suite.sources, &[planner], challenges);
         self.plans.entry(name.clone()).or_insert_with(|| RunPlan {
@@ -106,20 +129,27 @@ impl<'a> PlannedRuns<'a> {
         let mut registry = self.registry.clone();
         if let Some(command) = ExecCommand::parse(&variant.planner).transpose()? {
             registry = registry.with_command(&command, DEFAULT_EXEC_TIMEOUT)?;
-            commands.planners.insert(command.name.to_string(), command.command);
+            commands
+                .planners
+                .insert(command.name.to_string(), command.command);
         }
         Ok((registry, commands))
     }
 
-    /// Whether the weights of a variant's own model are on this machine. The model of the user's configuration is not
-    /// checked: if it cannot be loaded, that is an error.
+    /// Whether the weights of a variant's own model are on this machine. The model of the user's
+    /// configuration is not checked: if it cannot be loaded, that is an error.
     fn has_weights(&self, config: &Config) -> Result<bool, RunnerError> {
         if config.mllm.model == self.config.mllm.model {
             return Ok(true);
         }
         let registry = model::model_registry(config, self.listener);
-        let spec = registry.find(&config.mllm.model).map_err(|error| RunnerError::FindModel(Box::new(error)))?;
-        Ok(registry.place_here(&spec).and_then(|place| place.weight_bytes()).is_ok())
+        let spec = registry
+            .find(&config.mllm.model)
+            .map_err(|error| RunnerError::FindModel(Box::new(error)))?;
+        Ok(registry
+            .place_here(&spec)
+            .and_then(|place| place.weight_bytes())
+            .is_ok())
     }
 
     /// The model of a configuration; each is loaded once.
@@ -136,9 +166,20 @@ impl<'a> PlannedRuns<'a> {
     }
 
     /// Opens the folders of all runs.
-    pub(super) fn open(self, folder: &Path, retry_failed: bool) -> Result<OpenRuns<'a>, RunnerError> {
-        let how = Resume { retry_failed, accept_changes: false };
-        let mut runs = OpenRuns { listener: self.listener, open: BTreeMap::new(), ended: BTreeMap::new() };
+    pub(super) fn open(
+        self,
+        folder: &Path,
+        retry_failed: bool,
+    ) -> Result<OpenRuns<'a>, RunnerError> {
+        let how = Resume {
+            retry_failed,
+            accept_changes: false,
+        };
+        let mut runs = OpenRuns {
+            listener: self.listener,
+            open: BTreeMap::new(),
+            ended: BTreeMap::new(),
+        };
         for (name, plan) in self.plans {
             let path = folder.join(&name);
             if !path.join(MANIFEST).is_file() {
@@ -148,12 +189,17 @@ impl<'a> PlannedRuns<'a> {
             let changes = RunFolder::manifest(&path)?.changed_inputs(&plan.manifest);
             RunFolder::check_inputs(&path, &changes, false)?;
             let has_results = path.join(SUMMARY).is_file();
-            let rows = if has_results { RunFolder::read_completed(&path)?.rows } else { Vec::new() };
+            let rows = if has_results {
+                RunFolder::read_completed(&path)?.rows
+            } else {
+                Vec::new()
+            };
             let retries = retry_failed && rows.iter().any(|row| row.error.is_some());
             if has_results && rows.len() == plan.numbers.len() && !retries {
                 runs.ended.insert(name, rows);
             } else {
-                runs.open.insert(name, Run::resume(&path, plan, how, self.listener)?);
+                runs.open
+                    .insert(name, Run::resume(&path, plan, how, self.listener)?);
             }
         }
         Ok(runs)
@@ -164,14 +210,24 @@ impl OpenRuns<'_> {
     /// Runs, completed simulations, simulations that are left.
     pub(super) fn counts(&self) -> (usize, usize, usize) {
         let left: usize = self.open.values().map(|run| run.left().len()).sum();
-        let total: usize = self.open.values().map(Run::total).chain(self.ended.values().map(Vec::len)).sum();
+        let total: usize = self
+            .open
+            .values()
+            .map(Run::total)
+            .chain(self.ended.values().map(Vec::len))
+            .sum();
         (self.open.len() + self.ended.len(), total - left, left)
     }
 
     /// Simulates the first scenario of those runs whose time is not known.
     pub(super) fn simulate_first(&mut self) -> Result<(), RunnerError> {
         let unknown = |run: &&mut Run| run.seconds_per_simulation().is_none();
-        let total = self.open.values_mut().filter(unknown).map(|run| run.first().len()).sum();
+        let total = self
+            .open
+            .values_mut()
+            .filter(unknown)
+            .map(|run| run.first().len())
+            .sum();
         (self.listener)(Event::Started { total });
         let outcome = self.open.values_mut().filter(unknown).try_for_each(|run| {
             let first = run.first();
@@ -183,19 +239,30 @@ impl OpenRuns<'_> {
 
     /// Time that the simulations that are left take on the threads of the current pool.
     pub(super) fn time_left(&self) -> Duration {
-        let of_run = |run: &Run| run.left().len() as f64 * run.seconds_per_simulation().unwrap_or_default();
-        Duration::from_secs_f64(self.open.values().map(of_run).sum::<f64>() / rayon::current_num_threads() as f64)
+        let of_run =
+            |run: &Run| run.left().len() as f64 * run.seconds_per_simulation().unwrap_or_default();
+        Duration::from_secs_f64(
+            self.open.values().map(of_run).sum::<f64>() / rayon::current_num_threads() as f64,
+        )
     }
 
-    /// Simulates all that is left, and writes the results of each run; gives the simulations of all runs.
-    pub(super) fn complete(mut self, started: Instant) -> Result<BTreeMap<String, Vec<SimulationRow>>, RunnerError> {
-        (self.listener)(Event::Started { total: self.counts().2 });
-        let outcome = std::mem::take(&mut self.open).into_iter().try_for_each(|(name, mut run)| {
-            let left = run.left().to_vec();
-            run.simulate(&left, self.listener)?;
-            self.ended.insert(name, run.finish(started)?.rows);
-            Ok(())
+    /// Simulates all that is left, and writes the results of each run; gives the simulations of all
+    /// runs.
+    pub(super) fn complete(
+        mut self,
+        started: Instant,
+    ) -> Result<BTreeMap<String, Vec<SimulationRow>>, RunnerError> {
+        (self.listener)(Event::Started {
+            total: self.counts().2,
         });
+        let outcome = std::mem::take(&mut self.open)
+            .into_iter()
+            .try_for_each(|(name, mut run)| {
+                let left = run.left().to_vec();
+                run.simulate(&left, self.listener)?;
+                self.ended.insert(name, run.finish(started)?.rows);
+                Ok(())
+            });
         (self.listener)(Event::Finished);
         outcome.map(|()| self.ended)
     }
@@ -205,19 +272,31 @@ impl OpenRuns<'_> {
 pub(super) fn relevant(mut config: Config, planner: &str, needs: PlannerNeeds) -> Config {
     config.learned = config.learned.only(planner);
     match needs.settings() {
-        UsedSettings::AgentAndModel => (config.mllm.offline, config.mllm.ignore_memory) = (false, false),
+        UsedSettings::AgentAndModel => {
+            (config.mllm.offline, config.mllm.ignore_memory) = (false, false)
+        }
         UsedSettings::Agent => config.mllm = MllmConfig::default(),
         UsedSettings::None => config = Config::default(),
-        UsedSettings::Checkpoint => config = Config { learned: config.learned, ..Config::default() },
+        UsedSettings::Checkpoint => {
+            config = Config {
+                learned: config.learned,
+                ..Config::default()
+            }
+        }
     }
     config
 }
 
-/// The challenges of a suite: both in the closed loop; the interactive suites only with reactive agents, as interPlan.
+/// The challenges of a suite: both in the closed loop; the interactive suites only with reactive
+/// agents, as interPlan.
 fn challenges_of(suite: &str) -> &'static [Challenge] {
     const REACTIVE: [Challenge; 1] = [Challenge::Reactive];
     const BOTH: [Challenge; 2] = Challenge::CLOSED_LOOP;
-    if interactive::NAMES.contains(&suite) { &REACTIVE } else { &BOTH }
+    if interactive::NAMES.contains(&suite) {
+        &REACTIVE
+    } else {
+        &BOTH
+    }
 }
 
 #[cfg(test)]
@@ -226,15 +305,32 @@ mod tests {
 
     #[test]
     fn a_checkpoint_of_another_planner_changes_no_run() {
-        let learned = LearnedSettings { plantf: Some("a.ckpt".to_owned()), ..LearnedSettings::default() };
-        let one = Config { learned: learned.clone(), ..Config::default() };
-        let both =
-            Config { learned: LearnedSettings { dtpp: Some("b.pth".to_owned()), ..learned }, ..Config::default() };
+        let learned = LearnedSettings {
+            plantf: Some("a.ckpt".to_owned()),
+            ..LearnedSettings::default()
+        };
+        let one = Config {
+            learned: learned.clone(),
+            ..Config::default()
+        };
+        let both = Config {
+            learned: LearnedSettings {
+                dtpp: Some("b.pth".to_owned()),
+                ..learned
+            },
+            ..Config::default()
+        };
         assert_eq!(
             relevant(one.clone(), "plantf", PlannerNeeds::Checkpoint),
             relevant(both.clone(), "plantf", PlannerNeeds::Checkpoint)
         );
-        assert_eq!(relevant(one.clone(), "plantf", PlannerNeeds::Checkpoint), one);
-        assert_eq!(relevant(both, "plan-agent", PlannerNeeds::Model), Config::default());
+        assert_eq!(
+            relevant(one.clone(), "plantf", PlannerNeeds::Checkpoint),
+            one
+        );
+        assert_eq!(
+            relevant(both, "plan-agent", PlannerNeeds::Model),
+            Config::default()
+        );
     }
 }

@@ -42,7 +42,10 @@ pub(super) struct Suites<'a> {
 }
 
 impl<'a> Suites<'a> {
-    pub(super) fn new(request: &'a ExperimentsRequest, listener: &'a Listener) -> Result<Self, RunnerError> {
+    pub(super) fn new(
+        request: &'a ExperimentsRequest,
+        listener: &'a Listener,
+    ) -> Result<Self, RunnerError> {
         let roots = absolute(request.roots.clone())?;
         Ok(Self {
             request,
@@ -54,7 +57,8 @@ impl<'a> Suites<'a> {
         })
     }
 
-    /// The suites of an experiment: those of the request, else its own; recordings only where there are some.
+    /// The suites of an experiment: those of the request, else its own; recordings only where there
+    /// are some.
     pub(super) fn of(
         &mut self,
         experiment: &str,
@@ -63,7 +67,11 @@ impl<'a> Suites<'a> {
     ) -> Result<Vec<Rc<SelectedSuite>>, RunnerError> {
         let request = self.request;
         if !request.suites.is_empty() {
-            return request.suites.iter().map(|name| self.named(name, starts)).collect();
+            return request
+                .suites
+                .iter()
+                .map(|name| self.named(name, starts))
+                .collect();
         }
         let mut suites = Vec::new();
         for name in own {
@@ -80,68 +88,132 @@ impl<'a> Suites<'a> {
     /// Says which experiments go on without recordings.
     pub(super) fn note_lacking(&mut self) {
         for experiment in self.lacking.drain(..) {
-            let text =
-                format!("{experiment}: no recordings: neither --scenario nor ${DATA} names a folder that is there");
+            let text = format!(
+                "{experiment}: no recordings: neither --scenario nor ${DATA} names a folder that is there"
+            );
             (self.listener)(Event::Note(text));
         }
     }
 
-    fn named(&mut self, name: &str, starts: Option<Starts>) -> Result<Rc<SelectedSuite>, RunnerError> {
+    fn named(
+        &mut self,
+        name: &str,
+        starts: Option<Starts>,
+    ) -> Result<Rc<SelectedSuite>, RunnerError> {
         let starts = starts.filter(|_| name == RECORDED);
         let key = format!("{name} {starts:?}");
         if let Some(suite) = self.found.get(&key) {
             return Ok(Rc::clone(suite));
         }
         let suite = self.find(name, starts);
-        let suite = suite.map_err(|source| RunnerError::Suite { name: name.to_owned(), source: Box::new(source) })?;
+        let suite = suite.map_err(|source| RunnerError::Suite {
+            name: name.to_owned(),
+            source: Box::new(source),
+        })?;
         Ok(Rc::clone(self.found.entry(key).or_insert(Rc::new(suite))))
     }
 
     fn find(&self, name: &str, starts: Option<Starts>) -> Result<SelectedSuite, RunnerError> {
-        let (mut words, splits) =
-            if name == RECORDED { (self.recordings(), Vec::new()) } else { (Vec::new(), vec![name.to_owned()]) };
+        let (mut words, splits) = if name == RECORDED {
+            (self.recordings(), Vec::new())
+        } else {
+            (Vec::new(), vec![name.to_owned()])
+        };
         if words.is_empty() && splits.is_empty() {
             return Err(no_recordings());
         }
-        let Selected { mut sources, mut splits, missing } =
-            select(&words, &splits, &Sample::default(), &self.readers, self.listener)?;
+        let Selected {
+            mut sources,
+            mut splits,
+            missing,
+        } = select(
+            &words,
+            &splits,
+            &Sample::default(),
+            &self.readers,
+            self.listener,
+        )?;
         if self.request.quick {
             sources = Quick::DEFAULT.of(sources);
-            (words, splits) = (sources.iter().map(ToString::to_string).collect(), Vec::new());
+            (words, splits) = (
+                sources.iter().map(ToString::to_string).collect(),
+                Vec::new(),
+            );
         }
         if let Some(starts) = starts {
-            sources = sources.iter().flat_map(|source| from_every_start(source, starts)).collect();
-            (words, splits) = (sources.iter().map(ToString::to_string).collect(), Vec::new());
+            sources = sources
+                .iter()
+                .flat_map(|source| from_every_start(source, starts))
+                .collect();
+            (words, splits) = (
+                sources.iter().map(ToString::to_string).collect(),
+                Vec::new(),
+            );
         }
-        let named = ScenarioList { words, splits, missing, ..ScenarioList::default() };
+        let named = ScenarioList {
+            words,
+            splits,
+            missing,
+            ..ScenarioList::default()
+        };
         let list = scenario_list(&sources, named, self.roots.clone())?;
         // A filter file goes by its name without the folder and the ending.
-        let stem = Path::new(name).file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let stem = Path::new(name)
+            .file_stem()
+            .map(|stem| stem.to_string_lossy().into_owned());
         let data = data_files(&sources, None);
-        Ok(SelectedSuite { name: stem.unwrap_or_else(|| name.to_owned()), sources, list, data })
+        Ok(SelectedSuite {
+            name: stem.unwrap_or_else(|| name.to_owned()),
+            sources,
+            list,
+            data,
+        })
     }
 
     /// The words that name recordings.
     fn recordings(&self) -> Vec<String> {
         if !self.request.scenarios.is_empty() {
-            return self.request.scenarios.iter().map(|word| self.readers.absolute_word(word)).collect();
+            return self
+                .request
+                .scenarios
+                .iter()
+                .map(|word| self.readers.absolute_word(word))
+                .collect();
         }
-        let data = std::env::var_os(DATA).filter(|folder| !folder.is_empty()).map(PathBuf::from);
-        let folders = data.into_iter().flat_map(|data| RECORDINGS.map(|folder| data.join(folder)));
-        let words = folders.filter(|folder| folder.is_dir()).map(|folder| word_of(folder.as_os_str()));
+        let data = std::env::var_os(DATA)
+            .filter(|folder| !folder.is_empty())
+            .map(PathBuf::from);
+        let folders = data
+            .into_iter()
+            .flat_map(|data| RECORDINGS.map(|folder| data.join(folder)));
+        let words = folders
+            .filter(|folder| folder.is_dir())
+            .map(|folder| word_of(folder.as_os_str()));
         words.map(|word| absolute_path(&word)).collect()
     }
 }
 
 pub(super) fn no_recordings() -> RunnerError {
-    RunnerError::NoRecordings { folders: RECORDINGS.join(", "), variable: DATA }
+    RunnerError::NoRecordings {
+        folders: RECORDINGS.join(", "),
+        variable: DATA,
+    }
 }
 
-/// A recording from each of its start times; a scenario whose length is not known before it is opened, from its own.
+/// A recording from each of its start times; a scenario whose length is not known before it is
+/// opened, from its own.
 fn from_every_start(source: &ScenarioRef, Starts { every_s, least_s }: Starts) -> Vec<ScenarioRef> {
     let steps = |seconds: f64| (seconds / STEP_S).round().max(1.0) as usize;
-    let iterations = source.contents().ok().flatten().map_or(0, |contents| contents.iterations);
+    let iterations = source
+        .contents()
+        .ok()
+        .flatten()
+        .map_or(0, |contents| contents.iterations);
     let last = iterations.saturating_sub(1 + steps(least_s));
-    let later = (1..).map(|i| i * steps(every_s)).take_while(|&start| start <= last);
-    std::iter::once(source.clone()).chain(later.map(|start| source.clone().started_later(start))).collect()
+    let later = (1..)
+        .map(|i| i * steps(every_s))
+        .take_while(|&start| start <= last);
+    std::iter::once(source.clone())
+        .chain(later.map(|start| source.clone().started_later(start)))
+        .collect()
 }

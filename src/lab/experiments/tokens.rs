@@ -47,31 +47,62 @@ pub(super) fn count_all(
 ) -> Result<Vec<SuiteTokens>, RunnerError> {
     let opened = OpenModel::open(config, listener)?;
     let counter = TokenCounter::new(Some(opened.model()));
-    Ok(suites.iter().map(|suite| counted(suite, counter, config, listener)).collect())
+    Ok(suites
+        .iter()
+        .map(|suite| counted(suite, counter, config, listener))
+        .collect())
 }
 
 /// Writes the results; `command` made them.
-pub(super) fn write(folder: &StudyFolder, counted: &[SuiteTokens], command: &str) -> Result<(), RunnerError> {
+pub(super) fn write(
+    folder: &StudyFolder,
+    counted: &[SuiteTokens],
+    command: &str,
+) -> Result<(), RunnerError> {
     let json = serde_json::to_string_pretty(&json_value(&counted)?)? + "\n";
-    Ok(folder.write_files(&[("results.md", markdown(counted, command)), ("results.json", json)])?)
+    Ok(folder.write_files(&[
+        ("results.md", markdown(counted, command)),
+        ("results.json", json),
+    ])?)
 }
 
-fn counted(suite: &SelectedSuite, counter: TokenCounter<'_>, config: &Config, listener: &Listener) -> SuiteTokens {
+fn counted(
+    suite: &SelectedSuite,
+    counter: TokenCounter<'_>,
+    config: &Config,
+    listener: &Listener,
+) -> SuiteTokens {
     let (total, done) = (suite.sources.len(), AtomicUsize::new(0));
     let of_source = |source: &ScenarioRef| {
         let opened = source.open().map_err(|error| format!("{source}: {error}"));
-        listener(Event::ScenesCounted { done: done.fetch_add(1, Ordering::Relaxed) + 1, total });
-        opened.map(|scenario| count(&scenario, config.reasoning.interval, config.environment.node_length_m, &counter))
+        listener(Event::ScenesCounted {
+            done: done.fetch_add(1, Ordering::Relaxed) + 1,
+            total,
+        });
+        opened.map(|scenario| {
+            count(
+                &scenario,
+                config.reasoning.interval,
+                config.environment.node_length_m,
+                &counter,
+            )
+        })
     };
     let counts: Vec<_> = suite.sources.par_iter().map(of_source).collect();
     let states = || counts.iter().flatten().flatten();
-    let rows: Vec<TokenRow> = states().filter_map(|row| row.as_ref().ok()).cloned().collect();
+    let rows: Vec<TokenRow> = states()
+        .filter_map(|row| row.as_ref().ok())
+        .cloned()
+        .collect();
     SuiteTokens {
         suite: suite.name.clone(),
         scenes: total,
         blake3: suite.list.blake3.clone(),
         left_out: states().count() - rows.len(),
-        failed: counts.iter().filter_map(|count| count.as_ref().err().cloned()).collect(),
+        failed: counts
+            .iter()
+            .filter_map(|count| count.as_ref().err().cloned())
+            .collect(),
         table: TokenTable::new(&rows, counter.model_name()),
     }
 }
@@ -80,9 +111,19 @@ fn markdown(suites: &[SuiteTokens], command: &str) -> String {
     let mut text = format!("# {TITLE}\n\n```console\n$ {command}\n```\n");
     for suite in suites {
         // Writing to a text cannot fail.
-        let _ = write!(text, "\n## {}: {} scenes\n\n{}", suite.suite, suite.scenes, token_markdown(&suite.table));
+        let _ = write!(
+            text,
+            "\n## {}: {} scenes\n\n{}",
+            suite.suite,
+            suite.scenes,
+            token_markdown(&suite.table)
+        );
         if suite.left_out > 0 {
-            let _ = writeln!(text, "- {} states have no lane graph and are left out.", suite.left_out);
+            let _ = writeln!(
+                text,
+                "- {} states have no lane graph and are left out.",
+                suite.left_out
+            );
         }
     }
     text

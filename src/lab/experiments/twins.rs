@@ -25,14 +25,29 @@ pub(super) const TITLE: &str = "Text twins: the model's first code, Reflection o
 const QUICK: usize = 2;
 
 /// The names and pairs of the lists of a request, or of the test pairs.
-pub(super) fn lists(request: &ExperimentsRequest) -> Result<Vec<(String, Vec<PairName>)>, RunnerError> {
+pub(super) fn lists(
+    request: &ExperimentsRequest,
+) -> Result<Vec<(String, Vec<PairName>)>, RunnerError> {
     let default = vec![twins::TEST.to_owned()];
-    let names = if request.suites.is_empty() { default } else { request.suites.clone() };
+    let names = if request.suites.is_empty() {
+        default
+    } else {
+        request.suites.clone()
+    };
     let of_name = |name: String| {
-        let unknown = || RunnerError::UnknownPairs { name: name.clone(), known: NAMES.join(", ") };
+        let unknown = || RunnerError::UnknownPairs {
+            name: name.clone(),
+            known: NAMES.join(", "),
+        };
         let mut pairs = twins::list(&name).ok_or_else(unknown)?;
         if request.quick {
-            let first = |kind| pairs.iter().copied().filter(move |pair| pair.kind == kind).take(QUICK);
+            let first = |kind| {
+                pairs
+                    .iter()
+                    .copied()
+                    .filter(move |pair| pair.kind == kind)
+                    .take(QUICK)
+            };
             pairs = TwinKind::ALL.into_iter().flat_map(first).collect();
         }
         Ok((name, pairs))
@@ -50,22 +65,45 @@ pub(super) fn judge(
     let loaded = OpenModel::open(config, listener)?.with_prompts(config)?;
     let words: Vec<String> = pairs.iter().map(ToString::to_string).collect();
     let blake3 = ScenarioList::digest(&words);
-    let list =
-        ScenarioList { count: words.len(), blake3: blake3.clone(), words: words.clone(), ..ScenarioList::default() };
+    let list = ScenarioList {
+        count: words.len(),
+        blake3: blake3.clone(),
+        words: words.clone(),
+        ..ScenarioList::default()
+    };
     let planner = PlannerName::PLAN_AGENT;
     let settings = relevant(config.clone(), planner.as_str(), PlannerNeeds::Model);
     let planners = vec![planner.to_string()];
     let commands = Commands::default();
-    let subject =
-        RunSubject { planners, commands: &commands, challenges: Vec::new(), scenarios: list, data: BTreeMap::new() };
+    let subject = RunSubject {
+        planners,
+        commands: &commands,
+        challenges: Vec::new(),
+        scenarios: list,
+        data: BTreeMap::new(),
+    };
     let manifest = manifest(subject, Some(&loaded), &settings)?;
-    let inputs = format!("{:?}", manifest.inputs.as_ref().expect("a new manifest has its inputs"));
+    let inputs = format!(
+        "{:?}",
+        manifest
+            .inputs
+            .as_ref()
+            .expect("a new manifest has its inputs")
+    );
     let digest = ScenarioList::digest([manifest.digest(), inputs]);
-    let folder = runs.join(format!("{name}-{}", digest.get(..DIGEST).unwrap_or(&digest)));
+    let folder = runs.join(format!(
+        "{name}-{}",
+        digest.get(..DIGEST).unwrap_or(&digest)
+    ));
     let (records, completed) = TwinRecords::open(&folder)?;
-    let mut known: BTreeMap<String, PairRecord> =
-        completed.into_iter().map(|record| (record.pair.clone(), record)).collect();
-    let left: Vec<&PairName> = pairs.iter().filter(|pair| !known.contains_key(&pair.to_string())).collect();
+    let mut known: BTreeMap<String, PairRecord> = completed
+        .into_iter()
+        .map(|record| (record.pair.clone(), record))
+        .collect();
+    let left: Vec<&PairName> = pairs
+        .iter()
+        .filter(|pair| !known.contains_key(&pair.to_string()))
+        .collect();
     let (total, done) = (pairs.len(), AtomicUsize::new(pairs.len() - left.len()));
     listener(Event::Note(format!(
         "{name}: {total} pairs; {} are answered, {} are left",
@@ -77,18 +115,30 @@ pub(super) fn judge(
     let answer = |pair: &&PairName| -> Result<PairRecord, RunnerError> {
         let record = twins::judge(pair, &parts)?;
         records.add(&record)?;
-        listener(Event::ScenesCounted { done: done.fetch_add(1, Ordering::Relaxed) + 1, total });
+        listener(Event::ScenesCounted {
+            done: done.fetch_add(1, Ordering::Relaxed) + 1,
+            total,
+        });
         Ok(record)
     };
     let answered: Vec<PairRecord> = left.par_iter().map(answer).collect::<Result<_, _>>()?;
-    known.extend(answered.into_iter().map(|record| (record.pair.clone(), record)));
+    known.extend(
+        answered
+            .into_iter()
+            .map(|record| (record.pair.clone(), record)),
+    );
     let ordered: Vec<PairRecord> = words.iter().filter_map(|word| known.remove(word)).collect();
     Ok(TwinResults::new(name, blake3, &ordered))
 }
 
 /// Writes the results; `command` made them.
-pub(super) fn write(folder: &StudyFolder, results: &[TwinResults], command: &str) -> Result<(), RunnerError> {
-    let of_list = |results: &TwinResults| format!("\n## {}\n\n{}", results.list, twin_markdown(results));
+pub(super) fn write(
+    folder: &StudyFolder,
+    results: &[TwinResults],
+    command: &str,
+) -> Result<(), RunnerError> {
+    let of_list =
+        |results: &TwinResults| format!("\n## {}\n\n{}", results.list, twin_markdown(results));
     let lists: String = results.iter().map(of_list).collect();
     let markdown = format!("# {TITLE}\n\n```console\n$ {command}\n```\n{lists}");
     let json = serde_json::to_string_pretty(&json_value(&results)?)? + "\n";

@@ -70,8 +70,14 @@ struct Seen {
 }
 
 pub(super) fn figures(scenario: &Scenario) -> AgentFigures {
-    let frames: Vec<&Frame> = INSTANTS.iter().filter_map(|&iteration| scenario.frame(iteration)).collect();
-    let seen: Vec<Seen> = frames.iter().map(|frame| Seen::in_frame(frame, &scenario.map)).collect();
+    let frames: Vec<&Frame> = INSTANTS
+        .iter()
+        .filter_map(|&iteration| scenario.frame(iteration))
+        .collect();
+    let seen: Vec<Seen> = frames
+        .iter()
+        .map(|frame| Seen::in_frame(frame, &scenario.map))
+        .collect();
     let mut boxes: BTreeMap<TrackToken, OrientedBox> = BTreeMap::new();
     for frame in &frames {
         boxes.extend(near(frame, ObjectKind::Vehicle).map(|object| (object.token, object.shape)));
@@ -87,7 +93,13 @@ pub(super) fn figures(scenario: &Scenario) -> AgentFigures {
         gap: all(|one| &one.gaps),
         ego_speed: mean(frames.iter().map(|frame| frame.ego.speed())),
         vehicle_speed: all(|one| &one.speeds),
-        ego_standing: mean(frames.iter().map(|frame| if frame.ego.speed() < STANDS { 100.0 } else { 0.0 })),
+        ego_standing: mean(frames.iter().map(|frame| {
+            if frame.ego.speed() < STANDS {
+                100.0
+            } else {
+                0.0
+            }
+        })),
         vehicles_standing: (in_lanes > 0.0).then(|| 100.0 * standing / in_lanes),
         oncoming: number(|one| one.oncoming),
         crossing: number(|one| one.crossing),
@@ -106,8 +118,13 @@ pub(super) fn figures(scenario: &Scenario) -> AgentFigures {
 /// The objects of a kind near the ego.
 fn near(frame: &Frame, kind: ObjectKind) -> impl Iterator<Item = &TrackedObject> {
     let ego = frame.ego.center().position();
-    let is_near = move |object: &&TrackedObject| (object.shape.center.position() - ego).norm() <= REACH;
-    frame.objects.iter().filter(move |object| object.kind == kind).filter(is_near)
+    let is_near =
+        move |object: &&TrackedObject| (object.shape.center.position() - ego).norm() <= REACH;
+    frame
+        .objects
+        .iter()
+        .filter(move |object| object.kind == kind)
+        .filter(is_near)
 }
 
 impl Seen {
@@ -127,9 +144,15 @@ impl Seen {
             if in_lane {
                 seen.vehicles += 1.0;
                 seen.standing += f64::from(u8::from(stands));
-                let others = frame.objects.iter().filter(|other| other.kind == ObjectKind::Vehicle);
-                let others = others.filter(|other| other.token != vehicle.token).map(|other| other.shape);
-                seen.gaps.extend(gap_ahead(&vehicle.shape, others.chain([own])));
+                let others = frame
+                    .objects
+                    .iter()
+                    .filter(|other| other.kind == ObjectKind::Vehicle);
+                let others = others
+                    .filter(|other| other.token != vehicle.token)
+                    .map(|other| other.shape);
+                seen.gaps
+                    .extend(gap_ahead(&vehicle.shape, others.chain([own])));
             } else if stands {
                 seen.parked += 1.0;
             }
@@ -144,7 +167,10 @@ impl Seen {
                 seen.crossing += 1.0;
             }
             // Drivers cut the corners of connectors, whose lines are drawn.
-            let lane = map.best_fit(&map.lanes_of_kind_at(center.position(), LaneKind::Lane), center);
+            let lane = map.best_fit(
+                &map.lanes_of_kind_at(center.position(), LaneKind::Lane),
+                center,
+            );
             if let Some(lane) = lane.map(|lane| &map[lane]) {
                 let place = lane.centerline.project(center.position());
                 let along = wrap_angle(center.heading - lane.centerline.heading_at(place.s)).abs();

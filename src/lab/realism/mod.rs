@@ -1,5 +1,5 @@
-//! Compares two sets of scenes, for example generated and recorded ones: statistics of each, and how often a classifier tells
-//! one from the other.
+//! Compares two sets of scenes, for example generated and recorded ones: statistics of each, and
+//! how often a classifier tells one from the other.
 
 mod agents;
 mod classifier;
@@ -14,7 +14,8 @@ use feature::FEATURES;
 use planagent_scenario::{Scenario, without_start};
 use serde::Serialize;
 
-/// Distance from the ego within which roads and agents count, meters. Recordings are complete that far.
+/// Distance from the ego within which roads and agents count, meters. Recordings are complete that
+/// far.
 const REACH: f64 = 50.0;
 
 /// The features of a scene.
@@ -30,8 +31,13 @@ impl MeasuredScene {
     /// Measures a scene in its first seven seconds, the length of the shortest recordings.
     pub fn of(scenario: &Scenario) -> Self {
         let (roads, agents) = (roads::figures(scenario), agents::figures(scenario));
-        let values = FEATURES.iter().map(|(_, value)| value(&roads, &agents).filter(|value| value.is_finite()));
-        Self { id: scenario.id.clone(), values: values.collect() }
+        let values = FEATURES
+            .iter()
+            .map(|(_, value)| value(&roads, &agents).filter(|value| value.is_finite()));
+        Self {
+            id: scenario.id.clone(),
+            values: values.collect(),
+        }
     }
 
     /// The recording; scenes of the same one are never split between training and test.
@@ -60,7 +66,8 @@ pub struct ComparedFeature {
     pub b: Option<Distribution>,
     /// Mean of A minus mean of B, in standard deviations of all scenes.
     pub difference: Option<f64>,
-    /// Coefficient of the classifier for a standard deviation, fitted to all scenes: positive speaks for A.
+    /// Coefficient of the classifier for a standard deviation, fitted to all scenes: positive
+    /// speaks for A.
     pub coefficient: Option<f64>,
 }
 
@@ -82,25 +89,45 @@ impl SceneComparison {
             values: scene.values.clone(),
             is_a,
         };
-        let samples: Vec<Sample> =
-            a.iter().map(|scene| sample(scene, true)).chain(b.iter().map(|scene| sample(scene, false))).collect();
+        let samples: Vec<Sample> = a
+            .iter()
+            .map(|scene| sample(scene, true))
+            .chain(b.iter().map(|scene| sample(scene, false)))
+            .collect();
         let classifier = cross_validated(&samples);
         let coefficients = classifier.is_some().then(|| fitted(&samples).coefficients);
         let features = FEATURES.iter().enumerate().map(|(place, (feature, _))| {
             let values = |scenes: &[MeasuredScene]| -> Vec<f64> {
-                scenes.iter().filter_map(|scene| scene.values.get(place).copied().flatten()).collect()
+                scenes
+                    .iter()
+                    .filter_map(|scene| scene.values.get(place).copied().flatten())
+                    .collect()
             };
             let (of_a, of_b) = (values(&a), values(&b));
             let (a, b) = (distribution(&of_a), distribution(&of_b));
             let all = distribution(&[of_a, of_b].concat());
             let difference = match (a, b, all) {
-                (Some(a), Some(b), Some(all)) if all.deviation > 0.0 => Some((a.mean - b.mean) / all.deviation),
+                (Some(a), Some(b), Some(all)) if all.deviation > 0.0 => {
+                    Some((a.mean - b.mean) / all.deviation)
+                }
                 _ => None,
             };
-            let coefficient = coefficients.as_ref().and_then(|all| all.get(place).copied());
-            ComparedFeature { feature: *feature, a, b, difference, coefficient }
+            let coefficient = coefficients
+                .as_ref()
+                .and_then(|all| all.get(place).copied());
+            ComparedFeature {
+                feature: *feature,
+                a,
+                b,
+                difference,
+                coefficient,
+            }
         });
-        Self { features: features.collect(), classifier, scenes: [a, b] }
+        Self {
+            features: features.collect(),
+            classifier,
+            scenes: [a, b],
+        }
     }
 }
 
@@ -110,24 +137,40 @@ fn distribution(values: &[f64]) -> Option<Distribution> {
     let count = sorted.len() as f64;
     let last = sorted.len().checked_sub(1)?;
     let mean = sorted.iter().sum::<f64>() / count;
-    let deviation = (sorted.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
+    let deviation = (sorted
+        .iter()
+        .map(|value| (value - mean).powi(2))
+        .sum::<f64>()
+        / count)
+        .sqrt();
     let percentiles = [0.1, 0.25, 0.5, 0.75, 0.9].map(|share| {
         let place = share * last as f64;
         let low = sorted[place.floor() as usize];
         low + (sorted[place.ceil() as usize] - low) * place.fract()
     });
-    Some(Distribution { scenes: sorted.len(), mean, deviation, percentiles })
+    Some(Distribution {
+        scenes: sorted.len(),
+        mean,
+        deviation,
+        percentiles,
+    })
 }
 
 /// Mean of the values that exist.
 fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.into_iter().fold((0.0, 0_usize), |(sum, count), value| (sum + value, count + 1));
+    let (sum, count) = values
+        .into_iter()
+        .fold((0.0, 0_usize), |(sum, count), value| {
+            (sum + value, count + 1)
+        });
     (count > 0).then(|| sum / count as f64)
 }
 
 /// Standard deviation of at least two values.
 fn spread(values: &[f64]) -> Option<f64> {
-    (values.len() >= 2).then(|| distribution(values).map(|found| found.deviation)).flatten()
+    (values.len() >= 2)
+        .then(|| distribution(values).map(|found| found.deviation))
+        .flatten()
 }
 
 #[cfg(test)]
@@ -136,7 +179,10 @@ mod tests {
     use planagent_scenario::generator::{Spec, generate, types};
 
     fn scene(id: &str, value: f64) -> MeasuredScene {
-        MeasuredScene { id: id.to_owned(), values: vec![Some(value); FEATURES.len()] }
+        MeasuredScene {
+            id: id.to_owned(),
+            values: vec![Some(value); FEATURES.len()],
+        }
     }
 
     #[test]
@@ -144,20 +190,35 @@ mod tests {
         let scenario = generate(&Spec::new(types::changing_lane::TYPE, 3)).unwrap();
         let measured = MeasuredScene::of(&scenario);
         let value = |key: &str| {
-            let place = FEATURES.iter().position(|(feature, _)| feature.key == key).unwrap();
+            let place = FEATURES
+                .iter()
+                .position(|(feature, _)| feature.key == key)
+                .unwrap();
             measured.values[place]
         };
-        assert!((3.2..3.8).contains(&value("lane_width").unwrap()), "{measured:?}");
+        assert!(
+            (3.2..3.8).contains(&value("lane_width").unwrap()),
+            "{measured:?}"
+        );
         assert_eq!(value("unknown_limits"), Some(0.0));
         assert!(value("vertex_spacing").unwrap() <= 0.5);
-        assert!(value("heading_deviation").is_none_or(|angle| angle < 10.0), "{measured:?}");
-        assert!((4.2..13.0).contains(&value("box_length").unwrap()), "{measured:?}");
+        assert!(
+            value("heading_deviation").is_none_or(|angle| angle < 10.0),
+            "{measured:?}"
+        );
+        assert!(
+            (4.2..13.0).contains(&value("box_length").unwrap()),
+            "{measured:?}"
+        );
     }
 
     #[test]
     fn distributions_are_those_of_the_values() {
         let found = distribution(&[4.0, 0.0, 2.0]).unwrap();
-        assert_eq!((found.scenes, found.mean, found.percentiles[2]), (3, 2.0, 2.0));
+        assert_eq!(
+            (found.scenes, found.mean, found.percentiles[2]),
+            (3, 2.0, 2.0)
+        );
         assert!((found.deviation - (8.0f64 / 3.0).sqrt()).abs() < 1e-12);
         assert_eq!(distribution(&[]), None);
     }
@@ -167,6 +228,10 @@ mod tests {
         assert_eq!(scene("recording@3", 1.0).group(), "recording");
         let few = SceneComparison::of(vec![scene("a", 1.0)], vec![scene("b", 0.0)]);
         assert_eq!(few.classifier, None);
-        assert!(few.features.iter().all(|feature| feature.coefficient.is_none() && feature.difference == Some(2.0)));
+        assert!(
+            few.features
+                .iter()
+                .all(|feature| feature.coefficient.is_none() && feature.difference == Some(2.0))
+        );
     }
 }

@@ -5,7 +5,8 @@ use planagent_scenario::Scenario;
 use planagent_world::geometry::wrap_angle;
 use planagent_world::{Lane, LaneKind};
 
-/// Distance over which a lane's heading change counts, meters. Sources differ in their vertices, not at this scale.
+/// Distance over which a lane's heading change counts, meters. Sources differ in their vertices,
+/// not at this scale.
 const STEP: f64 = 5.0;
 /// Heading changes between which a connector is a turn, degrees.
 const TURNS: [f64; 2] = [30.0, 150.0];
@@ -29,23 +30,47 @@ pub(super) struct RoadFigures {
 }
 
 pub(super) fn figures(scenario: &Scenario) -> RoadFigures {
-    let Some(start) = scenario.frame(0) else { return RoadFigures::default() };
-    let near = scenario.map.lanes_near(start.ego.center().position(), REACH);
+    let Some(start) = scenario.frame(0) else {
+        return RoadFigures::default();
+    };
+    let near = scenario
+        .map
+        .lanes_near(start.ego.center().position(), REACH);
     let near: Vec<&Lane> = near.into_iter().map(|lane| &scenario.map[lane]).collect();
-    let (lanes, connectors): (Vec<&Lane>, Vec<&Lane>) = near.iter().partition(|lane| lane.kind == LaneKind::Lane);
-    let long: Vec<&&Lane> = lanes.iter().filter(|lane| lane.centerline.length() >= MIN_LENGTH).collect();
-    let widths: Vec<f64> = long.iter().map(|lane| lane.polygon.area() / lane.centerline.length()).collect();
+    let (lanes, connectors): (Vec<&Lane>, Vec<&Lane>) =
+        near.iter().partition(|lane| lane.kind == LaneKind::Lane);
+    let long: Vec<&&Lane> = lanes
+        .iter()
+        .filter(|lane| lane.centerline.length() >= MIN_LENGTH)
+        .collect();
+    let widths: Vec<f64> = long
+        .iter()
+        .map(|lane| lane.polygon.area() / lane.centerline.length())
+        .collect();
     let length: f64 = long.iter().map(|lane| lane.centerline.length()).sum();
     let turned: f64 = long.iter().map(|lane| turned(lane)).sum();
     let turns = connectors.iter().map(|lane| turn(lane).abs().to_degrees());
-    let edges: usize = near.iter().map(|lane| lane.centerline.vertices().len() - 1).sum();
+    let edges: usize = near
+        .iter()
+        .map(|lane| lane.centerline.vertices().len() - 1)
+        .sum();
     let whole: f64 = near.iter().map(|lane| lane.centerline.length()).sum();
     RoadFigures {
         lane_width: mean(widths.iter().copied()),
         lane_width_spread: spread(&widths),
         curvature: (length > 0.0).then(|| 1000.0 * turned / length),
-        junction_angle: mean(turns.filter(|turn| (TURNS[0]..TURNS[1]).contains(turn)).map(|turn| (turn - 90.0).abs())),
-        unknown_limits: mean(lanes.iter().map(|lane| if lane.speed_limit.is_none() { 100.0 } else { 0.0 })),
+        junction_angle: mean(
+            turns
+                .filter(|turn| (TURNS[0]..TURNS[1]).contains(turn))
+                .map(|turn| (turn - 90.0).abs()),
+        ),
+        unknown_limits: mean(lanes.iter().map(|lane| {
+            if lane.speed_limit.is_none() {
+                100.0
+            } else {
+                0.0
+            }
+        })),
         vertex_spacing: (edges > 0).then(|| whole / edges as f64),
     }
 }
@@ -54,11 +79,18 @@ pub(super) fn figures(scenario: &Scenario) -> RoadFigures {
 fn turned(lane: &Lane) -> f64 {
     let line = &lane.centerline;
     let steps = (line.length() / STEP).floor() as usize;
-    let headings: Vec<f64> = (0..=steps).map(|step| line.heading_at(step as f64 * STEP)).collect();
-    headings.windows(2).map(|pair| wrap_angle(pair[1] - pair[0]).abs()).sum()
+    let headings: Vec<f64> = (0..=steps)
+        .map(|step| line.heading_at(step as f64 * STEP))
+        .collect();
+    headings
+        .windows(2)
+        .map(|pair| wrap_angle(pair[1] - pair[0]).abs())
+        .sum()
 }
 
 /// Heading change from the start of a lane to its end, radians.
 fn turn(lane: &Lane) -> f64 {
-    wrap_angle(lane.centerline.heading_at(lane.centerline.length()) - lane.centerline.heading_at(0.0))
+    wrap_angle(
+        lane.centerline.heading_at(lane.centerline.length()) - lane.centerline.heading_at(0.0),
+    )
 }

@@ -9,11 +9,12 @@ mod twins;
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures};
 pub use figure::realism_figure;
 pub use study::{
-    Agreement, CallShares, ChallengeResults, ModelCost, Outcome, RecordingResults, RecordingScores, StudyFolder,
-    StudyResults, SuiteResults, SuiteSimulations, TypeResults, VariantResults, VariantSimulations,
+    Agreement, CallShares, ChallengeResults, ModelCost, Outcome, RecordingResults, RecordingScores,
+    StudyFolder, StudyResults, SuiteResults, SuiteSimulations, TypeResults, VariantResults,
+    VariantSimulations,
 };
 pub use table::{
-    bench_markdown, bench_table, realism_table, study_markdown, study_table, token_markdown, token_table,
-    twin_markdown, twin_table,
+    bench_markdown, bench_table, realism_table, study_markdown, study_table, token_markdown,
+    token_table, twin_markdown, twin_table,
 };
 pub use twins::TwinRecords;

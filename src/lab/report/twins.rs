@@ -29,21 +29,38 @@ impl TwinRecords {
             Err(error) => return Err(ReportError::read(&path)(error)),
         };
         // A process that was killed may leave the first part of a line.
-        let complete: String = text.split_inclusive('\n').filter(|line| line.ends_with('\n')).collect();
-        let records =
-            complete.lines().map(serde_json::from_str).collect::<Result<_, _>>().map_err(ReportError::at(&path))?;
+        let complete: String = text
+            .split_inclusive('\n')
+            .filter(|line| line.ends_with('\n'))
+            .collect();
+        let records = complete
+            .lines()
+            .map(serde_json::from_str)
+            .collect::<Result<_, _>>()
+            .map_err(ReportError::at(&path))?;
         if complete.len() < text.len() {
             atomic::write(&path, complete.as_bytes())?;
         }
-        let file = OpenOptions::new().append(true).create(true).open(&path).map_err(ReportError::write(&path))?;
-        Ok((Self { path, file: Mutex::new(file) }, records))
+        let file = OpenOptions::new()
+            .append(true)
+            .create(true)
+            .open(&path)
+            .map_err(ReportError::write(&path))?;
+        Ok((
+            Self {
+                path,
+                file: Mutex::new(file),
+            },
+            records,
+        ))
     }
 
     /// Adds a record.
     pub fn add(&self, record: &PairRecord) -> Result<(), ReportError> {
         let line = serde_json::to_string(record).map_err(ReportError::at(&self.path))? + "\n";
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        file.write_all(line.as_bytes()).map_err(ReportError::write(&self.path))
+        file.write_all(line.as_bytes())
+            .map_err(ReportError::write(&self.path))
     }
 }
 
@@ -69,6 +86,9 @@ mod tests {
         let (records, before) = TwinRecords::open(folder.path()).unwrap();
         assert_eq!(before, [record("one")]);
         records.add(&record("two")).unwrap();
-        assert_eq!(TwinRecords::open(folder.path()).unwrap().1, [record("one"), record("two")]);
+        assert_eq!(
+            TwinRecords::open(folder.path()).unwrap().1,
+            [record("one"), record("two")]
+        );
     }
 }

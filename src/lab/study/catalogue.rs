@@ -27,12 +27,20 @@ const BUILT_IN: &[(&str, &str)] = built_in![
 
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
-    #[error("unknown experiment '{word}'; there are {known}; or name the path of a study FILE.toml")]
+    #[error(
+        "unknown experiment '{word}'; there are {known}; or name the path of a study FILE.toml"
+    )]
     Unknown { word: String, known: String },
     #[error("cannot read the study {place}: {source}")]
-    Read { place: String, source: std::io::Error },
+    Read {
+        place: String,
+        source: std::io::Error,
+    },
     #[error("in the study {place}: {source}")]
-    Parse { place: String, source: Box<toml::de::Error> },
+    Parse {
+        place: String,
+        source: Box<toml::de::Error>,
+    },
     #[error("in the study {place}: {fault}")]
     Value { place: String, fault: String },
 }
@@ -42,7 +50,10 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 }
 
 pub fn all() -> Result<Vec<Study>, StudyError> {
-    BUILT_IN.iter().map(|(name, text)| parse(name, text)).collect()
+    BUILT_IN
+        .iter()
+        .map(|(name, text)| parse(name, text))
+        .collect()
 }
 
 /// The study of a name, or of a file whose name ends in `.toml`.
@@ -50,19 +61,36 @@ pub fn find(word: &str) -> Result<Study, StudyError> {
     if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == word) {
         return parse(name, text);
     }
-    if Path::new(word).extension().is_none_or(|ending| ending != "toml") {
-        return Err(StudyError::Unknown { word: word.to_owned(), known: names().collect::<Vec<_>>().join(", ") });
+    if Path::new(word)
+        .extension()
+        .is_none_or(|ending| ending != "toml")
+    {
+        return Err(StudyError::Unknown {
+            word: word.to_owned(),
+            known: names().collect::<Vec<_>>().join(", "),
+        });
     }
     let text = planagent_files::read_text(Path::new(word), planagent_files::MAX_SETTINGS_BYTES);
-    parse(word, &text.map_err(|source| StudyError::Read { place: word.to_owned(), source })?)
+    parse(
+        word,
+        &text.map_err(|source| StudyError::Read {
+            place: word.to_owned(),
+            source,
+        })?,
+    )
 }
 
 fn parse(place: &str, text: &str) -> Result<Study, StudyError> {
     let place = || place.to_owned();
-    let mut study: Study =
-        toml::from_str(text).map_err(|source| StudyError::Parse { place: place(), source: Box::new(source) })?;
+    let mut study: Study = toml::from_str(text).map_err(|source| StudyError::Parse {
+        place: place(),
+        source: Box::new(source),
+    })?;
     study.word = place();
-    study.check().map_err(|fault| StudyError::Value { place: place(), fault })?;
+    study.check().map_err(|fault| StudyError::Value {
+        place: place(),
+        fault,
+    })?;
     Ok(study)
 }
 
@@ -92,12 +120,27 @@ mod tests {
     #[test]
     fn a_study_without_a_fitting_part_is_refused_with_its_place() {
         let study = parse("mine.toml", TEXT).unwrap();
-        assert_eq!((study.variants.len(), study.variants[0].planner.as_str()), (2, "plan-agent"));
+        assert_eq!(
+            (study.variants.len(), study.variants[0].planner.as_str()),
+            (2, "plan-agent")
+        );
         for (from, to, fault) in [
             ("labels = ['0.9']", "labels = ['0.5']", "two variants"),
-            ("labels = ['0.9']", "labels = ['0.9', 'more']", "has 2 labels"),
-            ("labels = ['threshold']", "labels = ['threshold']\nreference = 2", "there are 2 variants"),
-            ("labels = ['0.9']", "labels = ['0.9']\nx = 1.0", "figure.lines"),
+            (
+                "labels = ['0.9']",
+                "labels = ['0.9', 'more']",
+                "has 2 labels",
+            ),
+            (
+                "labels = ['threshold']",
+                "labels = ['threshold']\nreference = 2",
+                "there are 2 variants",
+            ),
+            (
+                "labels = ['0.9']",
+                "labels = ['0.9']\nx = 1.0",
+                "figure.lines",
+            ),
             ("name = 'mine'", "name = '../mine'", "folder name"),
             ("suites = ['generated']", "suites = []", "must not be empty"),
             ("labels = ['0.9']", "label = ['0.9']", "label"),
@@ -106,15 +149,27 @@ mod tests {
             let text = format!("{error}");
             assert!(text.contains("mine.toml") && text.contains(fault), "{text}");
         }
-        assert!(find("mian").unwrap_err().to_string().contains("scenario-types"));
-        assert!(find("nowhere.toml").unwrap_err().to_string().contains("nowhere.toml"));
+        assert!(
+            find("mian")
+                .unwrap_err()
+                .to_string()
+                .contains("scenario-types")
+        );
+        assert!(
+            find("nowhere.toml")
+                .unwrap_err()
+                .to_string()
+                .contains("nowhere.toml")
+        );
     }
 
     #[test]
     fn every_variant_of_an_experiment_can_be_configured() {
         for study in super::super::all().unwrap() {
             for variant in &study.variants {
-                planagent_runs::runner::Config::default().overlaid(&variant.settings).unwrap();
+                planagent_runs::runner::Config::default()
+                    .overlaid(&variant.settings)
+                    .unwrap();
             }
         }
     }

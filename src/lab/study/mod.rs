@@ -1,5 +1,6 @@
-//! Studies: the paper's tables and figures, and others beyond them, as data. A study is a TOML file of variants that
-//! simulate the same scenes, each compared with one of them. The built-in ones lie in `studies/`.
+//! Studies: the paper's tables and figures, and others beyond them, as data. A study is a TOML file
+//! of variants that simulate the same scenes, each compared with one of them. The built-in ones lie
+//! in `studies/`.
 
 mod catalogue;
 mod paper;
@@ -94,7 +95,8 @@ pub enum Rows {
     Variants,
     /// A scenario type, with the variants side by side.
     ScenarioTypes,
-    /// A variant, and in further tables a recording. Intervals are over recordings: scenes of one recording are drawn together.
+    /// A variant, and in further tables a recording. Intervals are over recordings: scenes of one
+    /// recording are drawn together.
     Recordings,
 }
 
@@ -123,19 +125,33 @@ pub enum Figure {
 }
 
 impl Study {
-    /// A variant's name: its label; of several yes-or-no labels, those that it lacks; of other ones, all that say
-    /// something.
+    /// A variant's name: its label; of several yes-or-no labels, those that it lacks; of other
+    /// ones, all that say something.
     pub fn name_of(&self, variant: &Variant) -> String {
         if let [name] = &variant.labels[..] {
             return name.clone();
         }
         let labelled = || self.labels.iter().zip(&variant.labels);
-        if !variant.labels.iter().all(|label| [YES, NO].contains(&label.as_str())) {
+        if !variant
+            .labels
+            .iter()
+            .all(|label| [YES, NO].contains(&label.as_str()))
+        {
             let said = labelled().filter(|(_, label)| !label.is_empty());
-            return said.map(|(head, label)| format!("{head}: {label}")).collect::<Vec<_>>().join(", ");
+            return said
+                .map(|(head, label)| format!("{head}: {label}"))
+                .collect::<Vec<_>>()
+                .join(", ");
         }
-        let missing: Vec<&str> = labelled().filter(|(_, label)| *label == NO).map(|(head, _)| head.as_str()).collect();
-        if missing.is_empty() { "the whole agent".to_owned() } else { format!("no {}", missing.join(", no ")) }
+        let missing: Vec<&str> = labelled()
+            .filter(|(_, label)| *label == NO)
+            .map(|(head, _)| head.as_str())
+            .collect();
+        if missing.is_empty() {
+            "the whole agent".to_owned()
+        } else {
+            format!("no {}", missing.join(", no "))
+        }
     }
 
     /// Whether it compares the cost of models.
@@ -157,9 +173,15 @@ impl Study {
         }
         let count = self.variants.len();
         if self.reference >= count {
-            return Err(format!("reference is {}; there are {count} variants, counted from 0", self.reference));
+            return Err(format!(
+                "reference is {}; there are {count} variants, counted from 0",
+                self.reference
+            ));
         }
-        if self.starts.is_some_and(|starts| !(starts.every_s > 0.0 && starts.least_s > 0.0)) {
+        if self
+            .starts
+            .is_some_and(|starts| !(starts.every_s > 0.0 && starts.least_s > 0.0))
+        {
             return Err("starts.every_s and starts.least_s must be above 0".to_owned());
         }
         let mut seen = BTreeSet::new();
@@ -176,7 +198,9 @@ impl Study {
                 return Err(format!("two variants have the labels {labels:?}"));
             }
             if x.is_some() != needs_x {
-                return Err(format!("variant {labels:?}: x belongs to figure.lines, and to it alone"));
+                return Err(format!(
+                    "variant {labels:?}: x belongs to figure.lines, and to it alone"
+                ));
             }
         }
         Ok(())
@@ -188,7 +212,8 @@ const YES: &str = "yes";
 /// and of what it lacks.
 const NO: &str = "no";
 
-/// How many scenes of each type a quick experiment takes, and how many whose type is not known before they are opened.
+/// How many scenes of each type a quick experiment takes, and how many whose type is not known
+/// before they are opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Quick {
     /// Of each type.
@@ -199,14 +224,21 @@ pub struct Quick {
 
 impl Quick {
     /// The numbers of `--quick`: enough to see whether everything works, and large differences.
-    pub const DEFAULT: Self = Self { per_type: 2, untyped: 14 };
+    pub const DEFAULT: Self = Self {
+        per_type: 2,
+        untyped: 14,
+    };
 
     /// The first scenes of each type.
     pub fn of(self, mut sources: Vec<ScenarioRef>) -> Vec<ScenarioRef> {
         let mut taken: BTreeMap<Option<String>, usize> = BTreeMap::new();
         sources.retain(|source| {
             let kind = source.scenario_type().map(str::to_owned);
-            let max = if kind.is_some() { self.per_type } else { self.untyped };
+            let max = if kind.is_some() {
+                self.per_type
+            } else {
+                self.untyped
+            };
             let taken = taken.entry(kind).or_default();
             *taken += 1;
             *taken <= max

@@ -1,5 +1,6 @@
-//! The paper's numbers: closed-loop scores x 100 on nuPlan's Val14 and Test14-hard, with GPT-4V unless a row names another
-//! model. They stand beside ours to compare directions; the scenes differ.
+//! The paper's numbers: closed-loop scores x 100 on nuPlan's Val14 and Test14-hard, with GPT-4V
+//! unless a row names another model. They stand beside ours to compare directions; the scenes
+//! differ.
 
 use planagent_agent::simulation::Challenge;
 use serde::{Deserialize, Serialize};
@@ -45,8 +46,9 @@ pub fn reported_benchmarks(suite: &str) -> &'static [Benchmark] {
     }
 }
 
-/// What READMEs of planners report: scores x 100 with non-reactive and with reactive agents. PlanTF's has both Test14, that of
-/// `tuplan_garage` Val14; `DiffusionPlanner`'s or the paper has what these lack.
+/// What READMEs of planners report: scores x 100 with non-reactive and with reactive agents.
+/// PlanTF's has both Test14, that of `tuplan_garage` Val14; `DiffusionPlanner`'s or the paper has
+/// what these lack.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reported {
@@ -60,7 +62,11 @@ pub struct Reported {
 
 impl Reported {
     /// All benchmarks, in the order of tables.
-    pub const BENCHMARKS: [Benchmark; 3] = [Benchmark::Test14Hard, Benchmark::Test14Random, Benchmark::Val14];
+    pub const BENCHMARKS: [Benchmark; 3] = [
+        Benchmark::Test14Hard,
+        Benchmark::Test14Random,
+        Benchmark::Val14,
+    ];
 
     /// The scores on a benchmark.
     pub fn scores(&self, benchmark: Benchmark) -> Option<[f64; 2]> {

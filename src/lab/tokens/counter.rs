@@ -14,18 +14,26 @@ pub struct TokenCounter<'a> {
 impl<'a> TokenCounter<'a> {
     /// A counter that also counts with the tokenizer of `model`, where it has one here.
     pub fn new(model: Option<&'a dyn Mllm>) -> Self {
-        Self { cl100k: cl100k_base_singleton(), model }
+        Self {
+            cl100k: cl100k_base_singleton(),
+            model,
+        }
     }
 
     /// Name of the model whose tokenizer counts beside `cl100k_base`.
     pub fn model_name(&self) -> Option<&'a str> {
-        self.model.filter(|model| model.count_tokens("").is_some()).map(Mllm::name)
+        self.model
+            .filter(|model| model.count_tokens("").is_some())
+            .map(Mllm::name)
     }
 
     /// The tokens of a text, without special ones.
     pub fn count(&self, text: &str) -> Tokens {
         let model = self.model.and_then(|model| model.count_tokens(text));
-        Tokens { cl100k: self.cl100k.encode_ordinary(text).len(), model }
+        Tokens {
+            cl100k: self.cl100k.encode_ordinary(text).len(),
+            model,
+        }
     }
 }
 
@@ -37,9 +45,12 @@ mod tests {
     #[test]
     fn counts_as_tiktoken_does() {
         let counter = TokenCounter::new(None);
-        for (text, expected) in
-            [("", 0), ("tiktoken is great!", 6), ("front_left vehicle2 8 m 9 m/s", 11), ("(1.20,13.40)", 9)]
-        {
+        for (text, expected) in [
+            ("", 0),
+            ("tiktoken is great!", 6),
+            ("front_left vehicle2 8 m 9 m/s", 11),
+            ("(1.20,13.40)", 9),
+        ] {
             assert_eq!(counter.count(text).cl100k, expected, "{text}");
         }
     }

@@ -1,9 +1,10 @@
-//! Token counts of scene descriptions (the paper's table of token utilization): our texts, and those of GPT-Driver
-//! and LLM-ASSIST of the same scenes, counted with OpenAI's `cl100k_base` (that of GPT-3.5 and GPT-4) and with the tokenizer of
-//! a model at hand.
+//! Token counts of scene descriptions (the paper's table of token utilization): our texts, and
+//! those of GPT-Driver and LLM-ASSIST of the same scenes, counted with OpenAI's `cl100k_base` (that
+//! of GPT-3.5 and GPT-4) and with the tokenizer of a model at hand.
 //!
-//! The scenes are the recorded states of scenarios at the iterations at which PlanAgent would call its model. A description is
-//! the text about the scene alone, without system prompt, question and image.
+//! The scenes are the recorded states of scenarios at the iterations at which PlanAgent would call
+//! its model. A description is the text about the scene alone, without system prompt, question and
+//! image.
 
 mod counter;
 mod table;
@@ -36,7 +37,13 @@ pub enum SceneText {
 
 impl SceneText {
     /// All of them, in the order of the table.
-    pub const ALL: [Self; 5] = [Self::GptDriver, Self::GptDriverObjects, Self::LlmAssist, Self::Paper, Self::Compact];
+    pub const ALL: [Self; 5] = [
+        Self::GptDriver,
+        Self::GptDriverObjects,
+        Self::LlmAssist,
+        Self::Paper,
+        Self::Compact,
+    ];
 
     pub fn name(self) -> &'static str {
         match self {
@@ -54,7 +61,9 @@ impl SceneText {
                 "the node of the ego and its eight neighbors; every agent on them with distance and speed; the lights of all \
                  lanes; the ego's speed and limit; the route. Numbers are whole meters and m/s"
             }
-            Self::Compact => "the same nodes, each with its nearest agent and the number of others, at fixed positions",
+            Self::Compact => {
+                "the same nodes, each with its nearest agent and the number of others, at fixed positions"
+            }
             Self::GptDriver => {
                 "its published facts in our sentences: objects within 20 m ahead, now and in 3 s at constant velocity; the \
                  ego's motion in six lines; four past positions; the goal. Coordinates have two decimals"
@@ -109,8 +118,8 @@ pub struct TokenRow {
     pub tokens: [Tokens; SceneText::ALL.len()],
 }
 
-/// Counts the descriptions of a scenario's recorded states, one every `interval` iterations; an error for a state without a
-/// lane graph.
+/// Counts the descriptions of a scenario's recorded states, one every `interval` iterations; an
+/// error for a state without a lane graph.
 pub fn count(
     scenario: &Scenario,
     interval: usize,
@@ -118,7 +127,9 @@ pub fn count(
     counter: &TokenCounter<'_>,
 ) -> Vec<Result<TokenRow, LaneGraphError>> {
     let iterations = (0..scenario.iterations()).step_by(interval.max(1));
-    iterations.map(|iteration| count_at(scenario, iteration, node_length_m, counter)).collect()
+    iterations
+        .map(|iteration| count_at(scenario, iteration, node_length_m, counter))
+        .collect()
 }
 
 fn count_at(
@@ -131,10 +142,18 @@ fn count_at(
     let frame = &scenario.frames[now];
     let mut history = History::default();
     for past in &scenario.frames[now.saturating_sub(HISTORY_SAMPLES - 1)..=now] {
-        history.push(HistorySample { ego: past.ego, objects: past.objects.clone() });
+        history.push(HistorySample {
+            ego: past.ego,
+            objects: past.objects.clone(),
+        });
     }
     let scene = scenario.scene(frame, &history);
     let graph = LaneGraph::build(&scene, node_length_m)?;
     let tokens = SceneText::ALL.map(|kind| counter.count(&kind.of(&scene, &graph)));
-    Ok(TokenRow { scenario: scenario.id.clone(), iteration, agents: graph.agents.len(), tokens })
+    Ok(TokenRow {
+        scenario: scenario.id.clone(),
+        iteration,
+        agents: graph.agents.len(),
+        tokens,
+    })
 }

@@ -17,7 +17,10 @@ impl TokenMean {
         counts.sort_unstable();
         let rank = (counts.len() as f64 * 0.95).ceil() as usize;
         let p95 = *counts.get(rank.max(1) - 1)?;
-        Some(Self { mean: counts.iter().sum::<usize>() as f64 / counts.len() as f64, p95 })
+        Some(Self {
+            mean: counts.iter().sum::<usize>() as f64 / counts.len() as f64,
+            p95,
+        })
     }
 }
 
@@ -50,15 +53,22 @@ impl TokenTable {
     /// The table of counted states; `model` names the model whose tokenizer counted.
     pub fn new(rows: &[TokenRow], model: Option<&str>) -> Self {
         let column = |place: usize, of: fn(&Tokens) -> Option<usize>| {
-            TokenMean::of(rows.iter().filter_map(|row| of(&row.tokens[place])).collect())
+            TokenMean::of(
+                rows.iter()
+                    .filter_map(|row| of(&row.tokens[place]))
+                    .collect(),
+            )
         };
-        let described = SceneText::ALL.into_iter().enumerate().map(|(place, text)| TokenTableRow {
-            text,
-            definition: text.definition(),
-            published: text.published(),
-            cl100k: column(place, |tokens| Some(tokens.cl100k)),
-            model: column(place, |tokens| tokens.model),
-        });
+        let described = SceneText::ALL
+            .into_iter()
+            .enumerate()
+            .map(|(place, text)| TokenTableRow {
+                text,
+                definition: text.definition(),
+                published: text.published(),
+                cl100k: column(place, |tokens| Some(tokens.cl100k)),
+                model: column(place, |tokens| tokens.model),
+            });
         let agents = rows.iter().map(|row| row.agents).sum::<usize>() as f64 / rows.len() as f64;
         Self {
             states: rows.len(),
@@ -79,12 +89,24 @@ mod tests {
             scenario: "a".to_owned(),
             iteration: 0,
             agents: count,
-            tokens: [Tokens { cl100k: count, model: None }; SceneText::ALL.len()],
+            tokens: [Tokens {
+                cl100k: count,
+                model: None,
+            }; SceneText::ALL.len()],
         };
         let rows: Vec<TokenRow> = (1..=20).map(row).collect();
         let table = TokenTable::new(&rows, None);
-        assert_eq!(table.rows[0].cl100k, Some(TokenMean { mean: 10.5, p95: 19 }));
-        assert_eq!((table.states, table.agents, table.rows[0].model), (20, Some(10.5), None));
+        assert_eq!(
+            table.rows[0].cl100k,
+            Some(TokenMean {
+                mean: 10.5,
+                p95: 19
+            })
+        );
+        assert_eq!(
+            (table.states, table.agents, table.rows[0].model),
+            (20, Some(10.5), None)
+        );
         assert_eq!(TokenTable::new(&[], None).rows[0].cl100k, None);
     }
 }

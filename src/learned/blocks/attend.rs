@@ -1,5 +1,9 @@
-//! Attention with an additive bias, a few queries at a time: the logits of all queries are never stored.
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
+//! Attention with an additive bias, a few queries at a time: the logits of all queries are never
+//! stored.
+#![allow(
+    clippy::inline_always,
+    reason = "kernels must be inlined into the functions that enable the instructions"
+)]
 
 use candle_core::{Device, Result, Tensor, bail};
 use planagent_kernels::matrix::{Instructions, Kernel, LANES, Simd};
@@ -36,17 +40,40 @@ impl Memory {
         let (batch, count, all) = keys.dims3()?;
         let width = all / heads;
         if keys.dims() != values.dims() || width * heads != all || count == 0 {
-            bail!("{:?} and {:?} are no keys and values of {heads} heads", keys.shape(), values.shape());
+            bail!(
+                "{:?} and {:?} are no keys and values of {heads} heads",
+                keys.shape(),
+                values.shape()
+            );
         }
-        let mut memory = Self { batch, heads, width, count, keys: Vec::new(), values: Vec::new() };
+        let mut memory = Self {
+            batch,
+            heads,
+            width,
+            count,
+            keys: Vec::new(),
+            values: Vec::new(),
+        };
         let (key_vectors, value_vectors) = (memory.key_vectors(), memory.value_vectors());
         memory.keys = vec![[0.0; LANES]; batch * heads * width * key_vectors];
         memory.values = vec![[0.0; LANES]; batch * heads * count * value_vectors];
         with_values(keys, |keys| {
-            for (place, packed) in memory.keys.chunks_exact_mut(width * key_vectors).enumerate() {
+            for (place, packed) in memory
+                .keys
+                .chunks_exact_mut(width * key_vectors)
+                .enumerate()
+            {
                 let (member, head) = (place / heads, place % heads);
-                for (i, key) in keys.chunks_exact(all).skip(member * count).take(count).enumerate() {
-                    for (row, value) in packed.chunks_exact_mut(key_vectors).zip(&key[head * width..]) {
+                for (i, key) in keys
+                    .chunks_exact(all)
+                    .skip(member * count)
+                    .take(count)
+                    .enumerate()
+                {
+                    for (row, value) in packed
+                        .chunks_exact_mut(key_vectors)
+                        .zip(&key[head * width..])
+                    {
                         row[i / LANES][i % LANES] = *value;
                     }
                 }
@@ -54,11 +81,16 @@ impl Memory {
             Ok(())
         })?;
         with_values(values, |values| {
-            for (place, packed) in memory.values.chunks_exact_mut(count * value_vectors).enumerate() {
+            for (place, packed) in memory
+                .values
+                .chunks_exact_mut(count * value_vectors)
+                .enumerate()
+            {
                 let (member, head) = (place / heads, place % heads);
                 let rows = values.chunks_exact(all).skip(member * count);
                 for (packed, value) in packed.chunks_exact_mut(value_vectors).zip(rows) {
-                    packed.as_flattened_mut()[..width].copy_from_slice(&value[head * width..][..width]);
+                    packed.as_flattened_mut()[..width]
+                        .copy_from_slice(&value[head * width..][..width]);
                 }
             }
             Ok(())
@@ -74,8 +106,8 @@ impl Memory {
         self.width.div_ceil(LANES)
     }
 
-    /// What queries (B, Q, heads · width) hear, in their shape; `bias`, which has the shape (B, heads, Q, K) or ones in the place of
-    /// the first three, is added to the logits.
+    /// What queries (B, Q, heads · width) hear, in their shape; `bias`, which has the shape (B,
+    /// heads, Q, K) or ones in the place of the first three, is added to the logits.
     pub(crate) fn hear(&self, queries: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
         let (batch, count, all) = queries.dims3()?;
         if batch != self.batch || all != self.heads * self.width {
@@ -87,12 +119,21 @@ impl Memory {
                 self.width
             );
         }
-        let bias = bias.map(|bias| Bias::of(bias, [batch, self.heads, count, self.count])).transpose()?;
+        let bias = bias
+            .map(|bias| Bias::of(bias, [batch, self.heads, count, self.count]))
+            .transpose()?;
         with_values(queries, |values| {
             let mut out = vec![0f32; values.len()];
             let piece = |member: usize, first: usize, out: &mut [f32]| {
                 let queries = &values[(member * count + first) * all..][..out.len()];
-                Instructions::best().run(Piece { memory: self, bias: bias.as_ref(), member, first, queries, out });
+                Instructions::best().run(Piece {
+                    memory: self,
+                    bias: bias.as_ref(),
+                    member,
+                    first,
+                    queries,
+                    out,
+                });
             };
             // Pieces do not cross a batch's members.
             let member = |(member, out): (usize, &mut [f32])| {
@@ -103,10 +144,17 @@ impl Memory {
                     pieces.for_each(|(i, out)| piece(member, i * PIECE, out));
                 }
             };
-            if count > 0 && batch > 1 && 2 * batch * count * all * self.count >= MIN_PARALLEL_PRODUCTS {
-                out.par_chunks_exact_mut(count * all).enumerate().for_each(member);
+            if count > 0
+                && batch > 1
+                && 2 * batch * count * all * self.count >= MIN_PARALLEL_PRODUCTS
+            {
+                out.par_chunks_exact_mut(count * all)
+                    .enumerate()
+                    .for_each(member);
             } else if count > 0 {
-                out.chunks_exact_mut(count * all).enumerate().for_each(member);
+                out.chunks_exact_mut(count * all)
+                    .enumerate()
+                    .for_each(member);
             }
             Tensor::from_vec(out, (batch, count, all), &Device::Cpu)
         })
@@ -124,13 +172,30 @@ struct Bias {
 impl Bias {
     fn of(bias: &Tensor, shape: [usize; 4]) -> Result<Self> {
         let dims = bias.dims();
-        let fits =
-            dims.len() == 4 && dims[3] == shape[3] && dims.iter().zip(shape).all(|(&own, all)| own == all || own == 1);
+        let fits = dims.len() == 4
+            && dims[3] == shape[3]
+            && dims
+                .iter()
+                .zip(shape)
+                .all(|(&own, all)| own == all || own == 1);
         if !fits {
-            bail!("a bias of {:?} does not fit logits of {shape:?}", bias.shape());
+            bail!(
+                "a bias of {:?} does not fit logits of {shape:?}",
+                bias.shape()
+            );
         }
-        let step = |i: usize| if dims[i] == 1 { 0 } else { dims[i + 1..].iter().product() };
-        Ok(Self { steps: [step(0), step(1), step(2)], keys: shape[3], values: bias.flatten_all()?.to_vec1()? })
+        let step = |i: usize| {
+            if dims[i] == 1 {
+                0
+            } else {
+                dims[i + 1..].iter().product()
+            }
+        };
+        Ok(Self {
+            steps: [step(0), step(1), step(2)],
+            keys: shape[3],
+            values: bias.flatten_all()?.to_vec1()?,
+        })
     }
 
     /// The numbers of a member, head and query.
@@ -154,16 +219,31 @@ struct Piece<'a> {
 impl Kernel for Piece<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { memory, bias, member, first, queries, out } = self;
-        let &Memory { heads, width, count, .. } = memory;
-        let (key_vectors, value_vectors, all) = (memory.key_vectors(), memory.value_vectors(), heads * width);
+        let Self {
+            memory,
+            bias,
+            member,
+            first,
+            queries,
+            out,
+        } = self;
+        let &Memory {
+            heads,
+            width,
+            count,
+            ..
+        } = memory;
+        let (key_vectors, value_vectors, all) =
+            (memory.key_vectors(), memory.value_vectors(), heads * width);
         let scale = 1.0 / (width as f32).sqrt();
         let mut logits = vec![[0f32; LANES]; QUERIES * key_vectors];
         for head in 0..heads {
             let place = member * heads + head;
             let keys = &memory.keys[place * width * key_vectors..][..width * key_vectors];
             let values = &memory.values[place * count * value_vectors..][..count * value_vectors];
-            let groups = queries.chunks(QUERIES * all).zip(out.chunks_mut(QUERIES * all));
+            let groups = queries
+                .chunks(QUERIES * all)
+                .zip(out.chunks_mut(QUERIES * all));
             for (group, (queries, out)) in groups.enumerate() {
                 let rows = queries.len() / all;
                 // A missing query repeats the last.
@@ -173,14 +253,18 @@ impl Kernel for Piece<'_> {
                     let logits = &mut logits.as_flattened_mut()[..count];
                     if let Some(bias) = bias {
                         let bias = bias.row([member, head, first + group * QUERIES + i]);
-                        logits.iter_mut().zip(bias).for_each(|(logit, bias)| *logit += bias);
+                        logits
+                            .iter_mut()
+                            .zip(bias)
+                            .for_each(|(logit, bias)| *logit += bias);
                     }
                     softmax_in_place(logits);
                 }
                 mix(simd, &logits, values, value_vectors, |i, column, sums| {
                     if i < rows && column < width {
                         let end = width.min(column + LANES);
-                        out[i * all + head * width..][column..end].copy_from_slice(&sums[..end - column]);
+                        out[i * all + head * width..][column..end]
+                            .copy_from_slice(&sums[..end - column]);
                     }
                 });
             }
@@ -190,7 +274,13 @@ impl Kernel for Piece<'_> {
 
 /// The scaled products of queries with all keys.
 #[inline(always)]
-fn score<S: Simd>(simd: S, queries: [&[f32]; QUERIES], keys: &[[f32; LANES]], scale: f32, logits: &mut [[f32; LANES]]) {
+fn score<S: Simd>(
+    simd: S,
+    queries: [&[f32]; QUERIES],
+    keys: &[[f32; LANES]],
+    scale: f32,
+    logits: &mut [[f32; LANES]],
+) {
     let vectors = logits.len() / QUERIES;
     for vector in (0..vectors).step_by(VECTORS) {
         let mut sums = [[simd.floats(0.0); VECTORS]; QUERIES];
@@ -211,7 +301,8 @@ fn score<S: Simd>(simd: S, queries: [&[f32]; QUERIES], keys: &[[f32; LANES]], sc
     }
 }
 
-/// The sums of values, weighted with the shares of each query; `write` takes the query, a column and the numbers from there on.
+/// The sums of values, weighted with the shares of each query; `write` takes the query, a column
+/// and the numbers from there on.
 #[inline(always)]
 fn mix<S: Simd>(
     simd: S,
@@ -246,49 +337,92 @@ mod tests {
 
     fn scattered(shape: &[usize], seed: usize) -> Tensor {
         let count: usize = shape.iter().product();
-        let values: Vec<f32> = (0..count).map(|i| ((i * 7919 + seed) % 1009) as f32 / 504.5 - 1.0).collect();
+        let values: Vec<f32> = (0..count)
+            .map(|i| ((i * 7919 + seed) % 1009) as f32 / 504.5 - 1.0)
+            .collect();
         Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
     }
 
     /// By candle, operation by operation, in f64.
-    fn expected(query: &Tensor, [key, value]: [&Tensor; 2], heads: usize, bias: Option<&Tensor>) -> Tensor {
+    fn expected(
+        query: &Tensor,
+        [key, value]: [&Tensor; 2],
+        heads: usize,
+        bias: Option<&Tensor>,
+    ) -> Tensor {
         let split = |x: &Tensor| {
             let (batch, rows, all) = x.dims3().unwrap();
-            let x = x.to_dtype(DType::F64).unwrap().reshape((batch, rows, heads, all / heads)).unwrap();
+            let x = x
+                .to_dtype(DType::F64)
+                .unwrap()
+                .reshape((batch, rows, heads, all / heads))
+                .unwrap();
             x.transpose(1, 2).unwrap().contiguous().unwrap()
         };
         let (query, key, value) = (split(query), split(key), split(value));
         let scale = 1.0 / (query.dim(3).unwrap() as f64).sqrt();
-        let logits = (query.matmul(&key.transpose(2, 3).unwrap().contiguous().unwrap()).unwrap() * scale).unwrap();
-        let logits =
-            bias.map_or(logits.clone(), |bias| logits.broadcast_add(&bias.to_dtype(DType::F64).unwrap()).unwrap());
-        let mixed = candle_nn::ops::softmax(&logits, 3).unwrap().matmul(&value).unwrap();
+        let logits = (query
+            .matmul(&key.transpose(2, 3).unwrap().contiguous().unwrap())
+            .unwrap()
+            * scale)
+            .unwrap();
+        let logits = bias.map_or(logits.clone(), |bias| {
+            logits
+                .broadcast_add(&bias.to_dtype(DType::F64).unwrap())
+                .unwrap()
+        });
+        let mixed = candle_nn::ops::softmax(&logits, 3)
+            .unwrap()
+            .matmul(&value)
+            .unwrap();
         let (batch, heads, rows, width) = mixed.dims4().unwrap();
-        mixed.transpose(1, 2).unwrap().reshape((batch, rows, heads * width)).unwrap().to_dtype(DType::F32).unwrap()
+        mixed
+            .transpose(1, 2)
+            .unwrap()
+            .reshape((batch, rows, heads * width))
+            .unwrap()
+            .to_dtype(DType::F32)
+            .unwrap()
     }
 
     #[test]
     fn heard_is_what_candle_computes() {
-        for (batch, heads, width, queries, keys) in
-            [(1, 8, 32, 67, 236), (3, 2, 16, 20, 20), (2, 4, 5, 1, 1), (1, 1, 48, 9, 33)]
-        {
+        for (batch, heads, width, queries, keys) in [
+            (1, 8, 32, 67, 236),
+            (3, 2, 16, 20, 20),
+            (2, 4, 5, 1, 1),
+            (1, 1, 48, 9, 33),
+        ] {
             let tensor = |rows, seed| scattered(&[batch, rows, heads * width], seed);
             let (query, key, value) = (tensor(queries, 1), tensor(keys, 2), tensor(keys, 3));
             let hidden = scattered(&[batch, 1, queries, keys], 4);
-            let hidden = hidden
-                .gt(0.5)
-                .unwrap()
-                .where_cond(&Tensor::full(f32::NEG_INFINITY, hidden.dims(), &Device::Cpu).unwrap(), &hidden);
+            let hidden = hidden.gt(0.5).unwrap().where_cond(
+                &Tensor::full(f32::NEG_INFINITY, hidden.dims(), &Device::Cpu).unwrap(),
+                &hidden,
+            );
             let hidden = hidden.unwrap();
             // Each query sees its first key.
             let first = Tensor::zeros((batch, 1, queries, 1), DType::F32, &Device::Cpu).unwrap();
             let hidden = Tensor::cat(&[first, hidden.narrow(3, 1, keys - 1).unwrap()], 3).unwrap();
             let by_head = scattered(&[1, heads, 1, keys], 5);
             for bias in [None, Some(&hidden), Some(&by_head)] {
-                let found = Memory::pack(&key, &value, heads).unwrap().hear(&query, bias).unwrap();
+                let found = Memory::pack(&key, &value, heads)
+                    .unwrap()
+                    .hear(&query, bias)
+                    .unwrap();
                 let expected = expected(&query, [&key, &value], heads, bias);
-                let off = (found - expected).unwrap().abs().unwrap().max_all().unwrap().to_scalar::<f32>().unwrap();
-                assert!(off < 1e-6, "{batch} {heads} {width} {queries} {keys}: {off}");
+                let off = (found - expected)
+                    .unwrap()
+                    .abs()
+                    .unwrap()
+                    .max_all()
+                    .unwrap()
+                    .to_scalar::<f32>()
+                    .unwrap();
+                assert!(
+                    off < 1e-6,
+                    "{batch} {heads} {width} {queries} {keys}: {off}"
+                );
             }
         }
     }

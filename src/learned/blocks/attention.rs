@@ -13,29 +13,54 @@ pub(crate) struct MultiheadAttention {
 
 impl MultiheadAttention {
     /// Takes `NAME.in_proj_weight`, `NAME.in_proj_bias` and `NAME.out_proj`.
-    pub(crate) fn take(weights: &mut Weights, name: &str, width: usize, heads: usize) -> Result<Self> {
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        width: usize,
+        heads: usize,
+    ) -> Result<Self> {
         let weight = weights.take(&format!("{name}.in_proj_weight"), &[3 * width, width])?;
         let bias = weights.take(&format!("{name}.in_proj_bias"), &[3 * width])?;
         let part = |i: usize| {
-            Linear::of(&weight.narrow(0, i * width, width)?, Some(bias.narrow(0, i * width, width)?.contiguous()?))
+            Linear::of(
+                &weight.narrow(0, i * width, width)?,
+                Some(bias.narrow(0, i * width, width)?.contiguous()?),
+            )
         };
         let projections = [part(0)?, part(1)?, part(2)?];
-        Ok(Self { heads, projections, output: Linear::take(weights, &format!("{name}.out_proj"), width, width)? })
+        Ok(Self {
+            heads,
+            projections,
+            output: Linear::take(weights, &format!("{name}.out_proj"), width, width)?,
+        })
     }
 
-    /// Queries (B, Q, E), keys and values (B, K, E); `bias`, which has the shape (B, heads, Q, K) or ones in the place of the first
-    /// three, is added to the logits.
-    pub(crate) fn forward(&self, [query, key, value]: [&Tensor; 3], bias: Option<&Tensor>) -> Result<Tensor> {
+    /// Queries (B, Q, E), keys and values (B, K, E); `bias`, which has the shape (B, heads, Q, K)
+    /// or ones in the place of the first three, is added to the logits.
+    pub(crate) fn forward(
+        &self,
+        [query, key, value]: [&Tensor; 3],
+        bias: Option<&Tensor>,
+    ) -> Result<Tensor> {
         self.hear(query, &self.memory(key, value)?, bias)
     }
 
     /// Keys and values (B, K, E) that several queries may hear.
     pub(crate) fn memory(&self, key: &Tensor, value: &Tensor) -> Result<Memory> {
-        Memory::pack(&self.projected(1, key)?, &self.projected(2, value)?, self.heads)
+        Memory::pack(
+            &self.projected(1, key)?,
+            &self.projected(2, value)?,
+            self.heads,
+        )
     }
 
     /// As [`Self::forward`], of queries that hear a memory.
-    pub(crate) fn hear(&self, query: &Tensor, memory: &Memory, bias: Option<&Tensor>) -> Result<Tensor> {
+    pub(crate) fn hear(
+        &self,
+        query: &Tensor,
+        memory: &Memory,
+        bias: Option<&Tensor>,
+    ) -> Result<Tensor> {
         self.output(&memory.hear(&self.projected(0, query)?, bias)?)
     }
 
@@ -54,5 +79,7 @@ impl MultiheadAttention {
 pub(crate) fn key_bias(valid: &Tensor) -> Result<Tensor> {
     let (batch, keys) = valid.dims2()?;
     let hidden = Tensor::full(f32::NEG_INFINITY, (batch, keys), &Device::Cpu)?;
-    valid.where_cond(&hidden.zeros_like()?, &hidden)?.reshape((batch, 1, 1, keys))
+    valid
+        .where_cond(&hidden.zeros_like()?, &hidden)?
+        .reshape((batch, 1, 1, keys))
 }

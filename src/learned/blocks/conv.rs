@@ -16,16 +16,34 @@ const KERNEL: usize = 3;
 
 impl Conv1d {
     /// Takes `NAME.weight` and `NAME.bias`.
-    pub(crate) fn take(weights: &mut Weights, name: &str, inputs: usize, outputs: usize) -> Result<Self> {
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Self> {
         let weight = weights.take(&format!("{name}.weight"), &[outputs, inputs, KERNEL])?;
         let bias = weights.take(&format!("{name}.bias"), &[outputs])?;
-        Ok(Self { weight, bias: Some(bias.reshape((1, outputs, 1))?), stride: 1 })
+        Ok(Self {
+            weight,
+            bias: Some(bias.reshape((1, outputs, 1))?),
+            stride: 1,
+        })
     }
 
     /// Takes `NAME.weight` of a layer that halves the length.
-    pub(crate) fn halving(weights: &mut Weights, name: &str, inputs: usize, outputs: usize) -> Result<Self> {
+    pub(crate) fn halving(
+        weights: &mut Weights,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Self> {
         let weight = weights.take(&format!("{name}.weight"), &[outputs, inputs, KERNEL])?;
-        Ok(Self { weight, bias: None, stride: 2 })
+        Ok(Self {
+            weight,
+            bias: None,
+            stride: 2,
+        })
     }
 
     /// Applies the layer.

@@ -13,19 +13,38 @@ pub(crate) struct Linear {
 
 impl Linear {
     /// Takes `NAME.weight` and `NAME.bias`.
-    pub(crate) fn take(weights: &mut Weights, name: &str, inputs: usize, outputs: usize) -> Result<Self> {
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Self> {
         let layer = Self::without_bias(weights, name, inputs, outputs)?;
-        Ok(Self { bias: Some(weights.take(&format!("{name}.bias"), &[outputs])?), ..layer })
+        Ok(Self {
+            bias: Some(weights.take(&format!("{name}.bias"), &[outputs])?),
+            ..layer
+        })
     }
 
     /// Takes `NAME.weight`.
-    pub(crate) fn without_bias(weights: &mut Weights, name: &str, inputs: usize, outputs: usize) -> Result<Self> {
-        Self::of(&weights.take(&format!("{name}.weight"), &[outputs, inputs])?, None)
+    pub(crate) fn without_bias(
+        weights: &mut Weights,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Self> {
+        Self::of(
+            &weights.take(&format!("{name}.weight"), &[outputs, inputs])?,
+            None,
+        )
     }
 
     /// Of a weight (outputs, inputs) and a bias.
     pub(crate) fn of(weight: &Tensor, bias: Option<Tensor>) -> Result<Self> {
-        Ok(Self { weight: Matrix::from_tensor(weight)?, bias })
+        Ok(Self {
+            weight: Matrix::from_tensor(weight)?,
+            bias,
+        })
     }
 
     /// Applies the layer to (…, inputs).
@@ -45,12 +64,17 @@ impl Linear {
         }
         let rows = x.elem_count() / self.weight.inputs();
         let x = x.reshape((rows, self.weight.inputs()))?;
-        let residual = residual.map(|residual| residual.reshape((rows, self.weight.outputs()))).transpose()?;
-        self.weight.forward_onto(&x, self.bias.as_ref(), residual.as_ref())?.reshape(shape)
+        let residual = residual
+            .map(|residual| residual.reshape((rows, self.weight.outputs())))
+            .transpose()?;
+        self.weight
+            .forward_onto(&x, self.bias.as_ref(), residual.as_ref())?
+            .reshape(shape)
     }
 }
 
-/// An affine layer of rows [own, common], where the rows of a group have the second part in common: its product is computed once a group.
+/// An affine layer of rows [own, common], where the rows of a group have the second part in common:
+/// its product is computed once a group.
 #[derive(Debug, Clone)]
 pub(crate) struct GroupLinear {
     own: Linear,
@@ -67,11 +91,15 @@ impl GroupLinear {
         })
     }
 
-    /// Maps rows (groups, rows, own) and what their groups have in common (groups, common) to (groups, rows, outputs).
+    /// Maps rows (groups, rows, own) and what their groups have in common (groups, common) to
+    /// (groups, rows, outputs).
     pub(crate) fn forward(&self, x: &Tensor, common: &Tensor) -> Result<Tensor> {
         let (groups, rows, _) = x.dims3()?;
         let common = self.common.forward(common)?.unsqueeze(1)?;
-        self.own.forward_onto(x, &common.broadcast_as((groups, rows, self.own.weight.outputs()))?)
+        self.own.forward_onto(
+            x,
+            &common.broadcast_as((groups, rows, self.own.weight.outputs()))?,
+        )
     }
 }
 
@@ -86,14 +114,20 @@ impl Mlp {
     pub(crate) fn take(weights: &mut Weights, names: &[String], widths: &[usize]) -> Result<Self> {
         let layers = names.iter().zip(widths.windows(2));
         let layers = layers.map(|(name, width)| Linear::take(weights, name, width[0], width[1]));
-        Ok(Self { layers: layers.collect::<Result<_>>()? })
+        Ok(Self {
+            layers: layers.collect::<Result<_>>()?,
+        })
     }
 
     /// Applies the layers to (…, inputs).
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let mut x = x.clone();
         for (i, layer) in self.layers.iter().enumerate() {
-            x = if i == 0 { layer.forward(&x)? } else { layer.forward(&relu(&x)?)? };
+            x = if i == 0 {
+                layer.forward(&x)?
+            } else {
+                layer.forward(&relu(&x)?)?
+            };
         }
         Ok(x)
     }

@@ -14,7 +14,11 @@ impl LayerNorm {
     /// Takes `NAME.weight` and `NAME.bias`.
     pub(crate) fn take(weights: &mut Weights, name: &str, width: usize) -> Result<Self> {
         let mut vector = |part: &str| weights.take(&format!("{name}.{part}"), &[width])?.to_vec1();
-        Ok(Self(planagent_kernels::LayerNorm::new(vector("weight")?, vector("bias")?, EPSILON)))
+        Ok(Self(planagent_kernels::LayerNorm::new(
+            vector("weight")?,
+            vector("bias")?,
+            EPSILON,
+        )))
     }
 
     /// Applies the norm to (…, width).
@@ -45,7 +49,9 @@ impl BatchNorm {
     /// A layer's weight (channels, …) and bias with the norm behind the layer folded in.
     pub(crate) fn folded(self, weight: &Tensor, bias: Option<&Tensor>) -> Result<(Tensor, Tensor)> {
         let (channels, rank) = (weight.dim(0)?, weight.rank());
-        let factor = self.factor.reshape([&[channels], vec![1; rank - 1].as_slice()].concat())?;
+        let factor = self
+            .factor
+            .reshape([&[channels], vec![1; rank - 1].as_slice()].concat())?;
         let bias = match bias {
             Some(bias) => ((bias * &self.factor)? + self.summand)?,
             None => self.summand,

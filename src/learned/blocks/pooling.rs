@@ -15,12 +15,16 @@ pub(crate) fn largest(x: &Tensor) -> Result<Tensor> {
 /// As [`largest`], where a row counts as `hidden` if its mask (…, rows) is 0.
 pub(crate) fn largest_where(x: &Tensor, mask: &Tensor, hidden: f32) -> Result<Tensor> {
     let mask = mask.flatten_all()?.to_vec1::<u8>()?;
-    pooled(x, |row| (mask.get(row).copied() == Some(0)).then_some(hidden))
+    pooled(x, |row| {
+        (mask.get(row).copied() == Some(0)).then_some(hidden)
+    })
 }
 
 /// `counts_as` says what the numbers of a row count as, if not as themselves.
 fn pooled(x: &Tensor, counts_as: impl Fn(usize) -> Option<f32> + Sync) -> Result<Tensor> {
-    let &[ref outer @ .., rows, width] = x.dims() else { bail!("expected groups of rows, found {:?}", x.shape()) };
+    let &[ref outer @ .., rows, width] = x.dims() else {
+        bail!("expected groups of rows, found {:?}", x.shape())
+    };
     let shape = [outer, &[width]].concat();
     if rows * width == 0 {
         bail!("groups of {rows} rows of {width} numbers have no largest");
@@ -39,9 +43,15 @@ fn pooled(x: &Tensor, counts_as: impl Fn(usize) -> Option<f32> + Sync) -> Result
             }
         };
         if values.len() < MIN_PARALLEL {
-            out.chunks_exact_mut(width).zip(values.chunks_exact(rows * width)).enumerate().for_each(pool);
+            out.chunks_exact_mut(width)
+                .zip(values.chunks_exact(rows * width))
+                .enumerate()
+                .for_each(pool);
         } else {
-            out.par_chunks_exact_mut(width).zip(values.par_chunks_exact(rows * width)).enumerate().for_each(pool);
+            out.par_chunks_exact_mut(width)
+                .zip(values.par_chunks_exact(rows * width))
+                .enumerate()
+                .for_each(pool);
         }
         Tensor::from_vec(out, shape, x.device())
     })
@@ -54,7 +64,9 @@ mod tests {
 
     fn scattered(shape: &[usize]) -> Tensor {
         let count: usize = shape.iter().product();
-        let values: Vec<f32> = (0..count).map(|i| ((i * 7919) % 1009) as f32 - 504.0).collect();
+        let values: Vec<f32> = (0..count)
+            .map(|i| ((i * 7919) % 1009) as f32 - 504.0)
+            .collect();
         Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
     }
 
@@ -75,9 +87,18 @@ mod tests {
 
     #[test]
     fn hidden_rows_count_as_what_is_given() {
-        let x = Tensor::new(&[[[1f32, -3.0], [5.0, 5.0]], [[-1.0, -2.0], [9.0, 9.0]]], &Device::Cpu).unwrap();
+        let x = Tensor::new(
+            &[[[1f32, -3.0], [5.0, 5.0]], [[-1.0, -2.0], [9.0, 9.0]]],
+            &Device::Cpu,
+        )
+        .unwrap();
         let mask = Tensor::new(&[[1u8, 1], [1, 0]], &Device::Cpu).unwrap();
-        let of = |hidden| largest_where(&x, &mask, hidden).unwrap().to_vec2::<f32>().unwrap();
+        let of = |hidden| {
+            largest_where(&x, &mask, hidden)
+                .unwrap()
+                .to_vec2::<f32>()
+                .unwrap()
+        };
         assert_eq!(of(0.0), [[5.0, 5.0], [0.0, 0.0]]);
         assert_eq!(of(f32::NEG_INFINITY), [[5.0, 5.0], [-1.0, -2.0]]);
     }

@@ -4,8 +4,8 @@ use candle_core::Tensor;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-/// Keeps intermediate results by the names of PyTorch's modules, for tests; switched off, it keeps nothing. Parts of a network that
-/// run at the same time may note results with different names.
+/// Keeps intermediate results by the names of PyTorch's modules, for tests; switched off, it keeps
+/// nothing. Parts of a network that run at the same time may note results with different names.
 #[derive(Debug, Default)]
 pub struct Probe {
     kept: Option<Mutex<BTreeMap<String, Tensor>>>,
@@ -19,7 +19,9 @@ impl Probe {
 
     /// Keeps everything.
     pub fn on() -> Self {
-        Self { kept: Some(Mutex::default()) }
+        Self {
+            kept: Some(Mutex::default()),
+        }
     }
 
     /// Notes a result. A name that is noted again gets `#1`, `#2` and so on.
@@ -49,6 +51,11 @@ impl Probe {
 
     /// The result of this name.
     pub fn get(&self, name: &str) -> Option<Tensor> {
-        self.kept.as_ref()?.lock().unwrap_or_else(PoisonError::into_inner).get(name).cloned()
+        self.kept
+            .as_ref()?
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .get(name)
+            .cloned()
     }
 }

@@ -1,5 +1,8 @@
 //! Recurrent layers over sequences of different lengths.
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
+#![allow(
+    clippy::inline_always,
+    reason = "kernels must be inlined into the functions that enable the instructions"
+)]
 
 use super::{Linear, Weights};
 use candle_core::{DType, Device, IndexOp, Result, Tensor};
@@ -8,11 +11,19 @@ use planagent_kernels::pointwise::{sigmoid, tanh};
 use planagent_kernels::values::with_values;
 
 /// Takes `NAME.weight_ih_lI`, `NAME.weight_hh_lI` and their biases for `gates` gates of this width.
-fn gates(weights: &mut Weights, name: &str, layer: usize, [inputs, width, gates]: [usize; 3]) -> Result<[Linear; 2]> {
+fn gates(
+    weights: &mut Weights,
+    name: &str,
+    layer: usize,
+    [inputs, width, gates]: [usize; 3],
+) -> Result<[Linear; 2]> {
     let rows = gates * width;
     let mut part = |kind: &str, columns: usize| {
         let weight = weights.take(&format!("{name}.weight_{kind}_l{layer}"), &[rows, columns])?;
-        Linear::of(&weight, Some(weights.take(&format!("{name}.bias_{kind}_l{layer}"), &[rows])?))
+        Linear::of(
+            &weight,
+            Some(weights.take(&format!("{name}.bias_{kind}_l{layer}"), &[rows])?),
+        )
     };
     Ok([part("ih", inputs)?, part("hh", width)?])
 }
@@ -25,11 +36,20 @@ pub(crate) struct Gru {
 }
 
 impl Gru {
-    pub(crate) fn take(weights: &mut Weights, name: &str, inputs: usize, width: usize) -> Result<Self> {
-        Ok(Self { width, gates: gates(weights, name, 0, [inputs, width, 3])? })
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        inputs: usize,
+        width: usize,
+    ) -> Result<Self> {
+        Ok(Self {
+            width,
+            gates: gates(weights, name, 0, [inputs, width, 3])?,
+        })
     }
 
-    /// The state after the first `lengths` steps of each of the sequences (N, T, inputs), or after all; zeros for length 0.
+    /// The state after the first `lengths` steps of each of the sequences (N, T, inputs), or after
+    /// all; zeros for length 0.
     pub(crate) fn last(&self, x: &Tensor, lengths: Option<&[usize]>) -> Result<Tensor> {
         let (rows, steps, _) = x.dims3()?;
         let [of_input, of_state] = &self.gates;
@@ -38,10 +58,18 @@ impl Gru {
         for step in 0..steps {
             let own = of_state.forward(&state)?;
             let mut next = state.flatten_all()?.to_vec1::<f32>()?;
-            let runs = |row: usize| lengths.is_none_or(|lengths| lengths.get(row).is_some_and(|&length| step < length));
+            let runs = |row: usize| {
+                lengths.is_none_or(|lengths| lengths.get(row).is_some_and(|&length| step < length))
+            };
             with_values(&inputs.i(step)?, |inputs| {
                 with_values(&own, |own| {
-                    let cell = GruCell { width: self.width, inputs, own, runs, state: &mut next };
+                    let cell = GruCell {
+                        width: self.width,
+                        inputs,
+                        own,
+                        runs,
+                        state: &mut next,
+                    };
                     Instructions::best().run(cell);
                     Ok(())
                 })
@@ -52,7 +80,8 @@ impl Gru {
     }
 }
 
-/// A step of a GRU: the state of each row that still runs, from the gates' parts of input and state, in the order reset, update, new.
+/// A step of a GRU: the state of each row that still runs, from the gates' parts of input and
+/// state, in the order reset, update, new.
 struct GruCell<'a, R> {
     width: usize,
     inputs: &'a [f32],
@@ -65,15 +94,22 @@ impl<R: Fn(usize) -> bool> Kernel for GruCell<'_, R> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
         let width = self.width;
-        let gates = self.inputs.chunks_exact(3 * width).zip(self.own.chunks_exact(3 * width));
-        for (row, (state, (input, own))) in self.state.chunks_exact_mut(width).zip(gates).enumerate() {
+        let gates = self
+            .inputs
+            .chunks_exact(3 * width)
+            .zip(self.own.chunks_exact(3 * width));
+        for (row, (state, (input, own))) in
+            self.state.chunks_exact_mut(width).zip(gates).enumerate()
+        {
             if !(self.runs)(row) {
                 continue;
             }
             let ((reset, input), (own_reset, own)) = (input.split_at(width), own.split_at(width));
-            let ((update, fresh), (own_update, own_fresh)) = (input.split_at(width), own.split_at(width));
+            let ((update, fresh), (own_update, own_fresh)) =
+                (input.split_at(width), own.split_at(width));
             // The compiler vectorizes the loop where it knows all lengths.
-            let (state, fresh, own_fresh) = (&mut state[..width], &fresh[..width], &own_fresh[..width]);
+            let (state, fresh, own_fresh) =
+                (&mut state[..width], &fresh[..width], &own_fresh[..width]);
             for i in 0..width {
                 let reset = sigmoid(reset[i] + own_reset[i]);
                 let update = sigmoid(update[i] + own_update[i]);
@@ -92,10 +128,18 @@ pub(crate) struct Lstm {
 }
 
 impl Lstm {
-    pub(crate) fn take(weights: &mut Weights, name: &str, [inputs, width, layers]: [usize; 3]) -> Result<Self> {
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        [inputs, width, layers]: [usize; 3],
+    ) -> Result<Self> {
         let inputs = |layer: usize| if layer == 0 { inputs } else { width };
-        let layers = (0..layers).map(|layer| gates(weights, name, layer, [inputs(layer), width, 4]));
-        Ok(Self { width, layers: layers.collect::<Result<_>>()? })
+        let layers =
+            (0..layers).map(|layer| gates(weights, name, layer, [inputs(layer), width, 4]));
+        Ok(Self {
+            width,
+            layers: layers.collect::<Result<_>>()?,
+        })
     }
 
     /// The output of the last step of sequences (N, T, inputs).
@@ -112,7 +156,12 @@ impl Lstm {
                 let gates = of_state.forward_onto(&state, &inputs.i(step)?)?;
                 let mut next = vec![0f32; rows * self.width];
                 with_values(&gates, |gates| {
-                    let cell = LstmCell { width: self.width, gates, cell: &mut cell, state: &mut next };
+                    let cell = LstmCell {
+                        width: self.width,
+                        gates,
+                        cell: &mut cell,
+                        state: &mut next,
+                    };
                     Instructions::best().run(cell);
                     Ok(())
                 })?;
@@ -125,7 +174,8 @@ impl Lstm {
     }
 }
 
-/// A step of an LSTM: cell and state of each row from its gates, in the order input, forget, new, output.
+/// A step of an LSTM: cell and state of each row from its gates, in the order input, forget, new,
+/// output.
 struct LstmCell<'a> {
     width: usize,
     gates: &'a [f32],
@@ -137,7 +187,10 @@ impl Kernel for LstmCell<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
         let width = self.width;
-        let rows = self.state.chunks_exact_mut(width).zip(self.cell.chunks_exact_mut(width));
+        let rows = self
+            .state
+            .chunks_exact_mut(width)
+            .zip(self.cell.chunks_exact_mut(width));
         for ((state, cell), gates) in rows.zip(self.gates.chunks_exact(4 * width)) {
             let (first, last) = gates.split_at(2 * width);
             let ((input, forget), (fresh, output)) = (first.split_at(width), last.split_at(width));

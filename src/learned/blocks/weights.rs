@@ -7,7 +7,8 @@ use std::fmt;
 /// Names that an error lists of each kind.
 const MAX_NAMES: usize = 6;
 
-/// Tensors by PyTorch's names. A network takes each that it has; [`Weights::finish`] then says what did not fit.
+/// Tensors by PyTorch's names. A network takes each that it has; [`Weights::finish`] then says what
+/// did not fit.
 #[derive(Debug)]
 pub struct Weights {
     left: BTreeMap<String, Tensor>,
@@ -26,16 +27,25 @@ pub struct Mismatch {
 impl Weights {
     /// Of tensors by name.
     pub fn new(tensors: BTreeMap<String, Tensor>) -> Self {
-        Self { left: tensors, manifest: Vec::new(), mismatch: Mismatch::default() }
+        Self {
+            left: tensors,
+            manifest: Vec::new(),
+            mismatch: Mismatch::default(),
+        }
     }
 
-    /// The tensor of this name as f32. A missing one is noted, and zeros take its place until [`Weights::finish`].
+    /// The tensor of this name as f32. A missing one is noted, and zeros take its place until
+    /// [`Weights::finish`].
     pub(crate) fn take(&mut self, name: &str, shape: &[usize]) -> candle_core::Result<Tensor> {
         self.manifest.push((name.to_owned(), shape.to_vec()));
         match self.left.remove(name) {
-            Some(tensor) if tensor.dims() == shape => return tensor.to_dtype(DType::F32)?.contiguous(),
+            Some(tensor) if tensor.dims() == shape => {
+                return tensor.to_dtype(DType::F32)?.contiguous();
+            }
             Some(tensor) => {
-                self.mismatch.reshaped.push(format!("{name} {:?} instead of {shape:?}", tensor.dims()));
+                self.mismatch
+                    .reshaped
+                    .push(format!("{name} {:?} instead of {shape:?}", tensor.dims()));
             }
             None => self.mismatch.missing.push(name.to_owned()),
         }
@@ -58,19 +68,41 @@ impl Weights {
     /// When a tensor was missing or had another shape, or one is left over.
     pub fn finish(mut self) -> Result<(), Mismatch> {
         self.mismatch.left_over = self.left.into_keys().collect();
-        if self.mismatch == Mismatch::default() { Ok(()) } else { Err(self.mismatch) }
+        if self.mismatch == Mismatch::default() {
+            Ok(())
+        } else {
+            Err(self.mismatch)
+        }
     }
 }
 
 impl fmt::Display for Mismatch {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { missing, reshaped, left_over } = self;
-        let kinds = [("missing", missing), ("of another shape", reshaped), ("left over", left_over)];
+        let Self {
+            missing,
+            reshaped,
+            left_over,
+        } = self;
+        let kinds = [
+            ("missing", missing),
+            ("of another shape", reshaped),
+            ("left over", left_over),
+        ];
         let kinds = kinds.into_iter().filter(|(_, names)| !names.is_empty());
         for (i, (kind, names)) in kinds.enumerate() {
-            let shown = names.iter().take(MAX_NAMES).cloned().collect::<Vec<_>>().join(", ");
+            let shown = names
+                .iter()
+                .take(MAX_NAMES)
+                .cloned()
+                .collect::<Vec<_>>()
+                .join(", ");
             let more = names.len().saturating_sub(MAX_NAMES);
-            write!(f, "{}{} {kind}: {shown}", if i == 0 { "" } else { "; " }, names.len())?;
+            write!(
+                f,
+                "{}{} {kind}: {shown}",
+                if i == 0 { "" } else { "; " },
+                names.len()
+            )?;
             if more > 0 {
                 write!(f, " and {more} more")?;
             }
@@ -86,8 +118,12 @@ mod tests {
     use super::*;
 
     fn tensors(names: &[(&str, usize)]) -> Weights {
-        let zeros =
-            |&(name, size): &(&str, usize)| (name.to_owned(), Tensor::zeros(size, DType::F32, &Device::Cpu).unwrap());
+        let zeros = |&(name, size): &(&str, usize)| {
+            (
+                name.to_owned(),
+                Tensor::zeros(size, DType::F32, &Device::Cpu).unwrap(),
+            )
+        };
         Weights::new(names.iter().map(zeros).collect())
     }
 
@@ -98,7 +134,10 @@ mod tests {
             assert_eq!(weights.take(name, &[shape]).unwrap().dims(), [shape]);
         }
         let error = weights.finish().unwrap_err().to_string();
-        assert_eq!(error, "1 missing: d; 1 of another shape: b [3] instead of [2]; 1 left over: c");
+        assert_eq!(
+            error,
+            "1 missing: d; 1 of another shape: b [3] instead of [2]; 1 left over: c"
+        );
     }
 
     #[test]

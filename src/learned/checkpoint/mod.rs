@@ -10,7 +10,8 @@ use std::collections::BTreeMap;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-/// Largest checkpoint that is read, bytes. The largest of the seven models, with its optimizer's state, has a third of a gigabyte.
+/// Largest checkpoint that is read, bytes. The largest of the seven models, with its optimizer's
+/// state, has a third of a gigabyte.
 const MAX_BYTES: u64 = 4 << 30;
 /// How a ZIP archive begins, which PyTorch writes since version 1.6.
 const ZIP: [u8; 4] = *b"PK\x03\x04";
@@ -30,9 +31,16 @@ pub enum CheckpointError {
     )]
     Format { path: PathBuf, fault: String },
     #[error("the checkpoint {} does not fit {model}: {mismatch}", path.display())]
-    Mismatch { path: PathBuf, model: &'static str, mismatch: Mismatch },
+    Mismatch {
+        path: PathBuf,
+        model: &'static str,
+        mismatch: Mismatch,
+    },
     #[error("the checkpoint {} cannot be converted", path.display())]
-    Tensor { path: PathBuf, source: Box<candle_core::Error> },
+    Tensor {
+        path: PathBuf,
+        source: Box<candle_core::Error>,
+    },
 }
 
 impl From<CheckpointError> for PlannerError {
@@ -54,13 +62,22 @@ impl Checkpoint {
     /// # Errors
     /// When the file cannot be read or holds no tensors.
     pub fn open(path: &Path) -> Result<Self, CheckpointError> {
-        let format = |fault: String| CheckpointError::Format { path: path.to_owned(), fault };
-        let bytes = read(path).map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
+        let format = |fault: String| CheckpointError::Format {
+            path: path.to_owned(),
+            fault,
+        };
+        let bytes = read(path).map_err(|source| CheckpointError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
         let tensors = if bytes.starts_with(&ZIP) {
             torch_file::tensors(&bytes).map_err(|error| format(error.to_string()))?
         } else {
             let tensors = candle_core::safetensors::load_buffer(&bytes, &Device::Cpu);
-            tensors.map_err(|error| format(error.to_string()))?.into_iter().collect()
+            tensors
+                .map_err(|error| format(error.to_string()))?
+                .into_iter()
+                .collect()
         };
         if tensors.is_empty() {
             return Err(format("it holds no tensors".to_owned()));
@@ -69,12 +86,22 @@ impl Checkpoint {
             Some(bare) => (bare.to_owned(), tensor),
             None => (name, tensor),
         };
-        Ok(Self { path: path.to_owned(), tensors: tensors.into_iter().map(bare).collect() })
+        Ok(Self {
+            path: path.to_owned(),
+            tensors: tensors.into_iter().map(bare).collect(),
+        })
     }
 
     /// The numbers of a tensor in row-major order.
     pub fn numbers(&self, name: &str) -> Option<Vec<f32>> {
-        self.tensors.get(name)?.to_dtype(DType::F32).ok()?.flatten_all().ok()?.to_vec1().ok()
+        self.tensors
+            .get(name)?
+            .to_dtype(DType::F32)
+            .ok()?
+            .flatten_all()
+            .ok()?
+            .to_vec1()
+            .ok()
     }
 
     /// The network that `take` makes of the tensors.
@@ -90,8 +117,15 @@ impl Checkpoint {
         let mut weights = Weights::new(self.tensors);
         let taken = take(&mut weights);
         match weights.finish() {
-            Ok(()) => taken.map_err(|source| CheckpointError::Tensor { path, source: Box::new(source) }),
-            Err(mismatch) => Err(CheckpointError::Mismatch { path, model, mismatch }),
+            Ok(()) => taken.map_err(|source| CheckpointError::Tensor {
+                path,
+                source: Box::new(source),
+            }),
+            Err(mismatch) => Err(CheckpointError::Mismatch {
+                path,
+                model,
+                mismatch,
+            }),
         }
     }
 }
@@ -100,7 +134,10 @@ fn read(path: &Path) -> io::Result<Vec<u8>> {
     let file = planagent_files::open(path)?;
     let mut bytes = Vec::new();
     if file.take(MAX_BYTES + 1).read_to_end(&mut bytes)? as u64 > MAX_BYTES {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, format!("it has more than {MAX_BYTES} bytes")));
+        return Err(io::Error::new(
+            io::ErrorKind::InvalidData,
+            format!("it has more than {MAX_BYTES} bytes"),
+        ));
     }
     Ok(bytes)
 }

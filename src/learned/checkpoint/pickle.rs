@@ -1,8 +1,10 @@
-//! Reads the structure of a PyTorch file. It is a program for Python's pickle machine; this machine knows dictionaries, lists and
-//! tensors. Everything else, classes and calls of functions among it, becomes [`Value::Opaque`] and is never run.
+//! Reads the structure of a PyTorch file. It is a program for Python's pickle machine; this machine
+//! knows dictionaries, lists and tensors. Everything else, classes and calls of functions among it,
+//! becomes [`Value::Opaque`] and is never run.
 //!
-//! Not candle's reader. That one indexes into the file's tuples without a check, and rejects protocol 4. It copies what a file
-//! refers to several times, so few bytes can fill the memory. Here, values lie in one list and refer to each other by number.
+//! Not candle's reader. That one indexes into the file's tuples without a check, and rejects
+//! protocol 4. It copies what a file refers to several times, so few bytes can fill the memory.
+//! Here, values lie in one list and refer to each other by number.
 
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -77,7 +79,9 @@ pub(super) struct TensorPlace {
 impl TensorPlace {
     /// Its numbers; `None` where they cannot be counted.
     pub(super) fn count(&self) -> Option<usize> {
-        self.shape.iter().try_fold(1usize, |count, length| count.checked_mul(*length))
+        self.shape
+            .iter()
+            .try_fold(1usize, |count, length| count.checked_mul(*length))
     }
 }
 
@@ -106,16 +110,28 @@ pub(super) struct Pickle {
 
 impl Pickle {
     pub(super) fn read(bytes: &[u8]) -> Result<Self, PickleError> {
-        let mut machine =
-            Machine { bytes, at: 0, values: Vec::new(), stack: Vec::new(), marks: Vec::new(), kept: HashMap::new() };
+        let mut machine = Machine {
+            bytes,
+            at: 0,
+            values: Vec::new(),
+            stack: Vec::new(),
+            marks: Vec::new(),
+            kept: HashMap::new(),
+        };
         let root = machine.run()?;
-        Ok(Self { values: machine.values, root })
+        Ok(Self {
+            values: machine.values,
+            root,
+        })
     }
 
-    /// The tensors of the state dictionary: those under `state_dict`, if there is one, else all of the outer dictionary and of the
-    /// dictionaries in it, whose keys then stand before the names.
+    /// The tensors of the state dictionary: those under `state_dict`, if there is one, else all of
+    /// the outer dictionary and of the dictionaries in it, whose keys then stand before the names.
     pub(super) fn state(&self) -> Vec<(String, TensorPlace)> {
-        let state = self.entries(self.root).find(|(key, _)| *key == "state_dict").map_or(self.root, |(_, state)| state);
+        let state = self
+            .entries(self.root)
+            .find(|(key, _)| *key == "state_dict")
+            .map_or(self.root, |(_, state)| state);
         let mut found = Vec::new();
         for (name, value) in self.entries(state) {
             if found.len() > MAX_TENSORS {
@@ -124,8 +140,10 @@ impl Pickle {
             if let Some(place) = self.tensor(value) {
                 found.push((name.to_owned(), place.clone()));
             }
-            let inner =
-                self.entries(value).filter_map(|(part, value)| Some((part, self.tensor(value)?))).take(MAX_TENSORS);
+            let inner = self
+                .entries(value)
+                .filter_map(|(part, value)| Some((part, self.tensor(value)?)))
+                .take(MAX_TENSORS);
             found.extend(inner.map(|(part, place)| (format!("{name}.{part}"), place.clone())));
         }
         found
@@ -136,10 +154,14 @@ impl Pickle {
             Some(Value::Dict(entries)) => entries.as_slice(),
             _ => &[],
         };
-        entries.iter().filter_map(|&(key, value)| match self.values.get(key) {
-            Some(Value::Text(key)) if key.len() <= MAX_NAME_BYTES => Some((key.as_ref(), value)),
-            _ => None,
-        })
+        entries
+            .iter()
+            .filter_map(|&(key, value)| match self.values.get(key) {
+                Some(Value::Text(key)) if key.len() <= MAX_NAME_BYTES => {
+                    Some((key.as_ref(), value))
+                }
+                _ => None,
+            })
     }
 
     fn tensor(&self, id: Id) -> Option<&TensorPlace> {
@@ -182,7 +204,9 @@ impl Machine<'_> {
                 b'1' | 0x90 => {
                     self.pop_to_mark()?;
                 }
-                b'2' => self.stack.push(*self.stack.last().ok_or(PickleError::EmptyStack(at))?),
+                b'2' => self
+                    .stack
+                    .push(*self.stack.last().ok_or(PickleError::EmptyStack(at))?),
                 b'N' | 0x88 | 0x89 | 0x8f => self.push(Value::Opaque),
                 b'G' => {
                     self.take::<8>()?;
@@ -235,7 +259,11 @@ impl Machine<'_> {
                 b')' => self.push(Value::Tuple(Vec::new())),
                 0x85..=0x87 => {
                     let count = usize::from(self.bytes[at] - 0x84);
-                    let first = self.stack.len().checked_sub(count).ok_or(PickleError::EmptyStack(at))?;
+                    let first = self
+                        .stack
+                        .len()
+                        .checked_sub(count)
+                        .ok_or(PickleError::EmptyStack(at))?;
                     let items = self.stack.split_off(first);
                     self.push(Value::Tuple(items));
                 }
@@ -297,9 +325,10 @@ impl Machine<'_> {
                 0x93 => {
                     let (name, module) = (self.pop()?, self.pop()?);
                     let class = match (&self.values[module], &self.values[name]) {
-                        (Value::Text(module), Value::Text(name)) => {
-                            Value::Class { module: module.clone(), name: name.clone() }
-                        }
+                        (Value::Text(module), Value::Text(name)) => Value::Class {
+                            module: module.clone(),
+                            name: name.clone(),
+                        },
                         _ => Value::Opaque,
                     };
                     self.push(class);
@@ -370,7 +399,9 @@ impl Machine<'_> {
 
     fn text(&mut self, length: usize) -> Result<(), PickleError> {
         let at = self.at;
-        let text = std::str::from_utf8(self.slice(length)?).map_err(|_| PickleError::Text(at))?.into();
+        let text = std::str::from_utf8(self.slice(length)?)
+            .map_err(|_| PickleError::Text(at))?
+            .into();
         self.push(Value::Text(text));
         Ok(())
     }
@@ -383,8 +414,13 @@ impl Machine<'_> {
 
     fn line(&mut self) -> Result<Rc<str>, PickleError> {
         let at = self.at;
-        let length = self.bytes[at..].iter().position(|&byte| byte == b'\n').ok_or(PickleError::Truncated)?;
-        let line = std::str::from_utf8(self.slice(length)?).map_err(|_| PickleError::Text(at))?.into();
+        let length = self.bytes[at..]
+            .iter()
+            .position(|&byte| byte == b'\n')
+            .ok_or(PickleError::Truncated)?;
+        let line = std::str::from_utf8(self.slice(length)?)
+            .map_err(|_| PickleError::Text(at))?
+            .into();
         self.at += 1;
         Ok(line)
     }
@@ -412,11 +448,17 @@ impl Machine<'_> {
     }
 
     fn recall(&mut self, number: usize) -> Result<(), PickleError> {
-        self.stack.push(*self.kept.get(&number).ok_or(PickleError::NotKept(self.at))?);
+        self.stack.push(
+            *self
+                .kept
+                .get(&number)
+                .ok_or(PickleError::NotKept(self.at))?,
+        );
         Ok(())
     }
 
-    /// A call: PyTorch's functions that make tensors and dictionaries are known, all others give an opaque value.
+    /// A call: PyTorch's functions that make tensors and dictionaries are known, all others give an
+    /// opaque value.
     fn call(&mut self, callable: Id, arguments: Id) {
         match self.made(callable, arguments) {
             Some(Made::New(value)) => self.push(value),
@@ -426,10 +468,14 @@ impl Machine<'_> {
     }
 
     fn made(&self, callable: Id, arguments: Id) -> Option<Made> {
-        let Value::Class { module, name } = self.values.get(callable)? else { return None };
+        let Value::Class { module, name } = self.values.get(callable)? else {
+            return None;
+        };
         let arguments = self.tuple(arguments)?;
         match (module.as_ref(), name.as_ref()) {
-            ("collections", "OrderedDict" | "defaultdict") => Some(Made::New(Value::Dict(Vec::new()))),
+            ("collections", "OrderedDict" | "defaultdict") => {
+                Some(Made::New(Value::Dict(Vec::new())))
+            }
             ("torch._utils", "_rebuild_tensor_v2") => self.rebuilt(arguments).map(Made::New),
             ("torch._utils", "_rebuild_parameter") => arguments.first().copied().map(Made::Known),
             // Function, type, the function's arguments, state.
@@ -443,32 +489,50 @@ impl Machine<'_> {
 
     /// Of storage, offset, shape and strides.
     fn rebuilt(&self, arguments: &[Id]) -> Option<Value> {
-        let [storage, offset, shape, strides, ..] = arguments else { return None };
-        let Value::Storage { element, key } = self.values.get(*storage)? else { return None };
+        let [storage, offset, shape, strides, ..] = arguments else {
+            return None;
+        };
+        let Value::Storage { element, key } = self.values.get(*storage)? else {
+            return None;
+        };
         let sizes = |id: Id| {
             let sizes = self.tuple(id)?.iter();
             if sizes.len() > MAX_RANK {
                 None
             } else {
-                sizes.map(|&size| self.size(size)).collect::<Option<Vec<usize>>>()
+                sizes
+                    .map(|&size| self.size(size))
+                    .collect::<Option<Vec<usize>>>()
             }
         };
         let (shape, strides) = (sizes(*shape)?, sizes(*strides)?);
         if shape.len() != strides.len() {
             return None;
         }
-        let place =
-            TensorPlace { storage: key.clone(), element: *element, offset: self.size(*offset)?, shape, strides };
+        let place = TensorPlace {
+            storage: key.clone(),
+            element: *element,
+            offset: self.size(*offset)?,
+            shape,
+            strides,
+        };
         Some(Value::Tensor(place))
     }
 
     /// Of "storage", its class, its key, a device and its length.
     fn storage(&self, id: Id) -> Option<Value> {
-        let [_, class, key, ..] = self.tuple(id)? else { return None };
-        let (Value::Class { name, .. }, Value::Text(key)) = (self.values.get(*class)?, self.values.get(*key)?) else {
+        let [_, class, key, ..] = self.tuple(id)? else {
             return None;
         };
-        Some(Value::Storage { element: Element::of(name)?, key: key.clone() })
+        let (Value::Class { name, .. }, Value::Text(key)) =
+            (self.values.get(*class)?, self.values.get(*key)?)
+        else {
+            return None;
+        };
+        Some(Value::Storage {
+            element: Element::of(name)?,
+            key: key.clone(),
+        })
     }
 
     fn tuple(&self, id: Id) -> Option<&[Id]> {
@@ -493,5 +557,8 @@ enum Made {
 }
 
 fn pairs(items: &[Id]) -> Vec<(Id, Id)> {
-    items.chunks_exact(2).map(|pair| (pair[0], pair[1])).collect()
+    items
+        .chunks_exact(2)
+        .map(|pair| (pair[0], pair[1]))
+        .collect()
 }

@@ -1,4 +1,5 @@
-//! PyTorch's files: a ZIP archive with a pickle of the structure and one file for the numbers of each storage.
+//! PyTorch's files: a ZIP archive with a pickle of the structure and one file for the numbers of
+//! each storage.
 
 use super::pickle::{Element, Pickle, PickleError, TensorPlace};
 use candle_core::{Device, Tensor};
@@ -24,7 +25,11 @@ pub(super) enum TorchFileError {
     #[error("it is an archive without data.pkl")]
     NoPickle,
     #[error("its entry {name} has {bytes} bytes; at most {max_bytes} are read")]
-    TooLarge { name: String, bytes: u64, max_bytes: u64 },
+    TooLarge {
+        name: String,
+        bytes: u64,
+        max_bytes: u64,
+    },
     #[error("its archive cannot be read: {0}")]
     Read(#[from] std::io::Error),
     #[error("its data.pkl {0}")]
@@ -34,7 +39,10 @@ pub(super) enum TorchFileError {
     #[error("its tensors hold more than {MAX_NUMBERS} numbers")]
     TooManyNumbers,
     #[error("its tensor {name} cannot be made: {source}")]
-    Tensor { name: String, source: candle_core::Error },
+    Tensor {
+        name: String,
+        source: candle_core::Error,
+    },
 }
 
 /// All tensors of the state dictionary.
@@ -45,42 +53,68 @@ pub(super) fn tensors(bytes: &[u8]) -> Result<BTreeMap<String, Tensor>, TorchFil
         name.ends_with(PICKLE).then_some(name)
     });
     let entry = entry.ok_or(TorchFileError::NoPickle)?;
-    let folder = entry.strip_suffix(PICKLE).expect("the entry was found by this ending").to_owned();
+    let folder = entry
+        .strip_suffix(PICKLE)
+        .expect("the entry was found by this ending")
+        .to_owned();
     let structure = read(&mut archive, &entry, MAX_PICKLE_BYTES)?;
     let mut storages: BTreeMap<Rc<str>, Vec<u8>> = BTreeMap::new();
     let mut left = bytes.len() as u64;
     let (mut tensors, mut numbers) = (BTreeMap::new(), 0usize);
     for (name, place) in Pickle::read(&structure)?.state() {
-        numbers = place.count().and_then(|count| numbers.checked_add(count)).ok_or(TorchFileError::TooManyNumbers)?;
+        numbers = place
+            .count()
+            .and_then(|count| numbers.checked_add(count))
+            .ok_or(TorchFileError::TooManyNumbers)?;
         if numbers > MAX_NUMBERS {
             return Err(TorchFileError::TooManyNumbers);
         }
         if !storages.contains_key(&place.storage) {
             // Storages lie side by side; those that share bytes could fill the memory.
-            let stored = read(&mut archive, &format!("{folder}/data/{}", place.storage), left)?;
+            let stored = read(
+                &mut archive,
+                &format!("{folder}/data/{}", place.storage),
+                left,
+            )?;
             left -= stored.len() as u64;
             storages.insert(place.storage.clone(), stored);
         }
-        let stored = storages.get(&place.storage).map(Vec::as_slice).expect("the storage was read above");
-        let values = values(stored, &place).ok_or_else(|| TorchFileError::OutsideStorage(name.clone()))?;
+        let stored = storages
+            .get(&place.storage)
+            .map(Vec::as_slice)
+            .expect("the storage was read above");
+        let values =
+            values(stored, &place).ok_or_else(|| TorchFileError::OutsideStorage(name.clone()))?;
         let tensor = Tensor::from_vec(values, place.shape.as_slice(), &Device::Cpu);
-        let tensor = tensor.map_err(|source| TorchFileError::Tensor { name: name.clone(), source })?;
+        let tensor = tensor.map_err(|source| TorchFileError::Tensor {
+            name: name.clone(),
+            source,
+        })?;
         tensors.insert(name, tensor);
     }
     Ok(tensors)
 }
 
-fn read(archive: &mut ZipArchive<Cursor<&[u8]>>, name: &str, max_bytes: u64) -> Result<Vec<u8>, TorchFileError> {
+fn read(
+    archive: &mut ZipArchive<Cursor<&[u8]>>,
+    name: &str,
+    max_bytes: u64,
+) -> Result<Vec<u8>, TorchFileError> {
     let entry = archive.by_name(name)?;
     if entry.size() > max_bytes {
-        return Err(TorchFileError::TooLarge { name: name.to_owned(), bytes: entry.size(), max_bytes });
+        return Err(TorchFileError::TooLarge {
+            name: name.to_owned(),
+            bytes: entry.size(),
+            max_bytes,
+        });
     }
     let mut bytes = Vec::new();
     entry.take(max_bytes).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
-/// The numbers of a tensor in row-major order as f32; `None` where it reaches beyond its storage, or has more numbers than it.
+/// The numbers of a tensor in row-major order as f32; `None` where it reaches beyond its storage,
+/// or has more numbers than it.
 fn values(stored: &[u8], place: &TensorPlace) -> Option<Vec<f32>> {
     let size = place.element.bytes();
     let (count, available) = (place.count()?, stored.len() / size);
@@ -97,7 +131,10 @@ fn values(stored: &[u8], place: &TensorPlace) -> Option<Vec<f32>> {
         if at >= available {
             return None;
         }
-        values.push(number(stored.get(at * size..(at + 1) * size)?, place.element)?);
+        values.push(number(
+            stored.get(at * size..(at + 1) * size)?,
+            place.element,
+        )?);
         for (i, length) in index.iter_mut().zip(&place.shape).rev() {
             *i += 1;
             if *i < *length {

@@ -1,4 +1,5 @@
-//! DTPP (Huang et al. 2024; `MCZhi/DTPP`): the network, and the tree of trajectories that it scores.
+//! DTPP (Huang et al. 2024; `MCZhi/DTPP`): the network, and the tree of trajectories that it
+//! scores.
 
 mod network;
 mod paths;

@@ -1,4 +1,5 @@
-//! Futures of the other agents for each branch of a tree of ego trajectories, and the branches' scores.
+//! Futures of the other agents for each branch of a tree of ego trajectories, and the branches'
+//! scores.
 
 use super::scorer::Scorer;
 use crate::blocks::{Linear, Mlp, Probe, Weights, largest};
@@ -33,9 +34,20 @@ pub struct DtppConfig {
 
 impl DtppConfig {
     /// The published planner.
-    pub const PUBLISHED: Self = Self { dim: 256, inner: 1024, encoder_layers: 3, neighbors: 10, branches: 30 };
+    pub const PUBLISHED: Self = Self {
+        dim: 256,
+        inner: 1024,
+        encoder_layers: 3,
+        neighbors: 10,
+        branches: 30,
+    };
     /// `dtpp-small`.
-    pub const SMALL: Self = Self { dim: 64, inner: 256, encoder_layers: 2, ..Self::PUBLISHED };
+    pub const SMALL: Self = Self {
+        dim: 64,
+        inner: 256,
+        encoder_layers: 2,
+        ..Self::PUBLISHED
+    };
 }
 
 /// Outputs of a batch.
@@ -71,13 +83,29 @@ impl Dtpp {
     /// # Errors
     /// When a tensor cannot be converted.
     pub fn take(weights: &mut Weights, config: DtppConfig) -> Result<Self> {
-        let DtppConfig { dim, inner, encoder_layers, branches, .. } = config;
+        let DtppConfig {
+            dim,
+            inner,
+            encoder_layers,
+            branches,
+            ..
+        } = config;
         let tokens = branches * TOKENS;
         weights.skip("decoder.casual_mask", &[tokens, tokens])?;
         weights.skip("decoder.time_index", &[branches, TOKENS])?;
         let layers = [0, 2].map(|i| format!("decoder.ego_traj_encoder.{i}"));
-        let mut block = |name: &str| Block::take(weights, &format!("decoder.{name}"), "cross_attention", [dim, inner]);
-        let (environment, condition) = (block("environment_decoder")?, block("ego_condition_decoder")?);
+        let mut block = |name: &str| {
+            Block::take(
+                weights,
+                &format!("decoder.{name}"),
+                "cross_attention",
+                [dim, inner],
+            )
+        };
+        let (environment, condition) = (
+            block("environment_decoder")?,
+            block("ego_condition_decoder")?,
+        );
         let futures = "decoder.agent_traj_decoder.traj_decoder";
         Ok(Self {
             config,
@@ -98,11 +126,18 @@ impl Dtpp {
         })
     }
 
-    /// Of scenes and trees (B, M, 80, 6), zeros where a branch is unused; the first `steps` steps of a branch count.
+    /// Of scenes and trees (B, M, 80, 6), zeros where a branch is unused; the first `steps` steps
+    /// of a branch count.
     ///
     /// # Errors
     /// When an input has another shape.
-    pub fn forward(&self, inputs: &SceneInputs, tree: &Tensor, steps: usize, probe: &Probe) -> Result<DtppOutputs> {
+    pub fn forward(
+        &self,
+        inputs: &SceneInputs,
+        tree: &Tensor,
+        steps: usize,
+        probe: &Probe,
+    ) -> Result<DtppOutputs> {
         let scene = self.encode(inputs, probe)?;
         self.branches(inputs, &scene, tree, steps, probe)
     }
@@ -121,30 +156,52 @@ impl Dtpp {
         steps: usize,
         probe: &Probe,
     ) -> Result<DtppOutputs> {
-        let DtppConfig { dim, neighbors, branches, .. } = self.config;
+        let DtppConfig {
+            dim,
+            neighbors,
+            branches,
+            ..
+        } = self.config;
         let batch = tree.dim(0)?;
         let tokens = branches * TOKENS;
         let encoded = self.trajectory.forward(tree)?;
         probe.note("decoder.ego_traj_encoder", &encoded);
         let branch = encoded.narrow(2, steps - 1, 1)?;
         let pooled = largest(&encoded.reshape((batch, tokens, TOKEN_STEPS, dim))?)?;
-        let embedded =
-            branch.broadcast_add(&self.times.reshape((1, 1, TOKENS, dim))?)?.reshape((batch, tokens, dim))?;
+        let embedded = branch
+            .broadcast_add(&self.times.reshape((1, 1, TOKENS, dim))?)?
+            .reshape((batch, tokens, dim))?;
         let (environment, condition) = self.biases(scene, tree)?;
         let states = inputs.neighbors.narrow(1, 0, neighbors)?;
         let states = states.narrow(2, states.dim(2)? - 1, 1)?.squeeze(2)?;
         // All agents hear the same scene and the same branches.
-        let heard = [self.environment.memory(&scene.tokens)?, self.condition.memory(&pooled)?];
+        let heard = [
+            self.environment.memory(&scene.tokens)?,
+            self.condition.memory(&pooled)?,
+        ];
         let future = |i: usize| {
             let query = scene.tokens.narrow(1, i + 1, 1)?.broadcast_add(&embedded)?;
             let near = self.environment.hear(&query, &heard[0], &environment)?;
             let own = self.condition.hear(&query, &heard[1], &condition)?;
             let [inner, outer] = &self.futures;
-            let moved = outer.forward(&inner.forward(&Tensor::cat(&[&near, &own], 2)?)?.elu(1.0)?)?;
-            let start = states.narrow(1, i, 1)?.narrow(2, 0, 3)?.reshape((batch, 1, 1, 3))?;
-            Ok([near, own, moved.reshape((batch, branches, STEPS, 3))?.broadcast_add(&start)?])
+            let moved =
+                outer.forward(&inner.forward(&Tensor::cat(&[&near, &own], 2)?)?.elu(1.0)?)?;
+            let start = states
+                .narrow(1, i, 1)?
+                .narrow(2, 0, 3)?
+                .reshape((batch, 1, 1, 3))?;
+            Ok([
+                near,
+                own,
+                moved
+                    .reshape((batch, branches, STEPS, 3))?
+                    .broadcast_add(&start)?,
+            ])
         };
-        let agents = (0..neighbors).into_par_iter().map(future).collect::<Result<Vec<_>>>()?;
+        let agents = (0..neighbors)
+            .into_par_iter()
+            .map(future)
+            .collect::<Result<Vec<_>>>()?;
         let mut futures = Vec::with_capacity(neighbors);
         for [near, own, future] in agents {
             probe.note("decoder.environment_decoder", &near);
@@ -152,16 +209,25 @@ impl Dtpp {
             futures.push(future);
         }
         let futures = Tensor::stack(&futures, 2)?;
-        let (scores, weights) = self.scorer.forward([tree, &futures, &states], steps, probe)?;
+        let (scores, weights) = self
+            .scorer
+            .forward([tree, &futures, &states], steps, probe)?;
         let [inner, outer] = &self.regularization;
         let ego = scene.tokens.narrow(1, 0, 1)?.squeeze(1)?;
-        let regularization = outer.forward(&inner.forward(&ego)?.elu(1.0)?)?.reshape((batch, STEPS, 3))?;
-        Ok(DtppOutputs { futures, scores, weights, regularization })
+        let regularization = outer
+            .forward(&inner.forward(&ego)?.elu(1.0)?)?
+            .reshape((batch, STEPS, 3))?;
+        Ok(DtppOutputs {
+            futures,
+            scores,
+            weights,
+            regularization,
+        })
     }
 
-    /// Biases (B, heads, queries, keys) of the attention to the scene and to the branch itself. Upstream repeats its masks in
-    /// another order than PyTorch reads them. So in a batch, heads use the masks of other samples; in a batch of one, all heads
-    /// have one mask.
+    /// Biases (B, heads, queries, keys) of the attention to the scene and to the branch itself.
+    /// Upstream repeats its masks in another order than PyTorch reads them. So in a batch, heads
+    /// use the masks of other samples; in a batch of one, all heads have one mask.
     fn biases(&self, scene: &EncodedScene, tree: &Tensor) -> Result<(Tensor, Tensor)> {
         let batch = tree.dim(0)?;
         let tokens = self.config.branches * TOKENS;
@@ -178,14 +244,24 @@ impl Dtpp {
             for place in 0..batch * heads {
                 let sample = place % batch;
                 for query in 0..tokens {
-                    values.extend((0..keys).map(|key| if open(sample, query, key) { 0.0 } else { HIDDEN }));
+                    values.extend((0..keys).map(|key| {
+                        if open(sample, query, key) {
+                            0.0
+                        } else {
+                            HIDDEN
+                        }
+                    }));
                 }
             }
             Tensor::from_vec(values, (batch, heads, tokens, keys), &Device::Cpu)
         };
-        let environment = bias(keys, &|sample, query, key| used(sample, query) && seen[sample][key] != 0)?;
+        let environment = bias(keys, &|sample, query, key| {
+            used(sample, query) && seen[sample][key] != 0
+        })?;
         let own = |query: usize, key: usize| query / TOKENS == key / TOKENS && key <= query;
-        let condition = bias(tokens, &|sample, query, key| used(sample, query) && own(query, key))?;
+        let condition = bias(tokens, &|sample, query, key| {
+            used(sample, query) && own(query, key)
+        })?;
         Ok((environment, condition))
     }
 }

@@ -1,7 +1,8 @@
 //! DTPP's candidate paths (`MCZhi/DTPP` `trajectory_tree_planner.py`).
 
 use crate::lattice::{
-    Course, MAX_ROWS, bent, candidates, course, curvature, every_tenth, long_enough, starting_block, starting_lanes,
+    Course, MAX_ROWS, bent, candidates, course, curvature, every_tenth, long_enough,
+    starting_block, starting_lanes,
 };
 use planagent_world::geometry::{Corridor, Point, Polyline};
 use planagent_world::{ObjectKind, PACIFICA, SceneView};
@@ -21,7 +22,8 @@ const PATHS: usize = 3;
 /// Speed limit of a lane without one, m/s.
 const DEFAULT_LIMIT: f64 = 13.0;
 
-/// Paths with their costs, 1 where an obstacle is on them, largest curvature (1 per meter) and distance of the lane (meters).
+/// Paths with their costs, 1 where an obstacle is on them, largest curvature (1 per meter) and
+/// distance of the lane (meters).
 #[derive(Debug, Clone, PartialEq)]
 pub struct CostedPath {
     /// Its vertices in the frame of the map.
@@ -43,7 +45,9 @@ impl CostedPath {
 
 /// All candidate paths of a scene.
 pub fn costed_paths(scene: &SceneView<'_>) -> Vec<CostedPath> {
-    let Some((block, _)) = starting_block(scene) else { return Vec::new() };
+    let Some((block, _)) = starting_block(scene) else {
+        return Vec::new();
+    };
     let obstacles: Vec<_> = scene
         .objects
         .iter()
@@ -54,16 +58,31 @@ pub fn costed_paths(scene: &SceneView<'_>) -> Vec<CostedPath> {
         })
         .map(|object| object.shape)
         .collect();
-    let lanes = long_enough(candidates(scene, &starting_lanes(scene, block)), ACCEPTABLE_LENGTH);
+    let lanes = long_enough(
+        candidates(scene, &starting_lanes(scene, block)),
+        ACCEPTABLE_LENGTH,
+    );
     let costed = |(distance, points): (f64, Vec<Point>)| {
         let line = Polyline::new(points.iter().take(CHECKED).step_by(STRIDE).copied()).ok()?;
         let strip = Corridor::with_square_caps(&line, PACIFICA.width / 2.0);
-        let obstacle = if obstacles.iter().any(|shape| strip.meets_box(shape)) { 1.0 } else { 0.0 };
+        let obstacle = if obstacles.iter().any(|shape| strip.meets_box(shape)) {
+            1.0
+        } else {
+            0.0
+        };
         let curvature = curvature(&points[..points.len().min(CHECKED)])?;
-        Some(CostedPath { points, obstacle, distance, curvature })
+        Some(CostedPath {
+            points,
+            obstacle,
+            distance,
+            curvature,
+        })
     };
-    let paths =
-        lanes.iter().flat_map(|lane| bent(scene.ego.rear_axle, lane).into_iter().map(|points| (lane.distance, points)));
+    let paths = lanes.iter().flat_map(|lane| {
+        bent(scene.ego.rear_axle, lane)
+            .into_iter()
+            .map(|points| (lane.distance, points))
+    });
     paths.filter_map(costed).collect()
 }
 
@@ -77,15 +96,24 @@ pub fn paths(scene: &SceneView<'_>) -> (Vec<Course>, f64) {
     }
     costed.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
     let local = |path: &CostedPath| {
-        let points: Vec<Point> = path.points.iter().map(|&point| scene.ego.rear_axle.to_local(point)).collect();
+        let points: Vec<Point> = path
+            .points
+            .iter()
+            .map(|&point| scene.ego.rear_axle.to_local(point))
+            .collect();
         let mut rows = course(&every_tenth(&points))?;
         rows.truncate(MAX_ROWS);
         Some(rows)
     };
     let limit = starting_block(scene).and_then(|(block, _)| {
-        let first = starting_lanes(scene, block).first().and_then(|&lane| scene.map[lane].speed_limit);
+        let first = starting_lanes(scene, block)
+            .first()
+            .and_then(|&lane| scene.map[lane].speed_limit);
         // As in Python, a limit of 0 is none.
         first.filter(|&limit| limit != 0.0)
     });
-    (costed.iter().take(PATHS).filter_map(local).collect(), limit.unwrap_or(DEFAULT_LIMIT))
+    (
+        costed.iter().take(PATHS).filter_map(local).collect(),
+        limit.unwrap_or(DEFAULT_LIMIT),
+    )
 }

@@ -6,7 +6,9 @@ use super::tree::{TreeError, scored_tree};
 use crate::gameformer::ActorFeatures;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
-use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner::{
+    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
+};
 use planagent_world::{STEP_US, Trajectory};
 use std::sync::Arc;
 
@@ -16,12 +18,18 @@ const RADIUS: f64 = 80.0;
 /// The planners `dtpp` and `dtpp-small`.
 pub(crate) fn entries() -> [PlannerEntry; 2] {
     let published = Slot::new("DTPP", |weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
-    let small = Slot::new("DTPP (small)", |weights| Dtpp::take(weights, DtppConfig::SMALL));
-    [("dtpp", "DTPP, a learned planner", published), ("dtpp-small", "DTPP in a small shape", small)].map(
-        |(name, summary, slot)| {
-            learned_entry(name, summary, slot, move |network| Box::new(DtppPlanner { name, network }))
-        },
-    )
+    let small = Slot::new("DTPP (small)", |weights| {
+        Dtpp::take(weights, DtppConfig::SMALL)
+    });
+    [
+        ("dtpp", "DTPP, a learned planner", published),
+        ("dtpp-small", "DTPP in a small shape", small),
+    ]
+    .map(|(name, summary, slot)| {
+        learned_entry(name, summary, slot, move |network| {
+            Box::new(DtppPlanner { name, network })
+        })
+    })
 }
 
 /// DTPP: it plans again at every iteration.
@@ -42,7 +50,9 @@ impl Planner for DtppPlanner {
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let scene = &input.scene;
-        let inputs = ActorFeatures::of(scene, RADIUS).inputs().map_err(network_failed)?;
+        let inputs = ActorFeatures::of(scene, RADIUS)
+            .inputs()
+            .map_err(network_failed)?;
         let (paths, limit) = paths(scene);
         let start = [scene.ego.velocity.x as f32, scene.ego.acceleration.x as f32];
         let seed = scene.ego.time_us.unsigned_abs();

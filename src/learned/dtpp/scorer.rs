@@ -1,4 +1,5 @@
-//! Scores of branches: comfort and progress by formula, interaction by a network, and nearness to the agents.
+//! Scores of branches: comfort and progress by formula, interaction by a network, and nearness to
+//! the agents.
 
 use super::network::{COLUMNS, STEPS};
 use crate::blocks::{Linear, Mlp, Probe, Weights, largest};
@@ -33,17 +34,28 @@ impl Scorer {
         let mut two = |name: &str, outputs: usize| -> Result<[Linear; 2]> {
             Ok([
                 Linear::take(weights, &format!("decoder.scorer.{name}.0"), dim, dim / 4)?,
-                Linear::take(weights, &format!("decoder.scorer.{name}.2"), dim / 4, outputs)?,
+                Linear::take(
+                    weights,
+                    &format!("decoder.scorer.{name}.2"),
+                    dim / 4,
+                    outputs,
+                )?,
             ])
         };
         let latent = two("interaction_feature_decoder", LATENT)?;
         let factors = two("weights_decoder", PLAIN + LATENT)?;
         let layers = [0, 2].map(|i| format!("decoder.scorer.interaction_feature_encoder.{i}"));
         let relative = Mlp::take(weights, &layers, &[RELATIVE, dim / 4, dim])?;
-        Ok(Self { relative, latent, weights: factors, dim })
+        Ok(Self {
+            relative,
+            latent,
+            weights: factors,
+            dim,
+        })
     }
 
-    /// Scores (B, M) and weights (B, 8) of trees (B, M, 80, 6), futures (B, M, N, 80, 3) and present states of the agents (B, N, 11).
+    /// Scores (B, M) and weights (B, 8) of trees (B, M, 80, 6), futures (B, M, N, 80, 3) and
+    /// present states of the agents (B, N, 11).
     pub(super) fn forward(
         &self,
         [tree, futures, states]: [&Tensor; 3],
@@ -55,54 +67,88 @@ impl Scorer {
         let rows = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
         let (tree, futures, states) = (rows(tree)?, rows(futures)?, rows(&states.contiguous()?)?);
         let columns = states.len() / (batch * agents);
-        let rated = tree.par_chunks_exact(STEPS * COLUMNS).enumerate().map(|(i, branch)| {
-            let states = &states[i / branches * agents * columns..][..agents * columns];
-            let futures = &futures[i * agents * STEPS * 3..][..agents * STEPS * 3];
-            let (mut relative, mut near) = (Vec::with_capacity(agents * steps * RELATIVE), 0.0);
-            for (state, future) in states.chunks_exact(columns).zip(futures.chunks_exact(STEPS * 3)) {
-                let present = if state.iter().sum::<f32>() == 0.0 { 0.0 } else { 1.0 };
-                near += present * closeness(branch, future, steps);
-                for step in 0..steps {
-                    relative.extend(beside(branch, future, step, &state[SIZE..]).map(|value| value * present));
+        let rated = tree
+            .par_chunks_exact(STEPS * COLUMNS)
+            .enumerate()
+            .map(|(i, branch)| {
+                let states = &states[i / branches * agents * columns..][..agents * columns];
+                let futures = &futures[i * agents * STEPS * 3..][..agents * STEPS * 3];
+                let (mut relative, mut near) = (Vec::with_capacity(agents * steps * RELATIVE), 0.0);
+                for (state, future) in states
+                    .chunks_exact(columns)
+                    .zip(futures.chunks_exact(STEPS * 3))
+                {
+                    let present = if state.iter().sum::<f32>() == 0.0 {
+                        0.0
+                    } else {
+                        1.0
+                    };
+                    near += present * closeness(branch, future, steps);
+                    for step in 0..steps {
+                        relative.extend(
+                            beside(branch, future, step, &state[SIZE..])
+                                .map(|value| value * present),
+                        );
+                    }
                 }
-            }
-            let relative = Tensor::from_vec(relative, (1, agents, steps, RELATIVE), &Device::Cpu)?;
-            let encoded = self.relative.forward(&relative)?;
-            if i == 0 {
-                probe.note("decoder.interaction_feature_encoder", &encoded);
-            }
-            let strongest = largest(&encoded.reshape((1, agents, steps * self.dim))?)?;
-            let interaction = strongest.reshape((steps, self.dim))?.mean(0)?;
-            Ok(RatedBranch {
-                plain: formulas(branch, steps),
-                interaction,
-                near,
-                unused: branch.iter().sum::<f32>() == 0.0,
-            })
-        });
+                let relative =
+                    Tensor::from_vec(relative, (1, agents, steps, RELATIVE), &Device::Cpu)?;
+                let encoded = self.relative.forward(&relative)?;
+                if i == 0 {
+                    probe.note("decoder.interaction_feature_encoder", &encoded);
+                }
+                let strongest = largest(&encoded.reshape((1, agents, steps * self.dim))?)?;
+                let interaction = strongest.reshape((steps, self.dim))?.mean(0)?;
+                Ok(RatedBranch {
+                    plain: formulas(branch, steps),
+                    interaction,
+                    near,
+                    unused: branch.iter().sum::<f32>() == 0.0,
+                })
+            });
         let rated = rated.collect::<Result<Vec<_>>>()?;
         let count = rated.len();
         let interactions: Vec<&Tensor> = rated.iter().map(|branch| &branch.interaction).collect();
-        let head = |[inner, outer]: &[Linear; 2], x: &Tensor| outer.forward(&inner.forward(x)?.elu(1.0)?);
+        let head =
+            |[inner, outer]: &[Linear; 2], x: &Tensor| outer.forward(&inner.forward(x)?.elu(1.0)?);
         let latent = head(&self.latent, &Tensor::stack(&interactions, 0)?)?;
         let latent = (latent.neg()?.exp()? + 1.0)?.recip()?;
-        probe.note("decoder.interaction_feature_decoder", &latent.narrow(0, 0, 1)?);
+        probe.note(
+            "decoder.interaction_feature_decoder",
+            &latent.narrow(0, 0, 1)?,
+        );
         let plain = rated.iter().flat_map(|branch| branch.plain).collect();
         let plain = Tensor::from_vec(plain, (count, PLAIN), &Device::Cpu)?;
-        probe.note("hardcoded_features", &plain.reshape((batch, branches, PLAIN))?);
+        probe.note(
+            "hardcoded_features",
+            &plain.reshape((batch, branches, PLAIN))?,
+        );
         let ones = Tensor::ones((1, self.dim), plain.dtype(), &Device::Cpu)?;
         // Softplus.
         let weights = (head(&self.weights, &ones)?.exp()? + 1.0)?.log()?;
-        let cost = Tensor::cat(&[plain, latent], 1)?.broadcast_mul(&weights)?.sum(D::Minus1)?.to_vec1::<f32>()?;
-        let scores = cost.iter().zip(&rated).map(
-            |(cost, RatedBranch { near, unused, .. })| {
-                if *unused { f32::NEG_INFINITY } else { -cost - NEARNESS * near }
-            },
-        );
+        let cost = Tensor::cat(&[plain, latent], 1)?
+            .broadcast_mul(&weights)?
+            .sum(D::Minus1)?
+            .to_vec1::<f32>()?;
+        let scores = cost
+            .iter()
+            .zip(&rated)
+            .map(|(cost, RatedBranch { near, unused, .. })| {
+                if *unused {
+                    f32::NEG_INFINITY
+                } else {
+                    -cost - NEARNESS * near
+                }
+            });
         let scores = Tensor::from_iter(scores, &Device::Cpu)?.reshape((batch, branches))?;
         let nearness = Tensor::from_iter(rated.iter().map(|branch| branch.near), &Device::Cpu)?;
         probe.note("collision", &nearness.reshape((batch, branches))?);
-        Ok((scores, weights.broadcast_as((batch, PLAIN + LATENT))?.contiguous()?))
+        Ok((
+            scores,
+            weights
+                .broadcast_as((batch, PLAIN + LATENT))?
+                .contiguous()?,
+        ))
     }
 }
 
@@ -135,7 +181,8 @@ fn formulas(branch: &[f32], steps: usize) -> [f32; PLAIN] {
         mean(&|step| jerk(step).abs()),
         mean(&|step| lateral(step).abs()),
     ];
-    let [speed, acceleration, jerk, lateral] = std::array::from_fn(|i| means[i].clamp(0.0, BOUNDS[i]) / BOUNDS[i]);
+    let [speed, acceleration, jerk, lateral] =
+        std::array::from_fn(|i| means[i].clamp(0.0, BOUNDS[i]) / BOUNDS[i]);
     [-speed, acceleration, jerk, lateral]
 }
 
@@ -148,7 +195,8 @@ fn closeness(branch: &[f32], future: &[f32], steps: usize) -> f32 {
     (0..steps).map(near).sum()
 }
 
-/// An agent's step relative to a branch's. As upstream, x goes with the cosine of the turn and y with its sine.
+/// An agent's step relative to a branch's. As upstream, x goes with the cosine of the turn and y
+/// with its sine.
 fn beside(branch: &[f32], future: &[f32], step: usize, size: &[f32]) -> [f32; RELATIVE] {
     let [x, y, heading, speed, ..] = at(branch, step);
     let place = |step: usize| [future[3 * step], future[3 * step + 1]];

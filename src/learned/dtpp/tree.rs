@@ -1,4 +1,5 @@
-//! DTPP's tree of trajectories: two stages, each scored by the network (`trajectory_tree_planner.py`).
+//! DTPP's tree of trajectories: two stages, each scored by the network
+//! (`trajectory_tree_planner.py`).
 
 use super::network::{COLUMNS, Dtpp, STEPS};
 use super::speed_profile::{FIRST_S, NoTrajectory, STEPS_PER_S, Step, first_stage, second_stage};
@@ -46,8 +47,9 @@ pub struct ScoredTree {
     pub best: Vec<[f32; 3]>,
 }
 
-/// The tree over candidate paths from a speed (m/s) and an acceleration (m/s²) under a speed limit. Of more than thirty long
-/// trajectories, a draw of `seed` scores thirty, as upstream's unseeded draw does.
+/// The tree over candidate paths from a speed (m/s) and an acceleration (m/s²) under a speed limit.
+/// Of more than thirty long trajectories, a draw of `seed` scores thirty, as upstream's unseeded
+/// draw does.
 ///
 /// # Errors
 /// Where upstream raises an exception, and when the network fails.
@@ -72,16 +74,26 @@ pub fn scored_tree(
     let first_scores = score(&first, (FIRST_S * STEPS_PER_S) as usize)?;
     let mut order: Vec<usize> = (0..first_scores.len()).collect();
     order.sort_by(|&a, &b| first_scores[b].total_cmp(&first_scores[a]));
-    let parents: Vec<usize> = order.into_iter().take(EXPANDED).filter(|&parent| parent < first.len()).collect();
+    let parents: Vec<usize> = order
+        .into_iter()
+        .take(EXPANDED)
+        .filter(|&parent| parent < first.len())
+        .collect();
     // Children of each trajectory of the first stage, the whole eight seconds.
     let mut children: Vec<Vec<Vec<Step>>> = vec![Vec::new(); first.len()];
     for &parent in &parents {
         let end = first[parent].last().ok_or(TreeError::NoTrajectory)?;
         let later = second_stage(paths, end, limit)?;
-        children[parent] = later.into_iter().map(|steps| [first[parent].clone(), steps].concat()).collect();
+        children[parent] = later
+            .into_iter()
+            .map(|steps| [first[parent].clone(), steps].concat())
+            .collect();
     }
-    let mut leaves: Vec<(usize, &Vec<Step>)> =
-        children.iter().enumerate().flat_map(|(parent, own)| own.iter().map(move |leaf| (parent, leaf))).collect();
+    let mut leaves: Vec<(usize, &Vec<Step>)> = children
+        .iter()
+        .enumerate()
+        .flat_map(|(parent, own)| own.iter().map(move |leaf| (parent, leaf)))
+        .collect();
     if leaves.len() > BRANCHES {
         leaves = drawn(leaves, seed);
     }
@@ -89,9 +101,15 @@ pub fn scored_tree(
     let second_scores = score(&second, STEPS)?;
     let mut best: Option<(f32, usize, usize)> = None;
     for &parent in &parents {
-        let own = leaves.iter().zip(&second_scores).filter(|((of, _), _)| *of == parent).map(|(_, &score)| score);
+        let own = leaves
+            .iter()
+            .zip(&second_scores)
+            .filter(|((of, _), _)| *of == parent)
+            .map(|(_, &score)| score);
         // The first of equal scores.
-        let top = own.enumerate().reduce(|top, next| if next.1 > top.1 { next } else { top });
+        let top = own
+            .enumerate()
+            .reduce(|top, next| if next.1 > top.1 { next } else { top });
         // Upstream raises where none of a parent's children was drawn.
         let (child, score) = top.ok_or(TreeError::NoTrajectory)?;
         let sum = first_scores[parent] + score;
@@ -102,8 +120,15 @@ pub fn scored_tree(
     let (_, parent, child) = best.ok_or(TreeError::NoTrajectory)?;
     // As upstream, the place among the drawn children is read as one among all.
     let best = children[parent].get(child).ok_or(TreeError::NoTrajectory)?;
-    let best = best.iter().map(|&[x, y, heading, ..]| [x, y, heading]).collect();
-    Ok(ScoredTree { first: (first, first_scores), second: (second, second_scores), best })
+    let best = best
+        .iter()
+        .map(|&[x, y, heading, ..]| [x, y, heading])
+        .collect();
+    Ok(ScoredTree {
+        first: (first, first_scores),
+        second: (second, second_scores),
+        best,
+    })
 }
 
 /// Thirty leaves in a random order.
@@ -120,7 +145,10 @@ fn drawn<T>(mut leaves: Vec<T>, seed: u64) -> Vec<T> {
 /// Branches as the network reads them (1, 30, 80, 6).
 fn tree(branches: &[Vec<Step>]) -> candle_core::Result<Tensor> {
     let mut values = vec![0f32; BRANCHES * STEPS * COLUMNS];
-    for (branch, place) in branches.iter().zip(values.chunks_exact_mut(STEPS * COLUMNS)) {
+    for (branch, place) in branches
+        .iter()
+        .zip(values.chunks_exact_mut(STEPS * COLUMNS))
+    {
         for (step, row) in branch.iter().zip(place.chunks_exact_mut(COLUMNS)) {
             row.copy_from_slice(step);
         }

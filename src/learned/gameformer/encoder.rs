@@ -1,7 +1,8 @@
 //! The encoder of GameFormer and DTPP: actors and pieces of map lines as tokens of one transformer.
 
 use crate::blocks::{
-    LayerNorm, Linear, Lstm, Memory, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias, largest,
+    LayerNorm, Linear, Lstm, Memory, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias,
+    largest,
 };
 use candle_core::{D, Device, Result, Tensor};
 
@@ -56,19 +57,34 @@ pub(crate) struct SceneEncoder {
 
 impl SceneEncoder {
     /// Takes the parameters below a prefix, which ends with a dot or is empty.
-    pub(crate) fn take(weights: &mut Weights, prefix: &str, dim: usize, layers: usize) -> Result<Self> {
+    pub(crate) fn take(
+        weights: &mut Weights,
+        prefix: &str,
+        dim: usize,
+        layers: usize,
+    ) -> Result<Self> {
         let mut lstm = |name: &str, inputs: usize| {
-            Lstm::take(weights, &format!("{prefix}{name}.motion"), [inputs, dim, LSTM_LAYERS])
+            Lstm::take(
+                weights,
+                &format!("{prefix}{name}.motion"),
+                [inputs, dim, LSTM_LAYERS],
+            )
         };
         let (neighbors, ego) = (lstm("agent_encoder", NEIGHBOR)?, lstm("ego_encoder", EGO)?);
-        let layers = (0..layers).map(|i| Layer::take(weights, &format!("{prefix}fusion_encoder.layers.{i}"), dim));
+        let layers = (0..layers)
+            .map(|i| Layer::take(weights, &format!("{prefix}fusion_encoder.layers.{i}"), dim));
         let layers = layers.collect::<Result<_>>()?;
         Ok(Self {
             neighbors,
             ego,
             layers,
             lanes: MapEncoder::take(weights, &format!("{prefix}lane_encoder"), LANE, dim)?,
-            crosswalks: MapEncoder::take(weights, &format!("{prefix}crosswalk_encoder"), CROSSWALK, dim)?,
+            crosswalks: MapEncoder::take(
+                weights,
+                &format!("{prefix}crosswalk_encoder"),
+                CROSSWALK,
+                dim,
+            )?,
         })
     }
 
@@ -80,16 +96,31 @@ impl SceneEncoder {
         let (batch, count, steps, columns) = inputs.neighbors.dims4()?;
         let histories = inputs.neighbors.reshape((batch * count, steps, columns))?;
         let map = || -> Result<_> {
-            let lanes = self.lanes.forward(&inputs.lanes, "encoder.lane_encoder", probe)?;
-            Ok((lanes, self.crosswalks.forward(&inputs.crosswalks, "encoder.crosswalk_encoder", probe)?))
+            let lanes = self
+                .lanes
+                .forward(&inputs.lanes, "encoder.lane_encoder", probe)?;
+            Ok((
+                lanes,
+                self.crosswalks
+                    .forward(&inputs.crosswalks, "encoder.crosswalk_encoder", probe)?,
+            ))
         };
-        let ((ego, map), neighbors) =
-            rayon::join(|| (self.ego.last(&inputs.ego), map()), || self.neighbors.last(&histories));
+        let ((ego, map), neighbors) = rayon::join(
+            || (self.ego.last(&inputs.ego), map()),
+            || self.neighbors.last(&histories),
+        );
         let (ego, ((lanes, lanes_seen), (crosswalks, crosswalks_seen))) = (ego?, map?);
         probe.note("encoder.ego_encoder", &ego);
         let neighbors = neighbors?.reshape((batch, count, ()))?;
-        let present = |x: &Tensor, time: usize| x.narrow(time, steps - 1, 1)?.narrow(D::Minus1, 0, STATE);
-        let current = Tensor::cat(&[present(&inputs.ego, 1)?, present(&inputs.neighbors, 2)?.squeeze(2)?], 1)?;
+        let present =
+            |x: &Tensor, time: usize| x.narrow(time, steps - 1, 1)?.narrow(D::Minus1, 0, STATE);
+        let current = Tensor::cat(
+            &[
+                present(&inputs.ego, 1)?,
+                present(&inputs.neighbors, 2)?.squeeze(2)?,
+            ],
+            1,
+        )?;
         let actors = seen(&current)?;
         let seen = Tensor::cat(&[actors, lanes_seen, crosswalks_seen], 1)?;
         let hidden = key_bias(&seen)?;
@@ -99,12 +130,17 @@ impl SceneEncoder {
             probe.note(&format!("encoder.fusion_encoder.layers.{i}"), &tokens);
         }
         probe.note("encoder.fusion_encoder", &tokens);
-        Ok(EncodedScene { current, tokens, seen })
+        Ok(EncodedScene {
+            current,
+            tokens,
+            seen,
+        })
     }
 }
 
-/// Which actors are seen (B, 1 + A): those whose state does not sum up to exactly 0, as upstream, which hides an ego that stands.
-/// Where none would be seen, the ego is: upstream's attention without keys is NaN.
+/// Which actors are seen (B, 1 + A): those whose state does not sum up to exactly 0, as upstream,
+/// which hides an ego that stands. Where none would be seen, the ego is: upstream's attention
+/// without keys is NaN.
 fn seen(current: &Tensor) -> Result<Tensor> {
     let actors = current.sum(2)?.ne(0.0)?;
     let nobody = actors.max_keepdim(1)?.eq(0u8)?;
@@ -120,7 +156,12 @@ pub(super) struct MapEncoder {
 }
 
 impl MapEncoder {
-    pub(super) fn take(weights: &mut Weights, name: &str, [columns, points]: [usize; 2], dim: usize) -> Result<Self> {
+    pub(super) fn take(
+        weights: &mut Weights,
+        name: &str,
+        [columns, points]: [usize; 2],
+        dim: usize,
+    ) -> Result<Self> {
         weights.skip(&format!("{name}.position_encode.pe"), &[1, points, dim])?;
         let layers = [0, 2, 4].map(|i| format!("{name}.point_net.{i}"));
         Ok(Self {
@@ -129,15 +170,23 @@ impl MapEncoder {
         })
     }
 
-    /// Tokens (B, N · pieces, dim) of lines (B, N, points, columns), and which are seen: those whose x is nowhere exactly 0.
-    pub(super) fn forward(&self, lines: &Tensor, name: &str, probe: &Probe) -> Result<(Tensor, Tensor)> {
+    /// Tokens (B, N · pieces, dim) of lines (B, N, points, columns), and which are seen: those
+    /// whose x is nowhere exactly 0.
+    pub(super) fn forward(
+        &self,
+        lines: &Tensor,
+        name: &str,
+        probe: &Probe,
+    ) -> Result<(Tensor, Tensor)> {
         let (batch, count, points, _) = lines.dims4()?;
         let encoded = self.points.forward(lines)?;
         probe.note(&format!("{name}.point_net"), &encoded);
         let pieces = points / PIECE;
         let encoded = encoded.broadcast_add(&self.positions)?;
         let tokens = largest(&encoded.reshape((batch, count * pieces, PIECE, ()))?)?;
-        let x = lines.narrow(3, 0, 1)?.reshape((batch, count * pieces, PIECE))?;
+        let x = lines
+            .narrow(3, 0, 1)?
+            .reshape((batch, count * pieces, PIECE))?;
         Ok((tokens, x.ne(0.0)?.min(2)?))
     }
 }
@@ -147,9 +196,17 @@ fn positions(points: usize, dim: usize) -> Result<Tensor> {
     let value = |i: usize| {
         let (place, column) = ((i / dim) as f64, i % dim);
         let angle = place * (-(1e4f64.ln()) / dim as f64 * (column - column % 2) as f64).exp();
-        (if column % 2 == 0 { angle.sin() } else { angle.cos() }) as f32
+        (if column % 2 == 0 {
+            angle.sin()
+        } else {
+            angle.cos()
+        }) as f32
     };
-    Tensor::from_vec((0..points * dim).map(value).collect(), (points, dim), &Device::Cpu)
+    Tensor::from_vec(
+        (0..points * dim).map(value).collect(),
+        (points, dim),
+        &Device::Cpu,
+    )
 }
 
 /// A post-norm transformer layer of PyTorch.
@@ -191,9 +248,19 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    pub(crate) fn take(weights: &mut Weights, name: &str, attention: &str, [dim, inner]: [usize; 2]) -> Result<Self> {
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        attention: &str,
+        [dim, inner]: [usize; 2],
+    ) -> Result<Self> {
         Ok(Self {
-            attention: MultiheadAttention::take(weights, &format!("{name}.{attention}"), dim, HEADS)?,
+            attention: MultiheadAttention::take(
+                weights,
+                &format!("{name}.{attention}"),
+                dim,
+                HEADS,
+            )?,
             norms: [
                 LayerNorm::take(weights, &format!("{name}.norm_1"), dim)?,
                 LayerNorm::take(weights, &format!("{name}.norm_2"), dim)?,

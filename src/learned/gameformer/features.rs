@@ -1,4 +1,5 @@
-//! The features of GameFormer and DTPP (`MCZhi/GameFormer-Planner` `observation.py`, `MCZhi/DTPP` `obs_adapter.py`).
+//! The features of GameFormer and DTPP (`MCZhi/GameFormer-Planner` `observation.py`, `MCZhi/DTPP`
+//! `obs_adapter.py`).
 
 use super::encoder::SceneInputs;
 use crate::frame::{relative, rounded, single};
@@ -6,8 +7,8 @@ use crate::past;
 use candle_core::{Device, Result, Tensor};
 use planagent_world::geometry::{OrientedBox, Point, Pose, unwrap_angles};
 use planagent_world::{
-    HISTORY_SAMPLES, HistorySample, Lane, LaneKind, MICROS_PER_SECOND, ObjectKind, RoadblockId, SceneView,
-    SignalStatus, TrackToken, TrackedObject,
+    HISTORY_SAMPLES, HistorySample, Lane, LaneKind, MICROS_PER_SECOND, ObjectKind, RoadblockId,
+    SceneView, SignalStatus, TrackToken, TrackedObject,
 };
 
 /// Steps of an actor: the oldest sample of the history is read but not given.
@@ -43,14 +44,21 @@ pub struct ActorFeatures {
 }
 
 impl ActorFeatures {
-    /// Of a scene; the map is read in a square of this half side around the rear axle, meters. As upstream, states and points of the
-    /// map pass through f32 in the frame of the map.
+    /// Of a scene; the map is read in a square of this half side around the rear axle, meters. As
+    /// upstream, states and points of the map pass through f32 in the frame of the map.
     pub fn of(scene: &SceneView<'_>, radius: f64) -> Self {
         let samples = past::samples(scene, HISTORY_SAMPLES);
         let frame = rounded(scene.ego.rear_axle);
         let [lanes, crosswalks, route] = lines(scene, radius);
         let (neighbors, tokens) = neighbors(scene, &samples, frame);
-        Self { ego: ego(&samples, frame), neighbors, tokens, lanes, crosswalks, route }
+        Self {
+            ego: ego(&samples, frame),
+            neighbors,
+            tokens,
+            lanes,
+            crosswalks,
+            route,
+        }
     }
 
     /// A batch of one.
@@ -58,7 +66,8 @@ impl ActorFeatures {
     /// # Errors
     /// When tensors cannot be made.
     pub fn inputs(&self) -> Result<SceneInputs> {
-        let tensor = |values: &[f32], shape: &[usize]| Tensor::from_slice(values, shape, &Device::Cpu);
+        let tensor =
+            |values: &[f32], shape: &[usize]| Tensor::from_slice(values, shape, &Device::Cpu);
         Ok(SceneInputs {
             ego: tensor(&self.ego, &[1, STEPS, EGO])?,
             neighbors: tensor(&self.neighbors, &[1, MAX_NEIGHBORS, STEPS, NEIGHBOR])?,
@@ -71,14 +80,21 @@ impl ActorFeatures {
     pub fn present_ego(&self) -> [f32; 7] {
         let last = self.ego.len().saturating_sub(EGO);
         std::array::from_fn(|column| {
-            self.ego.get(last + column).copied().expect("the history ends with the present row")
+            self.ego
+                .get(last + column)
+                .copied()
+                .expect("the history ends with the present row")
         })
     }
 
     /// The present states of the other actors.
     pub fn present_neighbors(&self) -> Vec<[f32; 11]> {
-        let last = |steps: &[f32]| std::array::from_fn(|column| steps[(STEPS - 1) * NEIGHBOR + column]);
-        self.neighbors.chunks_exact(STEPS * NEIGHBOR).map(last).collect()
+        let last =
+            |steps: &[f32]| std::array::from_fn(|column| steps[(STEPS - 1) * NEIGHBOR + column]);
+        self.neighbors
+            .chunks_exact(STEPS * NEIGHBOR)
+            .map(last)
+            .collect()
     }
 
     /// The lanes of the route of a batch of one (1, 10, 50, 3).
@@ -86,24 +102,46 @@ impl ActorFeatures {
     /// # Errors
     /// When the tensor cannot be made.
     pub fn route_input(&self) -> Result<Tensor> {
-        Tensor::from_slice(&self.route, &[1, ROUTE[0], ROUTE[1], LINE][..], &Device::Cpu)
+        Tensor::from_slice(
+            &self.route,
+            &[1, ROUTE[0], ROUTE[1], LINE][..],
+            &Device::Cpu,
+        )
     }
 }
 
 /// Pose relative to now; velocity and acceleration in the frame of each step.
 fn ego(samples: &[HistorySample], frame: Pose) -> Vec<f32> {
-    let steps = samples.iter().skip(samples.len() - STEPS).map(|sample| &sample.ego);
+    let steps = samples
+        .iter()
+        .skip(samples.len() - STEPS)
+        .map(|sample| &sample.ego);
     let row = |ego: &planagent_world::EgoState| {
         let [x, y, heading] = relative(frame, rounded(ego.rear_axle));
         let (v, a) = (ego.velocity, ego.acceleration);
-        [x, y, heading, v.x as f32, v.y as f32, a.x as f32, a.y as f32]
+        [
+            x, y, heading, v.x as f32, v.y as f32, a.x as f32, a.y as f32,
+        ]
     };
     steps.flat_map(row).collect()
 }
 
-fn neighbors(scene: &SceneView<'_>, samples: &[HistorySample], frame: Pose) -> (Vec<f32>, Vec<TrackToken>) {
-    let kinds = [ObjectKind::Vehicle, ObjectKind::Pedestrian, ObjectKind::Bicycle];
-    let of_kind = |kind| scene.objects.iter().filter(move |object: &&TrackedObject| object.kind == kind);
+fn neighbors(
+    scene: &SceneView<'_>,
+    samples: &[HistorySample],
+    frame: Pose,
+) -> (Vec<f32>, Vec<TrackToken>) {
+    let kinds = [
+        ObjectKind::Vehicle,
+        ObjectKind::Pedestrian,
+        ObjectKind::Bicycle,
+    ];
+    let of_kind = |kind| {
+        scene
+            .objects
+            .iter()
+            .filter(move |object: &&TrackedObject| object.kind == kind)
+    };
     let mut present: Vec<(f64, usize, &TrackedObject)> = Vec::new();
     for (i, &kind) in kinds.iter().enumerate() {
         present.extend(of_kind(kind).map(|object| {
@@ -113,21 +151,34 @@ fn neighbors(scene: &SceneView<'_>, samples: &[HistorySample], frame: Pose) -> (
     }
     present.sort_by(|a, b| a.0.total_cmp(&b.0));
     present.truncate(MAX_NEIGHBORS);
-    present.retain(|(_, _, object)| f64::from(relative(frame, rounded(object.shape.center))[0]) >= BEHIND);
-    let rows = present.iter().flat_map(|&(_, kind, object)| history(object, kind, samples, frame));
+    present.retain(|(_, _, object)| {
+        f64::from(relative(frame, rounded(object.shape.center))[0]) >= BEHIND
+    });
+    let rows = present
+        .iter()
+        .flat_map(|&(_, kind, object)| history(object, kind, samples, frame));
     let mut rows: Vec<f32> = rows.collect();
     rows.resize(MAX_NEIGHBORS * STEPS * NEIGHBOR, 0.0);
-    (rows, present.iter().map(|(_, _, object)| object.token).collect())
+    (
+        rows,
+        present.iter().map(|(_, _, object)| object.token).collect(),
+    )
 }
 
 /// The steps of one agent. A missing past state is the next later one.
 fn history(now: &TrackedObject, kind: usize, samples: &[HistorySample], frame: Pose) -> Vec<f32> {
     let mut states = vec![*now; samples.len()];
     for i in (0..samples.len() - 1).rev() {
-        let seen = samples[i].objects.iter().find(|object| object.token == now.token && object.kind == now.kind);
+        let seen = samples[i]
+            .objects
+            .iter()
+            .find(|object| object.token == now.token && object.kind == now.kind);
         states[i] = seen.copied().unwrap_or(states[i + 1]);
     }
-    let rows: Vec<[f32; 3]> = states.iter().map(|state| relative(frame, rounded(state.shape.center))).collect();
+    let rows: Vec<[f32; 3]> = states
+        .iter()
+        .map(|state| relative(frame, rounded(state.shape.center)))
+        .collect();
     let headings = unwrap_angles(&rows.iter().map(|row| f64::from(row[2])).collect::<Vec<_>>());
     let seconds = |sample: &HistorySample| sample.ego.time_us as f64 / MICROS_PER_SECOND;
     let last = samples.len() - 1;
@@ -158,7 +209,9 @@ fn history(now: &TrackedObject, kind: usize, samples: &[HistorySample], frame: P
             flag(2),
         ]
     };
-    (samples.len() - STEPS..samples.len()).flat_map(row).collect()
+    (samples.len() - STEPS..samples.len())
+        .flat_map(row)
+        .collect()
 }
 
 /// A point as f32 holds it.
@@ -167,23 +220,57 @@ type Single = [f32; 2];
 fn lines(scene: &SceneView<'_>, radius: f64) -> [Vec<f32>; 3] {
     let (map, here) = (scene.map, scene.ego.rear_axle.position());
     let square = OrientedBox::new(Pose::at(here, 0.0), 2.0 * radius, 2.0 * radius);
-    let points =
-        |points: &[Point]| points.iter().map(|point| [point.x as f32, point.y as f32]).collect::<Vec<Single>>();
-    let mut lanes: Vec<&Lane> = map.lanes_near(here, radius).into_iter().map(|lane| &map[lane]).collect();
+    let points = |points: &[Point]| {
+        points
+            .iter()
+            .map(|point| [point.x as f32, point.y as f32])
+            .collect::<Vec<Single>>()
+    };
+    let mut lanes: Vec<&Lane> = map
+        .lanes_near(here, radius)
+        .into_iter()
+        .map(|lane| &map[lane])
+        .collect();
     lanes.sort_by_key(|lane| lane.kind == LaneKind::Connector);
     // The order of equally near lines: nuPlan's, by the distance of their areas.
-    lanes.sort_by(|a, b| a.polygon.distance_to(here).total_cmp(&b.polygon.distance_to(here)));
-    let lit = |lane: &&Lane| (points(lane.centerline.vertices()), Some(light(scene.lights.status(lane.id))));
-    let mut areas: Vec<_> = map.crosswalks_near(here, radius).filter(|area| area.meets_box(&square)).collect();
+    lanes.sort_by(|a, b| {
+        a.polygon
+            .distance_to(here)
+            .total_cmp(&b.polygon.distance_to(here))
+    });
+    let lit = |lane: &&Lane| {
+        (
+            points(lane.centerline.vertices()),
+            Some(light(scene.lights.status(lane.id))),
+        )
+    };
+    let mut areas: Vec<_> = map
+        .crosswalks_near(here, radius)
+        .filter(|area| area.meets_box(&square))
+        .collect();
     areas.sort_by(|a, b| a.distance_to(here).total_cmp(&b.distance_to(here)));
     let closed = areas.into_iter().map(|area| {
-        let ring: Vec<Point> = area.ring().iter().chain(area.ring().first()).copied().collect();
+        let ring: Vec<Point> = area
+            .ring()
+            .iter()
+            .chain(area.ring().first())
+            .copied()
+            .collect();
         (points(&ring), None)
     });
     let blocks = connected(&scene.route.roadblocks, &map.roadblocks_near(here, radius));
-    let mut route: Vec<&Lane> = blocks.iter().flat_map(|&block| map[block].lanes.iter().map(|&id| &map[id])).collect();
-    route.sort_by(|a, b| a.polygon.distance_to(here).total_cmp(&b.polygon.distance_to(here)));
-    let route = route.into_iter().map(|lane| (points(lane.centerline.vertices()), None));
+    let mut route: Vec<&Lane> = blocks
+        .iter()
+        .flat_map(|&block| map[block].lanes.iter().map(|&id| &map[id]))
+        .collect();
+    route.sort_by(|a, b| {
+        a.polygon
+            .distance_to(here)
+            .total_cmp(&b.polygon.distance_to(here))
+    });
+    let route = route
+        .into_iter()
+        .map(|lane| (points(lane.centerline.vertices()), None));
     [
         nearest(scene, lanes.iter().map(lit).collect(), LANES),
         nearest(scene, closed.collect(), CROSSWALKS),
@@ -194,10 +281,14 @@ fn lines(scene: &SceneView<'_>, radius: f64) -> [Vec<f32>; 3] {
 /// The part of the route in the square, up to its first gap.
 fn connected(route: &[RoadblockId], near: &[RoadblockId]) -> Vec<RoadblockId> {
     let ahead = route.iter().skip_while(|block| !near.contains(block));
-    ahead.take_while(|block| near.contains(block)).copied().collect()
+    ahead
+        .take_while(|block| near.contains(block))
+        .copied()
+        .collect()
 }
 
-/// Rows of the lines whose nearest vertex is nearest, resampled; with the light where lines have one.
+/// Rows of the lines whose nearest vertex is nearest, resampled; with the light where lines have
+/// one.
 fn nearest(
     scene: &SceneView<'_>,
     lines: Vec<(Vec<Single>, Option<[f32; 4]>)>,
@@ -205,19 +296,30 @@ fn nearest(
 ) -> Vec<f32> {
     let frame = rounded(scene.ego.rear_axle);
     let here = [frame.x as f32, frame.y as f32];
-    let distance =
-        |line: &[Single]| line.iter().map(|[x, y]| (x - here[0]).hypot(y - here[1])).fold(f32::INFINITY, f32::min);
-    let mut lines: Vec<(f32, Vec<Single>, Option<[f32; 4]>)> =
-        lines.into_iter().map(|(line, light)| (distance(&line), line, light)).collect();
+    let distance = |line: &[Single]| {
+        line.iter()
+            .map(|[x, y]| (x - here[0]).hypot(y - here[1]))
+            .fold(f32::INFINITY, f32::min)
+    };
+    let mut lines: Vec<(f32, Vec<Single>, Option<[f32; 4]>)> = lines
+        .into_iter()
+        .map(|(line, light)| (distance(&line), line, light))
+        .collect();
     lines.sort_by(|a, b| a.0.total_cmp(&b.0));
     let columns = if count == LANES[0] { LANE } else { LINE };
     let mut rows = Vec::with_capacity(count * points * columns);
     for (_, line, light) in lines.iter().take(count) {
-        let local = resampled(line, points).map(|[x, y]| frame.to_local(Point::new(x.into(), y.into())));
-        let local: Vec<[f32; 2]> = local.map(|place| [place.x as f32, place.y as f32]).collect();
+        let local =
+            resampled(line, points).map(|[x, y]| frame.to_local(Point::new(x.into(), y.into())));
+        let local: Vec<[f32; 2]> = local
+            .map(|place| [place.x as f32, place.y as f32])
+            .collect();
         for i in 0..points {
             let from = i.min(points - 2);
-            let along = [local[from + 1][0] - local[from][0], local[from + 1][1] - local[from][1]];
+            let along = [
+                local[from + 1][0] - local[from][0],
+                local[from + 1][1] - local[from][1],
+            ];
             rows.extend([local[i][0], local[i][1], along[1].atan2(along[0])]);
             rows.extend(light.iter().flatten());
         }
@@ -226,7 +328,8 @@ fn nearest(
     rows
 }
 
-/// Points of a line by the numbers of its vertices, with the rounding of PyTorch's interpolation on a CPU.
+/// Points of a line by the numbers of its vertices, with the rounding of PyTorch's interpolation on
+/// a CPU.
 fn resampled(line: &[Single], points: usize) -> impl Iterator<Item = Single> {
     let scale = (line.len() - 1) as f32 / (points - 1) as f32;
     (0..points).map(move |i| {
@@ -234,7 +337,9 @@ fn resampled(line: &[Single], points: usize) -> impl Iterator<Item = Single> {
         let before = (at as usize).min(line.len() - 1);
         let after = (before + 1).min(line.len() - 1);
         let share = at - before as f32;
-        std::array::from_fn(|axis| (1.0 - share).mul_add(line[before][axis], share * line[after][axis]))
+        std::array::from_fn(|axis| {
+            (1.0 - share).mul_add(line[before][axis], share * line[after][axis])
+        })
     })
 }
 

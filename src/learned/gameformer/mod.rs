@@ -1,4 +1,5 @@
-//! GameFormer (Huang et al. 2023; `MCZhi/GameFormer-Planner`): the network, its reference path and the refinement along it.
+//! GameFormer (Huang et al. 2023; `MCZhi/GameFormer-Planner`): the network, its reference path and
+//! the refinement along it.
 
 mod decoder;
 mod encoder;

@@ -23,9 +23,20 @@ pub struct GameFormerConfig {
 
 impl GameFormerConfig {
     /// The published planner.
-    pub const PUBLISHED: Self = Self { dim: 256, encoder_layers: 3, levels: 2, modes: 6, neighbors: 10 };
+    pub const PUBLISHED: Self = Self {
+        dim: 256,
+        encoder_layers: 3,
+        levels: 2,
+        modes: 6,
+        neighbors: 10,
+    };
     /// `gameformer-small`.
-    pub const SMALL: Self = Self { dim: 64, encoder_layers: 2, levels: 1, ..Self::PUBLISHED };
+    pub const SMALL: Self = Self {
+        dim: 64,
+        encoder_layers: 2,
+        levels: 1,
+        ..Self::PUBLISHED
+    };
 }
 
 /// Outputs of a batch.
@@ -51,7 +62,13 @@ impl GameFormer {
     /// # Errors
     /// When a tensor cannot be converted.
     pub fn take(weights: &mut Weights, config: GameFormerConfig) -> Result<Self> {
-        let GameFormerConfig { dim, encoder_layers, levels, modes, neighbors } = config;
+        let GameFormerConfig {
+            dim,
+            encoder_layers,
+            levels,
+            modes,
+            neighbors,
+        } = config;
         Ok(Self {
             encoder: SceneEncoder::take(weights, "encoder.", dim, encoder_layers)?,
             decoder: Decoder::take(weights, [dim, levels, modes, neighbors + 1])?,
@@ -63,11 +80,24 @@ impl GameFormer {
     ///
     /// # Errors
     /// When an input has another shape.
-    pub fn forward(&self, inputs: &SceneInputs, route: &Tensor, probe: &Probe) -> Result<GameFormerOutputs> {
+    pub fn forward(
+        &self,
+        inputs: &SceneInputs,
+        route: &Tensor,
+        probe: &Probe,
+    ) -> Result<GameFormerOutputs> {
         let scene = self.encoder.forward(inputs, probe)?;
         let (levels, ego) = self.decoder.forward(&scene, probe)?;
-        let plan = self.plan.forward(&ego, route, &scene.current.narrow(1, 0, 1)?.squeeze(1)?, probe)?;
-        let levels = levels.into_iter().map(|Level { futures, scores }| (futures, scores)).collect();
+        let plan = self.plan.forward(
+            &ego,
+            route,
+            &scene.current.narrow(1, 0, 1)?.squeeze(1)?,
+            probe,
+        )?;
+        let levels = levels
+            .into_iter()
+            .map(|Level { futures, scores }| (futures, scores))
+            .collect();
         Ok(GameFormerOutputs { levels, plan })
     }
 }

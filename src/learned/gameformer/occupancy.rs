@@ -34,7 +34,11 @@ pub fn occupancy(path: &ReferencePath, agents: &[PredictedAgent]) -> Occupancy {
     let mut rows = vec![red; STEPS];
     for PredictedAgent { state, future } in agents {
         // As upstream, an agent whose x is exactly 0 counts as none.
-        if state[0] == 0.0 || future.first().is_none_or(|&place| along(path, place).0 <= 0.0) {
+        if state[0] == 0.0
+            || future
+                .first()
+                .is_none_or(|&place| along(path, place).0 <= 0.0)
+        {
             continue;
         }
         let [length, width] = [LENGTH, WIDTH].map(|column| f64::from(state[column]));
@@ -44,12 +48,21 @@ pub fn occupancy(path: &ReferencePath, agents: &[PredictedAgent]) -> Occupancy {
             if s > 0.0 && lateral < reach {
                 let row = |s: f64| (s.clamp(0.0, CELLS as f64) * CELL_ROWS as f64) as usize;
                 let (from, to) = (row(s - (0.5 * length + BEHIND)), row(s + 0.5 * length));
-                occupied.iter_mut().take(to).skip(from).for_each(|row| *row = true);
+                occupied
+                    .iter_mut()
+                    .take(to)
+                    .skip(from)
+                    .for_each(|row| *row = true);
             }
         }
     }
     let cells = |rows: &Vec<bool>| {
-        std::array::from_fn(|cell| rows.iter().skip(cell * CELL_ROWS).take(CELL_ROWS).any(|&row| row))
+        std::array::from_fn(|cell| {
+            rows.iter()
+                .skip(cell * CELL_ROWS)
+                .take(CELL_ROWS)
+                .any(|&row| row)
+        })
     };
     rows.iter().map(cells).collect()
 }

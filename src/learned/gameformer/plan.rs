@@ -24,7 +24,12 @@ impl PlanHead {
     pub(super) fn take(weights: &mut Weights, dim: usize) -> Result<Self> {
         Ok(Self {
             route: MapEncoder::take(weights, "planner.route_encoder", ROUTE, dim)?,
-            fusion: Block::take(weights, "planner.route_fusion", "cross_attention", [dim, 4 * dim])?,
+            fusion: Block::take(
+                weights,
+                "planner.route_fusion",
+                "cross_attention",
+                [dim, 4 * dim],
+            )?,
             controls: [
                 Linear::take(weights, "planner.plan_decoder.0", 2 * dim, dim)?,
                 Linear::take(weights, "planner.plan_decoder.3", dim, 2 * POSES)?,
@@ -32,8 +37,15 @@ impl PlanHead {
         })
     }
 
-    /// The plan (B, 80, 3) of the ego's contents (B, M, dim), the route (B, R, 50, 3) and the present state (B, 5).
-    pub(super) fn forward(&self, ego: &Tensor, route: &Tensor, current: &Tensor, probe: &Probe) -> Result<Tensor> {
+    /// The plan (B, 80, 3) of the ego's contents (B, M, dim), the route (B, R, 50, 3) and the
+    /// present state (B, 5).
+    pub(super) fn forward(
+        &self,
+        ego: &Tensor,
+        route: &Tensor,
+        current: &Tensor,
+        probe: &Probe,
+    ) -> Result<Tensor> {
         let (tokens, seen) = self.route.forward(route, "planner.route_encoder", probe)?;
         let first = Tensor::ones((seen.dim(0)?, 1), seen.dtype(), &Device::Cpu)?;
         let seen = Tensor::cat(&[first, seen.narrow(1, 1, seen.dim(1)? - 1)?], 1)?;
@@ -54,13 +66,21 @@ impl PlanHead {
 
 /// Poses of accelerations and curvatures from x, y, heading and velocity.
 fn rolled_out(controls: &[Vec<f32>], state: &[f32]) -> Vec<f32> {
-    let [x, y, heading, vx, vy] =
-        std::array::from_fn(|i| state.get(i).copied().expect("a present state has five columns"));
+    let [x, y, heading, vx, vy] = std::array::from_fn(|i| {
+        state
+            .get(i)
+            .copied()
+            .expect("a present state has five columns")
+    });
     let (mut x, mut y, mut heading, mut speed) = (x, y, heading, vx.hypot(vy));
     let mut poses = Vec::with_capacity(3 * controls.len());
     for control in controls {
-        let [acceleration, curvature] =
-            std::array::from_fn(|i| control.get(i).copied().expect("a control is acceleration and curvature"));
+        let [acceleration, curvature] = std::array::from_fn(|i| {
+            control
+                .get(i)
+                .copied()
+                .expect("a control is acceleration and curvature")
+        });
         speed += acceleration.clamp(-MAX_ACCELERATION, MAX_ACCELERATION) * STEP_S;
         // As upstream, the sum goes on below zero while the speed itself stays at zero.
         let driven = speed.max(0.0);

@@ -10,7 +10,9 @@ use crate::lattice::ROW;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
 use candle_core::{IndexOp, Result};
-use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner::{
+    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
+};
 use planagent_world::{STEP_S, STEP_US, Trajectory};
 use std::sync::Arc;
 
@@ -22,14 +24,20 @@ const ACCELERATION: usize = 5;
 
 /// The planners `gameformer` and `gameformer-small`.
 pub(crate) fn entries() -> [PlannerEntry; 2] {
-    let published = Slot::new("GameFormer", |weights| GameFormer::take(weights, GameFormerConfig::PUBLISHED));
-    let small = Slot::new("GameFormer (small)", |weights| GameFormer::take(weights, GameFormerConfig::SMALL));
+    let published = Slot::new("GameFormer", |weights| {
+        GameFormer::take(weights, GameFormerConfig::PUBLISHED)
+    });
+    let small = Slot::new("GameFormer (small)", |weights| {
+        GameFormer::take(weights, GameFormerConfig::SMALL)
+    });
     [
         ("gameformer", "GameFormer, a learned planner", published),
         ("gameformer-small", "GameFormer in a small shape", small),
     ]
     .map(|(name, summary, slot)| {
-        learned_entry(name, summary, slot, move |network| Box::new(GameFormerPlanner { name, network }))
+        learned_entry(name, summary, slot, move |network| {
+            Box::new(GameFormerPlanner { name, network })
+        })
     })
 }
 
@@ -45,22 +53,36 @@ impl Planner for GameFormerPlanner {
         self.name
     }
 
-    fn initialize(&mut self, _: &PlannerInitialization<'_>) -> std::result::Result<(), PlannerError> {
+    fn initialize(
+        &mut self,
+        _: &PlannerInitialization<'_>,
+    ) -> std::result::Result<(), PlannerError> {
         Ok(())
     }
 
-    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> std::result::Result<Trajectory, PlannerError> {
+    fn compute_trajectory(
+        &mut self,
+        input: &PlannerInput<'_>,
+    ) -> std::result::Result<Trajectory, PlannerError> {
         let scene = &input.scene;
         let features = ActorFeatures::of(scene, RADIUS);
         let run = || {
             let inputs = features.inputs()?;
-            let outputs = self.network.forward(&inputs, &features.route_input()?, &Probe::off())?;
-            Ok((prediction::poses(&outputs.plan)?, agents(&outputs, &features.present_neighbors())?))
+            let outputs = self
+                .network
+                .forward(&inputs, &features.route_input()?, &Probe::off())?;
+            Ok((
+                prediction::poses(&outputs.plan)?,
+                agents(&outputs, &features.present_neighbors())?,
+            ))
         };
         let (mut plan, agents) = run().map_err(network_failed)?;
         // As upstream, the network's plan is executed as it is where there is no reference path.
         if let Some(path) = reference_path(scene) {
-            plan = placed(&path, &refinement(&path, &plan, &agents, features.present_ego()).solve());
+            plan = placed(
+                &path,
+                &refinement(&path, &plan, &agents, features.present_ego()).solve(),
+            );
         }
         prediction::trajectory(&plan, STEP_US, scene)
     }
@@ -68,7 +90,9 @@ impl Planner for GameFormerPlanner {
 
 /// The agents with the likeliest futures of the last level.
 fn agents(outputs: &GameFormerOutputs, states: &[[f32; 11]]) -> Result<Vec<PredictedAgent>> {
-    let Some((futures, scores)) = outputs.levels.last() else { return Ok(Vec::new()) };
+    let Some((futures, scores)) = outputs.levels.last() else {
+        return Ok(Vec::new());
+    };
     let scores = scores.i(0)?.to_vec2::<f32>()?;
     // The ego is the first actor.
     let agents = scores.iter().enumerate().skip(1).zip(states);
@@ -81,17 +105,33 @@ fn agents(outputs: &GameFormerOutputs, states: &[[f32; 11]]) -> Result<Vec<Predi
                 }
             }
             let future = futures.i((0, actor, best))?.to_vec2::<f32>()?;
-            Ok(PredictedAgent { state, future: future.iter().map(|row| [row[0], row[1]]).collect() })
+            Ok(PredictedAgent {
+                state,
+                future: future.iter().map(|row| [row[0], row[1]]).collect(),
+            })
         })
         .collect()
 }
 
-/// The refinement of a network's plan along a path, among agents, from the ego's present state (seven columns).
-pub fn refinement(path: &ReferencePath, plan: &[[f32; 3]], agents: &[PredictedAgent], ego: [f32; 7]) -> Refinement {
-    let places: Vec<f64> = plan.iter().map(|&[x, y, _]| nearest_row(path, [x, y]).0 as f64 * ROW).collect();
+/// The refinement of a network's plan along a path, among agents, from the ego's present state
+/// (seven columns).
+pub fn refinement(
+    path: &ReferencePath,
+    plan: &[[f32; 3]],
+    agents: &[PredictedAgent],
+    ego: [f32; 7],
+) -> Refinement {
+    let places: Vec<f64> = plan
+        .iter()
+        .map(|&[x, y, _]| nearest_row(path, [x, y]).0 as f64 * ROW)
+        .collect();
     let before = std::iter::once(0.0).chain(places.iter().copied());
     Refinement {
-        speeds: places.iter().zip(before).map(|(place, before)| (place - before) / STEP_S).collect(),
+        speeds: places
+            .iter()
+            .zip(before)
+            .map(|(place, before)| (place - before) / STEP_S)
+            .collect(),
         occupancy: occupancy(path, agents),
         current: [SPEED, ACCELERATION].map(|column| f64::from(ego[column])),
         limits: path.iter().map(|row| f64::from(row[4])).collect(),
@@ -106,7 +146,9 @@ pub fn placed(path: &ReferencePath, speeds: &[f64]) -> Vec<[f32; 3]> {
     let pose = |speed: &f64| {
         place += f64::from(*speed as f32 * STEP_S as f32);
         let row = ((place as f32 * 10.0) as usize).min(path.len().saturating_sub(1));
-        let &[x, y, heading, ..] = path.get(row).expect("a reference path has one row at least");
+        let &[x, y, heading, ..] = path
+            .get(row)
+            .expect("a reference path has one row at least");
         [x, y, heading]
     };
     speeds.iter().map(pose).collect()

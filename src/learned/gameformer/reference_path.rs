@@ -1,8 +1,9 @@
-//! GameFormer's reference path (`MCZhi/GameFormer-Planner` `planner.py`, `state_lattice_path_planner.py`).
+//! GameFormer's reference path (`MCZhi/GameFormer-Planner` `planner.py`,
+//! `state_lattice_path_planner.py`).
 
 use crate::lattice::{
-    Candidate, Course, MAX_ROWS, bent, candidates, course, curvature, every_tenth, long_enough, relative_course,
-    starting_block, starting_lanes,
+    Candidate, Course, MAX_ROWS, bent, candidates, course, curvature, every_tenth, long_enough,
+    relative_course, starting_block, starting_lanes,
 };
 use planagent_world::geometry::{Corridor, OrientedBox, Point, Polyline, borders};
 use planagent_world::{LaneId, ObjectKind, PACIFICA, RoadblockId, SceneView};
@@ -18,7 +19,8 @@ const STANDING: f64 = 0.01;
 /// Vertices of a path that are checked, and those checked for a lane to change to.
 const CHECKED: usize = 100;
 const CHECKED_TARGET: usize = 50;
-/// A lane is worth changing to when it is at most this much shorter than the longest, and no moving vehicle is nearer, meters.
+/// A lane is worth changing to when it is at most this much shorter than the longest, and no moving
+/// vehicle is nearer, meters.
 const TARGET_LENGTH: f64 = 5.0;
 const TARGET_CLEARANCE: f64 = 5.0;
 /// Costs of an obstacle, of leaving the road, of curvature; what a lane worth changing to saves.
@@ -40,8 +42,8 @@ const SHARP: f64 = 0.1;
 const RED_VERTICES: usize = 80;
 const RED_DISTANCE: f64 = 0.5;
 
-/// Rows of a reference path, 0.1 m apart, in the frame of the rear axle. A row is x, y, heading, curvature, speed limit (m/s),
-/// and 1 where a red light holds. The last row repeats up to 120 m.
+/// Rows of a reference path, 0.1 m apart, in the frame of the rear axle. A row is x, y, heading,
+/// curvature, speed limit (m/s), and 1 where a red light holds. The last row repeats up to 120 m.
 pub type ReferencePath = Vec<[f32; 6]>;
 
 /// The parts of a path's cost.
@@ -62,9 +64,18 @@ pub struct PathCost {
 impl PathCost {
     /// The cost; `None` where it is not defined.
     pub fn sum(&self) -> Option<f64> {
-        let Self { obstacle, out_of_boundary, distance, curvature, target } = self;
+        let Self {
+            obstacle,
+            out_of_boundary,
+            distance,
+            curvature,
+            target,
+        } = self;
         Some(
-            OBSTACLE * obstacle + OUT_OF_BOUNDARY * out_of_boundary + distance + CURVATURE * (*curvature)?
+            OBSTACLE * obstacle
+                + OUT_OF_BOUNDARY * out_of_boundary
+                + distance
+                + CURVATURE * (*curvature)?
                 - TARGET * target,
         )
     }
@@ -91,15 +102,23 @@ pub fn reference_path(scene: &SceneView<'_>) -> Option<ReferencePath> {
 
 /// All paths from a roadblock on with their costs, the nearest lane's first.
 pub fn costed_paths(scene: &SceneView<'_>, block: RoadblockId) -> Vec<(Vec<Point>, PathCost)> {
-    let mut lanes = long_enough(candidates(scene, &starting_lanes(scene, block)), ACCEPTABLE_LENGTH);
+    let mut lanes = long_enough(
+        candidates(scene, &starting_lanes(scene, block)),
+        ACCEPTABLE_LENGTH,
+    );
     lanes.sort_by(|a, b| a.distance.total_cmp(&b.distance));
     let longest = lanes.iter().map(|lane| lane.length).fold(0.0, f64::max);
     let footprint = scene.ego.footprint();
-    let near = scene.objects.iter().filter(|object| object.shape.distance(&footprint) <= MAX_OBJECT_DISTANCE);
+    let near = scene
+        .objects
+        .iter()
+        .filter(|object| object.shape.distance(&footprint) <= MAX_OBJECT_DISTANCE);
     let (mut obstacles, mut vehicles) = (Vec::new(), Vec::new());
     for object in near {
         match object.kind {
-            ObjectKind::Vehicle if object.velocity.norm() >= STANDING => vehicles.push(object.shape),
+            ObjectKind::Vehicle if object.velocity.norm() >= STANDING => {
+                vehicles.push(object.shape)
+            }
             ObjectKind::Pedestrian | ObjectKind::Bicycle => {}
             _ => obstacles.push(object.shape),
         }
@@ -114,20 +133,40 @@ pub fn costed_paths(scene: &SceneView<'_>, block: RoadblockId) -> Vec<(Vec<Point
         let (strip, start) = (strip(CHECKED), strip(CHECKED_TARGET));
         let flag = |holds: Option<bool>| if holds.unwrap_or(false) { 1.0 } else { 0.0 };
         let cost = PathCost {
-            obstacle: flag(strip.as_ref().map(|strip| obstacles.iter().any(|shape| strip.meets_box(shape)))),
-            out_of_boundary: flag(strip.as_ref().map(|strip| leaves_road(scene, strip, &lane.lanes))),
-            distance: if stay { STAY * lane.distance } else { lane.distance },
+            obstacle: flag(
+                strip
+                    .as_ref()
+                    .map(|strip| obstacles.iter().any(|shape| strip.meets_box(shape))),
+            ),
+            out_of_boundary: flag(
+                strip
+                    .as_ref()
+                    .map(|strip| leaves_road(scene, strip, &lane.lanes)),
+            ),
+            distance: if stay {
+                STAY * lane.distance
+            } else {
+                lane.distance
+            },
             curvature: curvature(&path[..path.len().min(CHECKED)]),
-            target: flag(start.map(|start| longest - lane.length <= TARGET_LENGTH && is_clear(&start, &vehicles))),
+            target: flag(start.map(|start| {
+                longest - lane.length <= TARGET_LENGTH && is_clear(&start, &vehicles)
+            })),
         };
         (path, cost)
     };
-    let paths = lanes.iter().flat_map(|lane| bent(scene.ego.rear_axle, lane).into_iter().map(move |path| (lane, path)));
+    let paths = lanes.iter().flat_map(|lane| {
+        bent(scene.ego.rear_axle, lane)
+            .into_iter()
+            .map(move |path| (lane, path))
+    });
     paths.map(|(lane, path)| costed(lane, path)).collect()
 }
 
 fn is_clear(strip: &Corridor, vehicles: &[OrientedBox]) -> bool {
-    vehicles.iter().all(|vehicle| strip.distance_to_box(vehicle) >= TARGET_CLEARANCE)
+    vehicles
+        .iter()
+        .all(|vehicle| strip.distance_to_box(vehicle) >= TARGET_CLEARANCE)
 }
 
 /// Whether a strip crosses a border of its lanes where no lane is beside.
@@ -144,11 +183,21 @@ fn leaves_road(scene: &SceneView<'_>, strip: &Corridor, lanes: &[LaneId]) -> boo
 
 /// The rows with speed limits and red lights, up to 120 m; `None` without rows.
 fn annotated(scene: &SceneView<'_>, block: RoadblockId, rows: &Course) -> Option<ReferencePath> {
-    let first = scene.map[block].lanes.first().map(|&lane| &scene.map[lane])?;
+    let first = scene.map[block]
+        .lanes
+        .first()
+        .map(|&lane| &scene.map[lane])?;
     // As in Python, a limit of 0 is none.
-    let limit = first.speed_limit.filter(|&limit| limit != 0.0).unwrap_or(DEFAULT_LIMIT);
+    let limit = first
+        .speed_limit
+        .filter(|&limit| limit != 0.0)
+        .unwrap_or(DEFAULT_LIMIT);
     let limit = limit.clamp(LIMITS[0], LIMITS[1]);
-    let sharp = rows.iter().position(|row| row[3].abs() > SHARP).filter(|&row| row > 0).unwrap_or(rows.len());
+    let sharp = rows
+        .iter()
+        .position(|row| row[3].abs() > SHARP)
+        .filter(|&row| row > 0)
+        .unwrap_or(rows.len());
     let allowed = scene.route.lanes(scene.map);
     let red: Vec<Vec<Point>> = scene
         .lights
@@ -156,11 +205,17 @@ fn annotated(scene: &SceneView<'_>, block: RoadblockId, rows: &Course) -> Option
         .filter(|connector| allowed.contains(connector))
         .map(|connector| scene.map[connector].centerline.vertices())
         .filter(|line| line.len() >= RED_VERTICES)
-        .map(|line| line.iter().map(|&point| scene.ego.rear_axle.to_local(point)).collect())
+        .map(|line| {
+            line.iter()
+                .map(|&point| scene.ego.rear_axle.to_local(point))
+                .collect()
+        })
         .collect();
     let is_red = |x: f64, y: f64| {
         let here = Point::new(x, y);
-        red.iter().flatten().any(|point| (point - here).norm() < RED_DISTANCE)
+        red.iter()
+            .flatten()
+            .any(|point| (point - here).norm() < RED_DISTANCE)
     };
     let row = |(i, &[x, y, heading, curvature]): (usize, &[f64; 4])| {
         let limit = if i >= sharp { LIMITS[0] } else { limit };

@@ -1,4 +1,5 @@
-//! GameFormer's refinement: speeds along the reference path by Gauss-Newton (`refinement.py`; theseus).
+//! GameFormer's refinement: speeds along the reference path by Gauss-Newton (`refinement.py`;
+//! theseus).
 
 use super::occupancy::{CELLS, Occupancy, STEPS};
 use nalgebra::{Cholesky, DMatrix, DVector};
@@ -22,7 +23,8 @@ const LIMIT: f64 = 0.3;
 const SOFT: f64 = 10.0;
 const JERK: f64 = 1.0;
 const END: f64 = 3.0;
-/// Maximum number of iterations, share of a step that is taken, and changes of the objective that end the search.
+/// Maximum number of iterations, share of a step that is taken, and changes of the objective that
+/// end the search.
 const ITERATIONS: usize = 20;
 const DAMPING: f64 = 0.3;
 const RELATIVE_CHANGE: f64 = 1e-3;
@@ -63,17 +65,29 @@ impl Refinement {
 
     /// The speeds before the search and after each iteration, with the objective.
     pub fn iterates(&self) -> Vec<(Vec<f64>, f64)> {
-        let mut speeds = self.speeds.iter().map(|speed| speed.max(0.0)).collect::<Vec<f64>>();
+        let mut speeds = self
+            .speeds
+            .iter()
+            .map(|speed| speed.max(0.0))
+            .collect::<Vec<f64>>();
         let occupied = self.cleared();
         let mut residuals = self.residuals(&speeds, &occupied);
         let mut iterates = vec![(speeds.clone(), objective(&residuals))];
         for _ in 0..ITERATIONS {
-            let Some(step) = newton_step(&residuals) else { break };
+            let Some(step) = newton_step(&residuals) else {
+                break;
+            };
             for (speed, step) in speeds.iter_mut().zip(step.iter()) {
                 *speed += DAMPING * step;
             }
             residuals = self.residuals(&speeds, &occupied);
-            let (before, now) = (iterates.last().expect("the search begins with an iterate").1, objective(&residuals));
+            let (before, now) = (
+                iterates
+                    .last()
+                    .expect("the search begins with an iterate")
+                    .1,
+                objective(&residuals),
+            );
             iterates.push((speeds.clone(), now));
             let change = (before - now).abs();
             if change / before < RELATIVE_CHANGE || change < CHANGE {
@@ -86,9 +100,16 @@ impl Refinement {
     /// The occupied cells ahead of the network's place at each checked step.
     fn cleared(&self) -> Vec<Vec<f64>> {
         let cells = |&step: &usize| -> Vec<f64> {
-            let place = self.places.get(step).copied().expect("the plan is longer than the checked steps").max(0.0);
+            let place = self
+                .places
+                .get(step)
+                .copied()
+                .expect("the plan is longer than the checked steps")
+                .max(0.0);
             let occupied = self.occupancy.get(step).into_iter().flatten();
-            let cells = occupied.enumerate().filter(|&(cell, &occupied)| occupied && cell as f64 > place);
+            let cells = occupied
+                .enumerate()
+                .filter(|&(cell, &occupied)| occupied && cell as f64 > place);
             cells.map(|(cell, _)| cell as f64).collect()
         };
         debug_assert!(CHECKED.iter().all(|&step| step < STEPS) && CELLS > 0);
@@ -105,9 +126,11 @@ impl Refinement {
                 Some(*place)
             })
             .collect();
-        // An acceleration or jerk with its derivatives; the present state stands before the first speed.
-        let accelerations: Vec<f64> =
-            (0..count).map(|i| (speeds[i] - if i == 0 { speed } else { speeds[i - 1] }) / STEP_S).collect();
+        // An acceleration or jerk with its derivatives; the present state stands before the first
+        // speed.
+        let accelerations: Vec<f64> = (0..count)
+            .map(|i| (speeds[i] - if i == 0 { speed } else { speeds[i - 1] }) / STEP_S)
+            .collect();
         let of_acceleration = |i: usize, factor: f64| {
             let mut derivatives = vec![(i, factor / STEP_S)];
             derivatives.extend((i > 0).then(|| (i - 1, -factor / STEP_S)));
@@ -116,53 +139,103 @@ impl Refinement {
         let mut residuals = Vec::with_capacity(5 * count + CHECKED.len() + 1);
         for (i, &speed) in speeds.iter().enumerate() {
             let negative = if speed < 0.0 { HARD } else { 0.0 };
-            residuals.push(Residual { value: negative * speed, derivatives: vec![(i, negative)] });
+            residuals.push(Residual {
+                value: negative * speed,
+                derivatives: vec![(i, negative)],
+            });
             let a = accelerations[i];
-            residuals.push(Residual { value: ACCELERATION * a, derivatives: of_acceleration(i, ACCELERATION) });
-            let row = (self.places.get(i).copied().expect("a place stands beside every speed").max(0.0) as f32 * 10.0)
-                as usize;
+            residuals.push(Residual {
+                value: ACCELERATION * a,
+                derivatives: of_acceleration(i, ACCELERATION),
+            });
+            let row = (self
+                .places
+                .get(i)
+                .copied()
+                .expect("a place stands beside every speed")
+                .max(0.0) as f32
+                * 10.0) as usize;
             let limit = self
                 .limits
                 .get(row.min(self.limits.len().saturating_sub(1)))
                 .copied()
                 .expect("a reference path has one row at least");
-            residuals.push(Residual { value: LIMIT * (speed - limit), derivatives: vec![(i, LIMIT)] });
-            let hard = if (MIN_ACCELERATION..=MAX_ACCELERATION).contains(&a) { 0.0 } else { SOFT };
-            residuals.push(Residual { value: hard * a, derivatives: of_acceleration(i, hard) });
-            let before = if i == 0 { acceleration } else { accelerations[i - 1] };
+            residuals.push(Residual {
+                value: LIMIT * (speed - limit),
+                derivatives: vec![(i, LIMIT)],
+            });
+            let hard = if (MIN_ACCELERATION..=MAX_ACCELERATION).contains(&a) {
+                0.0
+            } else {
+                SOFT
+            };
+            residuals.push(Residual {
+                value: hard * a,
+                derivatives: of_acceleration(i, hard),
+            });
+            let before = if i == 0 {
+                acceleration
+            } else {
+                accelerations[i - 1]
+            };
             let mut derivatives = of_acceleration(i, JERK / STEP_S);
             if i > 0 {
                 derivatives.extend(of_acceleration(i - 1, -JERK / STEP_S));
             }
-            residuals.push(Residual { value: JERK * (a - before) / STEP_S, derivatives });
+            residuals.push(Residual {
+                value: JERK * (a - before) / STEP_S,
+                derivatives,
+            });
         }
         for (&step, cells) in CHECKED.iter().zip(occupied) {
-            let front = places.get(step).copied().expect("the plan is longer than the checked steps") + FRONT;
-            let over: Vec<f64> = cells.iter().map(|cell| front - cell).filter(|&over| over > 0.0).collect();
+            let front = places
+                .get(step)
+                .copied()
+                .expect("the plan is longer than the checked steps")
+                + FRONT;
+            let over: Vec<f64> = cells
+                .iter()
+                .map(|cell| front - cell)
+                .filter(|&over| over > 0.0)
+                .collect();
             let derivative = HARD * over.len() as f64 * STEP_S;
             residuals.push(Residual {
                 value: HARD * over.iter().sum::<f64>(),
                 derivatives: (0..=step).map(|i| (i, derivative)).collect(),
             });
         }
-        let (own, predicted) = places.last().zip(self.places.last()).expect("a plan has one step at least");
+        let (own, predicted) = places
+            .last()
+            .zip(self.places.last())
+            .expect("a plan has one step at least");
         let end = own - predicted.max(0.0);
         let factor = if end.abs() > FREE_END { END } else { 0.0 };
         let derivatives = (0..count).map(|i| (i, factor * STEP_S)).collect();
-        residuals.push(Residual { value: factor * end, derivatives });
+        residuals.push(Residual {
+            value: factor * end,
+            derivatives,
+        });
         residuals
     }
 }
 
 fn objective(residuals: &[Residual]) -> f64 {
-    residuals.iter().map(|residual| residual.value * residual.value).sum::<f64>() / 2.0
+    residuals
+        .iter()
+        .map(|residual| residual.value * residual.value)
+        .sum::<f64>()
+        / 2.0
 }
 
 /// The step of Gauss and Newton; `None` where its matrix is singular.
 fn newton_step(residuals: &[Residual]) -> Option<DVector<f64>> {
     let (mut matrix, mut right) = (DMatrix::zeros(SPEEDS, SPEEDS), DVector::zeros(SPEEDS));
     for Residual { value, derivatives } in residuals {
-        let moving = || derivatives.iter().filter(|&&(i, derivative)| derivative != 0.0 && i < SPEEDS);
+        let moving = || {
+            derivatives
+                .iter()
+                .filter(|&&(i, derivative)| derivative != 0.0 && i < SPEEDS)
+        };
         for &(i, a) in moving() {
             right[i] -= a * value;
             for &(j, b) in moving() {

@@ -29,9 +29,13 @@ pub(super) struct Aggregator {
 impl Aggregator {
     pub(super) fn take(weights: &mut Weights) -> Result<Self> {
         weights.skip("aggregator.pos_enc.inv_freq", &[WIDTH / 2])?;
-        let mut embed = |part: &str| Linear::take(weights, &format!("aggregator.{part}"), WIDTH, ATTENTION);
+        let mut embed =
+            |part: &str| Linear::take(weights, &format!("aggregator.{part}"), WIDTH, ATTENTION);
         let embed = [embed("query_emb")?, embed("key_emb")?, embed("val_emb")?];
-        Ok(Self { embed, attention: MultiheadAttention::take(weights, "aggregator.mha", ATTENTION, HEADS)? })
+        Ok(Self {
+            embed,
+            attention: MultiheadAttention::take(weights, "aggregator.mha", ATTENTION, HEADS)?,
+        })
     }
 
     /// Contexts (B, S, 160) of the traversals in lexicographic order.
@@ -47,42 +51,64 @@ impl Aggregator {
             let mut unique = ordered.clone();
             unique.dedup();
             let contexts = self.contexts(&ego, &nodes, &unique)?;
-            let place = |traversal: &[u32; TRAVERSAL]| unique.partition_point(|one| one < traversal) as u32;
+            let place =
+                |traversal: &[u32; TRAVERSAL]| unique.partition_point(|one| one < traversal) as u32;
             let places = Tensor::from_iter(ordered.iter().map(place), &Device::Cpu)?;
             contexts.index_select(&places, 0)
         });
         Tensor::stack(&samples.collect::<Result<Vec<_>>>()?, 0)
     }
 
-    /// Contexts (S, 160) of traversals. Keys and values are affine in the sum of a node and its step. So those of nodes and of steps
-    /// are computed once, and not for each traversal.
-    fn contexts(&self, ego: &Tensor, nodes: &Tensor, traversals: &[[u32; TRAVERSAL]]) -> Result<Tensor> {
+    /// Contexts (S, 160) of traversals. Keys and values are affine in the sum of a node and its
+    /// step. So those of nodes and of steps are computed once, and not for each traversal.
+    fn contexts(
+        &self,
+        ego: &Tensor,
+        nodes: &Tensor,
+        traversals: &[[u32; TRAVERSAL]],
+    ) -> Result<Tensor> {
         let rows = traversals.len();
         // The goal is a row of zeros behind the nodes.
         let padded = Tensor::cat(&[nodes, &nodes.narrow(0, 0, 1)?.zeros_like()?], 0)?;
         let steps = positions()?;
         let [query, key, value] = &self.embed;
-        let query = self.attention.projected(0, &query.forward(ego)?)?.flatten_all()?.to_vec1::<f32>()?;
+        let query = self
+            .attention
+            .projected(0, &query.forward(ego)?)?
+            .flatten_all()?
+            .to_vec1::<f32>()?;
         let table = |part: usize, embed: &Linear| -> Result<[Tensor; 2]> {
             let project = |x: &Tensor| self.attention.projected(part, &embed.forward(x)?);
-            let of_steps = project(&steps)?.broadcast_sub(&project(&steps.narrow(0, 0, 1)?.zeros_like()?)?)?;
+            let of_steps =
+                project(&steps)?.broadcast_sub(&project(&steps.narrow(0, 0, 1)?.zeros_like()?)?)?;
             Ok([project(&padded)?, of_steps])
         };
         let [of_nodes, of_steps] = table(1, key)?;
-        let (mut of_nodes, of_steps) = (logits(&query, &by_number(&of_nodes)?), logits(&query, &by_number(&of_steps)?));
+        let (mut of_nodes, of_steps) = (
+            logits(&query, &by_number(&of_nodes)?),
+            logits(&query, &by_number(&of_steps)?),
+        );
         if let Some(goal) = of_nodes.last_mut() {
             *goal = [f32::NEG_INFINITY; HEADS];
         }
         let [node_values, step_values] = table(2, value)?;
         let (node_values, step_values) = (by_number(&node_values)?, by_number(&step_values)?);
         let mut heard = vec![0f32; rows * ATTENTION];
-        let pieces = heard.par_chunks_mut(PIECE * ATTENTION).zip(traversals.par_chunks(PIECE));
+        let pieces = heard
+            .par_chunks_mut(PIECE * ATTENTION)
+            .zip(traversals.par_chunks(PIECE));
         pieces.for_each(|(heard, traversals)| {
-            let walks =
-                Walks { logits: [&of_nodes, &of_steps], values: [&node_values, &step_values], traversals, heard };
+            let walks = Walks {
+                logits: [&of_nodes, &of_steps],
+                values: [&node_values, &step_values],
+                traversals,
+                heard,
+            };
             Instructions::best().run(walks);
         });
-        let mixed = self.attention.output(&Tensor::from_vec(heard, (rows, ATTENTION), &Device::Cpu)?)?;
+        let mixed =
+            self.attention
+                .output(&Tensor::from_vec(heard, (rows, ATTENTION), &Device::Cpu)?)?;
         let own = ego.broadcast_as((rows, WIDTH))?.contiguous()?;
         Tensor::cat(&[own, mixed], 1)
     }
@@ -91,15 +117,22 @@ impl Aggregator {
 /// The numbers of rows (…, 128), those of all heads side by side.
 fn by_number(rows: &Tensor) -> Result<Vec<Row>> {
     let rows = rows.flatten_all()?.to_vec1::<f32>()?;
-    let row = |row: &[f32]| std::array::from_fn(|i| std::array::from_fn(|head| row[head * HEAD + i]));
+    let row =
+        |row: &[f32]| std::array::from_fn(|i| std::array::from_fn(|head| row[head * HEAD + i]));
     Ok(rows.chunks_exact(ATTENTION).map(row).collect())
 }
 
 /// The scaled products of a query with each key, by head.
 fn logits(query: &[f32], keys: &[Row]) -> Vec<[f32; HEADS]> {
     let scale = 1.0 / (HEAD as f32).sqrt();
-    let of_head = |key: &Row, head: usize| (0..HEAD).map(|i| query[head * HEAD + i] * key[i][head]).sum::<f32>();
-    keys.iter().map(|key| std::array::from_fn(|head| scale * of_head(key, head))).collect()
+    let of_head = |key: &Row, head: usize| {
+        (0..HEAD)
+            .map(|i| query[head * HEAD + i] * key[i][head])
+            .sum::<f32>()
+    };
+    keys.iter()
+        .map(|key| std::array::from_fn(|head| scale * of_head(key, head)))
+        .collect()
 }
 
 /// What a query hears along traversals, from logits and values of nodes and of steps.
@@ -112,7 +145,10 @@ struct Walks<'a> {
 
 impl Kernel for Walks<'_> {
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
+    #[allow(
+        clippy::inline_always,
+        reason = "kernels must be inlined into the functions that enable the instructions"
+    )]
     fn run<S: Simd>(self, _: S) {
         let ([of_nodes, of_steps], [node_values, step_values]) = (self.logits, self.values);
         let goal = of_nodes.len() - 1;
@@ -123,7 +159,11 @@ impl Kernel for Walks<'_> {
             for ((shares, &node), step) in shares.iter_mut().zip(&nodes).zip(of_steps) {
                 for head in 0..HEADS {
                     shares[head] = of_nodes[node][head] + step[head];
-                    largest[head] = if shares[head] > largest[head] { shares[head] } else { largest[head] };
+                    largest[head] = if shares[head] > largest[head] {
+                        shares[head]
+                    } else {
+                        largest[head]
+                    };
                 }
             }
             let mut sums = [0f32; HEADS];
@@ -153,7 +193,15 @@ fn positions() -> Result<Tensor> {
     let value = |i: usize| {
         let (step, column) = ((i / WIDTH) as f64, i % WIDTH);
         let angle = step * 1e4f64.powf(-((column - column % 2) as f64) / WIDTH as f64);
-        (if column % 2 == 0 { angle.sin() } else { angle.cos() }) as f32
+        (if column % 2 == 0 {
+            angle.sin()
+        } else {
+            angle.cos()
+        }) as f32
     };
-    Tensor::from_vec((0..TRAVERSAL * WIDTH).map(value).collect(), (TRAVERSAL, WIDTH), &Device::Cpu)
+    Tensor::from_vec(
+        (0..TRAVERSAL * WIDTH).map(value).collect(),
+        (TRAVERSAL, WIDTH),
+        &Device::Cpu,
+    )
 }

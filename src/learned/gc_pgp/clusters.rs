@@ -25,7 +25,14 @@ impl Clusters {
             let other = random.random_range(place..places.len());
             places.swap(place, other);
         }
-        Self::from(rows, places.iter().take(count).map(|&place| rows[place].clone()).collect())
+        Self::from(
+            rows,
+            places
+                .iter()
+                .take(count)
+                .map(|&place| rows[place].clone())
+                .collect(),
+        )
     }
 
     /// Partitions rows from these centers on (Lloyd's rounds).
@@ -59,11 +66,16 @@ fn squared(a: &[f64], b: &[f64]) -> f64 {
 }
 
 fn mean_variance(rows: &[Vec<f64>]) -> f64 {
-    let Some(width) = rows.first().map(Vec::len).filter(|&width| width > 0) else { return 0.0 };
+    let Some(width) = rows.first().map(Vec::len).filter(|&width| width > 0) else {
+        return 0.0;
+    };
     let count = rows.len() as f64;
     let variance = |column: usize| {
         let mean = rows.iter().map(|row| row[column]).sum::<f64>() / count;
-        rows.iter().map(|row| (row[column] - mean).powi(2)).sum::<f64>() / count
+        rows.iter()
+            .map(|row| (row[column] - mean).powi(2))
+            .sum::<f64>()
+            / count
     };
     (0..width).map(variance).sum::<f64>() / width as f64
 }
@@ -71,8 +83,14 @@ fn mean_variance(rows: &[Vec<f64>]) -> f64 {
 /// The nearest center of each row.
 fn assigned(rows: &[Vec<f64>], centers: &[Vec<f64>]) -> Vec<usize> {
     let nearest = |row: &Vec<f64>| {
-        let distances = centers.iter().map(|center| squared(row, center)).enumerate();
-        distances.min_by(|a, b| a.1.total_cmp(&b.1)).expect("a partition has one center at least").0
+        let distances = centers
+            .iter()
+            .map(|center| squared(row, center))
+            .enumerate();
+        distances
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .expect("a partition has one center at least")
+            .0
     };
     rows.iter().map(nearest).collect()
 }
@@ -83,7 +101,9 @@ fn means(rows: &[Vec<f64>], labels: &[usize], centers: &[Vec<f64>]) -> Vec<Vec<f
     let mut sums = vec![(vec![0.0; width], 0usize); centers.len()];
     for (row, &label) in rows.iter().zip(labels) {
         let (sum, count) = &mut sums[label];
-        sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
+        sum.iter_mut()
+            .zip(row)
+            .for_each(|(sum, value)| *sum += value);
         *count += 1;
     }
     let mut far: Vec<usize> = (0..rows.len()).collect();
@@ -91,11 +111,15 @@ fn means(rows: &[Vec<f64>], labels: &[usize], centers: &[Vec<f64>]) -> Vec<Vec<f
         let distance = |i: usize| squared(&rows[i], &centers[labels[i]]);
         distance(a).total_cmp(&distance(b))
     });
-    let empty: Vec<usize> = (0..sums.len()).filter(|&cluster| sums[cluster].1 == 0).collect();
+    let empty: Vec<usize> = (0..sums.len())
+        .filter(|&cluster| sums[cluster].1 == 0)
+        .collect();
     for cluster in empty {
         let Some(row) = far.pop() else { break };
         let (sum, count) = &mut sums[labels[row]];
-        sum.iter_mut().zip(&rows[row]).for_each(|(sum, value)| *sum -= value);
+        sum.iter_mut()
+            .zip(&rows[row])
+            .for_each(|(sum, value)| *sum -= value);
         *count -= 1;
         sums[cluster] = (rows[row].clone(), 1);
     }
@@ -106,11 +130,15 @@ fn means(rows: &[Vec<f64>], labels: &[usize], centers: &[Vec<f64>]) -> Vec<Vec<f
     sums.iter().zip(centers).map(mean).collect()
 }
 
-/// The rank of each cluster, 1 for the best. The two nearest by Ward's criterion are joined repeatedly, and the smaller one gets
-/// the last free rank.
+/// The rank of each cluster, 1 for the best. The two nearest by Ward's criterion are joined
+/// repeatedly, and the smaller one gets the last free rank.
 pub fn ranks(counts: &[usize], centers: &[Vec<f64>]) -> Vec<usize> {
-    let mut left: Vec<(usize, f64, Vec<f64>)> =
-        counts.iter().zip(centers).enumerate().map(|(i, (&count, center))| (i, count as f64, center.clone())).collect();
+    let mut left: Vec<(usize, f64, Vec<f64>)> = counts
+        .iter()
+        .zip(centers)
+        .enumerate()
+        .map(|(i, (&count, center))| (i, count as f64, center.clone()))
+        .collect();
     let mut ranks = vec![1; left.len()];
     for rank in (2..=left.len()).rev() {
         let mut nearest = (f64::INFINITY, 0, 1);
@@ -124,7 +152,11 @@ pub fn ranks(counts: &[usize], centers: &[Vec<f64>]) -> Vec<usize> {
             }
         }
         let (_, a, b) = nearest;
-        let (small, large) = if left[a].1 <= left[b].1 { (a, b) } else { (b, a) };
+        let (small, large) = if left[a].1 <= left[b].1 {
+            (a, b)
+        } else {
+            (b, a)
+        };
         let (cluster, count, center) = left[small].clone();
         ranks[cluster] = rank;
         let (_, into, mean) = &mut left[large];

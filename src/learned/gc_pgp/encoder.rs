@@ -7,7 +7,8 @@ use candle_core::{D, DType, Device, Result, Tensor};
 /// Width of an embedded step, and of an encoding.
 const STEP: usize = 16;
 pub(super) const WIDTH: usize = 32;
-/// Columns of a step of the ego, of an agent with its type flag, and of a lane's pose with its red flag.
+/// Columns of a step of the ego, of an agent with its type flag, and of a lane's pose with its red
+/// flag.
 const EGO: usize = 5;
 const AGENT: usize = 6;
 const POSE: usize = 8;
@@ -32,15 +33,28 @@ impl Sequence {
     /// (B, N, T, inputs) to (B, N, 32); the first rows are read, as many as are not missing.
     fn forward(&self, x: &Tensor, missing: Option<&Tensor>) -> Result<Tensor> {
         let (batch, count, steps, columns) = x.dims4()?;
-        let embedded = leaky_relu(&self.embed.forward(&x.reshape((batch * count, steps, columns))?)?)?;
+        let embedded = leaky_relu(&self.embed.forward(&x.reshape((
+            batch * count,
+            steps,
+            columns,
+        ))?)?)?;
         let lengths = match missing {
             None => None,
             Some(missing) => {
-                let rows = missing.narrow(3, 0, 1)?.reshape((batch * count, steps))?.to_vec2::<f32>()?;
-                Some(rows.iter().map(|row| row.iter().filter(|&&missing| missing == 0.0).count()).collect::<Vec<_>>())
+                let rows = missing
+                    .narrow(3, 0, 1)?
+                    .reshape((batch * count, steps))?
+                    .to_vec2::<f32>()?;
+                Some(
+                    rows.iter()
+                        .map(|row| row.iter().filter(|&&missing| missing == 0.0).count())
+                        .collect::<Vec<_>>(),
+                )
             }
         };
-        self.encode.last(&embedded, lengths.as_deref())?.reshape((batch, count, WIDTH))
+        self.encode
+            .last(&embedded, lengths.as_deref())?
+            .reshape((batch, count, WIDTH))
     }
 }
 
@@ -64,8 +78,13 @@ impl Attention {
 
     fn forward(&self, queries: &Tensor, keys: &Tensor, bias: &Tensor) -> Result<Tensor> {
         let [query, key, value] = &self.embed;
-        let (query, key, value) = (query.forward(queries)?, key.forward(keys)?, value.forward(keys)?);
-        self.attention.forward([&query, &key, &value], Some(&bias.unsqueeze(1)?))
+        let (query, key, value) = (
+            query.forward(queries)?,
+            key.forward(keys)?,
+            value.forward(keys)?,
+        );
+        self.attention
+            .forward([&query, &key, &value], Some(&bias.unsqueeze(1)?))
     }
 }
 
@@ -90,11 +109,16 @@ pub struct Encodings {
 
 impl Encoder {
     pub(super) fn take(weights: &mut Weights) -> Result<Self> {
-        let graph = (0..ROUNDS).map(|i| Attention::take(weights, &format!("encoder.gat.{i}."), "att"));
+        let graph =
+            (0..ROUNDS).map(|i| Attention::take(weights, &format!("encoder.gat.{i}."), "att"));
         let graph = graph.collect::<Result<_>>()?;
         Ok(Self {
             graph,
-            ego: Sequence::take(weights, ["encoder.target_agent_emb", "encoder.target_agent_enc"], EGO)?,
+            ego: Sequence::take(
+                weights,
+                ["encoder.target_agent_emb", "encoder.target_agent_enc"],
+                EGO,
+            )?,
             nodes: Sequence::take(weights, ["encoder.node_emb", "encoder.node_encoder"], POSE)?,
             agents: Sequence::take(weights, ["encoder.nbr_emb", "encoder.nbr_enc"], AGENT)?,
             near: Attention::take(weights, "encoder.", "a_n_att")?,
@@ -110,7 +134,8 @@ impl Encoder {
         let (batch, count, _) = nodes.dims3()?;
         let agents = inputs.agents.dim(1)?;
         let attended = if agents == 0 {
-            // Without keys PyTorch's attention gives its output layer's bias; so does one key of zeros whose value is zero.
+            // Without keys PyTorch's attention gives its output layer's bias; so does one key of
+            // zeros whose value is zero.
             let nothing = Tensor::zeros((batch, count, WIDTH), DType::F32, &Device::Cpu)?;
             self.near.nothing(&nothing)?
         } else {
@@ -120,7 +145,9 @@ impl Encoder {
             self.near.forward(&nodes, &agents, &inputs.far)?
         };
         probe.note("agent_node_attention", &attended);
-        let mixed = self.mix.forward(&Tensor::cat(&[nodes, attended], D::Minus1)?)?;
+        let mixed = self
+            .mix
+            .forward(&Tensor::cat(&[nodes, attended], D::Minus1)?)?;
         probe.note("mix_linear", &mixed);
         let mut nodes = leaky_relu(&mixed)?;
         let bias = inputs.connected_bias()?;

@@ -1,5 +1,5 @@
-//! GC-PGP (`tuplan_garage` `pgp/`, after `nachiket92/PGP`): a policy over the lane graph, walks drawn of it, and clusters of the
-//! trajectories along them.
+//! GC-PGP (`tuplan_garage` `pgp/`, after `nachiket92/PGP`): a policy over the lane graph, walks
+//! drawn of it, and clusters of the trajectories along them.
 
 mod aggregator;
 mod clusters;

@@ -45,18 +45,31 @@ pub struct GcPgpInputs {
 impl GcPgpInputs {
     /// The nodes that edges lead to, as indices; an edge that is none leads to its own node.
     fn targets(&self) -> Result<Vec<Vec<Vec<usize>>>> {
-        let (successors, edges) = (self.successors.to_vec3::<f32>()?, self.edges.to_vec3::<f32>()?);
-        let target = |own: usize, successor: f32, edge: f32| if edge == 0.0 { own } else { successor as usize };
+        let (successors, edges) = (
+            self.successors.to_vec3::<f32>()?,
+            self.edges.to_vec3::<f32>()?,
+        );
+        let target = |own: usize, successor: f32, edge: f32| {
+            if edge == 0.0 { own } else { successor as usize }
+        };
         let row = |own: usize, row: &Vec<f32>, edges: &Vec<f32>| -> Vec<usize> {
-            row.iter().zip(edges).map(|(&successor, &edge)| target(own, successor, edge)).collect()
+            row.iter()
+                .zip(edges)
+                .map(|(&successor, &edge)| target(own, successor, edge))
+                .collect()
         };
         let sample = |(rows, edges): (&Vec<Vec<f32>>, &Vec<Vec<f32>>)| -> Vec<Vec<usize>> {
-            rows.iter().zip(edges).enumerate().map(|(own, (successors, edges))| row(own, successors, edges)).collect()
+            rows.iter()
+                .zip(edges)
+                .enumerate()
+                .map(|(own, (successors, edges))| row(own, successors, edges))
+                .collect()
         };
         Ok(successors.iter().zip(&edges).map(sample).collect())
     }
 
-    /// 0 between nodes that an edge joins in either direction and on the diagonal, −∞ elsewhere (B, N, N).
+    /// 0 between nodes that an edge joins in either direction and on the diagonal, −∞ elsewhere (B,
+    /// N, N).
     pub(super) fn connected_bias(&self) -> Result<Tensor> {
         let (batch, nodes, _) = self.edges.dims3()?;
         let mut bias = vec![f32::NEG_INFINITY; batch * nodes * nodes];
@@ -64,7 +77,11 @@ impl GcPgpInputs {
             let place = |a: usize, b: usize| (sample * nodes + a) * nodes + b;
             for (own, targets) in rows.iter().enumerate() {
                 bias[place(own, own)] = 0.0;
-                for &target in targets.iter().take(targets.len().saturating_sub(1)).filter(|&&target| target < nodes) {
+                for &target in targets
+                    .iter()
+                    .take(targets.len().saturating_sub(1))
+                    .filter(|&&target| target < nodes)
+                {
                     bias[place(own, target)] = 0.0;
                     bias[place(target, own)] = 0.0;
                 }
@@ -109,8 +126,18 @@ impl GcPgp {
                 Linear::take(weights, last, WIDTH, 1)?,
             ])
         };
-        let edge = layers(["aggregator.pi_h1", "aggregator.pi_h2", "aggregator.pi_op"], 3 * WIDTH + 2)?;
-        let goal = layers(["aggregator.pi_h1_goal", "aggregator.pi_h2_goal", "aggregator.pi_op_goal"], 2 * WIDTH)?;
+        let edge = layers(
+            ["aggregator.pi_h1", "aggregator.pi_h2", "aggregator.pi_op"],
+            3 * WIDTH + 2,
+        )?;
+        let goal = layers(
+            [
+                "aggregator.pi_h1_goal",
+                "aggregator.pi_h2_goal",
+                "aggregator.pi_op_goal",
+            ],
+            2 * WIDTH,
+        )?;
         let aggregator = Aggregator::take(weights)?;
         Ok(Self {
             encoder,
@@ -126,35 +153,61 @@ impl GcPgp {
     ///
     /// # Errors
     /// When an input has another shape.
-    pub fn encode(&self, inputs: &GcPgpInputs, route_only: bool, probe: &Probe) -> Result<GcPgpScene> {
+    pub fn encode(
+        &self,
+        inputs: &GcPgpInputs,
+        route_only: bool,
+        probe: &Probe,
+    ) -> Result<GcPgpScene> {
         let encodings = self.encoder.forward(inputs, probe)?;
         let policy = self.policy(inputs, &encodings, route_only)?;
         Ok(GcPgpScene { encodings, policy })
     }
 
-    fn policy(&self, inputs: &GcPgpInputs, Encodings { ego, nodes }: &Encodings, route_only: bool) -> Result<Tensor> {
+    fn policy(
+        &self,
+        inputs: &GcPgpInputs,
+        Encodings { ego, nodes }: &Encodings,
+        route_only: bool,
+    ) -> Result<Tensor> {
         let (batch, count, width) = nodes.dims3()?;
         let choices = inputs.edges.dim(2)?;
         let targets = inputs.targets()?;
         let places = targets.iter().enumerate().flat_map(|(sample, rows)| {
             let first = sample * count;
-            rows.iter().flat_map(move |row| row.iter().take(row.len() - 1).map(move |&target| (first + target) as u32))
+            rows.iter().flat_map(move |row| {
+                row.iter()
+                    .take(row.len() - 1)
+                    .map(move |&target| (first + target) as u32)
+            })
         });
         let places = Tensor::from_iter(places, &Device::Cpu)?;
         let neighbors = (batch, count, choices - 1, width);
-        let target = nodes.reshape((batch * count, width))?.index_select(&places, 0)?.reshape(neighbors)?;
+        let target = nodes
+            .reshape((batch * count, width))?
+            .index_select(&places, 0)?
+            .reshape(neighbors)?;
         let source = nodes.unsqueeze(2)?.broadcast_as(neighbors)?.contiguous()?;
-        let own = ego.reshape((batch, 1, 1, width))?.broadcast_as(neighbors)?.contiguous()?;
+        let own = ego
+            .reshape((batch, 1, 1, width))?
+            .broadcast_as(neighbors)?
+            .contiguous()?;
         let kinds = inputs.edges.narrow(2, 0, choices - 1)?;
         let flag = |kind: f64| kinds.eq(kind)?.to_dtype(DType::F32)?.unsqueeze(3);
         let edge = Tensor::cat(&[own, source, target, flag(SUCCESSOR)?, flag(PROXIMAL)?], 3)?;
-        let beside = ego.unsqueeze(1)?.broadcast_as(nodes.shape())?.contiguous()?;
+        let beside = ego
+            .unsqueeze(1)?
+            .broadcast_as(nodes.shape())?
+            .contiguous()?;
         let goal = Tensor::cat(&[&beside, nodes], 2)?;
         let edges = scored(&self.edge, &edge)?.squeeze(D::Minus1)?;
         let logits = Tensor::cat(&[edges, scored(&self.goal, &goal)?], 2)?;
         let exists = inputs.edges.ne(0.0)?.to_dtype(DType::F32)?;
-        let (logits, mask) =
-            if route_only { ((logits * &inputs.on_route)?, (exists * &inputs.on_route)?) } else { (logits, exists) };
+        let (logits, mask) = if route_only {
+            ((logits * &inputs.on_route)?, (exists * &inputs.on_route)?)
+        } else {
+            (logits, exists)
+        };
         let raised = (logits.exp()? * &mask)?;
         let sum = raised.sum_keepdim(D::Minus1)?;
         let open = sum.gt(0.0)?.to_dtype(DType::F32)?;
@@ -165,11 +218,16 @@ impl GcPgp {
         shares + Tensor::cat(&[none, closed], 2)?
     }
 
-    /// The context of each traversal (B, S, 160): node indices, or at least N for the goal. The traversals are put in order first.
+    /// The context of each traversal (B, S, 160): node indices, or at least N for the goal. The
+    /// traversals are put in order first.
     ///
     /// # Errors
     /// When an input has another shape.
-    pub fn aggregate(&self, encodings: &Encodings, traversals: &[Vec<[u32; TRAVERSAL]>]) -> Result<Tensor> {
+    pub fn aggregate(
+        &self,
+        encodings: &Encodings,
+        traversals: &[Vec<[u32; TRAVERSAL]>],
+    ) -> Result<Tensor> {
         self.aggregator.forward(encodings, traversals)
     }
 
@@ -180,10 +238,14 @@ impl GcPgp {
     pub fn decode(&self, context: &Tensor, latent: &Tensor) -> Result<Tensor> {
         let (batch, samples, _) = context.dims3()?;
         let hidden = leaky_relu(&self.hidden.forward(&Tensor::cat(&[context, latent], 2)?)?)?;
-        self.output.forward(&hidden)?.reshape((batch, samples, POSES, 2))
+        self.output
+            .forward(&hidden)?
+            .reshape((batch, samples, POSES, 2))
     }
 }
 
 fn scored([first, second, last]: &[Linear; 3], x: &Tensor) -> Result<Tensor> {
-    last.forward(&leaky_relu(&second.forward(&leaky_relu(&first.forward(x)?)?)?)?)
+    last.forward(&leaky_relu(
+        &second.forward(&leaky_relu(&first.forward(x)?)?)?,
+    )?)
 }

@@ -8,7 +8,8 @@ use rand::{Rng, RngExt};
 pub struct Walks<'a> {
     /// Probability of each edge of each node; the last is the goal.
     pub policy: &'a [Vec<f32>],
-    /// Where each edge leads: a node, or the number of nodes and more for a goal, where a walk stays.
+    /// Where each edge leads: a node, or the number of nodes and more for a goal, where a walk
+    /// stays.
     pub targets: &'a [Vec<f32>],
     /// Nodes where walks begin, equally likely.
     pub initial: &'a [usize],
@@ -22,16 +23,27 @@ impl Walks<'_> {
 
     fn one(&self, random: &mut impl Rng) -> [u32; TRAVERSAL] {
         let first = match self.initial.len() {
-            0 | 1 => self.initial.first().copied().expect("walks begin at one node at least"),
-            many => self.initial.get(random.random_range(0..many)).copied().expect("the draw is below the count"),
+            0 | 1 => self
+                .initial
+                .first()
+                .copied()
+                .expect("walks begin at one node at least"),
+            many => self
+                .initial
+                .get(random.random_range(0..many))
+                .copied()
+                .expect("the draw is below the count"),
         };
         let mut walk = [first as u32; TRAVERSAL];
         for step in 1..TRAVERSAL {
             let node = walk[step - 1];
-            walk[step] = match (self.policy.get(node as usize), self.targets.get(node as usize)) {
-                (Some(shares), Some(targets)) => {
-                    targets.get(chosen(shares, random.random::<f32>())).map_or(node, |&target| target as u32)
-                }
+            walk[step] = match (
+                self.policy.get(node as usize),
+                self.targets.get(node as usize),
+            ) {
+                (Some(shares), Some(targets)) => targets
+                    .get(chosen(shares, random.random::<f32>()))
+                    .map_or(node, |&target| target as u32),
                 _ => node,
             };
         }
@@ -48,7 +60,10 @@ fn chosen(shares: &[f32], part: f32) -> usize {
         }
         left -= share;
     }
-    shares.iter().rposition(|&share| share > 0.0).unwrap_or_default()
+    shares
+        .iter()
+        .rposition(|&share| share > 0.0)
+        .unwrap_or_default()
 }
 
 /// Normally distributed numbers (Box and Muller).

@@ -26,7 +26,10 @@ pub struct Visited {
 
 /// The nodes along poses relative to the rear axle, half a second apart.
 pub fn visited(graph: &LaneNodes, poses: &[[f64; 3]]) -> Visited {
-    let mut node = assigned(graph, *poses.first().expect("a driver has one pose at least"));
+    let mut node = assigned(
+        graph,
+        *poses.first().expect("a driver has one pose at least"),
+    );
     let mut nodes = vec![node];
     let mut edges = Vec::new();
     for &pose in poses.iter().skip(1) {
@@ -48,26 +51,47 @@ pub fn visited(graph: &LaneNodes, poses: &[[f64; 3]]) -> Visited {
         }
     }
     let goal = graph.nodes.len() + node;
-    Visited { nodes: std::array::from_fn(|i| nodes.get(i).copied().unwrap_or(goal)), edges, goal: node }
+    Visited {
+        nodes: std::array::from_fn(|i| nodes.get(i).copied().unwrap_or(goal)),
+        edges,
+        goal: node,
+    }
 }
 
 /// Distance of a node's nearest pose, meters, and its turn, radians.
 fn nearest(graph: &LaneNodes, node: usize, [x, y, heading]: [f64; 3]) -> (f64, f64) {
     let poses = graph.nodes[node].poses.iter();
-    let poses = poses.map(|pose| ((pose[0] - x).hypot(pose[1] - y), wrap_angle(pose[2] - heading).abs()));
-    poses.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, 0.0))
+    let poses = poses.map(|pose| {
+        (
+            (pose[0] - x).hypot(pose[1] - y),
+            wrap_angle(pose[2] - heading).abs(),
+        )
+    });
+    poses
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .unwrap_or((f64::INFINITY, 0.0))
 }
 
-/// The nearest node of those that are near, in the pose's direction and on the route; else without the first condition; else of all.
+/// The nearest node of those that are near, in the pose's direction and on the route; else without
+/// the first condition; else of all.
 fn assigned(graph: &LaneNodes, pose: [f64; 3]) -> usize {
-    let places: Vec<(f64, f64)> = (0..graph.nodes.len()).map(|node| nearest(graph, node, pose)).collect();
+    let places: Vec<(f64, f64)> = (0..graph.nodes.len())
+        .map(|node| nearest(graph, node, pose))
+        .collect();
     let along = |node: &usize| places[*node].1 <= TURN && graph.nodes[*node].on_route;
-    let least = |of: &mut dyn Iterator<Item = usize>| of.min_by(|&a, &b| places[a].0.total_cmp(&places[b].0));
+    let least = |of: &mut dyn Iterator<Item = usize>| {
+        of.min_by(|&a, &b| places[a].0.total_cmp(&places[b].0))
+    };
     let all = 0..graph.nodes.len();
-    least(&mut all.clone().filter(along).filter(|&node| places[node].0 <= DISTANCE))
-        .or_else(|| least(&mut all.clone().filter(along)))
-        .or_else(|| least(&mut all.clone()))
-        .expect("a graph has one node at least")
+    least(
+        &mut all
+            .clone()
+            .filter(along)
+            .filter(|&node| places[node].0 <= DISTANCE),
+    )
+    .or_else(|| least(&mut all.clone().filter(along)))
+    .or_else(|| least(&mut all.clone()))
+    .expect("a graph has one node at least")
 }
 
 #[cfg(test)]
@@ -76,14 +100,30 @@ mod tests {
     use super::*;
 
     fn straight(from: f64, successors: Vec<usize>, y: f64) -> Node {
-        let poses = (0..20).map(|i| [from + f64::from(i), y, 0.0, 0.0, 0.0, 0.0, 0.0]).collect();
-        Node { lane: None, poses, successors, proximal: Vec::new(), on_route: true, red: false }
+        let poses = (0..20)
+            .map(|i| [from + f64::from(i), y, 0.0, 0.0, 0.0, 0.0, 0.0])
+            .collect();
+        Node {
+            lane: None,
+            poses,
+            successors,
+            proximal: Vec::new(),
+            on_route: true,
+            red: false,
+        }
     }
 
     #[test]
     fn nodes_follow_the_driver_and_end_at_the_goal() {
-        let nodes = vec![straight(0.0, vec![1], 0.0), straight(20.0, vec![2], 0.0), straight(40.0, vec![], 0.0)];
-        let graph = LaneNodes { nodes, initial: vec![0] };
+        let nodes = vec![
+            straight(0.0, vec![1], 0.0),
+            straight(20.0, vec![2], 0.0),
+            straight(40.0, vec![], 0.0),
+        ];
+        let graph = LaneNodes {
+            nodes,
+            initial: vec![0],
+        };
         let poses: Vec<[f64; 3]> = (1..=16).map(|i| [3.0 * f64::from(i), 0.2, 0.0]).collect();
         let found = visited(&graph, &poses);
         assert_eq!(found.nodes[..4], [0, 1, 2, 5]);
@@ -92,7 +132,10 @@ mod tests {
 
     #[test]
     fn a_jump_between_unjoined_nodes_takes_no_edge() {
-        let graph = LaneNodes { nodes: vec![straight(0.0, vec![], 0.0), straight(0.0, vec![], 4.0)], initial: vec![0] };
+        let graph = LaneNodes {
+            nodes: vec![straight(0.0, vec![], 0.0), straight(0.0, vec![], 4.0)],
+            initial: vec![0],
+        };
         let found = visited(&graph, &[[1.0, 0.0, 0.0], [3.0, 3.9, 0.0]]);
         assert_eq!((found.nodes[1], found.edges, found.goal), (1, vec![], 1));
     }

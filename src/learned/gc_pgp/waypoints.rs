@@ -7,14 +7,21 @@ const PIECES: usize = 100;
 /// A pose nearer than this to the one before repeats it, meters.
 const MIN_DISTANCE: f32 = 0.5;
 
-/// The poses of places half a second apart, in the frame of the ego, which has this speed, m/s. A cubic spline over the number of
-/// the step gives the headings. As upstream, its first slope is the speed, although a step lasts half a second.
+/// The poses of places half a second apart, in the frame of the ego, which has this speed, m/s. A
+/// cubic spline over the number of the step gives the headings. As upstream, its first slope is the
+/// speed, although a step lasts half a second.
 pub fn poses(places: &[[f32; 2]], speed: f32) -> Vec<[f32; 3]> {
     let standing: Vec<bool> = places.iter().map(|[x, _]| *x < STATIONARY).collect();
-    let kept = places.iter().zip(&standing).map(|(&place, &standing)| if standing { [0.0; 2] } else { place });
+    let kept = places
+        .iter()
+        .zip(&standing)
+        .map(|(&place, &standing)| if standing { [0.0; 2] } else { place });
     let knots: Vec<[f32; 2]> = std::iter::once([0.0; 2]).chain(kept).collect();
     let spline = |axis: usize, slope: f32| {
-        Spline::new(knots.iter().map(|knot| f64::from(knot[axis])).collect(), f64::from(slope))
+        Spline::new(
+            knots.iter().map(|knot| f64::from(knot[axis])).collect(),
+            f64::from(slope),
+        )
     };
     let (x, y) = (spline(0, speed), spline(1, 0.0));
     // The grid is one of f32.
@@ -34,7 +41,8 @@ pub fn poses(places: &[[f32; 2]], speed: f32) -> Vec<[f32; 3]> {
     poses
 }
 
-/// A cubic spline over 0, 1, 2 and so on, with a slope at its start and without curvature at its end.
+/// A cubic spline over 0, 1, 2 and so on, with a slope at its start and without curvature at its
+/// end.
 struct Spline {
     values: Vec<f64>,
     /// Slopes at the knots.
@@ -44,7 +52,8 @@ struct Spline {
 impl Spline {
     fn new(values: Vec<f64>, slope: f64) -> Self {
         let last = values.len() - 1;
-        // slopes[i − 1] + 4 slopes[i] + slopes[i + 1] = 3 (values[i + 1] − values[i − 1]), by elimination down and up.
+        // slopes[i − 1] + 4 slopes[i] + slopes[i + 1] = 3 (values[i + 1] − values[i − 1]), by
+        // elimination down and up.
         let (mut upper, mut slopes) = (vec![0.0; last + 1], vec![slope; last + 1]);
         for i in 1..last {
             let pivot = 4.0 - upper[i - 1];
@@ -53,7 +62,8 @@ impl Spline {
         }
         if last > 0 {
             // slopes[n − 1] + 2 slopes[n] = 3 (values[n] − values[n − 1]).
-            slopes[last] = (3.0 * (values[last] - values[last - 1]) - slopes[last - 1]) / (2.0 - upper[last - 1]);
+            slopes[last] = (3.0 * (values[last] - values[last - 1]) - slopes[last - 1])
+                / (2.0 - upper[last - 1]);
         }
         for i in (1..last).rev() {
             slopes[i] -= upper[i] * slopes[i + 1];

@@ -1,6 +1,6 @@
 //! Candidate paths along the route, from which GameFormer's and DTPP's planners choose
-//! (`state_lattice_path_planner.py`, `trajectory_tree_planner.py`). They lead from the ego onto a lane at several
-//! distances, then along it.
+//! (`state_lattice_path_planner.py`, `trajectory_tree_planner.py`). They lead from the ego onto a
+//! lane at several distances, then along it.
 
 mod bent;
 mod course;

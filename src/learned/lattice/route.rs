@@ -6,7 +6,8 @@ use std::collections::BTreeSet;
 
 /// Distance between two vertices of a baseline as the originals assume it, meters.
 const SPACING: f64 = 0.25;
-/// Baselines with a larger mean spacing get vertices at most [`SPACING`] apart, meters. nuPlan's have a quarter of a meter.
+/// Baselines with a larger mean spacing get vertices at most [`SPACING`] apart, meters. nuPlan's
+/// have a quarter of a meter.
 const SPARSE: f64 = 0.35;
 /// Baselines are followed until they are this long, meters.
 const DEPTH: f64 = 120.0;
@@ -34,7 +35,8 @@ pub struct Candidate {
     pub vertices: Vec<Pose>,
 }
 
-/// The roadblock of the route nearest to the rear axle, the first one under it, and its distance, meters.
+/// The roadblock of the route nearest to the rear axle, the first one under it, and its distance,
+/// meters.
 pub fn starting_block(scene: &SceneView<'_>) -> Option<(RoadblockId, f64)> {
     let here = scene.ego.rear_axle.position();
     let mut nearest: Option<(RoadblockId, f64)> = None;
@@ -57,11 +59,20 @@ pub fn starting_lanes(scene: &SceneView<'_>, block: RoadblockId) -> Vec<LaneId> 
     let here = scene.ego.rear_axle.position();
     let distance = |lane: LaneId| scene.map[lane].polygon.distance_to(here);
     let lanes = &scene.map[block].lanes;
-    let near: Vec<LaneId> = lanes.iter().copied().filter(|&lane| distance(lane) < MAX_DISTANCE).collect();
+    let near: Vec<LaneId> = lanes
+        .iter()
+        .copied()
+        .filter(|&lane| distance(lane) < MAX_DISTANCE)
+        .collect();
     if !near.is_empty() {
         return near;
     }
-    lanes.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b))).into_iter().collect()
+    lanes
+        .iter()
+        .copied()
+        .min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
+        .into_iter()
+        .collect()
 }
 
 /// All chains of lanes of the route from these lanes on.
@@ -71,7 +82,10 @@ pub fn candidates(scene: &SceneView<'_>, starts: &[LaneId]) -> Vec<Candidate> {
     for &start in starts {
         follow(scene, &allowed, &mut vec![start], 0.0, &mut chains);
     }
-    chains.into_iter().filter_map(|chain| candidate(scene, chain)).collect()
+    chains
+        .into_iter()
+        .filter_map(|chain| candidate(scene, chain))
+        .collect()
 }
 
 /// The vertices of a baseline, a quarter of a meter apart.
@@ -93,9 +107,12 @@ fn follow(
     chains: &mut Vec<Vec<LaneId>>,
 ) {
     let next: Vec<LaneId> = match chain.last() {
-        Some(&last) if depth < DEPTH => {
-            scene.map[last].outgoing.iter().copied().filter(|lane| allowed.contains(lane)).collect()
-        }
+        Some(&last) if depth < DEPTH => scene.map[last]
+            .outgoing
+            .iter()
+            .copied()
+            .filter(|lane| allowed.contains(lane))
+            .collect(),
         _ => Vec::new(),
     };
     if next.is_empty() && chains.len() < MAX_CHAINS {
@@ -114,8 +131,14 @@ fn follow(
 
 fn candidate(scene: &SceneView<'_>, lanes: Vec<LaneId>) -> Option<Candidate> {
     let here = scene.ego.rear_axle.position();
-    let all: Vec<Point> = lanes.iter().flat_map(|&lane| vertices(&scene.map[lane])).collect();
-    let apart = all.windows(2).filter(|pair| (pair[1] - pair[0]).norm() >= MIN_STEP).map(|pair| pair[1]);
+    let all: Vec<Point> = lanes
+        .iter()
+        .flat_map(|&lane| vertices(&scene.map[lane]))
+        .collect();
+    let apart = all
+        .windows(2)
+        .filter(|pair| (pair[1] - pair[0]).norm() >= MIN_STEP)
+        .map(|pair| pair[1]);
     let line: Vec<Point> = all.first().copied().into_iter().chain(apart).collect();
     let distances = line.iter().map(|point| (point - here).norm());
     let (start, distance) = distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -123,15 +146,33 @@ fn candidate(scene: &SceneView<'_>, lanes: Vec<LaneId>) -> Option<Candidate> {
     if line.len() < MIN_VERTICES {
         return None;
     }
-    let mut headings: Vec<f64> =
-        line.windows(2).map(|pair| pair[1] - pair[0]).map(|along| along.y.atan2(along.x)).collect();
+    let mut headings: Vec<f64> = line
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .map(|along| along.y.atan2(along.x))
+        .collect();
     headings.extend(headings.last().copied());
-    let vertices = line.iter().zip(headings).map(|(&point, heading)| Pose::at(point, heading)).collect();
-    Some(Candidate { length: SPACING * line.len() as f64, distance, lanes, vertices })
+    let vertices = line
+        .iter()
+        .zip(headings)
+        .map(|(&point, heading)| Pose::at(point, heading))
+        .collect();
+    Some(Candidate {
+        length: SPACING * line.len() as f64,
+        distance,
+        lanes,
+        vertices,
+    })
 }
 
 /// Candidates of at least this length, meters; where all are shorter, the longest.
 pub(crate) fn long_enough(candidates: Vec<Candidate>, acceptable: f64) -> Vec<Candidate> {
-    let longest = candidates.iter().map(|candidate| candidate.length).fold(0.0, f64::max);
-    candidates.into_iter().filter(|candidate| candidate.length >= acceptable.min(longest)).collect()
+    let longest = candidates
+        .iter()
+        .map(|candidate| candidate.length)
+        .fold(0.0, f64::max);
+    candidates
+        .into_iter()
+        .filter(|candidate| candidate.length >= acceptable.min(longest))
+        .collect()
 }

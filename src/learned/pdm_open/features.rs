@@ -1,4 +1,5 @@
-//! The features of PDM-Open and PDM-Offset (`tuplan_garage` `pdm_feature_builder.py`, `pdm_feature_utils.py`).
+//! The features of PDM-Open and PDM-Offset (`tuplan_garage` `pdm_feature_builder.py`,
+//! `pdm_feature_utils.py`).
 
 use super::network::{CENTERLINE, HISTORY, POSES, PdmInputs};
 use crate::frame::relative;
@@ -33,7 +34,11 @@ impl PdmFeatures {
     /// When the history cannot be filtered.
     pub fn of(scene: &SceneView<'_>, path: &PdmPath) -> std::result::Result<Self, MetricError> {
         let samples = past::samples(scene, (HISTORY - 1) * STRIDE + 1);
-        let states: Vec<EgoState> = samples.iter().step_by(STRIDE).map(|sample| sample.ego).collect();
+        let states: Vec<EgoState> = samples
+            .iter()
+            .step_by(STRIDE)
+            .map(|sample| sample.ego)
+            .collect();
         let here = scene.ego.rear_axle;
         let signal = |quantity: ComfortQuantity| quantity.signal(&states);
         let yaw_rate = signal(ComfortQuantity::YawRate)?;
@@ -44,13 +49,21 @@ impl PdmFeatures {
             let center = states[i].center_velocity();
             [center.x as f32, center.y as f32, yaw_rate[i] as f32]
         };
-        let acceleration = |i: usize| [forward[i] as f32, left[i] as f32, yaw_acceleration[i] as f32];
+        let acceleration = |i: usize| {
+            [
+                forward[i] as f32,
+                left[i] as f32,
+                yaw_acceleration[i] as f32,
+            ]
+        };
         let from = path.project(here.position());
         Ok(Self {
             position: std::array::from_fn(|i| relative(here, states[i].rear_axle)),
             velocity: std::array::from_fn(velocity),
             acceleration: std::array::from_fn(acceleration),
-            centerline: std::array::from_fn(|i| relative(here, path.pose_at(from + i as f64 * INTERVAL))),
+            centerline: std::array::from_fn(|i| {
+                relative(here, path.pose_at(from + i as f64 * INTERVAL))
+            }),
         })
     }
 
@@ -59,13 +72,18 @@ impl PdmFeatures {
     /// # Errors
     /// When tensors cannot be made.
     pub fn inputs(&self) -> Result<PdmInputs> {
-        let history =
-            |rows: &[[f32; 3]; HISTORY]| Tensor::from_slice(rows.as_flattened(), (1, HISTORY, 3), &Device::Cpu);
+        let history = |rows: &[[f32; 3]; HISTORY]| {
+            Tensor::from_slice(rows.as_flattened(), (1, HISTORY, 3), &Device::Cpu)
+        };
         Ok(PdmInputs {
             position: history(&self.position)?,
             velocity: history(&self.velocity)?,
             acceleration: history(&self.acceleration)?,
-            centerline: Tensor::from_slice(self.centerline.as_flattened(), (1, CENTERLINE, 3), &Device::Cpu)?,
+            centerline: Tensor::from_slice(
+                self.centerline.as_flattened(),
+                (1, CENTERLINE, 3),
+                &Device::Cpu,
+            )?,
             trajectory: None,
         })
     }
@@ -75,7 +93,11 @@ impl PdmFeatures {
     /// # Errors
     /// When tensors cannot be made.
     pub fn inputs_with(&self, trajectory: &[[f32; 3]; POSES]) -> Result<PdmInputs> {
-        let trajectory = Tensor::from_slice(trajectory.as_flattened(), (1, POSES, 3), &Device::Cpu)?;
-        Ok(PdmInputs { trajectory: Some(trajectory), ..self.inputs()? })
+        let trajectory =
+            Tensor::from_slice(trajectory.as_flattened(), (1, POSES, 3), &Device::Cpu)?;
+        Ok(PdmInputs {
+            trajectory: Some(trajectory),
+            ..self.inputs()?
+        })
     }
 }

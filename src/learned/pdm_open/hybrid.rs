@@ -1,5 +1,5 @@
-//! PDM-Hybrid as a planner (`tuplan_garage` `pdm_hybrid_planner.py`): PDM-Closed, whose trajectory a network corrects from two seconds
-//! on.
+//! PDM-Hybrid as a planner (`tuplan_garage` `pdm_hybrid_planner.py`): PDM-Closed, whose trajectory
+//! a network corrects from two seconds on.
 
 use super::features::PdmFeatures;
 use super::network::{HIDDEN, POSES, PdmNetwork};
@@ -8,7 +8,9 @@ use crate::blocks::Probe;
 use crate::frame::relative;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
-use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner::{
+    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
+};
 use planagent_score::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
 use planagent_world::geometry::Pose;
 use planagent_world::{Trajectory, TrajectoryError};
@@ -21,9 +23,18 @@ const NAME: &str = "pdm-hybrid";
 /// The planner `pdm-hybrid`.
 pub(crate) fn entry() -> PlannerEntry {
     let slot = Slot::new("PDM-Offset", |weights| PdmNetwork::offset(weights, HIDDEN));
-    learned_entry(NAME, "PDM-Hybrid, PDM-Closed with a learned correction", slot, |network| {
-        Box::new(PdmHybrid { network, memory: PdmMemory::default(), route: PdmRoute::default() })
-    })
+    learned_entry(
+        NAME,
+        "PDM-Hybrid, PDM-Closed with a learned correction",
+        slot,
+        |network| {
+            Box::new(PdmHybrid {
+                network,
+                memory: PdmMemory::default(),
+                route: PdmRoute::default(),
+            })
+        },
+    )
 }
 
 /// PDM-Hybrid.
@@ -39,20 +50,32 @@ impl Planner for PdmHybrid {
         NAME
     }
 
-    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+    fn initialize(
+        &mut self,
+        initialization: &PlannerInitialization<'_>,
+    ) -> Result<(), PlannerError> {
         (self.memory, self.route) = Default::default();
-        if initialization.route.lanes(initialization.map).is_empty() { Err(PlannerError::EmptyRoute) } else { Ok(()) }
+        if initialization.route.lanes(initialization.map).is_empty() {
+            Err(PlannerError::EmptyRoute)
+        } else {
+            Ok(())
+        }
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let scene = &input.scene;
         let closed = plan(&mut self.memory, scene)?.trajectory;
         let path = self.route.path(scene)?.ok_or(PlannerError::EmptyRoute)?;
-        let features = PdmFeatures::of(scene, &path)
-            .map_err(|source| PlannerError::Failed { doing: "filtering the history", source: Box::new(source) })?;
+        let features = PdmFeatures::of(scene, &path).map_err(|source| PlannerError::Failed {
+            doing: "filtering the history",
+            source: Box::new(source),
+        })?;
         let sampled = sampled(&closed, scene.ego.rear_axle, scene.ego.time_us)?;
         let inputs = features.inputs_with(&sampled).map_err(network_failed)?;
-        let corrected = self.network.forward(&inputs, &Probe::off()).map_err(network_failed)?;
+        let corrected = self
+            .network
+            .forward(&inputs, &Probe::off())
+            .map_err(network_failed)?;
         let corrected = prediction::trajectory(
             &prediction::poses(&corrected).map_err(network_failed)?,
             prediction::HALF_SECOND_US,
@@ -62,7 +85,10 @@ impl Planner for PdmHybrid {
     }
 
     fn drivable_layers(&self) -> Option<DrivableLayers> {
-        self.memory.reference_path.as_ref().map(ReferencePath::layers)
+        self.memory
+            .reference_path
+            .as_ref()
+            .map(ReferencePath::layers)
     }
 }
 
@@ -70,9 +96,16 @@ impl Planner for PdmHybrid {
 ///
 /// # Errors
 /// When it is shorter than eight seconds.
-pub fn sampled(closed: &Trajectory, here: Pose, now_us: i64) -> Result<[[f32; 3]; POSES], TrajectoryError> {
+pub fn sampled(
+    closed: &Trajectory,
+    here: Pose,
+    now_us: i64,
+) -> Result<[[f32; 3]; POSES], TrajectoryError> {
     let mut poses = [[0.0; 3]; POSES];
-    for (time_us, pose) in (1..).map(|i| now_us + i * prediction::HALF_SECOND_US).zip(&mut poses) {
+    for (time_us, pose) in (1..)
+        .map(|i| now_us + i * prediction::HALF_SECOND_US)
+        .zip(&mut poses)
+    {
         *pose = relative(here, closed.at(time_us)?.rear_axle);
     }
     Ok(poses)
@@ -82,9 +115,19 @@ pub fn sampled(closed: &Trajectory, here: Pose, now_us: i64) -> Result<[[f32; 3]
 ///
 /// # Errors
 /// When the two do not follow each other.
-pub fn fused(closed: &Trajectory, corrected: &Trajectory, now_us: i64) -> Result<Trajectory, TrajectoryError> {
+pub fn fused(
+    closed: &Trajectory,
+    corrected: &Trajectory,
+    now_us: i64,
+) -> Result<Trajectory, TrajectoryError> {
     let until = now_us + UNCORRECTED_US;
-    let near = closed.states().iter().filter(|state| state.time_us <= until);
-    let far = corrected.states().iter().filter(|state| state.time_us > until);
+    let near = closed
+        .states()
+        .iter()
+        .filter(|state| state.time_us <= until);
+    let far = corrected
+        .states()
+        .iter()
+        .filter(|state| state.time_us > until);
     Trajectory::new(near.chain(far).copied().collect())
 }

@@ -1,5 +1,5 @@
-//! PDM-Open and PDM-Hybrid (Dauner et al. 2023, "Parting with Misconceptions about Learning-based Vehicle Motion Planning"); the
-//! network of the latter is PDM-Offset.
+//! PDM-Open and PDM-Hybrid (Dauner et al. 2023, "Parting with Misconceptions about Learning-based
+//! Vehicle Motion Planning"); the network of the latter is PDM-Offset.
 
 mod features;
 mod hybrid;

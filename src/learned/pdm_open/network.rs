@@ -1,4 +1,5 @@
-//! The networks of PDM-Open and PDM-Offset (`tuplan_garage` `pdm_open_model.py`, `pdm_offset_model.py`).
+//! The networks of PDM-Open and PDM-Offset (`tuplan_garage` `pdm_open_model.py`,
+//! `pdm_offset_model.py`).
 
 use crate::blocks::{Linear, Probe, Weights, relu};
 use candle_core::{Result, Tensor};
@@ -58,13 +59,28 @@ impl PdmNetwork {
     fn take(weights: &mut Weights, hidden: usize, offset: bool) -> Result<Self> {
         let state = Linear::take(weights, "state_encoding.0", 9 * HISTORY, hidden)?;
         let centerline = Linear::take(weights, "centerline_encoding.0", 3 * CENTERLINE, hidden)?;
-        let trajectory =
-            if offset { Some(Linear::take(weights, "trajectory_encoding.0", 3 * POSES, hidden)?) } else { None };
+        let trajectory = if offset {
+            Some(Linear::take(
+                weights,
+                "trajectory_encoding.0",
+                3 * POSES,
+                hidden,
+            )?)
+        } else {
+            None
+        };
         let encodings = if offset { 3 } else { 2 };
         let first = Linear::take(weights, "planner_head.0", encodings * hidden, hidden)?;
         let second = Linear::take(weights, "planner_head.3", hidden, hidden)?;
         let last = Linear::take(weights, "planner_head.5", hidden, 3 * POSES)?;
-        Ok(Self { state, centerline, trajectory, first, second, last })
+        Ok(Self {
+            state,
+            centerline,
+            trajectory,
+            first,
+            second,
+            last,
+        })
     }
 
     /// The plan (B, 16, 3).
@@ -75,8 +91,16 @@ impl PdmNetwork {
         let quantities = [&inputs.position, &inputs.velocity, &inputs.acceleration];
         let flat = quantities.map(|quantity| quantity.flatten_from(1));
         let [position, velocity, acceleration] = flat;
-        let state = relu(&self.state.forward(&Tensor::cat(&[position?, velocity?, acceleration?], 1)?)?)?;
-        let centerline = relu(&self.centerline.forward(&inputs.centerline.flatten_from(1)?)?)?;
+        let state = relu(
+            &self
+                .state
+                .forward(&Tensor::cat(&[position?, velocity?, acceleration?], 1)?)?,
+        )?;
+        let centerline = relu(
+            &self
+                .centerline
+                .forward(&inputs.centerline.flatten_from(1)?)?,
+        )?;
         probe.note("state_encoding", &state);
         probe.note("centerline_encoding", &centerline);
         let mut encodings = vec![state, centerline];

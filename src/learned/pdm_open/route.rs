@@ -15,10 +15,15 @@ impl PdmRoute {
     pub(super) fn path(&mut self, scene: &SceneView<'_>) -> Result<Option<PdmPath>, GeometryError> {
         let (blocks, lanes) = self.corrected.get_or_insert_with(|| {
             let blocks = corrected_route(scene.map, &scene.route.roadblocks, scene.ego.rear_axle);
-            let lanes = blocks.iter().flat_map(|&block| scene.map[block].lanes.iter().copied()).collect();
+            let lanes = blocks
+                .iter()
+                .flat_map(|&block| scene.map[block].lanes.iter().copied())
+                .collect();
             (blocks, lanes)
         });
-        let Some(start) = current_lane(scene.map, lanes, scene.ego) else { return Ok(None) };
+        let Some(start) = current_lane(scene.map, lanes, scene.ego) else {
+            return Ok(None);
+        };
         let chain = lane_chain(scene.map, blocks, lanes, start);
         PdmPath::new(&centerline_poses(scene.map, &chain)).map(Some)
     }

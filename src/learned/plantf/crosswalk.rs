@@ -2,9 +2,9 @@
 
 use planagent_world::geometry::{Point, Polygon};
 
-/// The middle line and the two edges beside it, each from start to end: the corners of the rectangle, taken as upstream takes
-/// them. Which corner comes first depends on shapely; this is its version 2.0 with GEOS 3.11, whose rounding decides between
-/// rectangles of equal size.
+/// The middle line and the two edges beside it, each from start to end: the corners of the
+/// rectangle, taken as upstream takes them. Which corner comes first depends on shapely; this is
+/// its version 2.0 with GEOS 3.11, whose rounding decides between rectangles of equal size.
 pub(super) fn crosswalk_edges(area: &Polygon) -> Option<[[Point; 2]; 3]> {
     let [a, b, c, d] = smallest_rectangle(&hull(area.ring()))?;
     let (first, second) = ([d, a], [c, b]);
@@ -12,7 +12,8 @@ pub(super) fn crosswalk_edges(area: &Polygon) -> Option<[[Point; 2]; 3]> {
     Some([middle, second, first])
 }
 
-/// The corners of the smallest rectangle around a convex ring with one side along an edge; of equal ones the first.
+/// The corners of the smallest rectangle around a convex ring with one side along an edge; of equal
+/// ones the first.
 fn smallest_rectangle(hull: &[Point]) -> Option<[Point; 4]> {
     let mut best: Option<(f64, [Point; 4])> = None;
     for (i, from) in hull.iter().enumerate() {
@@ -20,14 +21,20 @@ fn smallest_rectangle(hull: &[Point]) -> Option<[Point; 4]> {
         let (dx, dy) = (to.x - from.x, to.y - from.y);
         let length = (dx * dx + dy * dy).sqrt();
         let (ux, uy) = (dx / length, dy / length);
-        let turned = hull.iter().map(|point| (ux * point.x + uy * point.y, -uy * point.x + ux * point.y));
+        let turned = hull
+            .iter()
+            .map(|point| (ux * point.x + uy * point.y, -uy * point.x + ux * point.y));
         let none = (f64::INFINITY, f64::NEG_INFINITY);
-        let (x, y) =
-            turned.fold((none, none), |((x0, x1), (y0, y1)), (x, y)| ((x0.min(x), x1.max(x)), (y0.min(y), y1.max(y))));
+        let (x, y) = turned.fold((none, none), |((x0, x1), (y0, y1)), (x, y)| {
+            ((x0.min(x), x1.max(x)), (y0.min(y), y1.max(y)))
+        });
         let area = ((x.1 - x.0) * (y.0 - y.1) + (x.1 - x.0) * (y.0 - y.1)).abs() / 2.0;
         if best.as_ref().is_none_or(|(least, _)| area < *least) {
             let corners = [(x.0, y.0), (x.1, y.0), (x.1, y.1), (x.0, y.1)];
-            best = Some((area, corners.map(|(x, y)| Point::new(ux * x + -uy * y, uy * x + ux * y))));
+            best = Some((
+                area,
+                corners.map(|(x, y)| Point::new(ux * x + -uy * y, uy * x + ux * y)),
+            ));
         }
     }
     best.map(|(_, corners)| corners)
@@ -54,7 +61,9 @@ fn hull(ring: &[Point]) -> Vec<Point> {
     let mut hull = chain(&mut points.iter());
     hull.extend(chain(&mut points.iter().rev()));
     let below = |a: &Point, b: &Point| a.y.total_cmp(&b.y).then(a.x.total_cmp(&b.x));
-    let lowest = (0..hull.len()).min_by(|&a, &b| below(&hull[a], &hull[b])).unwrap_or(0);
+    let lowest = (0..hull.len())
+        .min_by(|&a, &b| below(&hull[a], &hull[b]))
+        .unwrap_or(0);
     hull.rotate_left(lowest);
     hull
 }
@@ -72,13 +81,18 @@ mod tests {
             assert!((nalgebra::center(&first[end], &second[end]) - middle[end]).norm() < 1e-12);
         }
         let lengths = [(first[1] - first[0]).norm(), (first[0] - second[0]).norm()];
-        assert!((lengths[0] * lengths[1] - 39.0).abs() < 1e-9 && (lengths[0] - 8.0).abs() > 4.9, "{lengths:?}");
+        assert!(
+            (lengths[0] * lengths[1] - 39.0).abs() < 1e-9 && (lengths[0] - 8.0).abs() > 4.9,
+            "{lengths:?}"
+        );
     }
 
     #[test]
     fn the_hull_is_clockwise_from_the_lowest_point() {
-        let ring = [(2.0, 2.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (2.0, 0.0)].map(|(x, y)| Point::new(x, y));
-        let expected = [(1.0, 0.0), (0.0, 1.0), (2.0, 2.0), (2.0, 0.0)].map(|(x, y)| Point::new(x, y));
+        let ring = [(2.0, 2.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (2.0, 0.0)]
+            .map(|(x, y)| Point::new(x, y));
+        let expected =
+            [(1.0, 0.0), (0.0, 1.0), (2.0, 2.0), (2.0, 0.0)].map(|(x, y)| Point::new(x, y));
         assert_eq!(hull(&ring), expected);
     }
 }

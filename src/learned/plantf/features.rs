@@ -5,7 +5,9 @@ use super::network::{HISTORY, PlanTfInputs};
 use crate::past;
 use candle_core::{Device, Result, Tensor};
 use planagent_world::geometry::{Point, Pose, Vector, wrap_angle};
-use planagent_world::{EgoState, HistorySample, PACIFICA, RoadblockId, STEP_S, SceneView, TrackToken, TrackedObject};
+use planagent_world::{
+    EgoState, HistorySample, PACIFICA, RoadblockId, STEP_S, SceneView, TrackToken, TrackedObject,
+};
 use std::collections::BTreeMap;
 
 /// Maximum number of agents beside the ego.
@@ -52,7 +54,12 @@ impl PlanTfFeatures {
         let mut agents = vec![ego_history(&samples, frame)];
         let tokens = nearest(scene);
         agents.extend(agent_histories(&tokens, &samples, frame));
-        Self { current_state: current_state(&samples), agents, tokens, map: MapFeatures::of(scene, route) }
+        Self {
+            current_state: current_state(&samples),
+            agents,
+            tokens,
+            map: MapFeatures::of(scene, route),
+        }
     }
 
     /// A batch of one, as in simulation: there, upstream gives every agent the category of the ego.
@@ -62,13 +69,27 @@ impl PlanTfFeatures {
     pub fn inputs(&self) -> Result<PlanTfInputs> {
         let count = self.agents.len();
         let pairs = |read: fn(&AgentHistory) -> &[[f32; 2]; HISTORY]| {
-            let values: Vec<f32> = self.agents.iter().flat_map(|agent| read(agent).as_flattened()).copied().collect();
+            let values: Vec<f32> = self
+                .agents
+                .iter()
+                .flat_map(|agent| read(agent).as_flattened())
+                .copied()
+                .collect();
             Tensor::from_vec(values, (1, count, HISTORY, 2), &Device::Cpu)
         };
         let heading: Vec<f32> = self.agents.iter().flat_map(|agent| agent.heading).collect();
-        let valid: Vec<u8> = self.agents.iter().flat_map(|agent| agent.valid).map(u8::from).collect();
+        let valid: Vec<u8> = self
+            .agents
+            .iter()
+            .flat_map(|agent| agent.valid)
+            .map(u8::from)
+            .collect();
         Ok(PlanTfInputs {
-            current_state: Tensor::from_slice(&self.current_state, (1, self.current_state.len()), &Device::Cpu)?,
+            current_state: Tensor::from_slice(
+                &self.current_state,
+                (1, self.current_state.len()),
+                &Device::Cpu,
+            )?,
             position: pairs(|agent| &agent.position)?,
             heading: Tensor::from_vec(heading, (1, count, HISTORY), &Device::Cpu)?,
             velocity: pairs(|agent| &agent.velocity)?,
@@ -82,21 +103,38 @@ impl PlanTfFeatures {
 
 /// The ego now, with steering angle and yaw rate from its last two headings.
 fn current_state(samples: &[HistorySample]) -> [f32; 7] {
-    let [.., before, HistorySample { ego, .. }] = samples else { return [0.0; 7] };
+    let [.., before, HistorySample { ego, .. }] = samples else {
+        return [0.0; 7];
+    };
     let speed = ego.velocity.x;
     let (steering, yaw_rate) = if speed.abs() < STANDING {
         (0.0, 0.0)
     } else {
         let rate = wrap_angle(ego.rear_axle.heading - before.ego.rear_axle.heading) / STEP_S;
         let steering = (rate * PACIFICA.wheel_base / speed.abs()).atan();
-        (steering.clamp(-MAX_STEERING, MAX_STEERING), rate.clamp(-MAX_YAW_RATE, MAX_YAW_RATE))
+        (
+            steering.clamp(-MAX_STEERING, MAX_STEERING),
+            rate.clamp(-MAX_YAW_RATE, MAX_YAW_RATE),
+        )
     };
-    [0.0, 0.0, 0.0, speed as f32, ego.acceleration.x as f32, steering as f32, yaw_rate as f32]
+    [
+        0.0,
+        0.0,
+        0.0,
+        speed as f32,
+        ego.acceleration.x as f32,
+        steering as f32,
+        yaw_rate as f32,
+    ]
 }
 
 fn ego_history(samples: &[HistorySample], frame: Pose) -> AgentHistory {
     let shape = [PACIFICA.width, PACIFICA.length()];
-    let step = |EgoState { rear_axle, velocity, .. }: &EgoState| (*rear_axle, rear_axle.rotate(*velocity), shape);
+    let step = |EgoState {
+                    rear_axle,
+                    velocity,
+                    ..
+                }: &EgoState| (*rear_axle, rear_axle.rotate(*velocity), shape);
     let steps = samples.iter().map(|sample| Some(step(&sample.ego)));
     history(steps, frame)
 }
@@ -104,27 +142,57 @@ fn ego_history(samples: &[HistorySample], frame: Pose) -> AgentHistory {
 /// The agents that are present now, nearest to the ego's center first.
 fn nearest(scene: &SceneView<'_>) -> Vec<TrackToken> {
     let center = scene.ego.center();
-    let mut present: Vec<&TrackedObject> = scene.objects.iter().filter(|object| object.kind.is_agent()).collect();
-    present.sort_by(|a, b| a.shape.center.distance(&center).total_cmp(&b.shape.center.distance(&center)));
-    present.iter().take(MAX_AGENTS).map(|object| object.token).collect()
+    let mut present: Vec<&TrackedObject> = scene
+        .objects
+        .iter()
+        .filter(|object| object.kind.is_agent())
+        .collect();
+    present.sort_by(|a, b| {
+        a.shape
+            .center
+            .distance(&center)
+            .total_cmp(&b.shape.center.distance(&center))
+    });
+    present
+        .iter()
+        .take(MAX_AGENTS)
+        .map(|object| object.token)
+        .collect()
 }
 
-fn agent_histories(tokens: &[TrackToken], samples: &[HistorySample], frame: Pose) -> Vec<AgentHistory> {
+fn agent_histories(
+    tokens: &[TrackToken],
+    samples: &[HistorySample],
+    frame: Pose,
+) -> Vec<AgentHistory> {
     let by_token = |sample: &HistorySample| -> BTreeMap<TrackToken, TrackedObject> {
-        sample.objects.iter().map(|object| (object.token, *object)).collect()
+        sample
+            .objects
+            .iter()
+            .map(|object| (object.token, *object))
+            .collect()
     };
     let seen: Vec<BTreeMap<TrackToken, TrackedObject>> = samples.iter().map(by_token).collect();
     let steps = |token: TrackToken| {
         seen.iter().map(move |objects| {
-            let TrackedObject { shape, velocity, .. } = objects.get(&token)?;
+            let TrackedObject {
+                shape, velocity, ..
+            } = objects.get(&token)?;
             Some((shape.center, *velocity, [shape.width, shape.length]))
         })
     };
-    tokens.iter().map(|&token| history(steps(token), frame)).collect()
+    tokens
+        .iter()
+        .map(|&token| history(steps(token), frame))
+        .collect()
 }
 
-/// Steps of the map frame in the local one. A missing step holds zeros of the map frame, as upstream; the network masks it.
-fn history(steps: impl Iterator<Item = Option<(Pose, Vector, [f64; 2])>>, frame: Pose) -> AgentHistory {
+/// Steps of the map frame in the local one. A missing step holds zeros of the map frame, as
+/// upstream; the network masks it.
+fn history(
+    steps: impl Iterator<Item = Option<(Pose, Vector, [f64; 2])>>,
+    frame: Pose,
+) -> AgentHistory {
     let mut agent = AgentHistory {
         position: [[0.0; 2]; HISTORY],
         heading: [0.0; HISTORY],

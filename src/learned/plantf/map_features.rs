@@ -44,7 +44,12 @@ pub struct PolygonFeatures {
 impl PolygonFeatures {
     /// x, y and direction of the middle.
     pub fn center(&self) -> [f32; 3] {
-        let [LineFeatures { point, orientation, .. }, ..] = &self.lines;
+        let [
+            LineFeatures {
+                point, orientation, ..
+            },
+            ..,
+        ] = &self.lines;
         let [x, y] = point[MIDDLE];
         [x, y, orientation[MIDDLE]]
     }
@@ -60,45 +65,102 @@ pub struct MapFeatures {
 impl MapFeatures {
     /// Those around the ego.
     pub fn of(scene: &SceneView<'_>, route: &[RoadblockId]) -> Self {
-        let (map, frame, center) = (scene.map, scene.ego.rear_axle, scene.ego.center().position());
-        let mut lanes: Vec<&Lane> = map.lanes_near(center, RADIUS).into_iter().map(|lane| &map[lane]).collect();
+        let (map, frame, center) = (
+            scene.map,
+            scene.ego.rear_axle,
+            scene.ego.center().position(),
+        );
+        let mut lanes: Vec<&Lane> = map
+            .lanes_near(center, RADIUS)
+            .into_iter()
+            .map(|lane| &map[lane])
+            .collect();
         lanes.sort_by_key(|lane| lane.kind == LaneKind::Connector);
         let lanes = lanes.into_iter().map(|lane| {
             let Borders { left, right } = borders(&lane.centerline, &lane.polygon);
             let lines = [&lane.centerline, &left, &right].map(resampled);
-            let (kind, on_route) = (u32::from(lane.is_connector()), route.contains(&lane.roadblock));
+            let (kind, on_route) = (
+                u32::from(lane.is_connector()),
+                route.contains(&lane.roadblock),
+            );
             let light = light(scene.lights.status(lane.id));
             let speed_limit = lane.speed_limit.map(|limit| limit as f32);
-            polygon(&lines, frame, PolygonAttributes { kind, on_route, light, speed_limit })
+            polygon(
+                &lines,
+                frame,
+                PolygonAttributes {
+                    kind,
+                    on_route,
+                    light,
+                    speed_limit,
+                },
+            )
         });
         let square = OrientedBox::new(Pose::at(center, 0.0), 2.0 * RADIUS, 2.0 * RADIUS);
-        let crosswalks = map.crosswalks_near(center, RADIUS).filter(|area| area.meets_box(&square));
+        let crosswalks = map
+            .crosswalks_near(center, RADIUS)
+            .filter(|area| area.meets_box(&square));
         let crosswalks = crosswalks.filter_map(crosswalk_edges).map(|edges| {
-            let lines = edges.map(|[from, to]| std::array::from_fn(|i| from + (to - from) * share(i)));
-            let unknown = PolygonAttributes { kind: 2, on_route: false, light: light(None), speed_limit: None };
+            let lines =
+                edges.map(|[from, to]| std::array::from_fn(|i| from + (to - from) * share(i)));
+            let unknown = PolygonAttributes {
+                kind: 2,
+                on_route: false,
+                light: light(None),
+                speed_limit: None,
+            };
             polygon(&lines, frame, unknown)
         });
-        let polygons = lanes.chain(crosswalks).filter(|polygon| polygon.valid.contains(&true));
-        Self { polygons: polygons.collect() }
+        let polygons = lanes
+            .chain(crosswalks)
+            .filter(|polygon| polygon.valid.contains(&true));
+        Self {
+            polygons: polygons.collect(),
+        }
     }
 
     /// A batch of one. Without any polygon, one stands there whose every point is masked.
     pub(super) fn inputs(&self) -> Result<PlanTfMap> {
         let nothing = [PolygonFeatures::masked()];
-        let polygons = if self.polygons.is_empty() { &nothing[..] } else { &self.polygons };
+        let polygons = if self.polygons.is_empty() {
+            &nothing[..]
+        } else {
+            &self.polygons
+        };
         let count = polygons.len();
         let center_lines = || polygons.iter().map(|polygon| &polygon.lines[0]);
-        let pairs = |values: Vec<f32>| Tensor::from_vec(values, (1, count, VECTORS, 2), &Device::Cpu);
-        let point = center_lines().flat_map(|line| line.point.as_flattened()).copied().collect();
-        let vector = center_lines().flat_map(|line| line.vector.as_flattened()).copied().collect();
+        let pairs =
+            |values: Vec<f32>| Tensor::from_vec(values, (1, count, VECTORS, 2), &Device::Cpu);
+        let point = center_lines()
+            .flat_map(|line| line.point.as_flattened())
+            .copied()
+            .collect();
+        let vector = center_lines()
+            .flat_map(|line| line.vector.as_flattened())
+            .copied()
+            .collect();
         let orientation: Vec<f32> = center_lines().flat_map(|line| line.orientation).collect();
         let center: Vec<f32> = polygons.iter().flat_map(PolygonFeatures::center).collect();
         let indices = |read: fn(&PolygonFeatures) -> u32| {
-            Tensor::from_vec(polygons.iter().map(read).collect::<Vec<u32>>(), (1, count), &Device::Cpu)
+            Tensor::from_vec(
+                polygons.iter().map(read).collect::<Vec<u32>>(),
+                (1, count),
+                &Device::Cpu,
+            )
         };
-        let limit: Vec<f32> = polygons.iter().map(|polygon| polygon.speed_limit.unwrap_or_default()).collect();
-        let limited: Vec<u8> = polygons.iter().map(|polygon| u8::from(polygon.speed_limit.is_some())).collect();
-        let valid: Vec<u8> = polygons.iter().flat_map(|polygon| polygon.valid).map(u8::from).collect();
+        let limit: Vec<f32> = polygons
+            .iter()
+            .map(|polygon| polygon.speed_limit.unwrap_or_default())
+            .collect();
+        let limited: Vec<u8> = polygons
+            .iter()
+            .map(|polygon| u8::from(polygon.speed_limit.is_some()))
+            .collect();
+        let valid: Vec<u8> = polygons
+            .iter()
+            .flat_map(|polygon| polygon.valid)
+            .map(u8::from)
+            .collect();
         Ok(PlanTfMap {
             point: pairs(point)?,
             vector: pairs(vector)?,
@@ -117,8 +179,11 @@ impl MapFeatures {
 impl PolygonFeatures {
     /// A polygon that the network does not see.
     fn masked() -> Self {
-        let line =
-            LineFeatures { point: [[0.0; 2]; VECTORS], vector: [[0.0; 2]; VECTORS], orientation: [0.0; VECTORS] };
+        let line = LineFeatures {
+            point: [[0.0; 2]; VECTORS],
+            vector: [[0.0; 2]; VECTORS],
+            orientation: [0.0; VECTORS],
+        };
         Self {
             lines: [line.clone(), line.clone(), line],
             valid: [false; VECTORS],
@@ -157,11 +222,27 @@ fn resampled(line: &Polyline) -> [Point; VECTORS + 1] {
     std::array::from_fn(|i| line.point_at(line.length() * share(i)))
 }
 
-fn polygon(lines: &[[Point; VECTORS + 1]; 3], frame: Pose, attributes: PolygonAttributes) -> PolygonFeatures {
-    let PolygonAttributes { kind, on_route, light, speed_limit } = attributes;
+fn polygon(
+    lines: &[[Point; VECTORS + 1]; 3],
+    frame: Pose,
+    attributes: PolygonAttributes,
+) -> PolygonFeatures {
+    let PolygonAttributes {
+        kind,
+        on_route,
+        light,
+        speed_limit,
+    } = attributes;
     let lines = [0, 1, 2].map(|i| local(&lines[i], frame));
     let inside = |[x, y]: [f32; 2]| f64::from(x).abs() < RADIUS && f64::from(y).abs() < RADIUS;
-    PolygonFeatures { valid: lines[0].point.map(inside), lines, kind, on_route, light, speed_limit }
+    PolygonFeatures {
+        valid: lines[0].point.map(inside),
+        lines,
+        kind,
+        on_route,
+        light,
+        speed_limit,
+    }
 }
 
 fn local(points: &[Point; VECTORS + 1], frame: Pose) -> LineFeatures {

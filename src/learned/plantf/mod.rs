@@ -1,4 +1,5 @@
-//! PlanTF (Cheng et al. 2024, "Rethinking Imitation-based Planner for Autonomous Driving"; `jchengai/planTF`).
+//! PlanTF (Cheng et al. 2024, "Rethinking Imitation-based Planner for Autonomous Driving";
+//! `jchengai/planTF`).
 
 mod crosswalk;
 mod features;

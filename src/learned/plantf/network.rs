@@ -2,7 +2,9 @@
 
 use super::history_encoder::HistoryEncoder;
 use super::map_encoder::MapEncoder;
-use crate::blocks::{LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias, relu};
+use crate::blocks::{
+    LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias, relu,
+};
 use candle_core::{D, DType, Result, Tensor};
 
 /// Samples of the history, 0.1 s apart, the present included.
@@ -31,10 +33,16 @@ pub struct PlanTfConfig {
 
 impl PlanTfConfig {
     /// The published model.
-    pub const PUBLISHED: Self = Self { dim: 128, depth: 4, heads: 8, modes: 6 };
+    pub const PUBLISHED: Self = Self {
+        dim: 128,
+        depth: 4,
+        heads: 8,
+        modes: 6,
+    };
 }
 
-/// Inputs of a batch. Floats are f32, masks u8, indices u32; the frame is that of the rear axle now.
+/// Inputs of a batch. Floats are f32, masks u8, indices u32; the frame is that of the rear axle
+/// now.
 #[derive(Debug, Clone)]
 pub struct PlanTfInputs {
     /// (B, 7): x, y, heading, speed, acceleration, steering angle, yaw rate.
@@ -134,17 +142,31 @@ impl PlanTf {
     /// # Errors
     /// When an input has another shape.
     pub fn forward(&self, inputs: &PlanTfInputs, probe: &Probe) -> Result<PlanTfOutputs> {
-        let PlanTfInputs { position, heading, valid, map, .. } = inputs;
+        let PlanTfInputs {
+            position,
+            heading,
+            valid,
+            map,
+            ..
+        } = inputs;
         let (batch, agents, steps, _) = position.dims4()?;
         let present = |x: &Tensor| x.narrow(2, steps - 1, 1)?.squeeze(2);
         let place = Tensor::cat(&[present(position)?, map.center.narrow(2, 0, 2)?], 1)?;
-        let angle = Tensor::cat(&[present(heading)?, map.center.narrow(2, 2, 1)?.squeeze(2)?], 1)?.unsqueeze(2)?;
-        let embedded = self.position.forward(&Tensor::cat(&[place, angle.cos()?, angle.sin()?], 2)?)?;
+        let angle = Tensor::cat(
+            &[present(heading)?, map.center.narrow(2, 2, 1)?.squeeze(2)?],
+            1,
+        )?
+        .unsqueeze(2)?;
+        let embedded = self
+            .position
+            .forward(&Tensor::cat(&[place, angle.cos()?, angle.sin()?], 2)?)?;
         probe.note("pos_emb", &embedded);
         let seen = valid.max(D::Minus1)?;
         let hidden = key_bias(&Tensor::cat(&[seen, map.valid.max(D::Minus1)?], 1)?)?;
-        let (agents_tokens, map_tokens) =
-            rayon::join(|| self.agents(inputs, probe), || self.map.forward(map, "map_encoder", probe));
+        let (agents_tokens, map_tokens) = rayon::join(
+            || self.agents(inputs, probe),
+            || self.map.forward(map, "map_encoder", probe),
+        );
         let mut x = (Tensor::cat(&[agents_tokens?, map_tokens?], 1)? + embedded)?;
         for (i, layer) in self.layers.iter().enumerate() {
             x = layer.forward(&x, &hidden)?;
@@ -152,29 +174,44 @@ impl PlanTf {
         }
         let x = self.norm.forward(&x)?;
         probe.note("norm", &x);
-        let (trajectory, probability) = self.decoder.forward(&x.narrow(1, 0, 1)?.squeeze(1)?, self.config)?;
+        let (trajectory, probability) = self
+            .decoder
+            .forward(&x.narrow(1, 0, 1)?.squeeze(1)?, self.config)?;
         let others = x.narrow(1, 1, agents - 1)?;
         let prediction = match agents {
             1 => Tensor::zeros((batch, 0, POSES, 2), DType::F32, x.device())?,
-            _ => self.predictor.forward(&others)?.reshape((batch, agents - 1, POSES, 2))?,
+            _ => self
+                .predictor
+                .forward(&others)?
+                .reshape((batch, agents - 1, POSES, 2))?,
         };
-        Ok(PlanTfOutputs { trajectory, probability, prediction })
+        Ok(PlanTfOutputs {
+            trajectory,
+            probability,
+            prediction,
+        })
     }
 
     /// Tokens of the ego and the agents (B, A, dim).
     fn agents(&self, inputs: &PlanTfInputs, probe: &Probe) -> Result<Tensor> {
         let (batch, agents, _) = inputs.heading.dims3()?;
         let dim = self.config.dim;
-        let encoded = self.history.forward(inputs, "agent_encoder.history_encoder", probe)?;
+        let encoded = self
+            .history
+            .forward(inputs, "agent_encoder.history_encoder", probe)?;
         let encoded = encoded.reshape((batch, agents, dim))?;
-        let ego = self.state.forward(&inputs.current_state.narrow(1, 0, STATE)?)?;
+        let ego = self
+            .state
+            .forward(&inputs.current_state.narrow(1, 0, STATE)?)?;
         probe.note("agent_encoder.ego_state_emb", &ego);
         let ego = ego.unsqueeze(1)?;
         let tokens = match agents {
             1 => ego,
             _ => Tensor::cat(&[ego, encoded.narrow(1, 1, agents - 1)?], 1)?,
         };
-        let category = self.category.index_select(&inputs.category.flatten_all()?, 0)?;
+        let category = self
+            .category
+            .index_select(&inputs.category.flatten_all()?, 0)?;
         let tokens = (tokens + category.reshape((batch, agents, dim))?)?;
         probe.note("agent_encoder", &tokens);
         Ok(tokens)
@@ -199,19 +236,33 @@ impl StateAttention {
     fn take(weights: &mut Weights, name: &str, dim: usize) -> Result<Self> {
         let position = weights.take(&format!("{name}.pos_embed"), &[1, STATE, dim])?;
         let query = weights.take(&format!("{name}.query"), &[1, 1, dim])?;
-        let quantities = (0..STATE).map(|i| Linear::take(weights, &format!("{name}.linears.{i}"), 1, dim));
+        let quantities =
+            (0..STATE).map(|i| Linear::take(weights, &format!("{name}.linears.{i}"), 1, dim));
         let quantities = quantities.collect::<Result<_>>()?;
-        let attention = MultiheadAttention::take(weights, &format!("{name}.attn"), dim, STATE_HEADS)?;
-        Ok(Self { quantities, position, query, attention })
+        let attention =
+            MultiheadAttention::take(weights, &format!("{name}.attn"), dim, STATE_HEADS)?;
+        Ok(Self {
+            quantities,
+            position,
+            query,
+            attention,
+        })
     }
 
     fn forward(&self, state: &Tensor) -> Result<Tensor> {
         let embed = |(i, layer): (usize, &Linear)| layer.forward(&state.narrow(1, i, 1)?);
-        let embedded: Vec<Tensor> = self.quantities.iter().enumerate().map(embed).collect::<Result<_>>()?;
+        let embedded: Vec<Tensor> = self
+            .quantities
+            .iter()
+            .enumerate()
+            .map(embed)
+            .collect::<Result<_>>()?;
         let embedded = Tensor::stack(&embedded, 1)?.broadcast_add(&self.position)?;
         let batch = state.dim(0)?;
         let query = self.query.repeat((batch, 1, 1))?;
-        self.attention.forward([&query, &embedded, &embedded], None)?.squeeze(1)
+        self.attention
+            .forward([&query, &embedded, &embedded], None)?
+            .squeeze(1)
     }
 }
 
@@ -224,7 +275,11 @@ struct Layer {
 }
 
 impl Layer {
-    fn take(weights: &mut Weights, name: &str, PlanTfConfig { dim, heads, .. }: PlanTfConfig) -> Result<Self> {
+    fn take(
+        weights: &mut Weights,
+        name: &str,
+        PlanTfConfig { dim, heads, .. }: PlanTfConfig,
+    ) -> Result<Self> {
         Ok(Self {
             attention: MultiheadAttention::take(weights, &format!("{name}.attn"), dim, heads)?,
             norms: [
@@ -241,7 +296,9 @@ impl Layer {
     fn forward(&self, x: &Tensor, hidden: &Tensor) -> Result<Tensor> {
         let [first, second] = &self.norms;
         let normed = first.forward(x)?;
-        let x = (x + self.attention.forward([&normed, &normed, &normed], Some(hidden))?)?;
+        let x = (x + self
+            .attention
+            .forward([&normed, &normed, &normed], Some(hidden))?)?;
         let [inner, outer] = &self.mlp;
         outer.forward_onto(&gelu(&inner.forward(&second.forward(&x)?)?)?, &x)
     }
@@ -256,7 +313,12 @@ struct Head {
 }
 
 impl Head {
-    fn take(weights: &mut Weights, name: &str, [inputs, inner, outputs]: [usize; 3], bias: bool) -> Result<Self> {
+    fn take(
+        weights: &mut Weights,
+        name: &str,
+        [inputs, inner, outputs]: [usize; 3],
+        bias: bool,
+    ) -> Result<Self> {
         let [first, norm, last] = names(name, [0, 1, 3]);
         Ok(Self {
             first: if bias {
@@ -270,7 +332,8 @@ impl Head {
     }
 
     fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.last.forward(&relu(&self.norm.forward(&self.first.forward(x)?)?)?)
+        self.last
+            .forward(&relu(&self.norm.forward(&self.first.forward(x)?)?)?)
     }
 }
 
@@ -285,15 +348,32 @@ struct Decoder {
 impl Decoder {
     fn take(weights: &mut Weights, PlanTfConfig { dim, modes, .. }: PlanTfConfig) -> Result<Self> {
         Ok(Self {
-            modes: Linear::take(weights, "trajectory_decoder.multimodal_proj", dim, modes * dim)?,
-            trajectory: Head::take(weights, "trajectory_decoder.loc", [dim, 2 * dim, 4 * POSES], true)?,
+            modes: Linear::take(
+                weights,
+                "trajectory_decoder.multimodal_proj",
+                dim,
+                modes * dim,
+            )?,
+            trajectory: Head::take(
+                weights,
+                "trajectory_decoder.loc",
+                [dim, 2 * dim, 4 * POSES],
+                true,
+            )?,
             probability: Head::take(weights, "trajectory_decoder.pi", [dim, 2 * dim, 1], true)?,
         })
     }
 
-    fn forward(&self, ego: &Tensor, PlanTfConfig { dim, modes, .. }: PlanTfConfig) -> Result<(Tensor, Tensor)> {
+    fn forward(
+        &self,
+        ego: &Tensor,
+        PlanTfConfig { dim, modes, .. }: PlanTfConfig,
+    ) -> Result<(Tensor, Tensor)> {
         let x = self.modes.forward(ego)?.reshape(((), modes, dim))?;
-        let trajectory = self.trajectory.forward(&x)?.reshape(((), modes, POSES, 4))?;
+        let trajectory = self
+            .trajectory
+            .forward(&x)?
+            .reshape(((), modes, POSES, 4))?;
         Ok((trajectory, self.probability.forward(&x)?.squeeze(2)?))
     }
 }

@@ -6,7 +6,9 @@ use crate::blocks::Probe;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
 use candle_core::Result;
-use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner::{
+    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
+};
 use planagent_score::pdm::corrected_route;
 use planagent_world::{STEP_US, Trajectory};
 use std::sync::Arc;
@@ -15,8 +17,12 @@ const NAME: &str = "plantf";
 
 /// The planner `plantf`.
 pub(crate) fn entry() -> PlannerEntry {
-    let slot = Slot::new("PlanTF", |weights| PlanTf::take(weights, PlanTfConfig::PUBLISHED));
-    learned_entry(NAME, "PlanTF, a learned planner", slot, |network| Box::new(PlanTfPlanner { network }))
+    let slot = Slot::new("PlanTF", |weights| {
+        PlanTf::take(weights, PlanTfConfig::PUBLISHED)
+    });
+    learned_entry(NAME, "PlanTF, a learned planner", slot, |network| {
+        Box::new(PlanTfPlanner { network })
+    })
 }
 
 /// PlanTF: it plans again at every iteration, and the most probable mode is the plan.
@@ -30,17 +36,32 @@ impl Planner for PlanTfPlanner {
         NAME
     }
 
-    fn initialize(&mut self, _: &PlannerInitialization<'_>) -> std::result::Result<(), PlannerError> {
+    fn initialize(
+        &mut self,
+        _: &PlannerInitialization<'_>,
+    ) -> std::result::Result<(), PlannerError> {
         Ok(())
     }
 
-    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> std::result::Result<Trajectory, PlannerError> {
+    fn compute_trajectory(
+        &mut self,
+        input: &PlannerInput<'_>,
+    ) -> std::result::Result<Trajectory, PlannerError> {
         let scene = &input.scene;
         let route = corrected_route(scene.map, &scene.route.roadblocks, scene.ego.rear_axle);
-        let inputs = PlanTfFeatures::of(scene, &route).inputs().map_err(network_failed)?;
-        let outputs = self.network.forward(&inputs, &Probe::off()).map_err(network_failed)?;
+        let inputs = PlanTfFeatures::of(scene, &route)
+            .inputs()
+            .map_err(network_failed)?;
+        let outputs = self
+            .network
+            .forward(&inputs, &Probe::off())
+            .map_err(network_failed)?;
         let poses = outputs.best().map_err(network_failed)?;
-        prediction::trajectory(&prediction::poses(&poses).map_err(network_failed)?, STEP_US, scene)
+        prediction::trajectory(
+            &prediction::poses(&poses).map_err(network_failed)?,
+            STEP_US,
+            scene,
+        )
     }
 }
 
@@ -52,11 +73,18 @@ impl PlanTfOutputs {
     pub fn best(&self) -> Result<candle_core::Tensor> {
         let (_, _, steps, columns) = self.trajectory.dims4()?;
         let mode = self.probability.argmax_keepdim(1)?.reshape(((), 1, 1, 1))?;
-        let mode = mode.broadcast_as((mode.dim(0)?, 1, steps, columns))?.contiguous()?;
+        let mode = mode
+            .broadcast_as((mode.dim(0)?, 1, steps, columns))?
+            .contiguous()?;
         let plan = self.trajectory.contiguous()?.gather(&mode, 1)?.squeeze(1)?;
         let column = |i: usize| plan.narrow(2, i, 1)?.flatten_all()?.to_vec1::<f32>();
-        let heading: Vec<f32> = column(3)?.into_iter().zip(column(2)?).map(|(sin, cos)| sin.atan2(cos)).collect();
-        let heading = candle_core::Tensor::from_vec(heading, (plan.dim(0)?, steps, 1), plan.device())?;
+        let heading: Vec<f32> = column(3)?
+            .into_iter()
+            .zip(column(2)?)
+            .map(|(sin, cos)| sin.atan2(cos))
+            .collect();
+        let heading =
+            candle_core::Tensor::from_vec(heading, (plan.dim(0)?, steps, 1), plan.device())?;
         candle_core::Tensor::cat(&[plan.narrow(2, 0, 2)?, heading], 2)
     }
 }

@@ -1,4 +1,5 @@
-//! Convolutions over images with their channels last, (images, rows, columns, channels), as products of windows and weights.
+//! Convolutions over images with their channels last, (images, rows, columns, channels), as
+//! products of windows and weights.
 
 use crate::blocks::{BatchNorm, Linear, Weights};
 use candle_core::{Device, Result, Tensor};
@@ -25,26 +26,46 @@ pub(super) struct Convolution {
 }
 
 impl Convolution {
-    pub(super) fn take(weights: &mut Weights, [name, norm]: [&str; 2], shape: Shape) -> Result<Self> {
-        let Shape { inputs, outputs, kernel, .. } = shape;
-        let weight = weights.take(&format!("{name}.weight"), &[outputs, inputs, kernel, kernel])?;
+    pub(super) fn take(
+        weights: &mut Weights,
+        [name, norm]: [&str; 2],
+        shape: Shape,
+    ) -> Result<Self> {
+        let Shape {
+            inputs,
+            outputs,
+            kernel,
+            ..
+        } = shape;
+        let weight = weights.take(
+            &format!("{name}.weight"),
+            &[outputs, inputs, kernel, kernel],
+        )?;
         let (weight, bias) = BatchNorm::take(weights, norm, outputs)?.folded(&weight, None)?;
-        let weight = weight.permute((0, 2, 3, 1))?.reshape((outputs, kernel * kernel * inputs))?;
-        Ok(Self { shape, weight: Linear::of(&weight, Some(bias))? })
+        let weight = weight
+            .permute((0, 2, 3, 1))?
+            .reshape((outputs, kernel * kernel * inputs))?;
+        Ok(Self {
+            shape,
+            weight: Linear::of(&weight, Some(bias))?,
+        })
     }
 
     /// Maps (images, rows, columns, inputs) to (images, rows / stride, columns / stride, outputs).
     pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.weight.forward(&windows(x, self.shape.kernel, self.shape.stride)?)
+        self.weight
+            .forward(&windows(x, self.shape.kernel, self.shape.stride)?)
     }
 
     /// residual + convolution(x).
     pub(super) fn forward_onto(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
-        self.weight.forward_onto(&windows(x, self.shape.kernel, self.shape.stride)?, residual)
+        self.weight
+            .forward_onto(&windows(x, self.shape.kernel, self.shape.stride)?, residual)
     }
 }
 
-/// The largest of each window. Values are not negative, so that a border of zeros does not change a maximum.
+/// The largest of each window. Values are not negative, so that a border of zeros does not change a
+/// maximum.
 pub(super) fn largest(x: &Tensor) -> Result<Tensor> {
     let [kernel, stride] = POOLING;
     let channels = x.dim(3)?;
@@ -53,17 +74,21 @@ pub(super) fn largest(x: &Tensor) -> Result<Tensor> {
     with_values(&windows, |values| {
         let mut out = vec![0f32; images * rows * columns * channels];
         let windows = values.par_chunks(kernel * kernel * channels);
-        out.par_chunks_mut(channels).zip(windows).for_each(|(out, window)| {
-            for pixel in window.chunks_exact(channels) {
-                out.iter_mut().zip(pixel).for_each(|(out, value)| *out = out.max(*value));
-            }
-        });
+        out.par_chunks_mut(channels)
+            .zip(windows)
+            .for_each(|(out, window)| {
+                for pixel in window.chunks_exact(channels) {
+                    out.iter_mut()
+                        .zip(pixel)
+                        .for_each(|(out, value)| *out = out.max(*value));
+                }
+            });
         Tensor::from_vec(out, (images, rows, columns, channels), &Device::Cpu)
     })
 }
 
-/// The windows around the pixels of (images, rows, columns, channels), `stride` apart, with a border of zeros: (images,
-/// rows, columns, kernel · kernel · channels).
+/// The windows around the pixels of (images, rows, columns, channels), `stride` apart, with a
+/// border of zeros: (images, rows, columns, kernel · kernel · channels).
 fn windows(x: &Tensor, kernel: usize, stride: usize) -> Result<Tensor> {
     if (kernel, stride) == (1, 1) {
         return Ok(x.clone());
@@ -74,20 +99,30 @@ fn windows(x: &Tensor, kernel: usize, stride: usize) -> Result<Tensor> {
     let line = kernel * channels;
     with_values(x, |values| {
         let mut out = vec![0f32; images * tall * wide * kernel * line];
-        out.par_chunks_mut(wide * kernel * line).enumerate().for_each(|(index, out)| {
-            let (image, top) = (index / tall, index % tall * stride);
-            for (left, window) in (0..).step_by(stride).zip(out.chunks_exact_mut(kernel * line)) {
-                // Columns of the window within the image.
-                let (first, end) = (border.saturating_sub(left), kernel.min(columns + border - left));
-                for (row, out) in (top..).zip(window.chunks_exact_mut(line)) {
-                    if (border..rows + border).contains(&row) {
-                        let pixel = (image * rows + row - border) * columns + left + first - border;
-                        let count = (end - first) * channels;
-                        out[first * channels..][..count].copy_from_slice(&values[pixel * channels..][..count]);
+        out.par_chunks_mut(wide * kernel * line)
+            .enumerate()
+            .for_each(|(index, out)| {
+                let (image, top) = (index / tall, index % tall * stride);
+                for (left, window) in (0..)
+                    .step_by(stride)
+                    .zip(out.chunks_exact_mut(kernel * line))
+                {
+                    // Columns of the window within the image.
+                    let (first, end) = (
+                        border.saturating_sub(left),
+                        kernel.min(columns + border - left),
+                    );
+                    for (row, out) in (top..).zip(window.chunks_exact_mut(line)) {
+                        if (border..rows + border).contains(&row) {
+                            let pixel =
+                                (image * rows + row - border) * columns + left + first - border;
+                            let count = (end - first) * channels;
+                            out[first * channels..][..count]
+                                .copy_from_slice(&values[pixel * channels..][..count]);
+                        }
                     }
                 }
-            }
-        });
+            });
         Tensor::from_vec(out, (images, tall, wide, kernel * line), &Device::Cpu)
     })
 }
@@ -99,22 +134,44 @@ mod tests {
     /// Numbers from -1 to 1 without a pattern.
     fn numbers(shape: [usize; 4]) -> Tensor {
         let count = shape.iter().product::<usize>();
-        let values = (0..count).map(|index| ((index * index) as f32).sin()).collect::<Vec<_>>();
+        let values = (0..count)
+            .map(|index| ((index * index) as f32).sin())
+            .collect::<Vec<_>>();
         Tensor::from_vec(values, shape.to_vec(), &Device::Cpu).unwrap()
     }
 
     #[test]
     fn windows_times_weights_are_candles_convolution() {
-        for (kernel, stride, rows, columns) in [(7, 2, 13, 10), (3, 1, 5, 4), (3, 2, 8, 9), (1, 2, 7, 6), (1, 1, 3, 2)]
-        {
+        for (kernel, stride, rows, columns) in [
+            (7, 2, 13, 10),
+            (3, 1, 5, 4),
+            (3, 2, 8, 9),
+            (1, 2, 7, 6),
+            (1, 1, 3, 2),
+        ] {
             let image = numbers([2, 3, rows, columns]);
             let weight = numbers([5, 3, kernel, kernel]);
-            let expected = image.conv2d(&weight, kernel / 2, stride, 1, 1).unwrap().permute((0, 2, 3, 1)).unwrap();
+            let expected = image
+                .conv2d(&weight, kernel / 2, stride, 1, 1)
+                .unwrap()
+                .permute((0, 2, 3, 1))
+                .unwrap();
             let windows = windows(&image.permute((0, 2, 3, 1)).unwrap(), kernel, stride).unwrap();
-            let flat = weight.permute((0, 2, 3, 1)).unwrap().reshape((5, ())).unwrap();
+            let flat = weight
+                .permute((0, 2, 3, 1))
+                .unwrap()
+                .reshape((5, ()))
+                .unwrap();
             let found = Linear::of(&flat, None).unwrap().forward(&windows).unwrap();
             assert_eq!(found.dims(), expected.dims());
-            let off = (found - expected).unwrap().abs().unwrap().max_all().unwrap().to_scalar::<f32>().unwrap();
+            let off = (found - expected)
+                .unwrap()
+                .abs()
+                .unwrap()
+                .max_all()
+                .unwrap()
+                .to_scalar::<f32>()
+                .unwrap();
             assert!(off < 1e-4, "kernel {kernel}, stride {stride}: {off}");
         }
     }
@@ -122,10 +179,21 @@ mod tests {
     #[test]
     fn the_largest_of_a_window_is_candles() {
         let image = numbers([2, 3, 8, 11]).abs().unwrap();
-        let padded = image.pad_with_zeros(2, 1, 1).unwrap().pad_with_zeros(3, 1, 1).unwrap();
-        let expected = padded.max_pool2d_with_stride(3, 2).unwrap().permute((0, 2, 3, 1)).unwrap();
+        let padded = image
+            .pad_with_zeros(2, 1, 1)
+            .unwrap()
+            .pad_with_zeros(3, 1, 1)
+            .unwrap();
+        let expected = padded
+            .max_pool2d_with_stride(3, 2)
+            .unwrap()
+            .permute((0, 2, 3, 1))
+            .unwrap();
         let found = largest(&image.permute((0, 2, 3, 1)).unwrap()).unwrap();
         let values = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        assert_eq!((found.dims(), values(&found)), (expected.dims(), values(&expected)));
+        assert_eq!(
+            (found.dims(), values(&found)),
+            (expected.dims(), values(&expected))
+        );
     }
 }

@@ -34,7 +34,14 @@ impl Raster {
     pub fn of(scene: &SceneView<'_>) -> Self {
         let mut ego = Canvas::new(SIDE);
         ego.rectangle(EGO_COLUMNS, EGO_ROWS, 1.0);
-        Self { channels: [ego.pixels, mirrored(&agents(scene)), mirrored(&road(scene)), mirrored(&baselines(scene))] }
+        Self {
+            channels: [
+                ego.pixels,
+                mirrored(&agents(scene)),
+                mirrored(&road(scene)),
+                mirrored(&baselines(scene)),
+            ],
+        }
     }
 
     /// A batch of one (1, 4, 224, 224).
@@ -42,16 +49,27 @@ impl Raster {
     /// # Errors
     /// When the tensor cannot be made.
     pub fn inputs(&self) -> Result<Tensor> {
-        Tensor::from_vec(self.channels.concat(), (1, self.channels.len(), SIDE, SIDE), &Device::Cpu)
+        Tensor::from_vec(
+            self.channels.concat(),
+            (1, self.channels.len(), SIDE, SIDE),
+            &Device::Cpu,
+        )
     }
 }
 
 /// Upside down.
 fn mirrored(canvas: &Canvas) -> Vec<f32> {
-    canvas.pixels.chunks_exact(SIDE).rev().flatten().copied().collect()
+    canvas
+        .pixels
+        .chunks_exact(SIDE)
+        .rev()
+        .flatten()
+        .copied()
+        .collect()
 }
 
-/// A point relative to a frame as a vertex of the raster before it is mirrored: columns to the right, rows forward.
+/// A point relative to a frame as a vertex of the raster before it is mirrored: columns to the
+/// right, rows forward.
 fn vertex(frame: Pose, point: Point, shift: u32) -> Vertex {
     let local = frame.to_local(point);
     let fixed = |place: f64| ((RADIUS + place) / PIXEL * f64::from(1u32 << shift)) as i64;
@@ -65,14 +83,18 @@ fn agents(scene: &SceneView<'_>) -> Canvas {
     for object in scene.objects {
         let center = frame.to_local(object.shape.center.position());
         if center.x.abs() < RADIUS && center.y.abs() < RADIUS {
-            let corners = object.shape.corners().map(|corner| vertex(frame, corner, BOX_SHIFT));
+            let corners = object
+                .shape
+                .corners()
+                .map(|corner| vertex(frame, corner, BOX_SHIFT));
             canvas.polygon(&corners, BOX_SHIFT, 1.0);
         }
     }
     canvas
 }
 
-/// Lanes, intersections, stop lines and crosswalks, later ones above earlier ones, from the center of the ego.
+/// Lanes, intersections, stop lines and crosswalks, later ones above earlier ones, from the center
+/// of the ego.
 fn road(scene: &SceneView<'_>) -> Canvas {
     let (map, frame) = (scene.map, scene.ego.center());
     let here = frame.position();
@@ -80,15 +102,26 @@ fn road(scene: &SceneView<'_>) -> Canvas {
     let mut canvas = Canvas::new(SIDE);
     let mut draw = |area: &Polygon, value: f32| {
         if area.meets_box(&square) {
-            let ring: Vec<Vertex> = area.ring().iter().map(|&point| vertex(frame, point, AREA_SHIFT)).collect();
+            let ring: Vec<Vertex> = area
+                .ring()
+                .iter()
+                .map(|&point| vertex(frame, point, AREA_SHIFT))
+                .collect();
             canvas.polygon(&ring, AREA_SHIFT, value);
         }
     };
-    let lanes = map.lanes_near(here, RADIUS).into_iter().filter(|&lane| map[lane].kind == LaneKind::Lane);
+    let lanes = map
+        .lanes_near(here, RADIUS)
+        .into_iter()
+        .filter(|&lane| map[lane].kind == LaneKind::Lane);
     lanes.for_each(|lane| draw(&map[lane].polygon, ROAD));
-    map.intersections_within(&Bounds::square(here, RADIUS)).for_each(|area| draw(area, ROAD));
-    map.stop_lines().iter().for_each(|line| draw(&line.polygon, MARKING));
-    map.crosswalks_near(here, RADIUS).for_each(|area| draw(area, MARKING));
+    map.intersections_within(&Bounds::square(here, RADIUS))
+        .for_each(|area| draw(area, ROAD));
+    map.stop_lines()
+        .iter()
+        .for_each(|line| draw(&line.polygon, MARKING));
+    map.crosswalks_near(here, RADIUS)
+        .for_each(|area| draw(area, MARKING));
     canvas
 }
 
@@ -97,7 +130,11 @@ fn baselines(scene: &SceneView<'_>) -> Canvas {
     let (map, frame) = (scene.map, scene.ego.center());
     let mut canvas = Canvas::new(SIDE);
     for lane in map.lanes_near(frame.position(), RADIUS) {
-        let vertices = map[lane].centerline.vertices().iter().map(|&point| vertex(frame, point, LINE_SHIFT));
+        let vertices = map[lane]
+            .centerline
+            .vertices()
+            .iter()
+            .map(|&point| vertex(frame, point, LINE_SHIFT));
         canvas.line(&vertices.collect::<Vec<Vertex>>(), LINE_SHIFT, 1.0);
     }
     canvas

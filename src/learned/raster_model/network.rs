@@ -23,9 +23,13 @@ pub struct RasterModelConfig {
 
 impl RasterModelConfig {
     /// The published model.
-    pub const PUBLISHED: Self = Self { widths: [64, 128, 256, 512] };
+    pub const PUBLISHED: Self = Self {
+        widths: [64, 128, 256, 512],
+    };
     /// `raster-model-small`.
-    pub const SMALL: Self = Self { widths: [16, 32, 64, 128] };
+    pub const SMALL: Self = Self {
+        widths: [16, 32, 64, 128],
+    };
 }
 
 /// RasterModel.
@@ -42,7 +46,12 @@ impl RasterModel {
     /// # Errors
     /// When a tensor cannot be converted.
     pub fn take(weights: &mut Weights, config: RasterModelConfig) -> Result<Self> {
-        let shape = Shape { inputs: CHANNELS, outputs: STEM, kernel: 7, stride: 2 };
+        let shape = Shape {
+            inputs: CHANNELS,
+            outputs: STEM,
+            kernel: 7,
+            stride: 2,
+        };
         let stem = Convolution::take(weights, ["_model.conv1", "_model.bn1"], shape)?;
         let mut inputs = STEM;
         let mut stages = Vec::with_capacity(BLOCKS.len());
@@ -56,7 +65,11 @@ impl RasterModel {
             }
             stages.push(made);
         }
-        Ok(Self { stem, stages, output: Linear::take(weights, "_model.fc", inputs, 3 * POSES)? })
+        Ok(Self {
+            stem,
+            stages,
+            output: Linear::take(weights, "_model.fc", inputs, 3 * POSES)?,
+        })
     }
 
     /// The plans (B, 16, 3) of rasters (B, 4, rows, columns).
@@ -90,22 +103,65 @@ struct Bottleneck {
 }
 
 impl Bottleneck {
-    fn take(weights: &mut Weights, name: &str, [inputs, width, stride]: [usize; 3]) -> Result<Self> {
+    fn take(
+        weights: &mut Weights,
+        name: &str,
+        [inputs, width, stride]: [usize; 3],
+    ) -> Result<Self> {
         let outputs = EXPANSION * width;
         let mut layer = |part: usize, shape: Shape| {
-            Convolution::take(weights, [&format!("{name}.conv{part}"), &format!("{name}.bn{part}")], shape)
+            Convolution::take(
+                weights,
+                [&format!("{name}.conv{part}"), &format!("{name}.bn{part}")],
+                shape,
+            )
         };
         let layers = [
-            layer(1, Shape { inputs, outputs: width, kernel: 1, stride: 1 })?,
-            layer(2, Shape { inputs: width, outputs: width, kernel: 3, stride })?,
-            layer(3, Shape { inputs: width, outputs, kernel: 1, stride: 1 })?,
+            layer(
+                1,
+                Shape {
+                    inputs,
+                    outputs: width,
+                    kernel: 1,
+                    stride: 1,
+                },
+            )?,
+            layer(
+                2,
+                Shape {
+                    inputs: width,
+                    outputs: width,
+                    kernel: 3,
+                    stride,
+                },
+            )?,
+            layer(
+                3,
+                Shape {
+                    inputs: width,
+                    outputs,
+                    kernel: 1,
+                    stride: 1,
+                },
+            )?,
         ];
-        let names = [format!("{name}.downsample.0"), format!("{name}.downsample.1")];
-        let shape = Shape { inputs, outputs, kernel: 1, stride };
+        let names = [
+            format!("{name}.downsample.0"),
+            format!("{name}.downsample.1"),
+        ];
+        let shape = Shape {
+            inputs,
+            outputs,
+            kernel: 1,
+            stride,
+        };
         // Where a block keeps its input's shape, the residual is the input itself.
         let keeps_shape = stride == 1 && inputs == outputs;
-        let shortcut =
-            if keeps_shape { None } else { Some(Convolution::take(weights, [&names[0], &names[1]], shape)?) };
+        let shortcut = if keeps_shape {
+            None
+        } else {
+            Some(Convolution::take(weights, [&names[0], &names[1]], shape)?)
+        };
         Ok(Self { layers, shortcut })
     }
 

@@ -10,11 +10,19 @@ pub const FRAMES: usize = 5;
 const COLUMNS: usize = 8;
 /// Columns of a point that says where and how a vehicle or the ego is.
 const EGO_COLUMNS: usize = 3;
-/// Rows of the kind table: ego, vehicle, lane, left boundary, right boundary, stop line, crosswalk, route lane.
+/// Rows of the kind table: ego, vehicle, lane, left boundary, right boundary, stop line, crosswalk,
+/// route lane.
 pub(super) const KINDS: [u32; 8] = [0, 1, 4, 7, 8, 5, 6, 9];
 
 /// The map layers, in the order of the elements.
-pub const LAYERS: [&str; 6] = ["LANE", "LEFT_BOUNDARY", "RIGHT_BOUNDARY", "STOP_LINE", "CROSSWALK", "ROUTE_LANES"];
+pub const LAYERS: [&str; 6] = [
+    "LANE",
+    "LEFT_BOUNDARY",
+    "RIGHT_BOUNDARY",
+    "STOP_LINE",
+    "CROSSWALK",
+    "ROUTE_LANES",
+];
 
 /// Largest numbers of elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,7 +35,10 @@ pub struct ElementLimits {
 
 impl ElementLimits {
     /// Those of the published model.
-    pub const PUBLISHED: Self = Self { vehicles: 30, layers: [30, 30, 30, 20, 20, 30] };
+    pub const PUBLISHED: Self = Self {
+        vehicles: 30,
+        layers: [30, 30, 30, 20, 20, 30],
+    };
 }
 
 /// A point of a map line, in the frame of the rear axle.
@@ -82,12 +93,22 @@ impl Elements {
                 put(0, point, state);
             }
             for (vehicle, states) in scene.vehicles.iter().take(limits.vehicles).enumerate() {
-                states.iter().rev().enumerate().for_each(|(point, state)| put(1 + vehicle, point, state));
+                states
+                    .iter()
+                    .rev()
+                    .enumerate()
+                    .for_each(|(point, state)| put(1 + vehicle, point, state));
             }
             let mut first = 1 + limits.vehicles;
             for (layer, limit) in scene.layers.iter().zip(limits.layers) {
                 for (element, line) in layer.iter().take(limit).enumerate() {
-                    for (point, MapPoint { place: [x, y], light: [g, w, r, u] }) in line.iter().take(POINTS).enumerate()
+                    for (
+                        point,
+                        MapPoint {
+                            place: [x, y],
+                            light: [g, w, r, u],
+                        },
+                    ) in line.iter().take(POINTS).enumerate()
                     {
                         put(first + element, point, &[*x, *y, *g, *w, *r, *u]);
                     }
@@ -97,6 +118,10 @@ impl Elements {
         }
         let points = Tensor::from_vec(points, (scenes.len(), rows, POINTS, COLUMNS), &Device::Cpu)?;
         let available = Tensor::from_vec(available, (scenes.len(), rows, POINTS), &Device::Cpu)?;
-        Ok(Self { points, available, counts })
+        Ok(Self {
+            points,
+            available,
+            counts,
+        })
     }
 }

@@ -5,6 +5,8 @@ mod features;
 mod network;
 mod planner;
 
-pub use elements::{ElementLimits, Elements, FRAMES, LAYERS, MapPoint, POINTS, UrbanDriverFeatures};
+pub use elements::{
+    ElementLimits, Elements, FRAMES, LAYERS, MapPoint, POINTS, UrbanDriverFeatures,
+};
 pub use network::{UrbanDriver, UrbanDriverConfig};
 pub(crate) use planner::entry;

@@ -2,7 +2,8 @@
 
 use super::elements::{Elements, KINDS, POINTS};
 use crate::blocks::{
-    GroupLinear, LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, key_bias, largest_where, relu,
+    GroupLinear, LayerNorm, Linear, Mlp, MultiheadAttention, Probe, Weights, key_bias,
+    largest_where, relu,
 };
 use candle_core::{D, Device, Result, Tensor};
 use rayon::prelude::*;
@@ -15,7 +16,8 @@ const COLUMNS: usize = 8;
 const HEADS: usize = 8;
 /// Longest element of the table of point positions.
 const POSITIONS: usize = 5000;
-/// Elements whose layers are computed one after the other, while their points are in the second-level cache.
+/// Elements whose layers are computed one after the other, while their points are in the
+/// second-level cache.
 const PIECE: usize = 12;
 /// Rows of the table of element kinds; the last is unused.
 const KIND_ROWS: usize = 11;
@@ -33,7 +35,10 @@ pub struct UrbanDriverConfig {
 
 impl UrbanDriverConfig {
     /// The published model.
-    pub const PUBLISHED: Self = Self { embedding: 256, layers: 3 };
+    pub const PUBLISHED: Self = Self {
+        embedding: 256,
+        layers: 3,
+    };
 }
 
 /// UrbanDriver, trained in open loop.
@@ -54,9 +59,12 @@ impl UrbanDriver {
     /// When a tensor cannot be converted.
     pub fn take(weights: &mut Weights, config: UrbanDriverConfig) -> Result<Self> {
         let width = config.embedding;
-        weights.skip("positional_embedding.static_embedding", &[POSITIONS, 1, width])?;
-        let layers =
-            (0..config.layers).map(|i| SubgraphLayer::take(weights, &format!("local_subgraph.layers.{i}"), width));
+        weights.skip(
+            "positional_embedding.static_embedding",
+            &[POSITIONS, 1, width],
+        )?;
+        let layers = (0..config.layers)
+            .map(|i| SubgraphLayer::take(weights, &format!("local_subgraph.layers.{i}"), width));
         let layers = layers.collect::<Result<_>>()?;
         let outputs = [0, 1, 2].map(|i| format!("global_head.output_embed.layers.{i}"));
         Ok(Self {
@@ -74,31 +82,56 @@ impl UrbanDriver {
     /// # Errors
     /// When an input has another shape.
     pub fn forward(&self, elements: &Elements, probe: &Probe) -> Result<Tensor> {
-        let Elements { points, available, counts } = elements;
+        let Elements {
+            points,
+            available,
+            counts,
+        } = elements;
         let (batch, rows, length, _) = points.dims4()?;
         probe.note_with("feature_embedding", || self.points.forward(points))?;
         let seen = available.max(D::Minus1)?;
-        let x = self.subgraphs(&points.reshape((batch * rows, length, COLUMNS))?, available, &seen)?;
+        let x = self.subgraphs(
+            &points.reshape((batch * rows, length, COLUMNS))?,
+            available,
+            &seen,
+        )?;
         let x = x.reshape((batch, rows, self.width))?;
         probe.note("local_subgraph", &x);
-        let norm = x.sqr()?.sum_keepdim(D::Minus1)?.sqrt()?.maximum(NORM_EPSILON)?;
+        let norm = x
+            .sqr()?
+            .sum_keepdim(D::Minus1)?
+            .sqrt()?
+            .maximum(NORM_EPSILON)?;
         let x = (x.broadcast_div(&norm)? * (self.width as f64).sqrt())?;
-        let kinds = counts.iter().zip(KINDS).flat_map(|(&count, kind)| vec![kind; count]);
-        let kinds = self.kinds.index_select(&Tensor::from_iter(kinds, &Device::Cpu)?, 0)?;
+        let kinds = counts
+            .iter()
+            .zip(KINDS)
+            .flat_map(|(&count, kind)| vec![kind; count]);
+        let kinds = self
+            .kinds
+            .index_select(&Tensor::from_iter(kinds, &Device::Cpu)?, 0)?;
         probe.note("type_embedding", &kinds);
         let ego = x.narrow(1, 0, 1)?;
         let own = Tensor::ones((batch, 1), seen.dtype(), &Device::Cpu)?;
         let hidden = key_bias(&Tensor::cat(&[own, seen.narrow(1, 1, rows - 1)?], 1)?)?;
-        let mixed = self.attention.forward([&ego, &x.broadcast_add(&kinds)?, &x], Some(&hidden))?;
+        let mixed = self
+            .attention
+            .forward([&ego, &x.broadcast_add(&kinds)?, &x], Some(&hidden))?;
         probe.note("attention", &mixed);
-        self.output.forward(&mixed.squeeze(1)?)?.reshape((batch, POSES, 3))
+        self.output
+            .forward(&mixed.squeeze(1)?)?
+            .reshape((batch, POSES, 3))
     }
 
     /// Elements (N, width) of points (N, P, 8); zeros where no point is available.
     fn subgraphs(&self, points: &Tensor, available: &Tensor, seen: &Tensor) -> Result<Tensor> {
         let (rows, length, _) = points.dims3()?;
         let seen = seen.flatten_all()?.to_vec1::<u8>()?;
-        let places: Vec<u32> = (0u32..).zip(&seen).filter(|&(_, &seen)| seen != 0).map(|(i, _)| i).collect();
+        let places: Vec<u32> = (0u32..)
+            .zip(&seen)
+            .filter(|&(_, &seen)| seen != 0)
+            .map(|(i, _)| i)
+            .collect();
         let zeros = Tensor::zeros((rows, self.width), points.dtype(), &Device::Cpu)?;
         if places.is_empty() {
             return Ok(zeros);
@@ -108,15 +141,24 @@ impl UrbanDriver {
         let piece = |places: &[u32]| {
             let places = Tensor::new(places, &Device::Cpu)?;
             let positions = positions.broadcast_as((places.elem_count(), length, self.width))?;
-            let mut x = self.points.forward_onto(&points.index_select(&places, 0)?, &positions)?;
+            let mut x = self
+                .points
+                .forward_onto(&points.index_select(&places, 0)?, &positions)?;
             let available = available.index_select(&places, 0)?;
             for layer in &self.layers {
                 x = layer.forward(&x, &available)?;
             }
             largest_where(&x, &available, f32::NEG_INFINITY)
         };
-        let pieces = places.par_chunks(PIECE).map(piece).collect::<Result<Vec<_>>>()?;
-        zeros.index_add(&Tensor::from_iter(places, &Device::Cpu)?, &Tensor::cat(&pieces, 0)?, 0)
+        let pieces = places
+            .par_chunks(PIECE)
+            .map(piece)
+            .collect::<Result<Vec<_>>>()?;
+        zeros.index_add(
+            &Tensor::from_iter(places, &Device::Cpu)?,
+            &Tensor::cat(&pieces, 0)?,
+            0,
+        )
     }
 }
 
@@ -127,7 +169,11 @@ fn positions(length: usize, width: usize) -> Result<Tensor> {
     for (i, value) in values.iter_mut().enumerate() {
         let (place, column) = ((i / width) as f64, i % width);
         let frequency = (-(1e4f64.ln()) / width as f64 * (column - column % 2) as f64).exp();
-        *value = if column % 2 == 0 { (place * frequency).sin() } else { (place * frequency).cos() } as f32;
+        *value = if column % 2 == 0 {
+            (place * frequency).sin()
+        } else {
+            (place * frequency).cos()
+        } as f32;
     }
     Tensor::from_vec(values, (length, width), &Device::Cpu)
 }
@@ -146,13 +192,17 @@ impl SubgraphLayer {
         Ok(Self {
             inner: Linear::without_bias(weights, &format!("{name}.mlp.linear"), width, width)?,
             norm: LayerNorm::take(weights, &format!("{name}.mlp.norm"), width)?,
-            outer: GroupLinear::of(&remap, weights.take(&format!("{name}.linear_remap.bias"), &[width])?)?,
+            outer: GroupLinear::of(
+                &remap,
+                weights.take(&format!("{name}.linear_remap.bias"), &[width])?,
+            )?,
         })
     }
 
     /// Points (N, P, width), of which some are available (N, P).
     fn forward(&self, x: &Tensor, available: &Tensor) -> Result<Tensor> {
         let x = relu(&self.norm.forward(&self.inner.forward(x)?)?)?;
-        self.outer.forward(&x, &largest_where(&x, available, f32::NEG_INFINITY)?)
+        self.outer
+            .forward(&x, &largest_where(&x, available, f32::NEG_INFINITY)?)
     }
 }

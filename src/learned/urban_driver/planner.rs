@@ -5,7 +5,9 @@ use super::network::{UrbanDriver, UrbanDriverConfig};
 use crate::blocks::Probe;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
-use planagent_agent::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner::{
+    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
+};
 use planagent_world::Trajectory;
 use std::sync::Arc;
 
@@ -13,8 +15,12 @@ const NAME: &str = "urban-driver";
 
 /// The planner `urban-driver`.
 pub(crate) fn entry() -> PlannerEntry {
-    let slot = Slot::new("UrbanDriver", |weights| UrbanDriver::take(weights, UrbanDriverConfig::PUBLISHED));
-    learned_entry(NAME, "UrbanDriver, a learned planner", slot, |network| Box::new(UrbanDriverPlanner { network }))
+    let slot = Slot::new("UrbanDriver", |weights| {
+        UrbanDriver::take(weights, UrbanDriverConfig::PUBLISHED)
+    });
+    learned_entry(NAME, "UrbanDriver, a learned planner", slot, |network| {
+        Box::new(UrbanDriverPlanner { network })
+    })
 }
 
 /// UrbanDriver: it plans again at every iteration.
@@ -34,8 +40,12 @@ impl Planner for UrbanDriverPlanner {
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let features = UrbanDriverFeatures::of(&input.scene);
-        let elements = Elements::of(&[features], ElementLimits::PUBLISHED).map_err(network_failed)?;
-        let plan = self.network.forward(&elements, &Probe::off()).map_err(network_failed)?;
+        let elements =
+            Elements::of(&[features], ElementLimits::PUBLISHED).map_err(network_failed)?;
+        let plan = self
+            .network
+            .forward(&elements, &Probe::off())
+            .map_err(network_failed)?;
         prediction::trajectory(
             &prediction::poses(&plan).map_err(network_failed)?,
             prediction::HALF_SECOND_US,

@@ -1,8 +1,9 @@
 //! candle-transformers' Qwen3-VL, unchanged, behind the contract of a family.
 //!
-//! It is here for comparison, and as a pattern for models of that crate that this program has no code for. The family has
-//! about 400 lines. It is slow, holds f32 weights alone, and its answers are not those of the model (docs/models.md has the
-//! differences). A description names it: `architecture = "candle-qwen3-vl"`.
+//! It is here for comparison, and as a pattern for models of that crate that this program has no
+//! code for. The family has about 400 lines. It is slow, holds f32 weights alone, and its answers
+//! are not those of the model (docs/models.md has the differences). A description names it:
+//! `architecture = "candle-qwen3-vl"`.
 
 mod decoder;
 mod weights;
@@ -19,8 +20,8 @@ use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::LanguageModel;
 use super::family::{
-    ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ImageSettings, ModelInfo, OpenedModel, Tiles,
-    VisionLanguageModel,
+    ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ImageSettings, ModelInfo,
+    OpenedModel, Tiles, VisionLanguageModel,
 };
 use super::qwen3_vl::{PatchProcessor, Qwen3VlConfig, canonical_name};
 use super::template_format::{ImageText, TemplateFormat};
@@ -72,20 +73,38 @@ fn config(files: &ModelFiles) -> Result<Qwen3VlConfig, MllmError> {
 
 fn open(files: &ModelFiles, weights: &mut Weights) -> OpenedModel {
     let config = config(files)?;
-    let patches = Patches { side: config.vision.patch_size, merge: config.merge, frames: config.frames };
+    let patches = Patches {
+        side: config.vision.patch_size,
+        merge: config.merge,
+        frames: config.frames,
+    };
     let processor = PatchProcessor::open(files, patches.side as u32, patches.merge as u32)?;
     let before = weights.elements();
     let decoder = CandleDecoder::take(weights, &config, files)?;
     let max_tokens = processor.max_tokens().min(MAX_CONTEXT);
-    let image = ImageInfo { token: config.image_token, side: DRAWN_SIDE, max_tokens };
+    let image = ImageInfo {
+        token: config.image_token,
+        side: DRAWN_SIDE,
+        max_tokens,
+    };
     let info = ModelInfo::of(NAME, &config.text, image, weights, before);
-    Ok(Box::new(CandleQwen3Vl { processor, decoder, patches, info }))
+    Ok(Box::new(CandleQwen3Vl {
+        processor,
+        decoder,
+        patches,
+        info,
+    }))
 }
 
 impl Patches {
-    /// The patches of whole tokens, (tokens, numbers of a token), from pixel values (3, height, width).
+    /// The patches of whole tokens, (tokens, numbers of a token), from pixel values (3, height,
+    /// width).
     fn of(self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        let Self { side, merge, frames } = self;
+        let Self {
+            side,
+            merge,
+            frames,
+        } = self;
         let (channels, height, width) = pixels.dims3()?;
         let [rows, columns] = [height, width].map(|length| length / (side * merge));
         // Blocks of patches in raster order, each patch as channel, frame, row and column.
@@ -93,7 +112,10 @@ impl Patches {
         let blocks = split.permute(vec![1, 4, 2, 5, 0, 3, 6])?.contiguous()?;
         let still = blocks.reshape((rows * columns * merge * merge, channels, 1, side * side))?;
         let moving = still.repeat((1, 1, frames, 1))?;
-        moving.reshape((rows * columns, merge * merge * channels * frames * side * side))
+        moving.reshape((
+            rows * columns,
+            merge * merge * channels * frames * side * side,
+        ))
     }
 }
 
@@ -111,21 +133,46 @@ impl VisionLanguageModel for CandleQwen3Vl {
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
-        Ok(Tiles { pixels: vec![self.processor.process(image)?], width: image.width(), height: image.height() })
+        Ok(Tiles {
+            pixels: vec![self.processor.process(image)?],
+            width: image.width(),
+            height: image.height(),
+        })
     }
 
-    /// The tower is a part of candle's decoder. So the rows are the patches, which the decoder encodes.
+    /// The tower is a part of candle's decoder. So the rows are the patches, which the decoder
+    /// encodes.
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
-        let Some(pixels) = tiles.pixels.first() else { candle_core::bail!("there is no image") };
+        let Some(pixels) = tiles.pixels.first() else {
+            candle_core::bail!("there is no image")
+        };
         let (_, height, width) = pixels.dims3()?;
-        let [rows, columns] = [height, width].map(|length| length / (self.patches.side * self.patches.merge));
-        let layout = ImageLayout { tokens: rows * columns, rows, columns };
+        let [rows, columns] =
+            [height, width].map(|length| length / (self.patches.side * self.patches.merge));
+        let layout = ImageLayout {
+            tokens: rows * columns,
+            rows,
+            columns,
+        };
         let rows = self.decoder.image_rows(&self.patches.of(pixels)?, layout)?;
-        Ok(ImageFeatures { rows, deep: Vec::new(), layout })
+        Ok(ImageFeatures {
+            rows,
+            deep: Vec::new(),
+            layout,
+        })
     }
 
-    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token, ImageText::Repeated)?))
+    fn chat_format(
+        &self,
+        files: &ModelFiles,
+        tokenizer: &ChatTokenizer,
+    ) -> Result<Box<dyn ChatFormat>, MllmError> {
+        Ok(Box::new(TemplateFormat::open(
+            files,
+            tokenizer,
+            self.info.image_token,
+            ImageText::Repeated,
+        )?))
     }
 
     fn decoder(&self) -> &dyn LanguageModel {

@@ -13,13 +13,27 @@ use crate::qwen3_vl::{Qwen3VlConfig, canonical_name};
 /// The configuration in candle's form.
 pub(super) fn config(
     files: &ModelFiles,
-    Qwen3VlConfig { vision, positions, merge, frames, deep, text, image_token }: &Qwen3VlConfig,
+    Qwen3VlConfig {
+        vision,
+        positions,
+        merge,
+        frames,
+        deep,
+        text,
+        image_token,
+    }: &Qwen3VlConfig,
     tied: bool,
 ) -> Result<Config, MllmError> {
-    let (path, file) = (files.path("config.json"), files.required_json("config.json")?);
+    let (path, file) = (
+        files.path("config.json"),
+        files.required_json("config.json")?,
+    );
     let root = ConfigObject::root(&path, &file)?;
-    let act: Option<String> =
-        root.child("vision_config")?.map(|vision| vision.value("hidden_act")).transpose()?.flatten();
+    let act: Option<String> = root
+        .child("vision_config")?
+        .map(|vision| vision.value("hidden_act"))
+        .transpose()?
+        .flatten();
     let config = json!({
         "text_config": {
             "head_dim": text.head_dim, "vocab_size": text.vocabulary, "hidden_size": text.hidden,
@@ -42,7 +56,10 @@ pub(super) fn config(
 }
 
 /// Takes all tensors, in f32.
-pub(super) fn take(weights: &mut Weights, config: &Config) -> Result<HashMap<String, Tensor>, MllmError> {
+pub(super) fn take(
+    weights: &mut Weights,
+    config: &Config,
+) -> Result<HashMap<String, Tensor>, MllmError> {
     let mut tensors = HashMap::new();
     for (name, shape) in names(config) {
         tensors.insert(name.clone(), weights.take(&canonical_name(&name), &shape)?);
@@ -61,31 +78,58 @@ fn names(config: &Config) -> Vec<(String, Vec<usize>)> {
     let width = vision.hidden_size;
     let mut names = Vec::new();
     let mut add = |name: String, shape: &[usize]| names.push((name, shape.to_vec()));
-    let patch = [width, vision.in_chans, vision.temporal_patch_size, vision.patch_size, vision.patch_size];
+    let patch = [
+        width,
+        vision.in_chans,
+        vision.temporal_patch_size,
+        vision.patch_size,
+        vision.patch_size,
+    ];
     biased(&mut add, "model.visual.patch_embed.proj", &patch);
-    add("model.visual.pos_embed.weight".into(), &[vision.num_position_embeddings, width]);
+    add(
+        "model.visual.pos_embed.weight".into(),
+        &[vision.num_position_embeddings, width],
+    );
     for layer in 0..vision.depth {
         let block = format!("model.visual.blocks.{layer}");
         biased(&mut add, &format!("{block}.norm1"), &[width]);
         biased(&mut add, &format!("{block}.norm2"), &[width]);
         biased(&mut add, &format!("{block}.attn.qkv"), &[3 * width, width]);
         biased(&mut add, &format!("{block}.attn.proj"), &[width, width]);
-        biased(&mut add, &format!("{block}.mlp.linear_fc1"), &[vision.intermediate_size, width]);
-        biased(&mut add, &format!("{block}.mlp.linear_fc2"), &[width, vision.intermediate_size]);
+        biased(
+            &mut add,
+            &format!("{block}.mlp.linear_fc1"),
+            &[vision.intermediate_size, width],
+        );
+        biased(
+            &mut add,
+            &format!("{block}.mlp.linear_fc2"),
+            &[width, vision.intermediate_size],
+        );
     }
     let merged = width * vision.spatial_merge_size * vision.spatial_merge_size;
-    let deep =
-        (0..vision.deepstack_visual_indexes.len()).map(|index| (format!("deepstack_merger_list.{index}"), merged));
+    let deep = (0..vision.deepstack_visual_indexes.len())
+        .map(|index| (format!("deepstack_merger_list.{index}"), merged));
     for (merger, normed) in deep.chain([("merger".to_owned(), width)]) {
         let merger = format!("model.visual.{merger}");
         biased(&mut add, &format!("{merger}.norm"), &[normed]);
         biased(&mut add, &format!("{merger}.linear_fc1"), &[merged, merged]);
-        biased(&mut add, &format!("{merger}.linear_fc2"), &[vision.out_hidden_size, merged]);
+        biased(
+            &mut add,
+            &format!("{merger}.linear_fc2"),
+            &[vision.out_hidden_size, merged],
+        );
     }
     let hidden = text.hidden_size;
     let decoder = "model.language_model";
-    let (queries, keys) = (text.num_attention_heads * text.head_dim, text.num_key_value_heads * text.head_dim);
-    add(format!("{decoder}.embed_tokens.weight"), &[text.vocab_size, hidden]);
+    let (queries, keys) = (
+        text.num_attention_heads * text.head_dim,
+        text.num_key_value_heads * text.head_dim,
+    );
+    add(
+        format!("{decoder}.embed_tokens.weight"),
+        &[text.vocab_size, hidden],
+    );
     add(format!("{decoder}.norm.weight"), &[hidden]);
     for layer in 0..text.num_hidden_layers {
         for (part, shape) in [
@@ -113,5 +157,8 @@ fn names(config: &Config) -> Vec<(String, Vec<usize>)> {
 /// A weight of this shape and its bias.
 fn biased(add: &mut impl FnMut(String, &[usize]), name: &str, shape: &[usize]) {
     add(format!("{name}.weight"), shape);
-    add(format!("{name}.bias"), shape.get(..1).expect("a weight has one dimension at least"));
+    add(
+        format!("{name}.bias"),
+        shape.get(..1).expect("a weight has one dimension at least"),
+    );
 }

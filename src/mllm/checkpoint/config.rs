@@ -9,11 +9,12 @@ use serde_json::{Map, Value};
 
 use crate::MllmError;
 
-/// Largest width, layer count or context of a configuration. No model that fits into a machine exceeds it.
+/// Largest width, layer count or context of a configuration. No model that fits into a machine
+/// exceeds it.
 const MAX_COUNT: u64 = 1 << 22;
 
-/// Keys where null and absence differ: a null window is no window, and null heads of keys are as many as those of queries; an
-/// absent key takes the default of its class.
+/// Keys where null and absence differ: a null window is no window, and null heads of keys are as
+/// many as those of queries; an absent key takes the default of its class.
 const NULLABLE: [&str; 2] = ["sliding_window", "num_key_value_heads"];
 
 /// An object of a configuration file. Null entries count as absent.
@@ -28,7 +29,11 @@ pub(crate) struct ConfigObject<'a> {
 impl<'a> ConfigObject<'a> {
     /// The object that a file holds.
     pub(crate) fn root(path: &'a Path, value: &Value) -> Result<Self, MllmError> {
-        let empty = Self { path, prefix: String::new(), entries: Map::new() };
+        let empty = Self {
+            path,
+            prefix: String::new(),
+            entries: Map::new(),
+        };
         match value {
             Value::Object(object) => Ok(empty.with_entries(object)),
             other => Err(empty.error("(whole file)", not_an_object(other))),
@@ -36,8 +41,13 @@ impl<'a> ConfigObject<'a> {
     }
 
     fn with_entries(mut self, object: &Map<String, Value>) -> Self {
-        let present = |(key, value): &(&String, &Value)| !value.is_null() || NULLABLE.contains(&key.as_str());
-        self.entries = object.iter().filter(present).map(|(key, value)| (key.clone(), value.clone())).collect();
+        let present =
+            |(key, value): &(&String, &Value)| !value.is_null() || NULLABLE.contains(&key.as_str());
+        self.entries = object
+            .iter()
+            .filter(present)
+            .map(|(key, value)| (key.clone(), value.clone()))
+            .collect();
         self
     }
 
@@ -55,7 +65,11 @@ impl<'a> ConfigObject<'a> {
     }
 
     fn empty_child(&self, key: &str) -> Self {
-        Self { path: self.path, prefix: format!("{}{key}.", self.prefix), entries: Map::new() }
+        Self {
+            path: self.path,
+            prefix: format!("{}{key}.", self.prefix),
+            entries: Map::new(),
+        }
     }
 
     /// Takes `defaults`, an object, for absent keys.
@@ -86,20 +100,29 @@ impl<'a> ConfigObject<'a> {
     }
 
     pub(crate) fn value<T: DeserializeOwned>(&self, key: &str) -> Result<Option<T>, MllmError> {
-        self.entries.get(key).map(|value| T::deserialize(value).map_err(|error| self.error(key, error))).transpose()
+        self.entries
+            .get(key)
+            .map(|value| T::deserialize(value).map_err(|error| self.error(key, error)))
+            .transpose()
     }
 
     /// Reads a token id, or the first of a list; none if absent.
     pub(crate) fn first_id(&self, key: &str) -> Result<Option<u32>, MllmError> {
-        Ok(self.value::<OneOrMany<u32>>(key)?.and_then(|ids| ids.as_slice().first().copied()))
+        Ok(self
+            .value::<OneOrMany<u32>>(key)?
+            .and_then(|ids| ids.as_slice().first().copied()))
     }
 
     /// Reads a finite number above zero; none if absent.
     pub(crate) fn positive(&self, key: &str) -> Result<Option<f64>, MllmError> {
-        self.entries.get(key).map(|value| positive(value).map_err(|error| self.error(key, error))).transpose()
+        self.entries
+            .get(key)
+            .map(|value| positive(value).map_err(|error| self.error(key, error)))
+            .transpose()
     }
 
-    /// Reads the object as a flat struct with defaults; keys that the struct does not have are ignored.
+    /// Reads the object as a flat struct with defaults; keys that the struct does not have are
+    /// ignored.
     pub(crate) fn read<T: DeserializeOwned>(&self) -> Result<T, MllmError> {
         serde_path_to_error::deserialize(&self.entries)
             .map_err(|error| self.error(&error.path().to_string(), error.inner()))
@@ -120,7 +143,10 @@ fn not_an_object(value: &Value) -> String {
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
-#[serde(untagged, expecting = "expected a whole number or a list of whole numbers")]
+#[serde(
+    untagged,
+    expecting = "expected a whole number or a list of whole numbers"
+)]
 pub(crate) enum OneOrMany<T> {
     One(T),
     Many(Vec<T>),
@@ -141,35 +167,61 @@ pub(crate) fn count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize,
 }
 
 /// A count, or null for none.
-pub(crate) fn optional_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<usize>, D::Error> {
-    Option::<u64>::deserialize(deserializer)?.map(checked_count).transpose()
+pub(crate) fn optional_count<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<usize>, D::Error> {
+    Option::<u64>::deserialize(deserializer)?
+        .map(checked_count)
+        .transpose()
 }
 
 fn checked_count<E: Error>(count: u64) -> Result<usize, E> {
     if (1..=MAX_COUNT).contains(&count) {
         return Ok(count as usize);
     }
-    Err(E::custom(format!("expected a whole number from 1 to {MAX_COUNT}, found {count}")))
+    Err(E::custom(format!(
+        "expected a whole number from 1 to {MAX_COUNT}, found {count}"
+    )))
 }
 
-/// Widest row of a matrix: all heads, the feed-forward part, or merged patches. The decoder of 405 billion weights has 53,248.
+/// Widest row of a matrix: all heads, the feed-forward part, or merged patches. The decoder of 405
+/// billion weights has 53,248.
 pub(crate) const MAX_WIDTH: usize = 1 << 20;
 
-/// Checks a width that is the product of two numbers, of which `key` is at fault if it is too large.
-pub(crate) fn check_width(object: &ConfigObject<'_>, key: &str, number: usize, factor: usize) -> Result<(), MllmError> {
-    if number.checked_mul(factor).is_some_and(|width| width <= MAX_WIDTH) {
+/// Checks a width that is the product of two numbers, of which `key` is at fault if it is too
+/// large.
+pub(crate) fn check_width(
+    object: &ConfigObject<'_>,
+    key: &str,
+    number: usize,
+    factor: usize,
+) -> Result<(), MllmError> {
+    if number
+        .checked_mul(factor)
+        .is_some_and(|width| width <= MAX_WIDTH)
+    {
         return Ok(());
     }
-    Err(object.error(key, format!("{number} times {factor} is wider than the {MAX_WIDTH} numbers that are supported")))
+    Err(object.error(
+        key,
+        format!("{number} times {factor} is wider than the {MAX_WIDTH} numbers that are supported"),
+    ))
 }
 
 /// Checks that numbers, each under its key, are from 1 to a limit.
-pub(crate) fn check_ranges(object: &ConfigObject<'_>, numbers: &[(&str, usize, usize)]) -> Result<(), MllmError> {
-    match numbers.iter().find(|(_, number, most)| !(1..=*most).contains(number)) {
+pub(crate) fn check_ranges(
+    object: &ConfigObject<'_>,
+    numbers: &[(&str, usize, usize)],
+) -> Result<(), MllmError> {
+    match numbers
+        .iter()
+        .find(|(_, number, most)| !(1..=*most).contains(number))
+    {
         None => Ok(()),
-        Some((key, number, most)) => {
-            Err(object.error(key, format!("expected a whole number from 1 to {most}, found {number}")))
-        }
+        Some((key, number, most)) => Err(object.error(
+            key,
+            format!("expected a whole number from 1 to {most}, found {number}"),
+        )),
     }
 }
 
@@ -179,7 +231,9 @@ pub(crate) fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64
     if number.is_finite() && number > 0.0 {
         return Ok(number);
     }
-    Err(D::Error::custom(format!("expected a positive number, found {number}")))
+    Err(D::Error::custom(format!(
+        "expected a positive number, found {number}"
+    )))
 }
 
 #[cfg(test)]
@@ -200,20 +254,43 @@ mod tests {
 
     impl Default for Example {
         fn default() -> Self {
-            Self { width: 4, eps: 1.0, sliding_window: Some(9) }
+            Self {
+                width: 4,
+                eps: 1.0,
+                sliding_window: Some(9),
+            }
         }
     }
 
     fn read(value: &Value) -> Result<Example, MllmError> {
         let root = ConfigObject::root(Path::new("config.json"), &json!({"part": value}))?;
-        root.child_or_empty("part")?.with_defaults(json!({"eps": 2.0})).read()
+        root.child_or_empty("part")?
+            .with_defaults(json!({"eps": 2.0}))
+            .read()
     }
 
     #[test]
     fn absent_and_null_keys_take_defaults() {
-        assert_eq!(read(&json!({"other": 1})).unwrap(), Example { eps: 2.0, ..Example::default() });
-        assert_eq!(read(&json!({"width": null, "eps": 3})).unwrap(), Example { eps: 3.0, ..Example::default() });
-        assert_eq!(read(&json!({"sliding_window": null})).unwrap().sliding_window, None);
+        assert_eq!(
+            read(&json!({"other": 1})).unwrap(),
+            Example {
+                eps: 2.0,
+                ..Example::default()
+            }
+        );
+        assert_eq!(
+            read(&json!({"width": null, "eps": 3})).unwrap(),
+            Example {
+                eps: 3.0,
+                ..Example::default()
+            }
+        );
+        assert_eq!(
+            read(&json!({"sliding_window": null}))
+                .unwrap()
+                .sliding_window,
+            None
+        );
     }
 
     #[test]
@@ -229,7 +306,9 @@ mod tests {
             (json!([]), "part"),
         ] {
             match read(&value) {
-                Err(MllmError::Config { path, key: found, .. }) => {
+                Err(MllmError::Config {
+                    path, key: found, ..
+                }) => {
                     assert_eq!((path.to_str(), found.as_str()), (Some("config.json"), key));
                 }
                 other => panic!("{value}: {other:?}"),

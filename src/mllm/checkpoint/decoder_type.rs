@@ -74,7 +74,8 @@ impl DecoderType {
         }
     }
 
-    /// Pairs of a head for time, height and width (`mrope_section` in the class of the rotary embedding).
+    /// Pairs of a head for time, height and width (`mrope_section` in the class of the rotary
+    /// embedding).
     pub(super) fn sections(self) -> Option<[usize; 3]> {
         match self {
             Self::Llama | Self::Mistral | Self::Qwen2 | Self::Qwen3 => None,
@@ -102,6 +103,10 @@ impl DecoderType {
         // No class of these types rotates a part of a head, but others of Llama's kind do.
         const WHOLE: (&str, Neutral) = ("partial_rotary_factor", Neutral::Number(1.0));
         const FULL: (&str, Neutral) = ("layer_types", Neutral::Each("full_attention"));
-        if self.is_qwen() { &[ACT, WHOLE, FULL] } else { &[ACT, WHOLE] }
+        if self.is_qwen() {
+            &[ACT, WHOLE, FULL]
+        } else {
+            &[ACT, WHOLE]
+        }
     }
 }

@@ -19,20 +19,34 @@ pub struct ModelFiles {
 impl ModelFiles {
     pub(crate) fn folder(folder: &Path) -> Result<Self, MllmError> {
         if folder.is_dir() {
-            return Ok(Self { place: folder.to_path_buf(), packed: None });
+            return Ok(Self {
+                place: folder.to_path_buf(),
+                packed: None,
+            });
         }
-        Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: "such folder, so no config.json".into() })
+        Err(MllmError::MissingFile {
+            folder: folder.to_path_buf(),
+            file: "such folder, so no config.json".into(),
+        })
     }
 
     /// Texts of files by name; `place` is the file or shape that holds them.
     pub(crate) fn packed(place: &Path, texts: BTreeMap<String, String>) -> Self {
-        let packed = texts.into_iter().map(|(name, text)| (name.clone(), (place.join(name), text))).collect();
-        Self { place: place.to_path_buf(), packed: Some(packed) }
+        let packed = texts
+            .into_iter()
+            .map(|(name, text)| (name.clone(), (place.join(name), text)))
+            .collect();
+        Self {
+            place: place.to_path_buf(),
+            packed: Some(packed),
+        }
     }
 
     /// Replaces each file of `names` that a folder holds by the folder's.
     pub(crate) fn prefer(&mut self, folder: &Path, names: &[&str]) -> Result<(), MllmError> {
-        let Some(packed) = &mut self.packed else { return Ok(()) };
+        let Some(packed) = &mut self.packed else {
+            return Ok(());
+        };
         for name in names {
             let path = folder.join(name);
             if path.is_file() {
@@ -59,11 +73,17 @@ impl ModelFiles {
             return Ok(packed.get(name).map(|(_, text)| text.clone()));
         }
         let path = self.place.join(name);
-        if path.is_file() { read_text(&path).map(Some) } else { Ok(None) }
+        if path.is_file() {
+            read_text(&path).map(Some)
+        } else {
+            Ok(None)
+        }
     }
 
     pub(crate) fn json(&self, name: &str) -> Result<Option<Value>, MllmError> {
-        self.text(name)?.map(|text| parse_json(&self.path(name), &text)).transpose()
+        self.text(name)?
+            .map(|text| parse_json(&self.path(name), &text))
+            .transpose()
     }
 
     pub(crate) fn required_json(&self, name: &str) -> Result<Value, MllmError> {
@@ -72,6 +92,9 @@ impl ModelFiles {
 
     /// The error for a missing file. `file` may name alternatives.
     pub(crate) fn missing(&self, file: &str) -> MllmError {
-        MllmError::MissingFile { folder: self.place.clone(), file: file.to_string() }
+        MllmError::MissingFile {
+            folder: self.place.clone(),
+            file: file.to_string(),
+        }
     }
 }

@@ -19,7 +19,8 @@ impl Weights {
         self.take_fused(&[(name.to_string(), outputs)], inputs, bias)
     }
 
-    /// Takes layers with the same input as one layer with concatenated outputs, so that one product replaces several.
+    /// Takes layers with the same input as one layer with concatenated outputs, so that one product
+    /// replaces several.
     pub(crate) fn take_fused(
         &mut self,
         parts: &[(String, usize)],
@@ -34,12 +35,21 @@ impl Weights {
                 biases.push(self.take(&format!("{name}.bias"), &[*outputs])?);
             }
         }
-        let bias = if bias { Some(Tensor::cat(&biases, 0)?) } else { None };
+        let bias = if bias {
+            Some(Tensor::cat(&biases, 0)?)
+        } else {
+            None
+        };
         Ok(Linear::from_matrix(Matrix::stack(matrices)?, bias))
     }
 
     /// Takes `NAME.weight` and `NAME.bias`.
-    pub(crate) fn take_layer_norm(&mut self, name: &str, width: usize, eps: f64) -> Result<LayerNorm, MllmError> {
+    pub(crate) fn take_layer_norm(
+        &mut self,
+        name: &str,
+        width: usize,
+        eps: f64,
+    ) -> Result<LayerNorm, MllmError> {
         let mut vector = |part: &str| -> Result<Vec<f32>, MllmError> {
             Ok(self.take(&format!("{name}.{part}"), &[width])?.to_vec1()?)
         };
@@ -47,7 +57,15 @@ impl Weights {
     }
 
     /// Takes `NAME.weight`.
-    pub(crate) fn take_rms_norm(&mut self, name: &str, width: usize, eps: f64) -> Result<RmsNorm, MllmError> {
-        Ok(RmsNorm::new(self.take(&format!("{name}.weight"), &[width])?.to_vec1()?, eps))
+    pub(crate) fn take_rms_norm(
+        &mut self,
+        name: &str,
+        width: usize,
+        eps: f64,
+    ) -> Result<RmsNorm, MllmError> {
+        Ok(RmsNorm::new(
+            self.take(&format!("{name}.weight"), &[width])?.to_vec1()?,
+            eps,
+        ))
     }
 }

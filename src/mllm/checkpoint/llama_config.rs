@@ -2,18 +2,24 @@
 
 use serde::Deserialize;
 
-use super::config::{ConfigObject, MAX_WIDTH, check_ranges, check_width, count, optional_count, positive};
+use super::config::{
+    ConfigObject, MAX_WIDTH, check_ranges, check_width, count, optional_count, positive,
+};
 use super::decoder_type::DecoderType;
 use super::rope_config::read_rope;
 use super::weights::Weights;
 use crate::MllmError;
 use planagent_kernels::attention::{Rope, RotarySections};
 
-/// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a window, Qwen 2 (`Qwen2Config`)
-/// biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms of queries and keys.
+/// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a
+/// window, Qwen 2 (`Qwen2Config`) biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms
+/// of queries and keys.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default)]
-#[expect(clippy::struct_excessive_bools, reason = "these are the keys of configuration files")]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "these are the keys of configuration files"
+)]
 pub struct LlamaConfig {
     /// Number of token ids.
     #[serde(rename = "vocab_size", deserialize_with = "count")]
@@ -29,7 +35,8 @@ pub struct LlamaConfig {
     /// Number of query heads.
     #[serde(rename = "num_attention_heads", deserialize_with = "count")]
     pub heads: usize,
-    /// Number of key and value heads, a divisor of the query heads. The default is as many as query heads.
+    /// Number of key and value heads, a divisor of the query heads. The default is as many as query
+    /// heads.
     #[serde(rename = "num_key_value_heads", deserialize_with = "count")]
     pub kv_heads: usize,
     /// Width of a head. The default is the hidden width divided by the heads.
@@ -114,7 +121,10 @@ impl LlamaConfig {
         }
         if config.head_dim == 0 {
             if !config.hidden.is_multiple_of(config.heads) {
-                let problem = format!("{} is no multiple of {} attention heads", config.hidden, config.heads);
+                let problem = format!(
+                    "{} is no multiple of {} attention heads",
+                    config.hidden, config.heads
+                );
                 return Err(text.error("hidden_size", problem));
             }
             config.head_dim = config.hidden / config.heads;
@@ -130,12 +140,14 @@ impl LlamaConfig {
         config.head_norms = kind.is_qwen() && !kind.is_qwen2();
         config.mlp_bias &= !kind.is_qwen();
         config.check_sizes(&text)?;
-        config.validate().map_err(|(key, problem)| text.error(key, problem))?;
+        config
+            .validate()
+            .map_err(|(key, problem)| text.error(key, problem))?;
         Ok(config)
     }
 
-    /// Whether the embedding is the output layer: the configuration says so, or the files have no other. One rule for all
-    /// families; the second case is noted.
+    /// Whether the embedding is the output layer: the configuration says so, or the files have no
+    /// other. One rule for all families; the second case is noted.
     pub(crate) fn is_tied(&self, weights: &mut Weights) -> bool {
         let lacking = weights.lacks("lm_head.weight");
         if lacking && !self.tie_word_embeddings {
@@ -166,17 +178,34 @@ impl LlamaConfig {
 
     /// The first key that contradicts another, and why.
     fn validate(&self) -> Result<(), (&'static str, String)> {
-        let Self { heads, kv_heads, head_dim, .. } = self;
+        let Self {
+            heads,
+            kv_heads,
+            head_dim,
+            ..
+        } = self;
         if !heads.is_multiple_of(*kv_heads) {
-            return Err((KV_HEADS, format!("{kv_heads} does not divide {heads} attention heads")));
+            return Err((
+                KV_HEADS,
+                format!("{kv_heads} does not divide {heads} attention heads"),
+            ));
         }
         if !head_dim.is_multiple_of(2) {
-            return Err(("head_dim", format!("{head_dim} is odd; rotary embeddings need pairs")));
+            return Err((
+                "head_dim",
+                format!("{head_dim} is odd; rotary embeddings need pairs"),
+            ));
         }
         if let Some(RotarySections { lengths, .. }) = self.rope.sections
-            && lengths.iter().try_fold(0, |sum: usize, length| sum.checked_add(*length)) != Some(head_dim / 2)
+            && lengths
+                .iter()
+                .try_fold(0, |sum: usize, length| sum.checked_add(*length))
+                != Some(head_dim / 2)
         {
-            let problem = format!("{lengths:?} do not add up to the {} pairs of a head", head_dim / 2);
+            let problem = format!(
+                "{lengths:?} do not add up to the {} pairs of a head",
+                head_dim / 2
+            );
             return Err(("mrope_section", problem));
         }
         Ok(())
@@ -186,14 +215,19 @@ impl LlamaConfig {
 /// The key whose null differs from its absence.
 const KV_HEADS: &str = "num_key_value_heads";
 
-/// Checks that no layer of a Qwen has a window. Its configuration may say one that begins behind the last layer.
+/// Checks that no layer of a Qwen has a window. Its configuration may say one that begins behind
+/// the last layer.
 fn check_no_window(text: &ConfigObject<'_>, layers: usize) -> Result<(), MllmError> {
     const KEY: &str = "use_sliding_window";
-    let windowed =
-        text.value(KEY)?.unwrap_or(false) && text.contains("sliding_window") && !text.is_null("sliding_window");
+    let windowed = text.value(KEY)?.unwrap_or(false)
+        && text.contains("sliding_window")
+        && !text.is_null("sliding_window");
     let first = text.value("max_window_layers")?.unwrap_or(0_usize);
     if windowed && first < layers {
-        return Err(text.error(KEY, format!("a window in the layers from {first} of {layers} is not supported")));
+        return Err(text.error(
+            KEY,
+            format!("a window in the layers from {first} of {layers} is not supported"),
+        ));
     }
     Ok(())
 }

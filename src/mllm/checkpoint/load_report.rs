@@ -44,7 +44,13 @@ pub struct WeightFormatException {
 }
 
 impl LoadReport {
-    pub(super) fn add_matrix(&mut self, name: &str, format: StoredFormat, planned: PlannedFormat, bytes: u64) {
+    pub(super) fn add_matrix(
+        &mut self,
+        name: &str,
+        format: StoredFormat,
+        planned: PlannedFormat,
+        bytes: u64,
+    ) {
         self.add(planned.weight_format, bytes);
         let Some(reason) = planned.reason else { return };
         let name = any_layer(name);
@@ -59,19 +65,34 @@ impl LoadReport {
             known.tensors += 1;
         } else {
             let (weight_format, reason) = (planned.weight_format, reason.to_string());
-            self.exceptions.push(WeightFormatException { name, tensors: 1, file, weight_format, reason });
+            self.exceptions.push(WeightFormatException {
+                name,
+                tensors: 1,
+                file,
+                weight_format,
+                reason,
+            });
         }
     }
 
     pub(super) fn add(&mut self, weight_format: WeightFormat, bytes: u64) {
-        match self.weight_formats.iter_mut().find(|share| share.weight_format == weight_format) {
+        match self
+            .weight_formats
+            .iter_mut()
+            .find(|share| share.weight_format == weight_format)
+        {
             Some(share) => {
                 share.tensors += 1;
                 share.bytes += bytes;
             }
-            None => self.weight_formats.push(WeightFormatShare { weight_format, tensors: 1, bytes }),
+            None => self.weight_formats.push(WeightFormatShare {
+                weight_format,
+                tensors: 1,
+                bytes,
+            }),
         }
-        self.weight_formats.sort_by_key(|share| std::cmp::Reverse(share.bytes));
+        self.weight_formats
+            .sort_by_key(|share| std::cmp::Reverse(share.bytes));
     }
 
     pub fn is_empty(&self) -> bool {
@@ -86,20 +107,35 @@ impl LoadReport {
     /// The report as lines for people: formats, then the exceptions with their names, then notes.
     pub fn lines(&self) -> Vec<String> {
         let share = |share: &WeightFormatShare| {
-            format!("{}: {} tensors, {}", share.weight_format, share.tensors, in_bytes(share.bytes))
+            format!(
+                "{}: {} tensors, {}",
+                share.weight_format,
+                share.tensors,
+                in_bytes(share.bytes)
+            )
         };
         let mut lines: Vec<String> = self.weight_formats.iter().map(share).collect();
         let mut told: Vec<(WeightFormat, &str, &str)> = Vec::new();
-        for WeightFormatException { file, weight_format, reason, .. } in &self.exceptions {
+        for WeightFormatException {
+            file,
+            weight_format,
+            reason,
+            ..
+        } in &self.exceptions
+        {
             let kind = (*weight_format, file.as_str(), reason.as_str());
             if told.contains(&kind) {
                 continue;
             }
             told.push(kind);
-            let alike =
-                self.exceptions.iter().filter(|other| (other.weight_format, &*other.file, &*other.reason) == kind);
+            let alike = self
+                .exceptions
+                .iter()
+                .filter(|other| (other.weight_format, &*other.file, &*other.reason) == kind);
             lines.push(format!("{file} loaded as {weight_format}: {reason}"));
-            lines.extend(alike.map(|exception| format!("  {} ({})", exception.name, exception.tensors)));
+            lines.extend(
+                alike.map(|exception| format!("  {} ({})", exception.name, exception.tensors)),
+            );
         }
         lines.extend(self.notes.iter().cloned());
         lines
@@ -109,14 +145,21 @@ impl LoadReport {
 /// The name of a tensor with the number of its layer as `*`.
 fn any_layer(name: &str) -> String {
     let is_number = |part: &str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
-    name.split('.').map(|part| if is_number(part) { "*" } else { part }).collect::<Vec<_>>().join(".")
+    name.split('.')
+        .map(|part| if is_number(part) { "*" } else { part })
+        .collect::<Vec<_>>()
+        .join(".")
 }
 
 /// A number of bytes for people: GiB from 1 GiB on, else MiB.
 pub fn in_bytes(bytes: u64) -> String {
     const MIB: f64 = 1_048_576.0;
     let mebibytes = bytes as f64 / MIB;
-    if mebibytes >= 1024.0 { format!("{:.1} GiB", mebibytes / 1024.0) } else { format!("{mebibytes:.1} MiB") }
+    if mebibytes >= 1024.0 {
+        format!("{:.1} GiB", mebibytes / 1024.0)
+    } else {
+        format!("{mebibytes:.1} MiB")
+    }
 }
 
 #[cfg(test)]
@@ -127,9 +170,17 @@ mod tests {
     #[test]
     fn tensors_of_all_layers_are_one_line() {
         let mut report = LoadReport::default();
-        let planned = PlannedFormat { weight_format: WeightFormat::Q8_0, reason: Some("because") };
+        let planned = PlannedFormat {
+            weight_format: WeightFormat::Q8_0,
+            reason: Some("because"),
+        };
         for layer in 0..3 {
-            report.add_matrix(&format!("layers.{layer}.up.weight"), GgmlDType::F16.into(), planned, 34);
+            report.add_matrix(
+                &format!("layers.{layer}.up.weight"),
+                GgmlDType::F16.into(),
+                planned,
+                34,
+            );
         }
         report.add(WeightFormat::F32, 400);
         assert_eq!(

@@ -39,7 +39,8 @@ use super::MllmError;
 
 /// Largest tokenizer.json, bytes. That of 262 thousand tokens has 34 MB.
 const MAX_TOKENIZER_BYTES: u64 = 128 << 20;
-/// Largest list of shards or of a tokenizer's special tokens, bytes. Published ones have up to 2 MB.
+/// Largest list of shards or of a tokenizer's special tokens, bytes. Published ones have up to 2
+/// MB.
 const MAX_LIST_BYTES: u64 = 16 << 20;
 /// Largest configuration and chat template, bytes.
 const MAX_CONFIG_BYTES: u64 = 1 << 20;
@@ -48,11 +49,18 @@ pub(crate) const MAX_SMALL_FILES: usize = 256;
 
 /// Largest small file of this name, bytes. Others are refused before they are read.
 pub(crate) fn small_file_limit(path: &Path) -> u64 {
-    const CONFIGS: [&str; 4] = ["config.json", "generation_config.json", "preprocessor_config.json", "planagent.json"];
+    const CONFIGS: [&str; 4] = [
+        "config.json",
+        "generation_config.json",
+        "preprocessor_config.json",
+        "planagent.json",
+    ];
     let is = |name: &str| path.file_name().is_some_and(|own| own == name);
     if is("tokenizer.json") {
         MAX_TOKENIZER_BYTES
-    } else if CONFIGS.into_iter().any(is) || path.extension().is_some_and(|ending| ending == "jinja") {
+    } else if CONFIGS.into_iter().any(is)
+        || path.extension().is_some_and(|ending| ending == "jinja")
+    {
         MAX_CONFIG_BYTES
     } else {
         MAX_LIST_BYTES
@@ -61,16 +69,28 @@ pub(crate) fn small_file_limit(path: &Path) -> u64 {
 
 /// Reads a small file. Windows editors put a byte order mark before a text, which is left out.
 pub(crate) fn read_text(path: &Path) -> Result<String, MllmError> {
-    let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
+    let failed = |source| MllmError::Read {
+        path: path.to_path_buf(),
+        source,
+    };
     let bytes = planagent_files::read(path, small_file_limit(path)).map_err(failed)?;
     if weight_file::is_lfs_pointer(&bytes) {
-        return Err(MllmError::LfsPointer { path: path.to_path_buf() });
+        return Err(MllmError::LfsPointer {
+            path: path.to_path_buf(),
+        });
     }
     let mut text = String::from_utf8(bytes).map_err(|error| {
-        let utf16 = error.as_bytes().starts_with(b"\xff\xfe") || error.as_bytes().starts_with(b"\xfe\xff");
-        let problem =
-            if utf16 { "it is UTF-16, as PowerShell writes; save it as UTF-8".to_owned() } else { error.to_string() };
-        failed(std::io::Error::new(std::io::ErrorKind::InvalidData, problem))
+        let utf16 =
+            error.as_bytes().starts_with(b"\xff\xfe") || error.as_bytes().starts_with(b"\xfe\xff");
+        let problem = if utf16 {
+            "it is UTF-16, as PowerShell writes; save it as UTF-8".to_owned()
+        } else {
+            error.to_string()
+        };
+        failed(std::io::Error::new(
+            std::io::ErrorKind::InvalidData,
+            problem,
+        ))
     })?;
     if text.starts_with(BYTE_ORDER_MARK) {
         text.drain(..BYTE_ORDER_MARK.len_utf8());
@@ -92,6 +112,9 @@ pub(crate) fn parse_json(path: &Path, text: &str) -> Result<Value, MllmError> {
             path: path.to_path_buf(),
             source: std::io::Error::new(std::io::ErrorKind::InvalidData, problem),
         },
-        None => MllmError::Json { path: path.to_path_buf(), source },
+        None => MllmError::Json {
+            path: path.to_path_buf(),
+            source,
+        },
     })
 }

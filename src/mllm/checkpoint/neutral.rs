@@ -22,7 +22,9 @@ impl Neutral {
             Self::Flag(flag) => value.as_bool() == Some(flag),
             Self::Number(number) => value.as_f64() == Some(number),
             Self::Text(texts) => value.as_str().is_some_and(|text| texts.contains(&text)),
-            Self::Each(text) => value.as_array().is_some_and(|all| all.iter().all(|one| one.as_str() == Some(text))),
+            Self::Each(text) => value
+                .as_array()
+                .is_some_and(|all| all.iter().all(|one| one.as_str() == Some(text))),
         }
     }
 
@@ -37,12 +39,15 @@ impl Neutral {
 }
 
 impl ConfigObject<'_> {
-    /// Refuses keys with another than their neutral value. Absent keys must have it as the default of their class.
+    /// Refuses keys with another than their neutral value. Absent keys must have it as the default
+    /// of their class.
     pub(crate) fn only_neutral(&self, keys: &[(&str, Neutral)]) -> Result<(), MllmError> {
         /// Longest part of a value in a message, characters.
         const SHOWN: usize = 60;
         for (key, neutral) in keys {
-            let Some(value) = self.value::<Value>(key)?.filter(|value| !value.is_null()) else { continue };
+            let Some(value) = self.value::<Value>(key)?.filter(|value| !value.is_null()) else {
+                continue;
+            };
             if !neutral.is(&value) {
                 let found: String = value.to_string().chars().take(SHOWN).collect();
                 let problem = format!("{found} is not supported; {} is", neutral.shown());
@@ -68,8 +73,11 @@ mod tests {
             ("text", Neutral::Text(&["a", "b"])),
             ("list", Neutral::Each("full")),
         ];
-        let check = |value: &Value| ConfigObject::root(Path::new("config.json"), value)?.only_neutral(&keys);
-        let neutral = json!({"flag": true, "number": 1, "text": "b", "list": ["full", "full"], "other": 7});
+        let check = |value: &Value| {
+            ConfigObject::root(Path::new("config.json"), value)?.only_neutral(&keys)
+        };
+        let neutral =
+            json!({"flag": true, "number": 1, "text": "b", "list": ["full", "full"], "other": 7});
         check(&neutral).unwrap();
         check(&json!({"flag": null})).unwrap();
         for (key, value) in [
@@ -84,7 +92,8 @@ mod tests {
             changed[key] = value;
             let error = check(&changed).unwrap_err().to_string();
             assert!(
-                error.starts_with(&format!("config.json: {key}: ")) && error.contains("is not supported"),
+                error.starts_with(&format!("config.json: {key}: "))
+                    && error.contains("is not supported"),
                 "{error}"
             );
         }

@@ -20,20 +20,37 @@ enum RopeType {
     Mrope,
 }
 
-/// Reads `rope_scaling` (before transformers 5) or `rope_parameters`, with `rope_theta` in it or beside it. Of two, transformers
-/// takes the first unless it is empty. `context` is the number of positions of the training.
-pub(super) fn read_rope(text: &ConfigObject<'_>, kind: DecoderType, context: usize) -> Result<Rope, MllmError> {
-    let section = match text.child("rope_scaling")?.filter(|section| !section.is_empty()) {
+/// Reads `rope_scaling` (before transformers 5) or `rope_parameters`, with `rope_theta` in it or
+/// beside it. Of two, transformers takes the first unless it is empty. `context` is the number of
+/// positions of the training.
+pub(super) fn read_rope(
+    text: &ConfigObject<'_>,
+    kind: DecoderType,
+    context: usize,
+) -> Result<Rope, MllmError> {
+    let section = match text
+        .child("rope_scaling")?
+        .filter(|section| !section.is_empty())
+    {
         Some(section) => section,
         None => text.child_or_empty("rope_parameters")?,
     };
     section.only_neutral(&[("partial_rotary_factor", Neutral::Number(1.0))])?;
-    let required =
-        |key: &str| section.positive(key)?.ok_or_else(|| section.error(key, "is missing for this rope_type"));
-    let rope_type = if section.contains("rope_type") { "rope_type" } else { "type" };
+    let required = |key: &str| {
+        section
+            .positive(key)?
+            .ok_or_else(|| section.error(key, "is missing for this rope_type"))
+    };
+    let rope_type = if section.contains("rope_type") {
+        "rope_type"
+    } else {
+        "type"
+    };
     let scaling = match section.value(rope_type)?.unwrap_or(RopeType::Default) {
         RopeType::Default | RopeType::Dynamic | RopeType::Mrope => RopeScaling::None,
-        RopeType::Linear => RopeScaling::Linear { factor: required("factor")? },
+        RopeType::Linear => RopeScaling::Linear {
+            factor: required("factor")?,
+        },
         RopeType::Llama3 => RopeScaling::Llama3 {
             factor: required("factor")?,
             low_freq_factor: required("low_freq_factor")?,
@@ -44,13 +61,24 @@ pub(super) fn read_rope(text: &ConfigObject<'_>, kind: DecoderType, context: usi
     let beside = text.positive("rope_theta")?.unwrap_or_else(|| kind.theta());
     let theta = section.positive("rope_theta")?.unwrap_or(beside);
     let lengths: Option<[usize; 3]> = section.value("mrope_section")?;
-    let sections =
-        lengths.or_else(|| kind.sections()).map(|lengths| RotarySections { lengths, interleaved: kind.interleaved() });
-    Ok(Rope { theta, scaling, sections })
+    let sections = lengths
+        .or_else(|| kind.sections())
+        .map(|lengths| RotarySections {
+            lengths,
+            interleaved: kind.interleaved(),
+        });
+    Ok(Rope {
+        theta,
+        scaling,
+        sections,
+    })
 }
 
 /// Positions before a context was lengthened: beside the section comes before in it.
-fn original_context(text: &ConfigObject<'_>, section: &ConfigObject<'_>) -> Result<Option<f64>, MllmError> {
+fn original_context(
+    text: &ConfigObject<'_>,
+    section: &ConfigObject<'_>,
+) -> Result<Option<f64>, MllmError> {
     const KEY: &str = "original_max_position_embeddings";
     Ok(text.positive(KEY)?.or(section.positive(KEY)?))
 }

@@ -4,14 +4,20 @@
 pub(crate) enum RowOrder {
     /// Hugging Face's.
     Plain,
-    /// llama.cpp's: within each head, a row of the first half and then its partner of the second half, as its rotary
-    /// embedding rotates them.
+    /// llama.cpp's: within each head, a row of the first half and then its partner of the second
+    /// half, as its rotary embedding rotates them.
     Paired { heads: usize },
 }
 
 /// Puts paired rows ([`RowOrder::Paired`]) back in order.
 pub(super) fn unpaired(bytes: &[u8], rows: usize, heads: usize) -> Vec<u8> {
-    reordered(bytes, rows, heads, |row, half| if row < half { 2 * row } else { 2 * (row - half) + 1 })
+    reordered(bytes, rows, heads, |row, half| {
+        if row < half {
+            2 * row
+        } else {
+            2 * (row - half) + 1
+        }
+    })
 }
 
 /// The reverse of [`unpaired`].
@@ -19,9 +25,14 @@ pub(crate) fn paired(bytes: &[u8], rows: usize, heads: usize) -> Vec<u8> {
     reordered(bytes, rows, heads, |row, half| row / 2 + row % 2 * half)
 }
 
-/// Reorders the rows of each head. `source` maps a row of the result, within its head, and half the head's height to the
-/// row that it is copied from.
-fn reordered(bytes: &[u8], rows: usize, heads: usize, source: impl Fn(usize, usize) -> usize) -> Vec<u8> {
+/// Reorders the rows of each head. `source` maps a row of the result, within its head, and half the
+/// head's height to the row that it is copied from.
+fn reordered(
+    bytes: &[u8],
+    rows: usize,
+    heads: usize,
+    source: impl Fn(usize, usize) -> usize,
+) -> Vec<u8> {
     let (width, head) = (bytes.len() / rows.max(1), rows / heads.max(1));
     let mut out = Vec::with_capacity(bytes.len());
     for first in (0..rows).step_by(head.max(1)) {

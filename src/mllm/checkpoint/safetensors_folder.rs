@@ -31,13 +31,20 @@ const MAX_HEADER: u64 = 100_000_000;
 /// Bytes of the header's length.
 const LENGTH: u64 = 8;
 
-/// Opens the safetensors of a folder. `canonical` gives the canonical name of a tensor, or none to leave it out.
+/// Opens the safetensors of a folder. `canonical` gives the canonical name of a tensor, or none to
+/// leave it out.
 pub(crate) fn open(
     folder: &Path,
     quantize: Option<WeightFormat>,
     canonical: impl Fn(&str) -> Option<String>,
 ) -> Result<Weights, MllmError> {
-    let mut weights = Weights::empty(folder, WeightFormatPlan { quantize, ..WeightFormatPlan::default() });
+    let mut weights = Weights::empty(
+        folder,
+        WeightFormatPlan {
+            quantize,
+            ..WeightFormatPlan::default()
+        },
+    );
     for path in weight_files(folder)? {
         let file = WeightFile::open(&path)?;
         let tensors = read_header(&path, &mut file.reader()?, file.len())?;
@@ -53,10 +60,21 @@ pub(crate) fn of_bytes(
     quantize: Option<WeightFormat>,
     canonical: impl Fn(&str) -> Option<String>,
 ) -> Result<Weights, MllmError> {
-    let mut weights = Weights::empty(place, WeightFormatPlan { quantize, ..WeightFormatPlan::default() });
+    let mut weights = Weights::empty(
+        place,
+        WeightFormatPlan {
+            quantize,
+            ..WeightFormatPlan::default()
+        },
+    );
     let path = place.join(WEIGHTS);
     let tensors = read_header(&path, &mut &*bytes, bytes.len() as u64)?;
-    add(&mut weights, MemoryFile { path, bytes }, tensors, &canonical)?;
+    add(
+        &mut weights,
+        MemoryFile { path, bytes },
+        tensors,
+        &canonical,
+    )?;
     Ok(weights)
 }
 
@@ -89,7 +107,9 @@ impl TensorSource for MemoryFile {
     fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
         let begin = place.begin as usize;
         let bytes = self.bytes.get(begin..begin + place.bytes as usize);
-        Ok(bytes.expect("the header was checked against the length").to_vec())
+        Ok(bytes
+            .expect("the header was checked against the length")
+            .to_vec())
     }
 
     fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
@@ -99,11 +119,21 @@ impl TensorSource for MemoryFile {
 }
 
 /// Reads the header of a file of `file_bytes` bytes: the tensors by their names in the file.
-fn read_header(path: &Path, source: &mut dyn Read, file_bytes: u64) -> Result<Vec<(String, TensorPlace)>, MllmError> {
-    let broken = |problem: String| MllmError::Safetensors { path: path.to_path_buf(), problem };
+fn read_header(
+    path: &Path,
+    source: &mut dyn Read,
+    file_bytes: u64,
+) -> Result<Vec<(String, TensorPlace)>, MllmError> {
+    let broken = |problem: String| MllmError::Safetensors {
+        path: path.to_path_buf(),
+        problem,
+    };
     let failed = |error: std::io::Error| broken(format!("the header cannot be read: {error}"));
     let mut beginning = Vec::new();
-    (&mut *source).take(LOOKED_AT as u64).read_to_end(&mut beginning).map_err(failed)?;
+    (&mut *source)
+        .take(LOOKED_AT as u64)
+        .read_to_end(&mut beginning)
+        .map_err(failed)?;
     if let Some(problem) = what_instead_of_weights(&beginning) {
         return Err(broken(problem));
     }
@@ -112,11 +142,14 @@ fn read_header(path: &Path, source: &mut dyn Read, file_bytes: u64) -> Result<Ve
     source.read_exact(&mut length).map_err(failed)?;
     let length = u64::from_le_bytes(length);
     if length > MAX_HEADER || length + LENGTH > file_bytes {
-        return Err(broken(format!("a header of {length} bytes is announced in a file of {file_bytes}")));
+        return Err(broken(format!(
+            "a header of {length} bytes is announced in a file of {file_bytes}"
+        )));
     }
     let mut header = vec![0; length as usize];
     source.read_exact(&mut header).map_err(failed)?;
-    let metadata: Metadata = serde_json::from_slice(&header).map_err(|error| broken(error.to_string()))?;
+    let metadata: Metadata =
+        serde_json::from_slice(&header).map_err(|error| broken(error.to_string()))?;
     let data = metadata.data_len() as u64;
     if (LENGTH + length).checked_add(data) != Some(file_bytes) {
         return Err(broken(format!(
@@ -132,7 +165,11 @@ fn read_header(path: &Path, source: &mut dyn Read, file_bytes: u64) -> Result<Ve
             Dtype::BF16 => GgmlDType::BF16,
             other => {
                 let found = format!("{other:?}");
-                return Err(MllmError::TensorType { path: path.to_path_buf(), name, found });
+                return Err(MllmError::TensorType {
+                    path: path.to_path_buf(),
+                    name,
+                    found,
+                });
             }
         };
         let place = TensorPlace {
@@ -153,7 +190,9 @@ fn read_header(path: &Path, source: &mut dyn Read, file_bytes: u64) -> Result<Ve
 }
 
 pub(crate) fn has_safetensors(folder: &Path) -> bool {
-    [WEIGHTS, INDEX].iter().any(|file| folder.join(file).is_file())
+    [WEIGHTS, INDEX]
+        .iter()
+        .any(|file| folder.join(file).is_file())
 }
 
 /// The weight files of a folder in the order of their names.
@@ -170,7 +209,10 @@ pub(crate) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
             String::new()
         };
         let file = format!("{WEIGHTS} and no {INDEX}{hint}");
-        return Err(MllmError::MissingFile { folder: folder.to_path_buf(), file });
+        return Err(MllmError::MissingFile {
+            folder: folder.to_path_buf(),
+            file,
+        });
     }
     let index: Value = read_json(&index_path)?;
     let root = ConfigObject::root(&index_path, &index)?;
@@ -184,7 +226,10 @@ pub(crate) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
         }
         let path = folder.join(&file);
         if !path.is_file() {
-            return Err(MllmError::MissingFile { folder: folder.to_path_buf(), file });
+            return Err(MllmError::MissingFile {
+                folder: folder.to_path_buf(),
+                file,
+            });
         }
         files.push(path);
     }
@@ -209,8 +254,13 @@ mod tests {
 
     #[test]
     fn a_web_page_in_place_of_weights_is_called_one() {
-        let error = places(b"<!DOCTYPE html>\n<html>Not here</html>").unwrap_err().to_string();
-        assert!(error.contains("a web page") && error.contains("download the file again"), "{error}");
+        let error = places(b"<!DOCTYPE html>\n<html>Not here</html>")
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("a web page") && error.contains("download the file again"),
+            "{error}"
+        );
     }
 
     proptest! {

@@ -8,7 +8,8 @@ use super::neutral::Neutral;
 use crate::MllmError;
 use planagent_kernels::Activation;
 
-/// A vision transformer over the patches of a square image. `CogVLM` and Qwen have other names for some keys.
+/// A vision transformer over the patches of a square image. `CogVLM` and Qwen have other names for
+/// some keys.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default)]
 pub(crate) struct VisionConfig {
@@ -18,9 +19,17 @@ pub(crate) struct VisionConfig {
     /// Width of the feed-forward layers.
     #[serde(rename = "intermediate_size", deserialize_with = "count")]
     pub intermediate: usize,
-    #[serde(rename = "num_hidden_layers", alias = "depth", deserialize_with = "count")]
+    #[serde(
+        rename = "num_hidden_layers",
+        alias = "depth",
+        deserialize_with = "count"
+    )]
     pub layers: usize,
-    #[serde(rename = "num_attention_heads", alias = "num_heads", deserialize_with = "count")]
+    #[serde(
+        rename = "num_attention_heads",
+        alias = "num_heads",
+        deserialize_with = "count"
+    )]
     pub heads: usize,
     /// Side of the image, pixels.
     #[serde(deserialize_with = "count")]
@@ -52,15 +61,20 @@ impl Default for VisionConfig {
 
 /// Largest image side, pixels: beyond it a configuration is taken for broken.
 const MAX_IMAGE_SIZE: usize = 8192;
-/// Largest side of a patch, pixels, and most layers and heads. Published towers have up to 64 of each.
+/// Largest side of a patch, pixels, and most layers and heads. Published towers have up to 64 of
+/// each.
 const MAX_LAYERS: usize = 1 << 10;
 /// Widest row of a layer. Those of 6 billion weights are 12,800 wide.
 const MAX_WIDTH: usize = 1 << 18;
-/// Most patches of an image, each of which attends to all. Published towers for one size have up to 4096.
+/// Most patches of an image, each of which attends to all. Published towers for one size have up to
+/// 4096.
 const MAX_PATCHES: usize = 1 << 16;
 
 /// Keys of any vision transformer that no code reads.
-const NEUTRAL: [(&str, Neutral); 2] = [("num_channels", Neutral::Number(3.0)), ("in_channels", Neutral::Number(3.0))];
+const NEUTRAL: [(&str, Neutral); 2] = [
+    ("num_channels", Neutral::Number(3.0)),
+    ("in_channels", Neutral::Number(3.0)),
+];
 
 /// The class of a LLaVA's tower.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -73,8 +87,8 @@ pub(crate) enum TowerType {
 }
 
 impl VisionConfig {
-    /// Reads the `vision_config` of a LLaVA, a `CLIPVisionConfig` or `SiglipVisionConfig`. Without one, `LlavaConfig` and
-    /// `LlavaNextConfig` take CLIP ViT-L/14 at 336 pixels.
+    /// Reads the `vision_config` of a LLaVA, a `CLIPVisionConfig` or `SiglipVisionConfig`. Without
+    /// one, `LlavaConfig` and `LlavaNextConfig` take CLIP ViT-L/14 at 336 pixels.
     pub(crate) fn read_tower(root: &ConfigObject<'_>) -> Result<(Self, TowerType), MllmError> {
         let vision = match root.child("vision_config")? {
             Some(vision) => vision,
@@ -97,8 +111,16 @@ impl VisionConfig {
     pub(crate) fn read(vision: &ConfigObject<'_>) -> Result<Self, MllmError> {
         vision.only_neutral(&NEUTRAL)?;
         let config: Self = vision.read()?;
-        let layers = if vision.contains("depth") { "depth" } else { "num_hidden_layers" };
-        let heads = if vision.contains("num_heads") { "num_heads" } else { "num_attention_heads" };
+        let layers = if vision.contains("depth") {
+            "depth"
+        } else {
+            "num_hidden_layers"
+        };
+        let heads = if vision.contains("num_heads") {
+            "num_heads"
+        } else {
+            "num_attention_heads"
+        };
         check_ranges(
             vision,
             &[
@@ -110,18 +132,32 @@ impl VisionConfig {
                 ("patch_size", config.patch_size, MAX_LAYERS),
             ],
         )?;
-        config.validate().map_err(|(key, problem)| vision.error(key, problem))?;
+        config
+            .validate()
+            .map_err(|(key, problem)| vision.error(key, problem))?;
         Ok(config)
     }
 
     /// The first key that contradicts another, and why.
     fn validate(&self) -> Result<(), (&'static str, String)> {
-        let Self { hidden, heads, image_size, patch_size, .. } = self;
+        let Self {
+            hidden,
+            heads,
+            image_size,
+            patch_size,
+            ..
+        } = self;
         if !hidden.is_multiple_of(*heads) {
-            return Err(("hidden_size", format!("{hidden} is no multiple of {heads} heads")));
+            return Err((
+                "hidden_size",
+                format!("{hidden} is no multiple of {heads} heads"),
+            ));
         }
         if patch_size > image_size {
-            return Err(("patch_size", format!("{patch_size} exceeds the image size {image_size}")));
+            return Err((
+                "patch_size",
+                format!("{patch_size} exceeds the image size {image_size}"),
+            ));
         }
         if self.patches() > MAX_PATCHES {
             let problem = format!(

@@ -1,7 +1,7 @@
 //! Weight files, read a tensor at a time.
 //!
-//! Files are read, not mapped: pages of a mapped file count as the program's own memory, and a file that shrinks under a
-//! mapping ends the program.
+//! Files are read, not mapped: pages of a mapped file count as the program's own memory, and a file
+//! that shrinks under a mapping ends the program.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -51,14 +51,26 @@ pub(crate) struct WeightFile {
 
 impl WeightFile {
     pub(crate) fn open(path: &Path) -> Result<Self, MllmError> {
-        let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
+        let failed = |source| MllmError::Read {
+            path: path.to_path_buf(),
+            source,
+        };
         let file = planagent_files::open(path).map_err(failed)?;
         let bytes = file.metadata().map_err(failed)?.len();
-        let file = Self { path: path.to_path_buf(), file, bytes };
+        let file = Self {
+            path: path.to_path_buf(),
+            file,
+            bytes,
+        };
         let mut beginning = Vec::new();
-        file.reader()?.take(LFS_POINTER.len() as u64).read_to_end(&mut beginning).map_err(failed)?;
+        file.reader()?
+            .take(LFS_POINTER.len() as u64)
+            .read_to_end(&mut beginning)
+            .map_err(failed)?;
         if is_lfs_pointer(&beginning) {
-            return Err(MllmError::LfsPointer { path: path.to_path_buf() });
+            return Err(MllmError::LfsPointer {
+                path: path.to_path_buf(),
+            });
         }
         Ok(file)
     }
@@ -75,12 +87,17 @@ impl WeightFile {
     }
 
     fn seek(&self, position: u64) -> Result<(), MllmError> {
-        (&self.file).seek(SeekFrom::Start(position)).map_err(|source| self.failed(source))?;
+        (&self.file)
+            .seek(SeekFrom::Start(position))
+            .map_err(|source| self.failed(source))?;
         Ok(())
     }
 
     fn failed(&self, source: io::Error) -> MllmError {
-        MllmError::Read { path: self.path.clone(), source }
+        MllmError::Read {
+            path: self.path.clone(),
+            source,
+        }
     }
 }
 
@@ -92,13 +109,17 @@ impl TensorSource for WeightFile {
     fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
         self.seek(place.begin)?;
         let mut bytes = vec![0; place.bytes as usize];
-        (&self.file).read_exact(&mut bytes).map_err(|source| self.failed(source))?;
+        (&self.file)
+            .read_exact(&mut bytes)
+            .map_err(|source| self.failed(source))?;
         Ok(bytes)
     }
 
     fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
         self.seek(0)?;
-        hasher.update_reader(&self.file).map_err(|source| self.failed(source))?;
+        hasher
+            .update_reader(&self.file)
+            .map_err(|source| self.failed(source))?;
         Ok(())
     }
 }

@@ -37,31 +37,44 @@ enum Role {
     Decoder,
     /// The output layer decides the token; llama.cpp gives it more bits too.
     Output,
-    /// Vision tower and projector are a small part of the weights, and their errors reach every image token.
+    /// Vision tower and projector are a small part of the weights, and their errors reach every
+    /// image token.
     Vision,
 }
 
-/// Whether a tensor of this name and shape is the matrix of a linear layer or an embedding. All others (norms, biases,
-/// positions, the patch kernel, learned rows) are small and stay in f32.
+/// Whether a tensor of this name and shape is the matrix of a linear layer or an embedding. All
+/// others (norms, biases, positions, the patch kernel, learned rows) are small and stay in f32.
 pub(crate) fn is_matrix(name: &str, shape: &[usize]) -> bool {
     shape.len() == 2 && name.ends_with(".weight") && !name.contains("position_embedding")
 }
 
 impl WeightFormatPlan {
     /// The format in memory of a matrix with `inputs` columns that has `format` in its file.
-    pub(crate) fn matrix(self, name: &str, format: impl Into<StoredFormat>, inputs: usize) -> PlannedFormat {
+    pub(crate) fn matrix(
+        self,
+        name: &str,
+        format: impl Into<StoredFormat>,
+        inputs: usize,
+    ) -> PlannedFormat {
         let format = format.into();
         let (wanted, reason) = match self.quantize {
             None => self.as_in_file(format),
             Some(asked) => asked_for(asked, self.role(name), format),
         };
         let weight_format = wanted.or_finer(inputs);
-        let reason =
-            if weight_format == wanted { reason } else { Some("the rows are no whole blocks of the wanted format") };
-        PlannedFormat { weight_format, reason }
+        let reason = if weight_format == wanted {
+            reason
+        } else {
+            Some("the rows are no whole blocks of the wanted format")
+        };
+        PlannedFormat {
+            weight_format,
+            reason,
+        }
     }
 
-    /// Whether nothing is rounded on the way into memory, nor meant to be rounded while computing: safetensors as they are.
+    /// Whether nothing is rounded on the way into memory, nor meant to be rounded while computing:
+    /// safetensors as they are.
     pub(crate) fn is_lossless(self) -> bool {
         self.kind == FileKind::Safetensors && self.quantize.is_none()
     }
@@ -76,10 +89,17 @@ impl WeightFormatPlan {
     }
 
     fn role(self, name: &str) -> Role {
-        let output = if self.tied { "embed_tokens.weight" } else { "lm_head.weight" };
+        let output = if self.tied {
+            "embed_tokens.weight"
+        } else {
+            "lm_head.weight"
+        };
         if name.ends_with(output) {
             Role::Output
-        } else if ["vision_tower.", "vision.", "multi_modal_projector."].iter().any(|part| name.starts_with(part)) {
+        } else if ["vision_tower.", "vision.", "multi_modal_projector."]
+            .iter()
+            .any(|part| name.starts_with(part))
+        {
             Role::Vision
         } else {
             Role::Decoder
@@ -87,30 +107,40 @@ impl WeightFormatPlan {
     }
 }
 
-fn asked_for(asked: WeightFormat, role: Role, format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
+fn asked_for(
+    asked: WeightFormat,
+    role: Role,
+    format: StoredFormat,
+) -> (WeightFormat, Option<&'static str>) {
     let (wanted, reason) = match role {
         Role::Output if asked.bits() < WeightFormat::Q6K.bits() => {
             (WeightFormat::Q6K, Some("the output layer gets more bits"))
         }
-        Role::Vision if asked.bits() < WeightFormat::Q8_0.bits() => {
-            (WeightFormat::Q8_0, Some("vision tower and projector get at least 8 bits"))
-        }
+        Role::Vision if asked.bits() < WeightFormat::Q8_0.bits() => (
+            WeightFormat::Q8_0,
+            Some("vision tower and projector get at least 8 bits"),
+        ),
         _ => (asked, None),
     };
     match held_as(format) {
-        // A matrix that was rounded to few bits gains nothing from more, and loses by as many in another format.
+        // A matrix that was rounded to few bits gains nothing from more, and loses by as many in
+        // another format.
         Some(held) if held.block() > 1 && held != wanted && held.bits() <= wanted.bits() => {
             (held, Some("the file has no more bits"))
         }
         // To round it again to as few bits would lose what 8 bits hold.
-        None if format.is_within_q8_0() && format.bits() <= wanted.bits() => (WeightFormat::Q8_0, Some(SAME_NUMBERS)),
+        None if format.is_within_q8_0() && format.bits() <= wanted.bits() => {
+            (WeightFormat::Q8_0, Some(SAME_NUMBERS))
+        }
         _ => (wanted, reason),
     }
 }
 
 /// The format in memory that equals a file's format.
 pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
-    let StoredFormat::Ggml(format) = format.into() else { return None };
+    let StoredFormat::Ggml(format) = format.into() else {
+        return None;
+    };
     match format {
         GgmlDType::F32 => Some(WeightFormat::F32),
         GgmlDType::F16 => Some(WeightFormat::F16),
@@ -130,18 +160,24 @@ pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
 /// Why a file's format becomes another that holds its numbers.
 const SAME_NUMBERS: &str = "the same numbers in 8 bits; the file's format has no fast product";
 
-/// The format in memory for a file's format that has no equal, and why. It is 8 bits, which hold the numbers of most formats
-/// exactly and round those of the others little. bf16 needs f32, whose range f16 does not have.
+/// The format in memory for a file's format that has no equal, and why. It is 8 bits, which hold
+/// the numbers of most formats exactly and round those of the others little. bf16 needs f32, whose
+/// range f16 does not have.
 fn replacement(format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
     if format.is_within_q8_0() {
         (WeightFormat::Q8_0, Some(SAME_NUMBERS))
     } else if format.block_size() > 1 {
         (
             WeightFormat::Q8_0,
-            Some("rounded to 8 bits; the file's format has no fast product (--quantize f16 rounds less)"),
+            Some(
+                "rounded to 8 bits; the file's format has no fast product (--quantize f16 rounds less)",
+            ),
         )
     } else {
-        (WeightFormat::F32, Some("the file's format has no fast product"))
+        (
+            WeightFormat::F32,
+            Some("the file's format has no fast product"),
+        )
     }
 }
 
@@ -153,7 +189,10 @@ mod tests {
     const TOWER: &str = "vision_tower.encoder.layers.3.mlp.fc1.weight";
 
     fn asked(weight_format: WeightFormat) -> WeightFormatPlan {
-        WeightFormatPlan { quantize: Some(weight_format), ..WeightFormatPlan::default() }
+        WeightFormatPlan {
+            quantize: Some(weight_format),
+            ..WeightFormatPlan::default()
+        }
     }
 
     #[test]
@@ -161,34 +200,62 @@ mod tests {
         let plan = asked(WeightFormat::Q4K);
         for (name, expected) in [
             (DECODER, WeightFormat::Q4K),
-            ("layers.1.self_attn.vision_expert_dense.weight", WeightFormat::Q4K),
+            (
+                "layers.1.self_attn.vision_expert_dense.weight",
+                WeightFormat::Q4K,
+            ),
             ("language_model.embed_tokens.weight", WeightFormat::Q4K),
             ("lm_head.weight", WeightFormat::Q6K),
             (TOWER, WeightFormat::Q8_0),
             ("vision.linear_proj.gate_proj.weight", WeightFormat::Q8_0),
         ] {
-            assert_eq!(plan.matrix(name, GgmlDType::F16, 512).weight_format, expected, "{name}");
+            assert_eq!(
+                plan.matrix(name, GgmlDType::F16, 512).weight_format,
+                expected,
+                "{name}"
+            );
         }
         let tied = WeightFormatPlan { tied: true, ..plan };
         assert_eq!(
-            tied.matrix("language_model.embed_tokens.weight", GgmlDType::F16, 512).weight_format,
+            tied.matrix("language_model.embed_tokens.weight", GgmlDType::F16, 512)
+                .weight_format,
             WeightFormat::Q6K
         );
-        assert_eq!(asked(WeightFormat::F16).matrix(TOWER, GgmlDType::F32, 512).weight_format, WeightFormat::F16);
-        assert_eq!(asked(WeightFormat::F32).matrix(TOWER, GgmlDType::F16, 512).weight_format, WeightFormat::F32);
+        assert_eq!(
+            asked(WeightFormat::F16)
+                .matrix(TOWER, GgmlDType::F32, 512)
+                .weight_format,
+            WeightFormat::F16
+        );
+        assert_eq!(
+            asked(WeightFormat::F32)
+                .matrix(TOWER, GgmlDType::F16, 512)
+                .weight_format,
+            WeightFormat::F32
+        );
     }
 
     #[test]
     fn rows_that_are_no_whole_blocks_fall_back_to_the_next_format() {
-        for (inputs, expected) in [(512, WeightFormat::Q4K), (96, WeightFormat::Q8_0), (100, WeightFormat::F16)] {
+        for (inputs, expected) in [
+            (512, WeightFormat::Q4K),
+            (96, WeightFormat::Q8_0),
+            (100, WeightFormat::F16),
+        ] {
             let planned = asked(WeightFormat::Q4K).matrix(DECODER, GgmlDType::F32, inputs);
-            assert_eq!((planned.weight_format, planned.reason.is_some()), (expected, inputs != 512));
+            assert_eq!(
+                (planned.weight_format, planned.reason.is_some()),
+                (expected, inputs != 512)
+            );
         }
     }
 
     #[test]
     fn a_quantized_file_keeps_its_format() {
-        let plan = WeightFormatPlan { kind: FileKind::Gguf, ..WeightFormatPlan::default() };
+        let plan = WeightFormatPlan {
+            kind: FileKind::Gguf,
+            ..WeightFormatPlan::default()
+        };
         for (format, expected, said) in [
             (GgmlDType::Q4K, WeightFormat::Q4K, false),
             (GgmlDType::F16, WeightFormat::F16, false),
@@ -200,22 +267,74 @@ mod tests {
             (GgmlDType::BF16, WeightFormat::F32, true),
         ] {
             let planned = plan.matrix(DECODER, format, 512);
-            assert_eq!((planned.weight_format, planned.reason.is_some()), (expected, said), "{format:?}");
+            assert_eq!(
+                (planned.weight_format, planned.reason.is_some()),
+                (expected, said),
+                "{format:?}"
+            );
         }
         // More bits than the file has change nothing; fewer do.
-        let again = |weight_format| WeightFormatPlan { quantize: Some(weight_format), ..plan };
-        assert_eq!(again(WeightFormat::Q8_0).matrix(DECODER, GgmlDType::Q4K, 512).weight_format, WeightFormat::Q4K);
-        assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q8_0, 512).weight_format, WeightFormat::Q4K);
-        assert_eq!(again(WeightFormat::Q8_0).matrix(DECODER, GgmlDType::Q5K, 512).weight_format, WeightFormat::Q5K);
+        let again = |weight_format| WeightFormatPlan {
+            quantize: Some(weight_format),
+            ..plan
+        };
+        assert_eq!(
+            again(WeightFormat::Q8_0)
+                .matrix(DECODER, GgmlDType::Q4K, 512)
+                .weight_format,
+            WeightFormat::Q4K
+        );
+        assert_eq!(
+            again(WeightFormat::Q4K)
+                .matrix(DECODER, GgmlDType::Q8_0, 512)
+                .weight_format,
+            WeightFormat::Q4K
+        );
+        assert_eq!(
+            again(WeightFormat::Q8_0)
+                .matrix(DECODER, GgmlDType::Q5K, 512)
+                .weight_format,
+            WeightFormat::Q5K
+        );
         // Four bits are not rounded to four others; five bits are, where that is asked for.
-        assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q4_0, 512).weight_format, WeightFormat::Q4_0);
-        assert_eq!(again(WeightFormat::F32).matrix(DECODER, GgmlDType::Q4_0, 512).weight_format, WeightFormat::Q4_0);
-        assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q5_0, 512).weight_format, WeightFormat::Q4K);
-        assert_eq!(again(WeightFormat::F16).matrix(DECODER, GgmlDType::Q2K, 512).weight_format, WeightFormat::F16);
+        assert_eq!(
+            again(WeightFormat::Q4K)
+                .matrix(DECODER, GgmlDType::Q4_0, 512)
+                .weight_format,
+            WeightFormat::Q4_0
+        );
+        assert_eq!(
+            again(WeightFormat::F32)
+                .matrix(DECODER, GgmlDType::Q4_0, 512)
+                .weight_format,
+            WeightFormat::Q4_0
+        );
+        assert_eq!(
+            again(WeightFormat::Q4K)
+                .matrix(DECODER, GgmlDType::Q5_0, 512)
+                .weight_format,
+            WeightFormat::Q4K
+        );
+        assert_eq!(
+            again(WeightFormat::F16)
+                .matrix(DECODER, GgmlDType::Q2K, 512)
+                .weight_format,
+            WeightFormat::F16
+        );
         let mxfp4 = again(WeightFormat::Q4K).matrix(DECODER, StoredFormat::Mxfp4, 512);
-        assert_eq!((mxfp4.weight_format, mxfp4.reason), (WeightFormat::Q8_0, Some(SAME_NUMBERS)));
-        let safetensors = |format: GgmlDType| WeightFormatPlan::default().matrix(DECODER, format, 512).weight_format;
-        assert_eq!([GgmlDType::BF16, GgmlDType::F32].map(safetensors), [WeightFormat::F32; 2]);
+        assert_eq!(
+            (mxfp4.weight_format, mxfp4.reason),
+            (WeightFormat::Q8_0, Some(SAME_NUMBERS))
+        );
+        let safetensors = |format: GgmlDType| {
+            WeightFormatPlan::default()
+                .matrix(DECODER, format, 512)
+                .weight_format
+        };
+        assert_eq!(
+            [GgmlDType::BF16, GgmlDType::F32].map(safetensors),
+            [WeightFormat::F32; 2]
+        );
         assert_eq!(safetensors(GgmlDType::F16), WeightFormat::F16);
     }
 
@@ -223,8 +342,14 @@ mod tests {
     fn matrices_are_told_from_the_rest() {
         assert!(is_matrix("lm_head.weight", &[4, 4]));
         assert!(is_matrix("vision.linear_proj.linear_proj.weight", &[4, 4]));
-        assert!(!is_matrix("vision_tower.embeddings.position_embedding.weight", &[4, 4]));
-        assert!(!is_matrix("vision_tower.embeddings.patch_embedding.weight", &[4, 3, 2, 2]));
+        assert!(!is_matrix(
+            "vision_tower.embeddings.position_embedding.weight",
+            &[4, 4]
+        ));
+        assert!(!is_matrix(
+            "vision_tower.embeddings.patch_embedding.weight",
+            &[4, 3, 2, 2]
+        ));
         assert!(!is_matrix("vision.patch_embedding.cls_embedding", &[1, 4]));
         assert!(!is_matrix("language_model.norm.weight", &[4]));
     }

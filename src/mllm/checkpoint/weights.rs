@@ -14,11 +14,13 @@ use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
 use crate::MllmError;
 use planagent_kernels::matrix::{Matrix, WeightFormat};
 
-/// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite, and converted
-/// as the [`WeightFormatPlan`] says. So at most one tensor is in memory twice.
+/// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to
+/// be finite, and converted as the [`WeightFormatPlan`] says. So at most one tensor is in memory
+/// twice.
 ///
-/// A family chooses its canonical names: those of its safetensors without layout prefixes. The output layer is
-/// `lm_head.weight`; names that begin with `vision` or `multi_modal_projector.` belong to the vision tower and projector.
+/// A family chooses its canonical names: those of its safetensors without layout prefixes. The
+/// output layer is `lm_head.weight`; names that begin with `vision` or `multi_modal_projector.`
+/// belong to the vision tower and projector.
 #[derive(Debug)]
 pub struct Weights {
     place: PathBuf,
@@ -46,9 +48,11 @@ enum Taking {
 const MAX_LISTED: usize = 1 << 17;
 /// Errors after which a check gives up.
 const MAX_PROBLEMS: usize = 1000;
-/// A check gives up at a missing matrix with this many numbers or more, because the configuration is broken.
+/// A check gives up at a missing matrix with this many numbers or more, because the configuration
+/// is broken.
 const MAX_MATRIX: usize = 1 << 33;
-/// The same for any other tensor. What is computed of its placeholder takes memory. That of a real one has 5 million numbers.
+/// The same for any other tensor. What is computed of its placeholder takes memory. That of a real
+/// one has 5 million numbers.
 const MAX_TENSOR: usize = 1 << 26;
 
 /// A tensor that is not taken yet.
@@ -70,7 +74,10 @@ impl Weights {
             files: Vec::new(),
             tensors: BTreeMap::new(),
             plan: WeightFormatPlan { tied: true, ..plan },
-            report: LoadReport { quantize: plan.quantize, ..LoadReport::default() },
+            report: LoadReport {
+                quantize: plan.quantize,
+                ..LoadReport::default()
+            },
             blake3: String::new(),
             taking: Taking::Read,
         }
@@ -94,20 +101,49 @@ impl Weights {
         if canonical == "lm_head.weight" {
             self.plan.tied = false;
         }
-        let stored = StoredTensor { file, name, place, rows };
+        let stored = StoredTensor {
+            file,
+            name,
+            place,
+            rows,
+        };
         match self.tensors.insert(canonical, stored) {
             None => Ok(()),
-            Some(other) => Err(MllmError::TwiceStored { place: self.place.clone(), name: other.name }),
+            Some(other) => Err(MllmError::TwiceStored {
+                place: self.place.clone(),
+                name: other.name,
+            }),
         }
     }
 
     /// Adds a tensor of computed numbers.
-    pub(crate) fn add_numbers(&mut self, canonical: &str, numbers: &[f32]) -> Result<(), MllmError> {
-        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+    pub(crate) fn add_numbers(
+        &mut self,
+        canonical: &str,
+        numbers: &[f32],
+    ) -> Result<(), MllmError> {
+        let bytes: Vec<u8> = numbers
+            .iter()
+            .flat_map(|number| number.to_le_bytes())
+            .collect();
         let (format, shape) = (GgmlDType::F32.into(), vec![numbers.len()]);
-        let place = TensorPlace { format, shape, begin: 0, bytes: bytes.len() as u64 };
-        let file = self.add_file(ComputedTensor { place: self.place.clone(), bytes });
-        self.add(canonical.to_string(), file, canonical.to_string(), place, RowOrder::Plain)
+        let place = TensorPlace {
+            format,
+            shape,
+            begin: 0,
+            bytes: bytes.len() as u64,
+        };
+        let file = self.add_file(ComputedTensor {
+            place: self.place.clone(),
+            bytes,
+        });
+        self.add(
+            canonical.to_string(),
+            file,
+            canonical.to_string(),
+            place,
+            RowOrder::Plain,
+        )
     }
 
     /// Whether the weights are those of safetensors, in formats that hold their numbers.
@@ -141,7 +177,10 @@ impl Weights {
 
     /// Number of weights that are not taken yet.
     pub(crate) fn elements(&self) -> usize {
-        self.tensors.values().map(|stored| stored.place.shape.iter().product::<usize>()).sum()
+        self.tensors
+            .values()
+            .map(|stored| stored.place.shape.iter().product::<usize>())
+            .sum()
     }
 
     pub(crate) fn contains(&self, name: &str) -> bool {
@@ -155,7 +194,9 @@ impl Weights {
 
     /// Names and shapes of all tensors that are not taken yet.
     pub(crate) fn shapes(&self) -> impl Iterator<Item = (&str, &[usize])> {
-        self.tensors.iter().map(|(name, stored)| (name.as_str(), stored.place.shape.as_slice()))
+        self.tensors
+            .iter()
+            .map(|(name, stored)| (name.as_str(), stored.place.shape.as_slice()))
     }
 
     /// From now on, gives placeholders for tensors without reading them, and collects errors.
@@ -184,9 +225,12 @@ impl Weights {
         }
     }
 
-    /// Checks or lists a tensor of at most `most` numbers where that is the task; gives whether a placeholder suffices.
+    /// Checks or lists a tensor of at most `most` numbers where that is the task; gives whether a
+    /// placeholder suffices.
     fn looked(&mut self, name: &str, shape: &[usize], most: usize) -> Result<bool, MllmError> {
-        let elements = shape.iter().try_fold(1, |product: usize, side| product.checked_mul(*side));
+        let elements = shape
+            .iter()
+            .try_fold(1, |product: usize, side| product.checked_mul(*side));
         let small = elements.is_some_and(|elements| elements < most);
         if let Taking::List(asked) = &mut self.taking {
             if asked.len() >= MAX_LISTED {
@@ -194,8 +238,9 @@ impl Weights {
                 return Err(candle_core::Error::Msg(problem).into());
             }
             if !small {
-                let problem =
-                    format!("the configuration asks for tensor {name} of shape {shape:?}, which is too large");
+                let problem = format!(
+                    "the configuration asks for tensor {name} of shape {shape:?}, which is too large"
+                );
                 return Err(candle_core::Error::Msg(problem).into());
             }
             asked.push((name.to_string(), shape.to_vec()));
@@ -218,36 +263,53 @@ impl Weights {
     pub(crate) fn weight_format_of(&self, name: &str) -> Option<WeightFormat> {
         let TensorPlace { format, shape, .. } = &self.tensors.get(name)?.place;
         match shape.as_slice() {
-            [_, inputs] if is_matrix(name, shape) => Some(self.plan.matrix(name, *format, *inputs).weight_format),
+            [_, inputs] if is_matrix(name, shape) => {
+                Some(self.plan.matrix(name, *format, *inputs).weight_format)
+            }
             _ => Some(WeightFormat::F32),
         }
     }
 
-    /// Names, shapes and formats in memory of the matrices that are left, with another wanted format.
+    /// Names, shapes and formats in memory of the matrices that are left, with another wanted
+    /// format.
     pub(crate) fn matrices(
         &self,
         quantize: Option<WeightFormat>,
     ) -> impl Iterator<Item = (&str, [usize; 2], WeightFormat)> {
-        let plan = WeightFormatPlan { quantize, ..self.plan };
-        self.tensors.iter().filter_map(move |(name, stored)| match stored.place.shape.as_slice() {
-            shape @ &[outputs, inputs] if is_matrix(name, shape) => {
-                let planned = plan.matrix(name, stored.place.format, inputs);
-                Some((name.as_str(), [outputs, inputs], planned.weight_format))
-            }
-            _ => None,
-        })
+        let plan = WeightFormatPlan {
+            quantize,
+            ..self.plan
+        };
+        self.tensors
+            .iter()
+            .filter_map(move |(name, stored)| match stored.place.shape.as_slice() {
+                shape @ &[outputs, inputs] if is_matrix(name, shape) => {
+                    let planned = plan.matrix(name, stored.place.format, inputs);
+                    Some((name.as_str(), [outputs, inputs], planned.weight_format))
+                }
+                _ => None,
+            })
     }
 
     /// The report of taking all tensors that are left, with another wanted format.
     pub(crate) fn forecast(&self, quantize: Option<WeightFormat>) -> LoadReport {
-        let plan = WeightFormatPlan { quantize, ..self.plan };
-        let mut report = LoadReport { quantize, ..LoadReport::default() };
+        let plan = WeightFormatPlan {
+            quantize,
+            ..self.plan
+        };
+        let mut report = LoadReport {
+            quantize,
+            ..LoadReport::default()
+        };
         for (name, stored) in &self.tensors {
             let TensorPlace { format, shape, .. } = &stored.place;
             match shape.as_slice() {
                 [outputs, inputs] if is_matrix(name, shape) => {
                     let planned = plan.matrix(name, *format, *inputs);
-                    let bytes = planned.weight_format.matrix_bytes(*outputs, *inputs).unwrap_or(usize::MAX);
+                    let bytes = planned
+                        .weight_format
+                        .matrix_bytes(*outputs, *inputs)
+                        .unwrap_or(usize::MAX);
                     report.add_matrix(name, *format, planned, bytes as u64);
                 }
                 _ => report.add(WeightFormat::F32, f32_bytes(shape)),
@@ -262,28 +324,56 @@ impl Weights {
         #[cfg(test)]
         if let Taking::Invent(random) = &mut self.taking {
             let count = shape.iter().product();
-            let values: Vec<f32> = (0..count).map(|_| rand::RngExt::random_range(random, -0.1..0.1)).collect();
+            let values: Vec<f32> = (0..count)
+                .map(|_| rand::RngExt::random_range(random, -0.1..0.1))
+                .collect();
             return Ok(Tensor::from_vec(values, shape, &Device::Cpu)?);
         }
         if self.looked(name, shape, MAX_TENSOR)? {
-            return Ok(Tensor::zeros(1, candle_core::DType::F32, &Device::Cpu)?.broadcast_as(shape)?);
+            return Ok(
+                Tensor::zeros(1, candle_core::DType::F32, &Device::Cpu)?.broadcast_as(shape)?
+            );
         }
         let stored = self.remove(name, shape)?;
-        Ok(Tensor::from_vec(self.values(&stored)?, shape, &Device::Cpu)?)
+        Ok(Tensor::from_vec(
+            self.values(&stored)?,
+            shape,
+            &Device::Cpu,
+        )?)
     }
 
-    /// Takes a tensor out, in f32, that a file may store with further sides of 1, or in four dimensions.
-    pub(crate) fn take_of_any_rank(&mut self, name: &str, shape: &[usize]) -> Result<Tensor, MllmError> {
-        let sides = |shape: &[usize]| shape.iter().copied().filter(|side| *side != 1).collect::<Vec<_>>();
-        let stored = self.tensors.get(name).map(|stored| stored.place.shape.clone());
-        match stored.filter(|stored| sides(stored) == sides(shape) || *stored == in_four_dimensions(shape)) {
+    /// Takes a tensor out, in f32, that a file may store with further sides of 1, or in four
+    /// dimensions.
+    pub(crate) fn take_of_any_rank(
+        &mut self,
+        name: &str,
+        shape: &[usize],
+    ) -> Result<Tensor, MllmError> {
+        let sides = |shape: &[usize]| {
+            shape
+                .iter()
+                .copied()
+                .filter(|side| *side != 1)
+                .collect::<Vec<_>>()
+        };
+        let stored = self
+            .tensors
+            .get(name)
+            .map(|stored| stored.place.shape.clone());
+        match stored
+            .filter(|stored| sides(stored) == sides(shape) || *stored == in_four_dimensions(shape))
+        {
             Some(stored) => Ok(self.take(name, &stored)?.reshape(shape)?),
             None => self.take(name, shape),
         }
     }
 
     /// Takes a tensor of shape [outputs, inputs] out as a matrix, in the format of the plan.
-    pub(crate) fn take_matrix(&mut self, name: &str, shape: [usize; 2]) -> Result<Matrix, MllmError> {
+    pub(crate) fn take_matrix(
+        &mut self,
+        name: &str,
+        shape: [usize; 2],
+    ) -> Result<Matrix, MllmError> {
         debug_assert!(is_matrix(name, &shape), "{name} is forecast to stay in f32");
         #[cfg(test)]
         if matches!(self.taking, Taking::Invent(_)) {
@@ -291,21 +381,33 @@ impl Weights {
         }
         let [outputs, inputs] = shape;
         if self.looked(name, &shape, MAX_MATRIX)? {
-            return Ok(Matrix::quantize(&vec![0.0; inputs], 1, inputs, WeightFormat::F32)?);
+            return Ok(Matrix::quantize(
+                &vec![0.0; inputs],
+                1,
+                inputs,
+                WeightFormat::F32,
+            )?);
         }
         let stored = self.remove(name, &shape)?;
         let format = stored.place.format;
         let planned = self.plan.matrix(name, format, inputs);
         let held = held_as(format) == Some(planned.weight_format);
-        let matrix = if held || planned.weight_format == WeightFormat::Q8_0 && format.is_within_q8_0() {
-            let bytes = self.bytes(&stored)?;
-            let bytes = format.to_q8_0(&bytes).unwrap_or(bytes);
-            self.check_blocks(&stored, planned.weight_format, &bytes)?;
-            Matrix::from_blocks(planned.weight_format, outputs, inputs, &bytes)?
-        } else {
-            Matrix::quantize(&self.values(&stored)?, outputs, inputs, planned.weight_format)?
-        };
-        self.report.add_matrix(name, format, planned, matrix.bytes() as u64);
+        let matrix =
+            if held || planned.weight_format == WeightFormat::Q8_0 && format.is_within_q8_0() {
+                let bytes = self.bytes(&stored)?;
+                let bytes = format.to_q8_0(&bytes).unwrap_or(bytes);
+                self.check_blocks(&stored, planned.weight_format, &bytes)?;
+                Matrix::from_blocks(planned.weight_format, outputs, inputs, &bytes)?
+            } else {
+                Matrix::quantize(
+                    &self.values(&stored)?,
+                    outputs,
+                    inputs,
+                    planned.weight_format,
+                )?
+            };
+        self.report
+            .add_matrix(name, format, planned, matrix.bytes() as u64);
         Ok(matrix)
     }
 
@@ -313,7 +415,10 @@ impl Weights {
         let stored = self
             .tensors
             .remove(name)
-            .ok_or_else(|| MllmError::MissingTensor { folder: self.place.clone(), name: name.to_string() })?;
+            .ok_or_else(|| MllmError::MissingTensor {
+                folder: self.place.clone(),
+                name: name.to_string(),
+            })?;
         if stored.place.shape == shape {
             return Ok(stored);
         }
@@ -326,7 +431,9 @@ impl Weights {
     }
 
     fn path(&self, stored: &StoredTensor) -> PathBuf {
-        self.files.get(stored.file).map_or_else(|| self.place.clone(), |file| file.path().to_path_buf())
+        self.files
+            .get(stored.file)
+            .map_or_else(|| self.place.clone(), |file| file.path().to_path_buf())
     }
 
     /// The bytes of a tensor, its rows in order.
@@ -334,11 +441,18 @@ impl Weights {
         let file = self
             .files
             .get(stored.file)
-            .ok_or_else(|| MllmError::MissingTensor { folder: self.place.clone(), name: stored.name.clone() })?;
+            .ok_or_else(|| MllmError::MissingTensor {
+                folder: self.place.clone(),
+                name: stored.name.clone(),
+            })?;
         let bytes = file.bytes(&stored.place)?;
         Ok(match stored.rows {
             RowOrder::Plain => bytes,
-            RowOrder::Paired { heads } => unpaired(&bytes, stored.place.shape.first().copied().unwrap_or(1), heads),
+            RowOrder::Paired { heads } => unpaired(
+                &bytes,
+                stored.place.shape.first().copied().unwrap_or(1),
+                heads,
+            ),
         })
     }
 
@@ -352,10 +466,19 @@ impl Weights {
     }
 
     /// Checks that the numbers of blocks are finite; of a quantized block the scale decides.
-    fn check_blocks(&self, stored: &StoredTensor, format: WeightFormat, bytes: &[u8]) -> Result<(), MllmError> {
+    fn check_blocks(
+        &self,
+        stored: &StoredTensor,
+        format: WeightFormat,
+        bytes: &[u8],
+    ) -> Result<(), MllmError> {
         let worst = |block: &[u8]| match format {
             WeightFormat::F32 => block.first_chunk().map(|value| f32::from_le_bytes(*value)),
-            _ => format.halves().iter().filter_map(|at| half_at(block, *at)).find(|half| !half.is_finite()),
+            _ => format
+                .halves()
+                .iter()
+                .filter_map(|at| half_at(block, *at))
+                .find(|half| !half.is_finite()),
         };
         for (index, block) in bytes.chunks_exact(format.block_bytes()).enumerate() {
             if let Some(value) = worst(block).filter(|value| !value.is_finite()) {
@@ -366,25 +489,37 @@ impl Weights {
     }
 
     fn not_finite(&self, stored: &StoredTensor, element: usize, value: f32) -> MllmError {
-        MllmError::NonFiniteWeight { path: self.path(stored), name: stored.name.clone(), element, value }
+        MllmError::NonFiniteWeight {
+            path: self.path(stored),
+            name: stored.name.clone(),
+            element,
+            value,
+        }
     }
 }
 
 /// A shape with at most four dimensions, which GGUF allows: those behind the first are merged.
 pub(crate) fn in_four_dimensions(shape: &[usize]) -> Vec<usize> {
     let extra = shape.len().saturating_sub(4);
-    let Some((first, rest)) = shape.split_first().filter(|_| extra > 0) else { return shape.to_vec() };
+    let Some((first, rest)) = shape.split_first().filter(|_| extra > 0) else {
+        return shape.to_vec();
+    };
     let (merged, last) = rest.split_at(extra + 1);
     [&[*first, merged.iter().product()], last].concat()
 }
 
 /// The half-precision number at a byte of a block.
 fn half_at(block: &[u8], at: usize) -> Option<f32> {
-    block.get(at..)?.first_chunk().map(|bytes| f16::from_le_bytes(*bytes).to_f32())
+    block
+        .get(at..)?
+        .first_chunk()
+        .map(|bytes| f16::from_le_bytes(*bytes).to_f32())
 }
 
 fn f32_bytes(shape: &[usize]) -> u64 {
-    shape.iter().fold(4, |product: u64, side| product.saturating_mul(*side as u64))
+    shape
+        .iter()
+        .fold(4, |product: u64, side| product.saturating_mul(*side as u64))
 }
 
 #[cfg(test)]
@@ -392,6 +527,9 @@ impl Weights {
     /// Random weights of any name and shape.
     pub(crate) fn random(seed: u64) -> Self {
         let random = rand::SeedableRng::seed_from_u64(seed);
-        Self { taking: Taking::Invent(random), ..Self::empty(Path::new(""), WeightFormatPlan::default()) }
+        Self {
+            taking: Taking::Invent(random),
+            ..Self::empty(Path::new(""), WeightFormatPlan::default())
+        }
     }
 }

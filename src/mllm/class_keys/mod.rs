@@ -1,8 +1,9 @@
-//! Every key of every class that families read: left out, it has the default of its class, and no key that changes the result
-//! is passed over.
+//! Every key of every class that families read: left out, it has the default of its class, and no
+//! key that changes the result is passed over.
 //!
-//! `tests/fixtures/class_keys.json` has the classes, made by `make_class_keys.py`; `table.toml` says how each key is treated. A
-//! new version of transformers with further keys fails here until someone has decided about them.
+//! `tests/fixtures/class_keys.json` has the classes, made by `make_class_keys.py`; `table.toml`
+//! says how each key is treated. A new version of transformers with further keys fails here until
+//! someone has decided about them.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -48,12 +49,20 @@ fn classes() -> BTreeMap<String, Map<String, Value>> {
 /// What is read of a model with `value` at the key, or without the key.
 fn read(class: &Class, key: &str, value: Option<&Value>) -> Result<String, MllmError> {
     let mut files: Value = serde_json::from_str(&class.base).unwrap();
-    let object = files.pointer_mut(&class.place).unwrap().as_object_mut().unwrap();
+    let object = files
+        .pointer_mut(&class.place)
+        .unwrap()
+        .as_object_mut()
+        .unwrap();
     match value {
         Some(value) => object.insert(key.to_string(), value.clone()),
         None => object.remove(key),
     };
-    let texts = files.as_object().unwrap().iter().map(|(name, value)| (name.clone(), value.to_string()));
+    let texts = files
+        .as_object()
+        .unwrap()
+        .iter()
+        .map(|(name, value)| (name.clone(), value.to_string()));
     let files = ModelFiles::packed(Path::new("model"), texts.collect());
     match class.family.as_str() {
         "llava" => llava::read_files(&files),
@@ -96,7 +105,10 @@ fn the_table_has_all_keys_of_all_classes() {
         listed.sort_unstable();
         let mut keys: Vec<&String> = known[&name].keys().collect();
         keys.sort_unstable();
-        assert!(listed.iter().eq(keys.iter().copied()), "{name}: {listed:?} instead of {keys:?}");
+        assert!(
+            listed.iter().eq(keys.iter().copied()),
+            "{name}: {listed:?} instead of {keys:?}"
+        );
     }
 }
 
@@ -110,7 +122,10 @@ fn a_key_that_is_left_out_has_the_default_of_its_class() {
             if class.by_weights.contains(key) {
                 continue;
             }
-            let (without, with) = (told(read(class, key, None)), told(read(class, key, Some(default))));
+            let (without, with) = (
+                told(read(class, key, None)),
+                told(read(class, key, Some(default))),
+            );
             if without != with {
                 wrong.push(format!("{name} {key}: {without} instead of {with}"));
             }
@@ -162,7 +177,8 @@ fn a_key_that_no_code_reads_is_refused_by_name() {
         for key in &class.refused {
             let other = another(class, key, &known[name][key]);
             match read(class, key, Some(&other)) {
-                Err(MllmError::Config { key: named, .. }) if named.split('.').any(|part| part == key) => {}
+                Err(MllmError::Config { key: named, .. })
+                    if named.split('.').any(|part| part == key) => {}
                 found => wrong.push(format!("{name} {key} = {other}: {}", told(found))),
             }
         }

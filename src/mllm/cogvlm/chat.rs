@@ -9,11 +9,11 @@ use crate::text::ChatTokenizer;
 const VICUNA_SYSTEM: &str = "A chat between a curious user and an artificial intelligence assistant. The assistant gives \
                              helpful, detailed, and polite answers to the user's questions.";
 
-/// Questions and answers after the image; without an image, Vicuna's chats (`build_conversation_input_ids` and
-/// `cli_demo_hf.py` of the model's authors).
+/// Questions and answers after the image; without an image, Vicuna's chats
+/// (`build_conversation_input_ids` and `cli_demo_hf.py` of the model's authors).
 ///
-/// The model has no system prompt. With an image it becomes the beginning of the first question; without one it replaces
-/// Vicuna's.
+/// The model has no system prompt. With an image it becomes the beginning of the first question;
+/// without one it replaces Vicuna's.
 #[derive(Debug)]
 pub(super) struct QuestionFormat {
     /// The token that a chat begins with.
@@ -26,8 +26,15 @@ pub(super) struct QuestionFormat {
 impl ChatFormat for QuestionFormat {
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
         let mut ids = vec![self.bos];
-        ids.extend(std::iter::repeat_n(self.image_token, chat.image.map_or(0, |image| image.tokens)));
-        let text = if chat.image.is_some() { self.questions(chat) } else { vicuna(chat) };
+        ids.extend(std::iter::repeat_n(
+            self.image_token,
+            chat.image.map_or(0, |image| image.tokens),
+        ));
+        let text = if chat.image.is_some() {
+            self.questions(chat)
+        } else {
+            vicuna(chat)
+        };
         ids.extend(tokenizer.encode_text(&text)?);
         Ok(ids)
     }
@@ -52,7 +59,11 @@ impl QuestionFormat {
 }
 
 fn vicuna(chat: &Chat<'_>) -> String {
-    let mut text = String::from(if chat.system.is_empty() { VICUNA_SYSTEM } else { chat.system });
+    let mut text = String::from(if chat.system.is_empty() {
+        VICUNA_SYSTEM
+    } else {
+        chat.system
+    });
     text.push(' ');
     for turn in chat.turns {
         text.extend(["USER: ", &turn.prompt, " ASSISTANT: ", &turn.answer, "\n"]);
@@ -68,15 +79,33 @@ mod tests {
 
     #[test]
     fn questions_and_answers_follow_one_another() {
-        let turns = [Turn { prompt: "one?".into(), answer: "two".into() }];
-        let chat = |system, turns| Chat { system, image: Some(ImageLayout::whole(3)), turns, prompt: "three?" };
-        let format = |style| QuestionFormat { bos: 1, image_token: 9, style };
-        assert_eq!(format(AnswerStyle::Chat).questions(&chat("", &[])), "Question: three? Answer:");
+        let turns = [Turn {
+            prompt: "one?".into(),
+            answer: "two".into(),
+        }];
+        let chat = |system, turns| Chat {
+            system,
+            image: Some(ImageLayout::whole(3)),
+            turns,
+            prompt: "three?",
+        };
+        let format = |style| QuestionFormat {
+            bos: 1,
+            image_token: 9,
+            style,
+        };
+        assert_eq!(
+            format(AnswerStyle::Chat).questions(&chat("", &[])),
+            "Question: three? Answer:"
+        );
         assert_eq!(
             format(AnswerStyle::Short).questions(&chat("Drive.", &turns)),
             "Question: Drive.\none? Short answer: two\nQuestion: three? Short answer:"
         );
-        assert_eq!(vicuna(&chat("Drive.", &turns)), "Drive. USER: one? ASSISTANT: two\nUSER: three? ASSISTANT:");
+        assert_eq!(
+            vicuna(&chat("Drive.", &turns)),
+            "Drive. USER: one? ASSISTANT: two\nUSER: three? ASSISTANT:"
+        );
         assert!(vicuna(&chat("", &[])).starts_with("A chat between a curious user"));
     }
 }

@@ -1,4 +1,5 @@
-//! `config.json` of a `CogVLMForCausalLM` checkpoint, first version (such as `THUDM/cogvlm-chat-hf`).
+//! `config.json` of a `CogVLMForCausalLM` checkpoint, first version (such as
+//! `THUDM/cogvlm-chat-hf`).
 
 use std::path::Path;
 
@@ -32,11 +33,15 @@ pub(crate) enum AnswerStyle {
 
 impl CogVlmConfig {
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
-        Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
+        Self::from_json(
+            &files.path("config.json"),
+            &files.required_json("config.json")?,
+        )
     }
 
-    /// Reads a configuration; `path` is for messages. Absent keys take the defaults of `CogVLMConfig` in the repository of
-    /// `cogvlm-chat-hf`, which are Llama's; its towers say all keys.
+    /// Reads a configuration; `path` is for messages. Absent keys take the defaults of
+    /// `CogVLMConfig` in the repository of `cogvlm-chat-hf`, which are Llama's; its towers say all
+    /// keys.
     pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
         let root = ConfigObject::root(path, value)?;
         if root.contains("num_multi_query_heads") {
@@ -49,9 +54,17 @@ impl CogVlmConfig {
         let text = LlamaConfig::read_as(root.clone(), DecoderType::Llama)?;
         let bos = root.first_id("bos_token_id")?.unwrap_or(1);
         if bos as usize >= text.vocabulary {
-            return Err(root.error("bos_token_id", format!("{bos} lies outside the vocabulary of {}", text.vocabulary)));
+            return Err(root.error(
+                "bos_token_id",
+                format!("{bos} lies outside the vocabulary of {}", text.vocabulary),
+            ));
         }
-        Ok(Self { vision: tower(&root)?, text, bos, style: root.value("template_version")?.unwrap_or_default() })
+        Ok(Self {
+            vision: tower(&root)?,
+            text,
+            bos,
+            style: root.value("template_version")?.unwrap_or_default(),
+        })
     }
 
     /// Tokens that an image becomes: its patches between a beginning and an end.
@@ -69,10 +82,10 @@ fn tower(root: &ConfigObject<'_>) -> Result<VisionConfig, MllmError> {
     let config = VisionConfig::read(&vision)?;
     let (patches, positions) = (config.patches(), config.patches() + 1);
     match vision.value::<usize>("num_positions")? {
-        Some(named) if named != positions => {
-            Err(vision
-                .error("num_positions", format!("{named}, but {patches} patches and a class token make {positions}")))
-        }
+        Some(named) if named != positions => Err(vision.error(
+            "num_positions",
+            format!("{named}, but {patches} patches and a class token make {positions}"),
+        )),
         _ => Ok(config),
     }
 }
@@ -97,7 +110,14 @@ mod tests {
                 "layer_norm_eps": 1e-06, "num_positions": 1226, "image_size": 490},
         }))
         .unwrap();
-        assert_eq!((config.image_tokens(), config.text.context, config.text.head_dim), (1227, 2048, 128));
+        assert_eq!(
+            (
+                config.image_tokens(),
+                config.text.context,
+                config.text.head_dim
+            ),
+            (1227, 2048, 128)
+        );
         assert_eq!((config.bos, config.style), (1, AnswerStyle::Chat));
         // The defaults are this model's, but for one.
         assert_eq!(parse(&json!({"rms_norm_eps": 1e-5})).unwrap(), config);
@@ -109,8 +129,14 @@ mod tests {
             ("num_multi_query_heads", json!({"num_multi_query_heads": 8})),
             ("template_version", json!({"template_version": "base"})),
             ("bos_token_id", json!({"bos_token_id": 32_000})),
-            ("vision_config.num_positions", json!({"vision_config": {"image_size": 224}, "num_positions": 3})),
-            ("vision_config.hidden_size", json!({"vision_config": {"num_heads": 15}})),
+            (
+                "vision_config.num_positions",
+                json!({"vision_config": {"image_size": 224}, "num_positions": 3}),
+            ),
+            (
+                "vision_config.hidden_size",
+                json!({"vision_config": {"num_heads": 15}}),
+            ),
         ] {
             let mut value = value;
             if key.ends_with("num_positions") {

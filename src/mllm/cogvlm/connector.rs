@@ -1,4 +1,5 @@
-//! The adapter from the vision tower to the decoder: a gated linear unit, and learned rows around the image.
+//! The adapter from the vision tower to the decoder: a gated linear unit, and learned rows around
+//! the image.
 
 use candle_core::{Result, Tensor};
 
@@ -24,7 +25,10 @@ pub(super) struct GluAdapter {
 }
 
 impl GluAdapter {
-    pub(super) fn take(weights: &mut Weights, config: &CogVlmConfig) -> std::result::Result<Self, MllmError> {
+    pub(super) fn take(
+        weights: &mut Weights,
+        config: &CogVlmConfig,
+    ) -> std::result::Result<Self, MllmError> {
         const NAME: &str = "vision.linear_proj";
         let hidden = config.text.hidden;
         let shape = SwiGluShape {
@@ -34,7 +38,12 @@ impl GluAdapter {
             bias: false,
         };
         Ok(Self {
-            projection: weights.take_linear(&format!("{NAME}.linear_proj"), config.vision.hidden, hidden, false)?,
+            projection: weights.take_linear(
+                &format!("{NAME}.linear_proj"),
+                config.vision.hidden,
+                hidden,
+                false,
+            )?,
             norm: weights.take_layer_norm(&format!("{NAME}.norm1"), hidden, NORM_EPS)?,
             glu: SwiGlu::take(weights, NAME, shape)?,
             begin: weights.take("vision.boi", &[1, 1, hidden])?.squeeze(0)?,
@@ -44,7 +53,8 @@ impl GluAdapter {
 
     /// Maps (patches, tower width) to (2 + patches, decoder width).
     pub(super) fn forward(&self, patches: &Tensor) -> Result<Tensor> {
-        let x = Activation::Gelu.forward(&self.norm.forward(&self.projection.forward(patches)?)?)?;
+        let x =
+            Activation::Gelu.forward(&self.norm.forward(&self.projection.forward(patches)?)?)?;
         Tensor::cat(&[&self.begin, &self.glu.forward(&x)?, &self.end], 0)
     }
 }

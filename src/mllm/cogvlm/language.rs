@@ -13,7 +13,8 @@ use planagent_kernels::RmsNorm;
 /// Positions that an image takes: one for its beginning, one for all its patches, one for its end.
 pub(super) const IMAGE_POSITIONS: usize = 3;
 
-/// A Llama layer with two sets of matrices, one for text and one for the image. They share norms and attention.
+/// A Llama layer with two sets of matrices, one for text and one for the image. They share norms
+/// and attention.
 #[derive(Debug)]
 pub(super) struct ExpertLayer {
     input_norm: RmsNorm,
@@ -33,20 +34,36 @@ struct Expert {
 
 impl Expert {
     /// Takes the matrices of the expert `kind` (`language`, `vision`) of the layer called `name`.
-    fn take(weights: &mut Weights, config: &LlamaConfig, name: &str, kind: &str) -> Result<Self, MllmError> {
+    fn take(
+        weights: &mut Weights,
+        config: &LlamaConfig,
+        name: &str,
+        kind: &str,
+    ) -> Result<Self, MllmError> {
         let queries = config.heads * config.head_dim;
         let all = queries + 2 * config.kv_heads * config.head_dim;
         let attention = format!("{name}.self_attn.{kind}_expert");
         Ok(Self {
-            qkv: weights.take_linear(&format!("{attention}_query_key_value"), config.hidden, all, false)?,
-            out: weights.take_linear(&format!("{attention}_dense"), queries, config.hidden, false)?,
+            qkv: weights.take_linear(
+                &format!("{attention}_query_key_value"),
+                config.hidden,
+                all,
+                false,
+            )?,
+            out: weights.take_linear(
+                &format!("{attention}_dense"),
+                queries,
+                config.hidden,
+                false,
+            )?,
             mlp: SwiGlu::take_mlp(weights, &format!("{name}.mlp.{kind}_mlp"), config)?,
         })
     }
 }
 
 impl ExpertLayer {
-    /// Applies a part of the vision expert to the rows of the image and of the language expert to the others.
+    /// Applies a part of the vision expert to the rows of the image and of the language expert to
+    /// the others.
     fn route(
         &self,
         x: &Tensor,
@@ -87,16 +104,22 @@ impl DecoderLayer for ExpertLayer {
 
     fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
         let normed = self.input_norm.forward(x)?;
-        let qkv = self.route(&normed, &pass.vision, |expert, rows| expert.qkv.forward(rows))?;
+        let qkv = self.route(&normed, &pass.vision, |expert, rows| {
+            expert.qkv.forward(rows)
+        })?;
         let mixed = self.attention.forward(&qkv, pass, cache)?;
-        let x = (x + self.route(&mixed, &pass.vision, |expert, rows| expert.out.forward(rows))?)?;
+        let x = (x + self.route(&mixed, &pass.vision, |expert, rows| {
+            expert.out.forward(rows)
+        })?)?;
         let normed = self.post_norm.forward(&x)?;
-        &x + self.route(&normed, &pass.vision, |expert, rows| expert.mlp.forward(rows))?
+        &x + self.route(&normed, &pass.vision, |expert, rows| {
+            expert.mlp.forward(rows)
+        })?
     }
 }
 
-/// Positions of the tokens `tokens` of a chat whose image has the tokens `image` (empty for none). All patches share one
-/// position (`build_position_ids` in the model's code).
+/// Positions of the tokens `tokens` of a chat whose image has the tokens `image` (empty for none).
+/// All patches share one position (`build_position_ids` in the model's code).
 pub(super) fn positions(tokens: Range<usize>, image: &Range<usize>) -> Vec<u32> {
     let position = |index: usize| {
         if image.is_empty() || index <= image.start {
@@ -110,8 +133,8 @@ pub(super) fn positions(tokens: Range<usize>, image: &Range<usize>) -> Vec<u32> 
     tokens.map(|index| position(index) as u32).collect()
 }
 
-/// The rows of the tokens `tokens` that go through the vision expert: the image without its end (`get_expert_mask` in the
-/// model's code).
+/// The rows of the tokens `tokens` that go through the vision expert: the image without its end
+/// (`get_expert_mask` in the model's code).
 pub(super) fn vision_rows(tokens: &Range<usize>, image: &Range<usize>) -> Range<usize> {
     let last = image.end.saturating_sub(1);
     let begin = image.start.clamp(tokens.start, tokens.end);

@@ -1,5 +1,6 @@
-//! `CogVLM`, first version (Wang et al., "CogVLM: Visual Expert for Pretrained Language Models", arXiv:2311.03079): an
-//! EVA2-CLIP tower and a Llama decoder whose layers have matrices of their own for the image.
+//! `CogVLM`, first version (Wang et al., "CogVLM: Visual Expert for Pretrained Language Models",
+//! arXiv:2311.03079): an EVA2-CLIP tower and a Llama decoder whose layers have matrices of their
+//! own for the image.
 
 mod chat;
 mod config;
@@ -25,8 +26,8 @@ use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel};
 use super::family::{
-    ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, PlacedImage, Positions, Tiles,
-    VisionLanguageModel,
+    ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, PlacedImage, Positions,
+    Tiles, VisionLanguageModel,
 };
 use super::text::ChatTokenizer;
 
@@ -44,7 +45,8 @@ pub(crate) const FAMILY: Family = Family {
     open: |files, weights| Ok(Box::new(CogVlm::take(weights, CogVlmConfig::open(files)?)?)),
 };
 
-/// A `CogVLM` model. It takes one image, and nothing but the beginning-of-sequence token stands before it.
+/// A `CogVLM` model. It takes one image, and nothing but the beginning-of-sequence token stands
+/// before it.
 #[derive(Debug)]
 pub(crate) struct CogVlm {
     config: CogVlmConfig,
@@ -66,8 +68,17 @@ impl CogVlm {
             side: config.vision.image_size,
             max_tokens: config.image_tokens(),
         };
-        let info = ModelInfo { image_first: true, ..ModelInfo::of(NAME, &config.text, image, weights, before) };
-        Ok(Self { config, tower, adapter, decoder, info })
+        let info = ModelInfo {
+            image_first: true,
+            ..ModelInfo::of(NAME, &config.text, image, weights, before)
+        };
+        Ok(Self {
+            config,
+            tower,
+            adapter,
+            decoder,
+            info,
+        })
     }
 }
 
@@ -85,23 +96,42 @@ impl VisionLanguageModel for CogVlm {
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
-        let pixels = vec![preprocess::pixel_values(image, self.info.image_size as u32)?];
-        Ok(Tiles { pixels, width: image.width(), height: image.height() })
+        let pixels = vec![preprocess::pixel_values(
+            image,
+            self.info.image_size as u32,
+        )?];
+        Ok(Tiles {
+            pixels,
+            width: image.width(),
+            height: image.height(),
+        })
     }
 
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
-        let Some(pixels) = tiles.pixels.first() else { candle_core::bail!("there is no tile") };
+        let Some(pixels) = tiles.pixels.first() else {
+            candle_core::bail!("there is no tile")
+        };
         ImageFeatures::whole(self.adapter.forward(&self.tower.forward(pixels)?)?)
     }
 
     fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
         let image = image.map_or(0..0, |image| image.tokens());
-        Positions { vision: vision_rows(&tokens, &image), ..Positions::plain(positions(tokens, &image)) }
+        Positions {
+            vision: vision_rows(&tokens, &image),
+            ..Positions::plain(positions(tokens, &image))
+        }
     }
 
-    fn chat_format(&self, _files: &ModelFiles, _tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        let format =
-            QuestionFormat { bos: self.config.bos, image_token: self.info.image_token, style: self.config.style };
+    fn chat_format(
+        &self,
+        _files: &ModelFiles,
+        _tokenizer: &ChatTokenizer,
+    ) -> Result<Box<dyn ChatFormat>, MllmError> {
+        let format = QuestionFormat {
+            bos: self.config.bos,
+            image_token: self.info.image_token,
+            style: self.config.style,
+        };
         Ok(Box::new(format))
     }
 

@@ -6,8 +6,8 @@ use image::RgbImage;
 use crate::MllmError;
 use crate::vision::{Filter, PixelScale, check_not_empty, resize};
 
-/// Pixel values (3, side, side): bicubic, without a crop, with CLIP's mean and deviation (`image_transforms` in the model's
-/// code; its repositories have no preprocessor configuration).
+/// Pixel values (3, side, side): bicubic, without a crop, with CLIP's mean and deviation
+/// (`image_transforms` in the model's code; its repositories have no preprocessor configuration).
 pub(super) fn pixel_values(image: &RgbImage, side: u32) -> Result<Tensor, MllmError> {
     check_not_empty(image)?;
     Ok(PixelScale::CLIP.values(&resize(image, side, side, Filter::Bicubic))?)

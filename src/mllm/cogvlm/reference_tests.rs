@@ -1,4 +1,5 @@
-//! Parity with a torch implementation of the model (`tests/fixtures/tiny_cogvlm/make_tiny_cogvlm.py`).
+//! Parity with a torch implementation of the model
+//! (`tests/fixtures/tiny_cogvlm/make_tiny_cogvlm.py`).
 
 use std::path::PathBuf;
 
@@ -12,7 +13,8 @@ use super::{CogVlm, FAMILY};
 use crate::family::ImageFeatures;
 use crate::local::test_faults::{Deviation, Fault, Parts, one_further};
 use crate::local::test_reference::{
-    FEATURE_TOLERANCE, Reference, Run, assert_chat, difference, feature_difference, fixture, synthetic, whole,
+    FEATURE_TOLERANCE, Reference, Run, assert_chat, difference, feature_difference, fixture,
+    synthetic, whole,
 };
 use crate::vision::{Filter, resize};
 
@@ -26,12 +28,20 @@ fn assembled(parts: &Parts) -> CogVlm {
 fn reference() -> (PathBuf, Run, CogVlm) {
     let folder = fixture("tiny_cogvlm");
     let model = assembled(&Parts::of(&folder));
-    let run = Run::open(&folder.join("reference.safetensors"), model.info.image_token);
+    let run = Run::open(
+        &folder.join("reference.safetensors"),
+        model.info.image_token,
+    );
     (folder, run, model)
 }
 
 fn features(model: &CogVlm, run: &Run) -> ImageFeatures {
-    whole(model.adapter.forward(&model.tower.forward(&run.pixels[0]).unwrap()).unwrap())
+    whole(
+        model
+            .adapter
+            .forward(&model.tower.forward(&run.pixels[0]).unwrap())
+            .unwrap(),
+    )
 }
 
 #[test]
@@ -43,8 +53,14 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_the_reference() {
     let found = difference(&pixels, reference.tensor("pixel_values"));
     assert!(found < 1e-5, "the pixels differ by {found}");
     let model = assembled(&Parts::of(&folder));
-    let found = feature_difference(&model.tower.forward(&pixels).unwrap(), reference.tensor("tower"));
-    assert!(found < FEATURE_TOLERANCE, "the tower's output differs by {found}");
+    let found = feature_difference(
+        &model.tower.forward(&pixels).unwrap(),
+        reference.tensor("tower"),
+    );
+    assert!(
+        found < FEATURE_TOLERANCE,
+        "the tower's output differs by {found}"
+    );
     assert_chat(&folder, &["", "chat_", "text_"]);
 }
 
@@ -78,14 +94,20 @@ const IMAGE_FAULTS: [Fault; 6] = [
         parts.swap(&name("input_layernorm"), &name("post_attention_layernorm"));
     }),
     ("the tower's attention output transposed", |parts| {
-        parts.change("layers.0.attention.dense.weight", |tensor| tensor.t().unwrap());
+        parts.change("layers.0.attention.dense.weight", |tensor| {
+            tensor.t().unwrap()
+        });
     }),
-    ("quick_gelu in the place of gelu", |parts| parts.config["vision_config"]["hidden_act"] = json!("quick_gelu")),
+    ("quick_gelu in the place of gelu", |parts| {
+        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu")
+    }),
     ("the adapter's gate and value swapped", |parts| {
         let name = |layer: &str| format!("model.vision.linear_proj.{layer}.weight");
         parts.swap(&name("gate_proj"), &name("dense_h_to_4h"));
     }),
-    ("the image's beginning and end swapped", |parts| parts.swap("model.vision.boi", "model.vision.eoi")),
+    ("the image's beginning and end swapped", |parts| {
+        parts.swap("model.vision.boi", "model.vision.eoi")
+    }),
 ];
 
 /// Errors in the decoder's weights.
@@ -111,7 +133,8 @@ fn errors_that_are_easily_made_lead_far_away() {
     }
     let image = run.image(right.info.image_token);
     let own = positions(0..run.ids.len(), &image);
-    let placed = |positions, vision| Deviation::of_placed(&run, &right, &right.decoder, positions, vision);
+    let placed =
+        |positions, vision| Deviation::of_placed(&run, &right, &right.decoder, positions, vision);
     let vision = image.start..image.end - 1;
     let shifted = |part| placed(one_further(&own, &part), vision.clone());
     placed(own.clone(), vision.clone()).assert_none("the right positions");
@@ -127,22 +150,42 @@ fn errors_that_are_easily_made_lead_far_away() {
 
 #[test]
 fn images_of_any_shape_are_stretched_as_pillow_does() {
-    let mut expected =
-        candle_core::safetensors::load(fixture("tiny_cogvlm").join("square.safetensors"), &Device::Cpu).unwrap();
+    let mut expected = candle_core::safetensors::load(
+        fixture("tiny_cogvlm").join("square.safetensors"),
+        &Device::Cpu,
+    )
+    .unwrap();
     let raw = |height, width, side| {
         let square = resize(&synthetic(height, width), side, side, Filter::Bicubic);
         let side = side as usize;
-        Tensor::from_vec(square.into_raw(), (side, side, 3), &Device::Cpu).unwrap().permute((2, 0, 1)).unwrap()
+        Tensor::from_vec(square.into_raw(), (side, side, 3), &Device::Cpu)
+            .unwrap()
+            .permute((2, 0, 1))
+            .unwrap()
     };
-    let sums = |axis: usize| raw(413, 597, 490).to_dtype(DType::I64).unwrap().sum(axis).unwrap();
+    let sums = |axis: usize| {
+        raw(413, 597, 490)
+            .to_dtype(DType::I64)
+            .unwrap()
+            .sum(axis)
+            .unwrap()
+    };
     for (name, axis) in [("rows", 2), ("columns", 1)] {
         let expected = expected.remove(&format!("{name} of 413x597")).unwrap();
-        assert_eq!(sums(axis).to_vec2::<i64>().unwrap(), expected.to_vec2::<i64>().unwrap(), "{name}");
+        assert_eq!(
+            sums(axis).to_vec2::<i64>().unwrap(),
+            expected.to_vec2::<i64>().unwrap(),
+            "{name}"
+        );
     }
     assert!(expected.len() >= 6);
     for (name, expected) in expected {
         let (height, width) = name.split_once('x').unwrap();
         let found = raw(height.parse().unwrap(), width.parse().unwrap(), 56);
-        assert_eq!(found.to_vec3::<u8>().unwrap(), expected.to_vec3::<u8>().unwrap(), "{name}");
+        assert_eq!(
+            found.to_vec3::<u8>().unwrap(),
+            expected.to_vec3::<u8>().unwrap(),
+            "{name}"
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! The EVA2-CLIP vision transformer. Each branch ends with a norm, and the last layer's output has no further norm.
+//! The EVA2-CLIP vision transformer. Each branch ends with a norm, and the last layer's output has
+//! no further norm.
 
 use candle_core::Tensor;
 
@@ -32,14 +33,23 @@ impl EvaVisionTower {
     pub(super) fn take(weights: &mut Weights, config: &VisionConfig) -> Result<Self, MllmError> {
         let (hidden, patch) = (config.hidden, config.patch_size);
         let embeddings = "vision.patch_embedding";
-        let patch_embedding = take_patch_embedding(weights, &format!("{embeddings}.proj"), hidden, patch, true)?;
+        let patch_embedding =
+            take_patch_embedding(weights, &format!("{embeddings}.proj"), hidden, patch, true)?;
         Ok(Self {
             class_embedding: weights.take(&format!("{embeddings}.cls_embedding"), &[1, hidden])?,
             patch_embedding,
-            position_embedding: weights
-                .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches() + 1, hidden])?,
+            position_embedding: weights.take(
+                &format!("{embeddings}.position_embedding.weight"),
+                &[config.patches() + 1, hidden],
+            )?,
             layers: (0..config.layers)
-                .map(|index| Layer::take(weights, config, &format!("vision.transformer.layers.{index}")))
+                .map(|index| {
+                    Layer::take(
+                        weights,
+                        config,
+                        &format!("vision.transformer.layers.{index}"),
+                    )
+                })
                 .collect::<Result<_, _>>()?,
             patch_size: patch,
         })
@@ -47,7 +57,9 @@ impl EvaVisionTower {
 
     /// Encodes pixel values (3, side, side) to (patches, hidden), without the class token.
     pub(super) fn forward(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
+        let patches = self
+            .patch_embedding
+            .forward(&unfold(pixels, self.patch_size)?)?;
         let mut x = embed(&self.class_embedding, &patches, &self.position_embedding)?;
         let parts = Part::images(1, x.dim(0)?);
         for layer in &self.layers {
@@ -61,23 +73,38 @@ impl Layer {
     fn take(weights: &mut Weights, config: &VisionConfig, name: &str) -> Result<Self, MllmError> {
         let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);
         let attention = SelfAttention {
-            qkv: weights.take_linear(&format!("{name}.attention.query_key_value"), hidden, 3 * hidden, true)?,
+            qkv: weights.take_linear(
+                &format!("{name}.attention.query_key_value"),
+                hidden,
+                3 * hidden,
+                true,
+            )?,
             out: weights.take_linear(&format!("{name}.attention.dense"), hidden, hidden, true)?,
             heads: config.heads,
         };
         Ok(Self {
             attention,
-            attention_norm: weights.take_layer_norm(&format!("{name}.input_layernorm"), hidden, eps)?,
+            attention_norm: weights.take_layer_norm(
+                &format!("{name}.input_layernorm"),
+                hidden,
+                eps,
+            )?,
             fc1: weights.take_linear(&format!("{name}.mlp.fc1"), hidden, wide, true)?,
             act: config.act,
             fc2: weights.take_linear(&format!("{name}.mlp.fc2"), wide, hidden, true)?,
-            mlp_norm: weights.take_layer_norm(&format!("{name}.post_attention_layernorm"), hidden, eps)?,
+            mlp_norm: weights.take_layer_norm(
+                &format!("{name}.post_attention_layernorm"),
+                hidden,
+                eps,
+            )?,
         })
     }
 
     /// x + norm(attention(x)), then x + norm(mlp(x)).
     fn forward(&self, x: &Tensor, parts: &[Part]) -> candle_core::Result<Tensor> {
-        let x = (x + self.attention_norm.forward(&self.attention.forward(x, parts)?)?)?;
+        let x = (x + self
+            .attention_norm
+            .forward(&self.attention.forward(x, parts)?)?)?;
         let wide = self.act.forward(&self.fc1.forward(&x)?)?;
         &x + self.mlp_norm.forward(&self.fc2.forward(&wide)?)?
     }

@@ -16,24 +16,47 @@ pub(crate) struct CausalAttention {
 
 impl CausalAttention {
     pub(crate) fn new(config: &LlamaConfig) -> Self {
-        Self { shape: config.into(), window: config.window }
+        Self {
+            shape: config.into(),
+            window: config.window,
+        }
     }
 
-    /// As [`LanguageModel::exact_pass`](super::LanguageModel::exact_pass). A window cuts the positions of each token elsewhere.
+    /// As [`LanguageModel::exact_pass`](super::LanguageModel::exact_pass). A window cuts the
+    /// positions of each token elsewhere.
     pub(crate) fn exact_pass(&self) -> usize {
-        if self.window.is_some() { 1 } else { exact_tokens(self.shape) }
+        if self.window.is_some() {
+            1
+        } else {
+            exact_tokens(self.shape)
+        }
     }
 
-    /// Attends from tokens that follow the cached positions. `qkv` has their queries, keys and values, (tokens, (heads +
-    /// 2 · key heads) · head width); the result is (tokens, heads · head width).
-    pub(crate) fn forward(&self, qkv: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
-        let mask = AttentionMask::Causal { start: cache.len(), window: self.window };
-        Projected::of(qkv, self.shape, Some(&pass.rotary), |rows| attend(rows, cache.write(pass.layer, rows)?, mask))
+    /// Attends from tokens that follow the cached positions. `qkv` has their queries, keys and
+    /// values, (tokens, (heads + 2 · key heads) · head width); the result is (tokens, heads · head
+    /// width).
+    pub(crate) fn forward(
+        &self,
+        qkv: &Tensor,
+        pass: &Pass,
+        cache: &mut KvCache,
+    ) -> candle_core::Result<Tensor> {
+        let mask = AttentionMask::Causal {
+            start: cache.len(),
+            window: self.window,
+        };
+        Projected::of(qkv, self.shape, Some(&pass.rotary), |rows| {
+            attend(rows, cache.write(pass.layer, rows)?, mask)
+        })
     }
 }
 
 impl From<&LlamaConfig> for HeadShape {
     fn from(config: &LlamaConfig) -> Self {
-        Self { query_heads: config.heads, key_heads: config.kv_heads, width: config.head_dim }
+        Self {
+            query_heads: config.heads,
+            key_heads: config.kv_heads,
+            width: config.head_dim,
+        }
     }
 }

@@ -4,8 +4,8 @@ use candle_core::{Result, Tensor};
 
 use planagent_kernels::attention::{HeadShape, KeyValues, Precision, Projected};
 
-/// Keys and values of every layer. It only grows and truncates, so an earlier state is a length. Growth moves no data. Clones
-/// share memory until one of them writes.
+/// Keys and values of every layer. It only grows and truncates, so an earlier state is a length.
+/// Growth moves no data. Clones share memory until one of them writes.
 #[derive(Debug, Clone)]
 pub struct KvCache {
     layers: Vec<KeyValues>,
@@ -18,19 +18,31 @@ pub struct KvCache {
 impl KvCache {
     /// An empty cache of `depth` layers for at most `limit` positions.
     pub(crate) fn new(depth: usize, shape: HeadShape, precision: Precision, limit: usize) -> Self {
-        Self { layers: vec![KeyValues::new(shape, precision); depth], inputs: Vec::new(), len: 0, limit }
+        Self {
+            layers: vec![KeyValues::new(shape, precision); depth],
+            inputs: Vec::new(),
+            len: 0,
+            limit,
+        }
     }
 
     /// An empty cache of input rows, for a decoder that keeps keys and values elsewhere.
     pub(crate) fn of_inputs(limit: usize) -> Self {
-        Self { layers: Vec::new(), inputs: Vec::new(), len: 0, limit }
+        Self {
+            layers: Vec::new(),
+            inputs: Vec::new(),
+            len: 0,
+            limit,
+        }
     }
 
     /// Adds input rows (tokens, width) as positions.
     pub(crate) fn append_inputs(&mut self, rows: &Tensor) -> Result<()> {
         let tokens = rows.dim(0)?;
         self.check_room(tokens)?;
-        let rows = (0..tokens).map(|row| rows.narrow(0, row, 1)).collect::<Result<Vec<_>>>()?;
+        let rows = (0..tokens)
+            .map(|row| rows.narrow(0, row, 1))
+            .collect::<Result<Vec<_>>>()?;
         self.inputs.extend(rows);
         self.advance(tokens);
         Ok(())
@@ -54,13 +66,16 @@ impl KvCache {
     pub(crate) fn check_room(&self, tokens: usize) -> Result<()> {
         let needed = self.len + tokens;
         if needed > self.limit {
-            candle_core::bail!("{needed} positions do not fit into a context of {}", self.limit);
+            candle_core::bail!(
+                "{needed} positions do not fit into a context of {}",
+                self.limit
+            );
         }
         Ok(())
     }
 
-    /// Writes the keys and values of rows of a layer after the last position and returns all of that layer. When every layer
-    /// has written, [`Self::advance`] counts the new positions.
+    /// Writes the keys and values of rows of a layer after the last position and returns all of
+    /// that layer. When every layer has written, [`Self::advance`] counts the new positions.
     pub(crate) fn write(&mut self, layer: usize, rows: &Projected<'_>) -> Result<&KeyValues> {
         self.check_room(rows.tokens())?;
         let Some(layer) = self.layers.get_mut(layer) else {

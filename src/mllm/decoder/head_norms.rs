@@ -17,12 +17,24 @@ pub(super) struct HeadNorms {
 
 impl HeadNorms {
     /// Takes the norms of the layer called `name`.
-    pub(super) fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError> {
+    pub(super) fn take(
+        weights: &mut Weights,
+        config: &LlamaConfig,
+        name: &str,
+    ) -> Result<Self, MllmError> {
         let mut norm = |part: &str| {
-            weights.take_rms_norm(&format!("{name}.self_attn.{part}"), config.head_dim, config.rms_norm_eps)
+            weights.take_rms_norm(
+                &format!("{name}.self_attn.{part}"),
+                config.head_dim,
+                config.rms_norm_eps,
+            )
         };
         let widths = [config.heads, config.kv_heads].map(|heads| heads * config.head_dim);
-        Ok(Self { query: norm("q_norm")?, key: norm("k_norm")?, widths })
+        Ok(Self {
+            query: norm("q_norm")?,
+            key: norm("k_norm")?,
+            widths,
+        })
     }
 
     /// Normalizes queries and keys in rows of queries, keys and values.
@@ -34,6 +46,14 @@ impl HeadNorms {
             norm.forward(&heads)?.reshape((rows, width))
         };
         let values = qkv.narrow(1, queries + keys, keys)?;
-        Tensor::cat(&[normed(&self.query, 0, queries)?, normed(&self.key, queries, keys)?, values], 1)?.contiguous()
+        Tensor::cat(
+            &[
+                normed(&self.query, 0, queries)?,
+                normed(&self.key, queries, keys)?,
+                values,
+            ],
+            1,
+        )?
+        .contiguous()
     }
 }

@@ -32,7 +32,8 @@ pub(crate) struct Pass {
     pub vision: Range<usize>,
 }
 
-/// The feed-forward network of a layer: `down(silu(gate(x)) · up(x))`. Gate and up projection are one matrix.
+/// The feed-forward network of a layer: `down(silu(gate(x)) · up(x))`. Gate and up projection are
+/// one matrix.
 #[derive(Debug)]
 pub(crate) struct SwiGlu {
     gate_up: Linear,
@@ -51,7 +52,11 @@ pub(crate) struct SwiGluShape<'a> {
 }
 
 impl SwiGlu {
-    pub(crate) fn take(weights: &mut Weights, name: &str, shape: SwiGluShape<'_>) -> Result<Self, MllmError> {
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        shape: SwiGluShape<'_>,
+    ) -> Result<Self, MllmError> {
         let [gate, up, down] = shape.names.map(|part| format!("{name}.{part}"));
         let wide = shape.intermediate;
         Ok(Self {
@@ -61,7 +66,11 @@ impl SwiGlu {
     }
 
     /// Takes the weights of a decoder layer, which have the same names in all families.
-    pub(crate) fn take_mlp(weights: &mut Weights, name: &str, config: &LlamaConfig) -> Result<Self, MllmError> {
+    pub(crate) fn take_mlp(
+        weights: &mut Weights,
+        name: &str,
+        config: &LlamaConfig,
+    ) -> Result<Self, MllmError> {
         let shape = SwiGluShape {
             names: ["gate_proj", "up_proj", "down_proj"],
             hidden: config.hidden,
@@ -73,15 +82,25 @@ impl SwiGlu {
 
     /// Maps (tokens, hidden) to the same shape.
     pub(crate) fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
-        self.down.forward(&Activation::swiglu(&self.gate_up.forward(x)?)?)
+        self.down
+            .forward(&Activation::swiglu(&self.gate_up.forward(x)?)?)
     }
 
     /// residual + network(x), both (tokens, hidden).
-    pub(crate) fn forward_onto(&self, x: &Tensor, residual: &Tensor) -> candle_core::Result<Tensor> {
-        self.down.forward_onto(&Activation::swiglu(&self.gate_up.forward(x)?)?, residual)
+    pub(crate) fn forward_onto(
+        &self,
+        x: &Tensor,
+        residual: &Tensor,
+    ) -> candle_core::Result<Tensor> {
+        self.down
+            .forward_onto(&Activation::swiglu(&self.gate_up.forward(x)?)?, residual)
     }
 }
 
-pub(crate) fn rms_norm(weights: &mut Weights, name: &str, config: &LlamaConfig) -> Result<RmsNorm, MllmError> {
+pub(crate) fn rms_norm(
+    weights: &mut Weights,
+    name: &str,
+    config: &LlamaConfig,
+) -> Result<RmsNorm, MllmError> {
     weights.take_rms_norm(name, config.hidden, config.rms_norm_eps)
 }

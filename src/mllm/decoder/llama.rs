@@ -11,7 +11,8 @@ use crate::checkpoint::{LlamaConfig, Weights};
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
 
-/// A Llama layer. Query, key and value projections are one matrix. Qwen 3 normalizes the queries and keys of each head.
+/// A Llama layer. Query, key and value projections are one matrix. Qwen 3 normalizes the queries
+/// and keys of each head.
 #[derive(Debug)]
 pub(crate) struct LlamaLayer {
     input_norm: RmsNorm,
@@ -32,7 +33,11 @@ impl DecoderLayer for LlamaLayer {
         Ok(Self {
             input_norm: rms_norm(weights, &format!("{name}.input_layernorm"), config)?,
             qkv: weights.take_fused(&parts, config.hidden, config.attention_bias)?,
-            head_norms: if config.head_norms { Some(HeadNorms::take(weights, config, name)?) } else { None },
+            head_norms: if config.head_norms {
+                Some(HeadNorms::take(weights, config, name)?)
+            } else {
+                None
+            },
             attention: CausalAttention::new(config),
             out: weights.take_linear(
                 &format!("{name}.self_attn.o_proj"),
@@ -55,7 +60,9 @@ impl DecoderLayer for LlamaLayer {
             Some(norms) => norms.forward(&qkv)?,
             None => qkv,
         };
-        let x = self.out.forward_onto(&self.attention.forward(&qkv, pass, cache)?, x)?;
+        let x = self
+            .out
+            .forward_onto(&self.attention.forward(&qkv, pass, cache)?, x)?;
         self.mlp.forward_onto(&self.post_norm.forward(&x)?, &x)
     }
 }

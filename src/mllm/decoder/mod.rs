@@ -1,6 +1,7 @@
 //! Llama-style decoders: embedding, layers with a key-value cache, RMS norm, output layer.
 //!
-//! [`LlamaLayer`] is the layer of Llama, Mistral and Qwen. A family with another layer implements [`DecoderLayer`].
+//! [`LlamaLayer`] is the layer of Llama, Mistral and Qwen. A family with another layer implements
+//! [`DecoderLayer`].
 
 mod attention;
 mod cache;
@@ -71,37 +72,58 @@ pub trait LanguageModel {
     /// An empty cache for at most `limit` tokens.
     fn new_cache(&self, limit: usize) -> KvCache;
 
-    /// Runs rows that follow the cached positions, adds them to the cache, and gives the logits (wanted positions, vocabulary).
-    fn forward(&self, input: &DecoderInput, cache: &mut KvCache, wanted: Logits)
-    -> candle_core::Result<Option<Tensor>>;
+    /// Runs rows that follow the cached positions, adds them to the cache, and gives the logits
+    /// (wanted positions, vocabulary).
+    fn forward(
+        &self,
+        input: &DecoderInput,
+        cache: &mut KvCache,
+        wanted: Logits,
+    ) -> candle_core::Result<Option<Tensor>>;
 
-    /// Maximum number of text tokens in a pass with the same keys, values and logits, bit for bit, as passes of one token each. 1
-    /// where longer passes round differently; then nothing is drafted.
+    /// Maximum number of text tokens in a pass with the same keys, values and logits, bit for bit,
+    /// as passes of one token each. 1 where longer passes round differently; then nothing is
+    /// drafted.
     fn exact_pass(&self) -> usize {
         1
     }
 }
 
 impl<L: DecoderLayer> Decoder<L> {
-    /// Takes the decoder's weights, whose names begin with `prefix`; the output layer is `lm_head.weight` in all families.
-    pub(crate) fn take(weights: &mut Weights, config: &LlamaConfig, prefix: &str) -> Result<Self, MllmError> {
+    /// Takes the decoder's weights, whose names begin with `prefix`; the output layer is
+    /// `lm_head.weight` in all families.
+    pub(crate) fn take(
+        weights: &mut Weights,
+        config: &LlamaConfig,
+        prefix: &str,
+    ) -> Result<Self, MllmError> {
         let tied = config.is_tied(weights);
         let matrix = [config.vocabulary, config.hidden];
         let embedding = weights.take_matrix(&format!("{prefix}embed_tokens.weight"), matrix)?;
-        // A checkpoint that holds both with the tying flag set is not tied (transformers: `tie_weights`).
+        // A checkpoint that holds both with the tying flag set is not tied (transformers:
+        // `tie_weights`).
         let head = if tied && !weights.contains("lm_head.weight") {
             embedding.clone()
         } else {
             weights.take_matrix("lm_head.weight", matrix)?
         };
-        // Beside rounded weights, f16 keys and values lose no relevant accuracy, and reads take half of the time.
+        // Beside rounded weights, f16 keys and values lose no relevant accuracy, and reads take
+        // half of the time.
         let single = weights.is_lossless() || embedding.weight_format() == WeightFormat::F32;
-        let precision = if single { Precision::Single } else { Precision::Half };
+        let precision = if single {
+            Precision::Single
+        } else {
+            Precision::Half
+        };
         let mut rotary = RotaryEmbedding::new(&config.rope, config.head_dim, config.context);
         let factors = format!("{prefix}rope_freqs.weight");
         // A configuration that says how frequencies are scaled comes first.
         if config.rope.scaling == RopeScaling::None && weights.contains(&factors) {
-            rotary = rotary.divided_by(&weights.take(&factors, &[config.head_dim / 2])?.to_vec1::<f32>()?);
+            rotary = rotary.divided_by(
+                &weights
+                    .take(&factors, &[config.head_dim / 2])?
+                    .to_vec1::<f32>()?,
+            );
         }
         let layers = (0..config.layers)
             .map(|index| L::take(weights, config, &format!("{prefix}layers.{index}")))
@@ -139,7 +161,11 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
     ) -> candle_core::Result<Option<Tensor>> {
         let tokens = input.rows.dim(0)?;
         cache.check_room(tokens)?;
-        let mut pass = Pass { layer: 0, rotary: self.rotary.rows(&input.positions)?, vision: input.vision.clone() };
+        let mut pass = Pass {
+            layer: 0,
+            rotary: self.rotary.rows(&input.positions)?,
+            vision: input.vision.clone(),
+        };
         let mut x = input.rows.clone();
         for (index, layer) in self.layers.iter().enumerate() {
             pass.layer = index;

@@ -9,7 +9,8 @@ use serde_json::{Map, Value, json};
 
 use super::grammar::{gbnf, pattern};
 use crate::{
-    Constraint, ConstraintUse, EndpointSettings, GrammarField, LimitField, MllmError, Request, Sampling, Turn,
+    Constraint, ConstraintUse, EndpointSettings, GrammarField, LimitField, MllmError, Request,
+    Sampling, Turn,
 };
 
 /// The member of a JSON answer with the text.
@@ -73,7 +74,10 @@ fn messages(chat: &Chat<'_>) -> Value {
     if !chat.system.is_empty() {
         messages.push(json!({"role": "system", "content": chat.system}));
     }
-    let said = chat.turns.iter().map(|turn| (turn.prompt.as_str(), Some(turn.answer.as_str())));
+    let said = chat
+        .turns
+        .iter()
+        .map(|turn| (turn.prompt.as_str(), Some(turn.answer.as_str())));
     for (index, (prompt, answer)) in said.chain([(chat.prompt, None)]).enumerate() {
         let content = match chat.image.filter(|_| index == 0) {
             None => json!(prompt),
@@ -91,23 +95,36 @@ fn messages(chat: &Chat<'_>) -> Value {
 }
 
 /// The field that carries the constraint; `None` where there is nothing to send.
-fn constraint_field(field: GrammarField, constraint: &Constraint) -> Result<Option<(&'static str, Value)>, MllmError> {
+fn constraint_field(
+    field: GrammarField,
+    constraint: &Constraint,
+) -> Result<Option<(&'static str, Value)>, MllmError> {
     if *constraint == Constraint::Free {
         return Ok(None);
     }
-    let fail = |problem: String| MllmError::Grammar { constraint: format!("{constraint:?}"), problem };
+    let fail = |problem: String| MllmError::Grammar {
+        constraint: format!("{constraint:?}"),
+        problem,
+    };
     Ok(match field {
         GrammarField::None => None,
         GrammarField::Gbnf => Some(("grammar", json!(gbnf(constraint).map_err(fail)?))),
-        GrammarField::JsonSchema => Some(("response_format", json_schema(&pattern(constraint).map_err(fail)?))),
-        GrammarField::StructuredOutputs => {
-            Some(("structured_outputs", json!({"regex": pattern(constraint).map_err(fail)?})))
+        GrammarField::JsonSchema => Some((
+            "response_format",
+            json_schema(&pattern(constraint).map_err(fail)?),
+        )),
+        GrammarField::StructuredOutputs => Some((
+            "structured_outputs",
+            json!({"regex": pattern(constraint).map_err(fail)?}),
+        )),
+        GrammarField::GuidedRegex => {
+            Some(("guided_regex", json!(pattern(constraint).map_err(fail)?)))
         }
-        GrammarField::GuidedRegex => Some(("guided_regex", json!(pattern(constraint).map_err(fail)?))),
         GrammarField::Regex => Some(("regex", json!(pattern(constraint).map_err(fail)?))),
-        GrammarField::TaggedRegex => {
-            Some(("grammar", json!({"type": "regex", "value": pattern(constraint).map_err(fail)?})))
-        }
+        GrammarField::TaggedRegex => Some((
+            "grammar",
+            json!({"type": "regex", "value": pattern(constraint).map_err(fail)?}),
+        )),
     })
 }
 
@@ -122,30 +139,54 @@ fn json_schema(pattern: &str) -> Value {
 }
 
 /// The text of an answer. A JSON answer has it in a member.
-pub(super) fn text(settings: &EndpointSettings, constraint: &Constraint, content: String) -> String {
+pub(super) fn text(
+    settings: &EndpointSettings,
+    constraint: &Constraint,
+    content: String,
+) -> String {
     if settings.grammar != GrammarField::JsonSchema || *constraint == Constraint::Free {
         return content;
     }
     let parsed: Option<Value> = serde_json::from_str(&content).ok();
-    let member = parsed.as_ref().and_then(|value| value.get(ANSWER)).and_then(Value::as_str);
+    let member = parsed
+        .as_ref()
+        .and_then(|value| value.get(ANSWER))
+        .and_then(Value::as_str);
     member.map(ToString::to_string).unwrap_or(content)
 }
 
 /// Checks the answer against the constraint.
-pub(super) fn constraint_use(settings: &EndpointSettings, constraint: &Constraint, text: &str) -> ConstraintUse {
+pub(super) fn constraint_use(
+    settings: &EndpointSettings,
+    constraint: &Constraint,
+    text: &str,
+) -> ConstraintUse {
     if *constraint == Constraint::Free {
         return ConstraintUse::Unconstrained;
     }
     if settings.grammar == GrammarField::None {
         return ConstraintUse::NotSent;
     }
-    let whole = pattern(constraint).ok().and_then(|pattern| regex::Regex::new(&format!("^(?:{pattern})$")).ok());
-    if whole.is_some_and(|whole| whole.is_match(text)) { ConstraintUse::Satisfied } else { ConstraintUse::Violated }
+    let whole = pattern(constraint)
+        .ok()
+        .and_then(|pattern| regex::Regex::new(&format!("^(?:{pattern})$")).ok());
+    if whole.is_some_and(|whole| whole.is_match(text)) {
+        ConstraintUse::Satisfied
+    } else {
+        ConstraintUse::Violated
+    }
 }
 
 /// An image as a `data:` address with a PNG.
 pub(super) fn data_url(image: &RgbImage) -> Result<String, MllmError> {
     let mut png = Cursor::new(Vec::new());
-    image.write_to(&mut png, ImageFormat::Png).map_err(|error| MllmError::Image { problem: error.to_string() })?;
-    Ok(format!("data:image/png;base64,{}", BASE64_STANDARD.encode(png.into_inner())))
+    image
+        .write_to(&mut png, ImageFormat::Png)
+        .map_err(|error| MllmError::Image {
+            problem: error.to_string(),
+        })?;
+    Ok(format!(
+        "data:image/png;base64,{}",
+        BASE64_STANDARD.encode(png.into_inner())
+    ))
 }

@@ -30,7 +30,8 @@ pub(super) struct Client {
     timeout: Duration,
     /// Whether the server has answered a question.
     answered: AtomicBool,
-    /// Whether a question waited in vain for a server that loads its model. Later ones do not wait again.
+    /// Whether a question waited in vain for a server that loads its model. Later ones do not wait
+    /// again.
     waited: AtomicBool,
 }
 
@@ -53,12 +54,19 @@ struct Failed {
 
 impl From<EndpointFailure> for Failed {
     fn from(failure: EndpointFailure) -> Self {
-        Self { failure, retry_after: None }
+        Self {
+            failure,
+            retry_after: None,
+        }
     }
 }
 
 impl Client {
-    pub(super) fn new(settings: &EndpointSettings, url: Url, key: Option<ApiKey>) -> Result<Self, MllmError> {
+    pub(super) fn new(
+        settings: &EndpointSettings,
+        url: Url,
+        key: Option<ApiKey>,
+    ) -> Result<Self, MllmError> {
         let mut builder = reqwest::blocking::Client::builder()
             .connect_timeout(Duration::from_millis(settings.connect_timeout_ms))
             .user_agent(concat!("planagent/", env!("CARGO_PKG_VERSION")))
@@ -71,21 +79,33 @@ impl Client {
             failure: EndpointFailure::Connect(causes(&error)),
         })?;
         let timeout = Duration::from_millis(settings.timeout_ms);
-        Ok(Self { http, url, key, timeout, answered: AtomicBool::new(false), waited: AtomicBool::new(false) })
+        Ok(Self {
+            http,
+            url,
+            key,
+            timeout,
+            answered: AtomicBool::new(false),
+            waited: AtomicBool::new(false),
+        })
     }
 
-    /// Sends a question, with retries as the settings allow. `on_text` gets the pieces of the answer; after the first, nothing
-    /// is retried.
+    /// Sends a question, with retries as the settings allow. `on_text` gets the pieces of the
+    /// answer; after the first, nothing is retried.
     ///
     /// # Errors
-    /// The last failure, with what to do where that is known; [`MllmError::Deadline`] when the deadline passes, or would pass
-    /// during a wait, and there is a server.
+    /// The last failure, with what to do where that is known; [`MllmError::Deadline`] when the
+    /// deadline passes, or would pass during a wait, and there is a server.
     pub(super) fn ask(
         &self,
         question: Question<'_>,
         mut on_text: Option<&mut dyn FnMut(&str)>,
     ) -> Result<Reply, MllmError> {
-        let Question { settings, body, seed, deadline } = question;
+        let Question {
+            settings,
+            body,
+            seed,
+            deadline,
+        } = question;
         let spoken = Cell::new(false);
         // A piece of an answer may end within the key, and nobody needs pieces who does not listen.
         let whole = self.key.is_some() || on_text.is_none();
@@ -100,7 +120,10 @@ impl Client {
         };
         let waits = Waits::new(settings, seed, self.waited.load(Ordering::Relaxed));
         let result = patiently(waits, deadline, &spoken, &mut once)?;
-        self.waited.store(matches!(result, Err(EndpointFailure::Loading { .. })), Ordering::Relaxed);
+        self.waited.store(
+            matches!(result, Err(EndpointFailure::Loading { .. })),
+            Ordering::Relaxed,
+        );
         match result {
             Ok(reply) => {
                 self.answered.store(true, Ordering::Relaxed);
@@ -118,7 +141,10 @@ impl Client {
         let mut once = || self.models_once(self.timeout);
         let waits = Waits::new(settings, 0, false);
         let listed = patiently(waits, Deadline::NONE, &Cell::new(false), &mut once)?;
-        listed.map_err(|failure| MllmError::Endpoint { endpoint: self.list_url(), failure })
+        listed.map_err(|failure| MllmError::Endpoint {
+            endpoint: self.list_url(),
+            failure,
+        })
     }
 
     fn ask_once(
@@ -128,9 +154,15 @@ impl Client {
         whole: bool,
         on_text: &mut dyn FnMut(&str),
     ) -> Result<Reply, Failed> {
-        let limit = deadline.left().map_or(self.timeout, |left| left.min(self.timeout));
+        let limit = deadline
+            .left()
+            .map_or(self.timeout, |left| left.min(self.timeout));
         let response = self.sent(self.http.post(self.url.clone()).timeout(limit).json(body))?;
-        let listen = Listen { hide: &|text: &str| self.hide(text), whole, on_text };
+        let listen = Listen {
+            hide: &|text: &str| self.hide(text),
+            whole,
+            on_text,
+        };
         read(response, listen).map_err(|failure| self.redacted(failure).into())
     }
 
@@ -139,9 +171,12 @@ impl Client {
         let response = self.sent(self.http.get(self.list_url()).timeout(limit))?;
         let mut bytes = Vec::new();
         let invalid = |problem: String| self.redacted(EndpointFailure::InvalidReply(problem));
-        response.take(MAX_BYTES).read_to_end(&mut bytes).map_err(|error| EndpointFailure::Closed(error.to_string()))?;
-        let list: Value =
-            serde_json::from_slice(&bytes).map_err(|error| invalid(format!("the list of models: {error}")))?;
+        response
+            .take(MAX_BYTES)
+            .read_to_end(&mut bytes)
+            .map_err(|error| EndpointFailure::Closed(error.to_string()))?;
+        let list: Value = serde_json::from_slice(&bytes)
+            .map_err(|error| invalid(format!("the list of models: {error}")))?;
         match Trouble::in_reply(&list) {
             Some(trouble) => Err(trouble.failure(&|text| self.hide(text)).into()),
             None => Ok(offered(&list)),
@@ -154,7 +189,11 @@ impl Client {
             request = request.header(AUTHORIZATION, key.header());
         }
         let response = request.send().map_err(|error| self.unsent(&error))?;
-        if response.status().is_success() { Ok(response) } else { Err(self.refused(response)) }
+        if response.status().is_success() {
+            Ok(response)
+        } else {
+            Err(self.refused(response))
+        }
     }
 
     /// The failure behind an error before the response status.
@@ -172,17 +211,25 @@ impl Client {
     /// The failure behind an error status.
     fn refused(&self, response: Response) -> Failed {
         let (status, retry_after) = (response.status(), asked(response.headers()));
-        let failure = match response.headers().get(LOCATION).and_then(|place| place.to_str().ok()) {
+        let failure = match response
+            .headers()
+            .get(LOCATION)
+            .and_then(|place| place.to_str().ok())
+        {
             Some(place) => EndpointFailure::Refused {
                 status: status.as_u16(),
                 message: format!("the address moved to {}", shortened(&self.hide(place))),
             },
             None => Trouble::behind(status, response).failure(&|text| self.hide(text)),
         };
-        Failed { failure: self.redacted(failure), retry_after }
+        Failed {
+            failure: self.redacted(failure),
+            retry_after,
+        }
     }
 
-    /// A failure with what to do. A first reply that is no answer lasts: the address, the model or the settings are wrong.
+    /// A failure with what to do. A first reply that is no answer lasts: the address, the model or
+    /// the settings are wrong.
     fn explained(&self, failure: EndpointFailure, question: Question<'_>) -> EndpointFailure {
         let with = |text: String, advice: Option<String>| match advice {
             Some(advice) => format!("{text}; {advice}"),
@@ -191,28 +238,57 @@ impl Client {
         let is_first = !self.answered.load(Ordering::Relaxed);
         match failure {
             EndpointFailure::Refused { status, message } => {
-                let Question { settings, body, deadline, .. } = question;
-                let refusal = Refusal { status, message: &message, settings, url: &self.url, body };
-                let advice = if refusal.is_of_the_model() { self.offer(deadline) } else { refusal.advice() };
-                EndpointFailure::Refused { status, message: with(message, advice) }
+                let Question {
+                    settings,
+                    body,
+                    deadline,
+                    ..
+                } = question;
+                let refusal = Refusal {
+                    status,
+                    message: &message,
+                    settings,
+                    url: &self.url,
+                    body,
+                };
+                let advice = if refusal.is_of_the_model() {
+                    self.offer(deadline)
+                } else {
+                    refusal.advice()
+                };
+                EndpointFailure::Refused {
+                    status,
+                    message: with(message, advice),
+                }
             }
             EndpointFailure::InvalidReply(_) if is_first => {
                 EndpointFailure::Unusable(with(failure.to_string(), without_version(&self.url)))
             }
             // One that answered before loads another model between, and will answer again.
-            EndpointFailure::Loading { status, message, .. } if !is_first => {
-                EndpointFailure::Unavailable { status, message }
+            EndpointFailure::Loading {
+                status, message, ..
+            } if !is_first => EndpointFailure::Unavailable { status, message },
+            EndpointFailure::NoAnswer(_) if is_first => {
+                EndpointFailure::Unusable(failure.to_string())
             }
-            EndpointFailure::NoAnswer(_) if is_first => EndpointFailure::Unusable(failure.to_string()),
             failure => failure,
         }
     }
 
-    /// The names that the server has in place of one that it has not. A list that cannot be had explains nothing.
+    /// The names that the server has in place of one that it has not. A list that cannot be had
+    /// explains nothing.
     fn offer(&self, deadline: Deadline) -> Option<String> {
-        let limit = deadline.left().map_or(MAX_EXPLAINING, |left| left.min(MAX_EXPLAINING));
-        let models = self.models_once(limit).ok().filter(|models| !models.is_empty())?;
-        Some(format!("the server offers {}", named(&models, &|text| self.hide(text))))
+        let limit = deadline
+            .left()
+            .map_or(MAX_EXPLAINING, |left| left.min(MAX_EXPLAINING));
+        let models = self
+            .models_once(limit)
+            .ok()
+            .filter(|models| !models.is_empty())?;
+        Some(format!(
+            "the server offers {}",
+            named(&models, &|text| self.hide(text))
+        ))
     }
 
     /// The names of models for a message.
@@ -222,12 +298,17 @@ impl Client {
 
     fn list_url(&self) -> String {
         let url = self.url.as_str();
-        format!("{}/models", url.strip_suffix("/chat/completions").unwrap_or(url))
+        format!(
+            "{}/models",
+            url.strip_suffix("/chat/completions").unwrap_or(url)
+        )
     }
 
     /// A text of the server without the API key.
     fn hide(&self, text: &str) -> String {
-        self.key.as_ref().map_or_else(|| text.to_owned(), |key| key.hide(text))
+        self.key
+            .as_ref()
+            .map_or_else(|| text.to_owned(), |key| key.hide(text))
     }
 
     /// Sets the time limit of a failure and removes the API key from its text.
@@ -251,7 +332,10 @@ impl Client {
     }
 
     fn error(&self, failure: EndpointFailure) -> MllmError {
-        MllmError::Endpoint { endpoint: self.url.to_string(), failure }
+        MllmError::Endpoint {
+            endpoint: self.url.to_string(),
+            failure,
+        }
     }
 }
 
@@ -264,7 +348,10 @@ fn patiently<T>(
 ) -> Result<Result<T, EndpointFailure>, MllmError> {
     loop {
         deadline.check()?;
-        let Failed { failure, retry_after } = match once() {
+        let Failed {
+            failure,
+            retry_after,
+        } = match once() {
             Ok(reply) => return Ok(Ok(reply)),
             Err(failed) => failed,
         };
@@ -281,13 +368,18 @@ fn patiently<T>(
             Err(failure) => return Ok(Err(failure)),
         };
         if deadline.left().is_some_and(|left| wait >= left) {
-            return if is_absent { Ok(Err(failure)) } else { Err(MllmError::Deadline) };
+            return if is_absent {
+                Ok(Err(failure))
+            } else {
+                Err(MllmError::Deadline)
+            };
         }
         std::thread::sleep(wait);
     }
 }
 
-/// The innermost cause of an error. The outer ones repeat the address, which the message has already.
+/// The innermost cause of an error. The outer ones repeat the address, which the message has
+/// already.
 fn causes(error: &reqwest::Error) -> String {
     let mut innermost: &dyn std::error::Error = error;
     while let Some(cause) = innermost.source() {

@@ -5,7 +5,10 @@ use std::net::{TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 
 use super::Endpoint;
-use crate::{Answer, Constraint, Deadline, EndpointSettings, Mllm, MllmError, PromptPrefix, Request, Sampling};
+use crate::{
+    Answer, Constraint, Deadline, EndpointSettings, Mllm, MllmError, PromptPrefix, Request,
+    Sampling,
+};
 
 pub(super) struct FakeServer {
     address: String,
@@ -35,7 +38,15 @@ impl FakeServer {
     /// The request lines so far.
     pub(super) fn requests(&self) -> Vec<String> {
         let heads = self.heads.lock().unwrap();
-        heads.iter().map(|head| head.lines().next().unwrap_or_default().replace(" HTTP/1.1", "")).collect()
+        heads
+            .iter()
+            .map(|head| {
+                head.lines()
+                    .next()
+                    .unwrap_or_default()
+                    .replace(" HTTP/1.1", "")
+            })
+            .collect()
     }
 }
 
@@ -46,7 +57,8 @@ fn serve(mut stream: TcpStream, response: &str, heads: &Mutex<Vec<String>>) {
         let text = String::from_utf8_lossy(bytes);
         text.split_once("\r\n\r\n").is_some_and(|(head, body)| {
             let length = head.to_ascii_lowercase().lines().find_map(|line| {
-                line.strip_prefix("content-length:").map(|length| length.trim().parse::<usize>().unwrap())
+                line.strip_prefix("content-length:")
+                    .map(|length| length.trim().parse::<usize>().unwrap())
             });
             body.len() >= length.unwrap_or(0)
         })
@@ -57,19 +69,26 @@ fn serve(mut stream: TcpStream, response: &str, heads: &Mutex<Vec<String>>) {
             Ok(count) => bytes.extend_from_slice(buffer.get(..count).unwrap()),
         }
     }
-    heads.lock().unwrap().push(String::from_utf8_lossy(&bytes).into_owned());
+    heads
+        .lock()
+        .unwrap()
+        .push(String::from_utf8_lossy(&bytes).into_owned());
     // The client may have left.
     let _ = stream.write_all(response.as_bytes());
 }
 
 /// A response with a body.
 pub(super) fn response(status: &str, body: &str) -> String {
-    format!("HTTP/1.1 {status}\r\nConnection: close\r\nContent-Length: {}\r\n\r\n{body}", body.len())
+    format!(
+        "HTTP/1.1 {status}\r\nConnection: close\r\nContent-Length: {}\r\n\r\n{body}",
+        body.len()
+    )
 }
 
 /// A complete answer.
 pub(super) fn answer(text: &str) -> String {
-    let body = serde_json::json!({"choices": [{"message": {"content": text}, "finish_reason": "stop"}]});
+    let body =
+        serde_json::json!({"choices": [{"message": {"content": text}, "finish_reason": "stop"}]});
     response("200 OK", &body.to_string())
 }
 
@@ -90,13 +109,22 @@ pub(super) fn ask(endpoint: &Endpoint) -> Result<Answer, MllmError> {
         deadline: Deadline::NONE,
         draft: None,
     };
-    endpoint.converse(&PromptPrefix::default(), 0)?.ask("Which lane?", &request)
+    endpoint
+        .converse(&PromptPrefix::default(), 0)?
+        .ask("Which lane?", &request)
 }
 
-/// Asks a server with these responses one question: the answer or the error, whether the error passes, and the requests.
+/// Asks a server with these responses one question: the answer or the error, whether the error
+/// passes, and the requests.
 pub(super) fn asked(responses: Vec<String>) -> (Result<String, String>, bool, Vec<String>) {
     let server = FakeServer::start(responses);
     let result = ask(&Endpoint::open("test", &settings(&server.url())).unwrap());
     let passes = result.as_ref().is_err_and(MllmError::is_transient);
-    (result.map(|answer| answer.text).map_err(|error| error.to_string()), passes, server.requests())
+    (
+        result
+            .map(|answer| answer.text)
+            .map_err(|error| error.to_string()),
+        passes,
+        server.requests(),
+    )
 }

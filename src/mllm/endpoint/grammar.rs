@@ -1,5 +1,5 @@
-//! Constraints in the grammar languages of servers: llama.cpp's GBNF, and regular expressions with plain groups and without
-//! anchors, which all of them know.
+//! Constraints in the grammar languages of servers: llama.cpp's GBNF, and regular expressions with
+//! plain groups and without anchors, which all of them know.
 
 use regex_syntax::hir::{Class, ClassUnicode, Hir, HirKind};
 
@@ -14,14 +14,26 @@ pub(super) fn pattern(constraint: &Constraint) -> Result<String, String> {
         Constraint::Choice(texts) if texts.is_empty() => Err("the choice is empty".into()),
         Constraint::Choice(texts) => match texts.as_slice() {
             [only] => Ok(literal_pattern(only)),
-            several => Ok(format!("({})", several.iter().map(|t| literal_pattern(t)).collect::<Vec<_>>().join("|"))),
+            several => Ok(format!(
+                "({})",
+                several
+                    .iter()
+                    .map(|t| literal_pattern(t))
+                    .collect::<Vec<_>>()
+                    .join("|")
+            )),
         },
         Constraint::Regex(pattern) => Ok(format!("({pattern})")),
         Constraint::Sequence(parts) => parts.iter().map(pattern).collect(),
         Constraint::OneOf(parts) if parts.is_empty() => Err("the choice is empty".into()),
-        Constraint::OneOf(parts) => {
-            Ok(format!("({})", parts.iter().map(pattern).collect::<Result<Vec<_>, _>>()?.join("|")))
-        }
+        Constraint::OneOf(parts) => Ok(format!(
+            "({})",
+            parts
+                .iter()
+                .map(pattern)
+                .collect::<Result<Vec<_>, _>>()?
+                .join("|")
+        )),
         Constraint::Free | Constraint::Lark(_) => Err(NOT_REGULAR.into()),
     }
 }
@@ -29,12 +41,14 @@ pub(super) fn pattern(constraint: &Constraint) -> Result<String, String> {
 /// A constraint as a GBNF grammar.
 ///
 /// # Errors
-/// As [`pattern`], or when a regular expression has anchors, look-around or bytes that are not UTF-8.
+/// As [`pattern`], or when a regular expression has anchors, look-around or bytes that are not
+/// UTF-8.
 pub(super) fn gbnf(constraint: &Constraint) -> Result<String, String> {
     Ok(format!("root ::= {}", expression(constraint)?))
 }
 
-const NOT_REGULAR: &str = "a server accepts only choices, regular expressions and sequences of these";
+const NOT_REGULAR: &str =
+    "a server accepts only choices, regular expressions and sequences of these";
 
 fn literal_pattern(text: &str) -> String {
     let mut pattern = String::with_capacity(text.len());
@@ -59,12 +73,22 @@ fn expression(constraint: &Constraint) -> Result<String, String> {
         Constraint::Choice(texts) if texts.is_empty() => Err("the choice is empty".into()),
         Constraint::Choice(texts) => Ok(alternatives(texts.iter().map(|text| quoted(text)))),
         Constraint::Regex(pattern) => {
-            let parsed = regex_syntax::parse(pattern).map_err(|error| last_line(&error.to_string()))?;
+            let parsed =
+                regex_syntax::parse(pattern).map_err(|error| last_line(&error.to_string()))?;
             regular(&parsed)
         }
-        Constraint::Sequence(parts) => Ok(parts.iter().map(expression).collect::<Result<Vec<_>, _>>()?.join(" ")),
+        Constraint::Sequence(parts) => Ok(parts
+            .iter()
+            .map(expression)
+            .collect::<Result<Vec<_>, _>>()?
+            .join(" ")),
         Constraint::OneOf(parts) if parts.is_empty() => Err("the choice is empty".into()),
-        Constraint::OneOf(parts) => Ok(alternatives(parts.iter().map(expression).collect::<Result<Vec<_>, _>>()?)),
+        Constraint::OneOf(parts) => Ok(alternatives(
+            parts
+                .iter()
+                .map(expression)
+                .collect::<Result<Vec<_>, _>>()?,
+        )),
         Constraint::Free | Constraint::Lark(_) => Err(NOT_REGULAR.into()),
     }
 }
@@ -74,7 +98,8 @@ fn regular(hir: &Hir) -> Result<String, String> {
     match hir.kind() {
         HirKind::Empty => Ok("\"\"".into()),
         HirKind::Literal(literal) => {
-            let text = std::str::from_utf8(&literal.0).map_err(|_| "GBNF has no bytes that are not UTF-8")?;
+            let text = std::str::from_utf8(&literal.0)
+                .map_err(|_| "GBNF has no bytes that are not UTF-8")?;
             Ok(quoted(text))
         }
         HirKind::Class(Class::Unicode(class)) => Ok(class_expression(class)),
@@ -83,19 +108,32 @@ fn regular(hir: &Hir) -> Result<String, String> {
         HirKind::Repetition(repetition) => {
             let count = match (repetition.min, repetition.max) {
                 (min, Some(max)) if min == max => format!("{{{min}}}"),
-                (min, max) => format!("{{{min},{}}}", max.map(|max| max.to_string()).unwrap_or_default()),
+                (min, max) => format!(
+                    "{{{min},{}}}",
+                    max.map(|max| max.to_string()).unwrap_or_default()
+                ),
             };
             Ok(format!("({}){count}", regular(&repetition.sub)?))
         }
         HirKind::Capture(capture) => regular(&capture.sub),
-        HirKind::Concat(parts) => Ok(parts.iter().map(regular).collect::<Result<Vec<_>, _>>()?.join(" ")),
-        HirKind::Alternation(parts) => Ok(alternatives(parts.iter().map(regular).collect::<Result<Vec<_>, _>>()?)),
+        HirKind::Concat(parts) => Ok(parts
+            .iter()
+            .map(regular)
+            .collect::<Result<Vec<_>, _>>()?
+            .join(" ")),
+        HirKind::Alternation(parts) => Ok(alternatives(
+            parts.iter().map(regular).collect::<Result<Vec<_>, _>>()?,
+        )),
     }
 }
 
-/// Writes a class as ranges. A class with the character 0 is written negated, because llama.cpp ends a text there.
+/// Writes a class as ranges. A class with the character 0 is written negated, because llama.cpp
+/// ends a text there.
 fn class_expression(class: &ClassUnicode) -> String {
-    let negated = class.ranges().first().is_some_and(|range| range.start() == '\0');
+    let negated = class
+        .ranges()
+        .first()
+        .is_some_and(|range| range.start() == '\0');
     let mut shown = class.clone();
     if negated {
         shown.negate();
@@ -105,13 +143,25 @@ fn class_expression(class: &ClassUnicode) -> String {
     }
     let ranges = shown.ranges().iter().map(|range| {
         let (first, last) = (class_character(range.start()), class_character(range.end()));
-        if range.start() == range.end() { first } else { format!("{first}-{last}") }
+        if range.start() == range.end() {
+            first
+        } else {
+            format!("{first}-{last}")
+        }
     });
-    format!("[{}{}]", if negated { "^" } else { "" }, ranges.collect::<String>())
+    format!(
+        "[{}{}]",
+        if negated { "^" } else { "" },
+        ranges.collect::<String>()
+    )
 }
 
 fn class_character(character: char) -> String {
-    if character.is_ascii_alphanumeric() { character.to_string() } else { format!("\\U{:08X}", character as u32) }
+    if character.is_ascii_alphanumeric() {
+        character.to_string()
+    } else {
+        format!("\\U{:08X}", character as u32)
+    }
 }
 
 fn quoted(text: &str) -> String {
@@ -159,10 +209,15 @@ mod tests {
     #[test]
     fn a_pattern_matches_what_the_constraint_means() {
         let pattern = pattern(&code()).unwrap();
-        assert_eq!(pattern, r"Plan\(c=(ego_lane|left \[1\])\)\n([A-Za-z][^\n]{2,16})");
+        assert_eq!(
+            pattern,
+            r"Plan\(c=(ego_lane|left \[1\])\)\n([A-Za-z][^\n]{2,16})"
+        );
         let whole = regex::Regex::new(&format!("^(?:{pattern})$")).unwrap();
         assert!(whole.is_match("Plan(c=left [1])\nbecause"));
-        assert!(!whole.is_match("Plan(c=right)\nbecause") && !whole.is_match("Plan(c=ego_lane)\nbe"));
+        assert!(
+            !whole.is_match("Plan(c=right)\nbecause") && !whole.is_match("Plan(c=ego_lane)\nbe")
+        );
     }
 
     #[test]
@@ -170,15 +225,28 @@ mod tests {
         let expected = r#"root ::= ("Plan(c=") ("ego_lane" | "left [1]") (")\n") [A-Za-z] ([^\U0000000A]){2,16}"#;
         assert_eq!(gbnf(&code()).unwrap(), expected);
         let of = |pattern: &str| gbnf(&Constraint::Regex(pattern.into()));
-        assert_eq!(of(r#"(yes|no)+ "x"?"#).unwrap(), r#"root ::= (("yes" | "no")){1,} " \"x" ("\""){0,1}"#);
+        assert_eq!(
+            of(r#"(yes|no)+ "x"?"#).unwrap(),
+            r#"root ::= (("yes" | "no")){1,} " \"x" ("\""){0,1}"#
+        );
         assert_eq!(of("a{3}(?s:.)").unwrap(), r#"root ::= ("a"){3} [^\x00]"#);
-        assert_eq!(gbnf(&choice(&["a \"b\" \\ \u{1} ü"])).unwrap(), r#"root ::= ("a \"b\" \\ \U00000001 ü")"#);
+        assert_eq!(
+            gbnf(&choice(&["a \"b\" \\ \u{1} ü"])).unwrap(),
+            r#"root ::= ("a \"b\" \\ \U00000001 ü")"#
+        );
     }
 
     #[test]
     fn what_cannot_be_written_is_an_error() {
-        for constraint in [Constraint::Free, Constraint::Lark("start: \"a\"".into()), choice(&[])] {
-            assert!(pattern(&constraint).is_err() && gbnf(&constraint).is_err(), "{constraint:?}");
+        for constraint in [
+            Constraint::Free,
+            Constraint::Lark("start: \"a\"".into()),
+            choice(&[]),
+        ] {
+            assert!(
+                pattern(&constraint).is_err() && gbnf(&constraint).is_err(),
+                "{constraint:?}"
+            );
         }
         for regex in ["^a", r"\bword", "(unclosed", r"(?-u)\xFF"] {
             assert!(gbnf(&Constraint::Regex(regex.into())).is_err(), "{regex}");

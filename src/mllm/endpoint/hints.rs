@@ -7,10 +7,22 @@ use crate::EndpointSettings;
 
 /// Fields of a request whose refusal has its own advice, by the field that a server names.
 const ADVICE: [(&str, &str); 12] = [
-    ("max_completion_tokens", "write limit = \"max_completion_tokens\" in the description"),
-    ("max_tokens", "write the other limit in the description: max_tokens or max_completion_tokens"),
-    ("stream_options", "write omit = [\"stream_options\"] in the description"),
-    ("temperature", "write omit = [\"temperature\"] in the description"),
+    (
+        "max_completion_tokens",
+        "write limit = \"max_completion_tokens\" in the description",
+    ),
+    (
+        "max_tokens",
+        "write the other limit in the description: max_tokens or max_completion_tokens",
+    ),
+    (
+        "stream_options",
+        "write omit = [\"stream_options\"] in the description",
+    ),
+    (
+        "temperature",
+        "write omit = [\"temperature\"] in the description",
+    ),
     ("top_p", "write omit = [\"top_p\"] in the description"),
     ("seed", "write omit = [\"seed\"] in the description"),
     ("response_format", GRAMMAR),
@@ -20,11 +32,17 @@ const ADVICE: [(&str, &str); 12] = [
     ("grammar", GRAMMAR),
     ("regex", GRAMMAR),
 ];
-const GRAMMAR: &str =
-    "the server takes constraints in another form: choose another grammar in the description, or \"none\"";
+const GRAMMAR: &str = "the server takes constraints in another form: choose another grammar in the description, or \"none\"";
 /// Words about pictures in refusals of servers.
-const PICTURES: [&str; 7] =
-    ["image", "vision", "multimodal", "mmproj", "picture", "content type", "content must be a string"];
+const PICTURES: [&str; 7] = [
+    "image",
+    "vision",
+    "multimodal",
+    "mmproj",
+    "picture",
+    "content type",
+    "content must be a string",
+];
 /// Words of servers that do not have a model.
 const ABSENT: [&str; 10] = [
     "not found",
@@ -55,8 +73,11 @@ impl Refusal<'_> {
     /// Whether the server seems not to have the model, so that its list helps.
     pub(super) fn is_of_the_model(&self) -> bool {
         let plain = self.message.to_ascii_lowercase();
-        let named = plain.contains("model") || has_word(&plain, &self.settings.model.to_ascii_lowercase());
-        matches!(self.status, 200 | 400 | 404 | 422) && named && ABSENT.iter().any(|words| plain.contains(words))
+        let named =
+            plain.contains("model") || has_word(&plain, &self.settings.model.to_ascii_lowercase());
+        matches!(self.status, 200 | 400 | 404 | 422)
+            && named
+            && ABSENT.iter().any(|words| plain.contains(words))
     }
 
     /// What to do, where it is known.
@@ -64,7 +85,8 @@ impl Refusal<'_> {
         if matches!(self.status, 401 | 403) {
             return Some(match &self.settings.key_env {
                 Some(variable) => format!("check the key in the environment variable {variable}"),
-                None => "key_env of the description names the environment variable with the key".to_owned(),
+                None => "key_env of the description names the environment variable with the key"
+                    .to_owned(),
             });
         }
         if matches!(self.status, 200 | 404 | 405) && !self.is_of_the_model() {
@@ -74,12 +96,21 @@ impl Refusal<'_> {
             return None;
         }
         let plain = self.message.to_ascii_lowercase();
-        if let Some((_, advice)) = ADVICE.iter().find(|(field, _)| self.sends(field) && has_word(&plain, field)) {
+        if let Some((_, advice)) = ADVICE
+            .iter()
+            .find(|(field, _)| self.sends(field) && has_word(&plain, field))
+        {
             return Some((*advice).to_owned());
         }
-        let extra = self.settings.extra.keys().find(|field| has_word(&plain, &field.to_ascii_lowercase()));
+        let extra = self
+            .settings
+            .extra
+            .keys()
+            .find(|field| has_word(&plain, &field.to_ascii_lowercase()));
         if let Some(field) = extra {
-            return Some(format!("{field} is a field of extra in the description: remove it there"));
+            return Some(format!(
+                "{field} is a field of extra in the description: remove it there"
+            ));
         }
         let pictured = self.sends_picture() && PICTURES.iter().any(|word| plain.contains(word));
         pictured.then(|| {
@@ -97,20 +128,33 @@ impl Refusal<'_> {
 
     fn sends_picture(&self) -> bool {
         let messages = self.body.get("messages").and_then(Value::as_array);
-        messages
-            .is_some_and(|messages| messages.iter().any(|message| message.get("content").is_some_and(Value::is_array)))
+        messages.is_some_and(|messages| {
+            messages
+                .iter()
+                .any(|message| message.get("content").is_some_and(Value::is_array))
+        })
     }
 }
 
 /// What may be missing from an address without a version.
 pub(super) fn without_version(url: &Url) -> Option<String> {
-    let is_version =
-        |part: &str| part.strip_prefix('v').is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
-    if url.path_segments().is_some_and(|mut parts| parts.any(is_version)) {
+    let is_version = |part: &str| {
+        part.strip_prefix('v')
+            .is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()))
+    };
+    if url
+        .path_segments()
+        .is_some_and(|mut parts| parts.any(is_version))
+    {
         return None;
     }
-    let base = url.as_str().strip_suffix("/chat/completions").unwrap_or(url.as_str());
-    Some(format!("the address has no version, and /v1 may be missing: try endpoint = \"{base}/v1\""))
+    let base = url
+        .as_str()
+        .strip_suffix("/chat/completions")
+        .unwrap_or(url.as_str());
+    Some(format!(
+        "the address has no version, and /v1 may be missing: try endpoint = \"{base}/v1\""
+    ))
 }
 
 /// Whether a text has a word that is no part of a longer name.
@@ -121,7 +165,9 @@ fn has_word(text: &str, word: &str) -> bool {
     let inside = |c: char| c.is_ascii_alphanumeric() || c == '_';
     text.match_indices(word).any(|(at, _)| {
         let before = text.get(..at).and_then(|before| before.chars().next_back());
-        let after = text.get(at + word.len()..).and_then(|after| after.chars().next());
+        let after = text
+            .get(at + word.len()..)
+            .and_then(|after| after.chars().next());
         !before.is_some_and(inside) && !after.is_some_and(inside)
     })
 }
@@ -140,8 +186,18 @@ mod tests {
             "max_tokens": 5, "temperature": 0, "top_p": 1, "seed": 1, "stream_options": {}, "grammar": "root", "top_k": 3,
             "messages": [{"role": "user", "content": [{"type": "image_url"}, {"type": "text"}]}],
         });
-        let refusal = Refusal { status, message, settings: &settings, url: &url, body: &body };
-        let listed = if refusal.is_of_the_model() { "list" } else { "" };
+        let refusal = Refusal {
+            status,
+            message,
+            settings: &settings,
+            url: &url,
+            body: &body,
+        };
+        let listed = if refusal.is_of_the_model() {
+            "list"
+        } else {
+            ""
+        };
         refusal.advice().unwrap_or_else(|| listed.to_owned())
     }
 
@@ -154,14 +210,42 @@ mod tests {
                 "limit = \"max_completion_tokens\"",
             ),
             (400, "max_tokens is too large", "the other limit"),
-            (400, "'temperature' does not support 0 with this model. Only the default (1)", "omit = [\"temperature\"]"),
-            (422, "body.seed: Extra inputs are not permitted", "omit = [\"seed\"]"),
-            (400, "unknown field stream_options", "omit = [\"stream_options\"]"),
-            (400, "unexpected keyword argument 'grammar'", "another grammar"),
+            (
+                400,
+                "'temperature' does not support 0 with this model. Only the default (1)",
+                "omit = [\"temperature\"]",
+            ),
+            (
+                422,
+                "body.seed: Extra inputs are not permitted",
+                "omit = [\"seed\"]",
+            ),
+            (
+                400,
+                "unknown field stream_options",
+                "omit = [\"stream_options\"]",
+            ),
+            (
+                400,
+                "unexpected keyword argument 'grammar'",
+                "another grammar",
+            ),
             (422, "top_k: unknown field", "extra"),
-            (500, "image input is not supported - hint: you may need to provide the mmproj", "a model that sees"),
-            (400, "This model does not support multimodal input", "a model that sees"),
-            (422, "body.messages.0.content: content must be a string", "a model that sees"),
+            (
+                500,
+                "image input is not supported - hint: you may need to provide the mmproj",
+                "a model that sees",
+            ),
+            (
+                400,
+                "This model does not support multimodal input",
+                "a model that sees",
+            ),
+            (
+                422,
+                "body.messages.0.content: content must be a string",
+                "a model that sees",
+            ),
             (401, "invalid key", "key_env"),
             (400, "the prompt is too long", ""),
             (400, "programmargrammars", ""),
@@ -173,7 +257,10 @@ mod tests {
             (402, "pay first, also for the image", ""),
         ] {
             let advice = advice("http://127.0.0.1:8080/v1", status, message);
-            assert!(advice.contains(told) && advice.is_empty() == told.is_empty(), "{message}: {advice}");
+            assert!(
+                advice.contains(told) && advice.is_empty() == told.is_empty(),
+                "{message}: {advice}"
+            );
         }
     }
 
@@ -192,6 +279,8 @@ mod tests {
                 assert_eq!(advice.contains("/v1\""), missing, "{address}: {advice}");
             }
         }
-        assert!(advice("http://127.0.0.1:1234/", 404, "x").contains("\"http://127.0.0.1:1234/v1\""));
+        assert!(
+            advice("http://127.0.0.1:1234/", 404, "x").contains("\"http://127.0.0.1:1234/v1\"")
+        );
     }
 }

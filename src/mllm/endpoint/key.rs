@@ -13,7 +13,8 @@ use forms::Forms;
 /// Replacement of the key in texts.
 const HIDDEN: &str = "[key]";
 
-/// A key. It has no `Display`, its `Debug` hides it, and [`Self::hide`] removes it from the server's texts.
+/// A key. It has no `Display`, its `Debug` hides it, and [`Self::hide`] removes it from the
+/// server's texts.
 #[derive(Clone)]
 pub(super) struct ApiKey {
     forms: Forms,
@@ -24,10 +25,13 @@ impl ApiKey {
     /// Reads the key from an environment variable.
     ///
     /// # Errors
-    /// When the variable is not set or empty, or a header cannot carry its value. The error does not contain the key.
+    /// When the variable is not set or empty, or a header cannot carry its value. The error does
+    /// not contain the key.
     pub(super) fn from_environment(variable: &str) -> Result<Self, MllmError> {
-        Self::parse(std::env::var_os(variable))
-            .map_err(|problem| MllmError::Key { variable: variable.to_string(), problem })
+        Self::parse(std::env::var_os(variable)).map_err(|problem| MllmError::Key {
+            variable: variable.to_string(),
+            problem,
+        })
     }
 
     fn parse(value: Option<OsString>) -> Result<Self, &'static str> {
@@ -39,7 +43,10 @@ impl ApiKey {
         let mut header = HeaderValue::from_str(&format!("Bearer {text}"))
             .map_err(|_| "has characters that a header cannot carry")?;
         header.set_sensitive(true);
-        Ok(Self { forms: Forms::of(&text), header })
+        Ok(Self {
+            forms: Forms::of(&text),
+            header,
+        })
     }
 
     /// The value of the `Authorization` header.
@@ -47,8 +54,9 @@ impl ApiKey {
         self.header.clone()
     }
 
-    /// The text without the key: as it is, escaped, in base64 or hexadecimal digits, and without its longer parts. It must be
-    /// called before a text is cut, because a short rest of the key would stay.
+    /// The text without the key: as it is, escaped, in base64 or hexadecimal digits, and without
+    /// its longer parts. It must be called before a text is cut, because a short rest of the key
+    /// would stay.
     pub(super) fn hide(&self, text: &str) -> String {
         self.forms.replaced(text, HIDDEN)
     }
@@ -73,8 +81,15 @@ mod tests {
     fn a_key_is_shown_nowhere() {
         let key = ApiKey::parse(Some(" sk-secret-123\n".into())).unwrap();
         assert_eq!(key.header(), "Bearer sk-secret-123");
-        assert_eq!(key.hide("Incorrect API key: sk-secret-123."), "Incorrect API key: [key].");
-        for shown in [format!("{key:?}"), format!("{:?}", Some(&key)), format!("{:?}", key.header())] {
+        assert_eq!(
+            key.hide("Incorrect API key: sk-secret-123."),
+            "Incorrect API key: [key]."
+        );
+        for shown in [
+            format!("{key:?}"),
+            format!("{:?}", Some(&key)),
+            format!("{:?}", key.header()),
+        ] {
             assert!(!shown.contains("secret"), "{shown}");
         }
     }
@@ -90,7 +105,12 @@ mod tests {
         assert!(ApiKey::parse(None).is_err() && ApiKey::parse(Some(" ".into())).is_err());
         let problem = ApiKey::parse(Some("sk-\u{1}secret".into())).unwrap_err();
         assert!(!problem.contains("secret"), "{problem}");
-        let error = ApiKey::from_environment("PLANAGENT_NO_SUCH_KEY").unwrap_err().to_string();
-        assert!(error.contains("PLANAGENT_NO_SUCH_KEY is not set"), "{error}");
+        let error = ApiKey::from_environment("PLANAGENT_NO_SUCH_KEY")
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("PLANAGENT_NO_SUCH_KEY is not set"),
+            "{error}"
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! Models behind a server with `OpenAI`'s chat completions; vLLM, llama.cpp's server and Ollama have them too.
+//! Models behind a server with `OpenAI`'s chat completions; vLLM, llama.cpp's server and Ollama
+//! have them too.
 
 mod chat;
 mod client;
@@ -16,8 +17,9 @@ use reqwest::Url;
 
 use super::sampling::answer_seed;
 use super::{
-    Answer, Constraint, Conversation, EndpointSettings, GrammarField, LoadReport, Mark, Mllm, MllmError,
-    ModelDescription, PromptPrefix, Request, RoundTime, Server, Turn, milliseconds, prompt_hash,
+    Answer, Constraint, Conversation, EndpointSettings, GrammarField, LoadReport, Mark, Mllm,
+    MllmError, ModelDescription, PromptPrefix, Request, RoundTime, Server, Turn, milliseconds,
+    prompt_hash,
 };
 use chat::Chat;
 use client::{Client, Question};
@@ -34,39 +36,68 @@ pub struct Endpoint {
 }
 
 impl Endpoint {
-    /// Reads the API key from the environment. Sends nothing before the first question, except where the settings name no model:
-    /// then the server's list is asked for. `name` is the model's name in results.
+    /// Reads the API key from the environment. Sends nothing before the first question, except
+    /// where the settings name no model: then the server's list is asked for. `name` is the model's
+    /// name in results.
     pub fn open(name: &str, settings: &EndpointSettings) -> Result<Self, MllmError> {
         let invalid = |problem: String| MllmError::Request { problem };
         let url = settings.url().map_err(invalid)?;
-        let url = Url::parse(&url).map_err(|error| invalid(format!("{url} is not an address: {error}")))?;
-        let key = settings.key_env.as_deref().map(ApiKey::from_environment).transpose()?;
+        let url = Url::parse(&url)
+            .map_err(|error| invalid(format!("{url} is not an address: {error}")))?;
+        let key = settings
+            .key_env
+            .as_deref()
+            .map(ApiKey::from_environment)
+            .transpose()?;
         if let (Some(key), Some(variable)) = (&key, &settings.key_env)
-            && settings.extra.iter().any(|(field, value)| key.is_in(field) || key.is_in(&value.to_string()))
+            && settings
+                .extra
+                .iter()
+                .any(|(field, value)| key.is_in(field) || key.is_in(&value.to_string()))
         {
             return Err(invalid(format!(
                 "extra of the description has the API key in it; remove it there, because the variable {variable} has it"
             )));
         }
         let client = Client::new(settings, url, key)?;
-        let settings = if settings.model.is_empty() { chosen(settings, &client)? } else { settings.clone() };
-        Ok(Self { name: name.to_string(), settings, client })
+        let settings = if settings.model.is_empty() {
+            chosen(settings, &client)?
+        } else {
+            settings.clone()
+        };
+        Ok(Self {
+            name: name.to_string(),
+            settings,
+            client,
+        })
     }
 }
 
-/// The settings with the only model of the server, and with the grammar of a server that names itself and refuses what it
-/// cannot read. Others ignore a field that they do not know, so nothing is sent to them.
+/// The settings with the only model of the server, and with the grammar of a server that names
+/// itself and refuses what it cannot read. Others ignore a field that they do not know, so nothing
+/// is sent to them.
 fn chosen(settings: &EndpointSettings, client: &Client) -> Result<EndpointSettings, MllmError> {
     let models = client.models(settings)?;
     let Some(model) = models::only(&models) else {
-        let offered = if models.is_empty() { "no model".to_owned() } else { client.named(&models) };
-        return Err(MllmError::ChooseModel { endpoint: settings.endpoint.clone(), offered });
+        let offered = if models.is_empty() {
+            "no model".to_owned()
+        } else {
+            client.named(&models)
+        };
+        return Err(MllmError::ChooseModel {
+            endpoint: settings.endpoint.clone(),
+            offered,
+        });
     };
     let grammar = match (settings.grammar, model.owner.as_str()) {
         (GrammarField::None, LLAMA_CPP) => GrammarField::Gbnf,
         (grammar, _) => grammar,
     };
-    Ok(EndpointSettings { model: model.id.clone(), grammar, ..settings.clone() })
+    Ok(EndpointSettings {
+        model: model.id.clone(),
+        grammar,
+        ..settings.clone()
+    })
 }
 
 impl Mllm for Endpoint {
@@ -86,11 +117,18 @@ impl Mllm for Endpoint {
             context: 0,
             weights_blake3: String::new(),
             load: LoadReport::default(),
-            server: Some(Server { endpoint: self.settings.endpoint.clone(), model: self.settings.model.clone() }),
+            server: Some(Server {
+                endpoint: self.settings.endpoint.clone(),
+                model: self.settings.model.clone(),
+            }),
         }
     }
 
-    fn converse<'a>(&'a self, prefix: &PromptPrefix, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
+    fn converse<'a>(
+        &'a self,
+        prefix: &PromptPrefix,
+        seed: u64,
+    ) -> Result<Box<dyn Conversation + 'a>, MllmError> {
         Ok(Box::new(EndpointConversation {
             endpoint: self,
             system: prefix.system.clone(),
@@ -153,16 +191,29 @@ impl EndpointConversation<'_> {
         let settings = &self.endpoint.settings;
         request.sampling.check()?;
         let seed = answer_seed(self.seed, self.answers);
-        let chat = Chat { system: &self.system, image: self.image.as_deref(), turns: &self.turns, prompt };
+        let chat = Chat {
+            system: &self.system,
+            image: self.image.as_deref(),
+            turns: &self.turns,
+            prompt,
+        };
         let body = chat::body(settings, &chat, request, seed)?;
         let asked = Instant::now();
-        let question = Question { settings, body: &body, seed, deadline: request.deadline };
+        let question = Question {
+            settings,
+            body: &body,
+            seed,
+            deadline: request.deadline,
+        };
         let reply = self.endpoint.client.ask(question, on_text)?;
         let remote = milliseconds(asked.elapsed());
         let text = chat::text(settings, &request.constraint, reply.content);
         self.answers += 1;
         let prompt_hash = prompt_hash(&self.system, &self.turns, prompt);
-        self.turns.push(Turn { prompt: prompt.to_string(), answer: text.clone() });
+        self.turns.push(Turn {
+            prompt: prompt.to_string(),
+            answer: text.clone(),
+        });
         Ok(Answer {
             ids: Vec::new(),
             tokens: reply.tokens,
@@ -170,7 +221,9 @@ impl EndpointConversation<'_> {
             constraint: chat::constraint_use(settings, &request.constraint, &text),
             prompt_hash,
             time: RoundTime {
-                first_token: reply.first_text.map_or(0.0, |first| milliseconds(first.saturating_duration_since(start))),
+                first_token: reply.first_text.map_or(0.0, |first| {
+                    milliseconds(first.saturating_duration_since(start))
+                }),
                 remote,
                 total: milliseconds(start.elapsed()),
                 ..RoundTime::default()

@@ -20,17 +20,30 @@ pub(super) struct Offered {
 /// The models of a list: in `data`, in `models`, or as a list of names or objects.
 pub(super) fn offered(list: &Value) -> Vec<Offered> {
     let lists = [Some(list), list.get("data"), list.get("models")];
-    let Some(models) = lists.into_iter().flatten().find_map(Value::as_array) else { return Vec::new() };
+    let Some(models) = lists.into_iter().flatten().find_map(Value::as_array) else {
+        return Vec::new();
+    };
     models.iter().filter_map(model).collect()
 }
 
 fn model(entry: &Value) -> Option<Offered> {
-    let text = |name: &str| entry.get(name).and_then(Value::as_str).filter(|text| !text.is_empty());
-    let id = entry.as_str().or_else(|| ["id", "model", "name"].into_iter().find_map(text))?;
-    let is_embedding =
-        id.to_ascii_lowercase().contains("embed") || text("type").is_some_and(|kind| kind == "embeddings");
+    let text = |name: &str| {
+        entry
+            .get(name)
+            .and_then(Value::as_str)
+            .filter(|text| !text.is_empty())
+    };
+    let id = entry
+        .as_str()
+        .or_else(|| ["id", "model", "name"].into_iter().find_map(text))?;
+    let is_embedding = id.to_ascii_lowercase().contains("embed")
+        || text("type").is_some_and(|kind| kind == "embeddings");
     let chats = text("parent").is_none() && !is_embedding;
-    Some(Offered { id: id.to_owned(), owner: text("owned_by").unwrap_or_default().to_owned(), chats })
+    Some(Offered {
+        id: id.to_owned(),
+        owner: text("owned_by").unwrap_or_default().to_owned(),
+        chats,
+    })
 }
 
 /// The model to ask where nobody named one: the only one that can chat.
@@ -41,7 +54,11 @@ pub(super) fn only(models: &[Offered]) -> Option<&Offered> {
 
 /// The names for a message; `hide` removes the key.
 pub(super) fn named(models: &[Offered], hide: &dyn Fn(&str) -> String) -> String {
-    let mut names: Vec<String> = models.iter().take(MAX_NAMED).map(|model| shortened(&hide(&model.id))).collect();
+    let mut names: Vec<String> = models
+        .iter()
+        .take(MAX_NAMED)
+        .map(|model| shortened(&hide(&model.id)))
+        .collect();
     if models.len() > MAX_NAMED {
         names.push(format!("and {} more", models.len() - MAX_NAMED));
     }
@@ -60,16 +77,33 @@ mod tests {
     #[test]
     fn lists_are_read_in_every_form() {
         for (what, list) in [
-            ("OpenAI", json!({"object": "list", "data": [{"id": "a", "object": "model"}, {"id": "b"}]})),
-            ("llama-server", json!({"models": [{"name": "x"}], "data": [{"id": "a"}, {"id": "b"}]})),
-            ("Ollama's own", json!({"models": [{"name": "a", "model": "a"}, {"name": "b"}]})),
+            (
+                "OpenAI",
+                json!({"object": "list", "data": [{"id": "a", "object": "model"}, {"id": "b"}]}),
+            ),
+            (
+                "llama-server",
+                json!({"models": [{"name": "x"}], "data": [{"id": "a"}, {"id": "b"}]}),
+            ),
+            (
+                "Ollama's own",
+                json!({"models": [{"name": "a", "model": "a"}, {"name": "b"}]}),
+            ),
             ("Together", json!([{"id": "a"}, {"id": "b"}])),
             ("names alone", json!({"data": ["a", "b"]})),
-            ("with nonsense", json!({"data": [{"id": "a"}, {"id": 3}, {"id": ""}, null, {"id": "b"}]})),
+            (
+                "with nonsense",
+                json!({"data": [{"id": "a"}, {"id": 3}, {"id": ""}, null, {"id": "b"}]}),
+            ),
         ] {
             assert_eq!(ids(&list), ["a", "b"], "{what}");
         }
-        for none in [json!({}), json!({"data": null}), json!("x"), json!({"error": "x"})] {
+        for none in [
+            json!({}),
+            json!({"data": null}),
+            json!("x"),
+            json!({"error": "x"}),
+        ] {
             assert_eq!(ids(&none), [] as [&str; 0], "{none}");
         }
     }
@@ -80,7 +114,10 @@ mod tests {
         assert_eq!(only_of(json!(["a"])).as_deref(), Some("a"));
         let vllm = json!({"data": [{"id": "a", "parent": null}, {"id": "adapter", "parent": "a"}]});
         assert_eq!(only_of(vllm).as_deref(), Some("a"));
-        assert_eq!(only_of(json!(["a", "text-embedding-nomic-embed-text-v1.5"])).as_deref(), Some("a"));
+        assert_eq!(
+            only_of(json!(["a", "text-embedding-nomic-embed-text-v1.5"])).as_deref(),
+            Some("a")
+        );
         assert_eq!(only_of(json!(["a", "b"])), None);
         assert_eq!(only_of(json!([])), None);
     }
@@ -89,6 +126,9 @@ mod tests {
     fn long_lists_are_cut() {
         let many = offered(&(0..20).map(|number| json!(format!("m{number}"))).collect());
         let named = named(&many, &str::to_owned);
-        assert!(named.starts_with("m0, m1, ") && named.ends_with("m11, and 8 more"), "{named}");
+        assert!(
+            named.starts_with("m0, m1, ") && named.ends_with("m11, and 8 more"),
+            "{named}"
+        );
     }
 }

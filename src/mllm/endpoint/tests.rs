@@ -1,4 +1,5 @@
-//! Questions to servers that differ: which failures last, what is said about them, and which model is asked.
+//! Questions to servers that differ: which failures last, what is said about them, and which model
+//! is asked.
 
 use super::Endpoint;
 use super::fake_server::{FakeServer, answer, ask, asked, response, settings};
@@ -20,11 +21,21 @@ fn a_fault_that_no_retry_mends_is_told_at_the_first_request() {
             response("200 OK", r#"{"error": "Unexpected endpoint"}"#),
             "Unexpected endpoint",
         ),
-        ("a web page", response("200 OK", "<html><title>Chat</title></html>"), "a web page, 'Chat'"),
-        ("another interface", response("200 OK", r#"{"message": {"content": "x"}}"#), "no finished choice"),
+        (
+            "a web page",
+            response("200 OK", "<html><title>Chat</title></html>"),
+            "a web page, 'Chat'",
+        ),
+        (
+            "another interface",
+            response("200 OK", r#"{"message": {"content": "x"}}"#),
+            "no finished choice",
+        ),
         (
             "all reasoning",
-            choice(r#""message": {"content": null, "reasoning_content": "Hm."}, "finish_reason": "stop""#),
+            choice(
+                r#""message": {"content": null, "reasoning_content": "Hm."}, "finish_reason": "stop""#,
+            ),
             "reasoning parser",
         ),
         (
@@ -32,27 +43,45 @@ fn a_fault_that_no_retry_mends_is_told_at_the_first_request() {
             choice(r#""message": {"content": "<think>Hm"}, "finish_reason": "length""#),
             "max_new_tokens",
         ),
-        ("a tool", choice(r#""message": {"tool_calls": []}, "finish_reason": "tool_calls""#), "called a tool"),
+        (
+            "a tool",
+            choice(r#""message": {"tool_calls": []}, "finish_reason": "tool_calls""#),
+            "called a tool",
+        ),
         (
             "no money",
-            response("429 Too Many Requests", r#"{"error": {"code": "insufficient_quota", "message": "pay"}}"#),
+            response(
+                "429 Too Many Requests",
+                r#"{"error": {"code": "insufficient_quota", "message": "pay"}}"#,
+            ),
             "pay",
         ),
-        ("not implemented", response("501 Not Implemented", ""), "Not Implemented"),
+        (
+            "not implemented",
+            response("501 Not Implemented", ""),
+            "Not Implemented",
+        ),
         (
             "moved",
-            response("308 Permanent Redirect", "").replace("Connection", "Location: http://b.example/\r\nConnection"),
+            response("308 Permanent Redirect", "")
+                .replace("Connection", "Location: http://b.example/\r\nConnection"),
             "moved to http://b.example/",
         ),
         (
             "a refused field",
-            response("400 Bad Request", r#"{"error": {"message": "unknown field seed"}}"#),
+            response(
+                "400 Bad Request",
+                r#"{"error": {"message": "unknown field seed"}}"#,
+            ),
             "omit = [\"seed\"]",
         ),
     ] {
         let (result, passes, requests) = asked(vec![reply]);
         let error = result.unwrap_err();
-        assert!(error.contains(told) && error.contains("/v1/chat/completions: "), "{what}: {error}");
+        assert!(
+            error.contains(told) && error.contains("/v1/chat/completions: "),
+            "{what}: {error}"
+        );
         assert!(!passes, "{what}: {error}");
         assert_eq!(requests, [CHAT], "{what}");
     }
@@ -61,7 +90,8 @@ fn a_fault_that_no_retry_mends_is_told_at_the_first_request() {
 #[test]
 fn after_an_answer_an_odd_reply_costs_one_call_and_no_more() {
     let page = response("200 OK", "<html></html>");
-    let reasoning = choice(r#""message": {"content": "", "reasoning": "Hm."}, "finish_reason": "stop""#);
+    let reasoning =
+        choice(r#""message": {"content": "", "reasoning": "Hm."}, "finish_reason": "stop""#);
     for odd in [page, reasoning] {
         let server = FakeServer::start(vec![answer("left"), odd, answer("right")]);
         let endpoint = Endpoint::open("test", &settings(&server.url())).unwrap();
@@ -75,7 +105,10 @@ fn after_an_answer_an_odd_reply_costs_one_call_and_no_more() {
 #[test]
 fn a_refused_prompt_says_nothing_about_the_next() {
     for (fields, told) in [
-        (r#""message": {"content": ""}, "finish_reason": "content_filter""#, "a filter of the server"),
+        (
+            r#""message": {"content": ""}, "finish_reason": "content_filter""#,
+            "a filter of the server",
+        ),
         (
             r#""message": {"content": null, "refusal": "I cannot"}, "finish_reason": "stop""#,
             "the model refuses: I cannot",
@@ -83,7 +116,10 @@ fn a_refused_prompt_says_nothing_about_the_next() {
     ] {
         let (result, passes, requests) = asked(vec![choice(fields)]);
         let error = result.unwrap_err();
-        assert!(passes && error.contains(told) && requests.len() == 1, "{error}");
+        assert!(
+            passes && error.contains(told) && requests.len() == 1,
+            "{error}"
+        );
     }
 }
 
@@ -94,67 +130,134 @@ fn faults_that_pass_are_retried() {
         error("408 Request Timeout"),
         error("429 Too Many Requests"),
         error("529 Overloaded"),
-        response("200 OK", r#"{"error": {"code": 502, "message": "provider"}}"#),
+        response(
+            "200 OK",
+            r#"{"error": {"code": 502, "message": "provider"}}"#,
+        ),
         response(
             "200 OK",
             "data: {\"error\": {\"type\": \"server_error\", \"message\": \"crash\"}}\n\ndata: [DONE]\n\n",
         ),
-        response("200 OK", "data: {\"choices\": [{\"delta\": {\"content\": \"le\"}}]}\n\nevent: error\ndata: gone\n\n"),
+        response(
+            "200 OK",
+            "data: {\"choices\": [{\"delta\": {\"content\": \"le\"}}]}\n\nevent: error\ndata: gone\n\n",
+        ),
         choice(r#""message": {"content": "le"}, "finish_reason": "abort""#),
         String::new(),
     ] {
         let (result, _, requests) = asked(vec![passing.clone(), answer("left")]);
-        assert_eq!((result.as_deref(), requests.len()), (Ok("left"), 2), "{passing}");
+        assert_eq!(
+            (result.as_deref(), requests.len()),
+            (Ok("left"), 2),
+            "{passing}"
+        );
     }
 }
 
 #[test]
 fn a_server_that_loads_its_model_is_waited_for() {
-    let loading = response("503 Service Unavailable", r#"{"error": {"code": 503, "message": "Loading model"}}"#);
-    let (result, _, requests) = asked(vec![loading.clone(), loading.clone(), loading.clone(), answer("left")]);
-    assert_eq!((result.as_deref(), requests.len()), (Ok("left"), 4), "more requests than retries");
+    let loading = response(
+        "503 Service Unavailable",
+        r#"{"error": {"code": 503, "message": "Loading model"}}"#,
+    );
+    let (result, _, requests) = asked(vec![
+        loading.clone(),
+        loading.clone(),
+        loading.clone(),
+        answer("left"),
+    ]);
+    assert_eq!(
+        (result.as_deref(), requests.len()),
+        (Ok("left"), 4),
+        "more requests than retries"
+    );
 
     let opened = |responses: Vec<String>| {
         let server = FakeServer::start(responses);
-        let soon = EndpointSettings { timeout_ms: 200, ..settings(&server.url()) };
+        let soon = EndpointSettings {
+            timeout_ms: 200,
+            ..settings(&server.url())
+        };
         (Endpoint::open("test", &soon).unwrap(), server)
     };
     let (endpoint, server) = opened(vec![loading.clone()]);
     let failed = ask(&endpoint).unwrap_err();
-    assert!(matches!(&failed, MllmError::Endpoint { failure: EndpointFailure::Loading { .. }, .. }), "{failed:?}");
+    assert!(
+        matches!(
+            &failed,
+            MllmError::Endpoint {
+                failure: EndpointFailure::Loading { .. },
+                ..
+            }
+        ),
+        "{failed:?}"
+    );
     let text = failed.to_string();
-    assert!(text.contains("status 503: Loading model") && text.contains("timeout_ms"), "{text}");
-    assert!(!failed.is_transient(), "no later request is likelier to succeed");
+    assert!(
+        text.contains("status 503: Loading model") && text.contains("timeout_ms"),
+        "{text}"
+    );
+    assert!(
+        !failed.is_transient(),
+        "no later request is likelier to succeed"
+    );
     let before = server.requests().len();
     ask(&endpoint).unwrap_err();
-    assert_eq!(server.requests().len(), before + 1, "the time to load is given once");
+    assert_eq!(
+        server.requests().len(),
+        before + 1,
+        "the time to load is given once"
+    );
 
     let (endpoint, _server) = opened(vec![answer("left"), loading]);
     ask(&endpoint).unwrap();
     let failed = ask(&endpoint).unwrap_err();
-    assert!(failed.is_transient(), "a server that answered loads another model: {failed}");
+    assert!(
+        failed.is_transient(),
+        "a server that answered loads another model: {failed}"
+    );
 }
 
 #[test]
 fn an_unknown_model_is_answered_with_those_that_there_are() {
-    let list = response("200 OK", r#"{"object": "list", "data": [{"id": "ear"}, {"id": "nose:7b"}]}"#);
+    let list = response(
+        "200 OK",
+        r#"{"object": "list", "data": [{"id": "ear"}, {"id": "nose:7b"}]}"#,
+    );
     for refusal in [
-        response("404 Not Found", r#"{"error": {"message": "model 'eye' not found", "type": "not_found_error"}}"#),
-        response("404 Not Found", r#"{"object": "error", "message": "The model `eye` does not exist.", "code": 404}"#),
-        response("400 Bad Request", r#"{"error": {"message": "eye is not a valid model ID"}}"#),
+        response(
+            "404 Not Found",
+            r#"{"error": {"message": "model 'eye' not found", "type": "not_found_error"}}"#,
+        ),
+        response(
+            "404 Not Found",
+            r#"{"object": "error", "message": "The model `eye` does not exist.", "code": 404}"#,
+        ),
+        response(
+            "400 Bad Request",
+            r#"{"error": {"message": "eye is not a valid model ID"}}"#,
+        ),
         response("200 OK", r#"{"error": "No models loaded"}"#),
     ] {
         let (result, passes, requests) = asked(vec![refusal, list.clone()]);
         let error = result.unwrap_err();
-        assert!(!passes && error.contains("the server offers ear, nose:7b"), "{error}");
+        assert!(
+            !passes && error.contains("the server offers ear, nose:7b"),
+            "{error}"
+        );
         assert_eq!(requests, [CHAT, LIST]);
     }
     let refusal = response("404 Not Found", r#"{"error": "model 'eye' not found"}"#);
-    for no_list in [response("404 Not Found", ""), response("200 OK", "no JSON"), response("200 OK", r#"{"data": []}"#)]
-    {
+    for no_list in [
+        response("404 Not Found", ""),
+        response("200 OK", "no JSON"),
+        response("200 OK", r#"{"data": []}"#),
+    ] {
         let (result, _, _) = asked(vec![refusal.clone(), no_list]);
         assert!(
-            result.unwrap_err().ends_with("status 404: model 'eye' not found"),
+            result
+                .unwrap_err()
+                .ends_with("status 404: model 'eye' not found"),
             "a list that is none explains nothing"
         );
     }
@@ -162,9 +265,14 @@ fn an_unknown_model_is_answered_with_those_that_there_are() {
 
 #[test]
 fn an_address_without_a_version_is_told_so() {
-    let server = FakeServer::start(vec![response("200 OK", r#"{"error": "Unexpected endpoint or method."}"#)]);
+    let server = FakeServer::start(vec![response(
+        "200 OK",
+        r#"{"error": "Unexpected endpoint or method."}"#,
+    )]);
     let bare = server.url().replace("/v1", "");
-    let error = ask(&Endpoint::open("test", &settings(&bare)).unwrap()).unwrap_err().to_string();
+    let error = ask(&Endpoint::open("test", &settings(&bare)).unwrap())
+        .unwrap_err()
+        .to_string();
     let expected = [
         format!("{bare}/chat/completions: "),
         "Unexpected endpoint or method.".into(),
@@ -185,25 +293,47 @@ fn a_server_without_a_description_is_asked_for_its_only_model() {
         (opened, server.requests())
     };
     let as_is = |url: String| url;
-    let (endpoint, requests) = open(r#"{"data": [{"id": "eye:7b", "owned_by": "library"}]}"#, &as_is);
+    let (endpoint, requests) = open(
+        r#"{"data": [{"id": "eye:7b", "owned_by": "library"}]}"#,
+        &as_is,
+    );
     let endpoint = endpoint.unwrap();
     assert_eq!(endpoint.describe().server.unwrap().model, "eye:7b");
-    assert_eq!((endpoint.settings.grammar, requests), (GrammarField::None, vec![LIST.to_owned(), CHAT.to_owned()]));
+    assert_eq!(
+        (endpoint.settings.grammar, requests),
+        (GrammarField::None, vec![LIST.to_owned(), CHAT.to_owned()])
+    );
 
-    let (endpoint, _) = open(r#"{"data": [{"id": "eye.gguf", "owned_by": "llamacpp"}]}"#, &as_is);
+    let (endpoint, _) = open(
+        r#"{"data": [{"id": "eye.gguf", "owned_by": "llamacpp"}]}"#,
+        &as_is,
+    );
     assert_eq!(endpoint.unwrap().settings.grammar, GrammarField::Gbnf);
-    let (endpoint, _) = open(r#"{"data": [{"id": "eye"}]}"#, &|url| url.replace("/v1", "/"));
+    let (endpoint, _) = open(r#"{"data": [{"id": "eye"}]}"#, &|url| {
+        url.replace("/v1", "/")
+    });
     assert_eq!(endpoint.unwrap().settings.model, "eye");
 
-    for (list, told) in
-        [(r#"{"data": [{"id": "ear"}, {"id": "eye"}]}"#, "offers ear, eye;"), (r#"{"data": []}"#, "offers no model;")]
-    {
+    for (list, told) in [
+        (
+            r#"{"data": [{"id": "ear"}, {"id": "eye"}]}"#,
+            "offers ear, eye;",
+        ),
+        (r#"{"data": []}"#, "offers no model;"),
+    ] {
         let error = open(list, &as_is).0.unwrap_err();
         assert!(matches!(&error, MllmError::ChooseModel { .. }), "{error:?}");
-        assert!(error.to_string().contains(told) && error.to_string().contains("/v1#NAME"), "{error}");
+        assert!(
+            error.to_string().contains(told) && error.to_string().contains("/v1#NAME"),
+            "{error}"
+        );
     }
     let named = FakeServer::start(vec![answer("left")]);
     let settings = EndpointSettings::of_address(&format!("{}#ear", named.url())).unwrap();
     ask(&Endpoint::open("test", &settings).unwrap()).unwrap();
-    assert_eq!(named.requests(), [CHAT], "a model that is named needs no list");
+    assert_eq!(
+        named.requests(),
+        [CHAT],
+        "a model that is named needs no list"
+    );
 }

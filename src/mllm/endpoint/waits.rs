@@ -31,43 +31,82 @@ impl Waits {
     pub(super) fn new(settings: &EndpointSettings, seed: u64, waited: bool) -> Self {
         let first = Duration::from_millis(settings.first_wait_ms);
         let limit = Duration::from_millis(settings.timeout_ms);
-        let builder = ExponentialBuilder::default().with_min_delay(first).with_jitter().with_jitter_seed(seed);
+        let builder = ExponentialBuilder::default()
+            .with_min_delay(first)
+            .with_jitter()
+            .with_jitter_seed(seed);
         Self {
-            retries: builder.with_max_delay(MAX_WAIT).with_max_times(settings.retries).build(),
-            loading: builder.with_max_delay(MAX_LOADING_WAIT).without_max_times().build(),
+            retries: builder
+                .with_max_delay(MAX_WAIT)
+                .with_max_times(settings.retries)
+                .build(),
+            loading: builder
+                .with_max_delay(MAX_LOADING_WAIT)
+                .without_max_times()
+                .build(),
             began: Instant::now(),
             limit,
             loading_limit: if waited { Duration::ZERO } else { limit },
         }
     }
 
-    /// The wait before the next request, or the failure to report. `asked` is the wait that the server asks for.
+    /// The wait before the next request, or the failure to report. `asked` is the wait that the
+    /// server asks for.
     pub(super) fn next(
         &mut self,
         failure: EndpointFailure,
         asked: Option<Duration>,
     ) -> Result<(Duration, EndpointFailure), EndpointFailure> {
-        if let EndpointFailure::Loading { status, message, .. } = failure {
+        if let EndpointFailure::Loading {
+            status, message, ..
+        } = failure
+        {
             let waited = self.began.elapsed();
-            let wait = asked.or_else(|| self.loading.next()).unwrap_or(MAX_LOADING_WAIT).min(MAX_LOADING_WAIT);
-            let failure = EndpointFailure::Loading { status, message, waited };
-            return if waited.saturating_add(wait) > self.loading_limit { Err(failure) } else { Ok((wait, failure)) };
+            let wait = asked
+                .or_else(|| self.loading.next())
+                .unwrap_or(MAX_LOADING_WAIT)
+                .min(MAX_LOADING_WAIT);
+            let failure = EndpointFailure::Loading {
+                status,
+                message,
+                waited,
+            };
+            return if waited.saturating_add(wait) > self.loading_limit {
+                Err(failure)
+            } else {
+                Ok((wait, failure))
+            };
         }
-        let again = if may_retry(&failure) { self.retries.next() } else { None };
-        let Some(wait) = again else { return Err(failure) };
+        let again = if may_retry(&failure) {
+            self.retries.next()
+        } else {
+            None
+        };
+        let Some(wait) = again else {
+            return Err(failure);
+        };
         let wait = asked.unwrap_or(wait);
         match failure {
             EndpointFailure::Unavailable { status, .. } if wait > self.limit => {
-                Err(EndpointFailure::Wait { status, seconds: wait.as_secs() })
+                Err(EndpointFailure::Wait {
+                    status,
+                    seconds: wait.as_secs(),
+                })
             }
             failure => Ok((wait, failure)),
         }
     }
 }
 
-/// Whether a retry of the same request can succeed. A request that reached its time limit is not retried.
+/// Whether a retry of the same request can succeed. A request that reached its time limit is not
+/// retried.
 fn may_retry(failure: &EndpointFailure) -> bool {
-    matches!(failure, EndpointFailure::Connect(_) | EndpointFailure::Closed(_) | EndpointFailure::Unavailable { .. })
+    matches!(
+        failure,
+        EndpointFailure::Connect(_)
+            | EndpointFailure::Closed(_)
+            | EndpointFailure::Unavailable { .. }
+    )
 }
 
 /// The wait that a server asks for.
@@ -84,7 +123,9 @@ fn retry_after(value: &str, now: SystemTime) -> Option<Duration> {
     if let Ok(seconds) = value.parse::<f64>() {
         return Duration::try_from_secs_f64(seconds).ok();
     }
-    httpdate::parse_http_date(value).ok().map(|date| date.duration_since(now).unwrap_or_default())
+    httpdate::parse_http_date(value)
+        .ok()
+        .map(|date| date.duration_since(now).unwrap_or_default())
 }
 
 #[cfg(test)]
@@ -96,8 +137,14 @@ mod tests {
         let now = httpdate::parse_http_date("Sun, 06 Nov 1994 08:49:37 GMT").unwrap();
         assert_eq!(retry_after(" 7 ", now), Some(Duration::from_secs(7)));
         assert_eq!(retry_after("0.25", now), Some(Duration::from_millis(250)));
-        assert_eq!(retry_after("Sun, 06 Nov 1994 08:49:40 GMT", now), Some(Duration::from_secs(3)));
-        assert_eq!(retry_after("Sun, 06 Nov 1994 08:00:00 GMT", now), Some(Duration::ZERO));
+        assert_eq!(
+            retry_after("Sun, 06 Nov 1994 08:49:40 GMT", now),
+            Some(Duration::from_secs(3))
+        );
+        assert_eq!(
+            retry_after("Sun, 06 Nov 1994 08:00:00 GMT", now),
+            Some(Duration::ZERO)
+        );
         for wrong in ["", "-1", "soon", "inf"] {
             assert_eq!(retry_after(wrong, now), None, "{wrong}");
         }

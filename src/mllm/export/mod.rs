@@ -1,8 +1,9 @@
 //! Export of a model as GGUF.
 //!
-//! A family that llama.cpp knows becomes two files that llama.cpp opens too: the decoder, and the vision tower with the
-//! projector. Any other model becomes one file under the canonical names of its tensors. The metadata holds the small files
-//! of the model, so that opening the export gives a bit-identical model.
+//! A family that llama.cpp knows becomes two files that llama.cpp opens too: the decoder, and the
+//! vision tower with the projector. Any other model becomes one file under the canonical names of
+//! its tensors. The metadata holds the small files of the model, so that opening the export gives a
+//! bit-identical model.
 
 pub(crate) mod tokenizer_metadata;
 mod writer;
@@ -48,7 +49,8 @@ const FILES: [&str; 8] = [
 pub enum GgufPart {
     /// The decoder, or the whole model.
     Model,
-    /// The vision tower with the projector. It belongs beside the decoder under the name of [`GgufPart::path`].
+    /// The vision tower with the projector. It belongs beside the decoder under the name of
+    /// [`GgufPart::path`].
     Tower,
 }
 
@@ -65,8 +67,8 @@ impl GgufPart {
 /// Creates the file of a part.
 pub type CreateFile<'a> = dyn FnMut(GgufPart) -> io::Result<Box<dyn Write>> + 'a;
 
-/// Writes a model as GGUF under the name `name`, its weights in the format that `loading` asks for. The small files `added`
-/// (name, text) are packed with the model's own. `progress` gets the bytes
+/// Writes a model as GGUF under the name `name`, its weights in the format that `loading` asks for.
+/// The small files `added` (name, text) are packed with the model's own. `progress` gets the bytes
 /// that are written so far, and all bytes.
 pub fn export_model(
     name: &str,
@@ -80,10 +82,17 @@ pub fn export_model(
     loading.check_family(&checkpoint)?;
     let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
     let parts = parts(&mut checkpoint, &tokenizer, name, added)?;
-    let total = parts.iter().flat_map(|part| &part.layout.tensors).map(PlannedTensor::bytes).sum();
+    let total = parts
+        .iter()
+        .flat_map(|part| &part.layout.tensors)
+        .map(PlannedTensor::bytes)
+        .sum();
     let mut written = 0;
     for part in &parts {
-        let failed = |source| MllmError::Write { what: format!("{:?}", part.kind).to_lowercase(), source };
+        let failed = |source| MllmError::Write {
+            what: format!("{:?}", part.kind).to_lowercase(),
+            source,
+        };
         let mut out = create(part.kind).map_err(failed)?;
         part.layout.write_header(&mut out).map_err(failed)?;
         for (tensor, canonical) in part.layout.tensors.iter().zip(&part.canonical) {
@@ -136,7 +145,11 @@ fn parts(
 ) -> Result<Vec<Part>, MllmError> {
     let files = &checkpoint.files;
     let mut packed = packed_files(files, tokenizer)?;
-    packed.extend(added.iter().map(|(name, text)| (format!("{FILE}{name}"), json!(text))));
+    packed.extend(
+        added
+            .iter()
+            .map(|(name, text)| (format!("{FILE}{name}"), json!(text))),
+    );
     let family = checkpoint.family.family();
     let general = |architecture: &str| {
         vec![
@@ -154,12 +167,22 @@ fn parts(
     let (layout, [decoder, tower]) = match described {
         Ok(described) => described,
         Err(lacking) => {
-            checkpoint
-                .weights
-                .note(format!("llama.cpp's format has no place for {lacking}: the file is for this program alone"));
-            let mut file = Layout { metadata: [general(WHOLE_MODEL), packed].concat(), tensors: Vec::new() };
-            let canonical = plan_tensors(&checkpoint.weights, &mut file, |name| Some(name.to_string()));
-            return Ok(vec![Part { kind: GgufPart::Model, layout: file, canonical, heads: None }]);
+            checkpoint.weights.note(format!(
+                "llama.cpp's format has no place for {lacking}: the file is for this program alone"
+            ));
+            let mut file = Layout {
+                metadata: [general(WHOLE_MODEL), packed].concat(),
+                tensors: Vec::new(),
+            };
+            let canonical = plan_tensors(&checkpoint.weights, &mut file, |name| {
+                Some(name.to_string())
+            });
+            return Ok(vec![Part {
+                kind: GgufPart::Model,
+                layout: file,
+                canonical,
+                heads: None,
+            }]);
         }
     };
     let factors = frequency_factors(&text.rope, text.head_dim);
@@ -170,27 +193,70 @@ fn parts(
     let json = tokenizer.required_json("tokenizer.json")?;
     match tokenizer_metadata::metadata(&json, &special_tokens(tokenizer)?, text.vocabulary) {
         Some(tokens) => metadata.extend(tokens),
-        None => checkpoint.weights.note("llama.cpp has no tokenizer of this kind: it will not open the decoder".into()),
+        None => checkpoint
+            .weights
+            .note("llama.cpp has no tokenizer of this kind: it will not open the decoder".into()),
     }
     metadata.extend(packed);
-    let mut model = Layout { metadata, tensors: Vec::new() };
-    let is_tower = |name: &str| name.starts_with("v.") || name.starts_with("mm.") || name.starts_with("model.");
-    let wanted = |tower: bool| move |name: &str| layout.gguf_name(name).filter(|name| is_tower(name) == tower);
+    let mut model = Layout {
+        metadata,
+        tensors: Vec::new(),
+    };
+    let is_tower = |name: &str| {
+        name.starts_with("v.") || name.starts_with("mm.") || name.starts_with("model.")
+    };
+    let wanted = |tower: bool| {
+        move |name: &str| {
+            layout
+                .gguf_name(name)
+                .filter(|name| is_tower(name) == tower)
+        }
+    };
     let canonical = plan_tensors(&checkpoint.weights, &mut model, wanted(false));
-    let heads = Some(Heads { queries: text.heads, keys: text.kv_heads });
-    let model = Part { kind: GgufPart::Model, layout: model, canonical, heads };
-    let mut file = Layout { metadata: [general(TOWER), tower].concat(), tensors: Vec::new() };
+    let heads = Some(Heads {
+        queries: text.heads,
+        keys: text.kv_heads,
+    });
+    let model = Part {
+        kind: GgufPart::Model,
+        layout: model,
+        canonical,
+        heads,
+    };
+    let mut file = Layout {
+        metadata: [general(TOWER), tower].concat(),
+        tensors: Vec::new(),
+    };
     let canonical = plan_tensors(&checkpoint.weights, &mut file, wanted(true));
-    Ok(vec![model, Part { kind: GgufPart::Tower, layout: file, canonical, heads: None }])
+    Ok(vec![
+        model,
+        Part {
+            kind: GgufPart::Tower,
+            layout: file,
+            canonical,
+            heads: None,
+        },
+    ])
 }
 
 /// Adds the tensors that `rename` gives a name; returns their canonical names.
-fn plan_tensors(weights: &Weights, layout: &mut Layout, rename: impl Fn(&str) -> Option<String>) -> Vec<String> {
+fn plan_tensors(
+    weights: &Weights,
+    layout: &mut Layout,
+    rename: impl Fn(&str) -> Option<String>,
+) -> Vec<String> {
     let mut canonical = Vec::new();
     for (name, shape) in weights.shapes() {
         if let Some(renamed) = rename(name) {
-            let format = weights.weight_format_of(name).unwrap_or(WeightFormat::F32).ggml();
-            layout.tensors.push(PlannedTensor { name: renamed, format, shape: shape.to_vec() });
+            let format = weights
+                .weight_format_of(name)
+                .unwrap_or(WeightFormat::F32)
+                .ggml();
+            layout.tensors.push(PlannedTensor {
+                name: renamed,
+                format,
+                shape: shape.to_vec(),
+            });
             canonical.push(name.to_string());
         }
     }
@@ -198,7 +264,11 @@ fn plan_tensors(weights: &Weights, layout: &mut Layout, rename: impl Fn(&str) ->
 }
 
 /// The bytes of a tensor in the file.
-fn data(weights: &mut Weights, canonical: &str, tensor: &PlannedTensor) -> Result<Vec<u8>, MllmError> {
+fn data(
+    weights: &mut Weights,
+    canonical: &str,
+    tensor: &PlannedTensor,
+) -> Result<Vec<u8>, MllmError> {
     let mut bytes = Vec::with_capacity(tensor.bytes() as usize);
     match tensor.shape.as_slice() {
         &[outputs, inputs] if is_matrix(canonical, &tensor.shape) => {
@@ -217,7 +287,11 @@ fn data(weights: &mut Weights, canonical: &str, tensor: &PlannedTensor) -> Resul
 fn packed_files(files: &ModelFiles, tokenizer: &ModelFiles) -> Result<Entries, MllmError> {
     let mut packed = Vec::new();
     for name in FILES {
-        let source = if name.starts_with("tokenizer") { tokenizer } else { files };
+        let source = if name.starts_with("tokenizer") {
+            tokenizer
+        } else {
+            files
+        };
         if let Some(text) = source.text(name)? {
             packed.push((format!("{FILE}{name}"), json!(text)));
         }

@@ -26,14 +26,25 @@ use planagent_kernels::matrix::{StoredFormat, WeightFormat};
 /// Exports a model folder to `m.gguf` in another folder.
 pub(super) fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {
     let model = to.join("m.gguf");
-    let mut create =
-        |part: GgufPart| -> std::io::Result<Box<dyn Write>> { Ok(Box::new(File::create(part.path(&model))?)) };
-    let loading = Loading { quantize: Some(weight_format), ..Loading::default() };
+    let mut create = |part: GgufPart| -> std::io::Result<Box<dyn Write>> {
+        Ok(Box::new(File::create(part.path(&model))?))
+    };
+    let loading = Loading {
+        quantize: Some(weight_format),
+        ..Loading::default()
+    };
     let mut written = (0, 1);
-    export_model("tiny", &ModelPlace::Folder(from.to_path_buf()), &loading, &[], &mut create, &mut |bytes, total| {
-        assert!(written.0 < bytes);
-        written = (bytes, total);
-    })
+    export_model(
+        "tiny",
+        &ModelPlace::Folder(from.to_path_buf()),
+        &loading,
+        &[],
+        &mut create,
+        &mut |bytes, total| {
+            assert!(written.0 < bytes);
+            written = (bytes, total);
+        },
+    )
     .unwrap();
     assert_eq!(written.0, written.1);
     model
@@ -53,17 +64,31 @@ pub(super) fn edit(path: &Path, change: impl FnOnce(&mut Header, &mut Vec<Planne
     let data: BTreeMap<String, Vec<u8>> = header
         .tensors
         .iter()
-        .map(|(name, place)| (name.clone(), bytes[place.begin as usize..][..place.bytes as usize].to_vec()))
+        .map(|(name, place)| {
+            (
+                name.clone(),
+                bytes[place.begin as usize..][..place.bytes as usize].to_vec(),
+            )
+        })
         .collect();
     let planned = header.tensors.iter();
     let mut tensors = planned
         .map(|(name, place)| {
-            let StoredFormat::Ggml(format) = place.format else { panic!("{name}: {:?}", place.format) };
-            PlannedTensor { name: name.clone(), format, shape: place.shape.clone() }
+            let StoredFormat::Ggml(format) = place.format else {
+                panic!("{name}: {:?}", place.format)
+            };
+            PlannedTensor {
+                name: name.clone(),
+                format,
+                shape: place.shape.clone(),
+            }
         })
         .collect();
     change(&mut header, &mut tensors);
-    let layout = Layout { metadata: header.metadata.into_iter().collect(), tensors };
+    let layout = Layout {
+        metadata: header.metadata.into_iter().collect(),
+        tensors,
+    };
     let mut out = Vec::new();
     layout.write_header(&mut out).unwrap();
     // Renamed tensors keep their place.
@@ -92,27 +117,42 @@ fn a_model_from_gguf_computes_what_transformers_computes() {
 
 #[test]
 fn todays_families_from_gguf_compute_what_transformers_computes() {
-    for (name, layout) in
-        [("tiny_smolvlm", "."), ("tiny_internvl3", "original"), ("tiny_qwen3_vl", "."), ("tiny_qwen2_5_vl", ".")]
-    {
+    for (name, layout) in [
+        ("tiny_smolvlm", "."),
+        ("tiny_internvl3", "original"),
+        ("tiny_qwen3_vl", "."),
+        ("tiny_qwen2_5_vl", "."),
+    ] {
         let prompts = Prompts::of(name);
         let folder = tempfile::tempdir().unwrap();
-        let model = export(prompts.in_layout(layout).path(), folder.path(), WeightFormat::F32);
+        let model = export(
+            prompts.in_layout(layout).path(),
+            folder.path(),
+            WeightFormat::F32,
+        );
         assert!(!tower_path(&model).is_file());
-        let place = ModelPlace::Gguf { model, mmproj: None };
-        prompts.check(&Prompts::load(&place, ImageSettings::default()), |run| !is_unsplit(run));
+        let place = ModelPlace::Gguf {
+            model,
+            mmproj: None,
+        };
+        prompts.check(&Prompts::load(&place, ImageSettings::default()), |run| {
+            !is_unsplit(run)
+        });
     }
 }
 
-/// A decoder and a tower as from llama.cpp: without packed files, with the older names of the tower's feed-forward layers.
-/// The tokenizer lies beside them, because its kind is not supported in GGUF.
+/// A decoder and a tower as from llama.cpp: without packed files, with the older names of the
+/// tower's feed-forward layers. The tokenizer lies beside them, because its kind is not supported
+/// in GGUF.
 #[test]
 fn a_model_of_llama_cpp_computes_what_transformers_computes() {
     for name in ["tiny_llava", "tiny_llava_next"] {
         let from = fixture(name);
         let folder = tempfile::tempdir().unwrap();
         let model = export(&from, folder.path(), WeightFormat::F32);
-        edit(&model, |header, _| header.metadata.retain(|key, _| !key.starts_with(FILE)));
+        edit(&model, |header, _| {
+            header.metadata.retain(|key, _| !key.starts_with(FILE))
+        });
         edit(&tower_path(&model), |_, tensors| {
             for tensor in tensors {
                 tensor.name = if tensor.name.contains("ffn_up") {
@@ -122,7 +162,11 @@ fn a_model_of_llama_cpp_computes_what_transformers_computes() {
                 };
             }
         });
-        for file in ["tokenizer.json", "tokenizer_config.json", "chat_template.jinja"] {
+        for file in [
+            "tokenizer.json",
+            "tokenizer_config.json",
+            "chat_template.jinja",
+        ] {
             fs::copy(from.join(file), folder.path().join(file)).unwrap();
         }
         copy_reference(&from, folder.path());
@@ -130,20 +174,32 @@ fn a_model_of_llama_cpp_computes_what_transformers_computes() {
     }
 }
 
-/// As most files of llama.cpp: a SentencePiece tokenizer in the metadata, no image token, no chat template.
+/// As most files of llama.cpp: a SentencePiece tokenizer in the metadata, no image token, no chat
+/// template.
 #[test]
 fn a_model_of_llama_cpp_with_its_own_tokenizer_answers() {
     let folder = tempfile::tempdir().unwrap();
     let path = export(&fixture("tiny_llava"), folder.path(), WeightFormat::Q8_0);
     edit(&path, |header, _| {
-        header.metadata.retain(|key, _| !key.starts_with(FILE) && !key.starts_with("tokenizer."));
-        header.metadata.extend(tokenizer_tests::metadata(&tokenizer_tests::small(), 352));
+        header
+            .metadata
+            .retain(|key, _| !key.starts_with(FILE) && !key.starts_with("tokenizer."));
+        header
+            .metadata
+            .extend(tokenizer_tests::metadata(&tokenizer_tests::small(), 352));
     });
     let place = ModelPlace::Folder(folder.path().to_path_buf());
     let model = LocalModel::load("tiny", &place, &Loading::default()).unwrap();
     let image = synthetic(32, 32);
-    let mut conversation =
-        model.converse(&PromptPrefix { system: "keep lane".into(), image: Some(image.into()) }, 0).unwrap();
+    let mut conversation = model
+        .converse(
+            &PromptPrefix {
+                system: "keep lane".into(),
+                image: Some(image.into()),
+            },
+            0,
+        )
+        .unwrap();
     let request = |constraint| Request {
         constraint,
         max_new_tokens: 8,
@@ -151,13 +207,30 @@ fn a_model_of_llama_cpp_with_its_own_tokenizer_answers() {
         deadline: Deadline::NONE,
         draft: None,
     };
-    let first = conversation.ask("left?", &request(Constraint::Free)).unwrap().tokens;
+    let first = conversation
+        .ask("left?", &request(Constraint::Free))
+        .unwrap()
+        .tokens;
     assert_eq!(first.image, 16);
-    let second = conversation.ask("lane?", &request(Constraint::Choice(vec!["keep left".into()]))).unwrap();
+    let second = conversation
+        .ask(
+            "lane?",
+            &request(Constraint::Choice(vec!["keep left".into()])),
+        )
+        .unwrap();
     assert_eq!(second.text, "keep left");
-    assert!(second.tokens.cached > 20 && second.tokens.image == 0, "{:?} after {first:?}", second.tokens);
+    assert!(
+        second.tokens.cached > 20 && second.tokens.image == 0,
+        "{:?} after {first:?}",
+        second.tokens
+    );
     let notes = model.describe().load.notes;
-    assert!(notes.iter().any(|note| note.contains("it gets that of Vicuna")), "{notes:?}");
+    assert!(
+        notes
+            .iter()
+            .any(|note| note.contains("it gets that of Vicuna")),
+        "{notes:?}"
+    );
 }
 
 #[test]
@@ -175,7 +248,11 @@ fn rows_in_the_wrong_order_are_noticed() {
     bytes[range].copy_from_slice(&plain);
     fs::write(&model, bytes).unwrap();
     let wrong = logits(&place, None);
-    let difference = right.iter().zip(&wrong).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    let difference = right
+        .iter()
+        .zip(&wrong)
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, f32::max);
     assert!(difference > 1e-3, "{difference}");
 }
 
@@ -189,7 +266,10 @@ pub(super) fn logits(place: &ModelPlace, quantize: Option<WeightFormat>) -> Vec<
     let mut ids = vec![1, 5];
     ids.extend(std::iter::repeat_n(image, features.layout.tokens));
     ids.extend([7, 8, 9]);
-    let logits: Tensor = Sequence::new(model).append(model, &ids, Some(&features), Logits::All).unwrap().unwrap();
+    let logits: Tensor = Sequence::new(model)
+        .append(model, &ids, Some(&features), Logits::All)
+        .unwrap()
+        .unwrap();
     logits.flatten_all().unwrap().to_vec1().unwrap()
 }
 
@@ -209,7 +289,8 @@ pub(super) fn widened(name: &str) -> tempfile::TempDir {
         72 => 3 * 768,
         other => other,
     };
-    let mut config: Json = serde_json::from_str(&fs::read_to_string(from.join("config.json")).unwrap()).unwrap();
+    let mut config: Json =
+        serde_json::from_str(&fs::read_to_string(from.join("config.json")).unwrap()).unwrap();
     widen(&mut config, &|side| wide(side as usize) as u64);
     fs::write(folder.path().join("config.json"), config.to_string()).unwrap();
     let bytes = fs::read(from.join("model.safetensors")).unwrap();
@@ -229,13 +310,18 @@ pub(super) fn widened(name: &str) -> tempfile::TempDir {
                 [outputs, rest @ ..] if rest.len() == 3 => [&[wide(*outputs)], rest].concat(),
                 shape => shape.iter().map(|side| wide(*side)).collect(),
             };
-            let values = (0..shape.iter().product::<usize>()).flat_map(|_| (random() * 0.2).to_le_bytes()).collect();
+            let values = (0..shape.iter().product::<usize>())
+                .flat_map(|_| (random() * 0.2).to_le_bytes())
+                .collect();
             (name.clone(), (shape, values))
         })
         .collect();
-    let views = tensors
-        .iter()
-        .map(|(name, (shape, values))| (name.clone(), TensorView::new(Dtype::F32, shape.clone(), values).unwrap()));
+    let views = tensors.iter().map(|(name, (shape, values))| {
+        (
+            name.clone(),
+            TensorView::new(Dtype::F32, shape.clone(), values).unwrap(),
+        )
+    });
     serialize_to_file(views, None, &folder.path().join("model.safetensors")).unwrap();
     folder
 }
@@ -245,10 +331,14 @@ fn widen(config: &mut Json, wide: &impl Fn(u64) -> u64) {
     for (key, value) in object {
         match value {
             Json::Object(_) => widen(value, wide),
-            Json::Number(number) if ["hidden_size", "intermediate_size"].contains(&key.as_str()) => {
+            Json::Number(number)
+                if ["hidden_size", "intermediate_size"].contains(&key.as_str()) =>
+            {
                 *value = json!(wide(number.as_u64().unwrap()));
             }
-            Json::Number(number) if key == "head_dim" => *value = json!(number.as_u64().unwrap() * 8),
+            Json::Number(number) if key == "head_dim" => {
+                *value = json!(number.as_u64().unwrap() * 8)
+            }
             _ => {}
         }
     }
@@ -266,12 +356,19 @@ fn a_quantized_model_from_gguf_is_bit_identical() {
         for weight_format in weight_formats.iter().copied() {
             let folder = tempfile::tempdir().unwrap();
             let model = export(checkpoint.path(), folder.path(), weight_format);
-            let place = ModelPlace::Gguf { model, mmproj: None };
+            let place = ModelPlace::Gguf {
+                model,
+                mmproj: None,
+            };
             let expected = logits(&from, Some(weight_format));
             assert!(expected.iter().all(|logit| logit.is_finite()));
             let bits = |logits: Vec<f32>| logits.into_iter().map(f32::to_bits).collect::<Vec<_>>();
             let expected = bits(expected);
-            assert_eq!(bits(logits(&place, None)), expected, "{name}, {weight_format}");
+            assert_eq!(
+                bits(logits(&place, None)),
+                expected,
+                "{name}, {weight_format}"
+            );
             assert_eq!(
                 bits(logits(&place, Some(weight_format))),
                 expected,
@@ -285,14 +382,26 @@ fn a_quantized_model_from_gguf_is_bit_identical() {
 fn the_report_says_what_is_held_how() {
     let checkpoint = widened("tiny_llava");
     let place = ModelPlace::Folder(checkpoint.path().to_path_buf());
-    let mut opened = Checkpoint::open(&place, Some(WeightFormat::Q4K), &Families::default()).unwrap();
+    let mut opened =
+        Checkpoint::open(&place, Some(WeightFormat::Q4K), &Families::default()).unwrap();
     let forecast = opened.weights.forecast(Some(WeightFormat::Q4K));
     opened.open_model().unwrap();
     let report = opened.weights.report();
     let tensors = |weight_format| {
-        report.weight_formats.iter().find(|share| share.weight_format == weight_format).map_or(0, |share| share.tensors)
+        report
+            .weight_formats
+            .iter()
+            .find(|share| share.weight_format == weight_format)
+            .map_or(0, |share| share.tensors)
     };
-    assert_eq!((tensors(WeightFormat::Q4K), tensors(WeightFormat::Q6K), tensors(WeightFormat::Q8_0)), (15, 1, 20));
+    assert_eq!(
+        (
+            tensors(WeightFormat::Q4K),
+            tensors(WeightFormat::Q6K),
+            tensors(WeightFormat::Q8_0)
+        ),
+        (15, 1, 20)
+    );
     assert!(
         report
             .exceptions

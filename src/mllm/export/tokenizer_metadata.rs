@@ -6,9 +6,14 @@ use serde_json::{Value as Json, json};
 
 use crate::gguf::{Entries, tokenizer::piece};
 
-/// The metadata of a byte-pair tokenizer for a model of `vocabulary` rows. `special` holds its special tokens by role
-/// (`bos_token`, ...). None for other kinds of tokenizers, for which llama.cpp has no such keys.
-pub(crate) fn metadata(tokenizer: &Json, special: &BTreeMap<String, String>, vocabulary: usize) -> Option<Entries> {
+/// The metadata of a byte-pair tokenizer for a model of `vocabulary` rows. `special` holds its
+/// special tokens by role (`bos_token`, ...). None for other kinds of tokenizers, for which
+/// llama.cpp has no such keys.
+pub(crate) fn metadata(
+    tokenizer: &Json,
+    special: &BTreeMap<String, String>,
+    vocabulary: usize,
+) -> Option<Entries> {
     let model = &tokenizer["model"];
     let merges = merges(&model["merges"])?;
     let sentence_piece = model["byte_fallback"].as_bool() == Some(true);
@@ -25,7 +30,8 @@ pub(crate) fn metadata(tokenizer: &Json, special: &BTreeMap<String, String>, voc
         Some(())
     };
     for (token, id) in model["vocab"].as_object()? {
-        let byte = sentence_piece && token.len() == 6 && token.starts_with("<0x") && token.ends_with('>');
+        let byte =
+            sentence_piece && token.len() == 6 && token.starts_with("<0x") && token.ends_with('>');
         put(token, id, if byte { piece::BYTE } else { piece::NORMAL })?;
     }
     for added in tokenizer["added_tokens"].as_array().into_iter().flatten() {
@@ -43,17 +49,24 @@ pub(crate) fn metadata(tokenizer: &Json, special: &BTreeMap<String, String>, voc
         metadata.push(("tokenizer.ggml.scores", json!(scores)));
         metadata.push(("tokenizer.ggml.model", json!("llama")));
         let prefix = tokenizer["normalizer"].to_string().contains("Prepend")
-            || tokenizer["pre_tokenizer"]["prepend_scheme"].as_str().is_some_and(|scheme| scheme != "never");
+            || tokenizer["pre_tokenizer"]["prepend_scheme"]
+                .as_str()
+                .is_some_and(|scheme| scheme != "never");
         metadata.push(("tokenizer.ggml.add_space_prefix", json!(prefix)));
     } else {
-        let merges: Vec<String> = merges.iter().map(|[left, right]| format!("{left} {right}")).collect();
+        let merges: Vec<String> = merges
+            .iter()
+            .map(|[left, right]| format!("{left} {right}"))
+            .collect();
         metadata.push(("tokenizer.ggml.merges", json!(merges)));
         metadata.push(("tokenizer.ggml.model", json!("gpt2")));
         metadata.push(("tokenizer.ggml.pre", json!("default")));
     }
     metadata.push(("tokenizer.ggml.tokens", json!(tokens)));
     metadata.push(("tokenizer.ggml.token_type", json!(kinds)));
-    let begins = tokenizer["post_processor"]["single"].to_string().contains("SpecialToken");
+    let begins = tokenizer["post_processor"]["single"]
+        .to_string()
+        .contains("SpecialToken");
     metadata.push(("tokenizer.ggml.add_bos_token", json!(begins)));
     for (role, key) in [
         ("bos_token", "tokenizer.ggml.bos_token_id"),
@@ -65,13 +78,20 @@ pub(crate) fn metadata(tokenizer: &Json, special: &BTreeMap<String, String>, voc
             metadata.push((key, json!(id)));
         }
     }
-    Some(metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect())
+    Some(
+        metadata
+            .into_iter()
+            .map(|(key, value)| (key.to_string(), value))
+            .collect(),
+    )
 }
 
 /// The merges, each a pair or a text of two words.
 fn merges(merges: &Json) -> Option<Vec<[String; 2]>> {
     let pair = |merge: &Json| match merge {
-        Json::String(text) => text.split_once(' ').map(|(left, right)| [left.to_string(), right.to_string()]),
+        Json::String(text) => text
+            .split_once(' ')
+            .map(|(left, right)| [left.to_string(), right.to_string()]),
         Json::Array(pair) => match pair.as_slice() {
             [left, right] => Some([left.as_str()?.to_string(), right.as_str()?.to_string()]),
             _ => None,
@@ -81,11 +101,15 @@ fn merges(merges: &Json) -> Option<Vec<[String; 2]>> {
     merges.as_array()?.iter().map(pair).collect()
 }
 
-/// A score for every token: the earlier its merge, the higher. Tokens without a merge have the lowest score.
+/// A score for every token: the earlier its merge, the higher. Tokens without a merge have the
+/// lowest score.
 fn scores(merges: &[[String; 2]], ids: &HashMap<String, usize>, vocabulary: usize) -> Vec<f32> {
     let mut scores = vec![-(merges.len() as f32) - 1.0; vocabulary];
     for (rank, [left, right]) in merges.iter().enumerate().rev() {
-        if let Some(score) = ids.get(&format!("{left}{right}")).and_then(|id| scores.get_mut(*id)) {
+        if let Some(score) = ids
+            .get(&format!("{left}{right}"))
+            .and_then(|id| scores.get_mut(*id))
+        {
             *score = -(rank as f32);
         }
     }

@@ -41,7 +41,8 @@ impl Layout {
         header.extend((self.metadata.len() as u64).to_le_bytes());
         for (key, value) in &self.metadata {
             put_text(&mut header, key);
-            put_value(&mut header, value).map_err(|error| io::Error::other(format!("metadata {key}: {error}")))?;
+            put_value(&mut header, value)
+                .map_err(|error| io::Error::other(format!("metadata {key}: {error}")))?;
         }
         let mut offset = 0_u64;
         for tensor in &self.tensors {
@@ -51,8 +52,9 @@ impl Layout {
             for side in shape.iter().rev() {
                 header.extend((*side as u64).to_le_bytes());
             }
-            let number = number_of(tensor.format)
-                .ok_or_else(|| io::Error::other(format!("{:?} is no format of GGUF files", tensor.format)))?;
+            let number = number_of(tensor.format).ok_or_else(|| {
+                io::Error::other(format!("{:?} is no format of GGUF files", tensor.format))
+            })?;
             header.extend(number.to_le_bytes());
             header.extend(offset.to_le_bytes());
             offset += tensor.bytes().next_multiple_of(DEFAULT_ALIGNMENT);
@@ -78,7 +80,8 @@ fn put_text(out: &mut Vec<u8>, text: &str) {
     out.extend(text.as_bytes());
 }
 
-/// The type of a value in a file. Integers take 32 bits where they fit, because llama.cpp reads these.
+/// The type of a value in a file. Integers take 32 bits where they fit, because llama.cpp reads
+/// these.
 fn kind_of(value: &Value) -> u32 {
     match value {
         Value::Bool(_) => 7,
@@ -96,7 +99,11 @@ fn kind_of(value: &Value) -> u32 {
 
 /// The type of a list's elements: signed integers, else the type of the first.
 fn kind_of_elements(list: &[Value]) -> u32 {
-    let fits = |value: &Value| value.as_i64().is_some_and(|number| i32::try_from(number).is_ok());
+    let fits = |value: &Value| {
+        value
+            .as_i64()
+            .is_some_and(|number| i32::try_from(number).is_ok())
+    };
     match list.first() {
         None => 8,
         Some(first) if !first.is_i64() && !first.is_u64() => kind_of(first),
@@ -108,23 +115,35 @@ fn kind_of_elements(list: &[Value]) -> u32 {
 /// Writes a value with its type.
 fn put_value(out: &mut Vec<u8>, value: &Value) -> io::Result<()> {
     out.extend(kind_of(value).to_le_bytes());
-    let Value::Array(list) = value else { return put_plain(out, kind_of(value), value) };
+    let Value::Array(list) = value else {
+        return put_plain(out, kind_of(value), value);
+    };
     let kind = kind_of_elements(list);
     out.extend(kind.to_le_bytes());
     out.extend((list.len() as u64).to_le_bytes());
-    list.iter().try_for_each(|element| put_plain(out, kind, element))
+    list.iter()
+        .try_for_each(|element| put_plain(out, kind, element))
 }
 
 /// Writes a value that is no list as `kind`.
 fn put_plain(out: &mut Vec<u8>, kind: u32, value: &Value) -> io::Result<()> {
-    let unfit =
-        || io::Error::other(format!("{value} does not fit the type of its list; write a list of one type of numbers"));
+    let unfit = || {
+        io::Error::other(format!(
+            "{value} does not fit the type of its list; write a list of one type of numbers"
+        ))
+    };
     match (kind, value) {
         (8, Value::String(text)) => put_text(out, text),
         (7, Value::Bool(flag)) => out.push(u8::from(*flag)),
-        (6, Value::Number(number)) => out.extend((number.as_f64().ok_or_else(unfit)? as f32).to_le_bytes()),
-        (4, Value::Number(number)) => out.extend((number.as_u64().ok_or_else(unfit)? as u32).to_le_bytes()),
-        (5, Value::Number(number)) => out.extend((number.as_i64().ok_or_else(unfit)? as i32).to_le_bytes()),
+        (6, Value::Number(number)) => {
+            out.extend((number.as_f64().ok_or_else(unfit)? as f32).to_le_bytes())
+        }
+        (4, Value::Number(number)) => {
+            out.extend((number.as_u64().ok_or_else(unfit)? as u32).to_le_bytes())
+        }
+        (5, Value::Number(number)) => {
+            out.extend((number.as_i64().ok_or_else(unfit)? as i32).to_le_bytes())
+        }
         (10, Value::Number(number)) => out.extend(number.as_u64().ok_or_else(unfit)?.to_le_bytes()),
         (11, Value::Number(number)) => out.extend(number.as_i64().ok_or_else(unfit)?.to_le_bytes()),
         _ => return Err(io::Error::other(format!("{value} has no type in GGUF"))),

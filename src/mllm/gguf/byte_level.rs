@@ -1,6 +1,8 @@
-//! A byte-level tokenizer in GGUF metadata (`tokenizer.ggml.model = gpt2`), converted to an equivalent `tokenizer.json`.
+//! A byte-level tokenizer in GGUF metadata (`tokenizer.ggml.model = gpt2`), converted to an
+//! equivalent `tokenizer.json`.
 //!
-//! The file has tokens and merges. How a text is split before that has only a name there (`tokenizer.ggml.pre`).
+//! The file has tokens and merges. How a text is split before that has only a name there
+//! (`tokenizer.ggml.pre`).
 
 use serde_json::{Map, Value as Json, json};
 
@@ -9,8 +11,7 @@ use super::tokenizer::{Pieces, Special, TokenizerFiles, beginning, piece};
 use crate::MllmError;
 
 /// How texts are split (`llm_tokenizer_bpe` of llama.cpp, and the models' own files).
-const QWEN2: &str =
-    r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{N}| ?[^\s\p{L}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";
+const QWEN2: &str = r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{N}| ?[^\s\p{L}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";
 const LLAMA3: &str = r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{N}{1,3}| ?[^\s\p{L}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";
 /// The names that are known.
 const KNOWN: [&str; 5] = ["default", "gpt-2", "smollm", "qwen2", "llama-bpe"];
@@ -20,7 +21,8 @@ const PRE: &str = "tokenizer.ggml.pre";
 /// The name that says nothing: the split of GPT-2 is taken, as llama.cpp does.
 const DEFAULT: &str = "default";
 
-/// The name of the way that texts are split. Files of before May 2024 have none; all Qwens split alike.
+/// The name of the way that texts are split. Files of before May 2024 have none; all Qwens split
+/// alike.
 fn split_name(header: &Header) -> Result<&str, MllmError> {
     Ok(match header.text(PRE)? {
         Some(name) => name,
@@ -35,7 +37,10 @@ pub(super) fn note(header: &Header) -> Result<Option<String>, MllmError> {
     if stored.is_some_and(|name| name != DEFAULT) {
         return Ok(None);
     }
-    let stored = stored.map_or_else(|| format!("has no {PRE}"), |name| format!("says {PRE} = {name}"));
+    let stored = stored.map_or_else(
+        || format!("has no {PRE}"),
+        |name| format!("says {PRE} = {name}"),
+    );
     let taken = match split_name(header)? {
         DEFAULT => "GPT-2",
         name => name,
@@ -53,14 +58,23 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     let name = split_name(header)?;
     let Some((normalizer, pre_tokenizer)) = splitting(name) else {
         let known = KNOWN.join(", ");
-        let problem = format!("'{name}' is not known ({known} are); put the model's tokenizer.json beside the file");
+        let problem = format!(
+            "'{name}' is not known ({known} are); put the model's tokenizer.json beside the file"
+        );
         return Err(header.error(PRE, problem));
     };
     let pieces = Pieces::read(header, vocabulary)?;
     let Some(merges) = header.list::<String>(MERGES, "a list of texts")? else {
-        return Err(header.error(MERGES, "the file has none; put the model's tokenizer.json beside it"));
+        return Err(header.error(
+            MERGES,
+            "the file has none; put the model's tokenizer.json beside it",
+        ));
     };
-    let Some(merges) = merges.iter().map(|merge| merge.split_once(' ')).collect::<Option<Vec<_>>>() else {
+    let Some(merges) = merges
+        .iter()
+        .map(|merge| merge.split_once(' '))
+        .collect::<Option<Vec<_>>>()
+    else {
         return Err(header.error(MERGES, "expected pairs of tokens with a space between"));
     };
     // Special tokens keep their ids only if the vocabulary has them too.
@@ -69,13 +83,25 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
         .filter(|(_, (_, kind))| **kind != piece::UNUSED)
         .map(|(id, (token, _))| ((*token).to_string(), json!(id)))
         .collect();
-    if let Some((left, right)) = merges.iter().find(|(left, right)| !vocab.contains_key(&format!("{left}{right}"))) {
-        return Err(
-            header.error(MERGES, format!("'{}' and '{}' make no token", left.escape_debug(), right.escape_debug()))
-        );
+    if let Some((left, right)) = merges
+        .iter()
+        .find(|(left, right)| !vocab.contains_key(&format!("{left}{right}")))
+    {
+        return Err(header.error(
+            MERGES,
+            format!(
+                "'{}' and '{}' make no token",
+                left.escape_debug(),
+                right.escape_debug()
+            ),
+        ));
     }
-    let Special { bos, eos, config, .. } = Special::read(header, &pieces)?;
-    let begins = header.flag("tokenizer.ggml.add_bos_token")?.unwrap_or(name == "llama-bpe");
+    let Special {
+        bos, eos, config, ..
+    } = Special::read(header, &pieces)?;
+    let begins = header
+        .flag("tokenizer.ggml.add_bos_token")?
+        .unwrap_or(name == "llama-bpe");
     let tokenizer = json!({
         "version": "1.0",
         "added_tokens": pieces.added(),
@@ -89,20 +115,31 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
             "ignore_merges": name == "llama-bpe", "vocab": vocab, "merges": merges,
         },
     });
-    Ok(TokenizerFiles { tokenizer, config, eos: eos.map(|(id, _)| id) })
+    Ok(TokenizerFiles {
+        tokenizer,
+        config,
+        eos: eos.map(|(id, _)| id),
+    })
 }
 
 /// Normalizer and pre-tokenizer of a name.
 fn splitting(name: &str) -> Option<(Json, Json)> {
     let bytes = |use_regex: bool| json!({"type": "ByteLevel", "add_prefix_space": false, "trim_offsets": true, "use_regex": use_regex});
-    let sequence = |first: Json, bytes: Json| json!({"type": "Sequence", "pretokenizers": [first, bytes]});
+    let sequence =
+        |first: Json, bytes: Json| json!({"type": "Sequence", "pretokenizers": [first, bytes]});
     let pattern = |pattern: &str| {
         let split = json!({"type": "Split", "pattern": {"Regex": pattern}, "behavior": "Isolated", "invert": false});
         sequence(split, bytes(false))
     };
     match name {
         "default" | "gpt-2" => Some((Json::Null, bytes(true))),
-        "smollm" => Some((Json::Null, sequence(json!({"type": "Digits", "individual_digits": true}), bytes(true)))),
+        "smollm" => Some((
+            Json::Null,
+            sequence(
+                json!({"type": "Digits", "individual_digits": true}),
+                bytes(true),
+            ),
+        )),
         "qwen2" => Some((json!({"type": "NFC"}), pattern(QWEN2))),
         "llama-bpe" => Some((Json::Null, pattern(LLAMA3))),
         _ => None,

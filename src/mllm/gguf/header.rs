@@ -1,9 +1,11 @@
-//! The header of a GGUF file: metadata, and the places of tensors. A downloaded file is hostile input.
+//! The header of a GGUF file: metadata, and the places of tensors. A downloaded file is hostile
+//! input.
 //!
-//! Every count and length is checked against the bytes that are left before anything is allocated. `candle_core`'s reader
-//! would need a second reader in front of it (a test shows why): it panics at an alignment of 0, keeps the last of two equal
-//! keys or tensors, replaces text that is not UTF-8, bounds lists by the file's size alone, and checks neither
-//! the product of a shape nor whether tensors overlap.
+//! Every count and length is checked against the bytes that are left before anything is allocated.
+//! `candle_core`'s reader would need a second reader in front of it (a test shows why): it panics
+//! at an alignment of 0, keeps the last of two equal keys or tensors, replaces text that is not
+//! UTF-8, bounds lists by the file's size alone, and checks neither the product of a shape nor
+//! whether tensors overlap.
 
 use std::collections::BTreeMap;
 use std::io::Read as _;
@@ -25,14 +27,16 @@ pub(crate) const DEFAULT_ALIGNMENT: u64 = 32;
 const MAX_ALIGNMENT: u64 = 1 << 20;
 /// Dimensions of a tensor (`GGML_MAX_DIMS`).
 const MAX_DIMENSIONS: u32 = 4;
-/// Longest name of a tensor, bytes (`GGML_MAX_NAME` without its end mark, with room for newer writers).
+/// Longest name of a tensor, bytes (`GGML_MAX_NAME` without its end mark, with room for newer
+/// writers).
 const MAX_NAME: u64 = 1 << 10;
 /// Depth of nested lists; llama.cpp writes none.
 const MAX_DEPTH: u8 = 2;
 /// Longest header, bytes. It bounds the allocation; a model with 256 thousand tokens needs 20 MB.
 const MAX_HEADER: u64 = 1 << 28;
 
-/// Elements of all lists of a header. Each takes about 80 bytes in memory; a model with 256 thousand tokens has a million.
+/// Elements of all lists of a header. Each takes about 80 bytes in memory; a model with 256
+/// thousand tokens has a million.
 const MAX_ELEMENTS: u64 = 1 << 22;
 
 /// The part of a file before the tensors' data.
@@ -45,8 +49,19 @@ pub struct Header {
 
 impl Header {
     /// Reads the header of a file of `file_bytes` bytes. Errors name the byte.
-    pub(crate) fn read(path: &Path, source: &mut dyn std::io::Read, file_bytes: u64) -> Result<Self, MllmError> {
-        Reader { path, source, position: 0, file_bytes, elements: 0 }.header()
+    pub(crate) fn read(
+        path: &Path,
+        source: &mut dyn std::io::Read,
+        file_bytes: u64,
+    ) -> Result<Self, MllmError> {
+        Reader {
+            path,
+            source,
+            position: 0,
+            file_bytes,
+            elements: 0,
+        }
+        .header()
     }
 }
 
@@ -75,7 +90,9 @@ impl Reader<'_> {
         if &magic != MAGIC {
             let mut beginning = magic.to_vec();
             // What cannot be read does not change what the file is not.
-            let _ = (&mut *self.source).take(MAX_NAME).read_to_end(&mut beginning);
+            let _ = (&mut *self.source)
+                .take(MAX_NAME)
+                .read_to_end(&mut beginning);
             let instead = what_instead_of_weights(&beginning);
             return Err(self.error(instead.unwrap_or_else(|| "it does not begin with GGUF".into())));
         }
@@ -87,7 +104,8 @@ impl Reader<'_> {
                 format!("version {version} is not supported; 2 and 3 are")
             }));
         }
-        // Smallest tensor: length of its name, dimensions, type, offset. Smallest entry: length of its key, type, value.
+        // Smallest tensor: length of its name, dimensions, type, offset. Smallest entry: length of
+        // its key, type, value.
         let tensors = self.count("tensors", 24)?;
         let entries = self.count("metadata entries", 13)?;
         let mut metadata = BTreeMap::new();
@@ -96,22 +114,41 @@ impl Reader<'_> {
             let kind = self.u32()?;
             let value = self.value(kind, 0).map_err(|error| in_entry(error, &key))?;
             if metadata.insert(key.clone(), value).is_some() {
-                return Err(self.error(format!("the metadata key '{}' occurs twice", key.escape_debug())));
+                return Err(self.error(format!(
+                    "the metadata key '{}' occurs twice",
+                    key.escape_debug()
+                )));
             }
         }
-        let declared = (0..tensors).map(|_| self.tensor()).collect::<Result<Vec<_>, _>>()?;
+        let declared = (0..tensors)
+            .map(|_| self.tensor())
+            .collect::<Result<Vec<_>, _>>()?;
         let alignment = self.alignment(&metadata)?;
-        let tensors = self.places(declared, self.position.next_multiple_of(alignment), alignment)?;
-        Ok(Header { path: self.path.to_path_buf(), metadata, tensors })
+        let tensors = self.places(
+            declared,
+            self.position.next_multiple_of(alignment),
+            alignment,
+        )?;
+        Ok(Header {
+            path: self.path.to_path_buf(),
+            metadata,
+            tensors,
+        })
     }
 
     fn alignment(&self, metadata: &BTreeMap<String, Value>) -> Result<u64, MllmError> {
         const KEY: &str = "general.alignment";
-        let Some(value) = metadata.get(KEY) else { return Ok(DEFAULT_ALIGNMENT) };
+        let Some(value) = metadata.get(KEY) else {
+            return Ok(DEFAULT_ALIGNMENT);
+        };
         value
             .as_u64()
             .filter(|alignment| alignment.is_power_of_two() && *alignment <= MAX_ALIGNMENT)
-            .ok_or_else(|| self.error(format!("{KEY} is {value}, expected a power of two up to {MAX_ALIGNMENT}")))
+            .ok_or_else(|| {
+                self.error(format!(
+                    "{KEY} is {value}, expected a power of two up to {MAX_ALIGNMENT}"
+                ))
+            })
     }
 
     fn tensor(&mut self) -> Result<Declared, MllmError> {
@@ -121,9 +158,9 @@ impl Reader<'_> {
         }
         let dimensions = self.u32()?;
         if dimensions == 0 || dimensions > MAX_DIMENSIONS {
-            return Err(
-                self.error(format!("tensor {name} has {dimensions} dimensions, expected 1 to {MAX_DIMENSIONS}"))
-            );
+            return Err(self.error(format!(
+                "tensor {name} has {dimensions} dimensions, expected 1 to {MAX_DIMENSIONS}"
+            )));
         }
         let mut shape = Vec::with_capacity(dimensions as usize);
         for _ in 0..dimensions {
@@ -133,15 +170,32 @@ impl Reader<'_> {
         let offset = self.u64()?;
         let format = match format_of(number) {
             Ok(format) => format,
-            Err(Some(format)) => return Err(MllmError::GgufFormat { path: self.path.to_path_buf(), name, format }),
-            Err(None) => return Err(self.error(format!("tensor {name} has the unknown number format {number}"))),
+            Err(Some(format)) => {
+                return Err(MllmError::GgufFormat {
+                    path: self.path.to_path_buf(),
+                    name,
+                    format,
+                });
+            }
+            Err(None) => {
+                return Err(self.error(format!(
+                    "tensor {name} has the unknown number format {number}"
+                )));
+            }
         };
         // The first dimension of the file is the fastest, and rows consist of whole blocks.
-        let fastest = shape.first().copied().expect("a tensor has one dimension at least");
-        let elements = shape.iter().try_fold(1_u64, |product, side| product.checked_mul(*side));
+        let fastest = shape
+            .first()
+            .copied()
+            .expect("a tensor has one dimension at least");
+        let elements = shape
+            .iter()
+            .try_fold(1_u64, |product, side| product.checked_mul(*side));
         let bytes = elements
             .filter(|elements| *elements > 0 && fastest.is_multiple_of(format.block_size() as u64))
-            .and_then(|elements| (elements / format.block_size() as u64).checked_mul(format.type_size() as u64))
+            .and_then(|elements| {
+                (elements / format.block_size() as u64).checked_mul(format.type_size() as u64)
+            })
             .filter(|bytes| *bytes <= self.file_bytes);
         let Some(bytes) = bytes else {
             return Err(self.error(format!(
@@ -151,7 +205,13 @@ impl Reader<'_> {
             )));
         };
         let shape = shape.into_iter().rev().map(|side| side as usize).collect();
-        Ok(Declared { name, format, shape, offset, bytes })
+        Ok(Declared {
+            name,
+            format,
+            shape,
+            offset,
+            bytes,
+        })
     }
 
     /// Checks that every tensor lies within the file, is aligned, and shares no byte with another.
@@ -164,9 +224,18 @@ impl Reader<'_> {
         declared.sort_by_key(|tensor| tensor.offset);
         let mut tensors = BTreeMap::new();
         let mut free = 0;
-        for Declared { name, format, shape, offset, bytes } in declared {
+        for Declared {
+            name,
+            format,
+            shape,
+            offset,
+            bytes,
+        } in declared
+        {
             let begin = data.checked_add(offset);
-            let end = begin.and_then(|begin| begin.checked_add(bytes)).filter(|end| *end <= self.file_bytes);
+            let end = begin
+                .and_then(|begin| begin.checked_add(bytes))
+                .filter(|end| *end <= self.file_bytes);
             let (Some(begin), Some(_)) = (begin, end) else {
                 return Err(self.broken(format!(
                     "tensor {name} takes {bytes} bytes from byte {offset} of the data, behind the file's end ({} bytes): it \
@@ -175,13 +244,28 @@ impl Reader<'_> {
                 )));
             };
             if !offset.is_multiple_of(alignment) {
-                return Err(self.broken(format!("tensor {name} begins at byte {offset}, no multiple of {alignment}")));
+                return Err(self.broken(format!(
+                    "tensor {name} begins at byte {offset}, no multiple of {alignment}"
+                )));
             }
             if offset < free {
-                return Err(self.broken(format!("tensor {name} shares bytes with the one before it")));
+                return Err(
+                    self.broken(format!("tensor {name} shares bytes with the one before it"))
+                );
             }
             free = offset + bytes;
-            if tensors.insert(name.clone(), TensorPlace { format, shape, begin, bytes }).is_some() {
+            if tensors
+                .insert(
+                    name.clone(),
+                    TensorPlace {
+                        format,
+                        shape,
+                        begin,
+                        bytes,
+                    },
+                )
+                .is_some()
+            {
                 return Err(self.broken(format!("tensor {name} occurs twice")));
             }
         }
@@ -207,7 +291,11 @@ impl Reader<'_> {
             10 => self.u64()?.into(),
             11 => i64::from_le_bytes(self.array()?).into(),
             12 => f64::from_le_bytes(self.array()?).into(),
-            other => return Err(self.error(format!("a value is of type {other}, which GGUF does not have"))),
+            other => {
+                return Err(self.error(format!(
+                    "a value is of type {other}, which GGUF does not have"
+                )));
+            }
         })
     }
 
@@ -222,7 +310,11 @@ impl Reader<'_> {
             4..=6 => 4,
             8 | 10..=12 => 8,
             9 => 12,
-            other => return Err(self.error(format!("a list is of type {other}, which GGUF does not have"))),
+            other => {
+                return Err(self.error(format!(
+                    "a list is of type {other}, which GGUF does not have"
+                )));
+            }
         };
         let count = self.count("values of a list", least)?;
         self.elements += count;
@@ -235,9 +327,14 @@ impl Reader<'_> {
     /// A number of items of at least `least` bytes each, which must fit into the rest of the file.
     fn count(&mut self, what: &str, least: u64) -> Result<u64, MllmError> {
         let count = self.u64()?;
-        let left = self.file_bytes.min(MAX_HEADER).saturating_sub(self.position);
+        let left = self
+            .file_bytes
+            .min(MAX_HEADER)
+            .saturating_sub(self.position);
         if count.checked_mul(least).is_none_or(|bytes| bytes > left) {
-            return Err(self.error(format!("{count} {what} are announced, but only {left} bytes are left for them")));
+            return Err(self.error(format!(
+                "{count} {what} are announced, but only {left} bytes are left for them"
+            )));
         }
         Ok(count)
     }
@@ -264,10 +361,17 @@ impl Reader<'_> {
     }
 
     fn fill(&mut self, bytes: &mut [u8]) -> Result<(), MllmError> {
-        self.source.read_exact(bytes).map_err(|source| match source.kind() {
-            std::io::ErrorKind::UnexpectedEof => self.error("the file is truncated within its header"),
-            _ => MllmError::Read { path: self.path.to_path_buf(), source },
-        })?;
+        self.source
+            .read_exact(bytes)
+            .map_err(|source| match source.kind() {
+                std::io::ErrorKind::UnexpectedEof => {
+                    self.error("the file is truncated within its header")
+                }
+                _ => MllmError::Read {
+                    path: self.path.to_path_buf(),
+                    source,
+                },
+            })?;
         self.position += bytes.len() as u64;
         Ok(())
     }
@@ -277,18 +381,30 @@ impl Reader<'_> {
     }
 
     fn broken(&self, problem: String) -> MllmError {
-        MllmError::Gguf { path: self.path.to_path_buf(), problem }
+        MllmError::Gguf {
+            path: self.path.to_path_buf(),
+            problem,
+        }
     }
 }
 
-/// The shortest decimal that rounds to a 32-bit float, which is what its writer had; null if it is not finite.
+/// The shortest decimal that rounds to a 32-bit float, which is what its writer had; null if it is
+/// not finite.
 fn shortest(number: f32) -> Value {
-    number.to_string().parse().ok().and_then(Number::from_f64).map_or(Value::Null, Value::Number)
+    number
+        .to_string()
+        .parse()
+        .ok()
+        .and_then(Number::from_f64)
+        .map_or(Value::Null, Value::Number)
 }
 
 fn in_entry(error: MllmError, key: &str) -> MllmError {
     match error {
-        MllmError::Gguf { path, problem } => MllmError::Gguf { path, problem: format!("metadata {key}: {problem}") },
+        MllmError::Gguf { path, problem } => MllmError::Gguf {
+            path,
+            problem: format!("metadata {key}: {problem}"),
+        },
         other => other,
     }
 }
@@ -312,10 +428,14 @@ const FORMATS: [(u32, GgmlDType); 14] = [
 ];
 
 /// Formats that candle does not know, by their `ggml_type`.
-const FURTHER: [(u32, StoredFormat); 3] =
-    [(20, StoredFormat::Iq4Nl), (23, StoredFormat::Iq4Xs), (39, StoredFormat::Mxfp4)];
+const FURTHER: [(u32, StoredFormat); 3] = [
+    (20, StoredFormat::Iq4Nl),
+    (23, StoredFormat::Iq4Xs),
+    (39, StoredFormat::Mxfp4),
+];
 
-/// Formats that are not read, by their `ggml_type`. Those of one to three bits have tables of their own.
+/// Formats that are not read, by their `ggml_type`. Those of one to three bits have tables of their
+/// own.
 const UNREAD: [(u32, &str); 17] = [
     (9, "Q8_1"),
     (16, "IQ2_XXS"),
@@ -339,12 +459,28 @@ const UNREAD: [(u32, &str); 17] = [
 /// The format of a `ggml_type`, or the name of one that is not read.
 fn format_of(number: u32) -> Result<StoredFormat, Option<&'static str>> {
     let by_number = |known: &u32| *known == number;
-    let known = FORMATS.iter().find(|(known, _)| by_number(known)).map(|(_, format)| StoredFormat::Ggml(*format));
-    let known = known.or_else(|| FURTHER.iter().find(|(known, _)| by_number(known)).map(|(_, format)| *format));
-    known.ok_or_else(|| UNREAD.iter().find(|(known, _)| by_number(known)).map(|(_, name)| *name))
+    let known = FORMATS
+        .iter()
+        .find(|(known, _)| by_number(known))
+        .map(|(_, format)| StoredFormat::Ggml(*format));
+    let known = known.or_else(|| {
+        FURTHER
+            .iter()
+            .find(|(known, _)| by_number(known))
+            .map(|(_, format)| *format)
+    });
+    known.ok_or_else(|| {
+        UNREAD
+            .iter()
+            .find(|(known, _)| by_number(known))
+            .map(|(_, name)| *name)
+    })
 }
 
 /// The `ggml_type` of a format.
 pub(crate) fn number_of(format: GgmlDType) -> Option<u32> {
-    FORMATS.iter().find(|(_, known)| *known == format).map(|(number, _)| *number)
+    FORMATS
+        .iter()
+        .find(|(_, known)| *known == format)
+        .map(|(number, _)| *number)
 }

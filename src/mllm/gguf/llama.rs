@@ -1,4 +1,5 @@
-//! The configuration of a decoder in the metadata of a GGUF file: any of Llama's kind is read, `llama` is written.
+//! The configuration of a decoder in the metadata of a GGUF file: any of Llama's kind is read,
+//! `llama` is written.
 
 use serde_json::{Value, json};
 
@@ -33,29 +34,58 @@ pub(crate) fn architectures() -> impl Iterator<Item = &'static str> {
 /// The `text_config` of a decoder.
 pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     let architecture = header.architecture()?;
-    let Some((_, model_type)) = ARCHITECTURES.into_iter().find(|(name, _)| *name == architecture) else {
-        return Err(header.error("general.architecture", format!("'{architecture}' is not supported")));
+    let Some((_, model_type)) = ARCHITECTURES
+        .into_iter()
+        .find(|(name, _)| *name == architecture)
+    else {
+        return Err(header.error(
+            "general.architecture",
+            format!("'{architecture}' is not supported"),
+        ));
     };
     let key = |name: &str| format!("{architecture}.{name}");
-    let embedding = header.tensors.get("token_embd.weight").and_then(|place| place.shape.first().copied());
+    let embedding = header
+        .tensors
+        .get("token_embd.weight")
+        .and_then(|place| place.shape.first().copied());
     let Some(vocabulary) = embedding else {
-        return Err(MllmError::MissingTensor { folder: header.path.clone(), name: "token_embd.weight".into() });
+        return Err(MllmError::MissingTensor {
+            folder: header.path.clone(),
+            name: "token_embd.weight".into(),
+        });
     };
     if header.count_or_none(&key("expert_count"))?.is_some() {
-        return Err(header.error(&key("expert_count"), "a mixture of experts is not supported"));
+        return Err(header.error(
+            &key("expert_count"),
+            "a mixture of experts is not supported",
+        ));
     }
     let hidden = header.required_count(&key("embedding_length"))?;
     let heads = header.required_count(&key("attention.head_count"))?;
-    let kv_heads = header.count(&key("attention.head_count_kv"))?.unwrap_or(heads);
-    let head_dim = header.count(&key("attention.key_length"))?.unwrap_or(hidden / heads);
-    if let Some(rotated) = header.count(&key("rope.dimension_count"))?.filter(|rotated| *rotated != head_dim) {
+    let kv_heads = header
+        .count(&key("attention.head_count_kv"))?
+        .unwrap_or(heads);
+    let head_dim = header
+        .count(&key("attention.key_length"))?
+        .unwrap_or(hidden / heads);
+    if let Some(rotated) = header
+        .count(&key("rope.dimension_count"))?
+        .filter(|rotated| *rotated != head_dim)
+    {
         return Err(header.error(
             &key("rope.dimension_count"),
-            format!("{rotated} of {head_dim} dimensions of a head are rotated; all of them is supported"),
+            format!(
+                "{rotated} of {head_dim} dimensions of a head are rotated; all of them is supported"
+            ),
         ));
     }
-    if let Some(width) = header.count(&key("attention.value_length"))?.filter(|width| *width != head_dim) {
-        let problem = format!("{width} is not the width of keys, {head_dim}; heads of one width are supported");
+    if let Some(width) = header
+        .count(&key("attention.value_length"))?
+        .filter(|width| *width != head_dim)
+    {
+        let problem = format!(
+            "{width} is not the width of keys, {head_dim}; heads of one width are supported"
+        );
         return Err(header.error(&key("attention.value_length"), problem));
     }
     let window = header.count_or_none(&key("attention.sliding_window"))?;
@@ -83,17 +113,24 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
         // llama.cpp takes a factor without a type as linear, and 0 for no factor.
         None | Some("linear") => {
             let factor = header.number_or_none(&key("rope.scaling.factor"))?;
-            let factor =
-                factor.map_or_else(|| header.number_or_none(&key("rope.scale_linear")), |factor| Ok(Some(factor)))?;
+            let factor = factor.map_or_else(
+                || header.number_or_none(&key("rope.scale_linear")),
+                |factor| Ok(Some(factor)),
+            )?;
             if let Some(factor) = factor {
                 config["rope_scaling"] = json!({"type": "linear", "factor": factor});
             }
         }
         Some(other) => {
-            return Err(header.error(&key("rope.scaling.type"), format!("'{other}' is not supported; linear is")));
+            return Err(header.error(
+                &key("rope.scaling.type"),
+                format!("'{other}' is not supported; linear is"),
+            ));
         }
     }
-    if let Some(sections) = header.list::<u64>(&key("rope.dimension_sections"), "a list of counts")? {
+    if let Some(sections) =
+        header.list::<u64>(&key("rope.dimension_sections"), "a list of counts")?
+    {
         config["rope_scaling"]["mrope_section"] = json!(sections.get(..3));
         config["rope_scaling"]["mrope_interleaved"] = json!(architecture == INTERLEAVED);
     }
@@ -118,7 +155,10 @@ pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
         ("llama.attention.key_length", json!(config.head_dim)),
         ("llama.attention.value_length", json!(config.head_dim)),
         ("llama.context_length", json!(config.context)),
-        ("llama.attention.layer_norm_rms_epsilon", json!(config.rms_norm_eps)),
+        (
+            "llama.attention.layer_norm_rms_epsilon",
+            json!(config.rms_norm_eps),
+        ),
         ("llama.rope.dimension_count", json!(config.head_dim)),
         ("llama.rope.freq_base", json!(config.rope.theta)),
     ];
@@ -133,10 +173,14 @@ pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
             metadata.push(("llama.rope.scaling.factor", json!(factor)));
         }
     }
-    Ok(metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect())
+    Ok(metadata
+        .into_iter()
+        .map(|(key, value)| (key.to_string(), value))
+        .collect())
 }
 
-/// The projection of a decoder layer that a tensor makes (`attn_q`, `attn_k`, ...), by its name in the file.
+/// The projection of a decoder layer that a tensor makes (`attn_q`, `attn_k`, ...), by its name in
+/// the file.
 pub(crate) fn projection(name: &str) -> Option<&str> {
     name.strip_prefix("blk.")?.split('.').nth(1)
 }

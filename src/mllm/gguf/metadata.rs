@@ -12,7 +12,11 @@ const MAX_COUNT: u64 = 1 << 22;
 
 impl Header {
     pub(crate) fn error(&self, key: &str, problem: impl Into<String>) -> MllmError {
-        MllmError::Config { path: self.path.clone(), key: key.into(), problem: problem.into() }
+        MllmError::Config {
+            path: self.path.clone(),
+            key: key.into(),
+            problem: problem.into(),
+        }
     }
 
     fn missing(&self, key: &str) -> MllmError {
@@ -28,7 +32,9 @@ impl Header {
     ) -> Result<Option<T>, MllmError> {
         /// Longest part of a value in a message, characters.
         const SHOWN: usize = 60;
-        let Some(value) = self.metadata.get(key) else { return Ok(None) };
+        let Some(value) = self.metadata.get(key) else {
+            return Ok(None);
+        };
         read(value).map(Some).ok_or_else(|| {
             let found: String = value.to_string().chars().take(SHOWN).collect();
             self.error(key, format!("expected {expected}, found {found}"))
@@ -40,24 +46,36 @@ impl Header {
             // llama.cpp may write one number for each layer.
             Value::Array(list) => {
                 let first = list.first()?;
-                list.iter().all(|number| number == first).then(|| first.as_u64())?
+                list.iter()
+                    .all(|number| number == first)
+                    .then(|| first.as_u64())?
             }
             value => value.as_u64(),
         };
         let expected = format!("a whole number from 1 to {MAX_COUNT}, the same for all layers");
         self.typed(key, &expected, |value| {
-            count(value).filter(|count| (1..=MAX_COUNT).contains(count)).map(|count| count as usize)
+            count(value)
+                .filter(|count| (1..=MAX_COUNT).contains(count))
+                .map(|count| count as usize)
         })
     }
 
     /// A count whose 0 means that there is none.
     pub(crate) fn count_or_none(&self, key: &str) -> Result<Option<usize>, MllmError> {
-        if self.metadata.get(key).and_then(Value::as_u64) == Some(0) { Ok(None) } else { self.count(key) }
+        if self.metadata.get(key).and_then(Value::as_u64) == Some(0) {
+            Ok(None)
+        } else {
+            self.count(key)
+        }
     }
 
     /// A number whose 0 means that there is none.
     pub(crate) fn number_or_none(&self, key: &str) -> Result<Option<f64>, MllmError> {
-        if self.metadata.get(key).and_then(Value::as_f64) == Some(0.0) { Ok(None) } else { self.number(key) }
+        if self.metadata.get(key).and_then(Value::as_f64) == Some(0.0) {
+            Ok(None)
+        } else {
+            self.number(key)
+        }
     }
 
     pub(crate) fn required_count(&self, key: &str) -> Result<usize, MllmError> {
@@ -65,7 +83,9 @@ impl Header {
     }
 
     pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, MllmError> {
-        self.typed(key, "a positive number", |value| value.as_f64().filter(|number| *number > 0.0))
+        self.typed(key, "a positive number", |value| {
+            value.as_f64().filter(|number| *number > 0.0)
+        })
     }
 
     pub(crate) fn flag(&self, key: &str) -> Result<Option<bool>, MllmError> {
@@ -76,20 +96,28 @@ impl Header {
         self.typed(key, "a text", Value::as_str)
     }
 
-    pub(crate) fn list<T: DeserializeOwned>(&self, key: &str, expected: &str) -> Result<Option<Vec<T>>, MllmError> {
+    pub(crate) fn list<T: DeserializeOwned>(
+        &self,
+        key: &str,
+        expected: &str,
+    ) -> Result<Option<Vec<T>>, MllmError> {
         self.typed(key, expected, |value| Vec::deserialize(value).ok())
     }
 
     /// The kind of a tower's projector; none if the file does not say.
     pub(crate) fn projector(&self) -> Result<Option<&str>, MllmError> {
-        Ok(self.text("clip.vision.projector_type")?.or(self.text("clip.projector_type")?))
+        Ok(self
+            .text("clip.vision.projector_type")?
+            .or(self.text("clip.projector_type")?))
     }
 
     /// Mean and deviation of a tower's pixels, as an image processor's configuration has them.
     pub(crate) fn pixel_scale(&self) -> Result<Value, MllmError> {
         let mut scale = json!({});
         for key in ["image_mean", "image_std"] {
-            if let Some(values) = self.list::<f64>(&format!("clip.vision.{key}"), "a list of numbers")? {
+            if let Some(values) =
+                self.list::<f64>(&format!("clip.vision.{key}"), "a list of numbers")?
+            {
                 scale[key] = json!(values);
             }
         }
@@ -109,7 +137,8 @@ impl Header {
         }))
     }
 
-    /// The value of `general.architecture`. Parts of a split model after the first have none, nor has what is no model.
+    /// The value of `general.architecture`. Parts of a split model after the first have none, nor
+    /// has what is no model.
     pub(crate) fn architecture(&self) -> Result<&str, MllmError> {
         const KEY: &str = "general.architecture";
         if let Some(architecture) = self.text(KEY)? {
@@ -117,9 +146,10 @@ impl Header {
         }
         self.check_one_file()?;
         match self.text("general.type")? {
-            Some(kind) if kind != "model" => {
-                Err(self.error("general.type", format!("'{kind}' is no model; name the file of the model")))
-            }
+            Some(kind) if kind != "model" => Err(self.error(
+                "general.type",
+                format!("'{kind}' is no model; name the file of the model"),
+            )),
             _ => Err(self.missing(KEY)),
         }
     }
@@ -128,7 +158,9 @@ impl Header {
     pub(crate) fn check_one_file(&self) -> Result<(), MllmError> {
         const COUNT: &str = "split.count";
         let number = |key: &str| self.typed(key, "a whole number", Value::as_u64);
-        let Some(parts) = number(COUNT)?.filter(|parts| *parts > 1) else { return Ok(()) };
+        let Some(parts) = number(COUNT)?.filter(|parts| *parts > 1) else {
+            return Ok(());
+        };
         let part = number("split.no")?.unwrap_or(0).saturating_add(1);
         let problem = format!(
             "this is part {part} of {parts}, and models in several files are not supported; join them with llama-gguf-split \

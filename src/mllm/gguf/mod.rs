@@ -1,9 +1,9 @@
-//! GGUF files: their container, the metadata of llama.cpp's `llama` decoders and tokenizers, and which files belong
-//! together.
+//! GGUF files: their container, the metadata of llama.cpp's `llama` decoders and tokenizers, and
+//! which files belong together.
 //!
-//! A file that this program wrote has the small files of the model in its metadata and is opened by these. For a file of
-//! llama.cpp, the model's family makes the small files from the metadata ([`GgufLayout`]), so that it reads the same JSON
-//! whatever the weights lie in.
+//! A file that this program wrote has the small files of the model in its metadata and is opened by
+//! these. For a file of llama.cpp, the model's family makes the small files from the metadata
+//! ([`GgufLayout`]), so that it reads the same JSON whatever the weights lie in.
 
 mod byte_level;
 mod header;
@@ -49,7 +49,8 @@ pub trait GgufLayout: Sync {
     /// Whether a decoder and a tower belong to the family.
     fn opens(&self, decoder: &Header, tower: &Header) -> bool;
 
-    /// The small files of the model, by name, made from the metadata. A note says what the files leave open.
+    /// The small files of the model, by name, made from the metadata. A note says what the files
+    /// leave open.
     fn small_files(
         &self,
         decoder: &Header,
@@ -63,8 +64,10 @@ pub trait GgufLayout: Sync {
     /// llama.cpp's name of a canonical tensor; none if the format has no such tensor.
     fn gguf_name(&self, canonical: &str) -> Option<String>;
 
-    /// The metadata of decoder and tower for a model with these files, or the part that the format has no key for.
-    fn metadata(&self, files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError>;
+    /// The metadata of decoder and tower for a model with these files, or the part that the format
+    /// has no key for.
+    fn metadata(&self, files: &ModelFiles)
+    -> Result<Result<[Entries; 2], &'static str>, MllmError>;
 }
 
 pub(crate) fn open_header(path: &Path) -> Result<(Header, WeightFile), MllmError> {
@@ -95,7 +98,10 @@ pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>, MllmError> {
 
 /// Where a vision tower is looked for first, and written to.
 pub(crate) fn tower_path(model: &Path) -> PathBuf {
-    model.with_file_name(format!("mmproj-{}", model.file_name().unwrap_or_default().to_string_lossy()))
+    model.with_file_name(format!(
+        "mmproj-{}",
+        model.file_name().unwrap_or_default().to_string_lossy()
+    ))
 }
 
 /// The vision tower in the folder of a decoder: the one that is named after it, else the only one.
@@ -104,7 +110,10 @@ pub(crate) fn tower_beside(model: &Path) -> Result<PathBuf, MllmError> {
     if named.is_file() {
         return Ok(named);
     }
-    let folder = model.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = model
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     let (towers, unreadable) = files_of(folder, |architecture| architecture == TOWER)?;
     match towers.as_slice() {
         [] => Err(unreadable.unwrap_or_else(|| MllmError::MissingFile {
@@ -122,19 +131,35 @@ pub(crate) fn tower_beside(model: &Path) -> Result<PathBuf, MllmError> {
 }
 
 fn several_files(folder: &Path, what: &str, files: &[PathBuf], hint: &str) -> MllmError {
-    let names: Vec<_> = files.iter().filter_map(|file| file.file_name()).map(|name| name.to_string_lossy()).collect();
+    let names: Vec<_> = files
+        .iter()
+        .filter_map(|file| file.file_name())
+        .map(|name| name.to_string_lossy())
+        .collect();
     MllmError::MissingFile {
         folder: folder.to_path_buf(),
-        file: format!("single GGUF file to open: there are several {what} ({}); {hint}", names.join(", ")),
+        file: format!(
+            "single GGUF file to open: there are several {what} ({}); {hint}",
+            names.join(", ")
+        ),
     }
 }
 
-/// The GGUF files of a folder whose architecture is wanted, sorted, and what is wrong with those that are no model: importance
-/// matrices, parts of split models, broken downloads. They do not hide a model beside them.
-fn files_of(folder: &Path, wanted: impl Fn(&str) -> bool) -> Result<(Vec<PathBuf>, Option<MllmError>), MllmError> {
-    let failed = |source| MllmError::Read { path: folder.to_path_buf(), source };
+/// The GGUF files of a folder whose architecture is wanted, sorted, and what is wrong with those
+/// that are no model: importance matrices, parts of split models, broken downloads. They do not
+/// hide a model beside them.
+fn files_of(
+    folder: &Path,
+    wanted: impl Fn(&str) -> bool,
+) -> Result<(Vec<PathBuf>, Option<MllmError>), MllmError> {
+    let failed = |source| MllmError::Read {
+        path: folder.to_path_buf(),
+        source,
+    };
     let (mut found, mut unreadable) = (Vec::new(), Vec::new());
-    let paths = std::fs::read_dir(folder).map_err(failed)?.map(|entry| Ok(folder.join(entry?.file_name())));
+    let paths = std::fs::read_dir(folder)
+        .map_err(failed)?
+        .map(|entry| Ok(folder.join(entry?.file_name())));
     let mut paths = paths.collect::<Result<Vec<_>, _>>().map_err(failed)?;
     paths.retain(|path| is_gguf(path));
     paths.sort();
@@ -148,10 +173,17 @@ fn files_of(folder: &Path, wanted: impl Fn(&str) -> bool) -> Result<(Vec<PathBuf
     Ok((found, all_of(folder, unreadable)))
 }
 
-/// Whether a file is one by its name. The file that macOS writes beside each on other disks (`._NAME`) is none.
+/// Whether a file is one by its name. The file that macOS writes beside each on other disks
+/// (`._NAME`) is none.
 fn is_gguf(path: &Path) -> bool {
-    let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("._"));
-    !hidden && path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("gguf")) && path.is_file()
+    let hidden = path
+        .file_name()
+        .is_some_and(|name| name.to_string_lossy().starts_with("._"));
+    !hidden
+        && path
+            .extension()
+            .is_some_and(|ending| ending.eq_ignore_ascii_case("gguf"))
+        && path.is_file()
 }
 
 /// One error that tells several.
@@ -175,14 +207,21 @@ pub(crate) fn packed_files(header: &Header) -> Result<BTreeMap<String, String>, 
         .keys()
         .filter_map(|key| key.strip_prefix(FILE))
         .map(|name| {
-            let text = header.text(&format!("{FILE}{name}"))?.expect("the name is from a key of the metadata");
+            let text = header
+                .text(&format!("{FILE}{name}"))?
+                .expect("the name is from a key of the metadata");
             Ok((name.to_string(), text.to_string()))
         })
         .collect()
 }
 
-/// How a file has the rows of a tensor: llama.cpp writes those of a `llama`'s queries and keys in pairs.
-pub(crate) fn row_order(header: &Header, name: &str, place: &TensorPlace) -> Result<RowOrder, MllmError> {
+/// How a file has the rows of a tensor: llama.cpp writes those of a `llama`'s queries and keys in
+/// pairs.
+pub(crate) fn row_order(
+    header: &Header,
+    name: &str,
+    place: &TensorPlace,
+) -> Result<RowOrder, MllmError> {
     const HEADS: &str = "llama.attention.head_count";
     const KEY_HEADS: &str = "llama.attention.head_count_kv";
     if header.architecture()? != llama::ARCHITECTURE {
@@ -194,9 +233,16 @@ pub(crate) fn row_order(header: &Header, name: &str, place: &TensorPlace) -> Res
         _ => return Ok(RowOrder::Plain),
     };
     let heads = header.required_count(key)?;
-    let rows = place.shape.first().copied().expect("the header refuses tensors without dimensions");
+    let rows = place
+        .shape
+        .first()
+        .copied()
+        .expect("the header refuses tensors without dimensions");
     if rows.is_multiple_of(2 * heads) {
         return Ok(RowOrder::Paired { heads });
     }
-    Err(header.error(key, format!("the {rows} rows of {name} are no {heads} heads of whole pairs")))
+    Err(header.error(
+        key,
+        format!("the {rows} rows of {name} are no {heads} heads of whole pairs"),
+    ))
 }

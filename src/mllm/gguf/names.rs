@@ -22,7 +22,8 @@ pub(crate) const OUTPUT: Pair = ("output.weight", "lm_head.weight");
 pub(crate) const ROTARY: Pair = ("rope_freqs.weight", "language_model.rope_freqs.weight");
 
 /// The layers of a decoder.
-pub(crate) const DECODER_LAYERS: (&str, &str, &[Pair]) = ("blk.", "language_model.layers.", &DECODER_PARTS);
+pub(crate) const DECODER_LAYERS: (&str, &str, &[Pair]) =
+    ("blk.", "language_model.layers.", &DECODER_PARTS);
 
 const DECODER_PARTS: [Pair; 11] = [
     ("attn_norm", "input_layernorm"),
@@ -87,24 +88,36 @@ impl Names {
 fn layer(rest: &str) -> Option<(&str, &str, &str)> {
     let (number, rest) = rest.split_once('.')?;
     let (part, kind) = rest.rsplit_once('.')?;
-    let digits = !number.is_empty() && number.len() < 8 && number.bytes().all(|byte| byte.is_ascii_digit());
+    let digits =
+        !number.is_empty() && number.len() < 8 && number.bytes().all(|byte| byte.is_ascii_digit());
     (digits && ["weight", "bias"].contains(&kind)).then_some((number, part, kind))
 }
 
-/// Undoes a swap of llama.cpp's older converter, which calls the first layer of the tower's feed-forward part `ffn_down` and
-/// the last `ffn_up`. The first is the one whose input is the hidden states of `hidden` numbers.
+/// Undoes a swap of llama.cpp's older converter, which calls the first layer of the tower's
+/// feed-forward part `ffn_down` and the last `ffn_up`. The first is the one whose input is the
+/// hidden states of `hidden` numbers.
 pub(crate) fn unswapped(header: &Header, canonical: String, hidden: Option<usize>) -> String {
     const SWAPS: [[&str; 2]; 2] = [["mlp.fc1", "mlp.fc2"], ["mlp.up_proj", "mlp.down_proj"]];
-    let Some((layer, part)) = canonical.strip_prefix(VISION_PREFIX).and_then(|rest| rest.split_once('.')) else {
+    let Some((layer, part)) = canonical
+        .strip_prefix(VISION_PREFIX)
+        .and_then(|rest| rest.split_once('.'))
+    else {
         return canonical;
     };
-    let down = header.tensors.get(&format!("v.blk.{layer}.ffn_down.weight"));
+    let down = header
+        .tensors
+        .get(&format!("v.blk.{layer}.ffn_down.weight"));
     if down.is_none_or(|place| place.shape.get(1).copied() != hidden) {
         return canonical;
     }
-    let swap =
-        |[one, other]: [&str; 2]| part.strip_prefix(one).map(|kind| format!("{VISION_PREFIX}{layer}.{other}{kind}"));
-    let swapped = SWAPS.into_iter().flat_map(|[up, down]| [[up, down], [down, up]]).find_map(swap);
+    let swap = |[one, other]: [&str; 2]| {
+        part.strip_prefix(one)
+            .map(|kind| format!("{VISION_PREFIX}{layer}.{other}{kind}"))
+    };
+    let swapped = SWAPS
+        .into_iter()
+        .flat_map(|[up, down]| [[up, down], [down, up]])
+        .find_map(swap);
     swapped.unwrap_or(canonical)
 }
 
@@ -114,21 +127,41 @@ mod tests {
 
     #[test]
     fn names_are_translated_both_ways() {
-        let names = Names { single: &[EMBEDDING, OUTPUT], layers: &[DECODER_LAYERS, VISION_LAYERS] };
+        let names = Names {
+            single: &[EMBEDDING, OUTPUT],
+            layers: &[DECODER_LAYERS, VISION_LAYERS],
+        };
         for (name, canonical) in [
             ("token_embd.weight", "language_model.embed_tokens.weight"),
-            ("blk.31.attn_output.weight", "language_model.layers.31.self_attn.o_proj.weight"),
-            ("blk.0.attn_k.bias", "language_model.layers.0.self_attn.k_proj.bias"),
-            ("v.blk.2.ffn_up.bias", "vision_tower.encoder.layers.2.mlp.fc1.bias"),
-            ("v.blk.2.ln1.weight", "vision_tower.encoder.layers.2.layer_norm1.weight"),
+            (
+                "blk.31.attn_output.weight",
+                "language_model.layers.31.self_attn.o_proj.weight",
+            ),
+            (
+                "blk.0.attn_k.bias",
+                "language_model.layers.0.self_attn.k_proj.bias",
+            ),
+            (
+                "v.blk.2.ffn_up.bias",
+                "vision_tower.encoder.layers.2.mlp.fc1.bias",
+            ),
+            (
+                "v.blk.2.ln1.weight",
+                "vision_tower.encoder.layers.2.layer_norm1.weight",
+            ),
             ("output.weight", "lm_head.weight"),
         ] {
             assert_eq!(names.to_canonical(name).as_deref(), Some(canonical));
             assert_eq!(names.in_gguf(canonical).as_deref(), Some(name));
         }
-        for name in
-            ["", "blk.", "blk.x.attn_q.weight", "blk.1.attn_q", "blk.1.ffn_gate_exps.weight", "v.post_ln.weight"]
-        {
+        for name in [
+            "",
+            "blk.",
+            "blk.x.attn_q.weight",
+            "blk.1.attn_q",
+            "blk.1.ffn_gate_exps.weight",
+            "v.post_ln.weight",
+        ] {
             assert_eq!(names.to_canonical(name), None, "{name}");
         }
     }

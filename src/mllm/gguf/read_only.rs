@@ -1,5 +1,5 @@
-//! Families whose files of llama.cpp are read but not written: a table of names, and how the tower's metadata becomes the small
-//! files.
+//! Families whose files of llama.cpp are read but not written: a table of names, and how the
+//! tower's metadata becomes the small files.
 
 use std::collections::BTreeMap;
 
@@ -45,7 +45,9 @@ pub(crate) fn as_stored(_file: &Header, name: &str) -> Result<Option<String>, Ml
 
 impl GgufLayout for ReadOnlyLayout {
     fn opens(&self, decoder: &Header, tower: &Header) -> bool {
-        decoder.architecture().is_ok_and(|decoder| self.decoders.contains(&decoder))
+        decoder
+            .architecture()
+            .is_ok_and(|decoder| self.decoders.contains(&decoder))
             && matches!(tower.projector(), Ok(Some(projector)) if projector == self.projector)
     }
 
@@ -56,7 +58,10 @@ impl GgufLayout for ReadOnlyLayout {
         notes: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError> {
         let mut files = TextFiles::read(decoder)?;
-        let VisionFiles { mut config, processor } = (self.vision)(tower, notes)?;
+        let VisionFiles {
+            mut config,
+            processor,
+        } = (self.vision)(tower, notes)?;
         config["model_type"] = json!(self.model_type);
         config["image_token_id"] = json!(files.added_id(decoder, self.placeholder)?);
         config["text_config"] = files.text_config.clone();
@@ -75,7 +80,10 @@ impl GgufLayout for ReadOnlyLayout {
         self.names.in_gguf(canonical)
     }
 
-    fn metadata(&self, _files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
+    fn metadata(
+        &self,
+        _files: &ModelFiles,
+    ) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
         Ok(Err(self.lacking))
     }
 }

@@ -18,17 +18,26 @@ impl TextFiles {
     pub(crate) fn read(decoder: &Header) -> Result<Self, MllmError> {
         const KEY: &str = "tokenizer.chat_template";
         let text_config = llama::text_config(decoder)?;
-        let vocabulary =
-            text_config["vocab_size"].as_u64().expect("the configuration of a decoder says its vocabulary") as usize;
+        let vocabulary = text_config["vocab_size"]
+            .as_u64()
+            .expect("the configuration of a decoder says its vocabulary")
+            as usize;
         let mut files = BTreeMap::new();
         let tokenizer = tokenizer::files(decoder, vocabulary, &mut files)?;
         files.insert(TOKENIZER.to_string(), tokenizer.to_string());
         if !decoder.path.with_file_name(TEMPLATE).is_file() {
-            let problem = format!("the file has no chat template; put the model's {TEMPLATE} beside it");
-            let template = decoder.text(KEY)?.ok_or_else(|| decoder.error(KEY, problem))?;
+            let problem =
+                format!("the file has no chat template; put the model's {TEMPLATE} beside it");
+            let template = decoder
+                .text(KEY)?
+                .ok_or_else(|| decoder.error(KEY, problem))?;
             files.insert(TEMPLATE.to_string(), template.to_string());
         }
-        Ok(Self { text_config, tokenizer, files })
+        Ok(Self {
+            text_config,
+            tokenizer,
+            files,
+        })
     }
 
     /// The id of a special token.

@@ -1,8 +1,8 @@
 //! A tokenizer in GGUF metadata, converted to an equivalent `tokenizer.json`.
 //!
-//! SentencePiece: GGUF has pieces with scores (`tokenizer.ggml.model = llama`): the neighbors whose joint piece has the highest score are
-//! joined first. A byte-pair model with its merges in the order of the scores does the same. Byte-level tokenizers are in
-//! `byte_level`.
+//! SentencePiece: GGUF has pieces with scores (`tokenizer.ggml.model = llama`): the neighbors whose
+//! joint piece has the highest score are joined first. A byte-pair model with its merges in the
+//! order of the scores does the same. Byte-level tokenizers are in `byte_level`.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
@@ -34,7 +34,8 @@ pub(crate) mod piece {
 const IMAGE: &str = "<image>";
 /// The key of the kind of a tokenizer.
 const MODEL: &str = "tokenizer.ggml.model";
-/// Longest piece, bytes. SentencePiece's pieces have 16 characters; a longer one means a broken file.
+/// Longest piece, bytes. SentencePiece's pieces have 16 characters; a longer one means a broken
+/// file.
 const MAX_PIECE: usize = 1024;
 
 /// A tokenizer as Hugging Face's files.
@@ -47,14 +48,20 @@ pub(crate) struct TokenizerFiles {
     pub eos: Option<i64>,
 }
 
-/// The id of the image's placeholder in a `tokenizer.json`. A file without one gets it after all other tokens.
+/// The id of the image's placeholder in a `tokenizer.json`. A file without one gets it after all
+/// other tokens.
 pub(crate) fn image_token(tokenizer: &mut Json) -> Result<u64, &'static str> {
     let tokens = tokenizer["added_tokens"].as_array().into_iter().flatten();
     if let Some(known) = tokens.clone().find(|token| token["content"] == IMAGE) {
         return known["id"].as_u64().ok_or("the token <image> has no id");
     }
-    let vocabulary = tokenizer["model"]["vocab"].as_object().ok_or("it has no vocabulary")?;
-    let ids = vocabulary.values().chain(tokens.map(|token| &token["id"])).filter_map(Json::as_u64);
+    let vocabulary = tokenizer["model"]["vocab"]
+        .as_object()
+        .ok_or("it has no vocabulary")?;
+    let ids = vocabulary
+        .values()
+        .chain(tokens.map(|token| &token["id"]))
+        .filter_map(Json::as_u64);
     let next = ids.max().map_or(0, |last| last + 1);
     match tokenizer["added_tokens"].as_array_mut() {
         Some(tokens) => tokens.push(added_token(next, IMAGE, true)),
@@ -86,21 +93,42 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
             ));
         }
         None => {
-            return Err(header.error(MODEL, "the file has no tokenizer; put the model's tokenizer.json beside it"));
+            return Err(header.error(
+                MODEL,
+                "the file has no tokenizer; put the model's tokenizer.json beside it",
+            ));
         }
     }
     let pieces = Pieces::read(header, vocabulary)?;
-    let scores: Vec<f64> = header.list("tokenizer.ggml.scores", "a list of numbers")?.unwrap_or_default();
+    let scores: Vec<f64> = header
+        .list("tokenizer.ggml.scores", "a list of numbers")?
+        .unwrap_or_default();
     if scores.len() != pieces.tokens.len() {
-        return Err(header.error("tokenizer.ggml.scores", format!("expected {} scores", pieces.tokens.len())));
+        return Err(header.error(
+            "tokenizer.ggml.scores",
+            format!("expected {} scores", pieces.tokens.len()),
+        ));
     }
-    let Special { bos, eos, unknown, config } = Special::read(header, &pieces)?;
+    let Special {
+        bos,
+        eos,
+        unknown,
+        config,
+    } = Special::read(header, &pieces)?;
     let flag = |key: &str| header.flag(&format!("tokenizer.ggml.{key}"));
-    let bos = if flag("add_bos_token")?.unwrap_or(true) { bos } else { None };
+    let bos = if flag("add_bos_token")?.unwrap_or(true) {
+        bos
+    } else {
+        None
+    };
     let prefix = flag("add_space_prefix")?.unwrap_or(true);
     let unknown = unknown.map(|(_, token)| token);
     let tokenizer = pieces.to_json(&scores, bos, unknown, prefix);
-    Ok(TokenizerFiles { tokenizer, config, eos: eos.map(|(id, _)| id) })
+    Ok(TokenizerFiles {
+        tokenizer,
+        config,
+        eos: eos.map(|(id, _)| id),
+    })
 }
 
 /// A note where a decoder's file leaves its tokenizer open, and no file beside it decides.
@@ -114,10 +142,15 @@ pub(crate) fn note(header: &Header) -> Result<Option<String>, MllmError> {
 /// What errors about a decoder's tokenizer call it: the file beside it, or its own.
 pub(crate) fn place(header: &Header) -> PathBuf {
     let beside = header.path.with_file_name(TOKENIZER);
-    if beside.is_file() { beside } else { header.path.clone() }
+    if beside.is_file() {
+        beside
+    } else {
+        header.path.clone()
+    }
 }
 
-/// The tokenizer of a decoder: the file beside it, else that of the metadata, whose other small files go to `files`.
+/// The tokenizer of a decoder: the file beside it, else that of the metadata, whose other small
+/// files go to `files`.
 pub(crate) fn files(
     header: &Header,
     vocabulary: usize,
@@ -130,7 +163,10 @@ pub(crate) fn files(
     let read = read(header, vocabulary)?;
     files.insert("tokenizer_config.json".into(), read.config.to_string());
     if let Some(eos) = read.eos {
-        files.insert("generation_config.json".into(), json!({"eos_token_id": eos}).to_string());
+        files.insert(
+            "generation_config.json".into(),
+            json!({"eos_token_id": eos}).to_string(),
+        );
     }
     Ok(read.tokenizer)
 }
@@ -154,20 +190,35 @@ impl<'a> Special<'a> {
     pub(super) fn read(header: &Header, pieces: &Pieces<'a>) -> Result<Self, MllmError> {
         let special = |role: &str| -> Result<Option<(i64, &'a str)>, MllmError> {
             let key = format!("tokenizer.ggml.{role}_token_id");
-            let Some(id) = header.metadata.get(&key).and_then(Json::as_u64) else { return Ok(None) };
+            let Some(id) = header.metadata.get(&key).and_then(Json::as_u64) else {
+                return Ok(None);
+            };
             let token = pieces.tokens.get(id as usize);
-            let token =
-                token.ok_or_else(|| header.error(&key, format!("{id} is none of {} tokens", pieces.tokens.len())))?;
+            let token = token.ok_or_else(|| {
+                header.error(
+                    &key,
+                    format!("{id} is none of {} tokens", pieces.tokens.len()),
+                )
+            })?;
             Ok(Some((id as i64, *token)))
         };
         let (bos, eos, unknown) = (special("bos")?, special("eos")?, special("unknown")?);
         let mut config = json!({});
-        for (key, token) in [("bos_token", bos), ("eos_token", eos), ("unk_token", unknown)] {
+        for (key, token) in [
+            ("bos_token", bos),
+            ("eos_token", eos),
+            ("unk_token", unknown),
+        ] {
             if let Some((_, token)) = token {
                 config[key] = json!(token);
             }
         }
-        Ok(Self { bos, eos, unknown, config })
+        Ok(Self {
+            bos,
+            eos,
+            unknown,
+            config,
+        })
     }
 }
 
@@ -187,11 +238,19 @@ impl<'a> Pieces<'a> {
         let tokens: Option<Vec<&str>> = list.iter().map(Json::as_str).collect();
         let tokens = tokens.ok_or_else(|| header.error(TOKENS, "expected a list of texts"))?;
         if tokens.len() > vocabulary {
-            return Err(
-                header.error(TOKENS, format!("{} tokens, but the embedding has {vocabulary} rows", tokens.len()))
-            );
+            return Err(header.error(
+                TOKENS,
+                format!(
+                    "{} tokens, but the embedding has {vocabulary} rows",
+                    tokens.len()
+                ),
+            ));
         }
-        if let Some((id, long)) = tokens.iter().enumerate().find(|(_, token)| token.len() > MAX_PIECE) {
+        if let Some((id, long)) = tokens
+            .iter()
+            .enumerate()
+            .find(|(_, token)| token.len() > MAX_PIECE)
+        {
             return Err(header.error(TOKENS, format!("token {id} has {} bytes", long.len())));
         }
         let kinds = match header.list("tokenizer.ggml.token_type", "a list of integers")? {
@@ -205,28 +264,51 @@ impl<'a> Pieces<'a> {
         let mut ids = HashMap::new();
         for (id, token) in tokens.iter().enumerate() {
             if let Some(other) = ids.insert(token, id) {
-                return Err(
-                    header.error(TOKENS, format!("'{}' occurs twice, as {other} and {id}", token.escape_debug()))
-                );
+                return Err(header.error(
+                    TOKENS,
+                    format!(
+                        "'{}' occurs twice, as {other} and {id}",
+                        token.escape_debug()
+                    ),
+                ));
             }
         }
         Ok(Self { tokens, kinds })
     }
 
-    /// Every way to join two pieces to a third, by falling score; equal scores in the order of transformers.
+    /// Every way to join two pieces to a third, by falling score; equal scores in the order of
+    /// transformers.
     fn merges(&self, scores: &[f64]) -> Vec<[&'a str; 2]> {
-        let ids: HashMap<&str, usize> = self.tokens.iter().enumerate().map(|(id, token)| (*token, id)).collect();
+        let ids: HashMap<&str, usize> = self
+            .tokens
+            .iter()
+            .enumerate()
+            .map(|(id, token)| (*token, id))
+            .collect();
         let mut merges = Vec::new();
-        for (id, token) in self.tokens.iter().enumerate().filter(|(id, _)| self.kinds[*id] == piece::NORMAL) {
-            let halves = token.char_indices().skip(1).map(|(at, _)| token.split_at(at));
-            let mut pairs: Vec<(usize, usize, [&str; 2])> =
-                halves.filter_map(|(left, right)| Some((*ids.get(left)?, *ids.get(right)?, [left, right]))).collect();
+        for (id, token) in self
+            .tokens
+            .iter()
+            .enumerate()
+            .filter(|(id, _)| self.kinds[*id] == piece::NORMAL)
+        {
+            let halves = token
+                .char_indices()
+                .skip(1)
+                .map(|(at, _)| token.split_at(at));
+            let mut pairs: Vec<(usize, usize, [&str; 2])> = halves
+                .filter_map(|(left, right)| {
+                    Some((*ids.get(left)?, *ids.get(right)?, [left, right]))
+                })
+                .collect();
             pairs.sort_unstable_by_key(|(left, right, _)| (*left, *right));
             merges.extend(pairs.into_iter().map(|(_, _, pair)| (scores[id], pair)));
         }
         let lengths = |[left, right]: [&str; 2]| (left.chars().count(), right.chars().count());
         merges.sort_by(|(score, pair), (other, rival)| {
-            other.total_cmp(score).then_with(|| lengths(*rival).cmp(&lengths(*pair)))
+            other
+                .total_cmp(score)
+                .then_with(|| lengths(*rival).cmp(&lengths(*pair)))
         });
         merges.into_iter().map(|(_, pair)| pair).collect()
     }
@@ -234,20 +316,38 @@ impl<'a> Pieces<'a> {
     /// The tokens that are matched before a text is split.
     pub(super) fn added(&self) -> Vec<Json> {
         let all = self.tokens.iter().zip(&self.kinds).enumerate();
-        all.filter(|(_, (_, kind))| [piece::UNKNOWN, piece::CONTROL, piece::USER_DEFINED].contains(*kind))
-            .map(|(id, (token, kind))| added_token(id as u64, token, *kind != piece::USER_DEFINED || *token == IMAGE))
-            .collect()
+        all.filter(|(_, (_, kind))| {
+            [piece::UNKNOWN, piece::CONTROL, piece::USER_DEFINED].contains(*kind)
+        })
+        .map(|(id, (token, kind))| {
+            added_token(
+                id as u64,
+                token,
+                *kind != piece::USER_DEFINED || *token == IMAGE,
+            )
+        })
+        .collect()
     }
 
     /// `tokenizer.json`.
-    fn to_json(&self, scores: &[f64], bos: Option<(i64, &str)>, unknown: Option<&str>, prefix: bool) -> Json {
+    fn to_json(
+        &self,
+        scores: &[f64],
+        bos: Option<(i64, &str)>,
+        unknown: Option<&str>,
+        prefix: bool,
+    ) -> Json {
         let all = || self.tokens.iter().enumerate();
-        let vocabulary: serde_json::Map<String, Json> =
-            all().map(|(id, token)| ((*token).to_string(), json!(id))).collect();
+        let vocabulary: serde_json::Map<String, Json> = all()
+            .map(|(id, token)| ((*token).to_string(), json!(id)))
+            .collect();
         let tokens = self.added();
         let space = json!({"type": "Replace", "pattern": {"String": " "}, "content": "\u{2581}"});
-        let normalizers =
-            if prefix { vec![json!({"type": "Prepend", "prepend": "\u{2581}"}), space] } else { vec![space] };
+        let normalizers = if prefix {
+            vec![json!({"type": "Prepend", "prepend": "\u{2581}"}), space]
+        } else {
+            vec![space]
+        };
         let mut decoders = vec![
             json!({"type": "Replace", "pattern": {"String": "\u{2581}"}, "content": " "}),
             json!({"type": "ByteFallback"}),

@@ -39,14 +39,19 @@ const WORDS: [&str; 24] = [
     "über",
 ];
 
-/// A tokenizer like Llama 2's: bytes, a space before every text, `▁` for spaces; merges in the order of the words.
+/// A tokenizer like Llama 2's: bytes, a space before every text, `▁` for spaces; merges in the
+/// order of the words.
 fn llama(prefix: bool) -> Json {
     made(prefix, ('!'..='~').chain(['\u{2581}', 'ü']), &WORDS)
 }
 
 /// One with few tokens.
 pub(crate) fn small() -> Json {
-    made(true, ('a'..='z').chain(['\u{2581}', ':', '<', '>']), &["\u{2581}lane", "\u{2581}keep", "\u{2581}left"])
+    made(
+        true,
+        ('a'..='z').chain(['\u{2581}', ':', '<', '>']),
+        &["\u{2581}lane", "\u{2581}keep", "\u{2581}left"],
+    )
 }
 
 fn made(prefix: bool, characters: impl Iterator<Item = char>, words: &[&str]) -> Json {
@@ -61,8 +66,10 @@ fn made(prefix: bool, characters: impl Iterator<Item = char>, words: &[&str]) ->
             if !tokens.contains(&piece) {
                 // Like SentencePiece, with every pair of pieces that makes the piece.
                 for at in 1..end {
-                    let (left, right): (String, String) =
-                        (characters[..at].iter().collect(), characters[at..end].iter().collect());
+                    let (left, right): (String, String) = (
+                        characters[..at].iter().collect(),
+                        characters[at..end].iter().collect(),
+                    );
                     if tokens.contains(&left) && tokens.contains(&right) {
                         merges.push(json!([left, right]));
                     }
@@ -71,8 +78,11 @@ fn made(prefix: bool, characters: impl Iterator<Item = char>, words: &[&str]) ->
             }
         }
     }
-    let vocabulary: serde_json::Map<_, _> =
-        tokens.iter().enumerate().map(|(id, token)| (token.clone(), json!(id))).collect();
+    let vocabulary: serde_json::Map<_, _> = tokens
+        .iter()
+        .enumerate()
+        .map(|(id, token)| (token.clone(), json!(id)))
+        .collect();
     let special = |id: u32, content: &str| {
         json!({"id": id, "content": content, "single_word": false, "lstrip": false, "rstrip": false, "normalized": false,
             "special": true})
@@ -108,21 +118,37 @@ const VOCABULARY: usize = 512;
 
 /// GGUF's metadata of a tokenizer for a model of `vocabulary` rows.
 pub(crate) fn metadata(json: &Json, vocabulary: usize) -> BTreeMap<String, Json> {
-    let special = [("bos_token", "<s>"), ("eos_token", "</s>"), ("unk_token", "<unk>")];
-    let special: BTreeMap<_, _> = special.map(|(role, token)| (role.to_string(), token.to_string())).into();
-    tokenizer_metadata::metadata(json, &special, vocabulary).unwrap().into_iter().collect()
+    let special = [
+        ("bos_token", "<s>"),
+        ("eos_token", "</s>"),
+        ("unk_token", "<unk>"),
+    ];
+    let special: BTreeMap<_, _> = special
+        .map(|(role, token)| (role.to_string(), token.to_string()))
+        .into();
+    tokenizer_metadata::metadata(json, &special, vocabulary)
+        .unwrap()
+        .into_iter()
+        .collect()
 }
 
 fn header(json: &Json) -> Header {
     let metadata = metadata(json, VOCABULARY);
-    Header { path: PathBuf::from("m.gguf"), metadata, tensors: BTreeMap::new() }
+    Header {
+        path: PathBuf::from("m.gguf"),
+        metadata,
+        tensors: BTreeMap::new(),
+    }
 }
 
 /// A tokenizer before and after GGUF.
 fn both(prefix: bool) -> [Tokenizer; 2] {
     let json = llama(prefix);
     let read = tokenizer::read(&header(&json), VOCABULARY).unwrap();
-    assert_eq!((read.eos, read.config["bos_token"].as_str()), (Some(2), Some("<s>")));
+    assert_eq!(
+        (read.eos, read.config["bos_token"].as_str()),
+        (Some(2), Some("<s>"))
+    );
     [json, read.tokenizer].map(|json| serde_json::from_value(json).unwrap())
 }
 
@@ -148,10 +174,16 @@ fn the_same_texts_become_the_same_tokens() {
             for special in [true, false] {
                 let expected = ids(&ours, text, special);
                 assert_eq!(ids(&back, text, special), expected, "{text:?}");
-                assert_eq!(back.decode(&expected, true).unwrap(), ours.decode(&expected, true).unwrap());
+                assert_eq!(
+                    back.decode(&expected, true).unwrap(),
+                    ours.decode(&expected, true).unwrap()
+                );
             }
         }
-        assert!(ids(&back, "keep the lane", false).len() <= 4, "words are whole");
+        assert!(
+            ids(&back, "keep the lane", false).len() <= 4,
+            "words are whole"
+        );
     }
 }
 
@@ -171,7 +203,11 @@ fn a_placeholder_of_images_is_found_or_added_behind_all_tokens() {
     assert_eq!(tokenizer::image_token(&mut json).unwrap(), tokens, "once");
     let made: Tokenizer = serde_json::from_value(json).unwrap();
     let ids = ids(&made, "USER: <image>\nkeep", false);
-    assert_eq!(ids.iter().filter(|id| u64::from(**id) == tokens).count(), 1, "{ids:?}");
+    assert_eq!(
+        ids.iter().filter(|id| u64::from(**id) == tokens).count(),
+        1,
+        "{ids:?}"
+    );
 }
 
 #[test]
@@ -190,13 +226,28 @@ fn what_is_no_tokenizer_is_named() {
         }
     };
     for (error, expected) in [
-        (broken(&|metadata| metadata.clear()), "tokenizer.json beside"),
-        (broken(&set("model", json!("bert"))), "tokenizer.json beside"),
+        (
+            broken(&|metadata| metadata.clear()),
+            "tokenizer.json beside",
+        ),
+        (
+            broken(&set("model", json!("bert"))),
+            "tokenizer.json beside",
+        ),
         (broken(&set("model", json!(3))), "expected a text, found 3"),
         (broken(&set("tokens", json!(vec!["a"; 513]))), "512 rows"),
-        (broken(&set("tokens", json!(vec!["a"; 3]))), "types of 3 tokens"),
-        (broken(&set("tokens", json!(["a".repeat(2000)]))), "2000 bytes"),
-        (broken(&set("scores", json!(vec![f32::NAN; 512]))), "expected"),
+        (
+            broken(&set("tokens", json!(vec!["a"; 3]))),
+            "types of 3 tokens",
+        ),
+        (
+            broken(&set("tokens", json!(["a".repeat(2000)]))),
+            "2000 bytes",
+        ),
+        (
+            broken(&set("scores", json!(vec![f32::NAN; 512]))),
+            "expected",
+        ),
         (broken(&set("token_type", json!([1]))), "1 types"),
         (broken(&set("bos_token_id", json!(70_000))), "70000 is none"),
     ] {

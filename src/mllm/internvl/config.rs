@@ -1,4 +1,5 @@
-//! `config.json` of an `InternVLForConditionalGeneration` (`-hf`) or `InternVLChatModel` checkpoint.
+//! `config.json` of an `InternVLForConditionalGeneration` (`-hf`) or `InternVLChatModel`
+//! checkpoint.
 
 use std::path::Path;
 
@@ -32,10 +33,15 @@ impl InternVlConfig {
             let tokenizer = files.json("tokenizer.json")?;
             Ok(tokenizer.and_then(|tokenizer| crate::gguf::tokenizer::added_id(&tokenizer, IMAGE)))
         };
-        Self::from_json(&files.path("config.json"), &files.required_json("config.json")?, named)
+        Self::from_json(
+            &files.path("config.json"),
+            &files.required_json("config.json")?,
+            named,
+        )
     }
 
-    /// Reads a configuration; `path` is for messages. `named` gives the id of the tokenizer's placeholder.
+    /// Reads a configuration; `path` is for messages. `named` gives the id of the tokenizer's
+    /// placeholder.
     pub(super) fn from_json(
         path: &Path,
         value: &Value,
@@ -52,24 +58,37 @@ impl InternVlConfig {
         root.only_neutral(layout.neutral())?;
         let vision = layout.vision(&root)?;
         let mut text = layout.text(&root)?;
-        text.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(layout == Layout::Hf);
+        text.tie_word_embeddings |= root
+            .value("tie_word_embeddings")?
+            .unwrap_or(layout == Layout::Hf);
         let ratio = root.positive("downsample_ratio")?.unwrap_or(DOWNSAMPLE);
         let scale = (1.0 / ratio).round().clamp(1.0, 64.0) as usize;
         let side = vision.image_size / vision.patch_size;
         check_width(&root, "downsample_ratio", scale * scale, vision.hidden)?;
         if (ratio * scale as f64 - 1.0).abs() > 1e-9 || !side.is_multiple_of(scale) {
-            let problem = format!("{ratio} does not merge the {side} patches of a side into whole tokens");
+            let problem =
+                format!("{ratio} does not merge the {side} patches of a side into whole tokens");
             return Err(root.error("downsample_ratio", problem));
         }
         let image_token = match root.first_id("image_token_id")? {
             Some(id) => id,
-            None => named()?.and_then(|id| u32::try_from(id).ok()).unwrap_or(IMAGE_TOKEN),
+            None => named()?
+                .and_then(|id| u32::try_from(id).ok())
+                .unwrap_or(IMAGE_TOKEN),
         };
         if image_token as usize >= text.vocabulary {
-            let problem = format!("{image_token} lies outside the vocabulary of {}", text.vocabulary);
+            let problem = format!(
+                "{image_token} lies outside the vocabulary of {}",
+                text.vocabulary
+            );
             return Err(root.error("image_token_id", problem));
         }
-        Ok(Self { vision, text, image_token, scale })
+        Ok(Self {
+            vision,
+            text,
+            image_token,
+            scale,
+        })
     }
 
     /// Tokens of a tile.
@@ -110,7 +129,10 @@ mod tests {
             "vision_config": {"image_size": [448, 448], "patch_size": [14, 14], "attention_bias": true}});
         assert_eq!(read(&original).unwrap(), read(&hf).unwrap());
         let config = read(&hf).unwrap();
-        assert_eq!((config.tile_tokens(), config.scale, config.image_token), (256, 2, 7));
+        assert_eq!(
+            (config.tile_tokens(), config.scale, config.image_token),
+            (256, 2, 7)
+        );
         assert!(config.text.attention_bias && !config.text.output_bias);
     }
 
@@ -153,7 +175,10 @@ mod tests {
             }
             let named = pointer.trim_start_matches('/').replace('/', ".");
             let error = read(&config).unwrap_err();
-            assert!(matches!(&error, MllmError::Config { key, .. } if *key == named), "{pointer}: {error}");
+            assert!(
+                matches!(&error, MllmError::Config { key, .. } if *key == named),
+                "{pointer}: {error}"
+            );
         }
     }
 }

@@ -1,4 +1,5 @@
-//! The two layouts of an `InternVL`'s configuration: the classes of transformers, and those of the authors' repositories.
+//! The two layouts of an `InternVL`'s configuration: the classes of transformers, and those of the
+//! authors' repositories.
 
 use serde_json::json;
 
@@ -9,7 +10,8 @@ use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, Neutral, VisionC
 pub(super) enum Layout {
     /// `InternVLConfig` and `InternVLVisionConfig` (transformers 5.24.0).
     Hf,
-    /// `InternVLChatConfig` and `InternVisionConfig`, whose defaults are a tower of 6 billion weights.
+    /// `InternVLChatConfig` and `InternVisionConfig`, whose defaults are a tower of 6 billion
+    /// weights.
     Original,
 }
 
@@ -18,7 +20,11 @@ const ORIGINAL_TEXT: &str = "llm_config";
 
 impl Layout {
     pub(super) fn of(root: &ConfigObject<'_>) -> Self {
-        if root.contains(ORIGINAL_TEXT) { Self::Original } else { Self::Hf }
+        if root.contains(ORIGINAL_TEXT) {
+            Self::Original
+        } else {
+            Self::Hf
+        }
     }
 
     /// Keys of the root that no code reads.
@@ -27,7 +33,10 @@ impl Layout {
             Self::Hf => &[
                 ("projector_hidden_act", Neutral::Text(&["gelu"])),
                 ("vision_feature_layer", Neutral::Number(-1.0)),
-                ("vision_feature_select_strategy", Neutral::Text(&["default"])),
+                (
+                    "vision_feature_select_strategy",
+                    Neutral::Text(&["default"]),
+                ),
             ],
             Self::Original => &[
                 ("select_layer", Neutral::Number(-1.0)),
@@ -49,9 +58,15 @@ impl Layout {
         }
         // The authors' class goes by the first of these.
         let names: Vec<String> = text.value("architectures")?.unwrap_or_default();
-        match names.first().and_then(|name| DecoderType::of_architecture(name)) {
+        match names
+            .first()
+            .and_then(|name| DecoderType::of_architecture(name))
+        {
             Some(kind) => LlamaConfig::read_as(text, kind),
-            None => Err(text.error("model_type", "is missing, and architectures names no known decoder either")),
+            None => Err(text.error(
+                "model_type",
+                "is missing, and architectures names no known decoder either",
+            )),
         }
     }
 
@@ -88,7 +103,10 @@ fn hf_vision(vision: ConfigObject<'_>) -> Result<VisionConfig, MllmError> {
     VisionConfig::read(&vision)
 }
 
-fn original_vision(root: &ConfigObject<'_>, vision: ConfigObject<'_>) -> Result<VisionConfig, MllmError> {
+fn original_vision(
+    root: &ConfigObject<'_>,
+    vision: ConfigObject<'_>,
+) -> Result<VisionConfig, MllmError> {
     let vision = vision.with_defaults(json!({
         "hidden_size": 3200, "intermediate_size": 12_800, "num_hidden_layers": 48, "num_attention_heads": 25,
         "image_size": 224, "patch_size": 14, "hidden_act": "gelu", "layer_norm_eps": 1e-6, "norm_type": "rms_norm",
@@ -103,10 +121,16 @@ fn original_vision(root: &ConfigObject<'_>, vision: ConfigObject<'_>) -> Result<
     // The order of the channels of merged patches; the first version is the default of the class.
     let version = root.value("ps_version")?.unwrap_or_else(|| "v1".to_owned());
     if version != "v2" {
-        return Err(root.error("ps_version", format!("{version} is not supported; v2 is, and v1 is the default")));
+        return Err(root.error(
+            "ps_version",
+            format!("{version} is not supported; v2 is, and v1 is the default"),
+        ));
     }
     let config = VisionConfig::read(&vision)?;
-    if let Some(side) = root.value::<usize>("force_image_size")?.filter(|side| *side != config.image_size) {
+    if let Some(side) = root
+        .value::<usize>("force_image_size")?
+        .filter(|side| *side != config.image_size)
+    {
         let problem = format!(
             "{side} is not the tower's image_size of {}; scaled positions are not supported",
             config.image_size

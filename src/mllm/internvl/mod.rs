@@ -1,5 +1,6 @@
-//! `InternVL` 2.5, 3 and 3.5 (Zhu et al., arXiv:2504.10479): tiles through `InternViT`, blocks of patches merged by a two-layer
-//! projector, a Qwen decoder. Both layouts of the repositories are read, that of the authors and that of transformers (`-hf`).
+//! `InternVL` 2.5, 3 and 3.5 (Zhu et al., arXiv:2504.10479): tiles through `InternViT`, blocks of
+//! patches merged by a two-layer projector, a Qwen decoder. Both layouts of the repositories are
+//! read, that of the authors and that of transformers (`-hf`).
 
 mod config;
 mod gguf;
@@ -26,7 +27,12 @@ const NAME: &str = "internvl";
 /// `InternVL` 2.5, 3 and 3.5.
 pub(crate) const FAMILY: Family = Family {
     name: NAME,
-    config_names: &["internvl", "InternVLForConditionalGeneration", "internvl_chat", "InternVLChatModel"],
+    config_names: &[
+        "internvl",
+        "InternVLForConditionalGeneration",
+        "internvl_chat",
+        "InternVLChatModel",
+    ],
     canonical_name: |stored| Some(canonical_name(stored)),
     gguf: Ok(&gguf::LAYOUT),
     missing_tokenizer: "tokenizer.json (some of InternVL's repositories have none; that of the same model's -hf repository \
@@ -44,7 +50,11 @@ fn open(files: &ModelFiles, weights: &mut Weights) -> Result<InternVl, MllmError
     take(weights, &config, tiler)
 }
 
-fn take(weights: &mut Weights, config: &InternVlConfig, tiler: TileProcessor) -> Result<InternVl, MllmError> {
+fn take(
+    weights: &mut Weights,
+    config: &InternVlConfig,
+    tiler: TileProcessor,
+) -> Result<InternVl, MllmError> {
     let family = TiledFamily {
         name: NAME,
         text: &config.text,
@@ -53,7 +63,9 @@ fn take(weights: &mut Weights, config: &InternVlConfig, tiler: TileProcessor) ->
         tile_tokens: config.tile_tokens(),
         image_text,
     };
-    TiledModel::take(weights, family, tiler, |weights| ImageEncoder::take(weights, config))
+    TiledModel::take(weights, family, tiler, |weights| {
+        ImageEncoder::take(weights, config)
+    })
 }
 
 /// All tokens in one run, framed.

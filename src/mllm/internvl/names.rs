@@ -4,10 +4,22 @@
 const BEGINNINGS: [(&str, &str); 11] = [
     ("language_model.model.", "language_model."),
     ("language_model.lm_head.", "lm_head."),
-    ("vision_tower.embeddings.cls_token", "vision_tower.embeddings.class_embedding"),
-    ("vision_tower.embeddings.position_embeddings", "vision_tower.embeddings.position_embedding.weight"),
-    ("vision_tower.embeddings.patch_embeddings.projection.", "vision_tower.embeddings.patch_embedding."),
-    ("vision_model.embeddings.position_embedding", "vision_tower.embeddings.position_embedding.weight"),
+    (
+        "vision_tower.embeddings.cls_token",
+        "vision_tower.embeddings.class_embedding",
+    ),
+    (
+        "vision_tower.embeddings.position_embeddings",
+        "vision_tower.embeddings.position_embedding.weight",
+    ),
+    (
+        "vision_tower.embeddings.patch_embeddings.projection.",
+        "vision_tower.embeddings.patch_embedding.",
+    ),
+    (
+        "vision_model.embeddings.position_embedding",
+        "vision_tower.embeddings.position_embedding.weight",
+    ),
     ("vision_model.embeddings.", "vision_tower.embeddings."),
     ("vision_model.", "vision_tower."),
     ("mlp1.0.", "multi_modal_projector.layer_norm."),
@@ -16,7 +28,10 @@ const BEGINNINGS: [(&str, &str); 11] = [
 ];
 
 /// Beginnings of the layers of the tower.
-const LAYERS: [&str; 2] = ["vision_tower.encoder.layer.", "vision_model.encoder.layers."];
+const LAYERS: [&str; 2] = [
+    "vision_tower.encoder.layer.",
+    "vision_model.encoder.layers.",
+];
 
 /// Beginnings of the parts of these layers: stored, canonical.
 const PARTS: [(&str, &str); 10] = [
@@ -38,12 +53,20 @@ pub(super) fn canonical_name(stored: &str) -> String {
     if let Some(layer) = LAYERS.iter().find_map(|prefix| name.strip_prefix(prefix))
         && let Some((number, part)) = layer.split_once('.')
     {
-        let renamed = PARTS.iter().find_map(|(from, to)| Some(format!("{to}{}", part.strip_prefix(from)?)));
+        let renamed = PARTS
+            .iter()
+            .find_map(|(from, to)| Some(format!("{to}{}", part.strip_prefix(from)?)));
         let part = renamed.unwrap_or_else(|| part.to_string());
-        let kind = if part.starts_with("layer_scale") { ".weight" } else { "" };
+        let kind = if part.starts_with("layer_scale") {
+            ".weight"
+        } else {
+            ""
+        };
         return format!("vision_tower.encoder.layers.{number}.{part}{kind}");
     }
-    let renamed = BEGINNINGS.iter().find_map(|(from, to)| Some(format!("{to}{}", name.strip_prefix(from)?)));
+    let renamed = BEGINNINGS
+        .iter()
+        .find_map(|(from, to)| Some(format!("{to}{}", name.strip_prefix(from)?)));
     renamed.unwrap_or_else(|| name.to_string())
 }
 
@@ -84,11 +107,29 @@ mod tests {
                 "vision_model.encoder.layers.3.ls1",
                 "vision_tower.encoder.layers.3.layer_scale1.weight",
             ),
-            ("multi_modal_projector.linear_2.weight", "mlp1.3.weight", "multi_modal_projector.linear_2.weight"),
-            ("model.language_model.norm.weight", "language_model.model.norm.weight", "language_model.norm.weight"),
-            ("lm_head.weight", "language_model.lm_head.weight", "lm_head.weight"),
+            (
+                "multi_modal_projector.linear_2.weight",
+                "mlp1.3.weight",
+                "multi_modal_projector.linear_2.weight",
+            ),
+            (
+                "model.language_model.norm.weight",
+                "language_model.model.norm.weight",
+                "language_model.norm.weight",
+            ),
+            (
+                "lm_head.weight",
+                "language_model.lm_head.weight",
+                "lm_head.weight",
+            ),
         ] {
-            assert_eq!((canonical_name(hf).as_str(), canonical_name(original).as_str()), (canonical, canonical));
+            assert_eq!(
+                (
+                    canonical_name(hf).as_str(),
+                    canonical_name(original).as_str()
+                ),
+                (canonical, canonical)
+            );
         }
         assert_eq!(
             canonical_name("vision_model.encoder.layers.0.attn.qkv.weight"),

@@ -1,5 +1,5 @@
-//! `GotOcr2ImageProcessor` and `dynamic_preprocess` of the authors: a grid of tiles that is nearest to the image's shape, then
-//! the whole image.
+//! `GotOcr2ImageProcessor` and `dynamic_preprocess` of the authors: a grid of tiles that is nearest
+//! to the image's shape, then the whole image.
 
 use candle_core::Tensor;
 use image::RgbImage;
@@ -58,15 +58,18 @@ impl Default for Keys {
 }
 
 impl TileProcessor {
-    /// Reads the image processor of a model whose tower takes squares of `side` pixels. In the authors' layout,
-    /// `config.json` says how images are cut. In that of transformers, `crop_to_patches` means nothing: the processor sets it.
+    /// Reads the image processor of a model whose tower takes squares of `side` pixels. In the
+    /// authors' layout, `config.json` says how images are cut. In that of transformers,
+    /// `crop_to_patches` means nothing: the processor sets it.
     pub(super) fn open(files: &ModelFiles, side: u32) -> Result<Self, MllmError> {
         let config = files.required_json("config.json")?;
         let path = files.path("config.json");
         let config = ConfigObject::root(&path, &config)?;
         if config.contains("llm_config") {
             let scale = match read_processor(files, |_, object| authors_scale(object)) {
-                Err(MllmError::MissingFile { .. }) => authors_scale(&ConfigObject::root(&path, &json!({}))?)?,
+                Err(MllmError::MissingFile { .. }) => {
+                    authors_scale(&ConfigObject::root(&path, &json!({}))?)?
+                }
                 scale => scale?,
             };
             // The defaults of `InternVLChatConfig`; its tiles have the tower's size.
@@ -83,22 +86,45 @@ impl TileProcessor {
 
     fn read(object: &ConfigObject<'_>, tile: u32, scale: PixelScale) -> Result<Self, MllmError> {
         let keys: Keys = object.read()?;
-        if let Some(kind) = keys.image_processor_type.filter(|kind| !kind.starts_with("GotOcr2ImageProcessor")) {
+        if let Some(kind) = keys
+            .image_processor_type
+            .filter(|kind| !kind.starts_with("GotOcr2ImageProcessor"))
+        {
             let problem = format!("'{kind}' is not supported; GotOcr2ImageProcessor is");
             return Err(object.error("image_processor_type", problem));
         }
         let (height, width) = keys.size.height_width();
         if (height, width) != (tile, tile) {
-            let problem = format!("tiles of {width} x {height} pixels; the vision tower takes {tile} x {tile}");
+            let problem = format!(
+                "tiles of {width} x {height} pixels; the vision tower takes {tile} x {tile}"
+            );
             return Err(object.error("size", problem));
         }
-        let (min, max) = if keys.dynamic_image_size { (keys.min_patches, keys.max_patches) } else { (1, 1) };
+        let (min, max) = if keys.dynamic_image_size {
+            (keys.min_patches, keys.max_patches)
+        } else {
+            (1, 1)
+        };
         if min == 0 || min > max || max > MAX_TILES {
-            let key = if object.contains("max_dynamic_patch") { "max_dynamic_patch" } else { "max_patches" };
-            return Err(object.error(key, format!("{min} to {max} tiles; expected 1 to {MAX_TILES}")));
+            let key = if object.contains("max_dynamic_patch") {
+                "max_dynamic_patch"
+            } else {
+                "max_patches"
+            };
+            return Err(object.error(
+                key,
+                format!("{min} to {max} tiles; expected 1 to {MAX_TILES}"),
+            ));
         }
         check_picture(tile, tile * max).map_err(|problem| object.error("max_patches", problem))?;
-        Ok(Self { tile, min, max, whole: keys.use_thumbnail, filter: keys.resample, scale })
+        Ok(Self {
+            tile,
+            min,
+            max,
+            whole: keys.use_thumbnail,
+            filter: keys.resample,
+            scale,
+        })
     }
 
     #[cfg(test)]
@@ -113,24 +139,36 @@ impl Tiler for TileProcessor {
     fn set_tiles(&mut self, tiles: usize) -> Result<(), MllmError> {
         match u32::try_from(tiles) {
             Ok(tiles @ 1..=MAX_TILES) => {
-                check_picture(self.tile, self.tile * tiles)
-                    .map_err(|problem| MllmError::Image { problem: format!("image.tiles = {tiles}: {problem}") })?;
+                check_picture(self.tile, self.tile * tiles).map_err(|problem| {
+                    MllmError::Image {
+                        problem: format!("image.tiles = {tiles}: {problem}"),
+                    }
+                })?;
                 (self.min, self.max) = (self.min.min(tiles), tiles);
                 Ok(())
             }
-            _ => Err(MllmError::Image { problem: format!("image.tiles = {tiles}: expected 1 to {MAX_TILES}") }),
+            _ => Err(MllmError::Image {
+                problem: format!("image.tiles = {tiles}: expected 1 to {MAX_TILES}"),
+            }),
         }
     }
 
     fn max_views(&self) -> usize {
-        Grid { rows: self.max, columns: 1, whole: self.whole }.views()
+        Grid {
+            rows: self.max,
+            columns: 1,
+            whole: self.whole,
+        }
+        .views()
     }
 
     /// The grid that is nearest to the image's shape (`get_optimal_tiled_canvas` in transformers).
     fn grid(&self, width: u32, height: u32) -> Grid {
-        let all = (1..=self.max).flat_map(|columns| (1..=self.max).map(move |rows| (columns, rows)));
-        let mut grids: Vec<(u32, u32)> =
-            all.filter(|(columns, rows)| (self.min..=self.max).contains(&(columns * rows))).collect();
+        let all =
+            (1..=self.max).flat_map(|columns| (1..=self.max).map(move |rows| (columns, rows)));
+        let mut grids: Vec<(u32, u32)> = all
+            .filter(|(columns, rows)| (self.min..=self.max).contains(&(columns * rows)))
+            .collect();
         // Stable: of grids with equally many tiles, those with fewer columns come first.
         grids.sort_by_key(|(columns, rows)| columns * rows);
         let ratio = f64::from(width) / f64::from(height);
@@ -143,7 +181,11 @@ impl Tiler for TileProcessor {
                 (best, least) = ((columns, rows), apart);
             }
         }
-        Grid { columns: best.0, rows: best.1, whole: self.whole }
+        Grid {
+            columns: best.0,
+            rows: best.1,
+            whole: self.whole,
+        }
     }
 
     fn views(&self, image: &RgbImage) -> Result<Vec<Tensor>, MllmError> {
@@ -154,11 +196,15 @@ impl Tiler for TileProcessor {
         if views.len() < grid.views() {
             views.push(resize(image, side, side, self.filter));
         }
-        views.iter().map(|view| Ok(self.scale.values(view)?)).collect()
+        views
+            .iter()
+            .map(|view| Ok(self.scale.values(view)?))
+            .collect()
     }
 }
 
-/// Mean and deviation of the pixels in the authors' layout: by default those of `ImageNet`, which stand in their code.
+/// Mean and deviation of the pixels in the authors' layout: by default those of `ImageNet`, which
+/// stand in their code.
 fn authors_scale(object: &ConfigObject<'_>) -> Result<PixelScale, MllmError> {
     PixelScale::read(&object.clone().with_defaults(json!({
         "image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225],

@@ -40,13 +40,31 @@ impl ImageEncoder {
         let projector = |layer: &str| format!("multi_modal_projector.{layer}");
         let patches = format!("{embeddings}.patch_embedding");
         Ok(Self {
-            class_embedding: weights.take_of_any_rank(&format!("{embeddings}.class_embedding"), &[1, hidden])?,
-            patch_embedding: take_patch_embedding(weights, &patches, hidden, vision.patch_size, true)?,
-            position_embedding: weights.take_of_any_rank(&positions, &[vision.patches() + 1, hidden])?,
+            class_embedding: weights
+                .take_of_any_rank(&format!("{embeddings}.class_embedding"), &[1, hidden])?,
+            patch_embedding: take_patch_embedding(
+                weights,
+                &patches,
+                hidden,
+                vision.patch_size,
+                true,
+            )?,
+            position_embedding: weights
+                .take_of_any_rank(&positions, &[vision.patches() + 1, hidden])?,
             layers: (0..vision.layers)
-                .map(|index| VisionLayer::take_scaled(weights, vision, &format!("vision_tower.encoder.layers.{index}")))
+                .map(|index| {
+                    VisionLayer::take_scaled(
+                        weights,
+                        vision,
+                        &format!("vision_tower.encoder.layers.{index}"),
+                    )
+                })
                 .collect::<Result<_, _>>()?,
-            projector_norm: weights.take_layer_norm(&projector("layer_norm"), merged, PROJECTOR_EPS)?,
+            projector_norm: weights.take_layer_norm(
+                &projector("layer_norm"),
+                merged,
+                PROJECTOR_EPS,
+            )?,
             linear1: weights.take_linear(&projector("linear_1"), merged, decoder, true)?,
             linear2: weights.take_linear(&projector("linear_2"), decoder, decoder, true)?,
             patch_size: vision.patch_size,
@@ -55,9 +73,12 @@ impl ImageEncoder {
         })
     }
 
-    /// The tower's output without its class token: (patches, tower width). No norm follows the last layer.
+    /// The tower's output without its class token: (patches, tower width). No norm follows the last
+    /// layer.
     pub(super) fn patches(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
+        let patches = self
+            .patch_embedding
+            .forward(&unfold(pixels, self.patch_size)?)?;
         let mut x = embed(&self.class_embedding, &patches, &self.position_embedding)?;
         let parts = Part::images(1, x.dim(0)?);
         for layer in &self.layers {
@@ -68,13 +89,19 @@ impl ImageEncoder {
 
     /// Maps merged patches to input rows of the decoder.
     pub(super) fn project(&self, merged: &Tensor) -> candle_core::Result<Tensor> {
-        let wide = self.linear1.forward(&self.projector_norm.forward(merged)?)?;
+        let wide = self
+            .linear1
+            .forward(&self.projector_norm.forward(merged)?)?;
         self.linear2.forward(&Activation::Gelu.forward(&wide)?)
     }
 }
 
 impl TileEncoder for ImageEncoder {
     fn encode(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        self.project(&merge_blocks(&self.patches(pixels)?, [self.side, self.side], self.scale)?)
+        self.project(&merge_blocks(
+            &self.patches(pixels)?,
+            [self.side, self.side],
+            self.scale,
+        )?)
     }
 }

@@ -39,7 +39,9 @@ impl LatencyProbe {
         let side = model.info().image_size as u32;
         let image = RgbImage::from_fn(side, side, |_, _| image::Rgb(words.random()));
         Ok(Self {
-            weight_format: formats.first().map_or_else(WeightFormat::default, |share| share.weight_format),
+            weight_format: formats
+                .first()
+                .map_or_else(WeightFormat::default, |share| share.weight_format),
             sequence: Sequence::new(&*model),
             model,
             pending: Vec::new(),
@@ -61,7 +63,10 @@ impl LatencyProbe {
 
     /// Tokens that the image becomes.
     pub fn image_tokens(&self) -> Result<usize, MllmError> {
-        Ok(self.model.image_layout(self.image.width(), self.image.height())?.tokens)
+        Ok(self
+            .model
+            .image_layout(self.image.width(), self.image.height())?
+            .tokens)
     }
 
     /// Runs a step. After an error the sequence cannot be used.
@@ -76,7 +81,8 @@ impl LatencyProbe {
             Step::Encode => self.features = Some(self.model.encode_image(&self.image)?),
             Step::Image => {
                 let tokens = self.image_tokens()?;
-                self.pending.extend(std::iter::repeat_n(self.model.info().image_token, tokens));
+                self.pending
+                    .extend(std::iter::repeat_n(self.model.info().image_token, tokens));
             }
             Step::Text(tokens) | Step::FastForwarded(tokens) => {
                 for _ in 0..tokens {
@@ -89,7 +95,8 @@ impl LatencyProbe {
                     let logits = self.compute(Logits::Last, &mut time)?;
                     let word = self.choose(logits)?;
                     self.pending.push(word);
-                    time.first_token_ms.get_or_insert_with(|| milliseconds(start.elapsed()));
+                    time.first_token_ms
+                        .get_or_insert_with(|| milliseconds(start.elapsed()));
                 }
             }
             Step::Verified { drafted, accepted } => {
@@ -106,7 +113,8 @@ impl LatencyProbe {
                     let word = self.choose(logits)?;
                     self.pending = vec![word];
                 }
-                time.first_token_ms.get_or_insert_with(|| milliseconds(start.elapsed()));
+                time.first_token_ms
+                    .get_or_insert_with(|| milliseconds(start.elapsed()));
             }
             Step::Compute => {
                 self.compute(Logits::None, &mut time)?;
@@ -117,7 +125,11 @@ impl LatencyProbe {
     }
 
     /// Computes the pending tokens.
-    fn compute(&mut self, wanted: Logits, time: &mut StepTime) -> Result<Option<Tensor>, MllmError> {
+    fn compute(
+        &mut self,
+        wanted: Logits,
+        time: &mut StepTime,
+    ) -> Result<Option<Tensor>, MllmError> {
         let start = Instant::now();
         let logits = self.sequence.append_in_passes(
             &*self.model,
@@ -134,11 +146,18 @@ impl LatencyProbe {
     /// The most likely token.
     fn choose(&self, logits: Option<Tensor>) -> Result<u32, MllmError> {
         let Some(logits) = logits else {
-            return Err(MllmError::Request { problem: "cannot sample: the sequence is empty".into() });
+            return Err(MllmError::Request {
+                problem: "cannot sample: the sequence is empty".into(),
+            });
         };
         let position = self.sequence.ids().len().saturating_sub(1);
         let logits = logits.flatten_all()?.to_vec1()?;
-        Sampler::new(Sampling::Greedy, 0)?.choose(logits, None, self.model.info().image_token, position)
+        Sampler::new(Sampling::Greedy, 0)?.choose(
+            logits,
+            None,
+            self.model.info().image_token,
+            position,
+        )
     }
 
     /// A random token other than that of the image.

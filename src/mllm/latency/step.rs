@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A step of a planning call. Appended tokens are computed together by the next step that needs their result, as in a
-/// conversation.
+/// A step of a planning call. Appended tokens are computed together by the next step that needs
+/// their result, as in a conversation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Step {
@@ -17,10 +17,11 @@ pub enum Step {
     Text(usize),
     /// Appends tokens of an answer that the grammar fast-forwards.
     FastForwarded(usize),
-    /// Samples this number of tokens, one after the other; the last one is appended and not computed yet.
+    /// Samples this number of tokens, one after the other; the last one is appended and not
+    /// computed yet.
     Sampled(usize),
-    /// Computes the appended tokens with `drafted` ones in one pass, keeps those of them that are accepted, and samples the token
-    /// after these. That token is appended and not computed yet.
+    /// Computes the appended tokens with `drafted` ones in one pass, keeps those of them that are
+    /// accepted, and samples the token after these. That token is appended and not computed yet.
     Verified { drafted: usize, accepted: usize },
     /// Computes the appended tokens and samples nothing.
     Compute,
@@ -91,7 +92,10 @@ mod tests {
             Step::Text(9),
             Step::FastForwarded(2),
             Step::Sampled(4),
-            Step::Verified { drafted: 4, accepted: 1 },
+            Step::Verified {
+                drafted: 4,
+                accepted: 1,
+            },
             Step::Compute,
         ];
         let text = serde_json::to_string(&steps).unwrap();
@@ -108,7 +112,13 @@ mod tests {
         for (tokens, ms) in [(0, 9.0), (1, 2.0), (8, 4.0), (1, 3.0)] {
             time.add_pass(tokens, ms);
         }
-        assert_eq!((time.batch, time.single), (PassTime { tokens: 8, ms: 4.0 }, PassTime { tokens: 2, ms: 5.0 }));
+        assert_eq!(
+            (time.batch, time.single),
+            (
+                PassTime { tokens: 8, ms: 4.0 },
+                PassTime { tokens: 2, ms: 5.0 }
+            )
+        );
         assert_eq!(time.batch.rate(), Some(2000.0));
         assert_eq!(PassTime::default().rate(), None);
     }

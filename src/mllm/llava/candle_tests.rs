@@ -1,4 +1,5 @@
-//! candle-transformers' LLaVA on the fixture that checks ours: how far its logits are from transformers', and why.
+//! candle-transformers' LLaVA on the fixture that checks ours: how far its logits are from
+//! transformers', and why.
 
 use std::collections::HashMap;
 
@@ -21,9 +22,14 @@ const HIDDEN: usize = 32;
 /// The fixture's image token.
 const IMAGE_TOKEN: i64 = 3;
 
-/// Candle's model with the fixture's weights under candle's names. `layers` is the depth of the vision tower.
+/// Candle's model with the fixture's weights under candle's names. `layers` is the depth of the
+/// vision tower.
 fn candle_llava(layers: usize) -> (LLaVA, LLaVAConfig) {
-    let stored = candle_core::safetensors::load(fixture("tiny_llava").join("model.safetensors"), &Device::Cpu).unwrap();
+    let stored = candle_core::safetensors::load(
+        fixture("tiny_llava").join("model.safetensors"),
+        &Device::Cpu,
+    )
+    .unwrap();
     let mut weights: HashMap<String, Tensor> = stored
         .into_iter()
         .map(|(name, tensor)| match name.strip_prefix("vision_tower.") {
@@ -32,7 +38,10 @@ fn candle_llava(layers: usize) -> (LLaVA, LLaVAConfig) {
         })
         .collect();
     // Candle asks for the newline of LLaVA-NeXT also where the patches stay flat.
-    weights.insert("image_newline".into(), Tensor::zeros(HIDDEN, DType::F32, &Device::Cpu).unwrap());
+    weights.insert(
+        "image_newline".into(),
+        Tensor::zeros(HIDDEN, DType::F32, &Device::Cpu).unwrap(),
+    );
     let config: LLaVAConfig = serde_json::from_value(json!({
         "hf": true, "architectures": ["LlavaForConditionalGeneration"], "model_type": "llava", "torch_dtype": "float32",
         "bos_token_id": 1, "eos_token_id": 2, "pad_token_id": 0, "image_token_index": IMAGE_TOKEN, "vocab_size": 352,
@@ -58,7 +67,8 @@ fn candle_llava(layers: usize) -> (LLaVA, LLaVAConfig) {
     (LLaVA::load(weights, &config, Some(tower)).unwrap(), config)
 }
 
-/// Differences of candle's image features and of its logits of the prompt's last position to the reference.
+/// Differences of candle's image features and of its logits of the prompt's last position to the
+/// reference.
 fn candle_deviation(layers: usize, reference: &Reference) -> [f32; 2] {
     let (model, config) = candle_llava(layers);
     let pixels = reference.tensor("pixel_values");
@@ -68,12 +78,17 @@ fn candle_deviation(layers: usize, reference: &Reference) -> [f32; 2] {
     ids.dedup_by(|second, first| *first == IMAGE_TOKEN && *second == IMAGE_TOKEN);
     let count = ids.len();
     let ids = Tensor::from_vec(ids, (1, count), &Device::Cpu).unwrap();
-    let inputs = model.prepare_inputs_labels_for_multimodal(&ids, std::slice::from_ref(pixels), &[(32, 32)]).unwrap();
+    let inputs = model
+        .prepare_inputs_labels_for_multimodal(&ids, std::slice::from_ref(pixels), &[(32, 32)])
+        .unwrap();
     let mut cache = Cache::new(false, DType::F32, &config.to_llama_config(), &Device::Cpu).unwrap();
     let logits = model.forward(&inputs, 0, &mut cache).unwrap();
     let expected = reference.tensor("logits");
     let last = expected.i(expected.dims()[0] - 1).unwrap();
-    [difference(&features, reference.tensor("features")), difference(&logits, &last)]
+    [
+        difference(&features, reference.tensor("features")),
+        difference(&logits, &last),
+    ]
 }
 
 #[test]
@@ -89,10 +104,17 @@ fn candles_llava_takes_the_vision_tower_one_layer_too_far() {
     let [features, logits] = candle_deviation(3, &reference);
     println!("ours: logits {ours:.1e}; candle: features {features:.2}, logits {logits:.2}");
     assert!(ours < LOGIT_TOLERANCE, "{ours}");
-    assert!(features > 0.1 && logits > 0.1, "candle: features {features}, logits {logits}");
-    // Its list of hidden states lacks the embeddings and ends with the pooled output, so index -2 is the last layer, not
-    // the one before. A tower without its last layer gives the reference: nothing else is wrong.
+    assert!(
+        features > 0.1 && logits > 0.1,
+        "candle: features {features}, logits {logits}"
+    );
+    // Its list of hidden states lacks the embeddings and ends with the pooled output, so index -2
+    // is the last layer, not the one before. A tower without its last layer gives the reference:
+    // nothing else is wrong.
     let [features, logits] = candle_deviation(2, &reference);
     println!("candle with a tower of one layer less: features {features:.1e}, logits {logits:.1e}");
-    assert!(features < LOGIT_TOLERANCE && logits < LOGIT_TOLERANCE, "candle: features {features}, logits {logits}");
+    assert!(
+        features < LOGIT_TOLERANCE && logits < LOGIT_TOLERANCE,
+        "candle: features {features}, logits {logits}"
+    );
 }

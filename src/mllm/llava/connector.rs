@@ -17,12 +17,20 @@ pub(crate) struct Projector {
 }
 
 impl Projector {
-    pub(crate) fn take(weights: &mut Weights, config: &LlavaConfig) -> std::result::Result<Self, MllmError> {
+    pub(crate) fn take(
+        weights: &mut Weights,
+        config: &LlavaConfig,
+    ) -> std::result::Result<Self, MllmError> {
         let hidden = config.text.hidden;
         let features = config.vision.hidden * config.feature_layers.len();
         let bias = config.projector_bias;
         Ok(Self {
-            linear1: weights.take_linear("multi_modal_projector.linear_1", features, hidden, bias)?,
+            linear1: weights.take_linear(
+                "multi_modal_projector.linear_1",
+                features,
+                hidden,
+                bias,
+            )?,
             act: config.projector_act,
             linear2: weights.take_linear("multi_modal_projector.linear_2", hidden, hidden, bias)?,
         })
@@ -30,6 +38,7 @@ impl Projector {
 
     /// Maps (rows, tower width) to (rows, decoder width).
     pub(crate) fn forward(&self, features: &Tensor) -> Result<Tensor> {
-        self.linear2.forward(&self.act.forward(&self.linear1.forward(features)?)?)
+        self.linear2
+            .forward(&self.act.forward(&self.linear1.forward(features)?)?)
     }
 }

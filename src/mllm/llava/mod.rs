@@ -1,5 +1,5 @@
-//! LLaVA 1.5 (Liu et al., "Improved Baselines with Visual Instruction Tuning"): the patches of one image through a CLIP
-//! tower and a two-layer projector into a Llama decoder.
+//! LLaVA 1.5 (Liu et al., "Improved Baselines with Visual Instruction Tuning"): the patches of one
+//! image through a CLIP tower and a two-layer projector into a Llama decoder.
 
 mod config;
 mod connector;
@@ -20,7 +20,10 @@ pub(crate) use vision::ImageEncoder;
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel, LlamaLayer};
-use super::family::{ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, Tiles, VisionLanguageModel};
+use super::family::{
+    ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, Tiles,
+    VisionLanguageModel,
+};
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
 use super::vision::ClipImageProcessor;
@@ -43,7 +46,8 @@ pub(crate) const FAMILY: Family = Family {
     open: |files, weights| Ok(Box::new(Llava::open(files, weights)?)),
 };
 
-/// The names of all layouts that transformers has written, as those of its version 5 without the `model.` prefix.
+/// The names of all layouts that transformers has written, as those of its version 5 without the
+/// `model.` prefix.
 pub(crate) fn canonical_name(stored: &str) -> String {
     let name = stored.strip_prefix("model.").unwrap_or(stored);
     let renamed = [
@@ -76,14 +80,27 @@ impl LlavaCore {
     pub(crate) fn take(weights: &mut Weights, config: LlavaConfig) -> Result<Self, MllmError> {
         let encoder = ImageEncoder::take(weights, &config)?;
         let decoder = Decoder::take(weights, &config.text, "language_model.")?;
-        Ok(Self { config, encoder, decoder })
+        Ok(Self {
+            config,
+            encoder,
+            decoder,
+        })
     }
 
-    /// Sizes and names of a model of the family `architecture`; `before` is the number of weights before it was taken.
-    pub(crate) fn info(&self, architecture: &'static str, weights: &Weights, before: usize) -> ModelInfo {
+    /// Sizes and names of a model of the family `architecture`; `before` is the number of weights
+    /// before it was taken.
+    pub(crate) fn info(
+        &self,
+        architecture: &'static str,
+        weights: &Weights,
+        before: usize,
+    ) -> ModelInfo {
         let config = &self.config;
-        let image =
-            ImageInfo { token: config.image_token, side: config.vision.image_size, max_tokens: config.image_tokens() };
+        let image = ImageInfo {
+            token: config.image_token,
+            side: config.vision.image_size,
+            max_tokens: config.image_tokens(),
+        };
         ModelInfo::of(architecture, &config.text, image, weights, before)
     }
 }
@@ -104,7 +121,11 @@ impl Llava {
         let before = weights.elements();
         let core = LlavaCore::take(weights, config)?;
         let info = core.info(NAME, weights, before);
-        Ok(Self { core, processor, info })
+        Ok(Self {
+            core,
+            processor,
+            info,
+        })
     }
 }
 
@@ -119,15 +140,28 @@ impl VisionLanguageModel for Llava {
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
         let pixels = vec![self.processor.process(image, self.info.image_size)?];
-        Ok(Tiles { pixels, width: image.width(), height: image.height() })
+        Ok(Tiles {
+            pixels,
+            width: image.width(),
+            height: image.height(),
+        })
     }
 
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
         ImageFeatures::whole(self.core.encoder.encode(&tiles.pixels)?)
     }
 
-    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token, ImageText::Repeated)?))
+    fn chat_format(
+        &self,
+        files: &ModelFiles,
+        tokenizer: &ChatTokenizer,
+    ) -> Result<Box<dyn ChatFormat>, MllmError> {
+        Ok(Box::new(TemplateFormat::open(
+            files,
+            tokenizer,
+            self.info.image_token,
+            ImageText::Repeated,
+        )?))
     }
 
     fn decoder(&self) -> &dyn LanguageModel {
@@ -151,15 +185,36 @@ mod tests {
     #[test]
     fn every_layout_has_one_canonical_name() {
         for (name, canonical) in [
-            ("vision_tower.vision_model.encoder.layers.0.mlp.fc1.bias", "vision_tower.encoder.layers.0.mlp.fc1.bias"),
-            ("vision_tower.embeddings.class_embedding", "vision_tower.embeddings.class_embedding"),
-            ("model.vision_tower.vision_model.pre_layrnorm.bias", "vision_tower.pre_layrnorm.bias"),
-            ("model.vision_tower.pre_layrnorm.bias", "vision_tower.pre_layrnorm.bias"),
-            ("language_model.model.norm.weight", "language_model.norm.weight"),
-            ("model.language_model.norm.weight", "language_model.norm.weight"),
+            (
+                "vision_tower.vision_model.encoder.layers.0.mlp.fc1.bias",
+                "vision_tower.encoder.layers.0.mlp.fc1.bias",
+            ),
+            (
+                "vision_tower.embeddings.class_embedding",
+                "vision_tower.embeddings.class_embedding",
+            ),
+            (
+                "model.vision_tower.vision_model.pre_layrnorm.bias",
+                "vision_tower.pre_layrnorm.bias",
+            ),
+            (
+                "model.vision_tower.pre_layrnorm.bias",
+                "vision_tower.pre_layrnorm.bias",
+            ),
+            (
+                "language_model.model.norm.weight",
+                "language_model.norm.weight",
+            ),
+            (
+                "model.language_model.norm.weight",
+                "language_model.norm.weight",
+            ),
             ("language_model.lm_head.weight", "lm_head.weight"),
             ("lm_head.weight", "lm_head.weight"),
-            ("model.multi_modal_projector.linear_1.bias", "multi_modal_projector.linear_1.bias"),
+            (
+                "model.multi_modal_projector.linear_1.bias",
+                "multi_modal_projector.linear_1.bias",
+            ),
             ("model.image_newline", "image_newline"),
         ] {
             assert_eq!(canonical_name(name), canonical);

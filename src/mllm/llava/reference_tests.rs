@@ -1,7 +1,8 @@
 //! Parity with Hugging Face transformers.
 //!
-//! `tests/fixtures/llava_reference` has weights, inputs and outputs of a small LLaVA, with its script.
-//! `tests/fixtures/tiny_llava` is a complete folder with tokenizer, preprocessor and chat template.
+//! `tests/fixtures/llava_reference` has weights, inputs and outputs of a small LLaVA, with its
+//! script. `tests/fixtures/tiny_llava` is a complete folder with tokenizer, preprocessor and chat
+//! template.
 
 use std::path::{Path, PathBuf};
 
@@ -12,10 +13,12 @@ use super::{FAMILY, Llava};
 use crate::checkpoint::TowerType;
 use crate::family::{ImageFeatures, VisionLanguageModel};
 use crate::local::LocalModel;
-use crate::local::test_faults::{Deviation, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
+use crate::local::test_faults::{
+    Deviation, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further,
+};
 use crate::local::test_reference::{
-    FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, Run, assert_chat, assert_greedy, assert_logits, difference,
-    feature_difference, fixture, logits_deviation, open_checkpoint, whole,
+    FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, Run, assert_chat, assert_greedy, assert_logits,
+    difference, feature_difference, fixture, logits_deviation, open_checkpoint, whole,
 };
 use crate::vision::ClipImageProcessor;
 
@@ -59,22 +62,30 @@ fn errors_that_are_easily_made_lead_far_away() {
         let model = assembled(&Parts::wrong(&folder, fault));
         Deviation::of(&run, &model, &features(&model, &run)).assert_far(what);
     }
-    let full = Parts::wrong(&folder, |parts| parts.config["vision_feature_select_strategy"] = json!("full"));
-    let with_class = features(&assembled(&full), &run).rows.narrow(0, 0, run.features.dims()[0]).unwrap();
-    Deviation::of(&run, &right, &whole(with_class)).assert_far("the class token kept, the last patch lost");
+    let full = Parts::wrong(&folder, |parts| {
+        parts.config["vision_feature_select_strategy"] = json!("full")
+    });
+    let with_class = features(&assembled(&full), &run)
+        .rows
+        .narrow(0, 0, run.features.dims()[0])
+        .unwrap();
+    Deviation::of(&run, &right, &whole(with_class))
+        .assert_far("the class token kept, the last patch lost");
     for (what, fault) in LLAVA_DECODER_FAULTS {
         let model = assembled(&Parts::wrong(&folder, fault));
         Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
     }
     let image = run.image(right.info().image_token);
     let own: Vec<u32> = (0..run.ids.len() as u32).collect();
-    let placed = |positions| Deviation::of_placed(&run, &right, &right.core.decoder, positions, 0..0);
+    let placed =
+        |positions| Deviation::of_placed(&run, &right, &right.core.decoder, positions, 0..0);
     let shifted = |part| placed(one_further(&own, &part));
     // Only differences of positions count.
     shifted(0..own.len()).assert_none("every position one further");
     shifted(image.end..own.len()).assert_logits_far("the text behind the image one further");
     shifted(image.clone()).assert_logits_far("the image one further");
-    let shared = (0..own.len()).map(|index| (index.min(image.start) + index.saturating_sub(image.end - 1)) as u32);
+    let shared = (0..own.len())
+        .map(|index| (index.min(image.start) + index.saturating_sub(image.end - 1)) as u32);
     placed(shared.collect()).assert_logits_far("one position for the whole image");
 }
 
@@ -83,7 +94,10 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_transformers() {
     let folder = fixture("tiny_llava");
     let reference = Reference::open(&folder.join("reference.safetensors"));
     let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
-    let pixels = ClipImageProcessor::open(&open_checkpoint(&folder).files).unwrap().process(&image, 32).unwrap();
+    let pixels = ClipImageProcessor::open(&open_checkpoint(&folder).files)
+        .unwrap()
+        .process(&image, 32)
+        .unwrap();
     let found = difference(&pixels, reference.tensor("pixel_values"));
     assert!(found < 1e-5, "the pixels differ by {found}");
     assert_chat(&folder, &["", "chat_"]);
@@ -94,8 +108,13 @@ fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/nano");
     let reference = Reference::open(&fixture("nano_reference").join("reference.safetensors"));
     let model = open_llava(&folder);
-    let image = image::open(fixture("nano_reference").join("image.png")).unwrap().into_rgb8();
-    let pixels = model.processor.process(&image, model.info.image_size).unwrap();
+    let image = image::open(fixture("nano_reference").join("image.png"))
+        .unwrap()
+        .into_rgb8();
+    let pixels = model
+        .processor
+        .process(&image, model.info.image_size)
+        .unwrap();
     let corner = pixels.narrow(1, 0, 4).unwrap().narrow(2, 0, 4).unwrap();
     assert!(difference(&corner, reference.tensor("pixel_corner")) < 1e-5);
     let features = model.encode_image(&image).unwrap();
@@ -112,7 +131,10 @@ fn a_siglip_tower_and_a_qwen2_decoder_compute_what_transformers_computes() {
     let (reference, run) = (Reference::open(&path), Run::open(&path, 0));
     let parts = Parts::of(&folder);
     let model = assembled(&parts);
-    assert_eq!((model.core.config.tower, model.info().max_image_tokens), (TowerType::Siglip, 16));
+    assert_eq!(
+        (model.core.config.tower, model.info().max_image_tokens),
+        (TowerType::Siglip, 16)
+    );
     run.assert_same(&model, &features(&model, &run));
     let ids = reference.ids("text_input_ids", 0);
     assert_logits(&model, &ids, None, reference.tensor("text_logits"));

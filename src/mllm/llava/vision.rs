@@ -25,11 +25,20 @@ enum Tower {
 
 impl ImageEncoder {
     pub(crate) fn take(weights: &mut Weights, config: &LlavaConfig) -> Result<Self, MllmError> {
-        let depth = config.feature_layers.iter().copied().max().expect("the configuration names one layer at least");
+        let depth = config
+            .feature_layers
+            .iter()
+            .copied()
+            .max()
+            .expect("the configuration names one layer at least");
         Ok(Self {
             tower: match config.tower {
-                TowerType::Clip => Tower::Clip(ClipVisionTower::take(weights, &config.vision, depth)?),
-                TowerType::Siglip => Tower::Siglip(SiglipVisionTower::take(weights, &config.vision, depth)?),
+                TowerType::Clip => {
+                    Tower::Clip(ClipVisionTower::take(weights, &config.vision, depth)?)
+                }
+                TowerType::Siglip => {
+                    Tower::Siglip(SiglipVisionTower::take(weights, &config.vision, depth)?)
+                }
             },
             feature_layers: config.feature_layers.clone(),
             feature_select: config.feature_select,
@@ -37,7 +46,8 @@ impl ImageEncoder {
         })
     }
 
-    /// Encodes images, pixel values (3, side, side) each, to (images · image tokens, decoder width).
+    /// Encodes images, pixel values (3, side, side) each, to (images · image tokens, decoder
+    /// width).
     pub(crate) fn encode(&self, images: &[Tensor]) -> candle_core::Result<Tensor> {
         let states = match &self.tower {
             Tower::Clip(tower) => tower.hidden_states(images, &self.feature_layers)?,
@@ -48,6 +58,7 @@ impl ImageEncoder {
             FeatureSelect::Default => states.narrow(1, 1, states.dim(1)? - 1)?,
             FeatureSelect::Full => states,
         };
-        self.projector.forward(&selected.flatten_to(1)?.contiguous()?)
+        self.projector
+            .forward(&selected.flatten_to(1)?.contiguous()?)
     }
 }

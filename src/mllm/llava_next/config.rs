@@ -17,15 +17,20 @@ pub(crate) struct LlavaNextConfig {
     pub grids: TileGrids,
 }
 
-/// The default `image_grid_pinpoints` of `LlavaNextConfig` and `LlavaNextImageProcessor`: height and width, pixels.
-const DEFAULT_PINPOINTS: [[u32; 2]; 5] = [[336, 672], [672, 336], [672, 672], [1008, 336], [336, 1008]];
+/// The default `image_grid_pinpoints` of `LlavaNextConfig` and `LlavaNextImageProcessor`: height
+/// and width, pixels.
+const DEFAULT_PINPOINTS: [[u32; 2]; 5] =
+    [[336, 672], [672, 336], [672, 672], [1008, 336], [336, 1008]];
 const MAX_PINPOINTS: usize = 64;
 /// Longest side of a resolution, pixels; a longer one means a broken configuration.
 const MAX_SIDE: u32 = 1 << 14;
 
 impl LlavaNextConfig {
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
-        Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
+        Self::from_json(
+            &files.path("config.json"),
+            &files.required_json("config.json")?,
+        )
     }
 
     /// Reads a configuration; `path` is for messages.
@@ -39,7 +44,8 @@ impl LlavaNextConfig {
             ));
         }
         if llava.tower == TowerType::Siglip {
-            let problem = "siglip_vision_model has no class token; a grid of tiles needs clip_vision_model";
+            let problem =
+                "siglip_vision_model has no class token; a grid of tiles needs clip_vision_model";
             return Err(root.error("vision_config.model_type", problem));
         }
         let side = llava.vision.image_size as u32;
@@ -48,9 +54,16 @@ impl LlavaNextConfig {
             check_tiles(*width, *height, side).map_err(|problem| root.error(PINPOINTS, problem))?;
         }
         let patches = (llava.vision.image_size / llava.vision.patch_size) as u32;
-        let grids = TileGrids::new(resolutions, side, patches).map_err(|Resolution { height, width }| {
-            root.error(PINPOINTS, format!("{width} x {height} pixels cannot be cut into tiles of {side} x {side}"))
-        })?;
+        let grids = TileGrids::new(resolutions, side, patches).map_err(
+            |Resolution { height, width }| {
+                root.error(
+                    PINPOINTS,
+                    format!(
+                        "{width} x {height} pixels cannot be cut into tiles of {side} x {side}"
+                    ),
+                )
+            },
+        )?;
         Ok(Self { llava, grids })
     }
 }
@@ -60,11 +73,22 @@ pub(super) const PINPOINTS: &str = "image_grid_pinpoints";
 
 /// Reads the resolutions, each a list of height and width.
 pub(super) fn pinpoints(object: &ConfigObject<'_>) -> Result<Vec<Resolution>, MllmError> {
-    let pairs = object.value::<Vec<[u32; 2]>>(PINPOINTS)?.unwrap_or_else(|| DEFAULT_PINPOINTS.to_vec());
-    if !(1..=MAX_PINPOINTS).contains(&pairs.len()) || pairs.iter().flatten().any(|side| !(1..=MAX_SIDE).contains(side))
+    let pairs = object
+        .value::<Vec<[u32; 2]>>(PINPOINTS)?
+        .unwrap_or_else(|| DEFAULT_PINPOINTS.to_vec());
+    if !(1..=MAX_PINPOINTS).contains(&pairs.len())
+        || pairs
+            .iter()
+            .flatten()
+            .any(|side| !(1..=MAX_SIDE).contains(side))
     {
-        let problem = format!("expected 1 to {MAX_PINPOINTS} pairs of height and width, each from 1 to {MAX_SIDE}");
+        let problem = format!(
+            "expected 1 to {MAX_PINPOINTS} pairs of height and width, each from 1 to {MAX_SIDE}"
+        );
         return Err(object.error(PINPOINTS, problem));
     }
-    Ok(pairs.into_iter().map(|[height, width]| Resolution { height, width }).collect())
+    Ok(pairs
+        .into_iter()
+        .map(|[height, width]| Resolution { height, width })
+        .collect())
 }

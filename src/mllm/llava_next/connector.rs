@@ -6,8 +6,8 @@ use super::grid::{TileGrids, Tiling};
 use crate::MllmError;
 use crate::checkpoint::Weights;
 
-/// Puts the features of tiles back into their grid, drops the border, and ends each row with a newline
-/// (`pack_image_features`).
+/// Puts the features of tiles back into their grid, drops the border, and ends each row with a
+/// newline (`pack_image_features`).
 #[derive(Debug)]
 pub(crate) struct TilePacker {
     /// The learned row that ends a line, (1, decoder width).
@@ -16,14 +16,26 @@ pub(crate) struct TilePacker {
 
 impl TilePacker {
     /// Takes the newline of decoder width `hidden`.
-    pub(crate) fn take(weights: &mut Weights, hidden: usize) -> std::result::Result<Self, MllmError> {
-        Ok(Self { newline: weights.take("image_newline", &[hidden])?.unsqueeze(0)? })
+    pub(crate) fn take(
+        weights: &mut Weights,
+        hidden: usize,
+    ) -> std::result::Result<Self, MllmError> {
+        Ok(Self {
+            newline: weights.take("image_newline", &[hidden])?.unsqueeze(0)?,
+        })
     }
 
-    /// Packs features (tiles · patches, decoder width) of the whole image and then of every tile to (image tokens, decoder width).
-    pub(crate) fn pack(&self, features: &Tensor, grids: &TileGrids, tiling: &Tiling) -> Result<Tensor> {
+    /// Packs features (tiles · patches, decoder width) of the whole image and then of every tile to
+    /// (image tokens, decoder width).
+    pub(crate) fn pack(
+        &self,
+        features: &Tensor,
+        grids: &TileGrids,
+        tiling: &Tiling,
+    ) -> Result<Tensor> {
         let rows = grids.token_rows(tiling);
         let count = rows.len();
-        Tensor::cat(&[features, &self.newline], 0)?.index_select(&Tensor::from_vec(rows, count, &Device::Cpu)?, 0)
+        Tensor::cat(&[features, &self.newline], 0)?
+            .index_select(&Tensor::from_vec(rows, count, &Device::Cpu)?, 0)
     }
 }

@@ -1,7 +1,7 @@
 //! The tiles of an image, and the patches that become tokens ("anyres").
 //!
-//! The arithmetic is that of transformers: `select_best_resolution`, `get_patch_output_size`, `unpad_image` and
-//! `pack_image_features`.
+//! The arithmetic is that of transformers: `select_best_resolution`, `get_patch_output_size`,
+//! `unpad_image` and `pack_image_features`.
 
 use std::ops::Range;
 
@@ -40,16 +40,26 @@ pub(crate) struct Tiling {
 }
 
 impl TileGrids {
-    /// Grids of tiles with `side` pixels and `patches` patches in each direction. There must be at least one resolution.
+    /// Grids of tiles with `side` pixels and `patches` patches in each direction. There must be at
+    /// least one resolution.
     ///
     /// # Errors
     /// The first resolution that is no multiple of a tile.
-    pub(crate) fn new(resolutions: Vec<Resolution>, side: u32, patches: u32) -> Result<Self, Resolution> {
-        let fits =
-            |resolution: &Resolution| resolution.height.is_multiple_of(side) && resolution.width.is_multiple_of(side);
+    pub(crate) fn new(
+        resolutions: Vec<Resolution>,
+        side: u32,
+        patches: u32,
+    ) -> Result<Self, Resolution> {
+        let fits = |resolution: &Resolution| {
+            resolution.height.is_multiple_of(side) && resolution.width.is_multiple_of(side)
+        };
         match resolutions.iter().find(|resolution| !fits(resolution)) {
             Some(resolution) => Err(*resolution),
-            None => Ok(Self { resolutions, side, patches }),
+            None => Ok(Self {
+                resolutions,
+                side,
+                patches,
+            }),
         }
     }
 
@@ -62,7 +72,13 @@ impl TileGrids {
         let target = self.best(image);
         let tiles = (target.height / self.side, target.width / self.side);
         let (rows, columns) = unpadded(image, tiles.0 * self.patches, tiles.1 * self.patches);
-        Tiling { target, inner: inner_size(image, target), tiles, rows, columns }
+        Tiling {
+            target,
+            inner: inner_size(image, target),
+            tiles,
+            rows,
+            columns,
+        }
     }
 
     /// Tokens of the largest grid without a border.
@@ -81,8 +97,8 @@ impl TileGrids {
         (self.patches * self.patches) as usize + tiling.rows.len() * (tiling.columns.len() + 1)
     }
 
-    /// The features that become tokens, in order: indices into those of the downscaled image, of all tiles (left to right, then
-    /// down), and the newline.
+    /// The features that become tokens, in order: indices into those of the downscaled image, of
+    /// all tiles (left to right, then down), and the newline.
     pub(crate) fn token_rows(&self, tiling: &Tiling) -> Vec<u32> {
         let patches = self.patches;
         let tile_rows = patches * patches;
@@ -99,9 +115,13 @@ impl TileGrids {
         indices
     }
 
-    /// The resolution that keeps most of the image's pixels, then wastes least, then comes first (`select_best_resolution`).
+    /// The resolution that keeps most of the image's pixels, then wastes least, then comes first
+    /// (`select_best_resolution`).
     fn best(&self, image: Resolution) -> Resolution {
-        let mut best = Resolution { height: self.side, width: self.side };
+        let mut best = Resolution {
+            height: self.side,
+            width: self.side,
+        };
         let mut most = 0;
         let mut least_waste = u64::MAX;
         let pixels = u64::from(image.height) * u64::from(image.width);
@@ -128,10 +148,16 @@ fn inner_size(image: Resolution, target: Resolution) -> Resolution {
     let down = f64::from(target.height) / f64::from(image.height);
     if across < down {
         let height = (f64::from(image.height) * across).ceil() as u32;
-        Resolution { height: height.min(target.height), width: target.width }
+        Resolution {
+            height: height.min(target.height),
+            width: target.width,
+        }
     } else {
         let width = (f64::from(image.width) * down).ceil() as u32;
-        Resolution { height: target.height, width: width.min(target.width) }
+        Resolution {
+            height: target.height,
+            width: width.min(target.width),
+        }
     }
 }
 
@@ -172,25 +198,54 @@ mod tests {
     #[test]
     fn a_square_image_is_cut_into_four() {
         let grids = grids();
-        let tiling = grids.tiling(Resolution { height: 336, width: 336 });
-        assert_eq!((tiling.tiles, tiling.rows.clone(), tiling.columns.clone()), ((1, 2), 0..24, 12..36));
-        let tiling = grids.tiling(Resolution { height: 700, width: 700 });
-        assert_eq!((tiling.tiles, tiling.rows.clone(), tiling.columns.clone()), ((2, 2), 0..48, 0..48));
+        let tiling = grids.tiling(Resolution {
+            height: 336,
+            width: 336,
+        });
+        assert_eq!(
+            (tiling.tiles, tiling.rows.clone(), tiling.columns.clone()),
+            ((1, 2), 0..24, 12..36)
+        );
+        let tiling = grids.tiling(Resolution {
+            height: 700,
+            width: 700,
+        });
+        assert_eq!(
+            (tiling.tiles, tiling.rows.clone(), tiling.columns.clone()),
+            ((2, 2), 0..48, 0..48)
+        );
         assert_eq!(grids.tokens(&tiling), 576 + 48 * 49);
         assert_eq!(grids.max_tokens(), 576 + 48 * 49);
     }
 
     #[test]
     fn rows_run_across_tiles_and_end_with_a_newline() {
-        let grid = TileGrids::new(vec![Resolution { height: 4, width: 8 }], 4, 2).unwrap();
-        let tiling = grid.tiling(Resolution { height: 4, width: 8 });
+        let grid = TileGrids::new(
+            vec![Resolution {
+                height: 4,
+                width: 8,
+            }],
+            4,
+            2,
+        )
+        .unwrap();
+        let tiling = grid.tiling(Resolution {
+            height: 4,
+            width: 8,
+        });
         // Base 0 to 3, left tile 4 to 7, right tile 8 to 11, newline 12.
-        assert_eq!(grid.token_rows(&tiling), [0, 1, 2, 3, 4, 5, 8, 9, 12, 6, 7, 10, 11, 12]);
+        assert_eq!(
+            grid.token_rows(&tiling),
+            [0, 1, 2, 3, 4, 5, 8, 9, 12, 6, 7, 10, 11, 12]
+        );
     }
 
     #[test]
     fn a_resolution_that_is_no_grid_is_refused() {
-        let odd = Resolution { height: 336, width: 500 };
+        let odd = Resolution {
+            height: 336,
+            width: 500,
+        };
         assert_eq!(TileGrids::new(vec![odd], 336, 24), Err(odd));
     }
 

@@ -1,5 +1,5 @@
-//! LLaVA 1.6, LLaVA-NeXT (Liu et al., "LLaVA-NeXT: Improved reasoning, OCR, and world knowledge"): a LLaVA that sees the
-//! image small and once more in tiles of a higher resolution.
+//! LLaVA 1.6, LLaVA-NeXT (Liu et al., "LLaVA-NeXT: Improved reasoning, OCR, and world knowledge"):
+//! a LLaVA that sees the image small and once more in tiles of a higher resolution.
 
 mod config;
 mod connector;
@@ -19,7 +19,9 @@ use preprocess::AnyresImageProcessor;
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::LanguageModel;
-use super::family::{ChatFormat, Family, ImageFeatures, ImageLayout, ModelInfo, Tiles, VisionLanguageModel};
+use super::family::{
+    ChatFormat, Family, ImageFeatures, ImageLayout, ModelInfo, Tiles, VisionLanguageModel,
+};
 use super::llava::{LlavaCore, LlavaGguf, canonical_name};
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
@@ -37,7 +39,16 @@ pub(crate) const FAMILY: Family = Family {
         image_processor: "LlavaNextImageProcessor",
         config: |files| {
             let LlavaNextConfig { llava, grids } = LlavaNextConfig::open(files)?;
-            Ok((llava, Some(grids.resolutions().iter().map(|size| [size.height, size.width]).collect())))
+            Ok((
+                llava,
+                Some(
+                    grids
+                        .resolutions()
+                        .iter()
+                        .map(|size| [size.height, size.width])
+                        .collect(),
+                ),
+            ))
         },
     }),
     missing_tokenizer: "tokenizer.json",
@@ -58,7 +69,11 @@ pub(crate) struct LlavaNext {
 impl LlavaNext {
     fn open(files: &ModelFiles, weights: &mut Weights) -> Result<Self, MllmError> {
         let config = LlavaNextConfig::open(files)?;
-        let processor = AnyresImageProcessor::open(files, &config.grids, config.llava.vision.image_size as u32)?;
+        let processor = AnyresImageProcessor::open(
+            files,
+            &config.grids,
+            config.llava.vision.image_size as u32,
+        )?;
         Self::take(weights, config, processor)
     }
 
@@ -71,8 +86,17 @@ impl LlavaNext {
         let core = LlavaCore::take(weights, config.llava)?;
         let packer = TilePacker::take(weights, core.config.text.hidden)?;
         let max_image_tokens = config.grids.max_tokens();
-        let info = ModelInfo { max_image_tokens, ..core.info(NAME, weights, before) };
-        Ok(Self { core, packer, grids: config.grids, processor, info })
+        let info = ModelInfo {
+            max_image_tokens,
+            ..core.info(NAME, weights, before)
+        };
+        Ok(Self {
+            core,
+            packer,
+            grids: config.grids,
+            processor,
+            info,
+        })
     }
 }
 
@@ -83,24 +107,51 @@ impl VisionLanguageModel for LlavaNext {
 
     fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError> {
         if width == 0 || height == 0 {
-            return Err(MllmError::Image { problem: "it has no pixels".into() });
+            return Err(MllmError::Image {
+                problem: "it has no pixels".into(),
+            });
         }
-        Ok(ImageLayout::whole(self.grids.tokens(&self.grids.tiling(Resolution { height, width }))))
+        Ok(ImageLayout::whole(
+            self.grids
+                .tokens(&self.grids.tiling(Resolution { height, width })),
+        ))
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
         let (width, height) = image.dimensions();
         let tiling = self.grids.tiling(Resolution { height, width });
-        Ok(Tiles { pixels: self.processor.process(image, &tiling, self.info.image_size as u32)?, width, height })
+        Ok(Tiles {
+            pixels: self
+                .processor
+                .process(image, &tiling, self.info.image_size as u32)?,
+            width,
+            height,
+        })
     }
 
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
-        let tiling = self.grids.tiling(Resolution { height: tiles.height, width: tiles.width });
-        ImageFeatures::whole(self.packer.pack(&self.core.encoder.encode(&tiles.pixels)?, &self.grids, &tiling)?)
+        let tiling = self.grids.tiling(Resolution {
+            height: tiles.height,
+            width: tiles.width,
+        });
+        ImageFeatures::whole(self.packer.pack(
+            &self.core.encoder.encode(&tiles.pixels)?,
+            &self.grids,
+            &tiling,
+        )?)
     }
 
-    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token, ImageText::Repeated)?))
+    fn chat_format(
+        &self,
+        files: &ModelFiles,
+        tokenizer: &ChatTokenizer,
+    ) -> Result<Box<dyn ChatFormat>, MllmError> {
+        Ok(Box::new(TemplateFormat::open(
+            files,
+            tokenizer,
+            self.info.image_token,
+            ImageText::Repeated,
+        )?))
     }
 
     fn decoder(&self) -> &dyn LanguageModel {

@@ -18,7 +18,11 @@ pub(crate) struct AnyresImageProcessor {
 
 impl AnyresImageProcessor {
     /// Reads the image processor of a model with these grids of tiles of `side` pixels.
-    pub(crate) fn open(files: &ModelFiles, grids: &TileGrids, side: u32) -> Result<Self, MllmError> {
+    pub(crate) fn open(
+        files: &ModelFiles,
+        grids: &TileGrids,
+        side: u32,
+    ) -> Result<Self, MllmError> {
         read_processor(files, |_, object| Self::read(object, grids, side))
     }
 
@@ -27,18 +31,31 @@ impl AnyresImageProcessor {
         for (key, size) in [("size", keys.size), ("crop_size", keys.crop_size)] {
             let (height, width) = size.height_width();
             if (height, width) != (side, side) {
-                let problem = format!("is {width} x {height} pixels; the vision tower takes {side} x {side}");
+                let problem =
+                    format!("is {width} x {height} pixels; the vision tower takes {side} x {side}");
                 return Err(object.error(key, problem));
             }
         }
         if pinpoints(object)? != grids.resolutions() {
-            return Err(object.error(PINPOINTS, "these are not the resolutions of the model's config.json"));
+            return Err(object.error(
+                PINPOINTS,
+                "these are not the resolutions of the model's config.json",
+            ));
         }
-        Ok(Self { filter: keys.resample, scale: PixelScale::read(object)? })
+        Ok(Self {
+            filter: keys.resample,
+            scale: PixelScale::read(object)?,
+        })
     }
 
-    /// Pixel values, (3, `side`, `side`) each: of the whole image, stretched to a square, then of its tiles.
-    pub(crate) fn process(&self, image: &RgbImage, tiling: &Tiling, side: u32) -> Result<Vec<Tensor>, MllmError> {
+    /// Pixel values, (3, `side`, `side`) each: of the whole image, stretched to a square, then of
+    /// its tiles.
+    pub(crate) fn process(
+        &self,
+        image: &RgbImage,
+        tiling: &Tiling,
+        side: u32,
+    ) -> Result<Vec<Tensor>, MllmError> {
         check_not_empty(image)?;
         let whole = resize(image, side, side, self.filter);
         let inner = resize(image, tiling.inner.width, tiling.inner.height, self.filter);
@@ -49,7 +66,8 @@ impl AnyresImageProcessor {
         let mut values = vec![self.scale.values(&whole)?];
         for row in 0..tiling.tiles.0 {
             for column in 0..tiling.tiles.1 {
-                let tile = imageops::crop_imm(&padded, column * side, row * side, side, side).to_image();
+                let tile =
+                    imageops::crop_imm(&padded, column * side, row * side, side, side).to_image();
                 values.push(self.scale.values(&tile)?);
             }
         }

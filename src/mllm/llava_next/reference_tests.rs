@@ -13,7 +13,9 @@ use crate::checkpoint::read_json;
 use crate::family::{ImageFeatures, Tiles, VisionLanguageModel};
 use crate::llava::FeatureSelect;
 use crate::local::LocalModel;
-use crate::local::test_faults::{Deviation, Fault, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
+use crate::local::test_faults::{
+    Deviation, Fault, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further,
+};
 use crate::local::test_reference::{
     Reference, Run, assert_chat, difference, fixture, open_checkpoint, synthetic, whole,
 };
@@ -23,7 +25,10 @@ use crate::vision::{Filter, PixelScale};
 fn assembled_after(parts: &Parts, change: impl FnOnce(&mut LlavaNextConfig)) -> LlavaNext {
     let mut config = LlavaNextConfig::from_json(&parts.path, &parts.config).unwrap();
     change(&mut config);
-    let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
+    let processor = AnyresImageProcessor {
+        filter: Filter::Bicubic,
+        scale: PixelScale::CLIP,
+    };
     LlavaNext::take(&mut parts.weights(&FAMILY), config, processor).unwrap()
 }
 
@@ -44,13 +49,25 @@ impl Case {
         let fixed = |name, height, width| {
             let folder = fixture(name);
             let run = Run::open(&folder.join("reference.safetensors"), 0);
-            Self { folder, run, size: Resolution { height, width } }
+            Self {
+                folder,
+                run,
+                size: Resolution { height, width },
+            }
         };
-        [fixed("tiny_llava_next", 53, 75), fixed("tiny_llava_next_mistral", 53, 75)].into_iter()
+        [
+            fixed("tiny_llava_next", 53, 75),
+            fixed("tiny_llava_next_mistral", 53, 75),
+        ]
+        .into_iter()
     }
 
     fn tiles(&self) -> Tiles {
-        Tiles { pixels: self.run.pixels.clone(), width: self.size.width, height: self.size.height }
+        Tiles {
+            pixels: self.run.pixels.clone(),
+            width: self.size.width,
+            height: self.size.height,
+        }
     }
 
     fn features(&self, model: &LlavaNext) -> ImageFeatures {
@@ -60,15 +77,24 @@ impl Case {
 
 #[test]
 fn complete_folders_give_the_pixels_ids_logits_and_tokens_of_transformers() {
-    for (name, rounds) in [("tiny_llava_next", &["", "chat_"][..]), ("tiny_llava_next_mistral", &[""])] {
+    for (name, rounds) in [
+        ("tiny_llava_next", &["", "chat_"][..]),
+        ("tiny_llava_next_mistral", &[""]),
+    ] {
         let folder = fixture(name);
         let reference = Reference::open(&folder.join("reference.safetensors"));
         let mut checkpoint = open_checkpoint(&folder);
         let model = LlavaNext::open(&checkpoint.files, &mut checkpoint.weights).unwrap();
         let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
-        let tiling = model.grids.tiling(Resolution { height: image.height(), width: image.width() });
+        let tiling = model.grids.tiling(Resolution {
+            height: image.height(),
+            width: image.width(),
+        });
         let pixels = model.processor.process(&image, &tiling, 32).unwrap();
-        let found = difference(&Tensor::stack(&pixels, 0).unwrap(), reference.tensor("pixel_values"));
+        let found = difference(
+            &Tensor::stack(&pixels, 0).unwrap(),
+            reference.tensor("pixel_values"),
+        );
         assert!(found < 1e-5, "the pixels differ by {found}");
         assert_chat(&folder, rounds);
     }
@@ -96,9 +122,11 @@ fn errors_that_are_easily_made_lead_far_away() {
             let model = assembled(&Parts::wrong(folder, fault));
             Deviation::of(run, &model, &case.features(&model)).assert_far(what);
         }
-        let with_class =
-            assembled_after(&Parts::of(folder), |config| config.llava.feature_select = FeatureSelect::Full);
-        Deviation::of(run, &right, &case.features(&with_class)).assert_far("the class tokens kept in the grid");
+        let with_class = assembled_after(&Parts::of(folder), |config| {
+            config.llava.feature_select = FeatureSelect::Full
+        });
+        Deviation::of(run, &right, &case.features(&with_class))
+            .assert_far("the class tokens kept in the grid");
         let mut swapped = case.tiles();
         swapped.pixels.swap(1, 2);
         let swapped = right.encode(&swapped).unwrap();
@@ -109,7 +137,15 @@ fn errors_that_are_easily_made_lead_far_away() {
         }
         let image = run.image(right.info().image_token);
         let own: Vec<u32> = (0..run.ids.len() as u32).collect();
-        let shifted = |part| Deviation::of_placed(run, &right, &right.core.decoder, one_further(&own, &part), 0..0);
+        let shifted = |part| {
+            Deviation::of_placed(
+                run,
+                &right,
+                &right.core.decoder,
+                one_further(&own, &part),
+                0..0,
+            )
+        };
         // Only differences of positions count.
         shifted(0..own.len()).assert_none("every position one further");
         shifted(image.end..own.len()).assert_logits_far("the text behind the image one further");
@@ -121,8 +157,11 @@ fn errors_that_are_easily_made_lead_far_away() {
 fn a_window_that_is_left_out_is_noticed() {
     let folder = fixture("tiny_llava_next_mistral");
     let run = Run::open(&folder.join("reference.safetensors"), 0);
-    let no_window = Parts::wrong(&folder, |parts| parts.config["text_config"]["sliding_window"] = Value::Null);
-    Deviation::of(&run, &assembled(&no_window), &whole(run.features.clone())).assert_logits_far("no sliding window");
+    let no_window = Parts::wrong(&folder, |parts| {
+        parts.config["text_config"]["sliding_window"] = Value::Null
+    });
+    Deviation::of(&run, &assembled(&no_window), &whole(run.features.clone()))
+        .assert_logits_far("no sliding window");
 }
 
 /// The size in a name `HEIGHTxWIDTH`.
@@ -135,13 +174,18 @@ fn size(name: &str) -> Option<(u32, u32)> {
 fn tiles_of_odd_images_have_the_pixels_of_transformers() {
     let folder = fixture("tiny_llava_next");
     let model = assembled(&Parts::of(&folder));
-    let expected =
-        candle_core::safetensors::load(folder.join("anyres.safetensors"), &candle_core::Device::Cpu).unwrap();
+    let expected = candle_core::safetensors::load(
+        folder.join("anyres.safetensors"),
+        &candle_core::Device::Cpu,
+    )
+    .unwrap();
     assert!(expected.len() >= 7);
     for (name, expected) in expected {
         let (height, width) = size(&name).unwrap();
         let tiling = model.grids.tiling(Resolution { height, width });
-        let pixels = raw_processor().process(&synthetic(height, width), &tiling, 32).unwrap();
+        let pixels = raw_processor()
+            .process(&synthetic(height, width), &tiling, 32)
+            .unwrap();
         let pixels = Tensor::stack(&pixels, 0).unwrap();
         assert_eq!(pixels.dims(), expected.dims(), "{name}");
         let found = difference(&pixels, &expected.to_dtype(DType::F32).unwrap());
@@ -154,7 +198,10 @@ fn raw_processor() -> AnyresImageProcessor {
     let path = Path::new("preprocessor_config.json");
     let raw = json!({"do_rescale": false, "do_normalize": false});
     let object = crate::checkpoint::ConfigObject::root(path, &raw).unwrap();
-    AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::read(&object).unwrap() }
+    AnyresImageProcessor {
+        filter: Filter::Bicubic,
+        scale: PixelScale::read(&object).unwrap(),
+    }
 }
 
 #[test]
@@ -168,16 +215,26 @@ fn the_grids_of_the_real_models_are_those_of_transformers() {
     let sizes = anyres["sizes"].as_array().unwrap();
     assert!(sizes.len() > 100);
     for row in sizes {
-        let [height, width, best_height, best_width, tokens] = [0, 1, 2, 3, 4].map(|index| number(&row[index]));
+        let [height, width, best_height, best_width, tokens] =
+            [0, 1, 2, 3, 4].map(|index| number(&row[index]));
         let tiling = grids.tiling(Resolution { height, width });
-        assert_eq!(tiling.target, Resolution { height: best_height, width: best_width }, "{height} x {width}");
+        assert_eq!(
+            tiling.target,
+            Resolution {
+                height: best_height,
+                width: best_width
+            },
+            "{height} x {width}"
+        );
         assert_eq!(grids.tokens(&tiling), tokens as usize, "{height} x {width}");
     }
 
     let sums = &anyres["sums"];
     let (height, width) = (number(&sums["size"][0]), number(&sums["size"][1]));
     let tiling = grids.tiling(Resolution { height, width });
-    let tiles = raw_processor().process(&synthetic(height, width), &tiling, 336).unwrap();
+    let tiles = raw_processor()
+        .process(&synthetic(height, width), &tiling, 336)
+        .unwrap();
     for (key, axis) in [("rows", 2), ("columns", 1)] {
         for (tile, pixels) in tiles.iter().enumerate() {
             let found = pixels.sum(axis).unwrap().to_vec2::<f32>().unwrap();

@@ -12,7 +12,11 @@ pub(super) struct Ahead {
 
 impl Ahead {
     pub(super) fn new(start: usize, tokens: Vec<u32>, logits: Vec<Vec<f32>>) -> Self {
-        Self { start, tokens, logits }
+        Self {
+            start,
+            tokens,
+            logits,
+        }
     }
 
     /// Number of tokens before them.
@@ -26,7 +30,11 @@ impl Ahead {
 
     /// How many of them were chosen.
     pub(super) fn accepted(&self, chosen: &[u32]) -> usize {
-        self.tokens.iter().zip(chosen).take_while(|(drafted, chosen)| drafted == chosen).count()
+        self.tokens
+            .iter()
+            .zip(chosen)
+            .take_while(|(drafted, chosen)| drafted == chosen)
+            .count()
     }
 
     /// The logits after `chosen`, if these are the first drafted tokens. They are given once.
@@ -46,7 +54,10 @@ mod tests {
     #[test]
     fn logits_are_given_for_chosen_drafts_alone_and_once() {
         let mut ahead = Ahead::new(10, vec![5, 6, 7], vec![vec![0.5], vec![0.6], vec![0.7]]);
-        assert_eq!((ahead.start(), ahead.len(), ahead.accepted(&[5, 6, 1])), (10, 3, 2));
+        assert_eq!(
+            (ahead.start(), ahead.len(), ahead.accepted(&[5, 6, 1])),
+            (10, 3, 2)
+        );
         assert_eq!(ahead.take_logits(&[]), None);
         assert_eq!(ahead.take_logits(&[5, 6]), Some(vec![0.6]));
         assert_eq!(ahead.take_logits(&[5, 6]), None);

@@ -19,7 +19,8 @@ pub struct ModelCheck {
     /// The formats of its weights in memory.
     pub load: LoadReport,
     pub memory: Option<MemoryNeed>,
-    /// All errors; empty if the model can be opened. Weights that are not finite show only when it is opened.
+    /// All errors; empty if the model can be opened. Weights that are not finite show only when it
+    /// is opened.
     pub problems: Vec<String>,
 }
 
@@ -81,17 +82,34 @@ fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut Mo
     let family = checkpoint.family;
     match (family.family().decoder_config)(&checkpoint.files) {
         Ok(decoder) => {
-            check.memory = Some(MemoryNeed::of(&checkpoint, &decoder, loading.quantize, loading.context));
+            check.memory = Some(MemoryNeed::of(
+                &checkpoint,
+                &decoder,
+                loading.quantize,
+                loading.context,
+            ));
             if loading.memory == MemoryCheck::Refuse {
-                note(check, memory::check(&checkpoint, &decoder, loading.quantize, loading.context));
+                note(
+                    check,
+                    memory::check(&checkpoint, &decoder, loading.quantize, loading.context),
+                );
             }
         }
         Err(error) => check.problems.push(error.to_string()),
     }
     checkpoint.weights.only_look();
     let model = checkpoint.open_model();
-    check.load.notes.clone_from(&checkpoint.weights.report().notes);
-    check.problems.extend(checkpoint.weights.problems().iter().map(ToString::to_string));
+    check
+        .load
+        .notes
+        .clone_from(&checkpoint.weights.report().notes);
+    check.problems.extend(
+        checkpoint
+            .weights
+            .problems()
+            .iter()
+            .map(ToString::to_string),
+    );
     match model {
         Ok(model) => look_at_chats(model, &checkpoint.files, family, loading, check),
         Err(error) => {
@@ -105,14 +123,21 @@ fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut Mo
 }
 
 /// Checks the small files of a model whose weights are not checked.
-fn look_at_files(files: &ModelFiles, family: Architecture, loading: &Loading, check: &mut ModelCheck) {
+fn look_at_files(
+    files: &ModelFiles,
+    family: Architecture,
+    loading: &Loading,
+    check: &mut ModelCheck,
+) {
     let mut weights = Weights::empty(files.place(), WeightFormatPlan::default());
     weights.only_list();
     match (family.family().open)(files, &mut weights) {
         Ok(model) => look_at_chats(model, files, family, loading, check),
         Err(error) => {
             note::<()>(check, Err(error));
-            let tokenizer = loading.tokenizer(files, family).and_then(|files| files.required_json("tokenizer.json"));
+            let tokenizer = loading
+                .tokenizer(files, family)
+                .and_then(|files| files.required_json("tokenizer.json"));
             note(check, tokenizer);
         }
     }
@@ -141,5 +166,7 @@ fn look_at_chats(
 /// Notes an error once.
 fn note<T>(check: &mut ModelCheck, outcome: Result<T, MllmError>) {
     let problem = outcome.err().map(|error| error.to_string());
-    check.problems.extend(problem.filter(|problem| !check.problems.contains(problem)));
+    check
+        .problems
+        .extend(problem.filter(|problem| !check.problems.contains(problem)));
 }

@@ -20,15 +20,18 @@ const TEST: &str = "local::determinism_tests::logits_are_the_same_bits_at_any_th
 
 /// A model with random weights in the shape of a configuration.
 fn random(architecture: &str, config: &Value, processor: &Value) -> Box<dyn VisionLanguageModel> {
-    let texts = [("config.json", config), ("preprocessor_config.json", processor)];
+    let texts = [
+        ("config.json", config),
+        ("preprocessor_config.json", processor),
+    ];
     let texts = texts.map(|(name, value)| (name.to_string(), value.to_string()));
     let files = ModelFiles::packed(Path::new(architecture), texts.into());
     let family = Architecture::named(architecture).unwrap().family();
     (family.open)(&files, &mut Weights::random(7)).unwrap()
 }
 
-/// Models of nano's size (vision 4 x 192, decoder 6 x 256) with random weights, large enough to split matrix products over
-/// threads: every family that is built in.
+/// Models of nano's size (vision 4 x 192, decoder 6 x 256) with random weights, large enough to
+/// split matrix products over threads: every family that is built in.
 fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     let tower = |heads: &str, image_size: u32| {
         json!({"hidden_size": 192, "intermediate_size": 768, "num_hidden_layers": 4, heads: 6, "image_size": image_size,
@@ -37,16 +40,25 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     let text = json!({"hidden_size": 256, "intermediate_size": 688, "num_hidden_layers": 6, "num_attention_heads": 8,
         "num_key_value_heads": 4, "vocab_size": 512, "max_position_embeddings": 512});
     let with = |mut value: Value, keys: Value| {
-        value.as_object_mut().unwrap().extend(keys.as_object().unwrap().clone());
+        value
+            .as_object_mut()
+            .unwrap()
+            .extend(keys.as_object().unwrap().clone());
         value
     };
     let grids = json!([[128, 256], [256, 128]]);
     let llava = json!({"image_token_index": 3, "vision_config": tower("num_attention_heads", 128), "text_config": text,
         "image_grid_pinpoints": grids});
     let square = json!({"size": 128, "crop_size": 128, "image_grid_pinpoints": grids});
-    let cogvlm = with(text.clone(), json!({"num_key_value_heads": 8, "vision_config": tower("num_heads", 128)}));
+    let cogvlm = with(
+        text.clone(),
+        json!({"num_key_value_heads": 8, "vision_config": tower("num_heads", 128)}),
+    );
     let tiles = |keys: Value| {
-        with(keys, json!({"image_token_id": 3, "text_config": text, "vision_config": tower("num_attention_heads", 64)}))
+        with(
+            keys,
+            json!({"image_token_id": 3, "text_config": text, "vision_config": tower("num_attention_heads", 64)}),
+        )
     };
     let longest = json!({"size": {"longest_edge": 128}, "max_image_size": {"longest_edge": 64}});
     let axes = |lengths: [u32; 3], vision: Value| {
@@ -60,21 +72,42 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     let deep = json!({"num_position_embeddings": 64, "deepstack_visual_indexes": [0, 2]});
     let windows = json!({"window_size": 64, "fullatt_block_indexes": [1, 3]});
     let pixels = json!({"size": {"shortest_edge": 1024, "longest_edge": 65_536}});
-    let picture =
-        |width, height| RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]));
+    let picture = |width, height| {
+        RgbImage::from_fn(width, height, |x, y| {
+            image::Rgb([x as u8, y as u8, (x * y) as u8])
+        })
+    };
     let mut biased = tiles(json!({}));
     biased["vision_config"]["attention_bias"] = json!(true);
     let models = vec![
         (random("llava", &llava, &square), picture(128, 128)),
         (random("llava-next", &llava, &square), picture(200, 90)),
         (random("cogvlm", &cogvlm, &json!({})), picture(140, 100)),
-        (random("smolvlm", &tiles(json!({})), &longest), picture(120, 90)),
-        (random("internvl", &biased, &json!({"max_patches": 4, "size": 64})), picture(100, 200)),
-        (random("qwen3-vl", &axes([6, 5, 5], deep), &pixels), picture(160, 100)),
-        (random("qwen2.5-vl", &axes([4, 6, 6], windows), &pixels), picture(130, 170)),
+        (
+            random("smolvlm", &tiles(json!({})), &longest),
+            picture(120, 90),
+        ),
+        (
+            random("internvl", &biased, &json!({"max_patches": 4, "size": 64})),
+            picture(100, 200),
+        ),
+        (
+            random("qwen3-vl", &axes([6, 5, 5], deep), &pixels),
+            picture(160, 100),
+        ),
+        (
+            random("qwen2.5-vl", &axes([4, 6, 6], windows), &pixels),
+            picture(130, 170),
+        ),
     ];
     let known: Vec<&str> = Families::default().iter().map(Architecture::name).collect();
-    assert_eq!(models.iter().map(|(model, _)| model.info().architecture).collect::<Vec<_>>(), known);
+    assert_eq!(
+        models
+            .iter()
+            .map(|(model, _)| model.info().architecture)
+            .collect::<Vec<_>>(),
+        known
+    );
     models
 }
 
@@ -85,8 +118,10 @@ fn logits_hash() -> String {
         let model = &*model;
         let features = model.encode_image(&image).unwrap();
         let patches = features.layout.tokens;
-        let ids: Vec<u32> =
-            (10..40).chain(std::iter::repeat_n(model.info().image_token, patches)).chain(100..190).collect();
+        let ids: Vec<u32> = (10..40)
+            .chain(std::iter::repeat_n(model.info().image_token, patches))
+            .chain(100..190)
+            .collect();
         let mut sequence = Sequence::new(model);
         let mut add = |logits: Option<Tensor>| -> u32 {
             let row: Vec<f32> = logits.unwrap().flatten_all().unwrap().to_vec1().unwrap();
@@ -96,12 +131,18 @@ fn logits_hash() -> String {
             }
             (row[0].to_bits() % 500).max(4)
         };
-        let mut token = add(sequence.append(model, &ids, Some(&features), Logits::All).unwrap());
+        let mut token = add(sequence
+            .append(model, &ids, Some(&features), Logits::All)
+            .unwrap());
         for _ in 0..10 {
-            token = add(sequence.append(model, &[token], Some(&features), Logits::Last).unwrap());
+            token = add(sequence
+                .append(model, &[token], Some(&features), Logits::Last)
+                .unwrap());
         }
         sequence.truncate(patches + 86);
-        add(sequence.append(model, &[5, 6, 7, 8, 9], Some(&features), Logits::All).unwrap());
+        add(sequence
+            .append(model, &[5, 6, 7, 8, 9], Some(&features), Logits::All)
+            .unwrap());
     }
     hasher.finalize().to_hex().to_string()
 }
@@ -145,18 +186,26 @@ fn a_prompt_in_chunks_gives_the_logits_of_the_whole_also_where_a_chunk_ends_insi
         let model = &*model;
         let features = model.encode_image(&image).unwrap();
         let patches = features.layout.tokens;
-        let ids: Vec<u32> =
-            (10..40).chain(std::iter::repeat_n(model.info().image_token, patches)).chain(100..150).collect();
+        let ids: Vec<u32> = (10..40)
+            .chain(std::iter::repeat_n(model.info().image_token, patches))
+            .chain(100..150)
+            .collect();
         let logits = |chunk: usize| -> Vec<f32> {
             let mut sequence = Sequence::new(model);
             let mut logits = None;
             for part in ids.chunks(chunk) {
-                logits = sequence.append(model, part, Some(&features), Logits::Last).unwrap();
+                logits = sequence
+                    .append(model, part, Some(&features), Logits::Last)
+                    .unwrap();
             }
             logits.unwrap().flatten_all().unwrap().to_vec1().unwrap()
         };
         let (whole, chunks) = (logits(ids.len()), logits(33));
-        let apart = whole.iter().zip(&chunks).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        let apart = whole
+            .iter()
+            .zip(&chunks)
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f32::max);
         assert!(apart < 1e-4, "{}: {apart}", model.info().architecture);
     }
 }

@@ -13,7 +13,8 @@ use crate::{Deadline, MllmError};
 /// Longest draft of a model, tokens: each costs a pass of it.
 const MAX_DRAFT: usize = 8;
 
-/// A small model with the vocabulary of the model that it drafts for. It reads the text of chats alone.
+/// A small model with the vocabulary of the model that it drafts for. It reads the text of chats
+/// alone.
 #[derive(Debug)]
 pub(super) struct DraftModel(Box<dyn VisionLanguageModel>);
 
@@ -22,14 +23,22 @@ impl DraftModel {
     ///
     /// # Errors
     /// When its vocabulary is another, among others.
-    pub(super) fn open(place: &ModelPlace, loading: &Loading, drafts_for: &ChatTokenizer) -> Result<Self, MllmError> {
+    pub(super) fn open(
+        place: &ModelPlace,
+        loading: &Loading,
+        drafts_for: &ChatTokenizer,
+    ) -> Result<Self, MllmError> {
         let mut checkpoint = loading.checkpoint(place)?;
         let files = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
         let model = checkpoint.open_model()?;
-        let tokenizer = ChatTokenizer::open(&files, model.info().vocabulary, model.info().image_token)?;
+        let tokenizer =
+            ChatTokenizer::open(&files, model.info().vocabulary, model.info().image_token)?;
         match tokenizer.vocabulary_difference(drafts_for) {
             None => Ok(Self(model)),
-            Some(problem) => Err(MllmError::DraftModel { place: place.path().to_path_buf(), problem }),
+            Some(problem) => Err(MllmError::DraftModel {
+                place: place.path().to_path_buf(),
+                problem,
+            }),
         }
     }
 }
@@ -43,10 +52,14 @@ pub(super) struct Drafting {
 
 impl Drafting {
     pub(super) fn new(model: &Arc<DraftModel>) -> Self {
-        Self { sequence: Sequence::new(&*model.0), model: Arc::clone(model) }
+        Self {
+            sequence: Sequence::new(&*model.0),
+            model: Arc::clone(model),
+        }
     }
 
-    /// At most `limit` tokens that the model would write behind a chat, whose placeholder of an image is `image`.
+    /// At most `limit` tokens that the model would write behind a chat, whose placeholder of an
+    /// image is `image`.
     pub(super) fn draft(
         &mut self,
         chat: &[u32],
@@ -57,18 +70,33 @@ impl Drafting {
         let model = &*self.model.0;
         let is_image = |id: u32| id == image || id == model.info().image_token;
         let text: Vec<u32> = chat.iter().copied().filter(|id| !is_image(*id)).collect();
-        if text.iter().any(|id| *id as usize >= model.info().vocabulary) {
+        if text
+            .iter()
+            .any(|id| *id as usize >= model.info().vocabulary)
+        {
             return Ok(Vec::new());
         }
-        let limit = limit.min(MAX_DRAFT).min(model.context(0).saturating_sub(text.len()));
-        let agree = self.sequence.ids().iter().zip(&text).take_while(|(a, b)| a == b).count();
-        self.sequence.truncate(agree.min(text.len().saturating_sub(1)));
+        let limit = limit
+            .min(MAX_DRAFT)
+            .min(model.context(0).saturating_sub(text.len()));
+        let agree = self
+            .sequence
+            .ids()
+            .iter()
+            .zip(&text)
+            .take_while(|(a, b)| a == b)
+            .count();
+        self.sequence
+            .truncate(agree.min(text.len().saturating_sub(1)));
         let mut next = text[self.sequence.ids().len()..].to_vec();
         let mut draft = Vec::new();
         while draft.len() < limit {
-            let logits = self.sequence.append_in_passes(model, &next, None, Logits::Last, deadline)?;
+            let logits =
+                self.sequence
+                    .append_in_passes(model, &next, None, Logits::Last, deadline)?;
             let Some(logits) = logits else { break };
-            let best = most_likely(&logits.flatten_all()?.to_vec1::<f32>()?).filter(|token| !is_image(*token));
+            let best = most_likely(&logits.flatten_all()?.to_vec1::<f32>()?)
+                .filter(|token| !is_image(*token));
             let Some(token) = best else { break };
             draft.push(token);
             next = vec![token];

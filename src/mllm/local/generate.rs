@@ -29,7 +29,8 @@ pub(super) struct Generated {
     pub(super) finish: FinishReason,
     /// Duration of the first forward pass, over the prompt.
     pub(super) prefill: f64,
-    /// End of the first forward pass, from the start of the round; without a pass, the start of generation.
+    /// End of the first forward pass, from the start of the round; without a pass, the start of
+    /// generation.
     pub(super) prefill_end: f64,
     /// When the first token was sampled, from the start of the round; zero if none was.
     pub(super) first_token: f64,
@@ -49,8 +50,9 @@ struct Generation<'a> {
     model: &'a dyn VisionLanguageModel,
     sequence: &'a mut Sequence,
     features: Option<&'a ImageFeatures>,
-    /// Tokens since the last pass: the rest of the prompt, then those appended to the answer. Fast-forwarded tokens gather here and
-    /// are computed in one pass before the next token is sampled.
+    /// Tokens since the last pass: the rest of the prompt, then those appended to the answer.
+    /// Fast-forwarded tokens gather here and are computed in one pass before the next token is
+    /// sampled.
     pending: Vec<u32>,
     /// Tokens that the sequence already holds behind its last token that is certain.
     ahead: Ahead,
@@ -67,9 +69,13 @@ struct Generation<'a> {
     start: Instant,
 }
 
-/// Generates an answer after `prompt`, the part of the prompt that `sequence` does not hold yet. `on_tokens` gets the answer so
-/// far whenever it has grown. With a drafter, tokens and sequence are those without one.
-#[expect(clippy::too_many_arguments, reason = "one call, and each argument is of another kind")]
+/// Generates an answer after `prompt`, the part of the prompt that `sequence` does not hold yet.
+/// `on_tokens` gets the answer so far whenever it has grown. With a drafter, tokens and sequence
+/// are those without one.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "one call, and each argument is of another kind"
+)]
 pub(super) fn generate(
     model: &dyn VisionLanguageModel,
     sequence: &mut Sequence,
@@ -83,7 +89,9 @@ pub(super) fn generate(
     start: Instant,
     on_tokens: &mut dyn FnMut(&[u32]),
 ) -> Result<Generated, MllmError> {
-    let room = end.context.saturating_sub(sequence.ids().len() + prompt.len());
+    let room = end
+        .context
+        .saturating_sub(sequence.ids().len() + prompt.len());
     let (budget, at_budget) = if end.max_new_tokens <= room {
         (end.max_new_tokens, FinishReason::Length)
     } else {
@@ -145,10 +153,16 @@ impl Generation<'_> {
                 return Ok(());
             }
             let allowed = grammar.as_mut().map(GrammarState::allowed).transpose()?;
-            let given = self.search.as_ref().and_then(|search| search.given(self.out.ids.len()));
+            let given = self
+                .search
+                .as_ref()
+                .and_then(|search| search.given(self.out.ids.len()));
             let (token, sampled) = match given.or_else(|| allowed.as_ref().and_then(only_token)) {
                 Some(token) => (token, false),
-                None => (self.choose(sampler, grammar.as_mut(), allowed.as_ref())?, true),
+                None => (
+                    self.choose(sampler, grammar.as_mut(), allowed.as_ref())?,
+                    true,
+                ),
             };
             if end_tokens.contains(&token) {
                 self.out.finish = FinishReason::EndOfSequence;
@@ -166,7 +180,8 @@ impl Generation<'_> {
         }
     }
 
-    /// Samples a token, from logits that are computed already, or else by a pass over the pending tokens and a draft.
+    /// Samples a token, from logits that are computed already, or else by a pass over the pending
+    /// tokens and a draft.
     fn choose(
         &mut self,
         sampler: &mut Sampler,
@@ -180,20 +195,29 @@ impl Generation<'_> {
         self.needed = self.ahead.start() + self.pending.len();
         // An answer has no image, so the placeholder is never sampled.
         let (banned, position) = (self.model.info().image_token, self.needed.saturating_sub(1));
-        let Some(search) = &mut self.search else { return sampler.choose(logits, allowed, banned, position) };
+        let Some(search) = &mut self.search else {
+            return sampler.choose(logits, allowed, banned, position);
+        };
         let token = sampler.choose(logits.clone(), allowed, banned, position)?;
         search.note(&self.out.ids, token, &logits, allowed, banned);
         Ok(token)
     }
 
-    /// Computes the pending tokens with a draft of those that may follow; gives the logits after the pending ones.
+    /// Computes the pending tokens with a draft of those that may follow; gives the logits after
+    /// the pending ones.
     fn compute(&mut self, grammar: Option<&mut GrammarState>) -> Result<Vec<f32>, MllmError> {
         self.settle();
         let pass_start = Instant::now();
         let draft = self.draft(grammar)?;
         let tokens = [self.pending.as_slice(), &draft].concat();
         let wanted = Logits::Tail(1 + draft.len());
-        let appended = self.sequence.append_in_passes(self.model, &tokens, self.features, wanted, self.deadline);
+        let appended = self.sequence.append_in_passes(
+            self.model,
+            &tokens,
+            self.features,
+            wanted,
+            self.deadline,
+        );
         if appended.is_err() {
             // The passes before the failed one had no draft.
             self.needed = self.sequence.ids().len();
@@ -206,13 +230,23 @@ impl Generation<'_> {
         self.passes += 1;
         self.out.drafted += draft.len();
         self.pending.clear();
-        let mut rows = logits.as_ref().map_or_else(|| Ok(Vec::new()), Tensor::to_vec2)?.into_iter();
-        let first = rows.next().ok_or(MllmError::MissingLogits { position: self.sequence.ids().len() })?;
-        self.ahead = Ahead::new(self.sequence.ids().len() - draft.len(), draft, rows.collect());
+        let mut rows = logits
+            .as_ref()
+            .map_or_else(|| Ok(Vec::new()), Tensor::to_vec2)?
+            .into_iter();
+        let first = rows.next().ok_or(MllmError::MissingLogits {
+            position: self.sequence.ids().len(),
+        })?;
+        self.ahead = Ahead::new(
+            self.sequence.ids().len() - draft.len(),
+            draft,
+            rows.collect(),
+        );
         Ok(first)
     }
 
-    /// Gives up what was computed ahead and is not what was chosen; the pending tokens are then those that are not computed.
+    /// Gives up what was computed ahead and is not what was chosen; the pending tokens are then
+    /// those that are not computed.
     fn settle(&mut self) {
         let accepted = self.ahead.accepted(&self.pending);
         if let Some(drafter) = &mut self.drafter {
@@ -226,19 +260,34 @@ impl Generation<'_> {
         self.ahead = Ahead::default();
     }
 
-    /// Tokens that may follow the pending ones, and that the grammar allows. None where a pass of several tokens could give
-    /// other numbers than passes of one.
+    /// Tokens that may follow the pending ones, and that the grammar allows. None where a pass of
+    /// several tokens could give other numbers than passes of one.
     fn draft(&mut self, grammar: Option<&mut GrammarState>) -> Result<Vec<u32>, MllmError> {
-        let Some(drafter) = &mut self.drafter else { return Ok(Vec::new()) };
-        let exact = self.model.decoder().exact_pass().saturating_sub(self.pending.len());
+        let Some(drafter) = &mut self.drafter else {
+            return Ok(Vec::new());
+        };
+        let exact = self
+            .model
+            .decoder()
+            .exact_pass()
+            .saturating_sub(self.pending.len());
         let limit = exact.min((self.budget - self.out.ids.len()).saturating_sub(1));
         if limit == 0 {
             return Ok(Vec::new());
         }
         let chat = [self.sequence.ids(), &self.pending].concat();
-        let mut draft = drafter.draft(&chat, &self.out.ids, self.model.info().image_token, limit, self.deadline)?;
+        let mut draft = drafter.draft(
+            &chat,
+            &self.out.ids,
+            self.model.info().image_token,
+            limit,
+            self.deadline,
+        )?;
         let vocabulary = self.model.info().vocabulary;
-        let known = draft.iter().take_while(|token| (**token as usize) < vocabulary).count();
+        let known = draft
+            .iter()
+            .take_while(|token| (**token as usize) < vocabulary)
+            .count();
         draft.truncate(known);
         if let Some(grammar) = grammar {
             draft.truncate(grammar.allowed_prefix(&draft)?);

@@ -1,8 +1,9 @@
 //! The likeliest answers to a prompt, by a search over the tokens that were not chosen.
 //!
-//! An answer is as likely as the product of its tokens' probabilities, and each of its beginnings is at least as likely. So the
-//! likeliest beginning that was left open is completed next. The search ends when the answers found are likelier than every
-//! beginning that is left: best-first search, as in A* with nothing to estimate.
+//! An answer is as likely as the product of its tokens' probabilities, and each of its beginnings
+//! is at least as likely. So the likeliest beginning that was left open is completed next. The
+//! search ends when the answers found are likelier than every beginning that is left: best-first
+//! search, as in A* with nothing to estimate.
 
 use toktrie::SimpleVob;
 
@@ -10,7 +11,8 @@ use crate::Answer;
 
 /// Alternatives to a chosen token that are kept: more than any choice in a planner code has.
 const MAX_ALTERNATIVES: usize = 64;
-/// Completed answers for one that is wanted, at most. A flat distribution has many beginnings that are equally likely.
+/// Completed answers for one that is wanted, at most. A flat distribution has many beginnings that
+/// are equally likely.
 const MAX_COMPLETED: usize = 8;
 
 /// The beginning of an answer, with the logarithm of its probability.
@@ -36,7 +38,10 @@ pub(super) struct Search {
 
 impl Search {
     pub(super) fn new(count: usize) -> Self {
-        Self { count, ..Self::default() }
+        Self {
+            count,
+            ..Self::default()
+        }
     }
 
     /// The token that the answer has at this place, where its beginning is given.
@@ -53,47 +58,88 @@ impl Search {
         allowed: Option<&SimpleVob>,
         banned: u32,
     ) {
-        let may_follow = |token: u32| token != banned && allowed.is_none_or(|allowed| allowed.is_allowed(token));
-        let weighed =
-            || logits.iter().zip(0..).filter(|(_, token)| may_follow(*token)).map(|(l, token)| (f64::from(*l), token));
-        let highest = weighed().map(|(logit, _)| logit).fold(f64::NEG_INFINITY, f64::max);
-        let total = highest + weighed().map(|(logit, _)| (logit - highest).exp()).sum::<f64>().ln();
+        let may_follow =
+            |token: u32| token != banned && allowed.is_none_or(|allowed| allowed.is_allowed(token));
+        let weighed = || {
+            logits
+                .iter()
+                .zip(0..)
+                .filter(|(_, token)| may_follow(*token))
+                .map(|(l, token)| (f64::from(*l), token))
+        };
+        let highest = weighed()
+            .map(|(logit, _)| logit)
+            .fold(f64::NEG_INFINITY, f64::max);
+        let total = highest
+            + weighed()
+                .map(|(logit, _)| (logit - highest).exp())
+                .sum::<f64>()
+                .ln();
         let mut others: Vec<(f64, u32)> = weighed().filter(|(_, token)| *token != chosen).collect();
         others.sort_by(|a, b| b.0.total_cmp(&a.0));
         for (logit, token) in others.into_iter().take(MAX_ALTERNATIVES) {
             let tokens = [answer, &[token]].concat();
-            self.open.push(Beginning { tokens, log_probability: self.log_probability + logit - total });
+            self.open.push(Beginning {
+                tokens,
+                log_probability: self.log_probability + logit - total,
+            });
         }
-        let chosen = logits.get(chosen as usize).map_or(f64::NEG_INFINITY, |logit| f64::from(*logit));
+        let chosen = logits
+            .get(chosen as usize)
+            .map_or(f64::NEG_INFINITY, |logit| f64::from(*logit));
         self.log_probability += chosen - total;
     }
 
-    /// Keeps a completed answer and turns to the likeliest beginning that is left; `false` when the likeliest answers are found.
+    /// Keeps a completed answer and turns to the likeliest beginning that is left; `false` when the
+    /// likeliest answers are found.
     pub(super) fn turn_to_next(&mut self, answer: Answer) -> bool {
         self.completed += 1;
         // A text can be spelled with other tokens; its likeliest spelling counts.
-        match self.answers.iter_mut().find(|(_, known)| known.text == answer.text) {
-            Some(known) if known.0 < self.log_probability => *known = (self.log_probability, answer),
+        match self
+            .answers
+            .iter_mut()
+            .find(|(_, known)| known.text == answer.text)
+        {
+            Some(known) if known.0 < self.log_probability => {
+                *known = (self.log_probability, answer)
+            }
             Some(_) => {}
             None => self.answers.push((self.log_probability, answer)),
         }
         self.answers.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let needed = self.count.checked_sub(1).and_then(|last| self.answers.get(last)).map(|(found, _)| *found);
-        let likeliest = (0..self.open.len()).rev().max_by(|a, b| self.likelihood(*a).total_cmp(&self.likelihood(*b)));
-        let Some(next) = likeliest.filter(|next| needed.is_none_or(|needed| self.likelihood(*next) > needed)) else {
+        let needed = self
+            .count
+            .checked_sub(1)
+            .and_then(|last| self.answers.get(last))
+            .map(|(found, _)| *found);
+        let likeliest = (0..self.open.len())
+            .rev()
+            .max_by(|a, b| self.likelihood(*a).total_cmp(&self.likelihood(*b)));
+        let Some(next) =
+            likeliest.filter(|next| needed.is_none_or(|needed| self.likelihood(*next) > needed))
+        else {
             return false;
         };
-        let Beginning { tokens, log_probability } = self.open.swap_remove(next);
+        let Beginning {
+            tokens,
+            log_probability,
+        } = self.open.swap_remove(next);
         (self.given, self.log_probability) = (tokens, log_probability);
         self.completed < self.count * MAX_COMPLETED
     }
 
     /// The likeliest answers, the likeliest first.
     pub(super) fn into_answers(self) -> Vec<Answer> {
-        self.answers.into_iter().take(self.count).map(|(_, answer)| answer).collect()
+        self.answers
+            .into_iter()
+            .take(self.count)
+            .map(|(_, answer)| answer)
+            .collect()
     }
 
     fn likelihood(&self, open: usize) -> f64 {
-        self.open.get(open).map_or(f64::NEG_INFINITY, |beginning| beginning.log_probability)
+        self.open
+            .get(open)
+            .map_or(f64::NEG_INFINITY, |beginning| beginning.log_probability)
     }
 }

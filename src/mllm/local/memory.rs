@@ -27,13 +27,16 @@ pub struct MemoryNeed {
     pub work: u64,
 }
 
-/// Tokens of a planning call with the long prompt set and the largest image (2928 tokens), rounded up.
+/// Tokens of a planning call with the long prompt set and the largest image (2928 tokens), rounded
+/// up.
 const CALL_TOKENS: u64 = 4096;
-/// Activations of a token that are alive at once: rows of the hidden width, and of the feed-forward width.
+/// Activations of a token that are alive at once: rows of the hidden width, and of the feed-forward
+/// width.
 const ROWS: (u64, u64) = (8, 3);
 
 impl MemoryNeed {
-    /// The need of a checkpoint with this decoder, weights in the format `quantize`, and chats of at most `context` tokens.
+    /// The need of a checkpoint with this decoder, weights in the format `quantize`, and chats of
+    /// at most `context` tokens.
     pub(crate) fn of(
         checkpoint: &Checkpoint,
         decoder: &LlamaConfig,
@@ -41,16 +44,27 @@ impl MemoryNeed {
         context: Option<usize>,
     ) -> Self {
         let float = size_of::<f32>() as u64;
-        let embedding = checkpoint.weights.matrices(quantize).find(|(name, ..)| name.ends_with("embed_tokens.weight"));
+        let embedding = checkpoint
+            .weights
+            .matrices(quantize)
+            .find(|(name, ..)| name.ends_with("embed_tokens.weight"));
         // As the decoder holds them: beside rounded weights, keys and values have 16 bits.
         let lossless = quantize.is_none() && checkpoint.weights.is_lossless();
-        let single = lossless || embedding.is_none_or(|(.., weight_format)| weight_format == WeightFormat::F32);
-        let key_value = if single { float } else { size_of::<half::f16>() as u64 };
-        let tokens = context.map_or(CALL_TOKENS, |context| context as u64).min(decoder.context as u64);
+        let single = lossless
+            || embedding.is_none_or(|(.., weight_format)| weight_format == WeightFormat::F32);
+        let key_value = if single {
+            float
+        } else {
+            size_of::<half::f16>() as u64
+        };
+        let tokens = context
+            .map_or(CALL_TOKENS, |context| context as u64)
+            .min(decoder.context as u64);
         let elements = |shape: &[usize]| shape.iter().product::<usize>() as u64;
         let shapes = || checkpoint.weights.shapes().map(|(_, shape)| shape);
         let largest = shapes().map(elements).max().unwrap_or(0);
-        // Bounded by the weights: a configuration that exceeds them is refused when they are taken, with the key at fault.
+        // Bounded by the weights: a configuration that exceeds them is refused when they are taken,
+        // with the key at fault.
         let widest = shapes().flatten().copied().max().unwrap_or(0);
         let width = |width: usize| width.min(widest) as u64;
         let layers = decoder.layers.min(shapes().count()) as u64;
@@ -64,7 +78,9 @@ impl MemoryNeed {
     }
 
     pub fn total(&self) -> u64 {
-        [self.cache, self.work].into_iter().fold(self.weights, u64::saturating_add)
+        [self.cache, self.work]
+            .into_iter()
+            .fold(self.weights, u64::saturating_add)
     }
 }
 
@@ -78,7 +94,9 @@ pub(super) fn check(
     quantize: Option<WeightFormat>,
     context: Option<usize>,
 ) -> Result<(), MllmError> {
-    let Some(free) = free_memory() else { return Ok(()) };
+    let Some(free) = free_memory() else {
+        return Ok(());
+    };
     check_against(free, checkpoint, decoder, quantize, context)
 }
 
@@ -94,13 +112,24 @@ fn check_against(
         return Ok(());
     }
     let smaller = [WeightFormat::Q8_0, WeightFormat::Q4K]
-        .map(|weight_format| (weight_format, MemoryNeed::of(checkpoint, decoder, Some(weight_format), context).total()))
+        .map(|weight_format| {
+            (
+                weight_format,
+                MemoryNeed::of(checkpoint, decoder, Some(weight_format), context).total(),
+            )
+        })
         .into_iter()
         .filter(|(_, total)| *total < need.total());
     let hints: Vec<String> = smaller
-        .map(|(weight_format, total)| format!("--quantize {weight_format} would take {}", in_bytes(total)))
+        .map(|(weight_format, total)| {
+            format!("--quantize {weight_format} would take {}", in_bytes(total))
+        })
         .collect();
-    let hint = if hints.is_empty() { "no format is smaller".to_string() } else { hints.join(", ") };
+    let hint = if hints.is_empty() {
+        "no format is smaller".to_string()
+    } else {
+        hints.join(", ")
+    };
     Err(MllmError::Memory {
         place: checkpoint.files.place().to_path_buf(),
         problem: format!(
@@ -114,36 +143,64 @@ fn check_against(
     })
 }
 
-/// Memory that this process may still take, bytes: available memory without swapping, within the limit of the control
-/// group. None where neither can be read (systems other than Linux).
+/// Memory that this process may still take, bytes: available memory without swapping, within the
+/// limit of the control group. None where neither can be read (systems other than Linux).
 fn free_memory() -> Option<u64> {
     let system = available(&std::fs::read_to_string("/proc/meminfo").ok()?)?;
-    let group = std::fs::read_to_string("/proc/self/cgroup").ok().and_then(|text| group_left(&text));
+    let group = std::fs::read_to_string("/proc/self/cgroup")
+        .ok()
+        .and_then(|text| group_left(&text));
     Some(group.map_or(system, |left| left.min(system)))
 }
 
 /// `MemAvailable` of `/proc/meminfo`, bytes.
 fn available(meminfo: &str) -> Option<u64> {
-    let line = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
+    let line = meminfo
+        .lines()
+        .find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    line.trim()
+        .strip_suffix("kB")?
+        .trim()
+        .parse::<u64>()
+        .ok()?
+        .checked_mul(1024)
 }
 
-/// Bytes that the limits of the control group (version 2) and its ancestors leave; none without a limit.
+/// Bytes that the limits of the control group (version 2) and its ancestors leave; none without a
+/// limit.
 fn group_left(cgroup: &str) -> Option<u64> {
     let path = cgroup.lines().find_map(|line| line.strip_prefix("0::/"))?;
     let root = Path::new("/sys/fs/cgroup");
-    let number = |file: &Path| std::fs::read_to_string(file).ok()?.trim().parse::<u64>().ok();
+    let number = |file: &Path| {
+        std::fs::read_to_string(file)
+            .ok()?
+            .trim()
+            .parse::<u64>()
+            .ok()
+    };
     let left = |group: &Path| {
         let limit = number(&group.join("memory.max"))?;
         // The kernel reclaims pages of files when memory is short.
-        let file = std::fs::read_to_string(group.join("memory.stat")).ok().and_then(|stat| inactive_file(&stat));
-        Some(limit.saturating_sub(number(&group.join("memory.current"))?.saturating_sub(file.unwrap_or(0))))
+        let file = std::fs::read_to_string(group.join("memory.stat"))
+            .ok()
+            .and_then(|stat| inactive_file(&stat));
+        Some(limit.saturating_sub(
+            number(&group.join("memory.current"))?.saturating_sub(file.unwrap_or(0)),
+        ))
     };
-    root.join(path).ancestors().take_while(|group| group.starts_with(root)).filter_map(left).min()
+    root.join(path)
+        .ancestors()
+        .take_while(|group| group.starts_with(root))
+        .filter_map(left)
+        .min()
 }
 
 fn inactive_file(stat: &str) -> Option<u64> {
-    stat.lines().find_map(|line| line.strip_prefix("inactive_file "))?.trim().parse().ok()
+    stat.lines()
+        .find_map(|line| line.strip_prefix("inactive_file "))?
+        .trim()
+        .parse()
+        .ok()
 }
 
 #[cfg(test)]
@@ -153,7 +210,10 @@ mod tests {
 
     #[test]
     fn the_kernels_tables_are_read() {
-        assert_eq!(available("MemTotal: 9 kB\nMemAvailable:   24031204 kB\nBuffers: 1 kB"), Some(24_031_204 * 1024));
+        assert_eq!(
+            available("MemTotal: 9 kB\nMemAvailable:   24031204 kB\nBuffers: 1 kB"),
+            Some(24_031_204 * 1024)
+        );
         assert_eq!(available("MemTotal: 9 kB"), None);
         assert_eq!(inactive_file("anon 3\ninactive_file 4096\n"), Some(4096));
         assert_eq!(group_left("1:name=systemd:/"), None);
@@ -171,8 +231,13 @@ mod tests {
         // 256 positions, two layers, two heads of 8 numbers.
         assert_eq!(need.cache, 2 * 4 * 256 * 16 * 2);
         assert!(check_against(need.total(), &checkpoint, &decoder, None, None).is_ok());
-        let error = check_against(need.total() - 1, &checkpoint, &decoder, None, None).unwrap_err().to_string();
-        assert!(error.contains("--quantize q8_0 would take") && error.contains("--ignore-memory"), "{error}");
+        let error = check_against(need.total() - 1, &checkpoint, &decoder, None, None)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("--quantize q8_0 would take") && error.contains("--ignore-memory"),
+            "{error}"
+        );
         let rounded = MemoryNeed::of(&checkpoint, &decoder, Some(WeightFormat::Q8_0), None);
         assert!(rounded.weights < need.weights / 2 && rounded.cache == need.cache / 2);
         let short = MemoryNeed::of(&checkpoint, &decoder, None, Some(64));

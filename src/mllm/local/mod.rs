@@ -92,12 +92,14 @@ pub struct Loading {
     pub families: Families,
     /// How images are shown to it.
     pub image: ImageSettings,
-    /// Longest chat, tokens, which bounds the memory of keys and values; none for that of the model.
+    /// Longest chat, tokens, which bounds the memory of keys and values; none for that of the
+    /// model.
     pub context: Option<usize>,
 }
 
 impl Loading {
-    /// Opens a model's small files and the headers of its weights; checks its family and the memory.
+    /// Opens a model's small files and the headers of its weights; checks its family and the
+    /// memory.
     pub(crate) fn checkpoint(&self, place: &ModelPlace) -> Result<Checkpoint, MllmError> {
         let checkpoint = Checkpoint::open(place, self.quantize, &self.families)?;
         self.check_family(&checkpoint)?;
@@ -125,7 +127,11 @@ impl Loading {
     }
 
     /// The files of a model's tokenizer.
-    pub(crate) fn tokenizer(&self, files: &ModelFiles, family: Architecture) -> Result<ModelFiles, MllmError> {
+    pub(crate) fn tokenizer(
+        &self,
+        files: &ModelFiles,
+        family: Architecture,
+    ) -> Result<ModelFiles, MllmError> {
         let tokenizer = match &self.tokenizer {
             Some(folder) => ModelFiles::folder(folder)?,
             None => files.clone(),
@@ -145,7 +151,11 @@ impl LocalModel {
     /// - `preprocessor_config.json` and a chat template, where the family needs them,
     /// - `tokenizer_config.json` and `generation_config.json` if they exist.
     pub fn open(name: &str, folder: &Path) -> Result<Self, MllmError> {
-        Self::load(name, &ModelPlace::Folder(folder.to_path_buf()), &Loading::default())
+        Self::load(
+            name,
+            &ModelPlace::Folder(folder.to_path_buf()),
+            &Loading::default(),
+        )
     }
 
     /// Opens a model with settings.
@@ -175,10 +185,17 @@ impl LocalModel {
         })
     }
 
-    /// Lets another model draft answers, whose vocabulary must be the same. Answers stay as they are.
-    pub fn with_draft_model(mut self, place: &ModelPlace, loading: &Loading) -> Result<Self, MllmError> {
+    /// Lets another model draft answers, whose vocabulary must be the same. Answers stay as they
+    /// are.
+    pub fn with_draft_model(
+        mut self,
+        place: &ModelPlace,
+        loading: &Loading,
+    ) -> Result<Self, MllmError> {
         self.draft_model = Some(Arc::new(DraftModel::open(place, loading, &self.tokenizer)?));
-        self.load.notes.push(format!("answers are drafted by {}", place.path().display()));
+        self.load
+            .notes
+            .push(format!("answers are drafted by {}", place.path().display()));
         Ok(self)
     }
 
@@ -195,9 +212,13 @@ impl LocalModel {
         self.format.ids(&self.tokenizer, chat)
     }
 
-    /// The tokens before the image and the first prompt. They are always computed in a pass of their own, so that their keys
-    /// and values do not depend on the first conversation.
-    fn call_prefix(&self, system: &str, image: Option<ImageLayout>) -> Result<Arc<CallPrefix>, MllmError> {
+    /// The tokens before the image and the first prompt. They are always computed in a pass of
+    /// their own, so that their keys and values do not depend on the first conversation.
+    fn call_prefix(
+        &self,
+        system: &str,
+        image: Option<ImageLayout>,
+    ) -> Result<Arc<CallPrefix>, MllmError> {
         let same = |prefix: &&Arc<CallPrefix>| prefix.image == image && prefix.system == system;
         let known = {
             let prefixes = self.prefixes.lock().unwrap_or_else(PoisonError::into_inner);
@@ -207,18 +228,39 @@ impl LocalModel {
             return Ok(prefix);
         }
         // Prompts without a common character share the tokens that do not depend on the prompt.
-        let ids = self.prompt_ids(&Chat { system, image, turns: &[], prompt: "0" })?;
-        let other = self.prompt_ids(&Chat { system, image, turns: &[], prompt: "z" })?;
+        let ids = self.prompt_ids(&Chat {
+            system,
+            image,
+            turns: &[],
+            prompt: "0",
+        })?;
+        let other = self.prompt_ids(&Chat {
+            system,
+            image,
+            turns: &[],
+            prompt: "z",
+        })?;
         let image_token = self.model.info().image_token;
-        let agree = ids.iter().zip(&other).take_while(|(a, b)| a == b && **a != image_token).count();
+        let agree = ids
+            .iter()
+            .zip(&other)
+            .take_while(|(a, b)| a == b && **a != image_token)
+            .count();
         let len = if agree < MIN_PREFIX { 0 } else { agree };
         let context = self.context(image.map_or(0, |image| image.tokens));
         if len > context {
-            return Err(MllmError::PromptTooLong { tokens: ids.len(), context });
+            return Err(MllmError::PromptTooLong {
+                tokens: ids.len(),
+                context,
+            });
         }
         let mut sequence = Sequence::new(&*self.model);
         sequence.append(&*self.model, &ids[..len], None, Logits::None)?;
-        let prefix = Arc::new(CallPrefix { system: system.to_string(), image, sequence });
+        let prefix = Arc::new(CallPrefix {
+            system: system.to_string(),
+            image,
+            sequence,
+        });
         let mut prefixes = self.prefixes.lock().unwrap_or_else(PoisonError::into_inner);
         if !prefixes.iter().any(|known| same(&known)) {
             if prefixes.len() >= KEPT_PREFIXES {
@@ -252,7 +294,11 @@ impl Mllm for LocalModel {
         }
     }
 
-    fn converse<'a>(&'a self, prefix: &PromptPrefix, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
+    fn converse<'a>(
+        &'a self,
+        prefix: &PromptPrefix,
+        seed: u64,
+    ) -> Result<Box<dyn Conversation + 'a>, MllmError> {
         Ok(Box::new(LocalConversation::open(self, prefix, seed)?))
     }
 
@@ -261,14 +307,17 @@ impl Mllm for LocalModel {
     }
 }
 
-/// The tokens that end an answer: those of `generation_config.json`, else of `config.json`, else of the tokenizer.
+/// The tokens that end an answer: those of `generation_config.json`, else of `config.json`, else of
+/// the tokenizer.
 pub(crate) fn end_tokens(
     files: &ModelFiles,
     tokenizer: &ChatTokenizer,
     vocabulary: usize,
 ) -> Result<Vec<u32>, MllmError> {
     for file in ["generation_config.json", "config.json"] {
-        let Some(value) = files.json(file)? else { continue };
+        let Some(value) = files.json(file)? else {
+            continue;
+        };
         let path = files.path(file);
         let root = ConfigObject::root(&path, &value)?;
         let text = root.child("text_config")?;
@@ -276,16 +325,26 @@ pub(crate) fn end_tokens(
             let ids: Option<OneOrMany<u32>> = object.value("eos_token_id")?;
             let ids = ids.as_ref().map_or(&[][..], OneOrMany::as_slice);
             if let Some(id) = ids.iter().find(|id| **id as usize >= vocabulary) {
-                return Err(object.error("eos_token_id", format!("{id} lies outside the vocabulary of {vocabulary}")));
+                return Err(object.error(
+                    "eos_token_id",
+                    format!("{id} lies outside the vocabulary of {vocabulary}"),
+                ));
             }
             if !ids.is_empty() {
                 return Ok(ids.to_vec());
             }
         }
     }
-    let named = tokenizer.special().get("eos_token").and_then(|token| tokenizer.id(token));
-    named.map(|id| vec![id]).ok_or_else(|| MllmError::Tokenizer {
-        path: tokenizer.path().to_path_buf(),
-        problem: "no end-of-sequence token: neither eos_token_id in the configurations nor eos_token".into(),
-    })
+    let named = tokenizer
+        .special()
+        .get("eos_token")
+        .and_then(|token| tokenizer.id(token));
+    named
+        .map(|id| vec![id])
+        .ok_or_else(|| MllmError::Tokenizer {
+            path: tokenizer.path().to_path_buf(),
+            problem:
+                "no end-of-sequence token: neither eos_token_id in the configurations nor eos_token"
+                    .into(),
+        })
 }

@@ -32,63 +32,189 @@ fn change(folder: &Path, file: &str, pointer: &str, value: Value) {
 fn told(folder: &Path) -> (String, Vec<String>) {
     let place = ModelPlace::Folder(folder.to_path_buf());
     let opened = LocalModel::load("m", &place, &Loading::default());
-    let said = opened.map_or_else(|error| error.to_string(), |model| model.load.notes.join("\n"));
-    (said, LocalModel::check(&place, &Loading::default()).problems)
+    let said = opened.map_or_else(
+        |error| error.to_string(),
+        |model| model.load.notes.join("\n"),
+    );
+    (
+        said,
+        LocalModel::check(&place, &Loading::default()).problems,
+    )
 }
 
 const CONFIG: &str = "config.json";
 const PROCESSOR: &str = "preprocessor_config.json";
 
-/// Sizes that would take gigabytes, or more memory than there is. None fits the weights, and none gets as far.
+/// Sizes that would take gigabytes, or more memory than there is. None fits the weights, and none
+/// gets as far.
 #[test]
 fn sizes_are_bounded_before_memory_is_taken() {
     let most = json!(1_u64 << 22);
     for (model, file, pointer, value) in [
-        ("tiny_llava", CONFIG, "/text_config/num_attention_heads", most.clone()),
+        (
+            "tiny_llava",
+            CONFIG,
+            "/text_config/num_attention_heads",
+            most.clone(),
+        ),
         ("tiny_llava", CONFIG, "/text_config/head_dim", most.clone()),
-        ("tiny_llava", CONFIG, "/text_config/num_hidden_layers", most.clone()),
-        ("tiny_llava", CONFIG, "/text_config/intermediate_size", most.clone()),
-        ("tiny_llava", CONFIG, "/text_config/hidden_size", most.clone()),
-        ("tiny_llava", CONFIG, "/text_config/max_position_embeddings", most.clone()),
-        ("tiny_llava", CONFIG, "/vision_config/hidden_size", most.clone()),
-        ("tiny_llava", CONFIG, "/vision_config/num_hidden_layers", most.clone()),
-        ("tiny_llava", CONFIG, "/vision_config/image_size", json!(65_536)),
-        ("tiny_llava", CONFIG, "/vision_feature_layer", json!(vec![-1; 40_000])),
-        ("tiny_llava", PROCESSOR, "/size", json!({"height": 65_536, "width": 65_536})),
-        ("tiny_llava", PROCESSOR, "/size", json!({"shortest_edge": 65_536})),
+        (
+            "tiny_llava",
+            CONFIG,
+            "/text_config/num_hidden_layers",
+            most.clone(),
+        ),
+        (
+            "tiny_llava",
+            CONFIG,
+            "/text_config/intermediate_size",
+            most.clone(),
+        ),
+        (
+            "tiny_llava",
+            CONFIG,
+            "/text_config/hidden_size",
+            most.clone(),
+        ),
+        (
+            "tiny_llava",
+            CONFIG,
+            "/text_config/max_position_embeddings",
+            most.clone(),
+        ),
+        (
+            "tiny_llava",
+            CONFIG,
+            "/vision_config/hidden_size",
+            most.clone(),
+        ),
+        (
+            "tiny_llava",
+            CONFIG,
+            "/vision_config/num_hidden_layers",
+            most.clone(),
+        ),
+        (
+            "tiny_llava",
+            CONFIG,
+            "/vision_config/image_size",
+            json!(65_536),
+        ),
+        (
+            "tiny_llava",
+            CONFIG,
+            "/vision_feature_layer",
+            json!(vec![-1; 40_000]),
+        ),
+        (
+            "tiny_llava",
+            PROCESSOR,
+            "/size",
+            json!({"height": 65_536, "width": 65_536}),
+        ),
+        (
+            "tiny_llava",
+            PROCESSOR,
+            "/size",
+            json!({"shortest_edge": 65_536}),
+        ),
         ("tiny_llava", PROCESSOR, "/crop_size", json!(65_536)),
-        ("tiny_llava_next", CONFIG, "/image_grid_pinpoints", json!([[16_384, 16_384]])),
-        ("tiny_cogvlm", CONFIG, "/vision_config/image_size", json!(65_536)),
+        (
+            "tiny_llava_next",
+            CONFIG,
+            "/image_grid_pinpoints",
+            json!([[16_384, 16_384]]),
+        ),
+        (
+            "tiny_cogvlm",
+            CONFIG,
+            "/vision_config/image_size",
+            json!(65_536),
+        ),
         ("tiny_cogvlm", CONFIG, "/num_attention_heads", most.clone()),
         ("tiny_smolvlm", CONFIG, "/scale_factor", json!(1 << 20)),
-        ("tiny_smolvlm", PROCESSOR, "/size", json!({"longest_edge": 65_536})),
+        (
+            "tiny_smolvlm",
+            PROCESSOR,
+            "/size",
+            json!({"longest_edge": 65_536}),
+        ),
         ("tiny_internvl3", PROCESSOR, "/max_patches", json!(1 << 20)),
         ("tiny_internvl3", PROCESSOR, "/size", json!(65_536)),
-        ("tiny_qwen2_5_vl", CONFIG, "/vision_config/patch_size", most.clone()),
-        ("tiny_qwen2_5_vl", CONFIG, "/vision_config/temporal_patch_size", most.clone()),
-        ("tiny_qwen2_5_vl", CONFIG, "/vision_config/spatial_merge_size", most.clone()),
-        ("tiny_qwen3_vl", CONFIG, "/vision_config/num_position_embeddings", most.clone()),
-        ("tiny_qwen3_vl", CONFIG, "/vision_config/depth", most.clone()),
-        ("tiny_qwen3_vl", PROCESSOR, "/size", json!({"shortest_edge": 1, "longest_edge": 1_u64 << 40})),
+        (
+            "tiny_qwen2_5_vl",
+            CONFIG,
+            "/vision_config/patch_size",
+            most.clone(),
+        ),
+        (
+            "tiny_qwen2_5_vl",
+            CONFIG,
+            "/vision_config/temporal_patch_size",
+            most.clone(),
+        ),
+        (
+            "tiny_qwen2_5_vl",
+            CONFIG,
+            "/vision_config/spatial_merge_size",
+            most.clone(),
+        ),
+        (
+            "tiny_qwen3_vl",
+            CONFIG,
+            "/vision_config/num_position_embeddings",
+            most.clone(),
+        ),
+        (
+            "tiny_qwen3_vl",
+            CONFIG,
+            "/vision_config/depth",
+            most.clone(),
+        ),
+        (
+            "tiny_qwen3_vl",
+            PROCESSOR,
+            "/size",
+            json!({"shortest_edge": 1, "longest_edge": 1_u64 << 40}),
+        ),
     ] {
         let folder = copy(model);
         change(folder.path(), file, pointer, value);
         let (said, problems) = told(folder.path());
         let key = pointer.trim_start_matches('/').rsplit('/').next().unwrap();
         assert!(said.contains(file), "{model} {pointer}: {said}");
-        assert!(said.contains(key) || key == "size" && said.contains("max_pixels"), "{model} {pointer}: {said}");
-        assert!(problems.iter().any(|problem| problem.contains(file)), "{model} {pointer}: {problems:?}");
+        assert!(
+            said.contains(key) || key == "size" && said.contains("max_pixels"),
+            "{model} {pointer}: {said}"
+        );
+        assert!(
+            problems.iter().any(|problem| problem.contains(file)),
+            "{model} {pointer}: {problems:?}"
+        );
     }
 }
 
 #[test]
 fn heads_and_widths_that_are_both_allowed_are_bounded_by_their_product() {
     let folder = copy("tiny_llava");
-    change(folder.path(), CONFIG, "/text_config/num_attention_heads", json!(4096));
-    change(folder.path(), CONFIG, "/text_config/num_key_value_heads", json!(1));
+    change(
+        folder.path(),
+        CONFIG,
+        "/text_config/num_attention_heads",
+        json!(4096),
+    );
+    change(
+        folder.path(),
+        CONFIG,
+        "/text_config/num_key_value_heads",
+        json!(1),
+    );
     change(folder.path(), CONFIG, "/text_config/head_dim", json!(4096));
     let (said, problems) = told(folder.path());
-    assert!(said.contains("text_config.num_attention_heads: 4096 times 4096"), "{said}");
+    assert!(
+        said.contains("text_config.num_attention_heads: 4096 times 4096"),
+        "{said}"
+    );
     assert!(problems.contains(&said), "{problems:?}");
 }
 
@@ -99,28 +225,43 @@ fn a_byte_order_mark_changes_nothing() {
     assert_eq!(before.1, [] as [String; 0]);
     for entry in std::fs::read_dir(folder.path()).unwrap() {
         let path = entry.unwrap().path();
-        if path.extension().is_some_and(|ending| ending == "json" || ending == "jinja") {
+        if path
+            .extension()
+            .is_some_and(|ending| ending == "json" || ending == "jinja")
+        {
             let text = std::fs::read_to_string(&path).unwrap();
             std::fs::write(&path, format!("\u{feff}{text}")).unwrap();
         }
     }
     assert_eq!(told(folder.path()), before);
     let text = std::fs::read_to_string(fixture("tiny_smolvlm").join(CONFIG)).unwrap();
-    let utf16: Vec<u8> = format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let utf16: Vec<u8> = format!("\u{feff}{text}")
+        .encode_utf16()
+        .flat_map(u16::to_le_bytes)
+        .collect();
     std::fs::write(folder.path().join(CONFIG), utf16).unwrap();
     let (said, _) = told(folder.path());
-    assert!(said.contains("config.json") && said.contains("save it as UTF-8"), "{said}");
+    assert!(
+        said.contains("config.json") && said.contains("save it as UTF-8"),
+        "{said}"
+    );
 }
 
 #[test]
 fn a_web_page_in_place_of_a_file_is_called_one() {
     for file in [CONFIG, "tokenizer.json", "model.safetensors"] {
-        for (text, what) in [("<!doctype html>\n<html>", "a web page"), ("Entry not found", "a server's answer")] {
+        for (text, what) in [
+            ("<!doctype html>\n<html>", "a web page"),
+            ("Entry not found", "a server's answer"),
+        ] {
             let folder = copy("tiny_llava");
             std::fs::write(folder.path().join(file), text).unwrap();
             let (said, problems) = told(folder.path());
             for said in [&said, &problems.join("\n")] {
-                assert!(said.contains(file) && said.contains(what) && said.contains("again"), "{file}: {said}");
+                assert!(
+                    said.contains(file) && said.contains(what) && said.contains("again"),
+                    "{file}: {said}"
+                );
             }
         }
     }
@@ -129,9 +270,12 @@ fn a_web_page_in_place_of_a_file_is_called_one() {
 /// One rule for all families: the embedding stands in for an output layer that the files lack.
 #[test]
 fn a_missing_output_layer_is_the_embedding_and_is_noted() {
-    for (model, tied) in
-        [("tiny_llava", false), ("tiny_llava_next", false), ("tiny_cogvlm", false), ("tiny_llava", true)]
-    {
+    for (model, tied) in [
+        ("tiny_llava", false),
+        ("tiny_llava_next", false),
+        ("tiny_cogvlm", false),
+        ("tiny_llava", true),
+    ] {
         let folder = copy(model);
         let path = folder.path().join("model.safetensors");
         let mut tensors = candle_core::safetensors::load(&path, &candle_core::Device::Cpu).unwrap();
@@ -140,10 +284,18 @@ fn a_missing_output_layer_is_the_embedding_and_is_noted() {
         change(folder.path(), CONFIG, "/tie_word_embeddings", json!(tied));
         let place = ModelPlace::Folder(folder.path().to_path_buf());
         let check = LocalModel::check(&place, &Loading::default());
-        let missing: Vec<&String> = check.problems.iter().filter(|problem| problem.contains("lm_head")).collect();
+        let missing: Vec<&String> = check
+            .problems
+            .iter()
+            .filter(|problem| problem.contains("lm_head"))
+            .collect();
         assert!(missing.is_empty(), "{model}: {missing:?}");
         assert_eq!(
-            check.load.notes.iter().any(|note| note.contains("lm_head.weight")),
+            check
+                .load
+                .notes
+                .iter()
+                .any(|note| note.contains("lm_head.weight")),
             !tied,
             "{:?}",
             check.load.notes

@@ -33,13 +33,18 @@ pub struct FormatOutline {
 
 impl ModelOutline {
     /// The formats of an outline.
-    pub const FORMATS: [WeightFormat; 4] =
-        [WeightFormat::Q4K, WeightFormat::Q8_0, WeightFormat::F16, WeightFormat::F32];
+    pub const FORMATS: [WeightFormat; 4] = [
+        WeightFormat::Q4K,
+        WeightFormat::Q8_0,
+        WeightFormat::F16,
+        WeightFormat::F32,
+    ];
 
     /// The outline of a model whose images are shown as `image` says.
     pub(crate) fn of(mut checkpoint: Checkpoint, image: ImageSettings) -> Result<Self, MllmError> {
         let config = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-        let memory = Self::FORMATS.map(|format| MemoryNeed::of(&checkpoint, &config, Some(format), None));
+        let memory =
+            Self::FORMATS.map(|format| MemoryNeed::of(&checkpoint, &config, Some(format), None));
         checkpoint.weights.only_look();
         let mut model = checkpoint.open_model()?;
         model.set_images(image)?;
@@ -53,12 +58,20 @@ impl ModelOutline {
             image_size: info.image_size,
             image_tokens: tokens,
             context: model.context(tokens),
-            formats: formats.map(|(weight_format, memory)| FormatOutline { weight_format, memory }).collect(),
+            formats: formats
+                .map(|(weight_format, memory)| FormatOutline {
+                    weight_format,
+                    memory,
+                })
+                .collect(),
         })
     }
 
     /// The outline of a published model, without its files.
     pub fn of_shape(shape: &ModelShape) -> Result<Self, MllmError> {
-        Self::of(shape.checkpoint(&Families::default())?, ImageSettings::default())
+        Self::of(
+            shape.checkpoint(&Families::default())?,
+            ImageSettings::default(),
+        )
     }
 }

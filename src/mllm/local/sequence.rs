@@ -18,20 +18,26 @@ pub(crate) struct Sequence {
 
 /// An empty cache for the longest chat of a model.
 pub(super) fn new_cache(model: &dyn VisionLanguageModel) -> KvCache {
-    model.decoder().new_cache(model.context(model.info().max_image_tokens))
+    model
+        .decoder()
+        .new_cache(model.context(model.info().max_image_tokens))
 }
 
 impl Sequence {
     pub(crate) fn new(model: &dyn VisionLanguageModel) -> Self {
-        Self { ids: Vec::new(), cache: new_cache(model) }
+        Self {
+            ids: Vec::new(),
+            cache: new_cache(model),
+        }
     }
 
     pub(crate) fn ids(&self) -> &[u32] {
         &self.ids
     }
 
-    /// Appends tokens and gives the wanted logits (wanted positions, vocabulary). The n-th image token of the sequence takes
-    /// the n-th row of `features`, wherever it stands. After an error the sequence is unchanged.
+    /// Appends tokens and gives the wanted logits (wanted positions, vocabulary). The n-th image
+    /// token of the sequence takes the n-th row of `features`, wherever it stands. After an error
+    /// the sequence is unchanged.
     pub(crate) fn append(
         &mut self,
         model: &dyn VisionLanguageModel,
@@ -48,8 +54,8 @@ impl Sequence {
         Ok(logits)
     }
 
-    /// Appends tokens in as many passes as they need, checks the deadline before each, and gives the wanted logits of the last.
-    /// After an error the earlier passes stay appended.
+    /// Appends tokens in as many passes as they need, checks the deadline before each, and gives
+    /// the wanted logits of the last. After an error the earlier passes stay appended.
     pub(crate) fn append_in_passes(
         &mut self,
         model: &dyn VisionLanguageModel,
@@ -62,7 +68,11 @@ impl Sequence {
         let mut passes = ids.chunks(MAX_TOKENS_IN_PASS).peekable();
         while let Some(pass) = passes.next() {
             deadline.check()?;
-            let wanted = if passes.peek().is_none() { wanted } else { Logits::None };
+            let wanted = if passes.peek().is_none() {
+                wanted
+            } else {
+                Logits::None
+            };
             logits = self.append(model, pass, features, wanted)?;
         }
         Ok(logits)
@@ -80,12 +90,17 @@ impl Sequence {
         let mut used = self.ids.iter().filter(|id| is_image(id)).count();
         let known = features.map_or(0, |features| features.layout.tokens);
         let mut rows = Vec::new();
-        let layers = features.filter(|_| ids.iter().any(is_image)).map_or(0, |features| features.deep.len());
+        let layers = features
+            .filter(|_| ids.iter().any(is_image))
+            .map_or(0, |features| features.deep.len());
         let mut deep = vec![Vec::new(); layers];
         for run in ids.chunk_by(|a, b| is_image(a) == is_image(b)) {
             if run.first().is_some_and(is_image) {
                 let Some(features) = features.filter(|_| used + run.len() <= known) else {
-                    return Err(MllmError::ImagePlaceholder { expected: known, found: used + run.len() });
+                    return Err(MllmError::ImagePlaceholder {
+                        expected: known,
+                        found: used + run.len(),
+                    });
                 };
                 rows.push(features.rows.narrow(0, used, run.len())?);
                 for (deep, features) in deep.iter_mut().zip(&features.deep) {
@@ -102,18 +117,40 @@ impl Sequence {
         }
         let first = self.ids.iter().chain(ids).position(is_image);
         let image = match (first, features) {
-            (Some(first), Some(features)) => Some(PlacedImage { first, layout: features.layout }),
-            (Some(_), None) => return Err(MllmError::ImagePlaceholder { expected: 0, found: used }),
+            (Some(first), Some(features)) => Some(PlacedImage {
+                first,
+                layout: features.layout,
+            }),
+            (Some(_), None) => {
+                return Err(MllmError::ImagePlaceholder {
+                    expected: 0,
+                    found: used,
+                });
+            }
             (None, _) => None,
         };
-        let Positions { rotary, vision } = model.positions(self.ids.len()..self.ids.len() + ids.len(), image);
+        let Positions { rotary, vision } =
+            model.positions(self.ids.len()..self.ids.len() + ids.len(), image);
         let context = model.info().positions;
-        if let Some(position) = rotary.iter().flatten().max().filter(|position| **position as usize >= context) {
+        if let Some(position) = rotary
+            .iter()
+            .flatten()
+            .max()
+            .filter(|position| **position as usize >= context)
+        {
             let problem = format!("position {position} lies outside the context of {context}");
             return Err(candle_core::Error::msg(problem).into());
         }
-        let deep = deep.iter().map(|rows| Tensor::cat(rows, 0)).collect::<candle_core::Result<_>>()?;
-        Ok(DecoderInput { rows: Tensor::cat(&rows, 0)?, positions: rotary, vision, deep })
+        let deep = deep
+            .iter()
+            .map(|rows| Tensor::cat(rows, 0))
+            .collect::<candle_core::Result<_>>()?;
+        Ok(DecoderInput {
+            rows: Tensor::cat(&rows, 0)?,
+            positions: rotary,
+            vision,
+            deep,
+        })
     }
 
     /// Drops the tokens from `len` on.

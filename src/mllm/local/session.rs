@@ -14,14 +14,15 @@ use super::sequence::Sequence;
 use crate::family::{Chat, ImageFeatures, ImageLayout};
 use crate::sampling::{Sampler, answer_seed};
 use crate::{
-    Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, PromptPrefix, Request, RoundTime, Sampling,
-    TokenCounts, Turn, milliseconds, prompt_hash,
+    Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, PromptPrefix, Request,
+    RoundTime, Sampling, TokenCounts, Turn, milliseconds, prompt_hash,
 };
 
 /// A chat and its computed tokens.
 ///
-/// Each round renders the whole chat with the model's template, keeps the computed tokens that agree, and computes the
-/// rest. So the template alone decides what the model reads, and nothing is computed twice across rounds and rewinds.
+/// Each round renders the whole chat with the model's template, keeps the computed tokens that
+/// agree, and computes the rest. So the template alone decides what the model reads, and nothing is
+/// computed twice across rounds and rewinds.
 pub(super) struct LocalConversation<'a> {
     local: &'a LocalModel,
     prefix: PromptPrefix,
@@ -40,9 +41,14 @@ pub(super) struct LocalConversation<'a> {
 
 impl<'a> LocalConversation<'a> {
     /// Opens a conversation and computes or fetches the tokens before the image.
-    pub(super) fn open(local: &'a LocalModel, prefix: &PromptPrefix, seed: u64) -> Result<Self, MllmError> {
+    pub(super) fn open(
+        local: &'a LocalModel,
+        prefix: &PromptPrefix,
+        seed: u64,
+    ) -> Result<Self, MllmError> {
         let start = Instant::now();
-        let layout = |image: &Arc<RgbImage>| local.model.image_layout(image.width(), image.height());
+        let layout =
+            |image: &Arc<RgbImage>| local.model.image_layout(image.width(), image.height());
         let image = prefix.image.as_ref().map(layout).transpose()?;
         let computed = local.call_prefix(&prefix.system, image)?;
         Ok(Self {
@@ -79,7 +85,8 @@ impl<'a> LocalConversation<'a> {
     }
 }
 
-/// What several answers to a prompt cost together. The first one computes the prompt; the later ones find it cached, at no cost.
+/// What several answers to a prompt cost together. The first one computes the prompt; the later
+/// ones find it cached, at no cost.
 #[derive(Default)]
 struct Cost {
     first: Option<(TokenCounts, RoundTime)>,
@@ -95,10 +102,19 @@ impl Cost {
     }
 
     fn write_into(self, answer: &mut Answer) {
-        let Some((tokens, time)) = self.first else { return };
-        answer.tokens = TokenCounts { sampled: self.sampled, ..tokens };
+        let Some((tokens, time)) = self.first else {
+            return;
+        };
+        answer.tokens = TokenCounts {
+            sampled: self.sampled,
+            ..tokens
+        };
         let later = self.total - time.total;
-        answer.time = RoundTime { decode: time.decode + later, total: self.total, ..time };
+        answer.time = RoundTime {
+            decode: time.decode + later,
+            total: self.total,
+            ..time
+        };
     }
 }
 
@@ -134,9 +150,19 @@ impl Conversation for LocalConversation<'_> {
         self.generate(prompt, request, Some(on_text), None)
     }
 
-    /// The token of each place is the likeliest one, whatever the request's sampling is; drafts are not used.
-    fn ask_likeliest(&mut self, prompt: &str, request: &Request, count: usize) -> Result<Vec<Answer>, MllmError> {
-        let request = Request { sampling: Sampling::Greedy, draft: None, ..request.clone() };
+    /// The token of each place is the likeliest one, whatever the request's sampling is; drafts are
+    /// not used.
+    fn ask_likeliest(
+        &mut self,
+        prompt: &str,
+        request: &Request,
+        count: usize,
+    ) -> Result<Vec<Answer>, MllmError> {
+        let request = Request {
+            sampling: Sampling::Greedy,
+            draft: None,
+            ..request.clone()
+        };
         let (before, mut search) = (self.mark(), Search::new(count));
         let mut sum = Cost::default();
         loop {
@@ -150,7 +176,10 @@ impl Conversation for LocalConversation<'_> {
         let mut answers = search.into_answers();
         if let Some(likeliest) = answers.first_mut() {
             sum.write_into(likeliest);
-            self.turns.push(Turn { prompt: prompt.to_string(), answer: likeliest.text.clone() });
+            self.turns.push(Turn {
+                prompt: prompt.to_string(),
+                answer: likeliest.text.clone(),
+            });
         }
         Ok(answers)
     }
@@ -180,12 +209,26 @@ impl LocalConversation<'_> {
         let context = local.context(self.image.map_or(0, |image| image.tokens));
         let sampler = Sampler::new(request.sampling, answer_seed(self.seed, self.answers))?;
         let grammar = local.grammars.begin(&request.constraint)?;
-        let chat = Chat { system: &self.prefix.system, image: self.image, turns: &self.turns, prompt };
+        let chat = Chat {
+            system: &self.prefix.system,
+            image: self.image,
+            turns: &self.turns,
+            prompt,
+        };
         let ids = local.prompt_ids(&chat)?;
         if ids.len() >= context {
-            return Err(MllmError::PromptTooLong { tokens: ids.len(), context });
+            return Err(MllmError::PromptTooLong {
+                tokens: ids.len(),
+                context,
+            });
         }
-        let agree = self.sequence.ids().iter().zip(&ids).take_while(|(a, b)| a == b).count();
+        let agree = self
+            .sequence
+            .ids()
+            .iter()
+            .zip(&ids)
+            .take_while(|(a, b)| a == b)
+            .count();
         // The last token is always computed: its logits give the first token of the answer.
         let cached = agree.min(ids.len().saturating_sub(1));
         self.sequence.truncate(cached);
@@ -194,16 +237,25 @@ impl LocalConversation<'_> {
         let encode_start = Instant::now();
         let encoded_before = self.features.is_some();
         self.encode_image(rest)?;
-        let image_encode =
-            if self.features.is_some() && !encoded_before { milliseconds(encode_start.elapsed()) } else { 0.0 };
+        let image_encode = if self.features.is_some() && !encoded_before {
+            milliseconds(encode_start.elapsed())
+        } else {
+            0.0
+        };
 
         let mut spoken = Spoken::default();
         let free = request.constraint == Constraint::Free;
         let mut speak = |ids: &[u32]| {
             let Some(on_text) = &mut on_text else { return };
             // A text that cannot be decoded yet is handed on with what follows.
-            let so_far = if free { local.tokenizer.decode(ids) } else { Ok(local.tokenizer.decode_verbatim(ids)) };
-            let new = so_far.map(|text| spoken.new_part(&text).to_owned()).unwrap_or_default();
+            let so_far = if free {
+                local.tokenizer.decode(ids)
+            } else {
+                Ok(local.tokenizer.decode_verbatim(ids))
+            };
+            let new = so_far
+                .map(|text| spoken.new_part(&text).to_owned())
+                .unwrap_or_default();
             if !new.is_empty() {
                 on_text(&new);
             }
@@ -215,7 +267,10 @@ impl LocalConversation<'_> {
             rest,
             grammar,
             sampler,
-            request.draft.as_deref().map(|earlier| Drafter::new(earlier, self.drafting.as_mut())),
+            request
+                .draft
+                .as_deref()
+                .map(|earlier| Drafter::new(earlier, self.drafting.as_mut())),
             search,
             &End {
                 tokens: &local.end_tokens,
@@ -233,7 +288,9 @@ impl LocalConversation<'_> {
                 on_text(rest);
             }
         }
-        let computed = rest.get(..self.sequence.ids().len() - cached).unwrap_or(rest);
+        let computed = rest
+            .get(..self.sequence.ids().len() - cached)
+            .unwrap_or(rest);
         let image_tokens = computed.iter().filter(|id| **id == image_token).count();
         let prefix_time = std::mem::take(&mut self.prefix_time);
         let answer = Answer {
@@ -250,7 +307,11 @@ impl LocalConversation<'_> {
             time: RoundTime {
                 image_encode,
                 prefill: prefix_time + generated.prefill,
-                first_token: if generated.first_token > 0.0 { prefix_time + generated.first_token } else { 0.0 },
+                first_token: if generated.first_token > 0.0 {
+                    prefix_time + generated.first_token
+                } else {
+                    0.0
+                },
                 decode: milliseconds(start.elapsed()) - generated.prefill_end,
                 remote: 0.0,
                 total: prefix_time + milliseconds(start.elapsed()),
@@ -263,7 +324,10 @@ impl LocalConversation<'_> {
             text,
             ids: generated.ids,
         };
-        self.turns.push(Turn { prompt: prompt.to_string(), answer: answer.text.clone() });
+        self.turns.push(Turn {
+            prompt: prompt.to_string(),
+            answer: answer.text.clone(),
+        });
         self.answers += 1;
         Ok(answer)
     }
@@ -276,7 +340,10 @@ mod tests {
     #[test]
     fn a_text_is_handed_on_in_whole_characters_and_once() {
         let mut spoken = Spoken::default();
-        let said: Vec<&str> = ["A", "A \u{fffd}", "A ü", "A ü"].into_iter().map(|text| spoken.new_part(text)).collect();
+        let said: Vec<&str> = ["A", "A \u{fffd}", "A ü", "A ü"]
+            .into_iter()
+            .map(|text| spoken.new_part(text))
+            .collect();
         assert_eq!(said, ["A", "", " ü", ""]);
     }
 }

@@ -1,4 +1,5 @@
-//! Parity with the references of today's families (`tests/fixtures/make_modern.py`): two images, and several chats.
+//! Parity with the references of today's families (`tests/fixtures/make_modern.py`): two images,
+//! and several chats.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs;
@@ -10,7 +11,8 @@ use serde_json::Value;
 
 use super::test_faults::Deviation;
 use super::test_reference::{
-    FEATURE_TOLERANCE, Reference, assert_greedy, assert_logits, difference, feature_difference, fixture,
+    FEATURE_TOLERANCE, Reference, assert_greedy, assert_logits, difference, feature_difference,
+    fixture,
 };
 use super::{Loading, LocalModel, Sequence};
 use crate::checkpoint::read_json;
@@ -36,7 +38,10 @@ pub(crate) struct Worst {
 
 impl Worst {
     fn or(self, features: f32, logits: f32) -> Self {
-        Self { features: self.features.max(features), logits: self.logits.max(logits) }
+        Self {
+            features: self.features.max(features),
+            logits: self.logits.max(logits),
+        }
     }
 }
 
@@ -46,7 +51,11 @@ impl Prompts {
         let folder = fixture(name);
         let texts = read_json(&folder.join("prompts.json")).unwrap();
         let reference = Reference::open(&folder.join("reference.safetensors"));
-        Self { folder, texts, reference }
+        Self {
+            folder,
+            texts,
+            reference,
+        }
     }
 
     /// The model in a layout: that of the folder, `.`, or of a folder below it.
@@ -55,19 +64,25 @@ impl Prompts {
         Self::load(&ModelPlace::Folder(copy.path().to_path_buf()), image)
     }
 
-    /// A copy of the folder in a layout: with the configuration of the folder below it, and tensors as its `names.json`
-    /// says.
+    /// A copy of the folder in a layout: with the configuration of the folder below it, and tensors
+    /// as its `names.json` says.
     pub(crate) fn in_layout(&self, layout: &str) -> tempfile::TempDir {
         let copy = tempfile::tempdir().unwrap();
         let other = self.folder.join(layout);
-        for entry in [&self.folder, &other].into_iter().flat_map(|folder| fs::read_dir(folder).unwrap()) {
+        for entry in [&self.folder, &other]
+            .into_iter()
+            .flat_map(|folder| fs::read_dir(folder).unwrap())
+        {
             let from = entry.unwrap().path();
             if from.is_file() && !from.ends_with(NAMES) {
                 fs::copy(&from, copy.path().join(from.file_name().unwrap())).unwrap();
             }
         }
         if other.join(NAMES).exists() {
-            rename(&copy.path().join("model.safetensors"), json_of(&other, NAMES));
+            rename(
+                &copy.path().join("model.safetensors"),
+                json_of(&other, NAMES),
+            );
         }
         copy
     }
@@ -76,7 +91,10 @@ impl Prompts {
     pub(crate) fn open_gguf(&self, image: ImageSettings) -> LocalModel {
         let gguf = self.folder.join("gguf");
         Self::load(
-            &ModelPlace::Gguf { model: gguf.join("model.gguf"), mmproj: Some(gguf.join("mmproj-model.gguf")) },
+            &ModelPlace::Gguf {
+                model: gguf.join("model.gguf"),
+                mmproj: Some(gguf.join("mmproj-model.gguf")),
+            },
             image,
         )
     }
@@ -93,18 +111,32 @@ impl Prompts {
 
     /// A model in any folder.
     pub(crate) fn open_at(folder: &Path) -> LocalModel {
-        Self::load(&ModelPlace::Folder(folder.to_path_buf()), ImageSettings::default())
+        Self::load(
+            &ModelPlace::Folder(folder.to_path_buf()),
+            ImageSettings::default(),
+        )
     }
 
     pub(crate) fn load(place: &ModelPlace, image: ImageSettings) -> LocalModel {
-        LocalModel::load("tiny", place, &Loading { image, ..Loading::default() }).unwrap()
+        LocalModel::load(
+            "tiny",
+            place,
+            &Loading {
+                image,
+                ..Loading::default()
+            },
+        )
+        .unwrap()
     }
 
     pub(crate) fn image(&self, index: u64) -> RgbImage {
-        image::open(self.folder.join(format!("image_{index}.png"))).unwrap().into_rgb8()
+        image::open(self.folder.join(format!("image_{index}.png")))
+            .unwrap()
+            .into_rgb8()
     }
 
-    /// Checks ids, positions, features, logits and greedy tokens of the runs whose names `wanted` takes.
+    /// Checks ids, positions, features, logits and greedy tokens of the runs whose names `wanted`
+    /// takes.
     pub(crate) fn check(&self, local: &LocalModel, wanted: impl Fn(&str) -> bool) -> Worst {
         let model = &*local.model;
         let mut worst = Worst::default();
@@ -113,8 +145,12 @@ impl Prompts {
         for (name, run) in runs.iter().filter(|(name, _)| wanted(name)) {
             let index = run["image"].as_u64();
             let image = index.map(|index| self.image(index));
-            let layout = image.as_ref().map(|image| model.image_layout(image.width(), image.height()).unwrap());
-            let ids = local.prompt_ids(&self.chat(name, layout.as_ref(), &self.turns(name))).unwrap();
+            let layout = image
+                .as_ref()
+                .map(|image| model.image_layout(image.width(), image.height()).unwrap());
+            let ids = local
+                .prompt_ids(&self.chat(name, layout.as_ref(), &self.turns(name)))
+                .unwrap();
             let expected = self.reference.ids(&format!("{name}input_ids"), 0);
             assert_eq!(ids, expected, "{name}");
             let logits = self.reference.tensor(&format!("{name}logits"));
@@ -122,41 +158,85 @@ impl Prompts {
             let mut apart = 0.0;
             if let (Some(features), Some(index)) = (&features, index) {
                 let base = self.features_of(name, index);
-                apart = feature_difference(&features.rows, self.reference.tensor(&format!("{base}features")));
+                apart = feature_difference(
+                    &features.rows,
+                    self.reference.tensor(&format!("{base}features")),
+                );
                 for (layer, deep) in features.deep.iter().enumerate() {
                     let expected = self.reference.tensor(&format!("{base}deepstack_{layer}"));
                     apart = apart.max(feature_difference(deep, expected));
                 }
-                assert!(apart < FEATURE_TOLERANCE, "{name}: the features differ by {apart}");
-                self.check_positions(model, name, &ids, PlacedImage { first: 0, layout: features.layout });
+                assert!(
+                    apart < FEATURE_TOLERANCE,
+                    "{name}: the features differ by {apart}"
+                );
+                self.check_positions(
+                    model,
+                    name,
+                    &ids,
+                    PlacedImage {
+                        first: 0,
+                        layout: features.layout,
+                    },
+                );
             }
             let logits = assert_logits(model, &ids, features.as_ref(), logits);
-            assert_greedy(model, &ids, features.as_ref(), &self.reference.ids(&format!("{name}generated"), 0));
+            assert_greedy(
+                model,
+                &ids,
+                features.as_ref(),
+                &self.reference.ids(&format!("{name}generated"), 0),
+            );
             worst = worst.or(apart, logits);
             checked += 1;
         }
         assert!(checked > 0, "no run was checked");
-        println!("{}: worst features {:.1e}, logits {:.1e}", self.folder.display(), worst.features, worst.logits);
+        println!(
+            "{}: worst features {:.1e}, logits {:.1e}",
+            self.folder.display(),
+            worst.features,
+            worst.logits
+        );
         worst
     }
 
     /// The prefix of the features of a run's image.
     fn features_of(&self, name: &str, image: u64) -> String {
         let own = format!("{name}features");
-        if self.reference.contains(&own) { name.to_string() } else { ["", "second_"][image as usize].to_string() }
+        if self.reference.contains(&own) {
+            name.to_string()
+        } else {
+            ["", "second_"][image as usize].to_string()
+        }
     }
 
     fn turns(&self, name: &str) -> Vec<Turn> {
         let text = |value: &Value| value.as_str().unwrap().to_string();
-        let first = Turn { prompt: text(&self.texts["prompts"][0]), answer: text(&self.texts["first_answer"]) };
-        if name == "chat_" { vec![first] } else { Vec::new() }
+        let first = Turn {
+            prompt: text(&self.texts["prompts"][0]),
+            answer: text(&self.texts["first_answer"]),
+        };
+        if name == "chat_" {
+            vec![first]
+        } else {
+            Vec::new()
+        }
     }
 
-    fn chat<'a>(&'a self, name: &str, layout: Option<&crate::ImageLayout>, turns: &'a [Turn]) -> Chat<'a> {
+    fn chat<'a>(
+        &'a self,
+        name: &str,
+        layout: Option<&crate::ImageLayout>,
+        turns: &'a [Turn],
+    ) -> Chat<'a> {
         let plain = name == "nosystem_";
         let prompt = usize::from(plain || name == "chat_");
         Chat {
-            system: if plain { "" } else { self.texts["system"].as_str().unwrap() },
+            system: if plain {
+                ""
+            } else {
+                self.texts["system"].as_str().unwrap()
+            },
             image: layout.copied(),
             turns,
             prompt: self.texts["prompts"][prompt].as_str().unwrap(),
@@ -164,14 +244,29 @@ impl Prompts {
     }
 
     /// Checks the positions on all axes, of the whole chat and of its parts.
-    fn check_positions(&self, model: &dyn VisionLanguageModel, name: &str, ids: &[u32], mut image: PlacedImage) {
-        image.first = ids.iter().position(|id| *id == model.info().image_token).unwrap();
+    fn check_positions(
+        &self,
+        model: &dyn VisionLanguageModel,
+        name: &str,
+        ids: &[u32],
+        mut image: PlacedImage,
+    ) {
+        image.first = ids
+            .iter()
+            .position(|id| *id == model.info().image_token)
+            .unwrap();
         let expected = self.reference.tensor(&format!("{name}position_ids"));
         let expected = expected.flatten_all().unwrap().to_vec1::<i64>().unwrap();
-        let axis =
-            |axis: usize| if expected.len() == ids.len() { &expected[..] } else { &expected[axis * ids.len()..] };
-        let expected: Vec<[u32; 3]> =
-            (0..ids.len()).map(|token| [0, 1, 2].map(|number| u32::try_from(axis(number)[token]).unwrap())).collect();
+        let axis = |axis: usize| {
+            if expected.len() == ids.len() {
+                &expected[..]
+            } else {
+                &expected[axis * ids.len()..]
+            }
+        };
+        let expected: Vec<[u32; 3]> = (0..ids.len())
+            .map(|token| [0, 1, 2].map(|number| u32::try_from(axis(number)[token]).unwrap()))
+            .collect();
         for part in [0..ids.len(), 0..9, 9..21, 21..ids.len()] {
             let found = model.positions(part.clone(), Some(image)).rotary;
             assert_eq!(found, expected[part.clone()], "{name}: {part:?}");
@@ -182,13 +277,16 @@ impl Prompts {
 /// The file that says which stored tensors are a tensor of another layout.
 const NAMES: &str = "names.json";
 
-/// Renames the tensors of a file: each name is given to some of them, one below the other. Tensors that are not named stay.
+/// Renames the tensors of a file: each name is given to some of them, one below the other. Tensors
+/// that are not named stay.
 fn rename(path: &Path, names: Value) {
     let stored = candle_core::safetensors::load(path, &Device::Cpu).unwrap();
     let names: BTreeMap<String, Vec<String>> = serde_json::from_value(names).unwrap();
     let used: HashSet<&String> = names.values().flatten().collect();
     let kept = stored.iter().filter(|(name, _)| !used.contains(name));
-    let mut tensors: HashMap<String, Tensor> = kept.map(|(name, tensor)| (name.clone(), tensor.clone())).collect();
+    let mut tensors: HashMap<String, Tensor> = kept
+        .map(|(name, tensor)| (name.clone(), tensor.clone()))
+        .collect();
     tensors.extend(names.iter().map(|(name, parts)| {
         let parts: Vec<&Tensor> = parts.iter().map(|part| &stored[part]).collect();
         (name.clone(), Tensor::cat(&parts, 0).unwrap())
@@ -197,7 +295,10 @@ fn rename(path: &Path, names: Value) {
 }
 
 /// One view of each image in the place of tiles.
-pub(crate) const ONE_TILE: ImageSettings = ImageSettings { size: None, tiles: Some(1) };
+pub(crate) const ONE_TILE: ImageSettings = ImageSettings {
+    size: None,
+    tiles: Some(1),
+};
 
 /// Whether a run is one of a model whose images are not cut.
 pub(crate) fn is_unsplit(name: &str) -> bool {
@@ -209,11 +310,17 @@ pub(crate) fn json_of(folder: &Path, name: &str) -> Value {
     read_json(&folder.join(name)).unwrap()
 }
 
-/// The pixels of a run's image, (3, height, width), from the rows of patches that Qwen's processors write: blocks of 2 by 2
-/// patches in raster order, each patch as channel, row and column (the reference has the first of two equal frames).
+/// The pixels of a run's image, (3, height, width), from the rows of patches that Qwen's processors
+/// write: blocks of 2 by 2 patches in raster order, each patch as channel, row and column (the
+/// reference has the first of two equal frames).
 pub(crate) fn raster_pixels(reference: &Reference, name: &str, patch: u32) -> Tensor {
     let patch = patch as usize;
-    let grid = reference.tensor(&format!("{name}image_grid_thw")).flatten_all().unwrap().to_vec1::<i64>().unwrap();
+    let grid = reference
+        .tensor(&format!("{name}image_grid_thw"))
+        .flatten_all()
+        .unwrap()
+        .to_vec1::<i64>()
+        .unwrap();
     let [rows, columns] = [1, 2].map(|axis| usize::try_from(grid[axis]).unwrap());
     let patches = reference.tensor(&format!("{name}pixel_values"));
     patches
@@ -226,14 +333,22 @@ pub(crate) fn raster_pixels(reference: &Reference, name: &str, patch: u32) -> Te
 }
 
 /// Checks the sizes of resized images in `resize.json`.
-pub(crate) fn assert_resized(folder: &Path, key: &str, resized: impl Fn(u32, u32) -> Result<(u32, u32), MllmError>) {
+pub(crate) fn assert_resized(
+    folder: &Path,
+    key: &str,
+    resized: impl Fn(u32, u32) -> Result<(u32, u32), MllmError>,
+) {
     let cases = json_of(folder, "resize.json");
     let cases = cases["cases"].as_array().unwrap();
     assert!(cases.len() > 40);
     for case in cases {
         let number = |value: &Value| u32::try_from(value.as_u64().unwrap()).unwrap();
         let expected = (number(&case[key][0]), number(&case[key][1]));
-        assert_eq!(resized(number(&case["width"]), number(&case["height"])).unwrap(), expected, "{case}");
+        assert_eq!(
+            resized(number(&case["width"]), number(&case["height"])).unwrap(),
+            expected,
+            "{case}"
+        );
     }
 }
 
@@ -246,12 +361,21 @@ pub(crate) struct SecondImage<'a> {
 impl<'a> SecondImage<'a> {
     pub(crate) fn of(prompts: &'a Prompts) -> Self {
         Deviation::print_heading(&prompts.folder);
-        Self { reference: &prompts.reference, ids: prompts.reference.ids("second_input_ids", 0) }
+        Self {
+            reference: &prompts.reference,
+            ids: prompts.reference.ids("second_input_ids", 0),
+        }
     }
 
     /// The deviation of a model with these features.
-    pub(crate) fn logits(&self, model: &dyn VisionLanguageModel, features: &ImageFeatures) -> Deviation {
-        let input = Sequence::new(model).decoder_input(model, &self.ids, Some(features)).unwrap();
+    pub(crate) fn logits(
+        &self,
+        model: &dyn VisionLanguageModel,
+        features: &ImageFeatures,
+    ) -> Deviation {
+        let input = Sequence::new(model)
+            .decoder_input(model, &self.ids, Some(features))
+            .unwrap();
         self.deviation(model, features, &input)
     }
 
@@ -262,13 +386,23 @@ impl<'a> SecondImage<'a> {
         features: &ImageFeatures,
         positions: Vec<Position>,
     ) -> Deviation {
-        let input = Sequence::new(model).decoder_input(model, &self.ids, Some(features)).unwrap();
+        let input = Sequence::new(model)
+            .decoder_input(model, &self.ids, Some(features))
+            .unwrap();
         self.deviation(model, features, &DecoderInput { positions, ..input })
     }
 
-    fn deviation(&self, model: &dyn VisionLanguageModel, features: &ImageFeatures, input: &DecoderInput) -> Deviation {
+    fn deviation(
+        &self,
+        model: &dyn VisionLanguageModel,
+        features: &ImageFeatures,
+        input: &DecoderInput,
+    ) -> Deviation {
         let decoder = model.decoder();
-        let logits = decoder.forward(input, &mut decoder.new_cache(self.ids.len()), Logits::All).unwrap().unwrap();
+        let logits = decoder
+            .forward(input, &mut decoder.new_cache(self.ids.len()), Logits::All)
+            .unwrap()
+            .unwrap();
         Deviation {
             features: feature_difference(&features.rows, self.reference.tensor("second_features")),
             logits: difference(&logits, self.reference.tensor("second_logits")),
@@ -276,21 +410,40 @@ impl<'a> SecondImage<'a> {
     }
 
     /// Positions that are easily wrong.
-    pub(crate) fn wrong_positions(&self, model: &dyn VisionLanguageModel) -> Vec<(&'static str, Vec<Position>)> {
+    pub(crate) fn wrong_positions(
+        &self,
+        model: &dyn VisionLanguageModel,
+    ) -> Vec<(&'static str, Vec<Position>)> {
         let image_token = model.info().image_token;
-        let flat = self.reference.tensor("second_position_ids").flatten_all().unwrap().to_vec1::<i64>().unwrap();
+        let flat = self
+            .reference
+            .tensor("second_position_ids")
+            .flatten_all()
+            .unwrap()
+            .to_vec1::<i64>()
+            .unwrap();
         let count = self.ids.len();
-        let right: Vec<Position> =
-            (0..count).map(|token| [0, 1, 2].map(|axis| flat[axis * count + token] as u32)).collect();
+        let right: Vec<Position> = (0..count)
+            .map(|token| [0, 1, 2].map(|axis| flat[axis * count + token] as u32))
+            .collect();
         let image = |token: &usize| self.ids[*token] == image_token;
         let end = (0..count).filter(image).max().unwrap() + 1;
         let tokens = (0..count).filter(image).count() as u32;
         let taken = right[end][0] - right[end - tokens as usize][0];
         let further = |[t, h, w]: Position| [t, h, w].map(|axis| axis + tokens - taken);
-        let behind = right.iter().enumerate().map(|(token, place)| if token < end { *place } else { further(*place) });
+        let behind = right
+            .iter()
+            .enumerate()
+            .map(|(token, place)| if token < end { *place } else { further(*place) });
         vec![
-            ("one position a token", (0..count as u32).map(|token| [token; 3]).collect()),
-            ("height and width exchanged", right.iter().map(|[t, h, w]| [*t, *w, *h]).collect()),
+            (
+                "one position a token",
+                (0..count as u32).map(|token| [token; 3]).collect(),
+            ),
+            (
+                "height and width exchanged",
+                right.iter().map(|[t, h, w]| [*t, *w, *h]).collect(),
+            ),
             ("text behind the image's number of tokens", behind.collect()),
         ]
     }

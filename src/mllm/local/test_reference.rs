@@ -1,4 +1,5 @@
-//! Shared parts of the parity tests of all families: reference files, and ways to compute the same logits.
+//! Shared parts of the parity tests of all families: reference files, and ways to compute the same
+//! logits.
 
 use std::path::{Path, PathBuf};
 
@@ -12,20 +13,27 @@ use crate::families::Families;
 use crate::family::{Chat, ImageFeatures, VisionLanguageModel};
 use crate::source::{Checkpoint, ModelPlace};
 
-/// Tolerance for image features, relative to the largest feature. torch's own f32 results differ from its f64 results by up
-/// to 1e-5 where features reach 11 (`mllm_reference/llava_next`).
+/// Tolerance for image features, relative to the largest feature. torch's own f32 results differ
+/// from its f64 results by up to 1e-5 where features reach 11 (`mllm_reference/llava_next`).
 pub(crate) const FEATURE_TOLERANCE: f32 = 1e-5;
 /// Tolerance for logits.
 pub(crate) const LOGIT_TOLERANCE: f32 = 1e-4;
 
 /// A folder of `tests/fixtures`.
 pub(crate) fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../tests/fixtures")
+        .join(name)
 }
 
 /// The checkpoint of a folder.
 pub(crate) fn open_checkpoint(folder: &Path) -> Checkpoint {
-    Checkpoint::open(&ModelPlace::Folder(folder.to_path_buf()), None, &Families::default()).unwrap()
+    Checkpoint::open(
+        &ModelPlace::Folder(folder.to_path_buf()),
+        None,
+        &Families::default(),
+    )
+    .unwrap()
 }
 
 /// The tensors of a reference file.
@@ -46,8 +54,21 @@ impl Reference {
 
     /// Token ids; a negative one stands for a token of the image.
     pub(crate) fn ids(&self, name: &str, image_token: u32) -> Vec<u32> {
-        let ids = self.tensor(name).flatten_all().unwrap().to_vec1::<i64>().unwrap();
-        ids.into_iter().map(|id| if id < 0 { image_token } else { u32::try_from(id).unwrap() }).collect()
+        let ids = self
+            .tensor(name)
+            .flatten_all()
+            .unwrap()
+            .to_vec1::<i64>()
+            .unwrap();
+        ids.into_iter()
+            .map(|id| {
+                if id < 0 {
+                    image_token
+                } else {
+                    u32::try_from(id).unwrap()
+                }
+            })
+            .collect()
     }
 }
 
@@ -68,22 +89,37 @@ impl Run {
     /// Reads a run by any generator script.
     pub(crate) fn open(path: &Path, image_token: u32) -> Self {
         let reference = Reference::open(path);
-        let any = |names: &[&'static str]| *names.iter().find(|name| reference.0.contains_key(**name)).unwrap();
+        let any = |names: &[&'static str]| {
+            *names
+                .iter()
+                .find(|name| reference.0.contains_key(**name))
+                .unwrap()
+        };
         let pixels = reference.tensor("pixel_values");
-        let (side, features) =
-            (pixels.dims()[pixels.rank() - 1], reference.tensor(any(&["features", "packed", "image_embeds"])));
+        let (side, features) = (
+            pixels.dims()[pixels.rank() - 1],
+            reference.tensor(any(&["features", "packed", "image_embeds"])),
+        );
         let pixels = pixels.reshape(((), 3, side, side)).unwrap();
         let mut ids = reference.ids("input_ids", image_token);
         if reference.0.contains_key("token_type_ids") {
             let kinds = reference.ids("token_type_ids", 0);
-            ids.iter_mut().zip(kinds).filter(|(_, kind)| *kind == 1).for_each(|(id, _)| *id = image_token);
+            ids.iter_mut()
+                .zip(kinds)
+                .filter(|(_, kind)| *kind == 1)
+                .for_each(|(id, _)| *id = image_token);
         }
         let greedy = reference.ids(any(&["generated", "gen"]), image_token);
         Self {
-            pixels: (0..pixels.dims()[0]).map(|image| pixels.get(image).unwrap()).collect(),
+            pixels: (0..pixels.dims()[0])
+                .map(|image| pixels.get(image).unwrap())
+                .collect(),
             features: features.flatten_to(features.rank() - 2).unwrap(),
             logits: reference.tensor("logits").clone(),
-            greedy: greedy.strip_prefix(ids.as_slice()).unwrap_or(&greedy).to_vec(),
+            greedy: greedy
+                .strip_prefix(ids.as_slice())
+                .unwrap_or(&greedy)
+                .to_vec(),
             ids,
         }
     }
@@ -124,7 +160,15 @@ pub(crate) fn difference(found: &Tensor, expected: &Tensor) -> f32 {
 
 /// Difference of image features relative to the largest one, or to 1 if that is larger.
 pub(crate) fn feature_difference(found: &Tensor, expected: &Tensor) -> f32 {
-    let largest = expected.abs().unwrap().flatten_all().unwrap().max(0).unwrap().to_scalar::<f32>().unwrap();
+    let largest = expected
+        .abs()
+        .unwrap()
+        .flatten_all()
+        .unwrap()
+        .max(0)
+        .unwrap()
+        .to_scalar::<f32>()
+        .unwrap();
     difference(found, expected) / largest.max(1.0)
 }
 
@@ -158,7 +202,10 @@ pub(crate) fn greedy(
     let mut tokens: Vec<u32> = Vec::new();
     let mut next = ids.to_vec();
     while tokens.len() < count {
-        let logits = sequence.append(model, &next, features, Logits::Last).unwrap().unwrap();
+        let logits = sequence
+            .append(model, &next, features, Logits::Last)
+            .unwrap()
+            .unwrap();
         let token = logits.argmax(1).unwrap().to_vec1::<u32>().unwrap()[0];
         tokens.push(token);
         next = vec![token];
@@ -166,8 +213,8 @@ pub(crate) fn greedy(
     tokens
 }
 
-/// Checks the logits of the reference's last positions, computed in one piece, in several, and token by token. Returns the
-/// largest difference.
+/// Checks the logits of the reference's last positions, computed in one piece, in several, and
+/// token by token. Returns the largest difference.
 pub(crate) fn assert_logits(
     model: &dyn VisionLanguageModel,
     ids: &[u32],
@@ -179,7 +226,10 @@ pub(crate) fn assert_logits(
     for pieces in [&[][..], &[1], &[4, 3, 9], &[7, 12], &one_by_one] {
         let logits = logits_in_pieces(model, ids, features, pieces);
         let found = difference(&last_rows(&logits, expected), expected);
-        assert!(found < LOGIT_TOLERANCE, "in pieces of {pieces:?} the logits differ by {found}");
+        assert!(
+            found < LOGIT_TOLERANCE,
+            "in pieces of {pieces:?} the logits differ by {found}"
+        );
         worst = worst.max(found);
     }
     worst
@@ -192,7 +242,10 @@ pub(crate) fn logits_deviation(
     features: &ImageFeatures,
     expected: &Tensor,
 ) -> f32 {
-    difference(&last_rows(&logits_in_pieces(model, ids, Some(features), &[]), expected), expected)
+    difference(
+        &last_rows(&logits_in_pieces(model, ids, Some(features), &[]), expected),
+        expected,
+    )
 }
 
 fn last_rows(logits: &Tensor, expected: &Tensor) -> Tensor {
@@ -213,13 +266,20 @@ pub(crate) fn assert_greedy(
     assert_eq!(greedy(model, &mut sequence, ids, features, count), expected);
     // A truncation leaves no trace; 7 lies within an image at the beginning.
     sequence.truncate(7);
-    assert_eq!(greedy(model, &mut sequence, &ids[7..], features, count), expected);
+    assert_eq!(
+        greedy(model, &mut sequence, &ids[7..], features, count),
+        expected
+    );
     sequence.truncate(20);
     let mut copy = sequence.clone();
-    assert_eq!(greedy(model, &mut copy, &ids[20..], features, count), expected);
+    assert_eq!(
+        greedy(model, &mut copy, &ids[20..], features, count),
+        expected
+    );
 }
 
-/// Checks a complete folder: ids, features, logits and greedy tokens of the chat in its `prompts.json`.
+/// Checks a complete folder: ids, features, logits and greedy tokens of the chat in its
+/// `prompts.json`.
 pub(crate) fn assert_chat(folder: &Path, rounds: &[&str]) {
     let reference = Reference::open(&folder.join("reference.safetensors"));
     let texts = read_json(&folder.join("prompts.json")).unwrap();
@@ -236,15 +296,43 @@ pub(crate) fn assert_chat(folder: &Path, rounds: &[&str]) {
     let found = feature_difference(&features.rows, reference.tensor("features"));
     assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
 
-    let first = Turn { prompt: prompts[0].clone(), answer: text(&texts["first_answer"]) };
+    let first = Turn {
+        prompt: prompts[0].clone(),
+        answer: text(&texts["first_answer"]),
+    };
     for name in rounds {
-        let (turns, prompt) = if *name == "chat_" { (vec![first.clone()], &prompts[1]) } else { (vec![], &prompts[0]) };
+        let (turns, prompt) = if *name == "chat_" {
+            (vec![first.clone()], &prompts[1])
+        } else {
+            (vec![], &prompts[0])
+        };
         let image = (*name != "text_").then_some(layout);
-        let ids = local.prompt_ids(&Chat { system: &system, image, turns: &turns, prompt }).unwrap();
-        assert_eq!(ids, reference.ids(&format!("{name}input_ids"), model.info().image_token), "{name}");
-        assert_logits(model, &ids, Some(&features), reference.tensor(&format!("{name}logits")));
+        let ids = local
+            .prompt_ids(&Chat {
+                system: &system,
+                image,
+                turns: &turns,
+                prompt,
+            })
+            .unwrap();
+        assert_eq!(
+            ids,
+            reference.ids(&format!("{name}input_ids"), model.info().image_token),
+            "{name}"
+        );
+        assert_logits(
+            model,
+            &ids,
+            Some(&features),
+            reference.tensor(&format!("{name}logits")),
+        );
         if image.is_some() {
-            assert_greedy(model, &ids, Some(&features), &reference.ids(&format!("{name}generated"), 0));
+            assert_greedy(
+                model,
+                &ids,
+                Some(&features),
+                &reference.ids(&format!("{name}generated"), 0),
+            );
         }
     }
 }
@@ -252,6 +340,8 @@ pub(crate) fn assert_chat(folder: &Path, rounds: &[&str]) {
 /// The image of noise and edges of `synthetic` in the generator scripts.
 pub(crate) fn synthetic(height: u32, width: u32) -> image::RgbImage {
     image::RgbImage::from_fn(width, height, |x, y| {
-        image::Rgb([0, 1, 2].map(|c| ((x * 7 + y * 13 + c * 29 + (x * y) % 31 * 5 + (x ^ y)) % 256) as u8))
+        image::Rgb(
+            [0, 1, 2].map(|c| ((x * 7 + y * 13 + c * 29 + (x * y) % 31 * 5 + (x ^ y)) % 256) as u8),
+        )
     })
 }

@@ -1,12 +1,14 @@
-//! `config.json` of a `Qwen2_5_VLForConditionalGeneration` checkpoint: with the decoder's keys at the root, as all published
-//! files, or under `text_config`.
+//! `config.json` of a `Qwen2_5_VLForConditionalGeneration` checkpoint: with the decoder's keys at
+//! the root, as all published files, or under `text_config`.
 
 use std::path::Path;
 
 use serde_json::{Value, json};
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig, check_width};
+use crate::checkpoint::{
+    ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig, check_width,
+};
 use crate::qwen3_vl::{check_tower_rope, image_token, text_config};
 use planagent_kernels::Activation;
 
@@ -29,7 +31,10 @@ pub(super) struct Qwen25VlConfig {
 
 impl Qwen25VlConfig {
     pub(super) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
-        Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
+        Self::from_json(
+            &files.path("config.json"),
+            &files.required_json("config.json")?,
+        )
     }
 
     /// Reads a configuration; `path` is for messages.
@@ -54,7 +59,10 @@ impl Qwen25VlConfig {
             if (1..=most).contains(&count) {
                 return Ok(count);
             }
-            Err(vision.error(key, format!("expected a whole number from 1 to {most}, found {count}")))
+            Err(vision.error(
+                key,
+                format!("expected a whole number from 1 to {most}, found {count}"),
+            ))
         };
         let merge = count("spatial_merge_size", 16)?;
         check_width(&vision, "spatial_merge_size", merge * merge, tower.hidden)?;
@@ -63,8 +71,14 @@ impl Qwen25VlConfig {
             return Err(vision.error("window_size", "is smaller than a token"));
         }
         let text = text_config(&root, DecoderType::Qwen25Vl)?;
-        if vision.value("out_hidden_size")?.is_some_and(|width: usize| width != text.hidden) {
-            return Err(vision.error("out_hidden_size", format!("the decoder takes {}", text.hidden)));
+        if vision
+            .value("out_hidden_size")?
+            .is_some_and(|width: usize| width != text.hidden)
+        {
+            return Err(vision.error(
+                "out_hidden_size",
+                format!("the decoder takes {}", text.hidden),
+            ));
         }
         Ok(Self {
             window,
@@ -94,10 +108,17 @@ mod tests {
         let read = |config: &Value| Qwen25VlConfig::from_json(Path::new("config.json"), config);
         let config = read(&flat).unwrap();
         assert_eq!(config, read(&nested).unwrap());
-        assert_eq!((config.window, config.text.head_dim, config.text.window), (8, 128, None));
+        assert_eq!(
+            (config.window, config.text.head_dim, config.text.window),
+            (8, 128, None)
+        );
         assert!(config.text.attention_bias && !config.text.output_bias && !config.text.head_norms);
         for (key, pointer, value) in [
-            ("mrope_section", "/rope_scaling/mrope_section", json!([16, 24, 20])),
+            (
+                "mrope_section",
+                "/rope_scaling/mrope_section",
+                json!([16, 24, 20]),
+            ),
             ("window_size", "/vision_config/window_size", json!(20)),
             ("hidden_act", "/vision_config/hidden_act", json!("gelu")),
         ] {

@@ -31,7 +31,8 @@ const NAMES: Names = Names {
 
 /// Least and most pixels of the published processor.
 const PIXELS: [u64; 2] = [3136, 12_845_056];
-/// Side of the blocks of patches that become a token, and of a window in pixels; the files do not say them.
+/// Side of the blocks of patches that become a token, and of a window in pixels; the files do not
+/// say them.
 const MERGE: usize = 2;
 const WINDOW: usize = 112;
 /// Key of the distance of layers that attend to the whole image.
@@ -66,5 +67,8 @@ fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmEr
             "fullatt_block_indexes": (0..layers).filter(|layer| (layer + 1).is_multiple_of(every)).collect::<Vec<_>>(),
         },
     });
-    Ok(VisionFiles { config, processor: limits(tower, PIXELS, MERGE, notes)? })
+    Ok(VisionFiles {
+        config,
+        processor: limits(tower, PIXELS, MERGE, notes)?,
+    })
 }

@@ -1,5 +1,5 @@
-//! Qwen2.5-VL (Bai et al., arXiv:2502.13923): a tower for images of any size, most of whose layers attend within windows, and a
-//! Qwen 2 decoder; image tokens have positions on three axes.
+//! Qwen2.5-VL (Bai et al., arXiv:2502.13923): a tower for images of any size, most of whose layers
+//! attend within windows, and a Qwen 2 decoder; image tokens have positions on three axes.
 
 mod config;
 mod gguf;
@@ -34,19 +34,32 @@ pub(crate) type Qwen25Vl = PatchModel<ImageEncoder>;
 
 fn open(files: &ModelFiles, weights: &mut Weights) -> Result<Qwen25Vl, MllmError> {
     let config = Qwen25VlConfig::open(files)?;
-    let processor = PatchProcessor::open(files, config.vision.patch_size as u32, config.merge as u32)?;
+    let processor =
+        PatchProcessor::open(files, config.vision.patch_size as u32, config.merge as u32)?;
     take(weights, &config, processor)
 }
 
-fn take(weights: &mut Weights, config: &Qwen25VlConfig, processor: PatchProcessor) -> Result<Qwen25Vl, MllmError> {
+fn take(
+    weights: &mut Weights,
+    config: &Qwen25VlConfig,
+    processor: PatchProcessor,
+) -> Result<Qwen25Vl, MllmError> {
     let encoder = |weights: &mut Weights| ImageEncoder::take(weights, config);
-    PatchModel::take(weights, NAME, &config.text, config.image_token, processor, encoder)
+    PatchModel::take(
+        weights,
+        NAME,
+        &config.text,
+        config.image_token,
+        processor,
+        encoder,
+    )
 }
 
 /// What is read of the small files, for tests of their keys.
 #[cfg(test)]
 pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
     let config = Qwen25VlConfig::open(files)?;
-    let processor = PatchProcessor::open(files, config.vision.patch_size as u32, config.merge as u32)?;
+    let processor =
+        PatchProcessor::open(files, config.vision.patch_size as u32, config.merge as u32)?;
     Ok(format!("{config:?} {processor:?}"))
 }

@@ -48,18 +48,29 @@ fn llama_cpps_files_give_the_same() {
 fn pixels_and_sizes_are_those_of_transformers() {
     let prompts = Prompts::of("tiny_qwen2_5_vl");
     for (name, index) in [("", 0), ("second_", 1)] {
-        let found = processor(TINY, PATCH).process(&prompts.image(index)).unwrap();
+        let found = processor(TINY, PATCH)
+            .process(&prompts.image(index))
+            .unwrap();
         let found = difference(&found, &raster_pixels(&prompts.reference, name, PATCH));
         assert!(found < 1e-6, "{name}: the pixels differ by {found}");
     }
-    assert_resized(&prompts.folder, "tiny", |width, height| processor(TINY, PATCH).resized(width, height));
-    assert_resized(&prompts.folder, "real", |width, height| processor([3136, 1_003_520], 14).resized(width, height));
+    assert_resized(&prompts.folder, "tiny", |width, height| {
+        processor(TINY, PATCH).resized(width, height)
+    });
+    assert_resized(&prompts.folder, "real", |width, height| {
+        processor([3136, 1_003_520], 14).resized(width, height)
+    });
 }
 
-/// Errors in configuration and weights on the way from pixels to features. The second image has several windows.
+/// Errors in configuration and weights on the way from pixels to features. The second image has
+/// several windows.
 const IMAGE_FAULTS: [Fault; 4] = [
-    ("no windows", |parts| parts.config["vision_config"]["fullatt_block_indexes"] = json!([0, 1, 2, 3])),
-    ("windows in the last layer", |parts| parts.config["vision_config"]["fullatt_block_indexes"] = json!([1])),
+    ("no windows", |parts| {
+        parts.config["vision_config"]["fullatt_block_indexes"] = json!([0, 1, 2, 3])
+    }),
+    ("windows in the last layer", |parts| {
+        parts.config["vision_config"]["fullatt_block_indexes"] = json!([1])
+    }),
     ("the kernel of the first frame alone", |parts| {
         parts.change("patch_embed.proj.weight", |kernel| {
             let first = kernel.narrow(2, 0, 1).unwrap();
@@ -80,7 +91,9 @@ const DECODER_FAULTS: [Fault; 3] = [
         parts.config["text_config"]["rope_parameters"]["mrope_section"] = json!([4, 2, 2]);
     }),
     ("queries without their bias", |parts| {
-        parts.change("self_attn.q_proj.bias", |tensor| tensor.zeros_like().unwrap());
+        parts.change("self_attn.q_proj.bias", |tensor| {
+            tensor.zeros_like().unwrap()
+        });
     }),
 ];
 
@@ -94,15 +107,18 @@ fn errors_that_are_easily_made_lead_far_away() {
     run.logits(&right, &features).assert_none("nothing wrong");
     for (what, fault) in IMAGE_FAULTS {
         let model = assembled(&Parts::wrong(&prompts.folder, fault));
-        run.logits(&model, &model.encoder.encode(&pixels).unwrap()).assert_far(what);
+        run.logits(&model, &model.encoder.encode(&pixels).unwrap())
+            .assert_far(what);
     }
     for (what, fault) in DECODER_FAULTS {
         let model = assembled(&Parts::wrong(&prompts.folder, fault));
-        run.logits(&model, &model.encoder.encode(&pixels).unwrap()).assert_logits_far(what);
+        run.logits(&model, &model.encoder.encode(&pixels).unwrap())
+            .assert_logits_far(what);
     }
     let mut turned = features.clone();
     std::mem::swap(&mut turned.layout.rows, &mut turned.layout.columns);
-    run.logits(&right, &turned).assert_logits_far("rows and columns exchanged");
+    run.logits(&right, &turned)
+        .assert_logits_far("rows and columns exchanged");
     for (what, wrong) in run.wrong_positions(&right) {
         run.placed(&right, &features, wrong).assert_logits_far(what);
     }

@@ -49,14 +49,18 @@ struct Windows {
 
 impl Windows {
     fn new([rows, columns]: [usize; 2], side: usize) -> Self {
-        let mut windows = Self { order: Vec::with_capacity(rows * columns), lengths: Vec::new() };
+        let mut windows = Self {
+            order: Vec::with_capacity(rows * columns),
+            lengths: Vec::new(),
+        };
         for top in (0..rows).step_by(side) {
             for left in (0..columns).step_by(side) {
                 let before = windows.order.len();
                 for row in top..rows.min(top + side) {
-                    windows
-                        .order
-                        .extend((left..columns.min(left + side)).map(|column| (row * columns + column) as u32));
+                    windows.order.extend(
+                        (left..columns.min(left + side))
+                            .map(|column| (row * columns + column) as u32),
+                    );
                 }
                 windows.lengths.push(windows.order.len() - before);
             }
@@ -83,11 +87,21 @@ impl ImageEncoder {
         let hidden = vision.hidden;
         let merged = hidden * config.merge * config.merge;
         Ok(Self {
-            patch_embedding: take_patch_embedding(weights, hidden, vision.patch_size, config.frames, false)?,
+            patch_embedding: take_patch_embedding(
+                weights,
+                hidden,
+                vision.patch_size,
+                config.frames,
+                false,
+            )?,
             layers: (0..vision.layers)
                 .map(|index| Layer::take(weights, vision, index, config.whole.contains(&index)))
                 .collect::<Result<_, _>>()?,
-            norm: weights.take_rms_norm(&format!("{PROJECTOR}.norm"), hidden, vision.layer_norm_eps)?,
+            norm: weights.take_rms_norm(
+                &format!("{PROJECTOR}.norm"),
+                hidden,
+                vision.layer_norm_eps,
+            )?,
             merger: PatchMerger::take(weights, PROJECTOR, merged, config.text.hidden)?,
             patch_size: vision.patch_size,
             head: hidden / vision.heads,
@@ -99,12 +113,21 @@ impl ImageEncoder {
 
 impl PatchEncoder for ImageEncoder {
     fn encode(&self, pixels: &Tensor) -> candle_core::Result<ImageFeatures> {
-        let grid = [pixels.dim(1)? / self.patch_size, pixels.dim(2)? / self.patch_size];
+        let grid = [
+            pixels.dim(1)? / self.patch_size,
+            pixels.dim(2)? / self.patch_size,
+        ];
         let windows = Windows::new(grid, self.window);
-        let select = |x: &Tensor, rows: Vec<u32>| x.index_select(&Tensor::new(rows, &Device::Cpu)?, 0);
-        let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
+        let select =
+            |x: &Tensor, rows: Vec<u32>| x.index_select(&Tensor::new(rows, &Device::Cpu)?, 0);
+        let patches = self
+            .patch_embedding
+            .forward(&unfold(pixels, self.patch_size)?)?;
         let mut x = select(&patches, windows.order.clone())?;
-        let places = windows.order.iter().map(|patch| [*patch as usize / grid[1], *patch as usize % grid[1]]);
+        let places = windows
+            .order
+            .iter()
+            .map(|patch| [*patch as usize / grid[1], *patch as usize % grid[1]]);
         let rotary = RotaryRows::of_patches(places, self.head, ROTARY_BASE);
         let mut first = 0;
         let within: Vec<Part> = windows
@@ -112,10 +135,16 @@ impl PatchEncoder for ImageEncoder {
             .iter()
             .map(|tokens| {
                 first += tokens;
-                Part { tokens: *tokens, rotary: Some(rotary.of_rows(first - tokens..first)) }
+                Part {
+                    tokens: *tokens,
+                    rotary: Some(rotary.of_rows(first - tokens..first)),
+                }
             })
             .collect();
-        let whole = [Part { tokens: first, rotary: Some(rotary) }];
+        let whole = [Part {
+            tokens: first,
+            rotary: Some(rotary),
+        }];
         for layer in &self.layers {
             x = layer.forward(&x, if layer.whole { &whole } else { &within })?;
         }
@@ -125,13 +154,22 @@ impl PatchEncoder for ImageEncoder {
         Ok(ImageFeatures {
             rows: features,
             deep: Vec::new(),
-            layout: ImageLayout { tokens: rows * columns, rows, columns },
+            layout: ImageLayout {
+                tokens: rows * columns,
+                rows,
+                columns,
+            },
         })
     }
 }
 
 impl Layer {
-    fn take(weights: &mut Weights, config: &VisionConfig, index: usize, whole: bool) -> Result<Self, MllmError> {
+    fn take(
+        weights: &mut Weights,
+        config: &VisionConfig,
+        index: usize,
+        whole: bool,
+    ) -> Result<Self, MllmError> {
         let name = format!("vision_tower.encoder.layers.{index}");
         let (hidden, eps) = (config.hidden, config.layer_norm_eps);
         let shape = SwiGluShape {
@@ -142,7 +180,12 @@ impl Layer {
         };
         Ok(Self {
             norm1: weights.take_rms_norm(&format!("{name}.layer_norm1"), hidden, eps)?,
-            attention: SelfAttention::take(weights, &format!("{name}.self_attn"), hidden, config.heads)?,
+            attention: SelfAttention::take(
+                weights,
+                &format!("{name}.self_attn"),
+                hidden,
+                config.heads,
+            )?,
             norm2: weights.take_rms_norm(&format!("{name}.layer_norm2"), hidden, eps)?,
             mlp: SwiGlu::take(weights, &format!("{name}.mlp"), shape)?,
             whole,
@@ -150,7 +193,9 @@ impl Layer {
     }
 
     fn forward(&self, x: &Tensor, parts: &[Part]) -> candle_core::Result<Tensor> {
-        let x = self.attention.forward_onto(&self.norm1.forward(x)?, parts, x)?;
+        let x = self
+            .attention
+            .forward_onto(&self.norm1.forward(x)?, parts, x)?;
         self.mlp.forward_onto(&self.norm2.forward(&x)?, &x)
     }
 }
@@ -165,6 +210,12 @@ mod tests {
         assert_eq!(windows.lengths, [4, 4, 2, 2]);
         assert_eq!(windows.order, [0, 1, 4, 5, 2, 3, 6, 7, 8, 9, 10, 11]);
         let back = windows.back();
-        assert!(windows.order.iter().enumerate().all(|(row, patch)| back[*patch as usize] == row as u32));
+        assert!(
+            windows
+                .order
+                .iter()
+                .enumerate()
+                .all(|(row, patch)| back[*patch as usize] == row as u32)
+        );
     }
 }

@@ -5,7 +5,9 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, Neutral, VisionConfig, check_width};
+use crate::checkpoint::{
+    ConfigObject, DecoderType, LlamaConfig, ModelFiles, Neutral, VisionConfig, check_width,
+};
 
 /// A Qwen3-VL: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,7 +32,10 @@ const IMAGE_TOKEN: u32 = 151_655;
 
 impl Qwen3VlConfig {
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
-        Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
+        Self::from_json(
+            &files.path("config.json"),
+            &files.required_json("config.json")?,
+        )
     }
 
     /// Reads a configuration; `path` is for messages.
@@ -47,28 +52,50 @@ impl Qwen3VlConfig {
             if (1..=most).contains(&count) {
                 return Ok(count);
             }
-            Err(vision.error(key, format!("expected a whole number from 1 to {most}, found {count}")))
+            Err(vision.error(
+                key,
+                format!("expected a whole number from 1 to {most}, found {count}"),
+            ))
         };
         check_tower_rope(&vision)?;
         let learned = count("num_position_embeddings", 1 << 16)?;
         let positions = learned.isqrt();
         if positions * positions != learned {
-            return Err(vision.error("num_position_embeddings", format!("{learned} is no square number")));
+            return Err(vision.error(
+                "num_position_embeddings",
+                format!("{learned} is no square number"),
+            ));
         }
         let patch = count("patch_size", 256)?;
-        let sized = vision.clone().with_defaults(json!({"image_size": positions * patch}));
+        let sized = vision
+            .clone()
+            .with_defaults(json!({"image_size": positions * patch}));
         let tower = VisionConfig::read(&sized)?;
         if !(tower.hidden / tower.heads).is_multiple_of(4) {
             return Err(vision.error("num_heads", "the width of a head must be a multiple of 4"));
         }
-        let deep: Vec<usize> = vision.value("deepstack_visual_indexes")?.unwrap_or_default();
+        let deep: Vec<usize> = vision
+            .value("deepstack_visual_indexes")?
+            .unwrap_or_default();
         let text = text_config(&root, DecoderType::Qwen3Vl)?;
-        if !deep.is_sorted() || deep.last().is_some_and(|last| *last >= tower.layers) || deep.len() > text.layers {
-            let problem = format!("{deep:?} are no rising layers of a tower of {}", tower.layers);
+        if !deep.is_sorted()
+            || deep.last().is_some_and(|last| *last >= tower.layers)
+            || deep.len() > text.layers
+        {
+            let problem = format!(
+                "{deep:?} are no rising layers of a tower of {}",
+                tower.layers
+            );
             return Err(vision.error("deepstack_visual_indexes", problem));
         }
-        if vision.value("out_hidden_size")?.is_some_and(|width: usize| width != text.hidden) {
-            return Err(vision.error("out_hidden_size", format!("the decoder takes {}", text.hidden)));
+        if vision
+            .value("out_hidden_size")?
+            .is_some_and(|width: usize| width != text.hidden)
+        {
+            return Err(vision.error(
+                "out_hidden_size",
+                format!("the decoder takes {}", text.hidden),
+            ));
         }
         let merge = count("spatial_merge_size", 16)?;
         check_width(&vision, "spatial_merge_size", merge * merge, tower.hidden)?;
@@ -85,14 +112,18 @@ impl Qwen3VlConfig {
 }
 
 /// The decoder of a Qwen-VL, of the class `kind`, from `text_config` or, in older files, the root.
-pub(crate) fn text_config(root: &ConfigObject<'_>, kind: DecoderType) -> Result<LlamaConfig, MllmError> {
+pub(crate) fn text_config(
+    root: &ConfigObject<'_>,
+    kind: DecoderType,
+) -> Result<LlamaConfig, MllmError> {
     let text = root.child("text_config")?.unwrap_or_else(|| root.clone());
     let mut config = LlamaConfig::read_as(text, kind)?;
     config.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(false);
     Ok(config)
 }
 
-/// Checks that the patches' rotary embedding is the one that is computed (`rope_parameters` of a tower).
+/// Checks that the patches' rotary embedding is the one that is computed (`rope_parameters` of a
+/// tower).
 pub(crate) fn check_tower_rope(vision: &ConfigObject<'_>) -> Result<(), MllmError> {
     vision.child_or_empty("rope_parameters")?.only_neutral(&[
         ("rope_theta", Neutral::Number(10_000.0)),
@@ -107,7 +138,10 @@ pub(crate) fn image_token(root: &ConfigObject<'_>, vocabulary: usize) -> Result<
     if (id as usize) < vocabulary {
         return Ok(id);
     }
-    Err(root.error("image_token_id", format!("{id} lies outside the vocabulary of {vocabulary}")))
+    Err(root.error(
+        "image_token_id",
+        format!("{id} lies outside the vocabulary of {vocabulary}"),
+    ))
 }
 
 #[cfg(test)]
@@ -122,17 +156,33 @@ mod tests {
             "intermediate_size": 4096, "deepstack_visual_indexes": [5, 11, 17], "out_hidden_size": 2560}});
         let mut new = old.clone();
         old["text_config"]["rope_theta"] = json!(5e6);
-        old["text_config"]["rope_scaling"] = json!({"rope_type": "default", "mrope_section": [24, 20, 20]});
+        old["text_config"]["rope_scaling"] =
+            json!({"rope_type": "default", "mrope_section": [24, 20, 20]});
         new["text_config"]["rope_parameters"] = json!({"rope_type": "default", "rope_theta": 5e6, "mrope_interleaved": true, "mrope_section": [24, 20, 20]});
         let read = |config: &Value| Qwen3VlConfig::from_json(Path::new("config.json"), config);
         let config = read(&old).unwrap();
         assert_eq!(config, read(&new).unwrap());
-        assert_eq!((config.positions, config.merge, config.text.head_dim), (48, 2, 128));
+        assert_eq!(
+            (config.positions, config.merge, config.text.head_dim),
+            (48, 2, 128)
+        );
         assert!(config.text.head_norms && !config.text.attention_bias);
         for (key, pointer, value) in [
-            ("mrope_section", "/text_config/rope_scaling/mrope_section", json!([24, 20, 10])),
-            ("deepstack_visual_indexes", "/vision_config/deepstack_visual_indexes", json!([5, 40])),
-            ("out_hidden_size", "/vision_config/out_hidden_size", json!(7)),
+            (
+                "mrope_section",
+                "/text_config/rope_scaling/mrope_section",
+                json!([24, 20, 10]),
+            ),
+            (
+                "deepstack_visual_indexes",
+                "/vision_config/deepstack_visual_indexes",
+                json!([5, 40]),
+            ),
+            (
+                "out_hidden_size",
+                "/vision_config/out_hidden_size",
+                json!(7),
+            ),
         ] {
             let mut changed = old.clone();
             *changed.pointer_mut(pointer).unwrap() = value;

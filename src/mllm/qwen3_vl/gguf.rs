@@ -4,7 +4,9 @@ use serde_json::{Value, json};
 
 use super::patches::PatchProcessor;
 use crate::MllmError;
-use crate::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, Pair, VISION_LAYERS};
+use crate::gguf::names::{
+    DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, Pair, VISION_LAYERS,
+};
 use crate::gguf::{Header, ReadOnlyLayout, VisionFiles};
 
 /// The tensors outside of layers that Qwen's vision-language models share.
@@ -12,10 +14,22 @@ pub(crate) const QWEN_NAMES: [Pair; 13] = [
     EMBEDDING,
     FINAL_NORM,
     OUTPUT,
-    ("v.patch_embd.weight", "vision_tower.embeddings.patch_embedding.weight"),
-    ("v.patch_embd.weight.1", "vision_tower.embeddings.patch_embedding.second.weight"),
-    ("v.patch_embd.bias", "vision_tower.embeddings.patch_embedding.bias"),
-    ("v.position_embd.weight", "vision_tower.embeddings.position_embedding.weight"),
+    (
+        "v.patch_embd.weight",
+        "vision_tower.embeddings.patch_embedding.weight",
+    ),
+    (
+        "v.patch_embd.weight.1",
+        "vision_tower.embeddings.patch_embedding.second.weight",
+    ),
+    (
+        "v.patch_embd.bias",
+        "vision_tower.embeddings.patch_embedding.bias",
+    ),
+    (
+        "v.position_embd.weight",
+        "vision_tower.embeddings.position_embedding.weight",
+    ),
     ("v.post_ln.weight", "multi_modal_projector.norm.weight"),
     ("v.post_ln.bias", "multi_modal_projector.norm.bias"),
     ("mm.0.weight", "multi_modal_projector.linear_fc1.weight"),
@@ -30,7 +44,15 @@ const NAMES: Names = Names {
     layers: &[
         DECODER_LAYERS,
         VISION_LAYERS,
-        (DEEP, "multi_modal_projector.deepstack.", &[("norm", "norm"), ("fc1", "linear_fc1"), ("fc2", "linear_fc2")]),
+        (
+            DEEP,
+            "multi_modal_projector.deepstack.",
+            &[
+                ("norm", "norm"),
+                ("fc1", "linear_fc1"),
+                ("fc2", "linear_fc2"),
+            ],
+        ),
     ],
 };
 
@@ -43,12 +65,21 @@ const PIXELS: [u64; 2] = [65_536, 16_777_216];
 
 /// The layers of the tower whose outputs go to the decoder.
 fn deep_layers(tower: &Header) -> Result<Vec<usize>, MllmError> {
-    let flags: Option<Vec<bool>> = tower.list("clip.vision.is_deepstack_layers", "a list of true and false")?;
+    let flags: Option<Vec<bool>> = tower.list(
+        "clip.vision.is_deepstack_layers",
+        "a list of true and false",
+    )?;
     let flags = flags.unwrap_or_default();
-    Ok(flags.iter().enumerate().filter(|(_, deep)| **deep).map(|(layer, _)| layer).collect())
+    Ok(flags
+        .iter()
+        .enumerate()
+        .filter(|(_, deep)| **deep)
+        .map(|(layer, _)| layer)
+        .collect())
 }
 
-/// The image processor of a tower whose file has no limits of an image's pixels, and a note of that.
+/// The image processor of a tower whose file has no limits of an image's pixels, and a note of
+/// that.
 pub(crate) fn limits(
     tower: &Header,
     pixels: [u64; 2],
@@ -99,13 +130,20 @@ fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmEr
             "deepstack_visual_indexes": deep_layers(tower)?,
         },
     });
-    Ok(VisionFiles { config, processor: limits(tower, PIXELS, merge, notes)? })
+    Ok(VisionFiles {
+        config,
+        processor: limits(tower, PIXELS, merge, notes)?,
+    })
 }
 
 /// llama.cpp counts the mergers of early layers by the tower's layers, transformers from 0.
 fn renamed(file: &Header, name: &str) -> Result<Option<String>, MllmError> {
-    let counted = name.strip_prefix(DEEP).and_then(|rest| rest.split_once('.'));
-    let Some((layer, part)) = counted.and_then(|(layer, part)| Some((layer.parse::<usize>().ok()?, part))) else {
+    let counted = name
+        .strip_prefix(DEEP)
+        .and_then(|rest| rest.split_once('.'));
+    let Some((layer, part)) =
+        counted.and_then(|(layer, part)| Some((layer.parse::<usize>().ok()?, part)))
+    else {
         return Ok(Some(name.to_string()));
     };
     let index = deep_layers(file)?.iter().position(|deep| *deep == layer);

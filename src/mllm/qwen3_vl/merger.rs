@@ -15,7 +15,8 @@ pub(crate) struct PatchMerger {
 }
 
 impl PatchMerger {
-    /// Takes the layers of the merger called `name`, from blocks of `merged` numbers to rows of `hidden`.
+    /// Takes the layers of the merger called `name`, from blocks of `merged` numbers to rows of
+    /// `hidden`.
     pub(crate) fn take(
         weights: &mut Weights,
         name: &str,
@@ -30,6 +31,7 @@ impl PatchMerger {
 
     /// Maps (tokens, merged) to (tokens, hidden).
     pub(crate) fn forward(&self, merged: &Tensor) -> Result<Tensor> {
-        self.linear2.forward(&Activation::Gelu.forward(&self.linear1.forward(merged)?)?)
+        self.linear2
+            .forward(&Activation::Gelu.forward(&self.linear1.forward(merged)?)?)
     }
 }

@@ -1,5 +1,6 @@
-//! Qwen3-VL (Bai et al., arXiv:2511.21631): a tower for images of any size, whose early layers add to the first layers of a
-//! Qwen 3 decoder (`DeepStack`). Image tokens have positions on three axes.
+//! Qwen3-VL (Bai et al., arXiv:2511.21631): a tower for images of any size, whose early layers add
+//! to the first layers of a Qwen 3 decoder (`DeepStack`). Image tokens have positions on three
+//! axes.
 
 mod config;
 mod gguf;
@@ -43,19 +44,32 @@ pub(crate) type Qwen3Vl = PatchModel<ImageEncoder>;
 
 fn open(files: &ModelFiles, weights: &mut Weights) -> Result<Qwen3Vl, MllmError> {
     let config = Qwen3VlConfig::open(files)?;
-    let processor = PatchProcessor::open(files, config.vision.patch_size as u32, config.merge as u32)?;
+    let processor =
+        PatchProcessor::open(files, config.vision.patch_size as u32, config.merge as u32)?;
     take(weights, &config, processor)
 }
 
-fn take(weights: &mut Weights, config: &Qwen3VlConfig, processor: PatchProcessor) -> Result<Qwen3Vl, MllmError> {
+fn take(
+    weights: &mut Weights,
+    config: &Qwen3VlConfig,
+    processor: PatchProcessor,
+) -> Result<Qwen3Vl, MllmError> {
     let encoder = |weights: &mut Weights| ImageEncoder::take(weights, config);
-    PatchModel::take(weights, NAME, &config.text, config.image_token, processor, encoder)
+    PatchModel::take(
+        weights,
+        NAME,
+        &config.text,
+        config.image_token,
+        processor,
+        encoder,
+    )
 }
 
 /// What is read of the small files, for tests of their keys.
 #[cfg(test)]
 pub(crate) fn read_files(files: &ModelFiles) -> Result<String, MllmError> {
     let config = Qwen3VlConfig::open(files)?;
-    let processor = PatchProcessor::open(files, config.vision.patch_size as u32, config.merge as u32)?;
+    let processor =
+        PatchProcessor::open(files, config.vision.patch_size as u32, config.merge as u32)?;
     Ok(format!("{config:?} {processor:?}"))
 }

@@ -1,4 +1,5 @@
-//! Models whose tower takes images of any size and whose image tokens have positions on three axes, as Qwen's.
+//! Models whose tower takes images of any size and whose image tokens have positions on three axes,
+//! as Qwen's.
 
 use std::fmt::Debug;
 use std::ops::Range;
@@ -12,8 +13,8 @@ use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, ModelFiles, Weights};
 use crate::decoder::{Decoder, LanguageModel, LlamaLayer};
 use crate::family::{
-    ChatFormat, ImageFeatures, ImageInfo, ImageLayout, ImageSettings, ModelInfo, PlacedImage, Positions, Tiles,
-    VisionLanguageModel,
+    ChatFormat, ImageFeatures, ImageInfo, ImageLayout, ImageSettings, ModelInfo, PlacedImage,
+    Positions, Tiles, VisionLanguageModel,
 };
 use crate::template_format::{ImageText, TemplateFormat};
 use crate::text::ChatTokenizer;
@@ -37,7 +38,8 @@ pub(crate) struct PatchModel<E> {
 }
 
 impl<E: PatchEncoder> PatchModel<E> {
-    /// Takes the weights of the family `name`: those of the encoder by `encoder`, then those of the decoder.
+    /// Takes the weights of the family `name`: those of the encoder by `encoder`, then those of the
+    /// decoder.
     pub(crate) fn take(
         weights: &mut Weights,
         name: &'static str,
@@ -49,9 +51,18 @@ impl<E: PatchEncoder> PatchModel<E> {
         let before = weights.elements();
         let encoder = encoder(weights)?;
         let decoder = Decoder::take(weights, text, "language_model.")?;
-        let image = ImageInfo { token: image_token, side: DRAWN_SIDE, max_tokens: processor.max_tokens() };
+        let image = ImageInfo {
+            token: image_token,
+            side: DRAWN_SIDE,
+            max_tokens: processor.max_tokens(),
+        };
         let info = ModelInfo::of(name, text, image, weights, before);
-        Ok(Self { processor, encoder, decoder, info })
+        Ok(Self {
+            processor,
+            encoder,
+            decoder,
+            info,
+        })
     }
 }
 
@@ -69,16 +80,31 @@ impl<E: PatchEncoder> VisionLanguageModel for PatchModel<E> {
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
-        Ok(Tiles { pixels: vec![self.processor.process(image)?], width: image.width(), height: image.height() })
+        Ok(Tiles {
+            pixels: vec![self.processor.process(image)?],
+            width: image.width(),
+            height: image.height(),
+        })
     }
 
     fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
-        let Some(pixels) = tiles.pixels.first() else { candle_core::bail!("there is no image") };
+        let Some(pixels) = tiles.pixels.first() else {
+            candle_core::bail!("there is no image")
+        };
         self.encoder.encode(pixels)
     }
 
-    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token, ImageText::Repeated)?))
+    fn chat_format(
+        &self,
+        files: &ModelFiles,
+        tokenizer: &ChatTokenizer,
+    ) -> Result<Box<dyn ChatFormat>, MllmError> {
+        Ok(Box::new(TemplateFormat::open(
+            files,
+            tokenizer,
+            self.info.image_token,
+            ImageText::Repeated,
+        )?))
     }
 
     fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {

@@ -1,4 +1,5 @@
-//! `Qwen2VLImageProcessor`, which resizes an image to whole tokens, and the embedding of its patches.
+//! `Qwen2VLImageProcessor`, which resizes an image to whole tokens, and the embedding of its
+//! patches.
 
 use candle_core::Tensor;
 use image::RgbImage;
@@ -52,7 +53,10 @@ impl Default for Keys {
     fn default() -> Self {
         Self {
             image_processor_type: None,
-            size: Size { shortest_edge: None, longest_edge: None },
+            size: Size {
+                shortest_edge: None,
+                longest_edge: None,
+            },
             min_pixels: None,
             max_pixels: None,
             patch_size: None,
@@ -63,37 +67,71 @@ impl Default for Keys {
 }
 
 impl PatchProcessor {
-    /// Reads the image processor of a model with patches of `patch` pixels, of which `merge` by `merge` become a token.
+    /// Reads the image processor of a model with patches of `patch` pixels, of which `merge` by
+    /// `merge` become a token.
     pub(crate) fn open(files: &ModelFiles, patch: u32, merge: u32) -> Result<Self, MllmError> {
         read_processor(files, |_, object| Self::read(object, patch, merge))
     }
 
-    pub(crate) fn read(object: &ConfigObject<'_>, patch: u32, merge: u32) -> Result<Self, MllmError> {
+    pub(crate) fn read(
+        object: &ConfigObject<'_>,
+        patch: u32,
+        merge: u32,
+    ) -> Result<Self, MllmError> {
         object.only_neutral(&[("do_resize", Neutral::Flag(true))])?;
         let keys: Keys = object.read()?;
         if let Some(kind) = keys.image_processor_type.filter(|kind| !is_known(kind)) {
             let problem = format!("'{kind}' is not supported; Qwen2VLImageProcessor is");
             return Err(object.error("image_processor_type", problem));
         }
-        for (key, found, expected) in [("patch_size", keys.patch_size, patch), ("merge_size", keys.merge_size, merge)] {
+        for (key, found, expected) in [
+            ("patch_size", keys.patch_size, patch),
+            ("merge_size", keys.merge_size, merge),
+        ] {
             if let Some(found) = found.filter(|found| *found != expected) {
-                return Err(object.error(key, format!("is {found}; the vision tower has {expected}")));
+                return Err(
+                    object.error(key, format!("is {found}; the vision tower has {expected}"))
+                );
             }
         }
-        let least = keys.min_pixels.or(keys.size.shortest_edge).unwrap_or(56 * 56);
-        let most = keys.max_pixels.or(keys.size.longest_edge).unwrap_or(28 * 28 * 1280);
+        let least = keys
+            .min_pixels
+            .or(keys.size.shortest_edge)
+            .unwrap_or(56 * 56);
+        let most = keys
+            .max_pixels
+            .or(keys.size.longest_edge)
+            .unwrap_or(28 * 28 * 1280);
         let pixels = [least, most].map(|pixels| pixels as f64);
         let token = patch * merge;
-        if least == 0 || least > most || pixels[1] > MAX_PIXELS || pixels[1] < f64::from(token).powi(2) {
-            return Err(object.error("max_pixels", format!("images of {least} to {most} pixels cannot be made")));
+        if least == 0
+            || least > most
+            || pixels[1] > MAX_PIXELS
+            || pixels[1] < f64::from(token).powi(2)
+        {
+            return Err(object.error(
+                "max_pixels",
+                format!("images of {least} to {most} pixels cannot be made"),
+            ));
         }
-        Ok(Self { token, pixels, filter: keys.resample, scale: PixelScale::read(object)? })
+        Ok(Self {
+            token,
+            pixels,
+            filter: keys.resample,
+            scale: PixelScale::read(object)?,
+        })
     }
 
     /// Takes the side of the drawn image. Images of this family have no tiles.
-    pub(crate) fn set_images(&self, settings: ImageSettings, info: &mut ModelInfo) -> Result<(), MllmError> {
+    pub(crate) fn set_images(
+        &self,
+        settings: ImageSettings,
+        info: &mut ModelInfo,
+    ) -> Result<(), MllmError> {
         if let Some(tiles) = settings.tiles {
-            let problem = format!("image.tiles = {tiles}: this family takes an image in one piece; set image.size");
+            let problem = format!(
+                "image.tiles = {tiles}: this family takes an image in one piece; set image.size"
+            );
             return Err(MllmError::Image { problem });
         }
         if let Some(side) = settings.size {
@@ -113,7 +151,8 @@ impl PatchProcessor {
         let [least, most] = self.pixels;
         let (long, short) = (f64::from(width.max(height)), f64::from(width.min(height)));
         if short == 0.0 || long / short > MAX_RATIO {
-            let problem = format!("{width} x {height} pixels: the ratio of the sides is above {MAX_RATIO}");
+            let problem =
+                format!("{width} x {height} pixels: the ratio of the sides is above {MAX_RATIO}");
             return Err(MllmError::Image { problem });
         }
         let token = f64::from(self.token);
@@ -136,14 +175,20 @@ impl PatchProcessor {
     pub(crate) fn layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError> {
         let (width, height) = self.resized(width, height)?;
         let [rows, columns] = [height, width].map(|side| (side / self.token) as usize);
-        Ok(ImageLayout { tokens: rows * columns, rows, columns })
+        Ok(ImageLayout {
+            tokens: rows * columns,
+            rows,
+            columns,
+        })
     }
 
     /// Pixel values, (3, height, width), of whole tokens.
     pub(crate) fn process(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
         check_not_empty(image)?;
         let (width, height) = self.resized(image.width(), image.height())?;
-        Ok(self.scale.values(&resize(image, width, height, self.filter))?)
+        Ok(self
+            .scale
+            .values(&resize(image, width, height, self.filter))?)
     }
 
     /// The processor's configuration with these limits, for files that have none.
@@ -154,13 +199,17 @@ impl PatchProcessor {
 
 /// Whether this is the processor of Qwen2-VL, in one of its forms.
 fn is_known(kind: &str) -> bool {
-    ["Qwen2VLImageProcessor", "Qwen3VLImageProcessor", "Qwen2_5_VLImageProcessor"]
-        .iter()
-        .any(|known| kind.starts_with(known))
+    [
+        "Qwen2VLImageProcessor",
+        "Qwen3VLImageProcessor",
+        "Qwen2_5_VLImageProcessor",
+    ]
+    .iter()
+    .any(|known| kind.starts_with(known))
 }
 
-/// Takes the embedding of patches, a convolution over `frames` equal frames, whose kernels are added for a still image.
-/// llama.cpp stores the kernels of two frames as two tensors.
+/// Takes the embedding of patches, a convolution over `frames` equal frames, whose kernels are
+/// added for a still image. llama.cpp stores the kernels of two frames as two tensors.
 pub(crate) fn take_patch_embedding(
     weights: &mut Weights,
     hidden: usize,
@@ -174,8 +223,20 @@ pub(crate) fn take_patch_embedding(
     let kernel = if weights.contains(&second) {
         (weights.take(&format!("{NAME}.weight"), &frame)? + weights.take(&second, &frame)?)?
     } else {
-        weights.take_of_any_rank(&format!("{NAME}.weight"), &[hidden, 3, frames, patch, patch])?.sum(2)?
+        weights
+            .take_of_any_rank(
+                &format!("{NAME}.weight"),
+                &[hidden, 3, frames, patch, patch],
+            )?
+            .sum(2)?
     };
-    let bias = if bias { Some(weights.take(&format!("{NAME}.bias"), &[hidden])?) } else { None };
-    Ok(Linear::from_matrix(Matrix::from_tensor(&kernel.flatten_from(1)?)?, bias))
+    let bias = if bias {
+        Some(weights.take(&format!("{NAME}.bias"), &[hidden])?)
+    } else {
+        None
+    };
+    Ok(Linear::from_matrix(
+        Matrix::from_tensor(&kernel.flatten_from(1)?)?,
+        bias,
+    ))
 }

@@ -4,10 +4,13 @@ use std::ops::Range;
 
 use crate::family::{PlacedImage, Positions};
 
-/// Where tokens of a chat with this image stand. An image takes one moment; its tokens stand at their rows and columns. The
-/// text behind it goes on after the longer side, not after the number of tokens (`get_rope_index` in transformers).
+/// Where tokens of a chat with this image stand. An image takes one moment; its tokens stand at
+/// their rows and columns. The text behind it goes on after the longer side, not after the number
+/// of tokens (`get_rope_index` in transformers).
 pub(crate) fn positions(tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
-    let Some(image) = image else { return Positions::plain(tokens.start as u32..tokens.end as u32) };
+    let Some(image) = image else {
+        return Positions::plain(tokens.start as u32..tokens.end as u32);
+    };
     let span = image.tokens();
     let columns = image.layout.columns.max(1);
     let taken = image.layout.rows.max(columns);
@@ -16,11 +19,18 @@ pub(crate) fn positions(tokens: Range<usize>, image: Option<PlacedImage>) -> Pos
             let place = index - span.start;
             [0, place / columns, place % columns].map(|offset| (span.start + offset) as u32)
         } else {
-            let plain = if index < span.start { index } else { (index + taken).saturating_sub(span.len()) };
+            let plain = if index < span.start {
+                index
+            } else {
+                (index + taken).saturating_sub(span.len())
+            };
             [plain as u32; 3]
         }
     };
-    Positions { rotary: tokens.map(position).collect(), vision: 0..0 }
+    Positions {
+        rotary: tokens.map(position).collect(),
+        vision: 0..0,
+    }
 }
 
 #[cfg(test)]
@@ -30,7 +40,14 @@ mod tests {
 
     #[test]
     fn text_goes_on_behind_the_longer_side() {
-        let image = PlacedImage { first: 2, layout: ImageLayout { tokens: 6, rows: 2, columns: 3 } };
+        let image = PlacedImage {
+            first: 2,
+            layout: ImageLayout {
+                tokens: 6,
+                rows: 2,
+                columns: 3,
+            },
+        };
         let expected = [
             [0, 0, 0],
             [1, 1, 1],

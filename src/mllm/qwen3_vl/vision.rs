@@ -17,7 +17,8 @@ use planagent_kernels::attention::RotaryRows;
 /// Base of the rotary embedding of patches.
 const ROTARY_BASE: f64 = 10_000.0;
 
-/// Tower and mergers, from pixel values to input rows of the decoder. The patches stay in raster order.
+/// Tower and mergers, from pixel values to input rows of the decoder. The patches stay in raster
+/// order.
 #[derive(Debug)]
 pub(crate) struct ImageEncoder {
     patch_embedding: Linear,
@@ -43,19 +44,38 @@ impl ImageEncoder {
         let (hidden, decoder, eps) = (vision.hidden, config.text.hidden, vision.layer_norm_eps);
         let merged = hidden * config.merge * config.merge;
         let positions = [config.positions * config.positions, hidden];
-        let learned = weights.take("vision_tower.embeddings.position_embedding.weight", &positions)?;
+        let learned = weights.take(
+            "vision_tower.embeddings.position_embedding.weight",
+            &positions,
+        )?;
         let deep = config.deep.iter().enumerate().map(|(index, layer)| {
             let name = format!("{PROJECTOR}.deepstack.{index}");
             let norm = weights.take_layer_norm(&format!("{name}.norm"), merged, eps)?;
-            Ok((*layer, norm, PatchMerger::take(weights, &name, merged, decoder)?))
+            Ok((
+                *layer,
+                norm,
+                PatchMerger::take(weights, &name, merged, decoder)?,
+            ))
         });
         Ok(Self {
             deep: deep.collect::<Result<_, MllmError>>()?,
-            patch_embedding: take_patch_embedding(weights, hidden, vision.patch_size, config.frames, true)?,
+            patch_embedding: take_patch_embedding(
+                weights,
+                hidden,
+                vision.patch_size,
+                config.frames,
+                true,
+            )?,
             position_embedding: learned.flatten_all()?.to_vec1()?,
             side: config.positions,
             layers: (0..vision.layers)
-                .map(|index| VisionLayer::take(weights, vision, &format!("vision_tower.encoder.layers.{index}")))
+                .map(|index| {
+                    VisionLayer::take(
+                        weights,
+                        vision,
+                        &format!("vision_tower.encoder.layers.{index}"),
+                    )
+                })
                 .collect::<Result<_, _>>()?,
             norm: weights.take_layer_norm(&format!("{PROJECTOR}.norm"), hidden, eps)?,
             merger: PatchMerger::take(weights, PROJECTOR, merged, decoder)?,
@@ -70,7 +90,9 @@ impl ImageEncoder {
     fn positions(&self, [rows, columns]: [usize; 2]) -> candle_core::Result<Tensor> {
         let mut positions = vec![0f32; rows * columns * self.hidden];
         let (vertical, horizontal) = (taps(self.side, rows), taps(self.side, columns));
-        let places = vertical.iter().flat_map(|row| horizontal.iter().map(move |column| (row, column)));
+        let places = vertical
+            .iter()
+            .flat_map(|row| horizontal.iter().map(move |column| (row, column)));
         for (out, (row, column)) in positions.chunks_exact_mut(self.hidden).zip(places) {
             for (above, by) in row {
                 for (left, weight) in column {
@@ -79,7 +101,9 @@ impl ImageEncoder {
                         .position_embedding
                         .get(start..start + self.hidden)
                         .expect("taps lie within the learned grid");
-                    out.iter_mut().zip(learned).for_each(|(out, value)| *out += by * weight * value);
+                    out.iter_mut()
+                        .zip(learned)
+                        .for_each(|(out, value)| *out += by * weight * value);
                 }
             }
         }
@@ -89,13 +113,21 @@ impl ImageEncoder {
 
 impl PatchEncoder for ImageEncoder {
     fn encode(&self, pixels: &Tensor) -> candle_core::Result<ImageFeatures> {
-        let grid = [pixels.dim(1)? / self.patch_size, pixels.dim(2)? / self.patch_size];
+        let grid = [
+            pixels.dim(1)? / self.patch_size,
+            pixels.dim(2)? / self.patch_size,
+        ];
         let [rows, columns] = grid;
-        let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
+        let patches = self
+            .patch_embedding
+            .forward(&unfold(pixels, self.patch_size)?)?;
         let mut x = (patches + self.positions(grid)?)?;
         let places = (0..rows * columns).map(|patch| [patch / columns, patch % columns]);
         let rotary = Some(RotaryRows::of_patches(places, self.head, ROTARY_BASE));
-        let parts = [Part { tokens: rows * columns, rotary }];
+        let parts = [Part {
+            tokens: rows * columns,
+            rotary,
+        }];
         let mut deep = Vec::with_capacity(self.deep.len());
         for (index, layer) in self.layers.iter().enumerate() {
             x = layer.forward(&x, &parts)?;
@@ -103,16 +135,31 @@ impl PatchEncoder for ImageEncoder {
                 deep.push(merger.forward(&norm.forward(&merge_blocks(&x, grid, self.merge)?)?)?);
             }
         }
-        let features = self.merger.forward(&merge_blocks(&self.norm.forward(&x)?, grid, self.merge)?)?;
+        let features =
+            self.merger
+                .forward(&merge_blocks(&self.norm.forward(&x)?, grid, self.merge)?)?;
         let [rows, columns] = grid.map(|side| side / self.merge);
-        Ok(ImageFeatures { rows: features, deep, layout: ImageLayout { tokens: rows * columns, rows, columns } })
+        Ok(ImageFeatures {
+            rows: features,
+            deep,
+            layout: ImageLayout {
+                tokens: rows * columns,
+                rows,
+                columns,
+            },
+        })
     }
 }
 
-/// The two nearest of `side` learned positions of each of `places`, with their weights. The corners of both grids agree.
+/// The two nearest of `side` learned positions of each of `places`, with their weights. The corners
+/// of both grids agree.
 fn taps(side: usize, places: usize) -> Vec<[(usize, f32); 2]> {
     let last = side - 1;
-    let step = if places > 1 { last as f32 / (places - 1) as f32 } else { 0.0 };
+    let step = if places > 1 {
+        last as f32 / (places - 1) as f32
+    } else {
+        0.0
+    };
     (0..places)
         .map(|place| {
             let at = (place as f32 * step).min(last as f32);

@@ -1,5 +1,5 @@
-//! The descriptions of `models/` that are compiled into the program, for any working directory. They name models of the hub and
-//! servers; weights are downloaded or asked for.
+//! The descriptions of `models/` that are compiled into the program, for any working directory.
+//! They name models of the hub and servers; weights are downloaded or asked for.
 
 macro_rules! described {
     ($($name:literal),* $(,)?) => {
@@ -34,5 +34,8 @@ pub(super) fn names() -> impl Iterator<Item = &'static str> {
 
 /// The text of a description.
 pub(super) fn find(name: &str) -> Option<&'static str> {
-    DESCRIBED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+    DESCRIBED
+        .iter()
+        .find(|(known, _)| *known == name)
+        .map(|(_, text)| *text)
 }

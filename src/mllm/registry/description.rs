@@ -30,7 +30,8 @@ pub struct ModelSpec {
     /// A small model of the same vocabulary that drafts its answers. None of them changes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub draft_model: Option<ModelSource>,
-    /// The prompts that it is asked with; a description names them. None for a model without one, whose files may say it.
+    /// The prompts that it is asked with; a description names them. None for a model without one,
+    /// whose files may say it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prompt_set: Option<PromptSet>,
     #[serde(default)]
@@ -102,12 +103,21 @@ impl fmt::Display for ModelSource {
             Self::File { file, .. } => write!(out, "{}", file.display()),
             Self::Embedded { .. } => out.write_str("built in"),
             Self::Endpoint(settings) => out.write_str(&settings.in_words()),
-            Self::Hub { hub, revision, file, .. } => {
+            Self::Hub {
+                hub,
+                revision,
+                file,
+                ..
+            } => {
                 write!(out, "{hub}")?;
                 if let Some(file) = file {
                     write!(out, "/{file}")?;
                 }
-                if *revision == default_revision() { Ok(()) } else { write!(out, " ({revision})") }
+                if *revision == default_revision() {
+                    Ok(())
+                } else {
+                    write!(out, " ({revision})")
+                }
             }
         }
     }
@@ -174,13 +184,20 @@ pub struct RoundTokens {
 
 impl Default for GenerationSettings {
     fn default() -> Self {
-        Self { max_new_tokens: RoundTokens::default(), sampling: Sampling::Greedy }
+        Self {
+            max_new_tokens: RoundTokens::default(),
+            sampling: Sampling::Greedy,
+        }
     }
 }
 
 impl Default for RoundTokens {
     fn default() -> Self {
-        Self { understanding: 1024, instruction: 512, code: 128 }
+        Self {
+            understanding: 1024,
+            instruction: 512,
+            code: 128,
+        }
     }
 }
 
@@ -205,7 +222,10 @@ impl ModelSpec {
     /// Its draft model, which its author vouches for as for itself.
     pub(super) fn draft(&self) -> Option<Self> {
         let source = self.draft_model.clone()?;
-        Some(Self { trusted: self.trusted, ..Self::plain(format!("draft_model of {}", self.name), source) })
+        Some(Self {
+            trusted: self.trusted,
+            ..Self::plain(format!("draft_model of {}", self.name), source)
+        })
     }
 
     pub fn open(path: &Path) -> Result<Self, MllmError> {
@@ -214,41 +234,68 @@ impl ModelSpec {
 
     /// Parses a description; `path` is for messages and relative paths.
     pub fn parse(path: &Path, text: &str) -> Result<Self, MllmError> {
-        let broken = |problem: String| MllmError::Description { path: path.to_path_buf(), problem };
-        let mut spec: Self = toml::from_str(text)
-            .map_err(|error| broken(endpoint_problem(text).unwrap_or_else(|| with_new_name(error.to_string()))))?;
+        let broken = |problem: String| MllmError::Description {
+            path: path.to_path_buf(),
+            problem,
+        };
+        let mut spec: Self = toml::from_str(text).map_err(|error| {
+            broken(endpoint_problem(text).unwrap_or_else(|| with_new_name(error.to_string())))
+        })?;
         if spec.name.trim().is_empty() {
             return Err(broken("name is empty".into()));
         }
         if spec.prompt_set.is_none() {
-            return Err(broken("prompt_set is missing; choose brief, compact, compact-2 or paper".into()));
+            return Err(broken(
+                "prompt_set is missing; choose brief, compact, compact-2 or paper".into(),
+            ));
         }
         let tokens = spec.generation.max_new_tokens;
         if [tokens.understanding, tokens.instruction, tokens.code].contains(&0) {
-            return Err(broken("generation.max_new_tokens: a round needs at least one token".into()));
+            return Err(broken(
+                "generation.max_new_tokens: a round needs at least one token".into(),
+            ));
         }
         if let ModelSource::Endpoint(settings) = &spec.source {
-            settings.described().map_err(|problem| broken(format!("source: {problem}")))?;
+            settings
+                .described()
+                .map_err(|problem| broken(format!("source: {problem}")))?;
             if spec.architecture.is_some() || spec.tokenizer.is_some() {
-                return Err(broken("architecture and tokenizer belong to the server; remove them".into()));
+                return Err(broken(
+                    "architecture and tokenizer belong to the server; remove them".into(),
+                ));
             }
         }
         if matches!(spec.source, ModelSource::Endpoint(_)) && spec.quantize.is_some() {
-            return Err(broken("quantize belongs to models of this machine; remove it".into()));
+            return Err(broken(
+                "quantize belongs to models of this machine; remove it".into(),
+            ));
         }
         if matches!(spec.source, ModelSource::Endpoint(_)) && !spec.image.is_default() {
-            return Err(broken("image belongs to models of this machine; a server has source.image_size".into()));
+            return Err(broken(
+                "image belongs to models of this machine; a server has source.image_size".into(),
+            ));
         }
         if matches!(spec.tokenizer, Some(ModelSource::Endpoint(_))) {
             return Err(broken("tokenizer: expected files, found a server".into()));
         }
-        if matches!(spec.draft_model, Some(ModelSource::Endpoint(_) | ModelSource::Embedded { .. })) {
-            return Err(broken("draft_model: expected a folder, a GGUF file or a hub id".into()));
+        if matches!(
+            spec.draft_model,
+            Some(ModelSource::Endpoint(_) | ModelSource::Embedded { .. })
+        ) {
+            return Err(broken(
+                "draft_model: expected a folder, a GGUF file or a hub id".into(),
+            ));
         }
         if spec.draft_model.is_some() && matches!(spec.source, ModelSource::Endpoint(_)) {
-            return Err(broken("draft_model belongs to models of this machine; a server drafts by itself".into()));
+            return Err(broken(
+                "draft_model belongs to models of this machine; a server drafts by itself".into(),
+            ));
         }
-        let sources = [Some(&mut spec.source), spec.tokenizer.as_mut(), spec.draft_model.as_mut()];
+        let sources = [
+            Some(&mut spec.source),
+            spec.tokenizer.as_mut(),
+            spec.draft_model.as_mut(),
+        ];
         for source in sources.into_iter().flatten() {
             source.start_at(path.parent().unwrap_or(Path::new("")));
         }
@@ -261,17 +308,23 @@ const RENAMED_ROUNDS: [(&str, &str); 2] = [("scene", "understanding"), ("motion"
 
 /// An error about an unknown key, with its new name if it has one.
 pub(super) fn with_new_name(error: String) -> String {
-    let renamed = RENAMED_ROUNDS.iter().find(|(old, _)| error.contains(&format!("unknown field `{old}`")));
+    let renamed = RENAMED_ROUNDS
+        .iter()
+        .find(|(old, _)| error.contains(&format!("unknown field `{old}`")));
     match renamed {
         Some((old, new)) => format!("{}; {old} is called {new} now", error.trim_end()),
         None => error,
     }
 }
 
-/// The error of a server's settings, if the description has one. The error of the untagged enum would not name the key.
+/// The error of a server's settings, if the description has one. The error of the untagged enum
+/// would not name the key.
 fn endpoint_problem(text: &str) -> Option<String> {
     let description: toml::Table = toml::from_str(text).ok()?;
-    let source = description.get("source")?.as_table().filter(|source| source.contains_key("endpoint"))?;
+    let source = description
+        .get("source")?
+        .as_table()
+        .filter(|source| source.contains_key("endpoint"))?;
     let error = source.clone().try_into::<EndpointSettings>().err()?;
     Some(format!("source: {}", error.message()))
 }
@@ -291,8 +344,19 @@ mod tests {
             "name = 'nano'\narchitecture = 'llava'\nsource = { folder = 'nano' }\nprompt_set = 'compact'\n[generation.max_new_tokens]\ncode = 40",
         )
         .unwrap();
-        assert_eq!(spec.source, ModelSource::Folder { folder: "models/nano".into() });
-        assert_eq!(spec.generation.max_new_tokens, RoundTokens { code: 40, ..RoundTokens::default() });
+        assert_eq!(
+            spec.source,
+            ModelSource::Folder {
+                folder: "models/nano".into()
+            }
+        );
+        assert_eq!(
+            spec.generation.max_new_tokens,
+            RoundTokens {
+                code: 40,
+                ..RoundTokens::default()
+            }
+        );
         assert_eq!(spec.generation.sampling, Sampling::Greedy);
     }
 
@@ -309,16 +373,41 @@ mod tests {
             mmproj: None,
         };
         assert_eq!(spec.source, hub(None));
-        let gguf = parse("name = 'l'\nsource = { hub = 'a/b', file = 'm.gguf' }\nprompt_set = 'paper'").unwrap();
-        assert_eq!((gguf.source.to_string().as_str(), gguf.source), ("a/b/m.gguf", hub(Some("m.gguf"))));
-        let file = parse("name = 'l'\nsource = { file = 'm.gguf', mmproj = 'v.gguf' }\nprompt_set = 'paper'").unwrap();
+        let gguf =
+            parse("name = 'l'\nsource = { hub = 'a/b', file = 'm.gguf' }\nprompt_set = 'paper'")
+                .unwrap();
+        assert_eq!(
+            (gguf.source.to_string().as_str(), gguf.source),
+            ("a/b/m.gguf", hub(Some("m.gguf")))
+        );
+        let file = parse(
+            "name = 'l'\nsource = { file = 'm.gguf', mmproj = 'v.gguf' }\nprompt_set = 'paper'",
+        )
+        .unwrap();
         let (model, tower) = ("models/m.gguf".into(), Some("models/v.gguf".into()));
-        assert_eq!(file.source, ModelSource::File { file: model, mmproj: tower });
+        assert_eq!(
+            file.source,
+            ModelSource::File {
+                file: model,
+                mmproj: tower
+            }
+        );
         assert_eq!(
             (spec.architecture, spec.tokenizer),
-            (None, Some(ModelSource::Folder { folder: "models/t".into() }))
+            (
+                None,
+                Some(ModelSource::Folder {
+                    folder: "models/t".into()
+                })
+            )
         );
-        assert_eq!(spec.generation.sampling, Sampling::Sample { temperature: 0.7, top_p: 0.9 });
+        assert_eq!(
+            spec.generation.sampling,
+            Sampling::Sample {
+                temperature: 0.7,
+                top_p: 0.9
+            }
+        );
     }
 
     #[test]
@@ -326,10 +415,18 @@ mod tests {
         let valid = "name = 'g'\nprompt_set = 'paper'\nsource = { endpoint = 'https://a.b/v1', model = 'm', \
             grammar = 'json_schema', limit = 'max_completion_tokens', key_env = 'KEY', omit = ['seed'], \
             extra = { reasoning_effort = 'none' } }";
-        let ModelSource::Endpoint(settings) = parse(valid).unwrap().source else { panic!("no endpoint") };
-        assert_eq!((settings.grammar, settings.limit), (GrammarField::JsonSchema, LimitField::MaxCompletionTokens));
+        let ModelSource::Endpoint(settings) = parse(valid).unwrap().source else {
+            panic!("no endpoint")
+        };
+        assert_eq!(
+            (settings.grammar, settings.limit),
+            (GrammarField::JsonSchema, LimitField::MaxCompletionTokens)
+        );
         assert_eq!(settings.extra["reasoning_effort"], "none");
-        assert_eq!(settings.url().unwrap().as_str(), "https://a.b/v1/chat/completions");
+        assert_eq!(
+            settings.url().unwrap().as_str(),
+            "https://a.b/v1/chat/completions"
+        );
         for (from, to, said) in [
             ("grammar = 'json_schema', ", "", "grammar"),
             ("'json_schema'", "'ebnf'", "gbnf"),
@@ -340,10 +437,17 @@ mod tests {
             ("'https://a.b/v1'", "'a.b'", "address"),
             ("model =", "image_size = 8, model =", "image_size"),
             ("model =", "timeout_ms = 0, model =", "timeout_ms"),
-            ("name = 'g'", "name = 'g'\narchitecture = 'llava'", "architecture"),
+            (
+                "name = 'g'",
+                "name = 'g'\narchitecture = 'llava'",
+                "architecture",
+            ),
         ] {
             let problem = parse(&valid.replace(from, to)).unwrap_err().to_string();
-            assert!(problem.starts_with("models/x.toml: ") && problem.contains(said), "{to}: {problem}");
+            assert!(
+                problem.starts_with("models/x.toml: ") && problem.contains(said),
+                "{to}: {problem}"
+            );
         }
     }
 
@@ -351,8 +455,16 @@ mod tests {
     fn images_are_shown_as_a_description_says() {
         let valid = "name = 'n'\nsource = { folder = 'f' }\nprompt_set = 'paper'\n";
         assert!(parse(valid).unwrap().image.is_default());
-        let image = parse(&format!("{valid}[image]\ntiles = 1\nsize = 448")).unwrap().image;
-        assert_eq!(image, ImageSettings { tiles: Some(1), size: Some(448) });
+        let image = parse(&format!("{valid}[image]\ntiles = 1\nsize = 448"))
+            .unwrap()
+            .image;
+        assert_eq!(
+            image,
+            ImageSettings {
+                tiles: Some(1),
+                size: Some(448)
+            }
+        );
     }
 
     #[test]
@@ -372,13 +484,17 @@ mod tests {
         for (old, new) in RENAMED_ROUNDS {
             assert!(parse(&format!("{valid}{new} = 3")).is_ok());
             let problem = parse(&format!("{valid}{old} = 3")).unwrap_err().to_string();
-            assert!(problem.contains(&format!("{old} is called {new} now")), "{problem}");
+            assert!(
+                problem.contains(&format!("{old} is called {new} now")),
+                "{problem}"
+            );
         }
     }
 
     #[test]
     fn wrong_keys_and_types_are_errors() {
-        let valid = "name = 'n'\narchitecture = 'llava'\nsource = { folder = 'f' }\nprompt_set = 'paper'\n";
+        let valid =
+            "name = 'n'\narchitecture = 'llava'\nsource = { folder = 'f' }\nprompt_set = 'paper'\n";
         assert!(parse(valid).is_ok());
         for wrong in [
             "",
@@ -392,7 +508,10 @@ mod tests {
             &format!("{valid}[generation]\nmax_new_tokens = 3"),
             &format!("{valid}[generation.max_new_tokens]\nunderstanding = 0"),
         ] {
-            assert!(matches!(parse(wrong), Err(MllmError::Description { .. })), "{wrong}");
+            assert!(
+                matches!(parse(wrong), Err(MllmError::Description { .. })),
+                "{wrong}"
+            );
         }
     }
 }

@@ -22,8 +22,16 @@ pub(super) struct HubFiles {
 impl HubFiles {
     /// A model, without its tokenizer if that is elsewhere.
     pub(super) fn model(tokenizer: bool) -> Self {
-        let required = if tokenizer { &["config.json", "tokenizer.json"][..] } else { &["config.json"] };
-        Self { patterns: owned(&["*.json", "*.jinja", "*.safetensors"]), required: owned(required), weights: true }
+        let required = if tokenizer {
+            &["config.json", "tokenizer.json"][..]
+        } else {
+            &["config.json"]
+        };
+        Self {
+            patterns: owned(&["*.json", "*.jinja", "*.safetensors"]),
+            required: owned(required),
+            weights: true,
+        }
     }
 
     /// A tokenizer alone.
@@ -39,15 +47,28 @@ impl HubFiles {
     pub(super) fn gguf(file: &str, mmproj: Option<&str>) -> Self {
         let tower = mmproj.unwrap_or("*mmproj*.gguf");
         Self {
-            patterns: owned(&["tokenizer.json", "tokenizer_config.json", "chat_template.jinja", file, tower]),
-            required: std::iter::once(file).chain(mmproj).map(ToString::to_string).collect(),
+            patterns: owned(&[
+                "tokenizer.json",
+                "tokenizer_config.json",
+                "chat_template.jinja",
+                file,
+                tower,
+            ]),
+            required: std::iter::once(file)
+                .chain(mmproj)
+                .map(ToString::to_string)
+                .collect(),
             weights: false,
         }
     }
 
     /// A file that a snapshot lacks: a required one, or a weight file of its index.
     fn missing(&self, folder: &Path) -> Option<String> {
-        if let Some(file) = self.required.iter().find(|file| !folder.join(file).is_file()) {
+        if let Some(file) = self
+            .required
+            .iter()
+            .find(|file| !folder.join(file).is_file())
+        {
             return Some(file.clone());
         }
         if !self.weights {
@@ -81,7 +102,8 @@ pub type FetchListener = dyn Fn(FetchProgress) + Send + Sync;
 pub struct HubAccess {
     /// Whether to use the cache alone.
     pub offline: bool,
-    /// The cache folder; none for the default (`HF_HUB_CACHE`, `HF_HOME`, `~/.cache/huggingface/hub`).
+    /// The cache folder; none for the default (`HF_HUB_CACHE`, `HF_HOME`,
+    /// `~/.cache/huggingface/hub`).
     pub cache: Option<PathBuf>,
     /// The hub's address; none for the default (`HF_ENDPOINT`, <https://huggingface.co>).
     pub endpoint: Option<String>,
@@ -97,8 +119,14 @@ impl HubAccess {
         _: &HubFiles,
         _: Option<std::sync::Arc<FetchListener>>,
     ) -> Result<PathBuf, MllmError> {
-        let problem = "this build has no hub client; build with the cargo feature `hub`, or name a folder".to_string();
-        Err(MllmError::Hub { id: id.to_string(), revision: revision.to_string(), problem })
+        let problem =
+            "this build has no hub client; build with the cargo feature `hub`, or name a folder"
+                .to_string();
+        Err(MllmError::Hub {
+            id: id.to_string(),
+            revision: revision.to_string(),
+            problem,
+        })
     }
 }
 
@@ -110,7 +138,9 @@ pub(super) fn split_file(name: &str) -> Option<(&str, Option<&str>)> {
     }
     let (end, _) = name.match_indices('/').nth(1)?;
     let (id, file) = (name.get(..end)?, name.get(end + 1..)?);
-    let plain = file.split('/').all(|part| !part.is_empty() && !part.starts_with('.'));
+    let plain = file
+        .split('/')
+        .all(|part| !part.is_empty() && !part.starts_with('.'));
     (split_id(id).is_some() && plain && super::is_gguf(Path::new(file))).then_some((id, Some(file)))
 }
 
@@ -119,9 +149,12 @@ pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
     let valid = |part: &str| {
         !part.is_empty()
             && !part.starts_with(['.', '-'])
-            && part.chars().all(|character| character.is_ascii_alphanumeric() || ".-_".contains(character))
+            && part
+                .chars()
+                .all(|character| character.is_ascii_alphanumeric() || ".-_".contains(character))
     };
-    id.split_once('/').filter(|(owner, name)| valid(owner) && valid(name))
+    id.split_once('/')
+        .filter(|(owner, name)| valid(owner) && valid(name))
 }
 
 #[cfg(test)]
@@ -154,11 +187,21 @@ mod tests {
     fn a_cached_model_is_found_without_network() {
         let (_cache, access) = cached(&["config.json", "tokenizer.json", "model.safetensors"]);
         for revision in ["main", COMMIT] {
-            assert!(access.fetch("org/model", revision, &HubFiles::model(true), None).unwrap().ends_with(COMMIT));
+            assert!(
+                access
+                    .fetch("org/model", revision, &HubFiles::model(true), None)
+                    .unwrap()
+                    .ends_with(COMMIT)
+            );
         }
-        let online = HubAccess { offline: false, ..access };
+        let online = HubAccess {
+            offline: false,
+            ..access
+        };
         assert!(
-            online.fetch("org/model", COMMIT, &HubFiles::model(true), None).is_ok(),
+            online
+                .fetch("org/model", COMMIT, &HubFiles::model(true), None)
+                .is_ok(),
             "a pinned commit needs no network"
         );
     }
@@ -166,21 +209,41 @@ mod tests {
     #[test]
     fn a_model_and_its_tokenizer_may_lie_apart() {
         let (_cache, weights) = cached(&["config.json", "model.safetensors"]);
-        assert!(weights.fetch("org/model", "main", &HubFiles::model(false), None).is_ok());
+        assert!(
+            weights
+                .fetch("org/model", "main", &HubFiles::model(false), None)
+                .is_ok()
+        );
         let missing = weights.fetch("org/model", "main", &HubFiles::tokenizer(), None);
-        assert!(matches!(missing, Err(MllmError::NotInCache { file, .. }) if file == "tokenizer.json"));
+        assert!(
+            matches!(missing, Err(MllmError::NotInCache { file, .. }) if file == "tokenizer.json")
+        );
         let (_cache, tokenizer) = cached(&["tokenizer.json"]);
-        assert!(tokenizer.fetch("org/model", "main", &HubFiles::tokenizer(), None).is_ok());
+        assert!(
+            tokenizer
+                .fetch("org/model", "main", &HubFiles::tokenizer(), None)
+                .is_ok()
+        );
     }
 
     #[test]
     fn gguf_files_are_asked_for_by_name() {
         let (_cache, access) = cached(&["model-q4_k.gguf", "mmproj.gguf"]);
         let files = |mmproj: Option<&str>| HubFiles::gguf("model-q4_k.gguf", mmproj);
-        assert!(access.fetch("org/model", "main", &files(None), None).is_ok());
-        assert!(access.fetch("org/model", "main", &files(Some("mmproj.gguf")), None).is_ok());
+        assert!(
+            access
+                .fetch("org/model", "main", &files(None), None)
+                .is_ok()
+        );
+        assert!(
+            access
+                .fetch("org/model", "main", &files(Some("mmproj.gguf")), None)
+                .is_ok()
+        );
         let missing = access.fetch("org/model", "main", &files(Some("mmproj-f16.gguf")), None);
-        assert!(matches!(missing, Err(MllmError::NotInCache { file, .. }) if file == "mmproj-f16.gguf"));
+        assert!(
+            matches!(missing, Err(MllmError::NotInCache { file, .. }) if file == "mmproj-f16.gguf")
+        );
     }
 
     #[test]
@@ -196,6 +259,9 @@ mod tests {
                 other => panic!("{id}: {other:?}"),
             }
         }
-        assert!(matches!(access.fetch("../x/y", "main", &HubFiles::model(true), None), Err(MllmError::Hub { .. })));
+        assert!(matches!(
+            access.fetch("../x/y", "main", &HubFiles::model(true), None),
+            Err(MllmError::Hub { .. })
+        ));
     }
 }

@@ -9,7 +9,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Fields of a server's description that determine how long a request may take, and no answer.
-const WITHOUT_EFFECT: [&str; 6] = ["key_env", "stream", "connect_timeout_ms", "timeout_ms", "retries", "first_wait_ms"];
+const WITHOUT_EFFECT: [&str; 6] = [
+    "key_env",
+    "stream",
+    "connect_timeout_ms",
+    "timeout_ms",
+    "retries",
+    "first_wait_ms",
+];
 
 /// BLAKE3 digests, hexadecimal.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -25,13 +32,19 @@ impl ModelRegistry {
     pub fn inputs(&self, spec: &ModelSpec) -> Result<ModelInputs, MllmError> {
         let description = description(spec);
         if matches!(spec.source, ModelSource::Endpoint(_)) {
-            return Ok(ModelInputs { files: BTreeMap::new(), description });
+            return Ok(ModelInputs {
+                files: BTreeMap::new(),
+                description,
+            });
         }
         let mut files = BTreeMap::new();
         match self.place_here(spec)? {
             ModelPlace::Embedded(model) => {
                 let digest = |&(name, text): &(&str, &str)| {
-                    (format!("{}/{name} (in the program)", model.name), digest(text.as_bytes()))
+                    (
+                        format!("{}/{name} (in the program)", model.name),
+                        digest(text.as_bytes()),
+                    )
                 };
                 files.extend(model.texts().iter().map(digest));
             }
@@ -47,7 +60,9 @@ impl ModelRegistry {
 }
 
 fn folder_of(file: &Path) -> &Path {
-    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    file.parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
 }
 
 /// Adds the small files of a folder.
@@ -56,7 +71,10 @@ fn add(folder: &Path, files: &mut BTreeMap<String, String>) -> Result<(), MllmEr
         let mut hasher = blake3::Hasher::new();
         hash_file(&path, &mut hasher)?;
         let shown: PathBuf = std::path::absolute(&path).unwrap_or(path);
-        files.insert(shown.display().to_string(), hasher.finalize().to_hex().to_string());
+        files.insert(
+            shown.display().to_string(),
+            hasher.finalize().to_hex().to_string(),
+        );
     }
     Ok(())
 }
@@ -75,15 +93,23 @@ fn description(spec: &ModelSpec) -> BTreeMap<String, String> {
     if let ModelSource::Endpoint(settings) = &spec.source
         && let Ok(Value::Object(fields)) = serde_json::to_value(settings)
     {
-        let with_effect = fields.iter().filter(|(field, _)| !WITHOUT_EFFECT.contains(&field.as_str()));
+        let with_effect = fields
+            .iter()
+            .filter(|(field, _)| !WITHOUT_EFFECT.contains(&field.as_str()));
         // A digest of `extra`, which may hold what nobody else should read.
-        values.extend(with_effect.map(|(field, value)| (format!("server.{field}"), digest_of(value))));
+        values.extend(
+            with_effect.map(|(field, value)| (format!("server.{field}"), digest_of(value))),
+        );
     }
     values
 }
 
 fn digest_of(value: &impl Serialize) -> String {
-    digest(serde_json::to_string(value).expect("settings can be written as JSON").as_bytes())
+    digest(
+        serde_json::to_string(value)
+            .expect("settings can be written as JSON")
+            .as_bytes(),
+    )
 }
 
 fn digest(bytes: &[u8]) -> String {

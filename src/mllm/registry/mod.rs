@@ -1,10 +1,14 @@
-//! Models by name: a description in `models/`, a folder, a GGUF file, a repository of the hub, or a server.
+//! Models by name: a description in `models/`, a folder, a GGUF file, a repository of the hub, or a
+//! server.
 
 mod address;
 mod built_in;
 mod description;
 mod folder;
-#[cfg_attr(not(feature = "hub"), allow(dead_code, reason = "only downloads read what a repository has"))]
+#[cfg_attr(
+    not(feature = "hub"),
+    allow(dead_code, reason = "only downloads read what a repository has")
+)]
 mod hub;
 mod inputs;
 mod own_settings;
@@ -23,8 +27,9 @@ pub use own_settings::{Asking, NamedBy};
 use super::source::Checkpoint;
 use super::trial::Trust;
 use super::{
-    CreateFile, EmbeddedModel, EndpointSettings, Families, Family, LoadReport, Loading, LocalModel, MemoryCheck, Mllm,
-    MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat, export_model,
+    CreateFile, EmbeddedModel, EndpointSettings, Families, Family, LoadReport, Loading, LocalModel,
+    MemoryCheck, Mllm, MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat,
+    export_model,
 };
 
 /// Finds and opens models.
@@ -40,7 +45,12 @@ pub struct ModelRegistry {
 
 impl fmt::Debug for ModelRegistry {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { models, hub, loading, .. } = self;
+        let Self {
+            models,
+            hub,
+            loading,
+            ..
+        } = self;
         out.debug_struct("ModelRegistry")
             .field("models", models)
             .field("hub", hub)
@@ -56,41 +66,70 @@ fn connect(name: &str, settings: &EndpointSettings) -> Result<Box<dyn Mllm>, Mll
 
 #[cfg(not(feature = "endpoint"))]
 fn connect(_: &str, settings: &EndpointSettings) -> Result<Box<dyn Mllm>, MllmError> {
-    let problem = format!("this build cannot ask {}; build with the cargo feature `endpoint`", settings.endpoint);
+    let problem = format!(
+        "this build cannot ask {}; build with the cargo feature `endpoint`",
+        settings.endpoint
+    );
     Err(MllmError::Request { problem })
 }
 
 fn no_files(spec: &ModelSpec, settings: &EndpointSettings) -> MllmError {
-    MllmError::NoFiles { name: spec.name.clone(), endpoint: settings.endpoint.clone() }
+    MllmError::NoFiles {
+        name: spec.name.clone(),
+        endpoint: settings.endpoint.clone(),
+    }
 }
 
-/// Does work on a model's files. A panic, for example of the library that runs tokenizers, becomes an error.
-fn without_panic<T>(place: &ModelPlace, work: impl FnOnce() -> Result<T, MllmError>) -> Result<T, MllmError> {
+/// Does work on a model's files. A panic, for example of the library that runs tokenizers, becomes
+/// an error.
+fn without_panic<T>(
+    place: &ModelPlace,
+    work: impl FnOnce() -> Result<T, MllmError>,
+) -> Result<T, MllmError> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or_else(|payload| {
         let text = payload.downcast_ref::<&str>().map(ToString::to_string);
-        let message =
-            text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".to_owned());
-        Err(MllmError::Panicked { place: place.path().to_path_buf(), message })
+        let message = text
+            .or_else(|| payload.downcast_ref::<String>().cloned())
+            .unwrap_or_else(|| "no message".to_owned());
+        Err(MllmError::Panicked {
+            place: place.path().to_path_buf(),
+            message,
+        })
     })
 }
 
 fn is_gguf(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
+    path.extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
 }
 
 /// Whether a word can be nothing but a path.
 fn is_path(path: &Path) -> bool {
-    let is_description = || path.extension().is_some_and(|extension| extension == "toml");
-    path.has_root() || path.starts_with(".") || path.starts_with("..") || is_gguf(path) || is_description()
+    let is_description = || {
+        path.extension()
+            .is_some_and(|extension| extension == "toml")
+    };
+    path.has_root()
+        || path.starts_with(".")
+        || path.starts_with("..")
+        || is_gguf(path)
+        || is_description()
 }
 
 impl ModelRegistry {
     /// A registry of the descriptions `models/*.toml`.
     pub fn new(models: impl Into<PathBuf>, hub: HubAccess) -> Self {
-        Self { models: models.into(), hub, loading: Loading::default(), trust: Trust::default(), listener: None }
+        Self {
+            models: models.into(),
+            hub,
+            loading: Loading::default(),
+            trust: Trust::default(),
+            listener: None,
+        }
     }
 
-    /// Sets the format of weights in memory; `None` keeps that of the description, else of the files.
+    /// Sets the format of weights in memory; `None` keeps that of the description, else of the
+    /// files.
     pub fn with_quantize(mut self, quantize: Option<WeightFormat>) -> Self {
         self.loading.quantize = quantize;
         self
@@ -108,7 +147,8 @@ impl ModelRegistry {
         self
     }
 
-    /// Sets why chat templates and tokenizers of files may be opened. By default nobody vouches for them.
+    /// Sets why chat templates and tokenizers of files may be opened. By default nobody vouches for
+    /// them.
     pub fn with_trust(mut self, trust: Trust) -> Self {
         self.trust = trust;
         self
@@ -127,14 +167,26 @@ impl ModelRegistry {
 
     /// The names of the described models, in the folder and in the program, sorted.
     pub fn names(&self) -> Result<Vec<String>, MllmError> {
-        let failed = |source| MllmError::Read { path: self.models.clone(), source };
+        let failed = |source| MllmError::Read {
+            path: self.models.clone(),
+            source,
+        };
         let embedded = EmbeddedModel::all().iter().map(|model| model.name);
-        let mut names: Vec<String> = embedded.chain(built_in::names()).map(str::to_owned).collect();
+        let mut names: Vec<String> = embedded
+            .chain(built_in::names())
+            .map(str::to_owned)
+            .collect();
         if self.models.is_dir() {
             for entry in std::fs::read_dir(&self.models).map_err(failed)? {
                 let path = entry.map_err(failed)?.path();
-                if path.extension().is_some_and(|extension| extension == "toml") {
-                    names.extend(path.file_stem().map(|stem| stem.to_string_lossy().into_owned()));
+                if path
+                    .extension()
+                    .is_some_and(|extension| extension == "toml")
+                {
+                    names.extend(
+                        path.file_stem()
+                            .map(|stem| stem.to_string_lossy().into_owned()),
+                    );
                 }
             }
         }
@@ -145,13 +197,18 @@ impl ModelRegistry {
 
     fn unknown(&self, name: &str) -> MllmError {
         let known = self.names().unwrap_or_default().join(", ");
-        MllmError::UnknownModel { name: name.to_string(), models: self.models.clone(), known }
+        MllmError::UnknownModel {
+            name: name.to_string(),
+            models: self.models.clone(),
+            known,
+        }
     }
 
     /// Finds a model. `name` is, in this order:
     /// 1. the name of a description in the folder, then of one in the program,
     /// 2. the path of a description, a model folder or a GGUF file,
-    /// 3. the address of a server (`http://127.0.0.1:8080/v1`), perhaps with `#` and its name of the model,
+    /// 3. the address of a server (`http://127.0.0.1:8080/v1`), perhaps with `#` and its name of
+    ///    the model,
     /// 4. a hub id, or a hub id with a GGUF file (`org/name/file.gguf`).
     ///
     /// [`Self::asking`] says how it is asked.
@@ -160,23 +217,37 @@ impl ModelRegistry {
             return ModelSpec::open(&described);
         }
         if let Some(model) = EmbeddedModel::find(name) {
-            let source = ModelSource::Embedded { embedded: name.to_owned() };
-            return Ok(ModelSpec { source, ..ModelSpec::parse(Path::new(name), model.description)? });
+            let source = ModelSource::Embedded {
+                embedded: name.to_owned(),
+            };
+            return Ok(ModelSpec {
+                source,
+                ..ModelSpec::parse(Path::new(name), model.description)?
+            });
         }
         if let Some(text) = built_in::find(name) {
             return ModelSpec::parse(Path::new(name), text);
         }
         let path = Path::new(name);
-        if path.extension().is_some_and(|extension| extension == "toml") && path.is_file() {
+        if path
+            .extension()
+            .is_some_and(|extension| extension == "toml")
+            && path.is_file()
+        {
             return ModelSpec::open(path);
         }
         if let Some(server) = address::server(name) {
             return server;
         }
         let source = if !name.is_empty() && path.is_dir() {
-            ModelSource::Folder { folder: path.to_path_buf() }
+            ModelSource::Folder {
+                folder: path.to_path_buf(),
+            }
         } else if is_gguf(path) && path.is_file() {
-            ModelSource::File { file: path.to_path_buf(), mmproj: None }
+            ModelSource::File {
+                file: path.to_path_buf(),
+                mmproj: None,
+            }
         } else if let Some((id, file)) = hub::split_file(name) {
             ModelSource::Hub {
                 hub: id.to_string(),
@@ -185,15 +256,21 @@ impl ModelRegistry {
                 mmproj: None,
             }
         } else if is_path(path) {
-            return Err(MllmError::AbsentModel { path: path.to_path_buf() });
+            return Err(MllmError::AbsentModel {
+                path: path.to_path_buf(),
+            });
         } else {
             return Err(self.unknown(name));
         };
-        let last = path.file_name().map_or_else(|| name.to_string(), |last| last.to_string_lossy().into_owned());
+        let last = path.file_name().map_or_else(
+            || name.to_string(),
+            |last| last.to_string_lossy().into_owned(),
+        );
         Ok(ModelSpec::plain(last, source))
     }
 
-    /// Where a model's files are; a hub model is downloaded if it is missing and downloads are allowed.
+    /// Where a model's files are; a hub model is downloaded if it is missing and downloads are
+    /// allowed.
     pub fn place(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         self.place_by(&self.hub, spec)
     }
@@ -207,35 +284,64 @@ impl ModelRegistry {
 
     /// Where a model's files are on this machine.
     pub fn place_here(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
-        self.place_by(&HubAccess { offline: true, ..self.hub.clone() }, spec)
+        self.place_by(
+            &HubAccess {
+                offline: true,
+                ..self.hub.clone()
+            },
+            spec,
+        )
     }
 
     fn place_by(&self, hub: &HubAccess, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         Ok(match &spec.source {
             ModelSource::Endpoint(settings) => return Err(no_files(spec, settings)),
             ModelSource::Folder { folder } => ModelPlace::Folder(folder.clone()),
-            ModelSource::Embedded { embedded } => {
-                ModelPlace::Embedded(EmbeddedModel::find(embedded).ok_or_else(|| self.unknown(embedded))?)
-            }
-            ModelSource::File { file, mmproj } => ModelPlace::Gguf { model: file.clone(), mmproj: mmproj.clone() },
-            ModelSource::Hub { hub: id, revision, file: None, .. } => {
+            ModelSource::Embedded { embedded } => ModelPlace::Embedded(
+                EmbeddedModel::find(embedded).ok_or_else(|| self.unknown(embedded))?,
+            ),
+            ModelSource::File { file, mmproj } => ModelPlace::Gguf {
+                model: file.clone(),
+                mmproj: mmproj.clone(),
+            },
+            ModelSource::Hub {
+                hub: id,
+                revision,
+                file: None,
+                ..
+            } => {
                 let files = HubFiles::model(spec.tokenizer.is_none());
                 ModelPlace::Folder(self.snapshot(hub, id, revision, &files)?)
             }
-            ModelSource::Hub { hub: id, revision, file: Some(file), mmproj } => {
+            ModelSource::Hub {
+                hub: id,
+                revision,
+                file: Some(file),
+                mmproj,
+            } => {
                 let files = HubFiles::gguf(file, mmproj.as_deref());
                 let folder = self.snapshot(hub, id, revision, &files)?;
-                ModelPlace::Gguf { model: folder.join(file), mmproj: mmproj.as_ref().map(|name| folder.join(name)) }
+                ModelPlace::Gguf {
+                    model: folder.join(file),
+                    mmproj: mmproj.as_ref().map(|name| folder.join(name)),
+                }
             }
         })
     }
 
-    fn snapshot(&self, hub: &HubAccess, id: &str, revision: &str, files: &HubFiles) -> Result<PathBuf, MllmError> {
+    fn snapshot(
+        &self,
+        hub: &HubAccess,
+        id: &str,
+        revision: &str,
+        files: &HubFiles,
+    ) -> Result<PathBuf, MllmError> {
         hub.fetch(id, revision, files, self.listener.clone())
     }
 
-    /// How a model is asked: as its description says, else its own files, else with the paper's prompts. A hub model without a
-    /// description is downloaded if it is missing and downloads are allowed.
+    /// How a model is asked: as its description says, else its own files, else with the paper's
+    /// prompts. A hub model without a description is downloaded if it is missing and downloads are
+    /// allowed.
     pub fn asking(&self, spec: &ModelSpec) -> Result<Asking, MllmError> {
         match spec.prompt_set {
             Some(set) => Ok(Asking {
@@ -251,26 +357,36 @@ impl ModelRegistry {
 
     /// As [`Self::asking`], without a download.
     pub fn asking_here(&self, spec: &ModelSpec) -> Result<Asking, MllmError> {
-        let hub = HubAccess { offline: true, ..self.hub.clone() };
-        Self { hub, ..self.clone() }.asking(spec)
+        let hub = HubAccess {
+            offline: true,
+            ..self.hub.clone()
+        };
+        Self {
+            hub,
+            ..self.clone()
+        }
+        .asking(spec)
     }
 
     /// The description of a name, if `models/` has one.
     pub fn description(&self, name: &str) -> Option<PathBuf> {
         let described = self.models.join(format!("{name}.toml"));
-        (!name.is_empty() && !name.contains(['/', '\\']) && described.is_file()).then_some(described)
+        (!name.is_empty() && !name.contains(['/', '\\']) && described.is_file())
+            .then_some(described)
     }
 
     /// Opens a model, or a connection to the server that computes it.
     ///
     /// # Errors
-    /// When its files are missing or broken, have another architecture than its description, or need more memory than is free.
-    /// When nobody vouches for them, or they failed their trial. When a server's key is missing, or the server is remote and the
-    /// network is off.
+    /// When its files are missing or broken, have another architecture than its description, or
+    /// need more memory than is free. When nobody vouches for them, or they failed their trial.
+    /// When a server's key is missing, or the server is remote and the network is off.
     pub fn open(&self, spec: &ModelSpec) -> Result<Box<dyn Mllm>, MllmError> {
         if let ModelSource::Endpoint(settings) = &spec.source {
             if self.hub.offline && !settings.is_local() {
-                return Err(MllmError::Offline { endpoint: settings.endpoint.clone() });
+                return Err(MllmError::Offline {
+                    endpoint: settings.endpoint.clone(),
+                });
             }
             return connect(&spec.name, settings);
         }
@@ -278,15 +394,28 @@ impl ModelRegistry {
         let loading = self.loading(spec)?;
         self.admit(spec, &place, &loading)?;
         let model = without_panic(&place, || LocalModel::load(&spec.name, &place, &loading))?;
-        let Some(draft) = spec.draft() else { return Ok(Box::new(model)) };
+        let Some(draft) = spec.draft() else {
+            return Ok(Box::new(model));
+        };
         let (place, loading) = (self.place(&draft)?, self.loading(&draft)?);
         self.admit(&draft, &place, &loading)?;
-        Ok(Box::new(without_panic(&place, || model.with_draft_model(&place, &loading))?))
+        Ok(Box::new(without_panic(&place, || {
+            model.with_draft_model(&place, &loading)
+        })?))
     }
 
     /// Whether the chat template and the tokenizer of a model may be opened in this process.
-    fn admit(&self, spec: &ModelSpec, place: &ModelPlace, loading: &Loading) -> Result<(), MllmError> {
-        if spec.trusted { Ok(()) } else { self.trust.admit(place, loading) }
+    fn admit(
+        &self,
+        spec: &ModelSpec,
+        place: &ModelPlace,
+        loading: &Loading,
+    ) -> Result<(), MllmError> {
+        if spec.trusted {
+            Ok(())
+        } else {
+            self.trust.admit(place, loading)
+        }
     }
 
     /// Checks a model's files on this machine without reading its weights.
@@ -308,27 +437,36 @@ impl ModelRegistry {
                 Ok(checked) => checked.problems,
                 Err(error) => vec![error.to_string()],
             };
-            check.problems.extend(problems.into_iter().map(|problem| format!("draft_model: {problem}")));
+            check.problems.extend(
+                problems
+                    .into_iter()
+                    .map(|problem| format!("draft_model: {problem}")),
+            );
         }
         Ok(check)
     }
 
-    /// What a model is and needs, by the headers of its files on this machine, else by the known shape of the repository that
-    /// it comes from.
+    /// What a model is and needs, by the headers of its files on this machine, else by the known
+    /// shape of the repository that it comes from.
     pub fn outline(&self, spec: &ModelSpec) -> Result<ModelOutline, MllmError> {
         let families = &self.families(spec);
-        let here = self.place_here(spec).and_then(|place| Checkpoint::open(&place, None, families));
+        let here = self
+            .place_here(spec)
+            .and_then(|place| Checkpoint::open(&place, None, families));
         let checkpoint = match (here, &spec.source) {
-            (Err(error), ModelSource::Hub { hub, file: None, .. }) => {
-                ModelShape::of_hub(hub).ok_or(error)?.checkpoint(families)?
-            }
+            (
+                Err(error),
+                ModelSource::Hub {
+                    hub, file: None, ..
+                },
+            ) => ModelShape::of_hub(hub).ok_or(error)?.checkpoint(families)?,
             (here, _) => here?,
         };
         ModelOutline::of(checkpoint, spec.image)
     }
 
-    /// Writes a model as GGUF with weights in `weight_format`, and how it is asked; [`GgufPart`] lists the files. `progress` gets the bytes that are
-    /// written so far, and all bytes.
+    /// Writes a model as GGUF with weights in `weight_format`, and how it is asked; [`GgufPart`]
+    /// lists the files. `progress` gets the bytes that are written so far, and all bytes.
     pub fn export(
         &self,
         spec: &ModelSpec,
@@ -338,7 +476,10 @@ impl ModelRegistry {
     ) -> Result<LoadReport, MllmError> {
         let place = self.place(spec)?;
         self.admit(spec, &place, &self.loading(spec)?)?;
-        let loading = Loading { quantize: Some(weight_format), ..self.loading(spec)? };
+        let loading = Loading {
+            quantize: Some(weight_format),
+            ..self.loading(spec)?
+        };
         let added = [self.asking(spec)?.to_file()];
         export_model(&spec.name, &place, &loading, &added, create, progress)
     }
@@ -370,9 +511,18 @@ impl ModelRegistry {
                 Some(self.snapshot(&self.hub, hub, revision, &HubFiles::tokenizer())?)
             }
         };
-        let expected = spec.architecture.map(|architecture| (architecture, spec.name.clone()));
+        let expected = spec
+            .architecture
+            .map(|architecture| (architecture, spec.name.clone()));
         let (quantize, families) = (self.loading.quantize.or(spec.quantize), self.families(spec));
-        Ok(Loading { quantize, tokenizer, expected, families, image: spec.image, ..self.loading.clone() })
+        Ok(Loading {
+            quantize,
+            tokenizer,
+            expected,
+            families,
+            image: spec.image,
+            ..self.loading.clone()
+        })
     }
 }
 
@@ -382,11 +532,16 @@ mod tests {
 
     fn registry() -> (tempfile::TempDir, ModelRegistry) {
         let models = tempfile::tempdir().unwrap();
-        let described =
-            "name = 'Nano'\narchitecture = 'llava'\nsource = { folder = 'weights' }\nprompt_set = 'compact'\n";
+        let described = "name = 'Nano'\narchitecture = 'llava'\nsource = { folder = 'weights' }\nprompt_set = 'compact'\n";
         std::fs::write(models.path().join("nano.toml"), described).unwrap();
         std::fs::write(models.path().join("broken.toml"), "name = 3").unwrap();
-        let registry = ModelRegistry::new(models.path(), HubAccess { offline: true, ..HubAccess::default() });
+        let registry = ModelRegistry::new(
+            models.path(),
+            HubAccess {
+                offline: true,
+                ..HubAccess::default()
+            },
+        );
         (models, registry)
     }
 
@@ -394,21 +549,44 @@ mod tests {
     fn names_folders_and_ids_are_found() {
         let (models, registry) = registry();
         let names = registry.names().unwrap();
-        assert!(names.is_sorted() && ["broken", "nano", "openai"].iter().all(|name| names.iter().any(|n| n == name)));
+        assert!(
+            names.is_sorted()
+                && ["broken", "nano", "openai"]
+                    .iter()
+                    .all(|name| names.iter().any(|n| n == name))
+        );
         let nano = registry.find("nano").unwrap();
-        assert_eq!((nano.name.as_str(), nano.prompt_set), ("Nano", Some(PromptSet::Compact)));
-        assert_eq!(registry.place(&nano).unwrap(), ModelPlace::Folder(models.path().join("weights")));
+        assert_eq!(
+            (nano.name.as_str(), nano.prompt_set),
+            ("Nano", Some(PromptSet::Compact))
+        );
+        assert_eq!(
+            registry.place(&nano).unwrap(),
+            ModelPlace::Folder(models.path().join("weights"))
+        );
         let by_path = models.path().join("nano.toml");
         assert_eq!(registry.find(by_path.to_str().unwrap()).unwrap(), nano);
         let folder = registry.find(models.path().to_str().unwrap()).unwrap();
-        assert_eq!(folder.source, ModelSource::Folder { folder: models.path().to_path_buf() });
+        assert_eq!(
+            folder.source,
+            ModelSource::Folder {
+                folder: models.path().to_path_buf()
+            }
+        );
         let hub = registry.find("llava-hf/llava-1.5-7b-hf").unwrap();
         assert_eq!(hub.name, "llava-1.5-7b-hf");
         assert!(matches!(hub.source, ModelSource::Hub { file: None, .. }));
         let in_hub = registry.find("org/repo/sub/model-q4_k.gguf").unwrap();
         match in_hub.source {
-            ModelSource::Hub { hub, file: Some(file), .. } => {
-                assert_eq!((hub.as_str(), file.as_str()), ("org/repo", "sub/model-q4_k.gguf"));
+            ModelSource::Hub {
+                hub,
+                file: Some(file),
+                ..
+            } => {
+                assert_eq!(
+                    (hub.as_str(), file.as_str()),
+                    ("org/repo", "sub/model-q4_k.gguf")
+                );
             }
             other => panic!("{other:?}"),
         }
@@ -422,8 +600,17 @@ mod tests {
     #[test]
     fn the_embedded_nano_is_that_of_the_folder() {
         let open = |models: &Path| {
-            let registry = ModelRegistry::new(models, HubAccess { offline: true, ..HubAccess::default() });
-            registry.open(&registry.find("nano").unwrap()).unwrap().describe()
+            let registry = ModelRegistry::new(
+                models,
+                HubAccess {
+                    offline: true,
+                    ..HubAccess::default()
+                },
+            );
+            registry
+                .open(&registry.find("nano").unwrap())
+                .unwrap()
+                .describe()
         };
         let nowhere = tempfile::tempdir().unwrap();
         let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
@@ -434,8 +621,8 @@ mod tests {
     fn the_descriptions_in_the_program_are_those_of_the_folder() {
         let nowhere = tempfile::tempdir().unwrap();
         let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
-        let [bare, full] =
-            [nowhere.path(), repository.as_path()].map(|models| ModelRegistry::new(models, HubAccess::default()));
+        let [bare, full] = [nowhere.path(), repository.as_path()]
+            .map(|models| ModelRegistry::new(models, HubAccess::default()));
         assert_eq!(bare.names().unwrap(), full.names().unwrap());
         for name in built_in::names() {
             assert_eq!(bare.find(name).unwrap(), full.find(name).unwrap());
@@ -445,17 +632,33 @@ mod tests {
     #[test]
     fn every_description_that_ships_is_read() {
         let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
-        let registry = ModelRegistry::new(&models, HubAccess { offline: true, ..HubAccess::default() });
+        let registry = ModelRegistry::new(
+            &models,
+            HubAccess {
+                offline: true,
+                ..HubAccess::default()
+            },
+        );
         let names = registry.names().unwrap();
-        let servers = names.iter().filter(|name| match registry.find(name).unwrap().source {
-            ModelSource::Endpoint(settings) => settings.url().is_ok(),
-            _ => false,
-        });
+        let servers = names
+            .iter()
+            .filter(|name| match registry.find(name).unwrap().source {
+                ModelSource::Endpoint(settings) => settings.url().is_ok(),
+                _ => false,
+            });
         assert_eq!(servers.collect::<Vec<_>>(), ["local-server", "openai"]);
         let openai = registry.find("openai").unwrap();
-        assert!(matches!(registry.open(&openai), Err(MllmError::Offline { .. })), "the network is off");
-        assert!(matches!(registry.place(&openai), Err(MllmError::NoFiles { .. })));
-        let local = registry.open(&registry.find("local-server").unwrap()).unwrap();
+        assert!(
+            matches!(registry.open(&openai), Err(MllmError::Offline { .. })),
+            "the network is off"
+        );
+        assert!(matches!(
+            registry.place(&openai),
+            Err(MllmError::NoFiles { .. })
+        ));
+        let local = registry
+            .open(&registry.find("local-server").unwrap())
+            .unwrap();
         assert_eq!(local.describe().server.unwrap().model, "default");
     }
 
@@ -464,18 +667,39 @@ mod tests {
         let (_models, registry) = registry();
         match registry.find("nanoo") {
             Err(MllmError::UnknownModel { known, .. }) => {
-                assert!(known.starts_with("broken, ") && known.contains(", nano, "), "{known}");
+                assert!(
+                    known.starts_with("broken, ") && known.contains(", nano, "),
+                    "{known}"
+                );
             }
             other => panic!("{other:?}"),
         }
         for name in ["", "a b", "a/b/c", "a.example:80/v1"] {
-            assert!(matches!(registry.find(name), Err(MllmError::UnknownModel { .. })), "{name}");
+            assert!(
+                matches!(registry.find(name), Err(MllmError::UnknownModel { .. })),
+                "{name}"
+            );
         }
-        for name in ["../no-such-folder/nano", "/nowhere/nano", "a/b/../c.gguf", "nowhere.gguf", "nowhere.toml"] {
-            assert!(matches!(registry.find(name), Err(MllmError::AbsentModel { .. })), "{name}");
+        for name in [
+            "../no-such-folder/nano",
+            "/nowhere/nano",
+            "a/b/../c.gguf",
+            "nowhere.gguf",
+            "nowhere.toml",
+        ] {
+            assert!(
+                matches!(registry.find(name), Err(MllmError::AbsentModel { .. })),
+                "{name}"
+            );
         }
-        assert!(matches!(registry.find("broken"), Err(MllmError::Description { .. })));
+        assert!(matches!(
+            registry.find("broken"),
+            Err(MllmError::Description { .. })
+        ));
         let nano = registry.find("nano").unwrap();
-        assert!(matches!(registry.open(&nano), Err(MllmError::MissingFile { .. })));
+        assert!(matches!(
+            registry.open(&nano),
+            Err(MllmError::MissingFile { .. })
+        ));
     }
 }

@@ -7,9 +7,14 @@ use crate::family::ImageLayout;
 const FRAME: &str = "<fake_token_around_image>";
 const WHOLE: &str = "<global-img>";
 
-/// Tiles row by row, each behind its place, then the whole view (`get_image_prompt_string` in transformers).
+/// Tiles row by row, each behind its place, then the whole view (`get_image_prompt_string` in
+/// transformers).
 pub(super) fn image_text(placeholder: &str, layout: ImageLayout) -> String {
-    let ImageLayout { tokens, rows, columns } = layout;
+    let ImageLayout {
+        tokens,
+        rows,
+        columns,
+    } = layout;
     let mut text = String::new();
     let tiles = rows * columns;
     let views = if tiles > 1 { tiles + 1 } else { 1 };
@@ -38,7 +43,14 @@ mod tests {
             "<fake_token_around_image><global-img>**<fake_token_around_image>"
         );
         assert_eq!(
-            image_text("*", ImageLayout { tokens: 3, rows: 2, columns: 1 }),
+            image_text(
+                "*",
+                ImageLayout {
+                    tokens: 3,
+                    rows: 2,
+                    columns: 1
+                }
+            ),
             "<fake_token_around_image><row_1_col_1>*\n<fake_token_around_image><row_2_col_1>*\n\n\
              <fake_token_around_image><global-img>*<fake_token_around_image>"
         );

@@ -1,11 +1,14 @@
-//! `config.json` of a `SmolVLMForConditionalGeneration` or `Idefics3ForConditionalGeneration` checkpoint.
+//! `config.json` of a `SmolVLMForConditionalGeneration` or `Idefics3ForConditionalGeneration`
+//! checkpoint.
 
 use std::path::Path;
 
 use serde_json::{Value, json};
 
 use crate::MllmError;
-use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig, check_width};
+use crate::checkpoint::{
+    ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig, check_width,
+};
 
 /// A `SmolVLM`: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,13 +28,17 @@ const DEFAULT_IMAGE_TOKEN: u32 = 128_257;
 
 impl SmolVlmConfig {
     pub(super) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
-        Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
+        Self::from_json(
+            &files.path("config.json"),
+            &files.required_json("config.json")?,
+        )
     }
 
     /// Reads a configuration; `path` is for messages.
     pub(super) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
         let root = ConfigObject::root(path, value)?;
-        // The defaults of `SmolVLMVisionConfig` and `Idefics3VisionConfig`, which published files leave out.
+        // The defaults of `SmolVLMVisionConfig` and `Idefics3VisionConfig`, which published files
+        // leave out.
         let vision = root.child_or_empty("vision_config")?.with_defaults(json!({
             "hidden_size": 1152, "intermediate_size": 3072, "num_hidden_layers": 12, "num_attention_heads": 16,
             "image_size": 224, "patch_size": 32, "hidden_act": "gelu_pytorch_tanh", "layer_norm_eps": 1e-6,
@@ -39,23 +46,39 @@ impl SmolVlmConfig {
         let vision = VisionConfig::read(&vision)?;
         let text = match root.child("text_config")? {
             Some(text) => text,
-            // `SmolVLMConfig` and `Idefics3Config` have this one where a file has no decoder's keys at all.
-            None => root.child_or_empty("text_config")?.with_defaults(json!({"rms_norm_eps": 1e-5})),
+            // `SmolVLMConfig` and `Idefics3Config` have this one where a file has no decoder's keys
+            // at all.
+            None => root
+                .child_or_empty("text_config")?
+                .with_defaults(json!({"rms_norm_eps": 1e-5})),
         };
         let mut text = LlamaConfig::read(text, DecoderType::Llama)?;
         text.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(false);
         let scale = root.value("scale_factor")?.unwrap_or(DEFAULT_SCALE);
         let side = vision.image_size / vision.patch_size;
         if scale == 0 || !side.is_multiple_of(scale) {
-            return Err(root.error("scale_factor", format!("{scale} does not divide the {side} patches of a side")));
+            return Err(root.error(
+                "scale_factor",
+                format!("{scale} does not divide the {side} patches of a side"),
+            ));
         }
         check_width(&root, "scale_factor", scale * scale, vision.hidden)?;
-        let image_token = root.first_id("image_token_id")?.unwrap_or(DEFAULT_IMAGE_TOKEN);
+        let image_token = root
+            .first_id("image_token_id")?
+            .unwrap_or(DEFAULT_IMAGE_TOKEN);
         if image_token as usize >= text.vocabulary {
-            let problem = format!("{image_token} lies outside the vocabulary of {}", text.vocabulary);
+            let problem = format!(
+                "{image_token} lies outside the vocabulary of {}",
+                text.vocabulary
+            );
             return Err(root.error("image_token_id", problem));
         }
-        Ok(Self { vision, text, image_token, scale })
+        Ok(Self {
+            vision,
+            text,
+            image_token,
+            scale,
+        })
     }
 
     /// Tokens of a tile.
@@ -83,7 +106,10 @@ mod tests {
         });
         let config = SmolVlmConfig::from_json(Path::new("config.json"), &config).unwrap();
         assert_eq!((config.tile_tokens(), config.vision.patches()), (81, 729));
-        assert_eq!((config.text.head_dim, config.text.rope.theta as u32), (64, 273_768));
+        assert_eq!(
+            (config.text.head_dim, config.text.rope.theta as u32),
+            (64, 273_768)
+        );
     }
 
     #[test]
@@ -99,7 +125,10 @@ mod tests {
         ] {
             let mut changed = valid.clone();
             changed[key] = value;
-            assert!(matches!(read(&changed), Err(MllmError::Config { key: named, .. }) if named == key), "{changed}");
+            assert!(
+                matches!(read(&changed), Err(MllmError::Config { key: named, .. }) if named == key),
+                "{changed}"
+            );
         }
     }
 }

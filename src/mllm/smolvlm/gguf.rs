@@ -3,7 +3,9 @@
 use serde_json::json;
 
 use crate::MllmError;
-use crate::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS};
+use crate::gguf::names::{
+    DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS,
+};
 use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
 
 const NAMES: Names = Names {
@@ -12,9 +14,18 @@ const NAMES: Names = Names {
         FINAL_NORM,
         OUTPUT,
         ROTARY,
-        ("v.patch_embd.weight", "vision_tower.embeddings.patch_embedding.weight"),
-        ("v.patch_embd.bias", "vision_tower.embeddings.patch_embedding.bias"),
-        ("v.position_embd.weight", "vision_tower.embeddings.position_embedding.weight"),
+        (
+            "v.patch_embd.weight",
+            "vision_tower.embeddings.patch_embedding.weight",
+        ),
+        (
+            "v.patch_embd.bias",
+            "vision_tower.embeddings.patch_embedding.bias",
+        ),
+        (
+            "v.position_embd.weight",
+            "vision_tower.embeddings.position_embedding.weight",
+        ),
         ("v.post_ln.weight", "vision_tower.post_layernorm.weight"),
         ("v.post_ln.bias", "vision_tower.post_layernorm.bias"),
         ("mm.model.fc.weight", "multi_modal_projector.proj.weight"),
@@ -46,7 +57,9 @@ fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmEr
     let longest = if let Some(longest) = tower.count(LONGEST)? {
         longest
     } else {
-        notes.push(format!("the vision tower's file has no {LONGEST}; images are cut into {TILES} tiles a side"));
+        notes.push(format!(
+            "the vision tower's file has no {LONGEST}; images are cut into {TILES} tiles a side"
+        ));
         TILES * tile
     };
     let mut processor = tower.pixel_scale()?;
@@ -54,5 +67,8 @@ fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmEr
     processor["size"] = json!({"longest_edge": longest});
     processor["max_image_size"] = json!({"longest_edge": tile});
     let scale = tower.required_count("clip.vision.projector.scale_factor")?;
-    Ok(VisionFiles { config: json!({"scale_factor": scale, "vision_config": vision}), processor })
+    Ok(VisionFiles {
+        config: json!({"scale_factor": scale, "vision_config": vision}),
+        processor,
+    })
 }

@@ -1,5 +1,6 @@
-//! `SmolVLM` and `SmolVLM2` (Marafioti et al., arXiv:2504.05299), and Idefics3 (Laurençon et al., arXiv:2408.12637), which is
-//! the same model for an image: tiles through a `SigLIP` tower, blocks of patches merged by one matrix, a Llama decoder.
+//! `SmolVLM` and `SmolVLM2` (Marafioti et al., arXiv:2504.05299), and Idefics3 (Laurençon et al.,
+//! arXiv:2408.12637), which is the same model for an image: tiles through a `SigLIP` tower, blocks
+//! of patches merged by one matrix, a Llama decoder.
 
 mod chat;
 mod config;
@@ -27,7 +28,12 @@ const NAME: &str = "smolvlm";
 /// `SmolVLM`, `SmolVLM2` and Idefics3.
 pub(crate) const FAMILY: Family = Family {
     name: NAME,
-    config_names: &["smolvlm", "SmolVLMForConditionalGeneration", "idefics3", "Idefics3ForConditionalGeneration"],
+    config_names: &[
+        "smolvlm",
+        "SmolVLMForConditionalGeneration",
+        "idefics3",
+        "Idefics3ForConditionalGeneration",
+    ],
     canonical_name: |stored| Some(canonical_name(stored)),
     gguf: Ok(&gguf::LAYOUT),
     missing_tokenizer: "tokenizer.json",
@@ -56,7 +62,11 @@ fn open(files: &ModelFiles, weights: &mut Weights) -> Result<SmolVlm, MllmError>
     take(weights, &config, tiler)
 }
 
-fn take(weights: &mut Weights, config: &SmolVlmConfig, tiler: TileProcessor) -> Result<SmolVlm, MllmError> {
+fn take(
+    weights: &mut Weights,
+    config: &SmolVlmConfig,
+    tiler: TileProcessor,
+) -> Result<SmolVlm, MllmError> {
     let family = TiledFamily {
         name: NAME,
         text: &config.text,
@@ -65,7 +75,9 @@ fn take(weights: &mut Weights, config: &SmolVlmConfig, tiler: TileProcessor) -> 
         tile_tokens: config.tile_tokens(),
         image_text,
     };
-    TiledModel::take(weights, family, tiler, |weights| ImageEncoder::take(weights, config))
+    TiledModel::take(weights, family, tiler, |weights| {
+        ImageEncoder::take(weights, config)
+    })
 }
 
 /// `SigLIP` tower and projector.
@@ -80,17 +92,32 @@ pub(crate) struct ImageEncoder {
 
 impl ImageEncoder {
     fn take(weights: &mut Weights, config: &SmolVlmConfig) -> Result<Self, MllmError> {
-        let SmolVlmConfig { vision, text, scale, .. } = config;
+        let SmolVlmConfig {
+            vision,
+            text,
+            scale,
+            ..
+        } = config;
         let tower = SiglipVisionTower::take_whole(weights, vision)?;
         let merged = vision.hidden * scale * scale;
-        let projection = weights.take_linear("multi_modal_projector.proj", merged, text.hidden, false)?;
-        Ok(Self { tower, projection, side: vision.image_size / vision.patch_size, scale: *scale })
+        let projection =
+            weights.take_linear("multi_modal_projector.proj", merged, text.hidden, false)?;
+        Ok(Self {
+            tower,
+            projection,
+            side: vision.image_size / vision.patch_size,
+            scale: *scale,
+        })
     }
 }
 
 impl TileEncoder for ImageEncoder {
     fn encode(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        self.projection.forward(&merge_blocks(&self.tower.forward(pixels)?, [self.side, self.side], self.scale)?)
+        self.projection.forward(&merge_blocks(
+            &self.tower.forward(pixels)?,
+            [self.side, self.side],
+            self.scale,
+        )?)
     }
 }
 

@@ -30,7 +30,9 @@ fn assembled(parts: &Parts) -> SmolVlm {
 fn features_logits_and_greedy_tokens_are_those_of_transformers() {
     let prompts = Prompts::of("tiny_smolvlm");
     for folder in [".", "hub_style"] {
-        prompts.check(&prompts.open(folder, ImageSettings::default()), |name| !is_unsplit(name));
+        prompts.check(&prompts.open(folder, ImageSettings::default()), |name| {
+            !is_unsplit(name)
+        });
         prompts.check(&prompts.open(folder, ONE_TILE), is_unsplit);
     }
 }
@@ -38,7 +40,9 @@ fn features_logits_and_greedy_tokens_are_those_of_transformers() {
 #[test]
 fn llama_cpps_files_give_the_same() {
     let prompts = Prompts::of("tiny_smolvlm");
-    prompts.check(&prompts.open_gguf(ImageSettings::default()), |name| !is_unsplit(name));
+    prompts.check(&prompts.open_gguf(ImageSettings::default()), |name| {
+        !is_unsplit(name)
+    });
     prompts.check(&prompts.open_gguf(ONE_TILE), is_unsplit);
 }
 
@@ -48,10 +52,18 @@ fn views_have_the_pixels_of_transformers() {
     let mut one = processor(48, 16);
     one.set_tiles(1).unwrap();
     let split = processor(48, 16);
-    let cases = [("", 0, &split), ("second_", 1, &split), ("unsplit_", 0, &one), ("unsplit_second_", 1, &one)];
+    let cases = [
+        ("", 0, &split),
+        ("second_", 1, &split),
+        ("unsplit_", 0, &one),
+        ("unsplit_second_", 1, &one),
+    ];
     for (name, index, processor) in cases {
         let views = Tensor::stack(&processor.views(&prompts.image(index)).unwrap(), 0).unwrap();
-        let found = difference(&views, prompts.reference.tensor(&format!("{name}pixel_values")));
+        let found = difference(
+            &views,
+            prompts.reference.tensor(&format!("{name}pixel_values")),
+        );
         assert!(found < 1e-6, "{name}: the pixels differ by {found}");
     }
 }
@@ -64,23 +76,44 @@ fn grids_of_tiles_are_those_of_transformers() {
     assert!(cases.len() > 40);
     for case in cases {
         let number = |key: &str| case[key].as_u64().unwrap() as u32;
-        let pair = |key: &str| [0, 1].map(|index| case[key][index].as_u64().unwrap() as u32).into();
-        let found = processor(number("longest_edge").into(), number("tile")).tiling(number("width"), number("height"));
-        assert_eq!((found.first, found.second), (pair("first_resize"), pair("second_resize")), "{case}");
+        let pair = |key: &str| {
+            [0, 1]
+                .map(|index| case[key][index].as_u64().unwrap() as u32)
+                .into()
+        };
+        let found = processor(number("longest_edge").into(), number("tile"))
+            .tiling(number("width"), number("height"));
+        assert_eq!(
+            (found.first, found.second),
+            (pair("first_resize"), pair("second_resize")),
+            "{case}"
+        );
         // transformers counts no rows where an image is not cut.
         let Grid { rows, columns, .. } = found.grid;
-        assert_eq!((rows, columns), (number("rows").max(1), number("columns").max(1)), "{case}");
+        assert_eq!(
+            (rows, columns),
+            (number("rows").max(1), number("columns").max(1)),
+            "{case}"
+        );
     }
 }
 
 /// Errors in configuration and weights on the way from pixels to features.
 const IMAGE_FAULTS: [Fault; 4] = [
-    ("quick_gelu in the place of gelu", |parts| parts.config["vision_config"]["hidden_act"] = json!("quick_gelu")),
+    ("quick_gelu in the place of gelu", |parts| {
+        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu")
+    }),
     ("the tower without its last norm", |parts| {
-        parts.change("post_layernorm.weight", |tensor| tensor.ones_like().unwrap());
+        parts.change("post_layernorm.weight", |tensor| {
+            tensor.ones_like().unwrap()
+        });
         parts.change("post_layernorm.bias", |tensor| tensor.zeros_like().unwrap());
     }),
-    ("no bias of the patches", |parts| parts.change("patch_embedding.bias", |tensor| tensor.zeros_like().unwrap())),
+    ("no bias of the patches", |parts| {
+        parts.change("patch_embedding.bias", |tensor| {
+            tensor.zeros_like().unwrap()
+        })
+    }),
     ("the last layer but one", |parts| {
         parts.config["vision_config"]["num_hidden_layers"] = json!(2);
     }),
@@ -96,15 +129,39 @@ const WRONG_ORDERS: [(&str, [usize; 5]); 3] = [
 /// The features of a model whose connector takes the axes in another order.
 fn shuffled(model: &SmolVlm, run: &Run, order: [usize; 5]) -> ImageFeatures {
     let rows = run.pixels.iter().map(|pixels| {
-        let patches = model.encoder.tower.forward(pixels).unwrap().reshape(vec![2, 4, 2, 4, 32]).unwrap();
-        model.encoder.projection.forward(&patches.permute(order.to_vec()).unwrap().reshape((4, 512)).unwrap()).unwrap()
+        let patches = model
+            .encoder
+            .tower
+            .forward(pixels)
+            .unwrap()
+            .reshape(vec![2, 4, 2, 4, 32])
+            .unwrap();
+        model
+            .encoder
+            .projection
+            .forward(
+                &patches
+                    .permute(order.to_vec())
+                    .unwrap()
+                    .reshape((4, 512))
+                    .unwrap(),
+            )
+            .unwrap()
     });
     features(Tensor::cat(&rows.collect::<Vec<_>>(), 0).unwrap())
 }
 
 /// Features of the first image.
 fn features(rows: Tensor) -> ImageFeatures {
-    ImageFeatures { rows, deep: Vec::new(), layout: ImageLayout { tokens: 28, rows: 2, columns: 3 } }
+    ImageFeatures {
+        rows,
+        deep: Vec::new(),
+        layout: ImageLayout {
+            tokens: 28,
+            rows: 2,
+            columns: 3,
+        },
+    }
 }
 
 #[test]
@@ -128,8 +185,12 @@ fn errors_that_are_easily_made_lead_far_away() {
     let picture = image::open(folder.join("image_0.png")).unwrap().into_rgb8();
     let bicubic = json!({"size": {"longest_edge": 48}, "max_image_size": {"longest_edge": 16}, "resample": 3});
     let root = ConfigObject::root("".as_ref(), &bicubic).unwrap();
-    let views = TileProcessor::read(&root, 16).unwrap().views(&picture).unwrap();
-    Deviation::of(&run, &right, &encoded(&right, &views)).assert_far("bicubic in the place of Lanczos");
+    let views = TileProcessor::read(&root, 16)
+        .unwrap()
+        .views(&picture)
+        .unwrap();
+    Deviation::of(&run, &right, &encoded(&right, &views))
+        .assert_far("bicubic in the place of Lanczos");
     for (what, fault) in [
         (
             "another base of the rotary embedding",
@@ -137,10 +198,15 @@ fn errors_that_are_easily_made_lead_far_away() {
                 parts.config["text_config"]["rope_parameters"]["rope_theta"] = json!(10_000);
             }) as fn(&mut Parts),
         ),
-        ("norms with another epsilon", |parts| parts.config["text_config"]["rms_norm_eps"] = json!(1e-1)),
+        ("norms with another epsilon", |parts| {
+            parts.config["text_config"]["rms_norm_eps"] = json!(1e-1)
+        }),
     ] {
         let model = assembled(&Parts::wrong(&folder, fault));
         Deviation::of(&run, &model, &encoded(&model, &run.pixels)).assert_logits_far(what);
     }
-    assert_eq!(right.image_layout(40, 24).unwrap(), features(run.features.clone()).layout);
+    assert_eq!(
+        right.image_layout(40, 24).unwrap(),
+        features(run.features.clone()).layout
+    );
 }

@@ -1,4 +1,5 @@
-//! `SmolVLMImageProcessor` and `Idefics3ImageProcessor`: the image enlarged and cut into tiles, then the whole of it.
+//! `SmolVLMImageProcessor` and `Idefics3ImageProcessor`: the image enlarged and cut into tiles,
+//! then the whole of it.
 
 use candle_core::Tensor;
 use image::RgbImage;
@@ -51,7 +52,9 @@ struct Keys {
 /// The defaults of `SmolVLMImageProcessor`.
 impl Default for Keys {
     fn default() -> Self {
-        let edge = |side| LongestEdge { longest_edge: Side(side) };
+        let edge = |side| LongestEdge {
+            longest_edge: Side(side),
+        };
         Self {
             image_processor_type: None,
             size: edge(4 * 364),
@@ -72,9 +75,13 @@ impl TileProcessor {
         object.only_neutral(&[("do_resize", Neutral::Flag(true))])?;
         let keys: Keys = object.read()?;
         if let Some(kind) = keys.image_processor_type
-            && !["SmolVLM", "Idefics3"].iter().any(|known| kind.starts_with(known))
+            && !["SmolVLM", "Idefics3"]
+                .iter()
+                .any(|known| kind.starts_with(known))
         {
-            let problem = format!("'{kind}' is not supported; SmolVLMImageProcessor and Idefics3ImageProcessor are");
+            let problem = format!(
+                "'{kind}' is not supported; SmolVLMImageProcessor and Idefics3ImageProcessor are"
+            );
             return Err(object.error("image_processor_type", problem));
         }
         let tile = keys.max_image_size.longest_edge.0;
@@ -84,23 +91,45 @@ impl TileProcessor {
         }
         let longest = keys.size.longest_edge.0;
         if longest > MAX_SIDE {
-            return Err(object.error("size.longest_edge", format!("at most {MAX_SIDE} pixels are supported")));
+            return Err(object.error(
+                "size.longest_edge",
+                format!("at most {MAX_SIDE} pixels are supported"),
+            ));
         }
         let most = longest.next_multiple_of(tile);
-        check_tiles(most, most, tile).map_err(|problem| object.error("size.longest_edge", problem))?;
+        check_tiles(most, most, tile)
+            .map_err(|problem| object.error("size.longest_edge", problem))?;
         // Published files leave the mean and deviation of all channels at one half.
         let scale = PixelScale::read(&object.clone().with_defaults(serde_json::json!({
             "image_mean": [0.5, 0.5, 0.5], "image_std": [0.5, 0.5, 0.5],
         })))?;
-        Ok(Self { longest, tile, splitting: keys.do_image_splitting, filter: keys.resample, scale })
+        Ok(Self {
+            longest,
+            tile,
+            splitting: keys.do_image_splitting,
+            filter: keys.resample,
+            scale,
+        })
     }
 
     /// How an image of this size is cut.
     pub(super) fn tiling(&self, width: u32, height: u32) -> Tiling {
         let first = enlarged(width, height, self.longest);
-        let second = if self.splitting { whole_tiles(first, self.tile) } else { (self.tile, self.tile) };
-        let grid = Grid { rows: second.1 / self.tile, columns: second.0 / self.tile, whole: true };
-        Tiling { first, second, grid }
+        let second = if self.splitting {
+            whole_tiles(first, self.tile)
+        } else {
+            (self.tile, self.tile)
+        };
+        let grid = Grid {
+            rows: second.1 / self.tile,
+            columns: second.0 / self.tile,
+            whole: true,
+        };
+        Tiling {
+            first,
+            second,
+            grid,
+        }
     }
 }
 
@@ -110,17 +139,38 @@ impl Tiler for TileProcessor {
     }
 
     fn views(&self, image: &RgbImage) -> Result<Vec<Tensor>, MllmError> {
-        let Tiling { first, second, grid } = self.tiling(image.width(), image.height());
+        let Tiling {
+            first,
+            second,
+            grid,
+        } = self.tiling(image.width(), image.height());
         let size = |image: &RgbImage, (width, height)| resize(image, width, height, self.filter);
         let second = size(&size(image, first), second);
-        let tiles = if grid.views() > 1 { grid.cut(&second).collect() } else { Vec::new() };
+        let tiles = if grid.views() > 1 {
+            grid.cut(&second).collect()
+        } else {
+            Vec::new()
+        };
         let whole = size(&second, (self.tile, self.tile));
-        tiles.iter().chain([&whole]).map(|view| Ok(self.scale.values(view)?)).collect()
+        tiles
+            .iter()
+            .chain([&whole])
+            .map(|view| Ok(self.scale.values(view)?))
+            .collect()
     }
 
     fn max_views(&self) -> usize {
-        let side = if self.splitting { self.longest.div_ceil(self.tile) } else { 1 };
-        Grid { rows: side, columns: side, whole: true }.views()
+        let side = if self.splitting {
+            self.longest.div_ceil(self.tile)
+        } else {
+            1
+        };
+        Grid {
+            rows: side,
+            columns: side,
+            whole: true,
+        }
+        .views()
     }
 
     /// Takes one view of an image in the place of tiles.
@@ -129,7 +179,9 @@ impl Tiler for TileProcessor {
             self.splitting = false;
             return Ok(());
         }
-        let problem = format!("image.tiles = {tiles}: this family takes 1, or its own number where none is set");
+        let problem = format!(
+            "image.tiles = {tiles}: this family takes 1, or its own number where none is set"
+        );
         Err(MllmError::Image { problem })
     }
 }

@@ -72,11 +72,24 @@ impl EmbeddedModel {
         quantize: Option<WeightFormat>,
         families: &Families,
     ) -> Result<Checkpoint, MllmError> {
-        let texts = self.texts.iter().map(|&(name, text)| (name.to_owned(), text.to_owned())).collect();
+        let texts = self
+            .texts
+            .iter()
+            .map(|&(name, text)| (name.to_owned(), text.to_owned()))
+            .collect();
         let files = ModelFiles::packed(Path::new(self.name), texts);
         let family = families.of(&files)?;
         let canonical_name = family.family().canonical_name;
-        let weights = safetensors_folder::of_bytes(Path::new(self.name), self.weights, quantize, canonical_name)?;
-        Ok(Checkpoint { family, files, weights })
+        let weights = safetensors_folder::of_bytes(
+            Path::new(self.name),
+            self.weights,
+            quantize,
+            canonical_name,
+        )?;
+        Ok(Checkpoint {
+            family,
+            files,
+            weights,
+        })
     }
 }

@@ -7,15 +7,19 @@ use crate::MllmError;
 use crate::checkpoint::{FileKind, ModelFiles, RowOrder, WeightFile, WeightFormatPlan, Weights};
 use crate::families::Families;
 use crate::gguf::{
-    GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, packed_files, row_order, tokenizer,
-    tower_beside,
+    GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, packed_files, row_order,
+    tokenizer, tower_beside,
 };
 use planagent_kernels::matrix::WeightFormat;
 
 /// The small file that every model of this program's own has.
 const CONFIG: &str = "config.json";
 /// Small files that a user may put beside a GGUF file.
-const BESIDE: [&str; 3] = ["tokenizer_config.json", "preprocessor_config.json", TEMPLATE];
+const BESIDE: [&str; 3] = [
+    "tokenizer_config.json",
+    "preprocessor_config.json",
+    TEMPLATE,
+];
 
 /// Opens a model: its decoder, and its vision tower, by default the one that lies beside it.
 pub(super) fn open(
@@ -30,16 +34,18 @@ pub(super) fn open(
     match header.architecture()? {
         WHOLE_MODEL => open_whole(&header, file, quantize, families),
         decoder if llama::architectures().any(|known| known == decoder) => {
-            let beside = mmproj.map_or_else(|| tower_beside(model), |mmproj| Ok(mmproj.to_path_buf()))?;
+            let beside =
+                mmproj.map_or_else(|| tower_beside(model), |mmproj| Ok(mmproj.to_path_buf()))?;
             let (tower, tower_file) = open_header(&beside)?;
             if tower.architecture()? != TOWER {
                 return Err(tower.error(ARCHITECTURE, "this is no vision tower (clip)"));
             }
             open_pair([(&header, file), (&tower, tower_file)], quantize, families)
         }
-        TOWER => {
-            Err(header.error(ARCHITECTURE, "this is a vision tower (mmproj); name the file of the decoder instead"))
-        }
+        TOWER => Err(header.error(
+            ARCHITECTURE,
+            "this is a vision tower (mmproj); name the file of the decoder instead",
+        )),
         other => Err(header.error(
             ARCHITECTURE,
             format!(
@@ -51,7 +57,11 @@ pub(super) fn open(
 }
 
 fn plan(quantize: Option<WeightFormat>) -> WeightFormatPlan {
-    WeightFormatPlan { quantize, kind: FileKind::Gguf, tied: true }
+    WeightFormatPlan {
+        quantize,
+        kind: FileKind::Gguf,
+        tied: true,
+    }
 }
 
 /// A file that this program wrote, with the whole model under its canonical names.
@@ -65,9 +75,19 @@ fn open_whole(
     let mut weights = Weights::empty(&header.path, plan(quantize));
     let index = weights.add_file(file);
     for (name, place) in &header.tensors {
-        weights.add(name.clone(), index, name.clone(), place.clone(), RowOrder::Plain)?;
+        weights.add(
+            name.clone(),
+            index,
+            name.clone(),
+            place.clone(),
+            RowOrder::Plain,
+        )?;
     }
-    Ok(Checkpoint { family: families.of(&files)?, files, weights })
+    Ok(Checkpoint {
+        family: families.of(&files)?,
+        files,
+        weights,
+    })
 }
 
 /// A decoder and a tower, from llama.cpp or from this program.
@@ -82,11 +102,19 @@ fn open_pair(
     let mut texts = packed_files(decoder)?;
     // A file of llama.cpp may say how the model is asked, and nothing else.
     if !texts.contains_key(CONFIG) {
-        let layouts = families.iter().filter_map(|family| family.family().gguf.ok());
-        let Some(layout) = layouts.into_iter().find(|layout| layout.opens(decoder, tower)) else {
+        let layouts = families
+            .iter()
+            .filter_map(|family| family.family().gguf.ok());
+        let Some(layout) = layouts
+            .into_iter()
+            .find(|layout| layout.opens(decoder, tower))
+        else {
             let problem = match tower.projector()? {
                 Some(kind) => {
-                    format!("'{kind}' is not supported with a decoder of architecture {}", decoder.architecture()?)
+                    format!(
+                        "'{kind}' is not supported with a decoder of architecture {}",
+                        decoder.architecture()?
+                    )
                 }
                 None => "no known model family has such a vision tower".into(),
             };
@@ -99,7 +127,10 @@ fn open_pair(
     files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;
     let family = families.of(&files)?;
     let layout = family.family().gguf.map_err(|lacking| {
-        decoder.error("general.architecture", format!("a decoder file of llama.cpp has no place for {lacking}"))
+        decoder.error(
+            "general.architecture",
+            format!("a decoder file of llama.cpp has no place for {lacking}"),
+        )
     })?;
     let mut weights = Weights::empty(model, plan(quantize));
     for (header, file) in pair {
@@ -108,7 +139,11 @@ fn open_pair(
     for note in notes {
         weights.note(note);
     }
-    Ok(Checkpoint { family, files, weights })
+    Ok(Checkpoint {
+        family,
+        files,
+        weights,
+    })
 }
 
 /// Adds the tensors of a file of llama.cpp under their canonical names.
@@ -125,7 +160,10 @@ fn add_tensors(
                 let rows = row_order(header, name, place)?;
                 weights.add(canonical, index, name.clone(), place.clone(), rows)?;
             }
-            None => weights.note(format!("{}: tensor {name} is not used", header.path.display())),
+            None => weights.note(format!(
+                "{}: tensor {name} is not used",
+                header.path.display()
+            )),
         }
     }
     Ok(())

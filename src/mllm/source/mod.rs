@@ -1,4 +1,5 @@
-//! Where a model comes from: a folder with safetensors, GGUF files, the program itself, or random weights in a known shape.
+//! Where a model comes from: a folder with safetensors, GGUF files, the program itself, or random
+//! weights in a known shape.
 
 mod embedded;
 mod gguf;
@@ -31,8 +32,12 @@ pub enum ModelPlace {
     },
     /// Files in the program.
     Embedded(&'static EmbeddedModel),
-    /// Random weights in the shape of a known model, in [`DEFAULT_RANDOM_FORMAT`] unless another format is asked for.
-    Random { shape: &'static ModelShape, seed: u64 },
+    /// Random weights in the shape of a known model, in [`DEFAULT_RANDOM_FORMAT`] unless another
+    /// format is asked for.
+    Random {
+        shape: &'static ModelShape,
+        seed: u64,
+    },
 }
 
 /// The format that the weights of known models are published in.
@@ -61,10 +66,12 @@ impl ModelPlace {
     /// A small file of the model: in its folder, or in the metadata of its GGUF file.
     pub(crate) fn small_file(&self, name: &str) -> Result<Option<String>, MllmError> {
         let model = match self {
-            Self::Folder(folder) if !safetensors_folder::has_safetensors(folder) => match find_gguf(folder)? {
-                Some(model) => model,
-                None => return ModelFiles::folder(folder)?.text(name),
-            },
+            Self::Folder(folder) if !safetensors_folder::has_safetensors(folder) => {
+                match find_gguf(folder)? {
+                    Some(model) => model,
+                    None => return ModelFiles::folder(folder)?.text(name),
+                }
+            }
             Self::Folder(folder) => return ModelFiles::folder(folder)?.text(name),
             Self::Gguf { model, .. } => model.clone(),
             Self::Embedded(_) | Self::Random { .. } => return Ok(None),
@@ -79,14 +86,21 @@ impl ModelPlace {
             }
             Self::Folder(folder) => match find_gguf(folder)? {
                 Some(model) => gguf_files(&model, None)?,
-                None => return Err(ModelFiles::folder(folder)?.missing("model.safetensors, and no GGUF file")),
+                None => {
+                    return Err(
+                        ModelFiles::folder(folder)?.missing("model.safetensors, and no GGUF file")
+                    );
+                }
             },
             Self::Gguf { model, mmproj } => gguf_files(model, mmproj.as_deref())?,
             Self::Embedded(model) => return Ok(model.weights.len() as u64),
             Self::Random { .. } => Vec::new(),
         };
         let bytes = |path: &PathBuf| {
-            let metadata = std::fs::metadata(path).map_err(|source| MllmError::Read { path: path.clone(), source })?;
+            let metadata = std::fs::metadata(path).map_err(|source| MllmError::Read {
+                path: path.clone(),
+                source,
+            })?;
             Ok(metadata.len())
         };
         files.iter().map(bytes).sum()
@@ -102,18 +116,26 @@ pub(crate) struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// Opens the small files of a model and the headers of its weights, whose format in memory is `quantize`.
+    /// Opens the small files of a model and the headers of its weights, whose format in memory is
+    /// `quantize`.
     pub(crate) fn open(
         place: &ModelPlace,
         quantize: Option<WeightFormat>,
         families: &Families,
     ) -> Result<Self, MllmError> {
         let folder = match place {
-            ModelPlace::Gguf { model, mmproj } => return gguf::open(model, mmproj.as_deref(), quantize, families),
+            ModelPlace::Gguf { model, mmproj } => {
+                return gguf::open(model, mmproj.as_deref(), quantize, families);
+            }
             ModelPlace::Embedded(model) => return model.checkpoint(quantize, families),
             ModelPlace::Random { shape, seed } => {
                 let files = shape.files(families)?;
-                return random::checkpoint(files, quantize.unwrap_or(DEFAULT_RANDOM_FORMAT), *seed, families);
+                return random::checkpoint(
+                    files,
+                    quantize.unwrap_or(DEFAULT_RANDOM_FORMAT),
+                    *seed,
+                    families,
+                );
             }
             ModelPlace::Folder(folder) => folder,
         };
@@ -127,7 +149,11 @@ impl Checkpoint {
         unread::check_config(&files)?;
         let family = families.of(&files)?;
         let weights = safetensors_folder::open(folder, quantize, family.family().canonical_name)?;
-        Ok(Self { family, files, weights })
+        Ok(Self {
+            family,
+            files,
+            weights,
+        })
     }
 
     /// Opens the model and takes its weights.

@@ -11,7 +11,8 @@ use rand_pcg::Pcg64Mcg;
 use super::Checkpoint;
 use crate::MllmError;
 use crate::checkpoint::{
-    FileKind, ModelFiles, RowOrder, TensorPlace, TensorSource, WeightFormatPlan, Weights, held_as, is_matrix,
+    FileKind, ModelFiles, RowOrder, TensorPlace, TensorSource, WeightFormatPlan, Weights, held_as,
+    is_matrix,
 };
 use crate::families::Families;
 use planagent_kernels::matrix::{Matrix, WeightFormat};
@@ -21,8 +22,9 @@ const POOL: usize = 256;
 /// Largest magnitude of tensors other than matrices (norms, biases, positions).
 const VECTOR_RANGE: f32 = 0.1;
 
-/// Random tensors in place of a weight file. A matrix is composed of rows from a small pool, so that 17 billion weights take
-/// no longer than a copy. The time of products does not depend on the values.
+/// Random tensors in place of a weight file. A matrix is composed of rows from a small pool, so
+/// that 17 billion weights take no longer than a copy. The time of products does not depend on the
+/// values.
 #[derive(Debug)]
 struct RandomTensors {
     /// Their name in messages.
@@ -37,7 +39,11 @@ type Pools = BTreeMap<(&'static str, usize), Arc<Vec<u8>>>;
 impl RandomTensors {
     /// The same seed gives the same tensor at the same place.
     fn new(path: &Path, seed: u64) -> Self {
-        Self { path: path.to_path_buf(), seed, pools: Mutex::new(BTreeMap::new()) }
+        Self {
+            path: path.to_path_buf(),
+            seed,
+            pools: Mutex::new(BTreeMap::new()),
+        }
     }
 
     /// The encoded rows of one width, drawn at the first call.
@@ -59,7 +65,8 @@ impl TensorSource for RandomTensors {
 
     fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
         let mut random = Pcg64Mcg::seed_from_u64(self.seed ^ place.begin);
-        let weight_format = held_as(place.format).expect("random tensors have a format of the memory");
+        let weight_format =
+            held_as(place.format).expect("random tensors have a format of the memory");
         match place.shape.as_slice() {
             &[outputs, inputs] if outputs > POOL || weight_format != WeightFormat::F32 => {
                 let pool = self.pool(weight_format, inputs)?;
@@ -73,7 +80,9 @@ impl TensorSource for RandomTensors {
             }
             shape => {
                 let count = shape.iter().product();
-                Ok(values(&mut random, count, VECTOR_RANGE).flat_map(f32::to_le_bytes).collect())
+                Ok(values(&mut random, count, VECTOR_RANGE)
+                    .flat_map(f32::to_le_bytes)
+                    .collect())
             }
         }
     }
@@ -108,28 +117,46 @@ pub(super) fn checkpoint(
     families: &Families,
 ) -> Result<Checkpoint, MllmError> {
     let family = families.of(&files)?;
-    let plan = WeightFormatPlan { quantize: Some(weight_format), kind: FileKind::Gguf, tied: false };
+    let plan = WeightFormatPlan {
+        quantize: Some(weight_format),
+        kind: FileKind::Gguf,
+        tied: false,
+    };
     let mut asked = Weights::empty(files.place(), plan);
     asked.only_list();
     (family.family().open)(&files, &mut asked)?;
     let mut weights = Weights::empty(files.place(), plan);
-    let tied = !asked.listed().iter().any(|(name, _)| name == "lm_head.weight");
+    let tied = !asked
+        .listed()
+        .iter()
+        .any(|(name, _)| name == "lm_head.weight");
     let file = weights.add_file(RandomTensors::new(files.place(), seed));
     let mut begin = 0;
     for (name, shape) in asked.listed() {
         let weight_format = match shape.as_slice() {
             [_, inputs] if is_matrix(name, shape) => {
-                WeightFormatPlan { tied, ..plan }.matrix(name, GgmlDType::F32, *inputs).weight_format
+                WeightFormatPlan { tied, ..plan }
+                    .matrix(name, GgmlDType::F32, *inputs)
+                    .weight_format
             }
             _ => WeightFormat::F32,
         };
         let elements: usize = shape.iter().product();
         let bytes = (elements / weight_format.block() * weight_format.block_bytes()) as u64;
-        let place = TensorPlace { format: weight_format.ggml().into(), shape: shape.clone(), begin, bytes };
+        let place = TensorPlace {
+            format: weight_format.ggml().into(),
+            shape: shape.clone(),
+            begin,
+            bytes,
+        };
         weights.add(name.clone(), file, name.clone(), place, RowOrder::Plain)?;
         begin += bytes;
     }
-    Ok(Checkpoint { family, files, weights })
+    Ok(Checkpoint {
+        family,
+        files,
+        weights,
+    })
 }
 
 #[cfg(test)]
@@ -142,16 +169,30 @@ mod tests {
         for weight_format in WeightFormat::ALL {
             let shape = vec![POOL + 40, 512];
             let bytes = |seed, begin| {
-                let place = TensorPlace { format: weight_format.ggml().into(), shape: shape.clone(), begin, bytes: 0 };
-                RandomTensors::new(Path::new(""), seed).bytes(&place).unwrap()
+                let place = TensorPlace {
+                    format: weight_format.ggml().into(),
+                    shape: shape.clone(),
+                    begin,
+                    bytes: 0,
+                };
+                RandomTensors::new(Path::new(""), seed)
+                    .bytes(&place)
+                    .unwrap()
             };
-            assert_eq!(bytes(1, 0).len(), weight_format.matrix_bytes(POOL + 40, 512).unwrap());
+            assert_eq!(
+                bytes(1, 0).len(),
+                weight_format.matrix_bytes(POOL + 40, 512).unwrap()
+            );
             assert_eq!(bytes(1, 7), bytes(1, 7));
             assert_ne!(bytes(1, 0), bytes(2, 0));
             assert_ne!(bytes(1, 0), bytes(1, 7));
             let values = widen(weight_format.ggml(), bytes(1, 0)).unwrap();
-            let variance = values.iter().map(|value| value * value).sum::<f32>() / values.len() as f32;
-            assert!((variance * 512.0 - 1.0).abs() < 0.1, "{weight_format}: {variance}");
+            let variance =
+                values.iter().map(|value| value * value).sum::<f32>() / values.len() as f32;
+            assert!(
+                (variance * 512.0 - 1.0).abs() < 0.1,
+                "{weight_format}: {variance}"
+            );
         }
     }
 }

@@ -11,7 +11,8 @@ use crate::checkpoint::ModelFiles;
 use crate::families::Families;
 use crate::gguf::tokenizer::added_token;
 
-/// A published model's configuration without its weights. Its outputs mean nothing, but it takes the same time.
+/// A published model's configuration without its weights. Its outputs mean nothing, but it takes
+/// the same time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ModelShape {
     /// The name in `models/shapes/`: that of its description in `models/`, where it has one.
@@ -23,7 +24,10 @@ pub struct ModelShape {
 /// The shape of a file in `models/shapes/`.
 macro_rules! shape {
     ($name:literal) => {
-        ModelShape { name: $name, text: include_str!(concat!("../../../models/shapes/", $name, ".json")) }
+        ModelShape {
+            name: $name,
+            text: include_str!(concat!("../../../models/shapes/", $name, ".json")),
+        }
     };
 }
 
@@ -49,41 +53,68 @@ impl ModelShape {
     ];
 
     pub fn find(name: &str) -> Result<&'static Self, MllmError> {
-        Self::ALL.iter().find(|shape| shape.name == name).ok_or_else(|| MllmError::UnknownShape {
-            name: name.to_string(),
-            known: Self::ALL.map(|shape| shape.name).join(", "),
-        })
+        Self::ALL
+            .iter()
+            .find(|shape| shape.name == name)
+            .ok_or_else(|| MllmError::UnknownShape {
+                name: name.to_string(),
+                known: Self::ALL.map(|shape| shape.name).join(", "),
+            })
     }
 
     /// The shape of a repository of the hub.
     pub(crate) fn of_hub(id: &str) -> Option<&'static Self> {
-        let origin = |shape: &Self| shape.texts().ok()?.remove(ORIGIN)?.as_str().map(str::to_owned);
+        let origin = |shape: &Self| {
+            shape
+                .texts()
+                .ok()?
+                .remove(ORIGIN)?
+                .as_str()
+                .map(str::to_owned)
+        };
         // A comma and a remark may follow the id.
-        Self::ALL.iter().find(|shape| origin(shape).is_some_and(|origin| origin.split(',').next() == Some(id)))
+        Self::ALL
+            .iter()
+            .find(|shape| origin(shape).is_some_and(|origin| origin.split(',').next() == Some(id)))
     }
 
     /// The headers of a model of this shape in f16, without a tokenizer.
     pub(crate) fn checkpoint(&self, families: &Families) -> Result<Checkpoint, MllmError> {
-        let texts = self.texts()?.into_iter().map(|(name, value)| (name, value.to_string()));
+        let texts = self
+            .texts()?
+            .into_iter()
+            .map(|(name, value)| (name, value.to_string()));
         let files = ModelFiles::packed(Path::new(self.name), texts.collect());
         random::checkpoint(files, DEFAULT_RANDOM_FORMAT, 0, families)
     }
 
     fn texts(&self) -> Result<BTreeMap<String, Value>, MllmError> {
-        serde_json::from_str(self.text).map_err(|source| MllmError::Json { path: self.name.into(), source })
+        serde_json::from_str(self.text).map_err(|source| MllmError::Json {
+            path: self.name.into(),
+            source,
+        })
     }
 
-    /// The small files of a model of this shape. Its tokenizer has a token for each byte, and fills up the vocabulary.
+    /// The small files of a model of this shape. Its tokenizer has a token for each byte, and fills
+    /// up the vocabulary.
     pub(super) fn files(&self, families: &Families) -> Result<ModelFiles, MllmError> {
         let place = Path::new(self.name);
-        let mut texts: BTreeMap<String, String> =
-            self.texts()?.into_iter().map(|(name, value)| (name, value.to_string())).collect();
+        let mut texts: BTreeMap<String, String> = self
+            .texts()?
+            .into_iter()
+            .map(|(name, value)| (name, value.to_string()))
+            .collect();
         let files = ModelFiles::packed(place, texts.clone());
         let vocabulary = (families.of(&files)?.family().decoder_config)(&files)?.vocabulary;
         let config = files.required_json("config.json")?;
-        let image = config["image_token_index"].as_u64().or(config["image_token_id"].as_u64());
+        let image = config["image_token_index"]
+            .as_u64()
+            .or(config["image_token_id"].as_u64());
         let image = image.map_or(vocabulary, |id| id as usize);
-        texts.insert("tokenizer.json".into(), tokenizer(vocabulary, image).to_string());
+        texts.insert(
+            "tokenizer.json".into(),
+            tokenizer(vocabulary, image).to_string(),
+        );
         texts.insert("tokenizer_config.json".into(), TOKENIZER_CONFIG.into());
         texts.insert("chat_template.jinja".into(), CHAT_TEMPLATE.into());
         Ok(ModelFiles::packed(place, texts))
@@ -97,7 +128,8 @@ const ORIGIN: &str = "origin";
 const TOKENIZER_CONFIG: &str = r#"{"bos_token": "<s>", "eos_token": "</s>", "unk_token": "<unk>"}"#;
 const CHAT_TEMPLATE: &str = include_str!("../../../models/nano/chat_template.jinja");
 
-/// A byte-pair tokenizer without merges: special tokens, the bytes, an image, and filling up to `vocabulary` tokens.
+/// A byte-pair tokenizer without merges: special tokens, the bytes, an image, and filling up to
+/// `vocabulary` tokens.
 fn tokenizer(vocabulary: usize, image: usize) -> Value {
     let token = |id: usize| match id {
         0 => "<unk>".to_string(),
@@ -123,8 +155,8 @@ mod tests {
     use crate::source::ModelPlace;
     use planagent_kernels::matrix::WeightFormat;
 
-    /// Billions of weights by the sizes of decoders and towers that their papers and model cards give; the tower's last
-    /// layer, which LLaVA leaves unused, is not among them.
+    /// Billions of weights by the sizes of decoders and towers that their papers and model cards
+    /// give; the tower's last layer, which LLaVA leaves unused, is not among them.
     #[test]
     fn shapes_have_the_weights_that_their_names_say() {
         for (name, billions) in [
@@ -148,11 +180,17 @@ mod tests {
         ] {
             let shape = ModelShape::find(name).unwrap();
             let place = ModelPlace::Random { shape, seed: 0 };
-            let checkpoint = Checkpoint::open(&place, Some(WeightFormat::Q4K), &Families::default()).unwrap();
+            let checkpoint =
+                Checkpoint::open(&place, Some(WeightFormat::Q4K), &Families::default()).unwrap();
             let found = checkpoint.weights.elements() as f64 / 1e9;
             assert!((found / billions - 1.0).abs() < 0.01, "{name}: {found}");
         }
-        assert!(ModelShape::find("llava").unwrap_err().to_string().contains("llava-1.5-7b"));
+        assert!(
+            ModelShape::find("llava")
+                .unwrap_err()
+                .to_string()
+                .contains("llava-1.5-7b")
+        );
     }
 
     #[test]
@@ -165,10 +203,17 @@ mod tests {
 
     #[test]
     fn the_shape_of_nano_is_that_of_its_files() {
-        let files = ModelShape::find("nano").unwrap().files(&Families::default()).unwrap();
+        let files = ModelShape::find("nano")
+            .unwrap()
+            .files(&Families::default())
+            .unwrap();
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/nano");
         for name in ["config.json", "preprocessor_config.json"] {
-            assert_eq!(files.json(name).unwrap(), ModelFiles::folder(&folder).unwrap().json(name).unwrap(), "{name}");
+            assert_eq!(
+                files.json(name).unwrap(),
+                ModelFiles::folder(&folder).unwrap().json(name).unwrap(),
+                "{name}"
+            );
         }
     }
 }

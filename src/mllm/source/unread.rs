@@ -40,11 +40,18 @@ pub(super) fn check_config(files: &ModelFiles) -> Result<(), MllmError> {
     }
     let nested = root.child("text_config")?;
     let quantized = match root.child("quantization_config")? {
-        None => nested.map(|text| text.child("quantization_config")).transpose()?.flatten(),
+        None => nested
+            .map(|text| text.child("quantization_config"))
+            .transpose()?
+            .flatten(),
         quantized => quantized,
     };
-    let Some(quantized) = quantized else { return Ok(()) };
-    let method: String = quantized.value("quant_method")?.unwrap_or_else(|| "unnamed".into());
+    let Some(quantized) = quantized else {
+        return Ok(());
+    };
+    let method: String = quantized
+        .value("quant_method")?
+        .unwrap_or_else(|| "unnamed".into());
     let problem = format!(
         "weights quantized by '{method}' are not read; take the model's original repository, which --quantize makes small, or a \
          GGUF file"
@@ -59,22 +66,45 @@ mod tests {
     fn problem(file: &str, text: &str) -> String {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(file), text).unwrap();
-        let checked =
-            check_folder(folder.path()).and_then(|()| check_config(&ModelFiles::folder(folder.path()).unwrap()));
+        let checked = check_folder(folder.path())
+            .and_then(|()| check_config(&ModelFiles::folder(folder.path()).unwrap()));
         checked.unwrap_err().to_string()
     }
 
     #[test]
     fn what_is_not_read_is_named_with_what_to_take() {
         for (file, text, said) in [
-            (ADAPTER, r#"{"base_model_name_or_path": "org/base"}"#, ["'org/base'", "merge it"]),
-            ("config.json", r#"{"model_type": "llava", "mm_vision_tower": "x"}"#, ["original layout", "llava-hf/"]),
-            ("config.json", r#"{"quantization_config": {"quant_method": "awq"}}"#, ["'awq'", "--quantize"]),
-            ("config.json", r#"{"quantization_config": {"quant_method": "bitsandbytes"}}"#, ["bitsandbytes", "GGUF"]),
-            ("config.json", r#"{"text_config": {"quantization_config": {"quant_method": "fp8"}}}"#, ["'fp8'", "GGUF"]),
+            (
+                ADAPTER,
+                r#"{"base_model_name_or_path": "org/base"}"#,
+                ["'org/base'", "merge it"],
+            ),
+            (
+                "config.json",
+                r#"{"model_type": "llava", "mm_vision_tower": "x"}"#,
+                ["original layout", "llava-hf/"],
+            ),
+            (
+                "config.json",
+                r#"{"quantization_config": {"quant_method": "awq"}}"#,
+                ["'awq'", "--quantize"],
+            ),
+            (
+                "config.json",
+                r#"{"quantization_config": {"quant_method": "bitsandbytes"}}"#,
+                ["bitsandbytes", "GGUF"],
+            ),
+            (
+                "config.json",
+                r#"{"text_config": {"quantization_config": {"quant_method": "fp8"}}}"#,
+                ["'fp8'", "GGUF"],
+            ),
         ] {
             let found = problem(file, text);
-            assert!(found.contains(file) && said.iter().all(|said| found.contains(said)), "{found}");
+            assert!(
+                found.contains(file) && said.iter().all(|said| found.contains(said)),
+                "{found}"
+            );
         }
     }
 }

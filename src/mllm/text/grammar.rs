@@ -7,7 +7,9 @@ use llguidance::api::TopLevelGrammar;
 use llguidance::panic_utils::catch_unwind;
 use llguidance::{Matcher, ParserFactory, regex_to_lark};
 use tokenizers::Tokenizer;
-use toktrie::{InferenceCapabilities, SimpleVob, TokEnv, TokRxInfo, TokTrie, TokenId, TokenizerEnv};
+use toktrie::{
+    InferenceCapabilities, SimpleVob, TokEnv, TokRxInfo, TokTrie, TokenId, TokenizerEnv,
+};
 
 use super::tokenizer::ChatTokenizer;
 use crate::{Constraint, MllmError};
@@ -41,36 +43,58 @@ struct Vocabulary {
 
 impl std::fmt::Debug for GrammarEngine {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.debug_struct("GrammarEngine").finish_non_exhaustive()
+        formatter
+            .debug_struct("GrammarEngine")
+            .finish_non_exhaustive()
     }
 }
 
 impl GrammarEngine {
     /// `end` are the ids that end an answer; at least one.
     pub(crate) fn new(tokenizer: &ChatTokenizer, end: &[u32]) -> Result<Self, MllmError> {
-        let broken = |problem: String| MllmError::Tokenizer { path: tokenizer.path().to_path_buf(), problem };
+        let broken = |problem: String| MllmError::Tokenizer {
+            path: tokenizer.path().to_path_buf(),
+            problem,
+        };
         let words = tokenizer.bytes();
-        let first_end = *end.first().ok_or_else(|| broken("the model has no end-of-sequence token".into()))?;
+        let first_end = *end
+            .first()
+            .ok_or_else(|| broken("the model has no end-of-sequence token".into()))?;
         let factory = catch_unwind(std::panic::AssertUnwindSafe(|| {
-            let trie = TokTrie::from(&TokRxInfo::new(words.len() as u32, first_end), words).with_eos_tokens(end);
+            let trie = TokTrie::from(&TokRxInfo::new(words.len() as u32, first_end), words)
+                .with_eos_tokens(end);
             let plain = tokenizer.for_plain_text();
-            let prepends_space =
-                plain.encode_fast("a", false).is_ok_and(|encoding| trie.decode(encoding.get_ids()) != b"a");
-            let vocabulary: TokEnv = Arc::new(Vocabulary { trie, tokenizer: plain, prepends_space });
-            let capabilities = InferenceCapabilities { ff_tokens: true, ..InferenceCapabilities::default() };
+            let prepends_space = plain
+                .encode_fast("a", false)
+                .is_ok_and(|encoding| trie.decode(encoding.get_ids()) != b"a");
+            let vocabulary: TokEnv = Arc::new(Vocabulary {
+                trie,
+                tokenizer: plain,
+                prepends_space,
+            });
+            let capabilities = InferenceCapabilities {
+                ff_tokens: true,
+                ..InferenceCapabilities::default()
+            };
             let mut factory = ParserFactory::new(&vocabulary, capabilities, &[])?;
             factory.quiet();
             factory.limits_mut().verbose_errors = false;
             Ok(factory)
         }))
         .map_err(|error| broken(first_line(&error.to_string())))?;
-        Ok(Self { factory, compiled: Mutex::new(BTreeMap::new()) })
+        Ok(Self {
+            factory,
+            compiled: Mutex::new(BTreeMap::new()),
+        })
     }
 
     /// Starts an answer under a constraint; `None` for [`Constraint::Free`].
     pub(crate) fn begin(&self, constraint: &Constraint) -> Result<Option<GrammarState>, MllmError> {
         let shown = shown(constraint);
-        let fail = |problem: String| MllmError::Grammar { constraint: shown.clone(), problem };
+        let fail = |problem: String| MllmError::Grammar {
+            constraint: shown.clone(),
+            problem,
+        };
         let grammar = match constraint {
             Constraint::Free => return Ok(None),
             Constraint::Lark(grammar) => TopLevelGrammar::from_lark(grammar.clone()),
@@ -103,7 +127,8 @@ impl GrammarState {
         self.matcher.is_stopped() && !self.matcher.is_error()
     }
 
-    /// The tokens that the grammar determines next, in the tokenizer's spelling. They count as generated.
+    /// The tokens that the grammar determines next, in the tokenizer's spelling. They count as
+    /// generated.
     pub(crate) fn take_fast_forwarded(&mut self) -> Result<Vec<TokenId>, MllmError> {
         if self.matcher.is_stopped() {
             self.check()?;
@@ -119,7 +144,9 @@ impl GrammarState {
 
     /// The tokens that the grammar allows next. End tokens are among them where the text may end.
     pub(crate) fn allowed(&mut self) -> Result<SimpleVob, MllmError> {
-        self.matcher.compute_mask().map_err(|error| self.error(&error.to_string()))
+        self.matcher
+            .compute_mask()
+            .map_err(|error| self.error(&error.to_string()))
     }
 
     /// How many of these tokens the grammar allows next, one after the other.
@@ -127,12 +154,16 @@ impl GrammarState {
         if tokens.is_empty() || self.matcher.is_stopped() {
             return self.check().map(|()| 0);
         }
-        self.matcher.validate_tokens(tokens).map_err(|error| self.error(&error.to_string()))
+        self.matcher
+            .validate_tokens(tokens)
+            .map_err(|error| self.error(&error.to_string()))
     }
 
     /// Adds generated tokens.
     pub(crate) fn consume(&mut self, tokens: &[TokenId]) -> Result<(), MllmError> {
-        self.matcher.consume_tokens(tokens).map_err(|error| self.error(&error.to_string()))
+        self.matcher
+            .consume_tokens(tokens)
+            .map_err(|error| self.error(&error.to_string()))
     }
 
     fn check(&self) -> Result<(), MllmError> {
@@ -143,18 +174,27 @@ impl GrammarState {
     }
 
     fn error(&self, problem: &str) -> MllmError {
-        MllmError::Grammar { constraint: self.shown.clone(), problem: first_line(problem) }
+        MllmError::Grammar {
+            constraint: self.shown.clone(),
+            problem: first_line(problem),
+        }
     }
 }
 
 impl Vocabulary {
-    /// Ids of a text in the middle of an answer. A tokenizer that adds a space before every text gets a sentinel before it,
-    /// whose tokens are removed again.
+    /// Ids of a text in the middle of an answer. A tokenizer that adds a space before every text
+    /// gets a sentinel before it, whose tokens are removed again.
     fn tokenize(&self, text: &str) -> Vec<TokenId> {
-        let encode = |text: &str| self.tokenizer.encode_fast(text, false).map(|encoding| encoding.get_ids().to_vec());
+        let encode = |text: &str| {
+            self.tokenizer
+                .encode_fast(text, false)
+                .map(|encoding| encoding.get_ids().to_vec())
+        };
         let ids = if self.prepends_space {
             match (encode(SENTINEL), encode(&format!("{SENTINEL}{text}"))) {
-                (Ok(sentinel), Ok(mut ids)) if ids.starts_with(&sentinel) => Ok(ids.split_off(sentinel.len())),
+                (Ok(sentinel), Ok(mut ids)) if ids.starts_with(&sentinel) => {
+                    Ok(ids.split_off(sentinel.len()))
+                }
                 (_, other) => other,
             }
         } else {
@@ -174,7 +214,8 @@ impl TokenizerEnv for Vocabulary {
     }
 
     fn tokenize_bytes(&self, bytes: &[u8]) -> Vec<TokenId> {
-        self.trie.tokenize_with_greedy_fallback(bytes, |text| self.tokenize(text))
+        self.trie
+            .tokenize_with_greedy_fallback(bytes, |text| self.tokenize(text))
     }
 }
 
@@ -193,7 +234,9 @@ fn lark(constraint: &Constraint) -> Result<String, String> {
             let parts = parts.iter().map(|part| Ok(format!("({})", lark(part)?)));
             Ok(parts.collect::<Result<Vec<String>, String>>()?.join(" | "))
         }
-        Constraint::Free | Constraint::Lark(_) => Err("a sequence cannot contain free text or Lark".into()),
+        Constraint::Free | Constraint::Lark(_) => {
+            Err("a sequence cannot contain free text or Lark".into())
+        }
     }
 }
 
@@ -204,8 +247,10 @@ fn choice(texts: &[String]) -> Result<String, String> {
     if texts.iter().any(String::is_empty) {
         return Err("a choice has an empty text".into());
     }
-    let alternatives: Vec<String> =
-        texts.iter().map(|text| serde_json::Value::from(text.as_str()).to_string()).collect();
+    let alternatives: Vec<String> = texts
+        .iter()
+        .map(|text| serde_json::Value::from(text.as_str()).to_string())
+        .collect();
     Ok(alternatives.join(" | "))
 }
 
@@ -235,12 +280,31 @@ mod tests {
     use crate::checkpoint::ModelFiles;
     use serde_json::json;
 
-    /// A tokenizer like that of Llama 2: adds a space before every text, writes `▁` for spaces, and unknown characters as bytes.
+    /// A tokenizer like that of Llama 2: adds a space before every text, writes `▁` for spaces, and
+    /// unknown characters as bytes.
     fn sentence_piece() -> (tempfile::TempDir, ChatTokenizer) {
         let mut vocabulary = serde_json::Map::new();
         let bytes = (0..256).map(|byte| format!("<0x{byte:02X}>"));
-        let words = ["\u{2581}", "k", "e", "p", "l", "a", "n", "ke", "ep", "keep", "\u{2581}l", "\u{2581}la", "ne"];
-        let tokens = ["<unk>", "<s>", "</s>"].map(String::from).into_iter().chain(bytes).chain(words.map(String::from));
+        let words = [
+            "\u{2581}",
+            "k",
+            "e",
+            "p",
+            "l",
+            "a",
+            "n",
+            "ke",
+            "ep",
+            "keep",
+            "\u{2581}l",
+            "\u{2581}la",
+            "ne",
+        ];
+        let tokens = ["<unk>", "<s>", "</s>"]
+            .map(String::from)
+            .into_iter()
+            .chain(bytes)
+            .chain(words.map(String::from));
         for (id, token) in tokens.enumerate() {
             vocabulary.insert(token, json!(id));
         }
@@ -265,7 +329,8 @@ mod tests {
         });
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("tokenizer.json"), file.to_string()).unwrap();
-        let tokenizer = ChatTokenizer::open(&ModelFiles::folder(folder.path()).unwrap(), 280, 0).unwrap();
+        let tokenizer =
+            ChatTokenizer::open(&ModelFiles::folder(folder.path()).unwrap(), 280, 0).unwrap();
         (folder, tokenizer)
     }
 
@@ -273,9 +338,15 @@ mod tests {
     fn sentence_piece_answers_are_fast_forwarded_without_the_added_space() {
         let (_folder, tokenizer) = sentence_piece();
         let engine = GrammarEngine::new(&tokenizer, &[2]).unwrap();
-        let mut state = engine.begin(&Constraint::Choice(vec!["keep lane\n".into()])).unwrap().unwrap();
+        let mut state = engine
+            .begin(&Constraint::Choice(vec!["keep lane\n".into()]))
+            .unwrap()
+            .unwrap();
         let fast_forwarded = state.take_fast_forwarded().unwrap();
-        let spelled: Vec<String> = fast_forwarded.iter().filter_map(|id| tokenizer.token(*id)).collect();
+        let spelled: Vec<String> = fast_forwarded
+            .iter()
+            .filter_map(|id| tokenizer.token(*id))
+            .collect();
         assert_eq!(spelled, ["keep", "\u{2581}la", "ne", "<0x0A>"]);
         assert_eq!(tokenizer.decode_verbatim(&fast_forwarded), "keep lane\n");
         assert!(state.is_complete());
@@ -285,17 +356,33 @@ mod tests {
     fn a_grammar_is_followed_byte_by_byte() {
         let (_folder, tokenizer) = sentence_piece();
         let engine = GrammarEngine::new(&tokenizer, &[2]).unwrap();
-        let mut state = engine.begin(&Constraint::Regex("(keep| lane)?".into())).unwrap().unwrap();
+        let mut state = engine
+            .begin(&Constraint::Regex("(keep| lane)?".into()))
+            .unwrap()
+            .unwrap();
         assert!(state.take_fast_forwarded().unwrap().is_empty());
         let allowed = state.allowed().unwrap();
         let allows = |token: &str| allowed.is_allowed(tokenizer.id(token).unwrap());
-        for token in ["keep", "k", "ke", "\u{2581}", "\u{2581}la", "<0x20>", "</s>"] {
+        for token in [
+            "keep",
+            "k",
+            "ke",
+            "\u{2581}",
+            "\u{2581}la",
+            "<0x20>",
+            "</s>",
+        ] {
             assert!(allows(token), "{token}");
         }
         for token in ["ep", "l", "<s>", "<unk>", "<0x0A>"] {
             assert!(!allows(token), "{token}");
         }
-        let ids = |tokens: &[&str]| tokens.iter().map(|token| tokenizer.id(token).unwrap()).collect::<Vec<_>>();
+        let ids = |tokens: &[&str]| {
+            tokens
+                .iter()
+                .map(|token| tokenizer.id(token).unwrap())
+                .collect::<Vec<_>>()
+        };
         assert_eq!(state.allowed_prefix(&ids(&["ke", "ep", "ne"])).unwrap(), 2);
         assert_eq!(state.allowed_prefix(&ids(&["ne"])).unwrap(), 0);
         assert_eq!(state.allowed().unwrap(), allowed, "asking changes nothing");

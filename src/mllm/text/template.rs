@@ -35,9 +35,9 @@ enum Content {
 const NAME: &str = "chat";
 
 impl ChatTemplate {
-    /// Opens the first of `chat_template.jinja`, and the `chat_template` of `chat_template.json`, `processor_config.json` and
-    /// `tokenizer_config.json`.
-    /// `special` has the special tokens by role; `image_token` is the placeholder of an image.
+    /// Opens the first of `chat_template.jinja`, and the `chat_template` of `chat_template.json`,
+    /// `processor_config.json` and `tokenizer_config.json`. `special` has the special tokens by
+    /// role; `image_token` is the placeholder of an image.
     pub(crate) fn open(
         files: &ModelFiles,
         special: &BTreeMap<String, String>,
@@ -57,8 +57,15 @@ impl ChatTemplate {
     }
 
     /// Renders a chat that ends with `prompt` and the beginning of the model's answer.
-    pub(crate) fn render(&self, system: &str, image: bool, turns: &[Turn], prompt: &str) -> Result<String, MllmError> {
-        self.render_as(self.content, system, image, turns, prompt).map_err(|error| failure(&self.path, &error))
+    pub(crate) fn render(
+        &self,
+        system: &str,
+        image: bool,
+        turns: &[Turn],
+        prompt: &str,
+    ) -> Result<String, MllmError> {
+        self.render_as(self.content, system, image, turns, prompt)
+            .map_err(|error| failure(&self.path, &error))
     }
 
     fn render_as(
@@ -79,12 +86,22 @@ impl ChatTemplate {
         for (index, turn) in turns.iter().enumerate() {
             say("user", image && index == 0, &turn.prompt);
             // An answer with the placeholder's name must not add an image to the chat.
-            say("assistant", false, &turn.answer.replace(&self.image_token, ""));
+            say(
+                "assistant",
+                false,
+                &turn.answer.replace(&self.image_token, ""),
+            );
         }
         say("user", image && turns.is_empty(), prompt);
-        let special = Value::from_pairs(self.special.iter().map(|(role, token)| (role.as_str(), token.as_str())));
+        let special = Value::from_pairs(
+            self.special
+                .iter()
+                .map(|(role, token)| (role.as_str(), token.as_str())),
+        );
         let chat = context! { messages, add_generation_prompt => true, ..special };
-        let texts = turns.iter().map(|turn| turn.prompt.len() + turn.answer.len());
+        let texts = turns
+            .iter()
+            .map(|turn| turn.prompt.len() + turn.answer.len());
         let mut text = BoundedText::of_chat(system.len() + prompt.len() + texts.sum::<usize>());
         let template = self.environment.get_template(NAME)?;
         let rendered = on_deep_stack(|| template.render_captured_to(chat, &mut text).map(drop))
@@ -116,7 +133,8 @@ impl ChatTemplate {
         let mut last = None;
         for content in [Content::Parts, Content::Text] {
             match self.render_as(content, "", true, &[], PROBE) {
-                // A template for texts can print the list itself, so the output must not contain the keys of the parts.
+                // A template for texts can print the list itself, so the output must not contain
+                // the keys of the parts.
                 Ok(text)
                     if text.matches(&self.image_token).count() == 1
                         && text.contains(PROBE)
@@ -143,7 +161,10 @@ impl ChatTemplate {
 /// The template of a source within the bounds.
 fn compiled(source: &str) -> Result<Environment<'static>, Error> {
     if source.len() > MAX_SOURCE_BYTES {
-        let problem = format!("it has {} bytes; at most {MAX_SOURCE_BYTES} are read", source.len());
+        let problem = format!(
+            "it has {} bytes; at most {MAX_SOURCE_BYTES} are read",
+            source.len()
+        );
         return Err(Error::new(ErrorKind::InvalidOperation, problem));
     }
     let tag = longest_tag(source);
@@ -163,7 +184,12 @@ fn environment(source: &str) -> Result<Environment<'static>, Error> {
     let mut environment = Environment::new();
     environment.set_fuel(Some(MAX_STEPS));
     environment.set_recursion_limit(MAX_CALLS);
-    environment.set_syntax(SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).build()?);
+    environment.set_syntax(
+        SyntaxConfig::builder()
+            .trim_blocks(true)
+            .lstrip_blocks(true)
+            .build()?,
+    );
     environment.set_unknown_method_callback(minijinja_contrib::pycompat::unknown_method_callback);
     environment.add_function("raise_exception", |message: String| {
         Err::<Value, Error>(Error::new(ErrorKind::InvalidOperation, message))
@@ -173,16 +199,25 @@ fn environment(source: &str) -> Result<Environment<'static>, Error> {
     Ok(environment)
 }
 
-/// `strftime_now` of chat templates. The same chat must give the same prompt every day, so the date is always that of Llama 3's
-/// template: 26 July 2024, 00:00:00.
+/// `strftime_now` of chat templates. The same chat must give the same prompt every day, so the date
+/// is always that of Llama 3's template: 26 July 2024, 00:00:00.
 fn fixed_date(format: &str) -> Result<String, Error> {
-    jiff::fmt::strtime::format(format, jiff::civil::date(2024, 7, 26).at(0, 0, 0, 0))
-        .map_err(|error| Error::new(ErrorKind::InvalidOperation, format!("strftime_now: {error}")))
+    jiff::fmt::strtime::format(format, jiff::civil::date(2024, 7, 26).at(0, 0, 0, 0)).map_err(
+        |error| {
+            Error::new(
+                ErrorKind::InvalidOperation,
+                format!("strftime_now: {error}"),
+            )
+        },
+    )
 }
 
 /// The `chat_template` of a configuration.
 #[derive(Deserialize)]
-#[serde(untagged, expecting = "expected a text, or a list of templates with names")]
+#[serde(
+    untagged,
+    expecting = "expected a text, or a list of templates with names"
+)]
 enum Templates {
     One(String),
     Named(Vec<NamedTemplate>),
@@ -200,8 +235,14 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
     if let Some(source) = files.text(NAME)? {
         return Ok((files.path(NAME), source));
     }
-    for file in ["chat_template.json", "processor_config.json", "tokenizer_config.json"] {
-        let Some(value) = files.json(file)? else { continue };
+    for file in [
+        "chat_template.json",
+        "processor_config.json",
+        "tokenizer_config.json",
+    ] {
+        let Some(value) = files.json(file)? else {
+            continue;
+        };
         let path = files.path(file);
         let root = ConfigObject::root(&path, &value)?;
         let source = match root.value("chat_template")? {
@@ -209,7 +250,9 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
             Some(Templates::One(source)) => source,
             Some(Templates::Named(named)) => {
                 let default = named.into_iter().find(|entry| entry.name == "default");
-                default.ok_or_else(|| root.error("chat_template", "has no template named default"))?.template
+                default
+                    .ok_or_else(|| root.error("chat_template", "has no template named default"))?
+                    .template
             }
         };
         return Ok((path, source));
@@ -219,7 +262,8 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
     ))
 }
 
-/// Replaces `{% generation %}`, which marks the model's text for training, by a block without effect.
+/// Replaces `{% generation %}`, which marks the model's text for training, by a block without
+/// effect.
 fn without_generation_tags(source: &str) -> String {
     let mut out = String::with_capacity(source.len());
     let mut rest = source;
@@ -231,7 +275,11 @@ fn without_generation_tags(source: &str) -> String {
             break;
         };
         let (tag, after) = tag.split_at(end + 2);
-        match tag.trim_start_matches(['{', '%', '-', '+']).trim_end_matches(['}', '%', '-', '+']).trim() {
+        match tag
+            .trim_start_matches(['{', '%', '-', '+'])
+            .trim_end_matches(['}', '%', '-', '+'])
+            .trim()
+        {
             "generation" => out.push_str(&tag.replacen("generation", "if true", 1)),
             "endgeneration" => out.push_str(&tag.replacen("endgeneration", "endif", 1)),
             _ => out.push_str(tag),
@@ -243,15 +291,22 @@ fn without_generation_tags(source: &str) -> String {
 }
 
 fn failure(path: &Path, error: &Error) -> MllmError {
-    MllmError::ChatTemplate { path: path.to_path_buf(), problem: describe(error) }
+    MllmError::ChatTemplate {
+        path: path.to_path_buf(),
+        problem: describe(error),
+    }
 }
 
 fn describe(error: &Error) -> String {
-    let line = error.line().map_or_else(String::new, |line| format!("line {line}: "));
+    let line = error
+        .line()
+        .map_or_else(String::new, |line| format!("line {line}: "));
     if error.kind() == ErrorKind::OutOfFuel {
         return format!("{line}it takes more than {MAX_STEPS} steps");
     }
-    let detail = error.detail().map_or_else(|| error.kind().to_string(), ToString::to_string);
+    let detail = error
+        .detail()
+        .map_or_else(|| error.kind().to_string(), ToString::to_string);
     format!("{line}{detail}")
 }
 
@@ -263,7 +318,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("chat_template.jinja"), source).unwrap();
         let special = BTreeMap::from([("bos_token".to_string(), "<s>".to_string())]);
-        ChatTemplate::open(&ModelFiles::folder(folder.path()).unwrap(), &special, "<image>")
+        ChatTemplate::open(
+            &ModelFiles::folder(folder.path()).unwrap(),
+            &special,
+            "<image>",
+        )
     }
 
     const LLAVA: &str = "{% for message in messages %}{% if message['role'] != 'system' %}{{ message['role'].upper() + ': '}}{% endif %}{% for content in message['content'] | selectattr('type', 'equalto', 'image') %}{{ '<image>\\n' }}{% endfor %}{% for content in message['content'] | selectattr('type', 'equalto', 'text') %}{% generation %}{{ content['text'] + ' '}}{% endgeneration %}{% endfor %}{% endfor %}{% if add_generation_prompt %}{{ 'ASSISTANT:' }}{% endif %}";
@@ -271,12 +330,18 @@ mod tests {
     #[test]
     fn a_llava_template_renders_parts() {
         let template = open(LLAVA).unwrap();
-        let turns = [Turn { prompt: "one".into(), answer: "two".into() }];
+        let turns = [Turn {
+            prompt: "one".into(),
+            answer: "two".into(),
+        }];
         assert_eq!(
             template.render("Drive.", true, &turns, "three").unwrap(),
             "Drive. USER: <image>\none ASSISTANT: two USER: three ASSISTANT:"
         );
-        assert_eq!(template.render("", false, &[], "one").unwrap(), "USER: one ASSISTANT:");
+        assert_eq!(
+            template.render("", false, &[], "one").unwrap(),
+            "USER: one ASSISTANT:"
+        );
     }
 
     #[test]
@@ -286,7 +351,10 @@ mod tests {
              {% if loop.index > 2 %}{% break %}{% endif %}{% endfor %}",
         )
         .unwrap();
-        let turns = ["a", "c"].map(|text| Turn { prompt: text.into(), answer: "b".into() });
+        let turns = ["a", "c"].map(|text| Turn {
+            prompt: text.into(),
+            answer: "b".into(),
+        });
         assert_eq!(template.render("s", false, &turns, "d").unwrap(), "a;b;");
         assert!(open("{% break %}").is_err());
     }
@@ -295,13 +363,19 @@ mod tests {
     fn a_template_of_a_language_model_gets_texts() {
         let template =
             open("{{ bos_token }}{% for m in messages %}[{{ m.role }}] {{ m.content | trim }}\n{% endfor %}").unwrap();
-        assert_eq!(template.render("s", true, &[], "hello ").unwrap(), "<s>[system] s\n[user] <image>\nhello\n");
+        assert_eq!(
+            template.render("s", true, &[], "hello ").unwrap(),
+            "<s>[system] s\n[user] <image>\nhello\n"
+        );
     }
 
     #[test]
     fn the_date_is_always_the_same() {
         assert_eq!(fixed_date("%d %b %Y, 100%%").unwrap(), "26 Jul 2024, 100%");
-        assert_eq!(fixed_date("%y %m %B %h %A %a %j %H:%M:%S %I %p %F %T").unwrap(), FIXED_DATE);
+        assert_eq!(
+            fixed_date("%y %m %B %h %A %a %j %H:%M:%S %I %p %F %T").unwrap(),
+            FIXED_DATE
+        );
         assert!(fixed_date("%Z").is_err());
         assert!(fixed_date("%").is_err());
     }
@@ -344,10 +418,18 @@ mod tests {
         }
         let tag = open(&nest("{{ x", "+1", " }}")).unwrap_err();
         assert!(tag.to_string().contains("a tag has"), "{tag}");
-        let steps = open("{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}").unwrap_err();
-        assert!(steps.to_string().contains("more than 500000 steps"), "{steps}");
+        let steps =
+            open("{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}")
+                .unwrap_err();
+        assert!(
+            steps.to_string().contains("more than 500000 steps"),
+            "{steps}"
+        );
         let long = open("{% for a in range(99999) %}0123456789{% endfor %}").unwrap_err();
-        assert!(long.to_string().contains("the rendered chat has more than"), "{long}");
+        assert!(
+            long.to_string().contains("the rendered chat has more than"),
+            "{long}"
+        );
     }
 
     #[test]

@@ -1,12 +1,13 @@
-//! Bounds of chat templates. They come with downloaded models, and they are programs: they may nest, loop and repeat texts.
+//! Bounds of chat templates. They come with downloaded models, and they are programs: they may
+//! nest, loop and repeat texts.
 
 use std::io::{self, Write};
 use std::thread;
 
 /// Longest template, bytes. Published ones have up to 30 KB. A template nests at most once a byte.
 pub(super) const MAX_SOURCE_BYTES: usize = 64 << 10;
-/// Longest code of a tag without its strings, bytes. Published templates have up to a few hundred. The engine folds constants in a
-/// time that grows with the square of an expression.
+/// Longest code of a tag without its strings, bytes. Published templates have up to a few hundred.
+/// The engine folds constants in a time that grows with the square of an expression.
 pub(super) const MAX_TAG_BYTES: usize = 4 << 10;
 /// Instructions of one rendering. A chat of ten messages takes a few thousand.
 pub(super) const MAX_STEPS: u64 = 500_000;
@@ -16,8 +17,8 @@ pub(super) const MAX_CALLS: usize = 50;
 const MAX_ADDED_BYTES: usize = 256 << 10;
 /// How often a template may write the texts of a chat.
 const MAX_COPIES: usize = 4;
-/// Stack of the thread that compiles and renders, bytes: nesting takes up to 4 KB of stack a level, and a level at least a byte of
-/// the template, or two instructions.
+/// Stack of the thread that compiles and renders, bytes: nesting takes up to 4 KB of stack a level,
+/// and a level at least a byte of the template, or two instructions.
 const STACK_BYTES: usize = MAX_SOURCE_BYTES * (4 << 10);
 
 /// Runs work on a thread with a stack that no template within the bounds overflows.
@@ -26,8 +27,13 @@ const STACK_BYTES: usize = MAX_SOURCE_BYTES * (4 << 10);
 /// When the thread cannot be started, or the work panics.
 pub(super) fn on_deep_stack<T: Send>(work: impl FnOnce() -> T + Send) -> io::Result<T> {
     thread::scope(|scope| {
-        let builder = thread::Builder::new().name("chat template".to_owned()).stack_size(STACK_BYTES);
-        builder.spawn_scoped(scope, work)?.join().map_err(|_| io::Error::other("the template engine panicked"))
+        let builder = thread::Builder::new()
+            .name("chat template".to_owned())
+            .stack_size(STACK_BYTES);
+        builder
+            .spawn_scoped(scope, work)?
+            .join()
+            .map_err(|_| io::Error::other("the template engine panicked"))
     })
 }
 
@@ -48,7 +54,8 @@ pub(super) fn longest_tag(source: &str) -> usize {
     longest
 }
 
-/// Bytes of code up to the end of a tag, without its strings, and what follows. Braces inside a tag are those of a map.
+/// Bytes of code up to the end of a tag, without its strings, and what follows. Braces inside a tag
+/// are those of a map.
 fn tag_length(tag: &str) -> (usize, &str) {
     let (mut length, mut braces) = (0, 0_usize);
     let mut quote = None;
@@ -80,14 +87,23 @@ pub(super) struct BoundedText {
 impl BoundedText {
     /// For a chat whose texts have `bytes` bytes.
     pub(super) fn of_chat(bytes: usize) -> Self {
-        let most = bytes.saturating_mul(MAX_COPIES).saturating_add(MAX_ADDED_BYTES);
-        Self { bytes: Vec::new(), most, is_exceeded: false }
+        let most = bytes
+            .saturating_mul(MAX_COPIES)
+            .saturating_add(MAX_ADDED_BYTES);
+        Self {
+            bytes: Vec::new(),
+            most,
+            is_exceeded: false,
+        }
     }
 
     /// The text, or what is wrong with it.
     pub(super) fn into_text(self) -> Result<String, String> {
         if self.is_exceeded {
-            return Err(format!("the rendered chat has more than {} bytes", self.most));
+            return Err(format!(
+                "the rendered chat has more than {} bytes",
+                self.most
+            ));
         }
         // The template engine writes whole characters.
         Ok(String::from_utf8_lossy(&self.bytes).into_owned())

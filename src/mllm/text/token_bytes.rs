@@ -16,16 +16,23 @@ enum Spelling {
     SentencePiece,
 }
 
-/// The bytes of every token id below `vocabulary`, empty for ids without a token. Special tokens begin with
-/// [`TokTrie::SPECIAL_TOKEN_MARKER`], a byte that no text contains.
-pub(super) fn token_bytes(json: &Value, tokenizer: &Tokenizer, vocabulary: usize) -> Result<Vec<Vec<u8>>, String> {
+/// The bytes of every token id below `vocabulary`, empty for ids without a token. Special tokens
+/// begin with [`TokTrie::SPECIAL_TOKEN_MARKER`], a byte that no text contains.
+pub(super) fn token_bytes(
+    json: &Value,
+    tokenizer: &Tokenizer,
+    vocabulary: usize,
+) -> Result<Vec<Vec<u8>>, String> {
     let spelling = spelling(json)?;
     let mut bytes = vec![Vec::new(); vocabulary];
     for (token, id) in tokenizer.get_vocab(false) {
         if let Some(entry) = bytes.get_mut(id as usize) {
             *entry = match spelling {
                 Spelling::ByteLevel => byte_level(&token).ok_or_else(|| {
-                    format!("token '{}' has characters outside the byte-level spelling", token.escape_debug())
+                    format!(
+                        "token '{}' has characters outside the byte-level spelling",
+                        token.escape_debug()
+                    )
                 })?,
                 Spelling::SentencePiece => sentence_piece(&token),
             };
@@ -50,8 +57,11 @@ pub(super) fn token_bytes(json: &Value, tokenizer: &Tokenizer, vocabulary: usize
 
 /// The spelling of the vocabulary, from the decoder and the pre-tokenizer.
 fn spelling(json: &Value) -> Result<Spelling, String> {
-    let (decoder, pre_tokenizer, model) = (&json["decoder"], &json["pre_tokenizer"], &json["model"]);
-    if has_type(decoder, "decoders", "ByteLevel") || has_type(pre_tokenizer, "pretokenizers", "ByteLevel") {
+    let (decoder, pre_tokenizer, model) =
+        (&json["decoder"], &json["pre_tokenizer"], &json["model"]);
+    if has_type(decoder, "decoders", "ByteLevel")
+        || has_type(pre_tokenizer, "pretokenizers", "ByteLevel")
+    {
         Ok(Spelling::ByteLevel)
     } else if has_type(decoder, "decoders", "ByteFallback")
         || has_type(decoder, "decoders", "Metaspace")
@@ -66,12 +76,15 @@ fn spelling(json: &Value) -> Result<Spelling, String> {
 /// Whether a component has a type, or is a sequence with a part of that type.
 fn has_type(component: &Value, parts: &str, wanted: &str) -> bool {
     component["type"].as_str() == Some(wanted)
-        || component[parts]
-            .as_array()
-            .is_some_and(|parts| parts.iter().any(|part| part["type"].as_str() == Some(wanted)))
+        || component[parts].as_array().is_some_and(|parts| {
+            parts
+                .iter()
+                .any(|part| part["type"].as_str() == Some(wanted))
+        })
 }
 
-/// Decodes GPT-2's spelling: printable Latin-1 stands for itself; the 68 other bytes are, in order, U+0100 and up.
+/// Decodes GPT-2's spelling: printable Latin-1 stands for itself; the 68 other bytes are, in order,
+/// U+0100 and up.
 fn byte_level(token: &str) -> Option<Vec<u8>> {
     token
         .chars()
@@ -86,8 +99,13 @@ fn byte_level(token: &str) -> Option<Vec<u8>> {
 }
 
 fn sentence_piece(token: &str) -> Vec<u8> {
-    let hexadecimal = token.strip_prefix("<0x").and_then(|rest| rest.strip_suffix('>'));
-    match hexadecimal.filter(|digits| digits.len() == 2).map(|digits| u8::from_str_radix(digits, 16)) {
+    let hexadecimal = token
+        .strip_prefix("<0x")
+        .and_then(|rest| rest.strip_suffix('>'));
+    match hexadecimal
+        .filter(|digits| digits.len() == 2)
+        .map(|digits| u8::from_str_radix(digits, 16))
+    {
         Some(Ok(byte)) => vec![byte],
         _ => token.replace('\u{2581}', " ").into_bytes(),
     }
@@ -99,7 +117,10 @@ mod tests {
 
     #[test]
     fn byte_level_spelling_covers_every_byte_once() {
-        let characters = (0x21..=0x7e).chain(0xa1..=0xac).chain(0xae..=0xff).chain(0x100..=0x143);
+        let characters = (0x21..=0x7e)
+            .chain(0xa1..=0xac)
+            .chain(0xae..=0xff)
+            .chain(0x100..=0x143);
         let text: String = characters.filter_map(char::from_u32).collect();
         let mut bytes = byte_level(&text).unwrap();
         bytes.sort_unstable();

@@ -11,9 +11,11 @@ use serde::{Deserialize, Serialize};
 
 use super::TrialRequest;
 
-/// Memory of the child process, bytes of address space. The tokenizer of 262 thousand tokens takes a third of it.
+/// Memory of the child process, bytes of address space. The tokenizer of 262 thousand tokens takes
+/// a third of it.
 const MAX_MEMORY: u64 = 2 << 30;
-/// CPU time of the child process, seconds. Its start and the tokenizers of published models take about two.
+/// CPU time of the child process, seconds. Its start and the tokenizers of published models take
+/// about two.
 const MAX_CPU_S: u64 = 8;
 /// Wall time of the child process, which a machine under load may need.
 const MAX_TIME: Duration = Duration::from_secs(13);
@@ -34,15 +36,26 @@ pub(super) enum Line {
     Done(Option<String>),
 }
 
-/// Limits the memory and the CPU time of this process, where the system has such limits. A process that exceeds them is ended.
+/// Limits the memory and the CPU time of this process, where the system has such limits. A process
+/// that exceeds them is ended.
 #[cfg(unix)]
 pub fn limit_this_process() -> io::Result<()> {
     use rustix::process::{Resource, Rlimit, setrlimit};
-    // At the lower limit of the CPU time a signal says what happened; at the higher one the process is killed.
-    let limits =
-        [(Resource::As, MAX_MEMORY, MAX_MEMORY), (Resource::Cpu, MAX_CPU_S, MAX_CPU_S + 1), (Resource::Core, 0, 0)];
+    // At the lower limit of the CPU time a signal says what happened; at the higher one the process
+    // is killed.
+    let limits = [
+        (Resource::As, MAX_MEMORY, MAX_MEMORY),
+        (Resource::Cpu, MAX_CPU_S, MAX_CPU_S + 1),
+        (Resource::Core, 0, 0),
+    ];
     for (resource, current, maximum) in limits {
-        setrlimit(resource, Rlimit { current: Some(current), maximum: Some(maximum) })?;
+        setrlimit(
+            resource,
+            Rlimit {
+                current: Some(current),
+                maximum: Some(maximum),
+            },
+        )?;
     }
     Ok(())
 }
@@ -57,7 +70,11 @@ pub fn limit_this_process() -> io::Result<()> {
 ///
 /// # Errors
 /// When the child process exceeded a limit, panicked or could not be started.
-pub(super) fn run(program: &Path, arguments: &[String], request: &TrialRequest) -> Result<Option<String>, String> {
+pub(super) fn run(
+    program: &Path,
+    arguments: &[String],
+    request: &TrialRequest,
+) -> Result<Option<String>, String> {
     let failed = |error: io::Error| format!("the process that tries the files cannot run: {error}");
     let mut text = serde_json::to_vec(request).map_err(|error| failed(error.into()))?;
     text.push(b'\n');
@@ -75,10 +92,16 @@ pub(super) fn run(program: &Path, arguments: &[String], request: &TrialRequest) 
         thread::spawn(move || stdin.write_all(&text));
     }
     let ended = wait(&mut child).map_err(failed)?;
-    let lines: Vec<Line> =
-        stdout.recv().unwrap_or_default().lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    let lines: Vec<Line> = stdout
+        .recv()
+        .unwrap_or_default()
+        .lines()
+        .filter_map(|line| serde_json::from_str(line).ok())
+        .collect();
     match lines.last() {
-        Some(Line::Done(problem)) if ended.is_some_and(|status| status.success()) => return Ok(problem.clone()),
+        Some(Line::Done(problem)) if ended.is_some_and(|status| status.success()) => {
+            return Ok(problem.clone());
+        }
         _ => {}
     }
     let tried = lines.iter().rev().find_map(|line| match line {
@@ -87,11 +110,17 @@ pub(super) fn run(program: &Path, arguments: &[String], request: &TrialRequest) 
     });
     let what = tried.unwrap_or("the model");
     Err(match ended {
-        None => format!("{what} took more than {} s when a child process tried it", MAX_TIME.as_secs()),
+        None => format!(
+            "{what} took more than {} s when a child process tried it",
+            MAX_TIME.as_secs()
+        ),
         Some(status) if is_cpu_limit(status) => {
             format!("{what} took more than {MAX_CPU_S} s of CPU time when a child process tried it")
         }
-        Some(status) => format!("{what} ended the child process that tried it: {}", ending(status, &stderr)),
+        Some(status) => format!(
+            "{what} ended the child process that tried it: {}",
+            ending(status, &stderr)
+        ),
     })
 }
 
@@ -111,10 +140,21 @@ fn is_cpu_limit(_: ExitStatus) -> bool {
 /// How a child process ended, in words.
 fn ending(status: ExitStatus, stderr: &Receiver<String>) -> String {
     let text = stderr.recv().unwrap_or_default();
-    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !is_noise(line)).collect();
+    let lines: Vec<&str> = text
+        .lines()
+        .map(str::trim)
+        .filter(|line| !is_noise(line))
+        .collect();
     let last = lines[lines.len().saturating_sub(MAX_STDERR_LINES)..].join(" | ");
-    let said = if last.is_empty() { String::new() } else { format!(", {last}") };
-    format!("{status}{said} (memory is limited to {} GiB)", MAX_MEMORY >> 30)
+    let said = if last.is_empty() {
+        String::new()
+    } else {
+        format!(", {last}")
+    };
+    format!(
+        "{status}{said} (memory is limited to {} GiB)",
+        MAX_MEMORY >> 30
+    )
 }
 
 /// Lines of a panic that say nothing about it.

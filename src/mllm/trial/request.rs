@@ -36,45 +36,84 @@ impl TrialRequest {
     pub(super) fn of(place: &ModelPlace, loading: &Loading) -> Option<Self> {
         let tokenizer = loading.tokenizer.clone();
         let request = match place.clone() {
-            ModelPlace::Folder(folder) => Self { folder: Some(folder), tokenizer, ..Self::default() },
-            ModelPlace::Gguf { model, mmproj } => Self { gguf: Some(model), mmproj, tokenizer, ..Self::default() },
+            ModelPlace::Folder(folder) => Self {
+                folder: Some(folder),
+                tokenizer,
+                ..Self::default()
+            },
+            ModelPlace::Gguf { model, mmproj } => Self {
+                gguf: Some(model),
+                mmproj,
+                tokenizer,
+                ..Self::default()
+            },
             ModelPlace::Embedded(_) | ModelPlace::Random { .. } => return None,
         };
         place.path().exists().then_some(request)
     }
 
     pub(super) fn with_samples(self, samples: &[String]) -> Self {
-        Self { samples: samples.to_vec(), ..self }
+        Self {
+            samples: samples.to_vec(),
+            ..self
+        }
     }
 
     /// Where the files are, and how they are loaded.
     pub(super) fn place(&self) -> Option<(ModelPlace, Loading)> {
         let folder = self.folder.clone().map(ModelPlace::Folder);
-        let gguf = || Some(ModelPlace::Gguf { model: self.gguf.clone()?, mmproj: self.mmproj.clone() });
-        let loading = Loading { tokenizer: self.tokenizer.clone(), ..Loading::default() };
+        let gguf = || {
+            Some(ModelPlace::Gguf {
+                model: self.gguf.clone()?,
+                mmproj: self.mmproj.clone(),
+            })
+        };
+        let loading = Loading {
+            tokenizer: self.tokenizer.clone(),
+            ..Loading::default()
+        };
         Some((folder.or_else(gguf)?, loading))
     }
 
-    /// BLAKE3 of the small files with their names, of the metadata of GGUF files, and of what a trial does.
+    /// BLAKE3 of the small files with their names, of the metadata of GGUF files, and of what a
+    /// trial does.
     pub(super) fn digest(&self) -> Result<String, MllmError> {
         let mut hasher = blake3::Hasher::new();
-        add(&mut hasher, &(VERSION, env!("CARGO_PKG_VERSION"), &self.samples));
+        add(
+            &mut hasher,
+            &(VERSION, env!("CARGO_PKG_VERSION"), &self.samples),
+        );
         for folder in [&self.folder, &self.tokenizer].into_iter().flatten() {
             add(&mut hasher, &"folder");
             add_files(&mut hasher, &small_files(folder)?)?;
         }
         let gguf = match (&self.gguf, &self.folder) {
             (Some(model), _) => Some(model.clone()),
-            (None, Some(folder)) if !safetensors_folder::has_safetensors(folder) => find_gguf(folder)?,
+            (None, Some(folder)) if !safetensors_folder::has_safetensors(folder) => {
+                find_gguf(folder)?
+            }
             _ => None,
         };
         if let Some(model) = gguf {
             // Files beside a GGUF file take precedence over its metadata.
-            let beside = model.parent().filter(|_| self.folder.is_none()).map(Path::to_path_buf);
-            add_files(&mut hasher, &beside.map(|folder| small_files(&folder)).transpose()?.unwrap_or_default())?;
+            let beside = model
+                .parent()
+                .filter(|_| self.folder.is_none())
+                .map(Path::to_path_buf);
+            add_files(
+                &mut hasher,
+                &beside
+                    .map(|folder| small_files(&folder))
+                    .transpose()?
+                    .unwrap_or_default(),
+            )?;
             for file in gguf_files(&model, self.mmproj.as_deref())? {
                 let (header, _) = open_header(&file)?;
-                let tensors: Vec<_> = header.tensors.iter().map(|(name, place)| (name, &place.shape)).collect();
+                let tensors: Vec<_> = header
+                    .tensors
+                    .iter()
+                    .map(|(name, place)| (name, &place.shape))
+                    .collect();
                 add(&mut hasher, &(&header.metadata, tensors));
             }
         }
@@ -94,7 +133,10 @@ fn add_files(hasher: &mut blake3::Hasher, files: &[PathBuf]) -> Result<(), MllmE
     for file in files {
         let mut content = blake3::Hasher::new();
         hash_file(file, &mut content)?;
-        let name = file.file_name().expect("an entry of a folder has a name").to_string_lossy();
+        let name = file
+            .file_name()
+            .expect("an entry of a folder has a name")
+            .to_string_lossy();
         add(hasher, &(name, content.finalize().to_hex().as_str()));
     }
     Ok(())
@@ -105,12 +147,21 @@ fn add_files(hasher: &mut blake3::Hasher, files: &[PathBuf]) -> Result<(), MllmE
 /// # Errors
 /// When the folder cannot be read, has too many of them, or one is too large.
 pub(crate) fn small_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
-    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let failed = |source| MllmError::Read { path: folder.to_path_buf(), source };
+    let folder = if folder.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        folder
+    };
+    let failed = |source| MllmError::Read {
+        path: folder.to_path_buf(),
+        source,
+    };
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
-        let is_small = path.extension().is_some_and(|ending| SMALL_FILES.iter().any(|small| ending == *small));
+        let is_small = path
+            .extension()
+            .is_some_and(|ending| SMALL_FILES.iter().any(|small| ending == *small));
         if is_small && path.is_file() {
             files.push(path);
         }
@@ -125,7 +176,10 @@ pub(crate) fn small_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
 
 /// Adds a small file to a digest.
 pub(crate) fn hash_file(path: &Path, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
-    let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
+    let failed = |source| MllmError::Read {
+        path: path.to_path_buf(),
+        source,
+    };
     hasher.update(&planagent_files::read(path, small_file_limit(path)).map_err(failed)?);
     Ok(())
 }

@@ -12,7 +12,9 @@ pub(super) struct Verdicts {
 
 impl Verdicts {
     pub(super) fn new(folder: &Path) -> Self {
-        Self { folder: folder.to_owned() }
+        Self {
+            folder: folder.to_owned(),
+        }
     }
 
     fn file(&self, digest: &str) -> PathBuf {
@@ -24,7 +26,8 @@ impl Verdicts {
         self.file(digest).is_file()
     }
 
-    /// Keeps that files with this digest passed. Where nothing can be written, they are tried again.
+    /// Keeps that files with this digest passed. Where nothing can be written, they are tried
+    /// again.
     pub(super) fn keep(&self, digest: &str) {
         let _ = fs::create_dir_all(&self.folder).and_then(|()| fs::write(self.file(digest), ""));
     }

@@ -5,9 +5,12 @@ use candle_core::{Result, Tensor};
 use crate::MllmError;
 use crate::checkpoint::Weights;
 use planagent_kernels::Linear;
-use planagent_kernels::attention::{AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend};
+use planagent_kernels::attention::{
+    AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend,
+};
 
-/// Attention among the tokens of each part of a batch. Query, key and value projections are one matrix.
+/// Attention among the tokens of each part of a batch. Query, key and value projections are one
+/// matrix.
 #[derive(Debug)]
 pub(crate) struct SelfAttention {
     /// (hidden) to (3, heads, head width).
@@ -27,12 +30,18 @@ pub(crate) struct Part {
 impl Part {
     /// Images of `tokens` tokens each, without rotary embeddings.
     pub(crate) fn images(images: usize, tokens: usize) -> Vec<Self> {
-        (0..images).map(|_| Self { tokens, rotary: None }).collect()
+        (0..images)
+            .map(|_| Self {
+                tokens,
+                rotary: None,
+            })
+            .collect()
     }
 }
 
 impl SelfAttention {
-    /// Takes the projections of a layer called `name`: those to queries, keys and values are three matrices, or one.
+    /// Takes the projections of a layer called `name`: those to queries, keys and values are three
+    /// matrices, or one.
     pub(crate) fn take(
         weights: &mut Weights,
         name: &str,
@@ -43,7 +52,9 @@ impl SelfAttention {
         let parts = if weights.contains(&format!("{fused}.weight")) {
             vec![(fused, 3 * hidden)]
         } else {
-            ["q_proj", "k_proj", "v_proj"].map(|part| (format!("{name}.{part}"), hidden)).to_vec()
+            ["q_proj", "k_proj", "v_proj"]
+                .map(|part| (format!("{name}.{part}"), hidden))
+                .to_vec()
         };
         Ok(Self {
             qkv: weights.take_fused(&parts, hidden, true)?,
@@ -58,14 +69,23 @@ impl SelfAttention {
     }
 
     /// residual + attention(x), both (tokens of all parts, hidden).
-    pub(crate) fn forward_onto(&self, x: &Tensor, parts: &[Part], residual: &Tensor) -> Result<Tensor> {
+    pub(crate) fn forward_onto(
+        &self,
+        x: &Tensor,
+        parts: &[Part],
+        residual: &Tensor,
+    ) -> Result<Tensor> {
         self.out.forward_onto(&self.mix(x, parts)?, residual)
     }
 
     /// The concatenated results of the heads.
     fn mix(&self, x: &Tensor, parts: &[Part]) -> Result<Tensor> {
         let (_, hidden) = x.dims2()?;
-        let shape = HeadShape { query_heads: self.heads, key_heads: self.heads, width: hidden / self.heads };
+        let shape = HeadShape {
+            query_heads: self.heads,
+            key_heads: self.heads,
+            width: hidden / self.heads,
+        };
         let qkv = self.qkv.forward(x)?;
         let mut first = 0;
         let mut mixed = Vec::with_capacity(parts.len());
@@ -82,12 +102,15 @@ impl SelfAttention {
     }
 }
 
-/// Puts a class token, (1, hidden), before the patches of each image, (images · patches, hidden), and adds the position
-/// embeddings, (1 + patches, hidden). Returns (images · (1 + patches), hidden).
+/// Puts a class token, (1, hidden), before the patches of each image, (images · patches, hidden),
+/// and adds the position embeddings, (1 + patches, hidden). Returns (images · (1 + patches),
+/// hidden).
 pub(crate) fn embed(class: &Tensor, patches: &Tensor, positions: &Tensor) -> Result<Tensor> {
     let (tokens, hidden) = positions.dims2()?;
     let patches = patches.reshape(((), tokens - 1, hidden))?;
     let images = patches.dim(0)?;
     let class = class.unsqueeze(0)?.expand((images, 1, hidden))?;
-    Tensor::cat(&[&class, &patches], 1)?.broadcast_add(positions)?.reshape((images * tokens, hidden))
+    Tensor::cat(&[&class, &patches], 1)?
+        .broadcast_add(positions)?
+        .reshape((images * tokens, hidden))
 }

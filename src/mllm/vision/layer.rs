@@ -1,4 +1,5 @@
-//! The layer of vision transformers with a norm before each part (CLIP, `SigLIP`, `InternViT`, Qwen3-VL).
+//! The layer of vision transformers with a norm before each part (CLIP, `SigLIP`, `InternViT`,
+//! Qwen3-VL).
 
 use candle_core::Tensor;
 
@@ -9,8 +10,8 @@ use planagent_kernels::Activation;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;
 
-/// The `wanted` hidden states of a tower, each of shape (images, tokens of an image, hidden): 0 is `state`, its embeddings;
-/// n is the state after layer n.
+/// The `wanted` hidden states of a tower, each of shape (images, tokens of an image, hidden): 0 is
+/// `state`, its embeddings; n is the state after layer n.
 pub(super) fn hidden_states(
     layers: &[VisionLayer],
     state: Tensor,
@@ -22,20 +23,24 @@ pub(super) fn hidden_states(
     let mut state = state;
     let mut found = vec![None; wanted.len()];
     for index in 0..=layers.len() {
-        for (found, _) in found.iter_mut().zip(wanted).filter(|(_, wanted)| **wanted == index) {
+        for (found, _) in found
+            .iter_mut()
+            .zip(wanted)
+            .filter(|(_, wanted)| **wanted == index)
+        {
             *found = Some(state.reshape((images, (), hidden))?);
         }
         if let Some(layer) = layers.get(index) {
             state = layer.forward(&state, &parts)?;
         }
     }
-    found
-        .into_iter()
-        .collect::<Option<_>>()
-        .ok_or_else(|| candle_core::Error::Msg(format!("the vision tower has no hidden states {wanted:?}")))
+    found.into_iter().collect::<Option<_>>().ok_or_else(|| {
+        candle_core::Error::Msg(format!("the vision tower has no hidden states {wanted:?}"))
+    })
 }
 
-/// Takes the first `depth` layers of a tower with CLIP's names. The other layers must be in the checkpoint too.
+/// Takes the first `depth` layers of a tower with CLIP's names. The other layers must be in the
+/// checkpoint too.
 pub(super) fn take_layers(
     weights: &mut Weights,
     config: &VisionConfig,
@@ -43,7 +48,11 @@ pub(super) fn take_layers(
 ) -> Result<Vec<VisionLayer>, MllmError> {
     let mut layers = Vec::with_capacity(config.layers.min(depth));
     for index in 0..config.layers {
-        let layer = VisionLayer::take(weights, config, &format!("vision_tower.encoder.layers.{index}"))?;
+        let layer = VisionLayer::take(
+            weights,
+            config,
+            &format!("vision_tower.encoder.layers.{index}"),
+        )?;
         if index < depth {
             layers.push(layer);
         }
@@ -66,11 +75,20 @@ pub(crate) struct VisionLayer {
 
 impl VisionLayer {
     /// Takes the layer called `name`, which has CLIP's names.
-    pub(crate) fn take(weights: &mut Weights, config: &VisionConfig, name: &str) -> Result<Self, MllmError> {
+    pub(crate) fn take(
+        weights: &mut Weights,
+        config: &VisionConfig,
+        name: &str,
+    ) -> Result<Self, MllmError> {
         let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);
         Ok(Self {
             norm1: weights.take_layer_norm(&format!("{name}.layer_norm1"), hidden, eps)?,
-            attention: SelfAttention::take(weights, &format!("{name}.self_attn"), hidden, config.heads)?,
+            attention: SelfAttention::take(
+                weights,
+                &format!("{name}.self_attn"),
+                hidden,
+                config.heads,
+            )?,
             norm2: weights.take_layer_norm(&format!("{name}.layer_norm2"), hidden, eps)?,
             fc1: weights.take_linear(&format!("{name}.mlp.fc1"), hidden, wide, true)?,
             fc2: weights.take_linear(&format!("{name}.mlp.fc2"), wide, hidden, true)?,
@@ -80,10 +98,22 @@ impl VisionLayer {
     }
 
     /// Takes the layer with its scales.
-    pub(crate) fn take_scaled(weights: &mut Weights, config: &VisionConfig, name: &str) -> Result<Self, MllmError> {
+    pub(crate) fn take_scaled(
+        weights: &mut Weights,
+        config: &VisionConfig,
+        name: &str,
+    ) -> Result<Self, MllmError> {
         let layer = Self::take(weights, config, name)?;
-        let mut scale = |number: usize| weights.take(&format!("{name}.layer_scale{number}.weight"), &[config.hidden]);
-        Ok(Self { scales: Some([scale(1)?, scale(2)?]), ..layer })
+        let mut scale = |number: usize| {
+            weights.take(
+                &format!("{name}.layer_scale{number}.weight"),
+                &[config.hidden],
+            )
+        };
+        Ok(Self {
+            scales: Some([scale(1)?, scale(2)?]),
+            ..layer
+        })
     }
 
     /// Maps (tokens of all parts, hidden) to the same shape.
@@ -91,9 +121,16 @@ impl VisionLayer {
         let normed = self.norm1.forward(x)?;
         let x = match &self.scales {
             None => self.attention.forward_onto(&normed, parts, x)?,
-            Some([scale, _]) => (x + self.attention.forward(&normed, parts)?.broadcast_mul(scale)?)?,
+            Some([scale, _]) => {
+                (x + self
+                    .attention
+                    .forward(&normed, parts)?
+                    .broadcast_mul(scale)?)?
+            }
         };
-        let wide = self.act.forward(&self.fc1.forward(&self.norm2.forward(&x)?)?)?;
+        let wide = self
+            .act
+            .forward(&self.fc1.forward(&self.norm2.forward(&x)?)?)?;
         match &self.scales {
             None => self.fc2.forward_onto(&wide, &x),
             Some([_, scale]) => &x + self.fc2.forward(&wide)?.broadcast_mul(scale)?,

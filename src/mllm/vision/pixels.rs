@@ -11,7 +11,8 @@ use crate::checkpoint::{ConfigObject, positive};
 const CLIP_MEAN: [f32; 3] = [0.481_454_66, 0.457_827_5, 0.408_210_73];
 /// Standard deviation of the RGB channels in CLIP's training (`OPENAI_CLIP_STD` in transformers).
 const CLIP_STD: [f32; 3] = [0.268_629_54, 0.261_302_6, 0.275_777_1];
-/// Most pixels of a picture that is made for a tower: 0.5 GB with its values. Published processors make up to 17 million.
+/// Most pixels of a picture that is made for a tower: 0.5 GB with its values. Published processors
+/// make up to 17 million.
 pub(crate) const MAX_PICTURE: u64 = 1 << 25;
 /// Most tiles of a picture. Published processors make up to 144.
 pub(crate) const MAX_TILES: u64 = 1 << 10;
@@ -32,7 +33,13 @@ struct ScaleKeys {
 
 impl Default for ScaleKeys {
     fn default() -> Self {
-        Self { do_rescale: true, rescale_factor: UNIT, do_normalize: true, image_mean: CLIP_MEAN, image_std: CLIP_STD }
+        Self {
+            do_rescale: true,
+            rescale_factor: UNIT,
+            do_normalize: true,
+            image_mean: CLIP_MEAN,
+            image_std: CLIP_STD,
+        }
     }
 }
 
@@ -46,7 +53,10 @@ pub(crate) struct PixelScale {
 
 impl PixelScale {
     /// To [0, 1], then by CLIP's mean and standard deviation.
-    pub(crate) const CLIP: Self = Self { rescale: Some(UNIT), normalize: Some((CLIP_MEAN, CLIP_STD)) };
+    pub(crate) const CLIP: Self = Self {
+        rescale: Some(UNIT),
+        normalize: Some((CLIP_MEAN, CLIP_STD)),
+    };
 
     /// Reads the keys of an image processor; absent keys have CLIP's values.
     pub(crate) fn read(processor: &ConfigObject<'_>) -> Result<Self, MllmError> {
@@ -60,14 +70,20 @@ impl PixelScale {
         }
         Ok(Self {
             rescale: keys.do_rescale.then_some(keys.rescale_factor),
-            normalize: keys.do_normalize.then_some((keys.image_mean, keys.image_std)),
+            normalize: keys
+                .do_normalize
+                .then_some((keys.image_mean, keys.image_std)),
         })
     }
 
     /// Mean and standard deviation of pixels rescaled to [0, 1]; `None` for any other rescaling.
     pub(crate) fn mean_and_deviation(&self) -> Option<[[f32; 3]; 2]> {
-        let to_unit = self.rescale.is_some_and(|factor| (factor - UNIT).abs() < 1e-9);
-        self.normalize.filter(|_| to_unit).map(|(mean, deviation)| [mean, deviation])
+        let to_unit = self
+            .rescale
+            .is_some_and(|factor| (factor - UNIT).abs() < 1e-9);
+        self.normalize
+            .filter(|_| to_unit)
+            .map(|(mean, deviation)| [mean, deviation])
     }
 
     /// Pixel values of shape (3, height, width).
@@ -96,7 +112,9 @@ pub(crate) fn check_picture(width: u32, height: u32) -> Result<(), String> {
     if u64::from(width) * u64::from(height) <= MAX_PICTURE {
         return Ok(());
     }
-    Err(format!("a picture of {width} x {height} pixels; at most {MAX_PICTURE} pixels are supported"))
+    Err(format!(
+        "a picture of {width} x {height} pixels; at most {MAX_PICTURE} pixels are supported"
+    ))
 }
 
 /// Checks the tiles of `tile` pixels a side that a picture is cut into.
@@ -106,12 +124,16 @@ pub(crate) fn check_tiles(width: u32, height: u32, tile: u32) -> Result<(), Stri
     if tiles <= MAX_TILES {
         return Ok(());
     }
-    Err(format!("{tiles} tiles of {tile} pixels a side; at most {MAX_TILES} are supported"))
+    Err(format!(
+        "{tiles} tiles of {tile} pixels a side; at most {MAX_TILES} are supported"
+    ))
 }
 
 pub(crate) fn check_not_empty(image: &RgbImage) -> Result<(), MllmError> {
     if image.width() == 0 || image.height() == 0 {
-        return Err(MllmError::Image { problem: "the image has no pixels".into() });
+        return Err(MllmError::Image {
+            problem: "the image has no pixels".into(),
+        });
     }
     Ok(())
 }

@@ -63,11 +63,20 @@ impl ClipImageProcessor {
         };
         let keys = ProcessorKeys::read(&object, expected)?;
         let target = match keys.size {
-            Sides::One(edge) | Sides::ShortestEdge { shortest_edge: edge } => TargetSize::ShortestEdge(edge.0),
-            Sides::Exact { height, width } => TargetSize::Exact { height: height.0, width: width.0 },
+            Sides::One(edge)
+            | Sides::ShortestEdge {
+                shortest_edge: edge,
+            } => TargetSize::ShortestEdge(edge.0),
+            Sides::Exact { height, width } => TargetSize::Exact {
+                height: height.0,
+                width: width.0,
+            },
         };
         let crop = keys.do_center_crop.then(|| keys.crop_size.height_width());
-        for (key, made) in [("size", keys.do_resize.then(|| keys.size.height_width())), ("crop_size", crop)] {
+        for (key, made) in [
+            ("size", keys.do_resize.then(|| keys.size.height_width())),
+            ("crop_size", crop),
+        ] {
             if let Some((height, width)) = made {
                 check_picture(width, height).map_err(|problem| object.error(key, problem))?;
             }
@@ -80,7 +89,8 @@ impl ClipImageProcessor {
         })
     }
 
-    /// Checks that the configured size is the square input of the vision tower, where one is configured.
+    /// Checks that the configured size is the square input of the vision tower, where one is
+    /// configured.
     pub(crate) fn check_side(&self, side: usize) -> Result<(), MllmError> {
         let (key, height, width) = match (self.crop, self.resize) {
             (Some((height, width)), _) => ("crop_size", height, width),
@@ -93,7 +103,9 @@ impl ClipImageProcessor {
         Err(MllmError::Config {
             path: self.path.clone(),
             key: key.into(),
-            problem: format!("is {width} x {height} pixels; the vision tower takes {side} x {side}"),
+            problem: format!(
+                "is {width} x {height} pixels; the vision tower takes {side} x {side}"
+            ),
         })
     }
 
@@ -108,7 +120,9 @@ impl ClipImageProcessor {
             }
         };
         let resized = resized.as_ref().unwrap_or(image);
-        let cropped = self.crop.map(|(height, width)| center_crop(resized, width, height));
+        let cropped = self
+            .crop
+            .map(|(height, width)| center_crop(resized, width, height));
         let pixels = cropped.as_ref().unwrap_or(resized);
         if (pixels.width() as usize, pixels.height() as usize) != (side, side) {
             return Err(MllmError::Image {
@@ -125,7 +139,8 @@ impl ClipImageProcessor {
     }
 }
 
-/// Reads `preprocessor_config.json`, or the `image_processor` of `processor_config.json` (transformers 5).
+/// Reads `preprocessor_config.json`, or the `image_processor` of `processor_config.json`
+/// (transformers 5).
 pub(crate) fn read_processor<T>(
     files: &ModelFiles,
     read: impl FnOnce(&Path, &ConfigObject<'_>) -> Result<T, MllmError>,
@@ -174,9 +189,10 @@ impl ProcessorKeys {
     pub(crate) fn read(object: &ConfigObject<'_>, expected: &str) -> Result<Self, MllmError> {
         let keys: Self = object.read()?;
         match &keys.image_processor_type {
-            Some(kind) if !kind.starts_with(expected) => {
-                Err(object.error("image_processor_type", format!("'{kind}' is not supported; {expected} is")))
-            }
+            Some(kind) if !kind.starts_with(expected) => Err(object.error(
+                "image_processor_type",
+                format!("'{kind}' is not supported; {expected} is"),
+            )),
             _ => Ok(keys),
         }
     }
@@ -189,11 +205,19 @@ impl TargetSize {
             Self::Exact { height, width } => Ok((width, height)),
             Self::ShortestEdge(edge) => {
                 let (width, height) = image.dimensions();
-                let long = u64::from(edge) * u64::from(width.max(height)) / u64::from(width.min(height));
-                let long = u32::try_from(long).ok().filter(|long| *long as usize <= MAX_SIDE).ok_or_else(|| {
-                    MllmError::Image { problem: format!("{width} x {height} pixels are too narrow to be resized") }
-                })?;
-                let (width, height) = if width <= height { (edge, long) } else { (long, edge) };
+                let long =
+                    u64::from(edge) * u64::from(width.max(height)) / u64::from(width.min(height));
+                let long = u32::try_from(long)
+                    .ok()
+                    .filter(|long| *long as usize <= MAX_SIDE)
+                    .ok_or_else(|| MllmError::Image {
+                        problem: format!("{width} x {height} pixels are too narrow to be resized"),
+                    })?;
+                let (width, height) = if width <= height {
+                    (edge, long)
+                } else {
+                    (long, edge)
+                };
                 check_picture(width, height).map_err(|problem| MllmError::Image { problem })?;
                 Ok((width, height))
             }
@@ -214,7 +238,9 @@ impl TryFrom<u64> for Side {
 
     fn try_from(side: u64) -> Result<Self, String> {
         let valid = (1..=MAX_SIDE as u64).contains(&side);
-        valid.then_some(Self(side as u32)).ok_or_else(|| format!("expected a side from 1 to {MAX_SIDE}, found {side}"))
+        valid
+            .then_some(Self(side as u32))
+            .ok_or_else(|| format!("expected a side from 1 to {MAX_SIDE}, found {side}"))
     }
 }
 
@@ -235,7 +261,10 @@ impl Sides {
     /// Height and width; one number stands for a square.
     pub(crate) fn height_width(self) -> (u32, u32) {
         match self {
-            Self::One(side) | Self::ShortestEdge { shortest_edge: side } => (side.0, side.0),
+            Self::One(side)
+            | Self::ShortestEdge {
+                shortest_edge: side,
+            } => (side.0, side.0),
             Self::Exact { height, width } => (height.0, width.0),
         }
     }
@@ -246,7 +275,12 @@ fn center_crop(image: &RgbImage, width: u32, height: u32) -> RgbImage {
     // Rounding down puts the odd pixel of a black margin above and left.
     let offset = |have: u32, want: u32| (i64::from(have) - i64::from(want)).div_euclid(2);
     let mut cropped = RgbImage::new(width, height);
-    imageops::replace(&mut cropped, image, -offset(image.width(), width), -offset(image.height(), height));
+    imageops::replace(
+        &mut cropped,
+        image,
+        -offset(image.width(), width),
+        -offset(image.height(), height),
+    );
     cropped
 }
 
@@ -277,8 +311,15 @@ mod tests {
     fn small_images_are_padded_and_large_ones_cut_in_the_middle() {
         let image = RgbImage::from_fn(2, 5, |_, y| image::Rgb([y as u8 + 1; 3]));
         let cropped = center_crop(&image, 3, 3);
-        let column = |x: u32| (0..3).map(|y| cropped.get_pixel(x, y).0[0]).collect::<Vec<_>>();
-        assert_eq!([column(0), column(1), column(2)], [[0, 0, 0], [2, 3, 4], [2, 3, 4]]);
+        let column = |x: u32| {
+            (0..3)
+                .map(|y| cropped.get_pixel(x, y).0[0])
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(
+            [column(0), column(1), column(2)],
+            [[0, 0, 0], [2, 3, 4], [2, 3, 4]]
+        );
     }
 
     #[test]
@@ -287,9 +328,13 @@ mod tests {
         let processor = processor(&keys).unwrap();
         assert_eq!(processor.crop, None);
         processor.check_side(4).unwrap();
-        let values = processor.process(&RgbImage::from_pixel(8, 3, image::Rgb([255, 0, 255])), 4).unwrap();
+        let values = processor
+            .process(&RgbImage::from_pixel(8, 3, image::Rgb([255, 0, 255])), 4)
+            .unwrap();
         let values: Vec<f32> = values.flatten_all().unwrap().to_vec1().unwrap();
-        let all = |values: &[f32], expected: f32| values.iter().all(|value| (value - expected).abs() < 1e-6);
+        let all = |values: &[f32], expected: f32| {
+            values.iter().all(|value| (value - expected).abs() < 1e-6)
+        };
         assert!(all(&values[..16], 1.0) && all(&values[16..32], -1.0));
     }
 
@@ -301,7 +346,13 @@ mod tests {
         }))
         .unwrap();
         let image = RgbImage::from_pixel(1, 1, image::Rgb([255, 0, 51]));
-        let values: Vec<f32> = processor.process(&image, 1).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+        let values: Vec<f32> = processor
+            .process(&image, 1)
+            .unwrap()
+            .flatten_all()
+            .unwrap()
+            .to_vec1()
+            .unwrap();
         for (value, expected) in values.iter().zip([2.0, -1.0, -0.3]) {
             assert!((value - expected).abs() < 1e-6, "{values:?}");
         }
@@ -319,16 +370,23 @@ mod tests {
             json!({"image_mean": [1, 2]}),
             json!({"image_processor_type": "BlipImageProcessor"}),
         ] {
-            assert!(matches!(processor(&wrong), Err(MllmError::Config { .. })), "{wrong}");
+            assert!(
+                matches!(processor(&wrong), Err(MllmError::Config { .. })),
+                "{wrong}"
+            );
         }
         let fixed = processor(&json!({"crop_size": 32})).unwrap();
         assert!(fixed.check_side(32).is_ok());
-        assert!(matches!(fixed.check_side(64), Err(MllmError::Config { .. })));
+        assert!(matches!(
+            fixed.check_side(64),
+            Err(MllmError::Config { .. })
+        ));
     }
 
     #[test]
     fn an_image_that_does_not_become_the_towers_square_is_an_error() {
-        let processor = processor(&json!({"size": {"shortest_edge": 8}, "do_center_crop": false})).unwrap();
+        let processor =
+            processor(&json!({"size": {"shortest_edge": 8}, "do_center_crop": false})).unwrap();
         assert!(processor.process(&RgbImage::new(4, 4), 8).is_ok());
         let error = processor.process(&RgbImage::new(4, 8), 8).unwrap_err();
         assert!(matches!(error, MllmError::Image { .. }));

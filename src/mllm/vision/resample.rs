@@ -1,8 +1,9 @@
 //! Image resampling, bit-identical to Pillow's, which the models were trained with.
 //!
-//! A separable convolution, first along rows, then along columns, with 8-bit intermediate results. Pillow 13 and later take
-//! the columns of tall images first; this is the order of earlier versions. For a smaller target, the filter is stretched by
-//! the same factor against aliasing. Coefficients are 22-bit fixed point (Pillow, `libImaging/Resample.c`).
+//! A separable convolution, first along rows, then along columns, with 8-bit intermediate results.
+//! Pillow 13 and later take the columns of tall images first; this is the order of earlier
+//! versions. For a smaller target, the filter is stretched by the same factor against aliasing.
+//! Coefficients are 22-bit fixed point (Pillow, `libImaging/Resample.c`).
 
 use image::RgbImage;
 use rayon::prelude::*;
@@ -85,8 +86,9 @@ fn taps(source: usize, target: usize, filter: Filter) -> Vec<Taps> {
             let center = (index as f64 + 0.5) * scale;
             let first = (center - support + 0.5).max(0.0) as usize;
             let end = ((center + support + 0.5) as usize).min(source);
-            let weights: Vec<f64> =
-                (first..end).map(|pixel| filter.weight((pixel as f64 - center + 0.5) / stretch)).collect();
+            let weights: Vec<f64> = (first..end)
+                .map(|pixel| filter.weight((pixel as f64 - center + 0.5) / stretch))
+                .collect();
             let sum: f64 = weights.iter().sum();
             let norm = if sum == 0.0 { 1.0 } else { sum };
             let weights = weights
@@ -105,10 +107,16 @@ fn taps(source: usize, target: usize, filter: Filter) -> Vec<Taps> {
 pub(crate) fn resize(image: &RgbImage, width: u32, height: u32, filter: Filter) -> RgbImage {
     let mut current = image.clone();
     if width != image.width() {
-        current = along_rows(&current, &taps(image.width() as usize, width as usize, filter));
+        current = along_rows(
+            &current,
+            &taps(image.width() as usize, width as usize, filter),
+        );
     }
     if height != image.height() {
-        current = along_columns(&current, &taps(image.height() as usize, height as usize, filter));
+        current = along_columns(
+            &current,
+            &taps(image.height() as usize, height as usize, filter),
+        );
     }
     current
 }
@@ -123,33 +131,45 @@ fn rounded(sum: i32) -> u8 {
 fn along_rows(source: &RgbImage, taps: &[Taps]) -> RgbImage {
     let mut target = RgbImage::new(taps.len() as u32, source.height());
     let from = source.par_chunks_exact(CHANNELS * (source.width() as usize).max(1));
-    target.par_chunks_exact_mut(CHANNELS * taps.len().max(1)).zip(from).for_each(|(row, source)| {
-        let pixels = source.as_chunks::<CHANNELS>().0;
-        for (target, taps) in row.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(taps) {
-            let mut sums = [HALF; CHANNELS];
-            for (weight, pixel) in taps.weights.iter().zip(pixels.iter().skip(taps.first)) {
-                for (sum, value) in sums.iter_mut().zip(pixel) {
-                    *sum += i32::from(*value) * weight;
+    target
+        .par_chunks_exact_mut(CHANNELS * taps.len().max(1))
+        .zip(from)
+        .for_each(|(row, source)| {
+            let pixels = source.as_chunks::<CHANNELS>().0;
+            for (target, taps) in row.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(taps) {
+                let mut sums = [HALF; CHANNELS];
+                for (weight, pixel) in taps.weights.iter().zip(pixels.iter().skip(taps.first)) {
+                    for (sum, value) in sums.iter_mut().zip(pixel) {
+                        *sum += i32::from(*value) * weight;
+                    }
                 }
+                *target = sums.map(rounded);
             }
-            *target = sums.map(rounded);
-        }
-    });
+        });
     target
 }
 
 fn along_columns(source: &RgbImage, taps: &[Taps]) -> RgbImage {
     let mut target = RgbImage::new(source.width(), taps.len() as u32);
     let width = CHANNELS * (source.width() as usize).max(1);
-    target.par_chunks_exact_mut(width).zip(taps).for_each(|(row, taps)| {
-        let mut sums = vec![HALF; width];
-        for (weight, source) in taps.weights.iter().zip(source.chunks_exact(width).skip(taps.first)) {
-            for (sum, value) in sums.iter_mut().zip(source) {
-                *sum += i32::from(*value) * weight;
+    target
+        .par_chunks_exact_mut(width)
+        .zip(taps)
+        .for_each(|(row, taps)| {
+            let mut sums = vec![HALF; width];
+            for (weight, source) in taps
+                .weights
+                .iter()
+                .zip(source.chunks_exact(width).skip(taps.first))
+            {
+                for (sum, value) in sums.iter_mut().zip(source) {
+                    *sum += i32::from(*value) * weight;
+                }
             }
-        }
-        row.iter_mut().zip(sums).for_each(|(value, sum)| *value = rounded(sum));
-    });
+            row.iter_mut()
+                .zip(sums)
+                .for_each(|(value, sum)| *value = rounded(sum));
+        });
     target
 }
 
@@ -169,7 +189,8 @@ mod tests {
 
     #[test]
     fn halving_with_the_triangle_filter_weighs_one_three_three_one() {
-        // Pillow: Image.new("L", (4, 1)); putdata([0, 0, 255, 255]); resize((2, 1), BILINEAR) gives [36, 219].
+        // Pillow: Image.new("L", (4, 1)); putdata([0, 0, 255, 255]); resize((2, 1), BILINEAR) gives
+        // [36, 219].
         let image = RgbImage::from_fn(4, 1, |x, _| image::Rgb([if x < 2 { 0 } else { 255 }; 3]));
         let resized = resize(&image, 2, 1, Filter::Bilinear);
         assert_eq!(resized.get_pixel(0, 0).0, [36; 3]);

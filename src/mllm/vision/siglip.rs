@@ -1,4 +1,5 @@
-//! The `SigLIP` vision transformer (Zhai et al., arXiv:2303.15343), whose layers are CLIP's. It has no class token.
+//! The `SigLIP` vision transformer (Zhai et al., arXiv:2303.15343), whose layers are CLIP's. It has
+//! no class token.
 
 use candle_core::Tensor;
 
@@ -23,14 +24,26 @@ pub(crate) struct SiglipVisionTower {
 
 impl SiglipVisionTower {
     /// Takes the first `depth` layers for their hidden states.
-    pub(crate) fn take(weights: &mut Weights, config: &VisionConfig, depth: usize) -> Result<Self, MllmError> {
+    pub(crate) fn take(
+        weights: &mut Weights,
+        config: &VisionConfig,
+        depth: usize,
+    ) -> Result<Self, MllmError> {
         let hidden = config.hidden;
         let embeddings = "vision_tower.embeddings";
         let patches = format!("{embeddings}.patch_embedding");
         Ok(Self {
-            patch_embedding: take_patch_embedding(weights, &patches, hidden, config.patch_size, true)?,
-            position_embedding: weights
-                .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches(), hidden])?,
+            patch_embedding: take_patch_embedding(
+                weights,
+                &patches,
+                hidden,
+                config.patch_size,
+                true,
+            )?,
+            position_embedding: weights.take(
+                &format!("{embeddings}.position_embedding.weight"),
+                &[config.patches(), hidden],
+            )?,
             layers: take_layers(weights, config, depth)?,
             post_norm: None,
             patch_size: config.patch_size,
@@ -38,21 +51,45 @@ impl SiglipVisionTower {
     }
 
     /// Takes all layers and the norm behind them.
-    pub(crate) fn take_whole(weights: &mut Weights, config: &VisionConfig) -> Result<Self, MllmError> {
+    pub(crate) fn take_whole(
+        weights: &mut Weights,
+        config: &VisionConfig,
+    ) -> Result<Self, MllmError> {
         let tower = Self::take(weights, config, config.layers)?;
-        let norm = weights.take_layer_norm("vision_tower.post_layernorm", config.hidden, config.layer_norm_eps)?;
-        Ok(Self { post_norm: Some(norm), ..tower })
+        let norm = weights.take_layer_norm(
+            "vision_tower.post_layernorm",
+            config.hidden,
+            config.layer_norm_eps,
+        )?;
+        Ok(Self {
+            post_norm: Some(norm),
+            ..tower
+        })
     }
 
-    /// The `wanted` hidden states of images with pixels (3, side, side): 0 are the embeddings, n is the state after layer n.
-    /// Each has shape (images, patches, hidden).
-    pub(crate) fn hidden_states(&self, images: &[Tensor], wanted: &[usize]) -> candle_core::Result<Vec<Tensor>> {
-        let embedded = images.iter().map(|pixels| self.embed(pixels)).collect::<candle_core::Result<Vec<_>>>()?;
-        hidden_states(&self.layers, Tensor::cat(&embedded, 0)?, images.len(), wanted)
+    /// The `wanted` hidden states of images with pixels (3, side, side): 0 are the embeddings, n is
+    /// the state after layer n. Each has shape (images, patches, hidden).
+    pub(crate) fn hidden_states(
+        &self,
+        images: &[Tensor],
+        wanted: &[usize],
+    ) -> candle_core::Result<Vec<Tensor>> {
+        let embedded = images
+            .iter()
+            .map(|pixels| self.embed(pixels))
+            .collect::<candle_core::Result<Vec<_>>>()?;
+        hidden_states(
+            &self.layers,
+            Tensor::cat(&embedded, 0)?,
+            images.len(),
+            wanted,
+        )
     }
 
     fn embed(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)? + &self.position_embedding
+        self.patch_embedding
+            .forward(&unfold(pixels, self.patch_size)?)?
+            + &self.position_embedding
     }
 
     /// Encodes pixel values (3, side, side) to (patches, hidden).
@@ -62,6 +99,8 @@ impl SiglipVisionTower {
         for layer in &self.layers {
             x = layer.forward(&x, &parts)?;
         }
-        self.post_norm.as_ref().map_or(Ok(x.clone()), |norm| norm.forward(&x))
+        self.post_norm
+            .as_ref()
+            .map_or(Ok(x.clone()), |norm| norm.forward(&x))
     }
 }

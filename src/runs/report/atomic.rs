@@ -5,7 +5,8 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Prefix of an unfinished file or folder. A process that was killed may leave one; it is safe to delete.
+/// Prefix of an unfinished file or folder. A process that was killed may leave one; it is safe to
+/// delete.
 pub(super) const UNFINISHED: &str = ".unfinished-";
 
 /// The temporary path of a file or folder, beside its final one.
@@ -39,9 +40,17 @@ pub fn folder(path: &Path) -> Result<(), ReportError> {
 pub(super) fn sweep(folder: &Path) -> Result<(), ReportError> {
     for entry in fs::read_dir(folder).map_err(ReportError::read(folder))? {
         let path = entry.map_err(ReportError::read(folder))?.path();
-        let name = path.file_name().expect("an entry of a folder has a name").to_string_lossy().into_owned();
+        let name = path
+            .file_name()
+            .expect("an entry of a folder has a name")
+            .to_string_lossy()
+            .into_owned();
         if name.starts_with(UNFINISHED) {
-            let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+            let removed = if path.is_dir() {
+                fs::remove_dir_all(&path)
+            } else {
+                fs::remove_file(&path)
+            };
             removed.map_err(ReportError::write(&path))?;
         }
     }

@@ -1,5 +1,5 @@
-//! A line of `calls.jsonl`: one planning call, attempts and rounds inside it. Measured times stand under the key `time`.
-//! `docs/schema/calls.schema.json` is derived from these types.
+//! A line of `calls.jsonl`: one planning call, attempts and rounds inside it. Measured times stand
+//! under the key `time`. `docs/schema/calls.schema.json` is derived from these types.
 
 use super::error::ReportError;
 use super::layout::CALLS;
@@ -7,7 +7,9 @@ use super::number::json_value;
 use super::times::CallTimes;
 use planagent_agent::environment::CenterlineName;
 use planagent_agent::planner::{Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal};
-use planagent_agent::reasoning::{Assistance, MotionInstruction, ParseError, PlannerAnswer, RoundRecord};
+use planagent_agent::reasoning::{
+    Assistance, MotionInstruction, ParseError, PlannerAnswer, RoundRecord,
+};
 use planagent_agent::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use planagent_agent::simulation::Challenge;
 use planagent_mllm::RoundTime;
@@ -178,8 +180,14 @@ pub struct AttemptTimes {
 }
 
 impl CallRecord {
-    /// The record of a call that `planner` made in a scenario; without challenge for a call outside of a simulation.
-    pub fn of(scenario: &str, planner: &str, challenge: Option<Challenge>, call: &PlanningCall) -> Self {
+    /// The record of a call that `planner` made in a scenario; without challenge for a call outside
+    /// of a simulation.
+    pub fn of(
+        scenario: &str,
+        planner: &str,
+        challenge: Option<Challenge>,
+        call: &PlanningCall,
+    ) -> Self {
         Self {
             scenario: scenario.to_owned(),
             planner: planner.to_owned(),
@@ -210,7 +218,9 @@ impl CallRecord {
 
     /// The attempt whose plan becomes active.
     pub fn accepted(&self) -> Option<(usize, &AttemptRecord)> {
-        let (DecisionRecord::Execute { attempt } | DecisionRecord::Exhausted { attempt }) = self.decision else {
+        let (DecisionRecord::Execute { attempt } | DecisionRecord::Exhausted { attempt }) =
+            self.decision
+        else {
             return None;
         };
         Some((attempt, self.attempts.get(attempt)?))
@@ -233,7 +243,10 @@ impl AttemptRecord {
 impl ProposalRecord {
     fn of(proposal: &Proposal) -> Self {
         let reflection = proposal.reflection.as_ref().map(ReflectionRecord::of);
-        Self { code: LineRecord::of(proposal.answer), reflection }
+        Self {
+            code: LineRecord::of(proposal.answer),
+            reflection,
+        }
     }
 }
 
@@ -241,7 +254,9 @@ impl LineRecord {
     fn of(answer: PlannerAnswer) -> Self {
         let text = answer.to_string();
         match answer {
-            PlannerAnswer::Assistance(assistance) => Self::Assistance(AssistanceRecord { text, assistance }),
+            PlannerAnswer::Assistance(assistance) => {
+                Self::Assistance(AssistanceRecord { text, assistance })
+            }
             PlannerAnswer::Code(code) => Self::Code(CodeRecord {
                 text,
                 c: code.centerline,
@@ -264,8 +279,21 @@ impl LineRecord {
 
 impl ReflectionRecord {
     fn of(report: &ReflectionReport) -> Self {
-        let ReflectionReport { score, parts, progress_reference, drivable_layers, verdict, .. } = *report;
-        Self { score, parts, progress_reference, drivable_layers, verdict }
+        let ReflectionReport {
+            score,
+            parts,
+            progress_reference,
+            drivable_layers,
+            verdict,
+            ..
+        } = *report;
+        Self {
+            score,
+            parts,
+            progress_reference,
+            drivable_layers,
+            verdict,
+        }
     }
 }
 
@@ -294,7 +322,9 @@ impl DecisionRecord {
     /// Why there is no new plan.
     pub fn why(&self) -> Option<&str> {
         match self {
-            Self::KeepActivePlan { why, .. } | Self::Brake { why, .. } | Self::RuleBased { why, .. } => Some(why),
+            Self::KeepActivePlan { why, .. }
+            | Self::Brake { why, .. }
+            | Self::RuleBased { why, .. } => Some(why),
             Self::Execute { .. } | Self::Exhausted { .. } | Self::Gated { .. } => None,
         }
     }
@@ -321,7 +351,9 @@ pub(super) fn calls_in(folder: &Path) -> Result<Vec<CallRecord>, ReportError> {
         return Ok(Vec::new());
     }
     let text = fs::read_to_string(&path).map_err(ReportError::read(&path))?;
-    text.lines().map(|line| serde_json::from_str(line).map_err(ReportError::at(&path))).collect()
+    text.lines()
+        .map(|line| serde_json::from_str(line).map_err(ReportError::at(&path)))
+        .collect()
 }
 
 #[cfg(test)]
@@ -341,11 +373,19 @@ mod tests {
         let calls = planner.take_calls();
         assert!(calls.len() >= 7);
         for call in &calls {
-            let record = CallRecord::of(&scenario.id, name.as_str(), Some(Challenge::NonReactive), call);
+            let record = CallRecord::of(
+                &scenario.id,
+                name.as_str(),
+                Some(Challenge::NonReactive),
+                call,
+            );
             let line = record.to_json().unwrap().to_string();
             let read: CallRecord = serde_json::from_str(&line).unwrap();
             // serde_json reads some numbers a last digit off, so both sides are read.
-            assert_eq!(read.to_json().unwrap(), serde_json::from_str::<serde_json::Value>(&line).unwrap());
+            assert_eq!(
+                read.to_json().unwrap(),
+                serde_json::from_str::<serde_json::Value>(&line).unwrap()
+            );
             assert!(read.accepted().is_some(), "{:?}", read.decision);
         }
     }

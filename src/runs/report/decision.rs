@@ -9,37 +9,71 @@ use planagent_agent::reflection::{SubScores, Verdict};
 pub(super) fn all_refused(call: &PlanningCall) -> bool {
     matches!(
         call.decision,
-        Decision::Exhausted(_) | Decision::KeepActivePlan(NoPlan::Worse) | Decision::RuleBased(NoPlan::Outscored)
+        Decision::Exhausted(_)
+            | Decision::KeepActivePlan(NoPlan::Worse)
+            | Decision::RuleBased(NoPlan::Outscored)
     )
 }
 
 /// Whether Reflection refused the first attempt of a call, or it gave no plan.
 pub(super) fn first_refused(call: &PlanningCall) -> bool {
-    let report =
-        |attempt: &Attempt| attempt.reflection.as_ref().is_some_and(|report| report.verdict == Verdict::Execute);
-    call.attempts.first().is_some_and(|attempt| !report(attempt))
+    let report = |attempt: &Attempt| {
+        attempt
+            .reflection
+            .as_ref()
+            .is_some_and(|report| report.verdict == Verdict::Execute)
+    };
+    call.attempts
+        .first()
+        .is_some_and(|attempt| !report(attempt))
 }
 
 /// Whether Reflection gave every plan of a call, at least one, 0 in a part of the score.
 pub(super) fn all_are_zero(call: &PlanningCall, part: fn(&SubScores) -> f64) -> bool {
-    let mut parts =
-        call.attempts.iter().filter_map(|attempt| Some(part(&attempt.reflection.as_ref()?.parts))).peekable();
+    let mut parts = call
+        .attempts
+        .iter()
+        .filter_map(|attempt| Some(part(&attempt.reflection.as_ref()?.parts)))
+        .peekable();
     parts.peek().is_some() && parts.all(|part| part <= 0.0)
 }
 
 /// The decision of a planning call in words.
 pub fn decision_words(call: &PlanningCall) -> String {
-    let scores: Vec<Option<f64>> = call.attempts.iter().map(|a| Some(a.reflection.as_ref()?.score)).collect();
-    let refused = Refused { scores: &scores, one_code: is_one(call.attempts.iter().map(Attempt::line)) };
-    refused.words(&DecisionRecord::of(&call.decision), call.aborted_lane_change == Some(call.iteration))
+    let scores: Vec<Option<f64>> = call
+        .attempts
+        .iter()
+        .map(|a| Some(a.reflection.as_ref()?.score))
+        .collect();
+    let refused = Refused {
+        scores: &scores,
+        one_code: is_one(call.attempts.iter().map(Attempt::line)),
+    };
+    refused.words(
+        &DecisionRecord::of(&call.decision),
+        call.aborted_lane_change == Some(call.iteration),
+    )
 }
 
 /// The decision of a recorded call in words.
 pub(super) fn recorded_words(call: &CallRecord) -> String {
-    let scores: Vec<Option<f64>> = call.attempts.iter().map(|a| Some(a.reflection.as_ref()?.score)).collect();
-    let codes = call.attempts.iter().map(|attempt| Some(attempt.code.as_ref()?.text().to_owned()));
-    let refused = Refused { scores: &scores, one_code: is_one(codes) };
-    refused.words(&call.decision, call.aborted_lane_change == Some(call.iteration))
+    let scores: Vec<Option<f64>> = call
+        .attempts
+        .iter()
+        .map(|a| Some(a.reflection.as_ref()?.score))
+        .collect();
+    let codes = call
+        .attempts
+        .iter()
+        .map(|attempt| Some(attempt.code.as_ref()?.text().to_owned()));
+    let refused = Refused {
+        scores: &scores,
+        one_code: is_one(codes),
+    };
+    refused.words(
+        &call.decision,
+        call.aborted_lane_change == Some(call.iteration),
+    )
 }
 
 /// Whether all attempts have a planner code, and the same one.
@@ -60,23 +94,41 @@ impl Refused<'_> {
     /// A decision in words; `keeps_lane` if a lane change of the executed plan is not begun.
     fn words(&self, decision: &DecisionRecord, keeps_lane: bool) -> String {
         let all_refused = |cause: &str| {
-            !self.scores.is_empty() && [NoPlan::Worse, NoPlan::Outscored].iter().any(|why| why.cause() == cause)
+            !self.scores.is_empty()
+                && [NoPlan::Worse, NoPlan::Outscored]
+                    .iter()
+                    .any(|why| why.cause() == cause)
         };
         match decision {
             DecisionRecord::Execute { attempt } => format!("attempt {} is executed", attempt + 1),
             DecisionRecord::Exhausted { attempt } => {
-                format!("{}; {}", self.refusals(), self.instead(*attempt, keeps_lane))
+                format!(
+                    "{}; {}",
+                    self.refusals(),
+                    self.instead(*attempt, keeps_lane)
+                )
             }
             DecisionRecord::KeepActivePlan { cause, .. } if all_refused(cause) => {
-                format!("{}; the active plan is kept, because it scores more than each of them", self.refusals())
+                format!(
+                    "{}; the active plan is kept, because it scores more than each of them",
+                    self.refusals()
+                )
             }
             DecisionRecord::RuleBased { cause, .. } if all_refused(cause) => {
-                format!("{}; PDM-Closed plans, because its own proposal scores no less", self.refusals())
+                format!(
+                    "{}; PDM-Closed plans, because its own proposal scores no less",
+                    self.refusals()
+                )
             }
-            DecisionRecord::KeepActivePlan { why, .. } => format!("the active plan is kept ({why})"),
+            DecisionRecord::KeepActivePlan { why, .. } => {
+                format!("the active plan is kept ({why})")
+            }
             DecisionRecord::Brake { why, .. } => format!("brake ({why})"),
             DecisionRecord::Gated { score } => {
-                format!("call skipped; PDM-Closed plans, with a predicted score of {}", fixed(*score, 2))
+                format!(
+                    "call skipped; PDM-Closed plans, with a predicted score of {}",
+                    fixed(*score, 2)
+                )
             }
             DecisionRecord::RuleBased { why, .. } => format!("PDM-Closed plans ({why})"),
         }
@@ -87,10 +139,15 @@ impl Refused<'_> {
         let unreadable = self.scores.iter().filter(|score| score.is_none()).count();
         match (self.scores.len(), unreadable) {
             (1, _) => "the only attempt was refused".to_owned(),
-            (all, 0) if self.one_code => format!("all {all} attempts have the same code and were refused"),
+            (all, 0) if self.one_code => {
+                format!("all {all} attempts have the same code and were refused")
+            }
             (all, 0) => format!("all {all} attempts were refused"),
             (all, unreadable) => {
-                format!("of {all} attempts, {} refused and {unreadable} without a plan", all - unreadable)
+                format!(
+                    "of {all} attempts, {} refused and {unreadable} without a plan",
+                    all - unreadable
+                )
             }
         }
     }
@@ -98,15 +155,25 @@ impl Refused<'_> {
     /// The refused attempt that is executed, and why.
     fn instead(&self, index: usize, keeps_lane: bool) -> String {
         let own = self.scores.get(index).copied().flatten();
-        let is_best = own.is_some_and(|own| self.scores.iter().flatten().all(|score| *score <= own));
-        let score = own.map(|own| format!(" (score {})", fixed(own, 2))).unwrap_or_default();
+        let is_best =
+            own.is_some_and(|own| self.scores.iter().flatten().all(|score| *score <= own));
+        let score = own
+            .map(|own| format!(" (score {})", fixed(own, 2)))
+            .unwrap_or_default();
         let why = match is_best {
             _ if self.one_code || self.scores.len() == 1 => "there is no better plan",
             true => "no other attempt scores more",
             false => "it is the last one",
         };
-        let lane = if keeps_lane { ", in the ego's lane: a refused plan must not begin a lane change" } else { "" };
-        format!("attempt {}{score} is executed all the same, because {why}{lane}", index + 1)
+        let lane = if keeps_lane {
+            ", in the ego's lane: a refused plan must not begin a lane change"
+        } else {
+            ""
+        };
+        format!(
+            "attempt {}{score} is executed all the same, because {why}{lane}",
+            index + 1
+        )
     }
 }
 
@@ -135,7 +202,8 @@ mod tests {
             time_to_collision: score,
             comfort: 1.0,
         };
-        let (progress_reference, drivable_layers) = (ProgressReference::PdmProposals, DrivableLayers::Lanes);
+        let (progress_reference, drivable_layers) =
+            (ProgressReference::PdmProposals, DrivableLayers::Lanes);
         ReflectionReport {
             score,
             parts,
@@ -171,7 +239,9 @@ mod tests {
         );
         let last = decision_words(&call(Decision::Exhausted(2), &three));
         assert!(
-            last.ends_with("attempt 3 (score 0.30) is executed all the same, because it is the last one"),
+            last.ends_with(
+                "attempt 3 (score 0.30) is executed all the same, because it is the last one"
+            ),
             "{last}"
         );
         let mut same = best.clone();
@@ -179,28 +249,51 @@ mod tests {
             attempt.answer = Some(CODE.into());
         }
         let same = decision_words(&same);
-        assert!(same.starts_with("all 3 attempts have the same code and were refused; attempt 2"), "{same}");
+        assert!(
+            same.starts_with("all 3 attempts have the same code and were refused; attempt 2"),
+            "{same}"
+        );
         assert!(same.ends_with("because there is no better plan"), "{same}");
         let mut lane = best.clone();
         lane.aborted_lane_change = Some(20);
-        assert!(decision_words(&lane).contains("in the ego's lane"), "{}", decision_words(&lane));
+        assert!(
+            decision_words(&lane).contains("in the ego's lane"),
+            "{}",
+            decision_words(&lane)
+        );
         let mut later = best;
         later.aborted_lane_change = Some(25);
-        assert!(!decision_words(&later).contains("in the ego's lane"), "{}", decision_words(&later));
-        let kept = decision_words(&call(Decision::KeepActivePlan(NoPlan::Worse), &[Some(0.2), None]));
+        assert!(
+            !decision_words(&later).contains("in the ego's lane"),
+            "{}",
+            decision_words(&later)
+        );
+        let kept = decision_words(&call(
+            Decision::KeepActivePlan(NoPlan::Worse),
+            &[Some(0.2), None],
+        ));
         assert_eq!(
             kept,
             "of 2 attempts, 1 refused and 1 without a plan; the active plan is kept, because it scores more than each of them"
         );
         let one = decision_words(&call(Decision::Exhausted(0), &[Some(0.0)]));
-        assert!(one.starts_with("the only attempt was refused; attempt 1 (score 0.00)"), "{one}");
+        assert!(
+            one.starts_with("the only attempt was refused; attempt 1 (score 0.00)"),
+            "{one}"
+        );
     }
 
     #[test]
     fn a_call_is_refused_when_its_plans_are_and_not_when_it_has_none() {
         assert!(all_refused(&call(Decision::Exhausted(0), &[Some(0.1)])));
-        assert!(all_refused(&call(Decision::KeepActivePlan(NoPlan::Worse), &[Some(0.1)])));
+        assert!(all_refused(&call(
+            Decision::KeepActivePlan(NoPlan::Worse),
+            &[Some(0.1)]
+        )));
         assert!(!all_refused(&call(Decision::Execute(0), &[Some(0.9)])));
-        assert!(!all_refused(&call(Decision::KeepActivePlan(NoPlan::Unreadable), &[None])));
+        assert!(!all_refused(&call(
+            Decision::KeepActivePlan(NoPlan::Unreadable),
+            &[None]
+        )));
     }
 }

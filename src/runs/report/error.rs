@@ -37,7 +37,9 @@ pub enum ReportFault {
         "{MANIFEST} is damaged, and the folder holds simulations; restore {MANIFEST} from a copy, or name a new folder"
     )]
     DamagedManifest,
-    #[error("the run did not begin: its {MANIFEST} is damaged and it has no simulation; start it again with --out")]
+    #[error(
+        "the run did not begin: its {MANIFEST} is damaged and it has no simulation; start it again with --out"
+    )]
     NotBegun,
     #[error("cannot write: {} is a file and no folder", .0.display())]
     NoFolder(PathBuf),
@@ -96,7 +98,10 @@ impl ReportError {
     /// For `map_err`: a fault at `place`.
     pub fn at<F: Into<ReportFault>>(place: &Path) -> impl FnOnce(F) -> Self {
         let place = place.to_owned();
-        move |fault| Self { place, fault: fault.into() }
+        move |fault| Self {
+            place,
+            fault: fault.into(),
+        }
     }
 
     /// For `map_err`: `place` cannot be read.

@@ -1,4 +1,5 @@
-//! The files of a complete run. They are made from the simulation folders, so the number of sessions does not matter.
+//! The files of a complete run. They are made from the simulation folders, so the number of
+//! sessions does not matter.
 
 use super::atomic;
 use super::error::ReportError;
@@ -15,7 +16,8 @@ use planagent_score::metrics::distinct;
 use serde::Serialize;
 
 impl RunFolder {
-    /// Writes `timing.json`, `calls.jsonl`, `config.toml`, nuPlan's result tree of each challenge, and last `summary.json`.
+    /// Writes `timing.json`, `calls.jsonl`, `config.toml`, nuPlan's result tree of each challenge,
+    /// and last `summary.json`.
     pub fn finish(
         &self,
         manifest: &Manifest,
@@ -34,10 +36,23 @@ impl RunFolder {
                 atomic::folder(folder)?;
                 atomic::sweep(folder)?;
             }
-            write_metric_files(&metrics, self.metrics(own().filter(|row| row.score.is_some()))?)?;
-            let name = format!("{challenge}_weighted_average_metrics_{}.parquet", manifest.started);
-            write_aggregator(&aggregator.join(name), &aggregated(challenge, own()), challenge.metric_list())?;
-            write_runner_report(&folder.join("runner_report.parquet"), &own().collect::<Vec<_>>())?;
+            write_metric_files(
+                &metrics,
+                self.metrics(own().filter(|row| row.score.is_some()))?,
+            )?;
+            let name = format!(
+                "{challenge}_weighted_average_metrics_{}.parquet",
+                manifest.started
+            );
+            write_aggregator(
+                &aggregator.join(name),
+                &aggregated(challenge, own()),
+                challenge.metric_list(),
+            )?;
+            write_runner_report(
+                &folder.join("runner_report.parquet"),
+                &own().collect::<Vec<_>>(),
+            )?;
             write_nuboard(&folder, challenge)?;
         }
         self.write_json(TIMING, timing)?;
@@ -46,6 +61,9 @@ impl RunFolder {
 
     fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), ReportError> {
         let text = json_value(value).and_then(|value| serde_json::to_string_pretty(&value));
-        self.write(name, (text.map_err(ReportError::at(self.path()))? + "\n").as_bytes())
+        self.write(
+            name,
+            (text.map_err(ReportError::at(self.path()))? + "\n").as_bytes(),
+        )
     }
 }

@@ -1,5 +1,5 @@
-//! What a run reads besides its settings: recordings, prompts, the small files of its model. Two sessions of one run must
-//! read the same, or its tables mix two experiments.
+//! What a run reads besides its settings: recordings, prompts, the small files of its model. Two
+//! sessions of one run must read the same, or its tables mix two experiments.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -69,8 +69,11 @@ impl Inputs {
     /// What changed until `now`, one line a file or key.
     pub fn changes(&self, now: &Self) -> Vec<String> {
         let mut lines = self.changes_of_model(now);
-        let gone: Vec<(&String, &DataFile)> =
-            self.data.iter().filter(|(path, _)| !now.data.contains_key(*path)).collect();
+        let gone: Vec<(&String, &DataFile)> = self
+            .data
+            .iter()
+            .filter(|(path, _)| !now.data.contains_key(*path))
+            .collect();
         let mut moved = BTreeSet::new();
         for (path, file) in &now.data {
             match self.data.get(path) {
@@ -84,13 +87,16 @@ impl Inputs {
                 },
             }
         }
-        let missing = gone.iter().map(|(path, _)| *path).filter(|path| !moved.contains(path));
+        let missing = gone
+            .iter()
+            .map(|(path, _)| *path)
+            .filter(|path| !moved.contains(path));
         lines.extend(missing.map(|path| format!("recording changed: {} is missing", shown(path))));
         lines
     }
 
-    /// What differs between two runs, which may read other recordings, on other machines. A recording of both must have the
-    /// same content.
+    /// What differs between two runs, which may read other recordings, on other machines. A
+    /// recording of both must have the same content.
     pub fn conflicts(&self, other: &Self) -> Vec<String> {
         let mut lines = self.changes_of_model(other);
         for (path, file) in &other.data {
@@ -118,7 +124,11 @@ impl Inputs {
     }
 }
 
-fn changed(what: &str, then: &BTreeMap<String, String>, now: &BTreeMap<String, String>) -> Vec<String> {
+fn changed(
+    what: &str,
+    then: &BTreeMap<String, String>,
+    now: &BTreeMap<String, String>,
+) -> Vec<String> {
     let line = |key: &String| {
         let state = match (then.contains_key(key), now.contains_key(key)) {
             (false, _) => " is new",
@@ -131,14 +141,21 @@ fn changed(what: &str, then: &BTreeMap<String, String>, now: &BTreeMap<String, S
 }
 
 /// The keys whose values differ, sorted.
-fn differing<'a>(then: &'a BTreeMap<String, String>, now: &'a BTreeMap<String, String>) -> BTreeSet<&'a String> {
-    then.keys().chain(now.keys()).filter(|key| then.get(*key) != now.get(*key)).collect()
+fn differing<'a>(
+    then: &'a BTreeMap<String, String>,
+    now: &'a BTreeMap<String, String>,
+) -> BTreeSet<&'a String> {
+    then.keys()
+        .chain(now.keys())
+        .filter(|key| then.get(*key) != now.get(*key))
+        .collect()
 }
 
 /// A path as a user in the working directory writes it.
 fn shown(path: &str) -> String {
-    let below =
-        std::env::current_dir().ok().and_then(|here| Path::new(path).strip_prefix(here).ok().map(Path::to_owned));
+    let below = std::env::current_dir()
+        .ok()
+        .and_then(|here| Path::new(path).strip_prefix(here).ok().map(Path::to_owned));
     below.map_or_else(|| path.to_owned(), |below| below.display().to_string())
 }
 
@@ -147,7 +164,11 @@ mod tests {
     use super::*;
 
     fn file(size: u64, modified_ns: i64, blake3: Option<&str>) -> DataFile {
-        DataFile { size, modified_ns, blake3: blake3.map(str::to_owned) }
+        DataFile {
+            size,
+            modified_ns,
+            blake3: blake3.map(str::to_owned),
+        }
     }
 
     fn inputs() -> Inputs {
@@ -165,10 +186,13 @@ mod tests {
     fn every_kind_of_change_is_named() {
         let (then, mut now) = (inputs(), inputs());
         assert!(then.changes(&now).is_empty());
-        now.prompts.insert("mine/code.jinja".to_owned(), "1".to_owned());
+        now.prompts
+            .insert("mine/code.jinja".to_owned(), "1".to_owned());
         now.model.clear();
-        now.description.insert("generation".to_owned(), "1".to_owned());
-        now.description.insert("server.grammar".to_owned(), "1".to_owned());
+        now.description
+            .insert("generation".to_owned(), "1".to_owned());
+        now.description
+            .insert("server.grammar".to_owned(), "1".to_owned());
         now.data.insert("a".to_owned(), file(1, 1, Some("y")));
         let expected = [
             "prompt set changed: mine/code.jinja",
@@ -184,7 +208,9 @@ mod tests {
     #[test]
     fn a_recording_is_what_it_holds_and_not_when_or_where_it_was_written() {
         let (then, mut now) = (inputs(), inputs());
-        now.data = [("b", file(1, 7, Some("x"))), ("large", file(9, 9, None))].map(|(p, f)| (p.to_owned(), f)).into();
+        now.data = [("b", file(1, 7, Some("x"))), ("large", file(9, 9, None))]
+            .map(|(p, f)| (p.to_owned(), f))
+            .into();
         assert!(then.changes(&now).is_empty(), "moved and touched");
         now.data.insert("large".to_owned(), file(9, 10, None));
         assert_eq!(
@@ -192,10 +218,19 @@ mod tests {
             ["recording changed: large"],
             "without a digest the time stands for the content"
         );
-        assert!(then.conflicts(&now).is_empty(), "another machine has other times");
+        assert!(
+            then.conflicts(&now).is_empty(),
+            "another machine has other times"
+        );
         now.data.remove("b");
-        assert_eq!(then.changes(&now).last().unwrap(), "recording changed: a is missing");
+        assert_eq!(
+            then.changes(&now).last().unwrap(),
+            "recording changed: a is missing"
+        );
         now.data.insert("c".to_owned(), file(1, 1, Some("z")));
-        assert!(then.changes(&now).contains(&"recording changed: c is new".to_owned()));
+        assert!(
+            then.changes(&now)
+                .contains(&"recording changed: c is new".to_owned())
+        );
     }
 }

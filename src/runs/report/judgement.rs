@@ -1,4 +1,5 @@
-//! Reflection's verdict on one plan in words: every part of its score, what each costs, and whether the plan is executed.
+//! Reflection's verdict on one plan in words: every part of its score, what each costs, and whether
+//! the plan is executed.
 
 use super::number::fixed;
 use planagent_agent::reflection::{ProgressReference, ReflectionReport, Verdict};
@@ -41,7 +42,8 @@ pub struct JudgedMetric {
 }
 
 impl Judgement {
-    /// The verdict of a report; `lane_change` says whether its λ is that of plans that begin a lane change or stay in a blocked lane.
+    /// The verdict of a report; `lane_change` says whether its λ is that of plans that begin a lane
+    /// change or stay in a blocked lane.
     pub fn of(report: &ReflectionReport, lane_change: bool) -> Self {
         let metrics = metrics(report);
         let executed = report.verdict == Verdict::Execute;
@@ -59,11 +61,17 @@ impl Judgement {
 
 fn metrics(report: &ReflectionReport) -> Vec<JudgedMetric> {
     let parts = &report.parts;
-    let when = |time: Option<f64>| time.map(|time| format!(" after {} s", fixed(time, 1))).unwrap_or_default();
+    let when = |time: Option<f64>| {
+        time.map(|time| format!(" after {} s", fixed(time, 1)))
+            .unwrap_or_default()
+    };
     let collision = match parts.no_collision {
         value if value >= 1.0 => "the ego causes no collision".to_owned(),
         value if value > 0.0 => format!("the ego hits an object{}", when(report.first_at_fault_s)),
-        _ => format!("the ego causes a collision{}", when(report.first_at_fault_s)),
+        _ => format!(
+            "the ego causes a collision{}",
+            when(report.first_at_fault_s)
+        ),
     };
     let area = if parts.drivable_area >= 1.0 {
         "all corners of the ego stay on the drivable area"
@@ -77,7 +85,11 @@ fn metrics(report: &ReflectionReport) -> Vec<JudgedMetric> {
     };
     let progress = match report.progress_reference {
         ProgressReference::PdmProposals => {
-            format!("{} m, {} % of the best proposal", fixed(report.progress_m, 1), fixed(100.0 * parts.progress, 0))
+            format!(
+                "{} m, {} % of the best proposal",
+                fixed(report.progress_m, 1),
+                fixed(100.0 * parts.progress, 0)
+            )
         }
         ProgressReference::Reach => format!(
             "{} m; {} % of what could be reached in this way or past what blocks the lane",
@@ -85,34 +97,63 @@ fn metrics(report: &ReflectionReport) -> Vec<JudgedMetric> {
             fixed(100.0 * parts.progress, 0)
         ),
         ProgressReference::OwnProgress => {
-            format!("{} m; there are no proposals to compare with", fixed(report.progress_m, 1))
+            format!(
+                "{} m; there are no proposals to compare with",
+                fixed(report.progress_m, 1)
+            )
         }
     };
     let ttc = if parts.time_to_collision >= 1.0 {
         format!("no collision is within {TTC_S} s at constant speed")
     } else {
-        format!("a collision is within {TTC_S} s at constant speed{}", when(report.first_ttc_s))
+        format!(
+            "a collision is within {TTC_S} s at constant speed{}",
+            when(report.first_ttc_s)
+        )
     };
     let comfort = if parts.comfort >= 1.0 {
         "all limits of acceleration, jerk and yaw hold"
     } else {
         "a limit of acceleration, jerk or yaw is exceeded"
     };
-    let part = |name, value, weight, finding| JudgedMetric { name, value, weight, finding };
+    let part = |name, value, weight, finding| JudgedMetric {
+        name,
+        value,
+        weight,
+        finding,
+    };
     vec![
         part("no at-fault collision", parts.no_collision, None, collision),
         part("drivable area", parts.drivable_area, None, area.to_owned()),
-        part("driving direction", parts.driving_direction, None, direction.to_owned()),
+        part(
+            "driving direction",
+            parts.driving_direction,
+            None,
+            direction.to_owned(),
+        ),
         part("progress", parts.progress, Some(WEIGHT_PROGRESS), progress),
-        part("time to collision", parts.time_to_collision, Some(WEIGHT_TTC), ttc),
-        part("comfort", parts.comfort, Some(WEIGHT_COMFORT), comfort.to_owned()),
+        part(
+            "time to collision",
+            parts.time_to_collision,
+            Some(WEIGHT_TTC),
+            ttc,
+        ),
+        part(
+            "comfort",
+            parts.comfort,
+            Some(WEIGHT_COMFORT),
+            comfort.to_owned(),
+        ),
     ]
 }
 
 /// Two numbers with two decimals, or as many more as tell them apart.
 fn told_apart(a: f64, b: f64) -> (String, String) {
     let written = |decimals| (fixed(a, decimals), fixed(b, decimals));
-    (2..=9).map(written).find(|(a, b)| a != b).unwrap_or_else(|| written(2))
+    (2..=9)
+        .map(written)
+        .find(|(a, b)| a != b)
+        .unwrap_or_else(|| written(2))
 }
 
 fn reason(report: &ReflectionReport, metrics: &[JudgedMetric], higher: bool) -> String {
@@ -125,14 +166,23 @@ fn reason(report: &ReflectionReport, metrics: &[JudgedMetric], higher: bool) -> 
     if report.verdict == Verdict::Execute {
         return format!("{score} is not below {threshold}, {needed}");
     }
-    format!("{score} is below {threshold}, {needed}: {}", costs(metrics).join("; "))
+    format!(
+        "{score} is below {threshold}, {needed}: {}",
+        costs(metrics).join("; ")
+    )
 }
 
 /// What lowers the score, the largest cost first. Where a factor is 0, nothing else matters.
 fn costs(metrics: &[JudgedMetric]) -> Vec<String> {
-    let factors = || metrics.iter().filter(|metric| metric.weight.is_none() && metric.value < 1.0);
-    let zero: Vec<String> =
-        factors().filter(|metric| metric.value <= 0.0).map(|metric| format!("{} (factor 0)", metric.finding)).collect();
+    let factors = || {
+        metrics
+            .iter()
+            .filter(|metric| metric.weight.is_none() && metric.value < 1.0)
+    };
+    let zero: Vec<String> = factors()
+        .filter(|metric| metric.value <= 0.0)
+        .map(|metric| format!("{} (factor 0)", metric.finding))
+        .collect();
     if !zero.is_empty() {
         return zero;
     }
@@ -142,11 +192,19 @@ fn costs(metrics: &[JudgedMetric]) -> Vec<String> {
         .iter()
         .filter_map(|metric| Some((factor * metric.weight? * (1.0 - metric.value) / all, metric)))
         .filter(|(cost, _)| *cost >= MIN_COST)
-        .map(|(cost, metric)| (cost, format!("{} ({}: -{})", metric.finding, metric.name, fixed(cost, 2))))
+        .map(|(cost, metric)| {
+            (
+                cost,
+                format!("{} ({}: -{})", metric.finding, metric.name, fixed(cost, 2)),
+            )
+        })
         .collect();
     weighted.sort_by(|(a, _), (b, _)| b.total_cmp(a));
-    let factors = factors().map(|metric| format!("{} (factor {})", metric.finding, fixed(metric.value, 1)));
-    factors.chain(weighted.into_iter().map(|(_, words)| words)).collect()
+    let factors =
+        factors().map(|metric| format!("{} (factor {})", metric.finding, fixed(metric.value, 1)));
+    factors
+        .chain(weighted.into_iter().map(|(_, words)| words))
+        .collect()
 }
 
 #[cfg(test)]
@@ -162,7 +220,11 @@ mod tests {
             progress_reference: ProgressReference::PdmProposals,
             drivable_layers: DrivableLayers::Lanes,
             threshold: 0.75,
-            verdict: if score >= 0.75 { Verdict::Execute } else { Verdict::Rethink },
+            verdict: if score >= 0.75 {
+                Verdict::Execute
+            } else {
+                Verdict::Rethink
+            },
             progress_m: 12.0,
             first_at_fault_s: Some(2.3),
             first_ttc_s: Some(1.2),
@@ -181,7 +243,11 @@ mod tests {
 
     #[test]
     fn a_reason_names_what_costs_most_first() {
-        let slow = SubScores { progress: 0.4, time_to_collision: 0.0, ..GOOD };
+        let slow = SubScores {
+            progress: 0.4,
+            time_to_collision: 0.0,
+            ..GOOD
+        };
         let judged = Judgement::of(&report(slow, 0.333), false);
         assert!(!judged.executed);
         assert_eq!(
@@ -189,17 +255,32 @@ mod tests {
             "0.33 is below 0.75, the threshold: a collision is within 0.9 s at constant speed after 1.2 s (time to \
              collision: -0.42); 12.0 m, 40 % of the best proposal (progress: -0.25)"
         );
-        let hit = SubScores { no_collision: 0.0, progress: 0.0, ..GOOD };
+        let hit = SubScores {
+            no_collision: 0.0,
+            progress: 0.0,
+            ..GOOD
+        };
         let judged = Judgement::of(&report(hit, 0.0), true);
         assert!(
-            judged.reason.ends_with("blocked lane: the ego causes a collision after 2.3 s (factor 0)"),
+            judged
+                .reason
+                .ends_with("blocked lane: the ego causes a collision after 2.3 s (factor 0)"),
             "{}",
             judged.reason
         );
         let good = Judgement::of(&report(GOOD, 1.0), false);
-        assert_eq!((good.executed, good.reason.as_str()), (true, "1.00 is not below 0.75, the threshold"));
+        assert_eq!(
+            (good.executed, good.reason.as_str()),
+            (true, "1.00 is not below 0.75, the threshold")
+        );
         assert_eq!(good.metrics.len(), GOOD.named().len());
         let scarcely = Judgement::of(&report(slow, 0.7496), false);
-        assert!(scarcely.reason.starts_with("0.7496 is below 0.7500, the threshold"), "{}", scarcely.reason);
+        assert!(
+            scarcely
+                .reason
+                .starts_with("0.7496 is below 0.7500, the threshold"),
+            "{}",
+            scarcely.reason
+        );
     }
 }

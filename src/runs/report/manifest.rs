@@ -39,7 +39,8 @@ pub struct Manifest {
     /// The command that controls the other agents, by the name of its policy.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub agents: BTreeMap<String, String>,
-    /// Names of the challenges, in order: nuPlan's, or `closed_loop_own_agents_` and the name of a policy.
+    /// Names of the challenges, in order: nuPlan's, or `closed_loop_own_agents_` and the name of a
+    /// policy.
     pub challenges: Vec<String>,
     /// The scenarios.
     pub scenarios: ScenarioList,
@@ -67,7 +68,8 @@ pub struct Manifest {
 pub struct PromptList {
     /// Name of the set, or the folder that it was opened by.
     pub set: String,
-    /// What names the set: `reasoning.prompt_set`, the model's description, planagent.json of the model, or default.
+    /// What names the set: `reasoning.prompt_set`, the model's description, planagent.json of the
+    /// model, or default.
     pub named_by: String,
     /// Where the templates are: `built in`, or a folder.
     pub place: String,
@@ -127,7 +129,10 @@ pub struct ShardList {
 }
 
 /// Lets serde omit a flag that most runs do not have.
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+#[allow(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
 fn is_false(flag: &bool) -> bool {
     !flag
 }
@@ -154,14 +159,19 @@ impl Manifest {
         self.scenarios.simulated() * self.planners.len() * self.challenges.len()
     }
 
-    /// The differences from `now`, one a line, by dotted keys. Several keys that only one of both has share a line: another version
-    /// wrote the run. The version and commit of the program, the start time, and the words and folders of the scenarios may differ.
+    /// The differences from `now`, one a line, by dotted keys. Several keys that only one of both
+    /// has share a line: another version wrote the run. The version and commit of the program, the
+    /// start time, and the words and folders of the scenarios may differ.
     pub fn differences(&self, now: &Self) -> Vec<String> {
         let other_planners = self.planners != now.planners;
         let only_one_has_model = self.model.is_some() != now.model.is_some();
         let (then, now) = (self.flat(), now.flat());
         let mut keys: Vec<&String> = then.iter().map(|(key, _)| key).collect();
-        keys.extend(now.iter().map(|(key, _)| key).filter(|key| !then.iter().any(|(k, _)| k == *key)));
+        keys.extend(
+            now.iter()
+                .map(|(key, _)| key)
+                .filter(|key| !then.iter().any(|(k, _)| k == *key)),
+        );
         let different = keys
             .into_iter()
             // Other planners need another model or none: the line about the planners says it.
@@ -188,17 +198,27 @@ impl Manifest {
 
     /// The inputs that changed until `now`, one a line; none where they were not recorded.
     pub fn changed_inputs(&self, now: &Self) -> Vec<String> {
-        self.inputs.as_ref().zip(now.inputs.as_ref()).map_or_else(Vec::new, |(then, now)| then.changes(now))
+        self.inputs
+            .as_ref()
+            .zip(now.inputs.as_ref())
+            .map_or_else(Vec::new, |(then, now)| then.changes(now))
     }
 
     /// The inputs in which another run differs that may have other recordings, one a line.
     pub fn conflicting_inputs(&self, other: &Self) -> Vec<String> {
-        self.inputs.as_ref().zip(other.inputs.as_ref()).map_or_else(Vec::new, |(own, other)| own.conflicts(other))
+        self.inputs
+            .as_ref()
+            .zip(other.inputs.as_ref())
+            .map_or_else(Vec::new, |(own, other)| own.conflicts(other))
     }
 
     /// BLAKE3 of all settings. The inputs are compared file by file.
     pub fn digest(&self) -> String {
-        ScenarioList::digest(self.flat().into_iter().map(|(key, value)| format!("{key}={value}")))
+        ScenarioList::digest(
+            self.flat()
+                .into_iter()
+                .map(|(key, value)| format!("{key}={value}")),
+        )
     }
 
     /// Every value that determines the results, by its dotted key.
@@ -207,17 +227,36 @@ impl Manifest {
             ("result_version".to_owned(), self.result_version.to_string()),
             (PLANNERS.to_owned(), self.planners.join(",")),
             ("challenges".to_owned(), self.challenges.join(",")),
-            ("scenarios.count".to_owned(), self.scenarios.count.to_string()),
+            (
+                "scenarios.count".to_owned(),
+                self.scenarios.count.to_string(),
+            ),
             ("scenarios.blake3".to_owned(), self.scenarios.blake3.clone()),
         ];
-        all.extend(self.commands.iter().map(|(name, command)| (format!("commands.{name}"), command.clone())));
-        all.extend(self.agents.iter().map(|(name, command)| (format!("agents.{name}"), command.clone())));
+        all.extend(
+            self.commands
+                .iter()
+                .map(|(name, command)| (format!("commands.{name}"), command.clone())),
+        );
+        all.extend(
+            self.agents
+                .iter()
+                .map(|(name, command)| (format!("agents.{name}"), command.clone())),
+        );
         // The program's own prompts belong to its result version.
         let own_prompts = self.prompts.as_ref().filter(|prompts| !prompts.built_in);
-        all.extend(own_prompts.map(|prompts| ("prompts.blake3".to_owned(), prompts.blake3.clone())));
-        let shard = self.scenarios.shard.map(|shard| format!("{}/{}", shard.index, shard.of));
+        all.extend(
+            own_prompts.map(|prompts| ("prompts.blake3".to_owned(), prompts.blake3.clone())),
+        );
+        let shard = self
+            .scenarios
+            .shard
+            .map(|shard| format!("{}/{}", shard.index, shard.of));
         all.extend(shard.map(|shard| ("scenarios.shard".to_owned(), shard)));
-        for (section, table) in [("model", self.model.as_ref()), ("config", Some(&self.config))] {
+        for (section, table) in [
+            ("model", self.model.as_ref()),
+            ("config", Some(&self.config)),
+        ] {
             flatten(section, table.into_iter().flatten(), &mut all);
         }
         all
@@ -232,12 +271,19 @@ fn one_sided(who: &str, keys: Vec<(&str, String)>) -> Vec<String> {
         return keys.into_iter().map(|(_, line)| line).collect();
     }
     let named: Vec<&str> = keys.iter().take(NAMED).map(|(key, _)| *key).collect();
-    vec![format!("{} settings that {who}: {} and {} more", keys.len(), named.join(", "), keys.len() - NAMED)]
+    vec![format!(
+        "{} settings that {who}: {} and {} more",
+        keys.len(),
+        named.join(", "),
+        keys.len() - NAMED
+    )]
 }
 
 /// The value of a key.
 fn value_of<'a>(all: &'a [(String, String)], key: &str) -> Option<&'a str> {
-    all.iter().find(|(known, _)| known == key).map(|(_, value)| value.as_str())
+    all.iter()
+        .find(|(known, _)| known == key)
+        .map(|(_, value)| value.as_str())
 }
 
 fn flatten<'a>(
@@ -269,10 +315,16 @@ mod tests {
             commands: BTreeMap::new(),
             agents: BTreeMap::new(),
             challenges: vec!["closed_loop_nonreactive_agents".to_owned()],
-            scenarios: ScenarioList { count: 2, blake3: ScenarioList::digest(["a", "b"]), ..ScenarioList::default() },
+            scenarios: ScenarioList {
+                count: 2,
+                blake3: ScenarioList::digest(["a", "b"]),
+                ..ScenarioList::default()
+            },
             model: None,
             prompts: None,
-            config: "seed = 0\n[reflection]\nthreshold = 0.75\n".parse().unwrap(),
+            config: "seed = 0\n[reflection]\nthreshold = 0.75\n"
+                .parse()
+                .unwrap(),
             inputs: None,
             accepted: Vec::new(),
         }
@@ -290,7 +342,14 @@ mod tests {
         now.model = Some("name = \"nano\"".parse().unwrap());
         let lines = then.differences(&now);
         assert_ne!(then.digest(), now.digest());
-        assert_eq!(then.digest(), Manifest { started: "later".to_owned(), ..manifest() }.digest());
+        assert_eq!(
+            then.digest(),
+            Manifest {
+                started: "later".to_owned(),
+                ..manifest()
+            }
+            .digest()
+        );
         assert_eq!(
             lines,
             [
@@ -300,9 +359,19 @@ mod tests {
             ]
         );
         now.planners.pop();
-        assert_eq!(then.differences(&now).last().unwrap(), "model.name: was none, is \"nano\"");
-        now.scenarios.shard = Some(ShardList { index: 1, of: 2, count: 1 });
-        assert!(then.differences(&now).contains(&"scenarios.shard: was none, is 1/2".to_owned()));
+        assert_eq!(
+            then.differences(&now).last().unwrap(),
+            "model.name: was none, is \"nano\""
+        );
+        now.scenarios.shard = Some(ShardList {
+            index: 1,
+            of: 2,
+            count: 1,
+        });
+        assert!(
+            then.differences(&now)
+                .contains(&"scenarios.shard: was none, is 1/2".to_owned())
+        );
         assert_eq!((then.simulations(), now.simulations()), (2, 1));
         let prompts = |built_in| PromptList {
             set: "compact".to_owned(),
@@ -311,23 +380,37 @@ mod tests {
             built_in,
             blake3: "ab".to_owned(),
         };
-        let with = |built_in| Manifest { prompts: Some(prompts(built_in)), ..manifest() };
+        let with = |built_in| Manifest {
+            prompts: Some(prompts(built_in)),
+            ..manifest()
+        };
         assert_eq!(with(true).digest(), manifest().digest());
-        assert_eq!(manifest().differences(&with(false)), ["prompts.blake3: was none, is ab"]);
+        assert_eq!(
+            manifest().differences(&with(false)),
+            ["prompts.blake3: was none, is ab"]
+        );
         // A run of a version with fewer settings.
         let mut older = manifest();
         older.config = "seed = 0\n".parse().unwrap();
         let mut newer = manifest();
-        newer.config = "seed = 1\n[reflection]\na = 1\nb = 2\nc = 3\nd = 4\n".parse().unwrap();
+        newer.config = "seed = 1\n[reflection]\na = 1\nb = 2\nc = 3\nd = 4\n"
+            .parse()
+            .unwrap();
         let new = "4 settings that the run does not have: config.reflection.a, config.reflection.b, config.reflection.c and 1 more";
         assert_eq!(older.differences(&newer), ["config.seed: was 0, is 1", new]);
-        assert!(newer.differences(&older)[1].starts_with("4 settings that only the run has: config.reflection.a"));
+        assert!(
+            newer.differences(&older)[1]
+                .starts_with("4 settings that only the run has: config.reflection.a")
+        );
     }
 
     #[test]
     fn a_manifest_survives_a_round_trip() {
         let written = toml::to_string_pretty(&manifest()).unwrap();
         assert_eq!(toml::from_str::<Manifest>(&written).unwrap(), manifest());
-        assert_ne!(ScenarioList::digest(["ab"]), ScenarioList::digest(["a", "b"]));
+        assert_ne!(
+            ScenarioList::digest(["ab"]),
+            ScenarioList::digest(["a", "b"])
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! `CHALLENGE/run.nuboard`: the file by which nuBoard, the devkit's viewer, opens the results of a challenge.
+//! `CHALLENGE/run.nuboard`: the file by which nuBoard, the devkit's viewer, opens the results of a
+//! challenge.
 
 use super::atomic;
 use super::error::ReportError;
@@ -11,14 +12,15 @@ use std::path::Path;
 
 /// The dictionary that the devkit's `NuBoardFile` pickles.
 ///
-/// nuBoard looks for the three folders beside the file first. Absolute main paths would name this machine, and would be wrong once
-/// the run is moved; relative ones are right wherever the run is.
+/// nuBoard looks for the three folders beside the file first. Absolute main paths would name this
+/// machine, and would be wrong once the run is moved; relative ones are right wherever the run is.
 #[derive(Serialize)]
 struct NuBoardFile {
     /// Where nuBoard puts `video_screenshot`, relative to its working directory.
     simulation_main_path: String,
-    /// nuBoard's name of the experiment is its last part. A file that is loaded in the browser has no place, so nuBoard takes
-    /// this path, needs two parts of it, and finds it when started in a folder of the run.
+    /// nuBoard's name of the experiment is its last part. A file that is loaded in the browser has
+    /// no place, so nuBoard takes this path, needs two parts of it, and finds it when started in a
+    /// folder of the run.
     metric_main_path: String,
     metric_folder: &'static str,
     aggregator_metric_folder: &'static str,
@@ -37,10 +39,15 @@ impl NuBoardFile {
     }
 }
 
-/// Writes the file into the folder of a challenge. An experiment of nuBoard is one challenge, as it is one `run_simulation` of
-/// the devkit.
+/// Writes the file into the folder of a challenge. An experiment of nuBoard is one challenge, as it
+/// is one `run_simulation` of the devkit.
 pub(super) fn write_nuboard(folder: &Path, challenge: Challenge) -> Result<(), ReportError> {
     let path = folder.join(NUBOARD);
     let bytes = serde_pickle::to_vec(&NuBoardFile::of(challenge), SerOptions::new());
-    atomic::write(&path, &bytes.map_err(io::Error::other).map_err(ReportError::write(&path))?)
+    atomic::write(
+        &path,
+        &bytes
+            .map_err(io::Error::other)
+            .map_err(ReportError::write(&path))?,
+    )
 }

@@ -37,8 +37,14 @@ pub(super) fn remove_negative_zeros(value: &mut Value) {
 /// A metric without negative zeros.
 pub(super) fn without_negative_zeros(metric: &MetricResult) -> MetricResult {
     let mut metric = metric.clone();
-    let series = metric.time_series.iter_mut().flat_map(|series| &mut series.values);
-    let statistics = metric.statistics.iter_mut().map(|statistic| &mut statistic.value);
+    let series = metric
+        .time_series
+        .iter_mut()
+        .flat_map(|series| &mut series.values);
+    let statistics = metric
+        .statistics
+        .iter_mut()
+        .map(|statistic| &mut statistic.value);
     for value in series.chain(statistics).chain(&mut metric.score) {
         *value = positive_zero(*value);
     }
@@ -61,7 +67,10 @@ mod tests {
     fn a_value_that_rounds_to_zero_has_no_minus() {
         let texts = [-0.0, -0.004, 0.004, -0.006, -10.0, 1.5].map(|value| fixed(value, 2));
         assert_eq!(texts, ["0.00", "0.00", "0.00", "-0.01", "-10.00", "1.50"]);
-        assert_eq!((fixed(-0.4, 0), fixed(f64::NAN, 1)), ("0".to_owned(), "NaN".to_owned()));
+        assert_eq!(
+            (fixed(-0.4, 0), fixed(f64::NAN, 1)),
+            ("0".to_owned(), "NaN".to_owned())
+        );
     }
 
     #[test]
@@ -73,17 +82,31 @@ mod tests {
             selected_frames: None,
         };
         let statistics = vec![Statistic::new(StatisticKind::Min, "min", "m", -0.0)];
-        let metric = MetricSpec::new("a", |_| Ok(None)).scored(-0.0, statistics).with_series(series);
+        let metric = MetricSpec::new("a", |_| Ok(None))
+            .scored(-0.0, statistics)
+            .with_series(series);
         let metric = without_negative_zeros(&metric);
-        let values = metric.time_series.map(|series| series.values).unwrap_or_default();
-        let all: Vec<f64> =
-            values.into_iter().chain(metric.score).chain(metric.statistics.iter().map(|s| s.value)).collect();
-        assert_eq!(all.iter().map(f64::to_string).collect::<Vec<_>>(), ["0", "-1", "0", "0"]);
+        let values = metric
+            .time_series
+            .map(|series| series.values)
+            .unwrap_or_default();
+        let all: Vec<f64> = values
+            .into_iter()
+            .chain(metric.score)
+            .chain(metric.statistics.iter().map(|s| s.value))
+            .collect();
+        assert_eq!(
+            all.iter().map(f64::to_string).collect::<Vec<_>>(),
+            ["0", "-1", "0", "0"]
+        );
     }
 
     #[test]
     fn json_has_no_negative_zero_at_any_depth() {
         let value = json!({"a": -0.0, "b": [{"c": [-0.0, -1.5]}], "n": 0, "s": "-0.0"});
-        assert_eq!(json_value(&value).unwrap().to_string(), r#"{"a":0.0,"b":[{"c":[0.0,-1.5]}],"n":0,"s":"-0.0"}"#);
+        assert_eq!(
+            json_value(&value).unwrap().to_string(),
+            r#"{"a":0.0,"b":[{"c":[0.0,-1.5]}],"n":0,"s":"-0.0"}"#
+        );
     }
 }

@@ -87,9 +87,16 @@ pub enum NoPair {
         "the runs have no planner in common: the first has {}, the second {}; name two by --planner FIRST,SECOND",
         first.join(", "), second.join(", ")
     )]
-    Planners { first: Vec<String>, second: Vec<String> },
+    Planners {
+        first: Vec<String>,
+        second: Vec<String>,
+    },
     #[error("the {run} run has no planner '{name}'; it has {}", known.join(", "))]
-    UnknownPlanner { run: &'static str, name: String, known: Vec<String> },
+    UnknownPlanner {
+        run: &'static str,
+        name: String,
+        known: Vec<String>,
+    },
     #[error("the runs have no completed simulation of one scene in one challenge in common")]
     Scenes,
 }
@@ -99,13 +106,19 @@ type Side<'a> = (&'a Manifest, &'a [SimulationRow]);
 
 impl RunComparison {
     /// Compares two runs: the named planners, else those that both have, else the only ones.
-    pub fn new(first: Side<'_>, second: Side<'_>, named: Option<PlannerPair>) -> Result<Self, NoPair> {
+    pub fn new(
+        first: Side<'_>,
+        second: Side<'_>,
+        named: Option<PlannerPair>,
+    ) -> Result<Self, NoPair> {
         let pairs = pairs(first.0, second.0, named)?;
         let bootstrap = Bootstrap::default();
         let mut scenes = Vec::new();
         let mut simulations = 0;
         for pair in &pairs {
-            let own = |rows: &[SimulationRow], name: &str| rows.iter().filter(|row| row.planner == name).count();
+            let own = |rows: &[SimulationRow], name: &str| {
+                rows.iter().filter(|row| row.planner == name).count()
+            };
             simulations += own(first.1, &pair.first) + own(second.1, &pair.second);
             scenes.extend(common(first.1, second.1, pair));
         }
@@ -115,7 +128,11 @@ impl RunComparison {
         let (mut scores, mut scenario_types) = (Vec::new(), Vec::new());
         for pair in &pairs {
             for challenge in distinct(scenes.iter().map(|scene| scene.challenge)) {
-                let own = || scenes.iter().filter(|scene| scene.planners == *pair && scene.challenge == challenge);
+                let own = || {
+                    scenes
+                        .iter()
+                        .filter(|scene| scene.planners == *pair && scene.challenge == challenge)
+                };
                 let kinds = distinct(own().map(|scene| scene.scenario_type.clone()));
                 scores.extend(compared(&bootstrap, own(), None));
                 scenario_types.extend(kinds.into_iter().filter_map(|kind| {
@@ -124,49 +141,107 @@ impl RunComparison {
                 }));
             }
         }
-        let expected = |line: &String| EXPECTED_DIFFERENCES.iter().any(|start| line.starts_with(start));
-        let differences = first.0.differences(second.0).into_iter().filter(|line| !expected(line)).collect();
+        let expected = |line: &String| {
+            EXPECTED_DIFFERENCES
+                .iter()
+                .any(|start| line.starts_with(start))
+        };
+        let differences = first
+            .0
+            .differences(second.0)
+            .into_iter()
+            .filter(|line| !expected(line))
+            .collect();
         let unpaired = simulations - 2 * scenes.len();
-        Ok(Self { bootstrap, differences, scores, scenario_types, scenes, unpaired })
+        Ok(Self {
+            bootstrap,
+            differences,
+            scores,
+            scenario_types,
+            scenes,
+            unpaired,
+        })
     }
 
-    /// The scenes in which the second run differs most, largest first: at most `count` where it lost, and where it gained.
+    /// The scenes in which the second run differs most, largest first: at most `count` where it
+    /// lost, and where it gained.
     pub fn largest(&self, count: usize) -> (Vec<&ComparedScene>, Vec<&ComparedScene>) {
         let mut scenes: Vec<&ComparedScene> = self.scenes.iter().collect();
         scenes.sort_by(|a, b| a.difference().total_cmp(&b.difference()));
-        let lost = scenes.iter().copied().take_while(|scene| scene.difference() < 0.0).take(count).collect();
-        let gained = scenes.iter().copied().rev().take_while(|scene| scene.difference() > 0.0).take(count).collect();
+        let lost = scenes
+            .iter()
+            .copied()
+            .take_while(|scene| scene.difference() < 0.0)
+            .take(count)
+            .collect();
+        let gained = scenes
+            .iter()
+            .copied()
+            .rev()
+            .take_while(|scene| scene.difference() > 0.0)
+            .take(count)
+            .collect();
         (lost, gained)
     }
 }
 
-fn pairs(first: &Manifest, second: &Manifest, named: Option<PlannerPair>) -> Result<Vec<PlannerPair>, NoPair> {
+fn pairs(
+    first: &Manifest,
+    second: &Manifest,
+    named: Option<PlannerPair>,
+) -> Result<Vec<PlannerPair>, NoPair> {
     let (one, other) = (&first.planners, &second.planners);
     if let Some(pair) = named {
-        for (run, planners, name) in [("first", one, &pair.first), ("second", other, &pair.second)] {
+        for (run, planners, name) in [("first", one, &pair.first), ("second", other, &pair.second)]
+        {
             if !planners.contains(name) {
-                return Err(NoPair::UnknownPlanner { run, name: name.clone(), known: planners.clone() });
+                return Err(NoPair::UnknownPlanner {
+                    run,
+                    name: name.clone(),
+                    known: planners.clone(),
+                });
             }
         }
         return Ok(vec![pair]);
     }
-    let pair = |first: &String, second: &String| PlannerPair { first: first.clone(), second: second.clone() };
-    let common: Vec<PlannerPair> =
-        one.iter().filter(|name| other.contains(name)).map(|name| pair(name, name)).collect();
+    let pair = |first: &String, second: &String| PlannerPair {
+        first: first.clone(),
+        second: second.clone(),
+    };
+    let common: Vec<PlannerPair> = one
+        .iter()
+        .filter(|name| other.contains(name))
+        .map(|name| pair(name, name))
+        .collect();
     match (common.is_empty(), one.as_slice(), other.as_slice()) {
         (false, ..) => Ok(common),
         (true, [one], [other]) => Ok(vec![pair(one, other)]),
-        _ => Err(NoPair::Planners { first: one.clone(), second: other.clone() }),
+        _ => Err(NoPair::Planners {
+            first: one.clone(),
+            second: other.clone(),
+        }),
     }
 }
 
 /// The scenes that both runs completed, in the order of the first.
-fn common(first: &[SimulationRow], second: &[SimulationRow], pair: &PlannerPair) -> Vec<ComparedScene> {
+fn common(
+    first: &[SimulationRow],
+    second: &[SimulationRow],
+    pair: &PlannerPair,
+) -> Vec<ComparedScene> {
     // Paths of recordings differ between machines; the names of log and scenario do not.
-    let key = |row: &SimulationRow| (row.log_name.clone(), row.scenario.clone(), row.challenge.to_string());
+    let key = |row: &SimulationRow| {
+        (
+            row.log_name.clone(),
+            row.scenario.clone(),
+            row.challenge.to_string(),
+        )
+    };
     let of = |row: &SimulationRow, name: &str| (row.planner == name).then_some(row.score?);
-    let others: BTreeMap<_, f64> =
-        second.iter().filter_map(|row| Some((key(row), of(row, &pair.second)? * 100.0))).collect();
+    let others: BTreeMap<_, f64> = second
+        .iter()
+        .filter_map(|row| Some((key(row), of(row, &pair.second)? * 100.0)))
+        .collect();
     let compared = first.iter().filter_map(|row| {
         Some(ComparedScene {
             scenario: row.scenario.clone(),
@@ -188,7 +263,9 @@ fn compared<'a>(
 ) -> Option<ComparedScores> {
     let scenes: Vec<&ComparedScene> = scenes.collect();
     let differences: Vec<f64> = scenes.iter().map(|scene| scene.difference()).collect();
-    let mean = |of: fn(&ComparedScene) -> f64| scenes.iter().map(|scene| of(scene)).sum::<f64>() / scenes.len() as f64;
+    let mean = |of: fn(&ComparedScene) -> f64| {
+        scenes.iter().map(|scene| of(scene)).sum::<f64>() / scenes.len() as f64
+    };
     let any = scenes.first()?;
     Some(ComparedScores {
         planners: any.planners.clone(),
@@ -234,17 +311,36 @@ mod tests {
     #[test]
     fn only_common_scenes_are_paired() {
         let (one, other) = (manifest(&["idm", "simple"]), manifest(&["idm"]));
-        let first =
-            [row(0, "idm", Some(0.5)), row(1, "idm", Some(0.25)), row(2, "idm", None), row(0, "simple", Some(0.0))];
-        let second = [row(1, "idm", Some(0.75)), row(2, "idm", Some(1.0)), row(0, "idm", Some(0.25))];
+        let first = [
+            row(0, "idm", Some(0.5)),
+            row(1, "idm", Some(0.25)),
+            row(2, "idm", None),
+            row(0, "simple", Some(0.0)),
+        ];
+        let second = [
+            row(1, "idm", Some(0.75)),
+            row(2, "idm", Some(1.0)),
+            row(0, "idm", Some(0.25)),
+        ];
         let found = RunComparison::new((&one, &first), (&other, &second), None).unwrap();
-        let [scores] = found.scores.as_slice() else { panic!("{:?}", found.scores) };
-        assert_eq!((scores.first, scores.second, scores.difference.pairs), (37.5, 50.0, 2));
+        let [scores] = found.scores.as_slice() else {
+            panic!("{:?}", found.scores)
+        };
+        assert_eq!(
+            (scores.first, scores.second, scores.difference.pairs),
+            (37.5, 50.0, 2)
+        );
         assert!((scores.difference.mean - 12.5).abs() < 1e-12);
-        assert_eq!((scores.difference.low, scores.difference.high), (-25.0, 50.0));
+        assert_eq!(
+            (scores.difference.low, scores.difference.high),
+            (-25.0, 50.0)
+        );
         assert_eq!((found.unpaired, found.scenario_types.len()), (2, 1));
         let (lost, gained) = found.largest(5);
-        assert_eq!((lost[0].difference() as i64, gained[0].difference() as i64), (-25, 50));
+        assert_eq!(
+            (lost[0].difference() as i64, gained[0].difference() as i64),
+            (-25, 50)
+        );
         assert_eq!((lost.len(), gained.len()), (1, 1));
     }
 
@@ -256,12 +352,26 @@ mod tests {
         assert!((found.scores[0].difference.mean - 50.0).abs() < 1e-12);
         let two = manifest(&["simple", "log-replay"]);
         let error = RunComparison::new((&one, &first), (&two, &second), None).unwrap_err();
-        assert!(error.to_string().contains("the second simple, log-replay"), "{error}");
-        let pair = |second: &str| Some(PlannerPair { first: "idm".to_owned(), second: second.to_owned() });
+        assert!(
+            error.to_string().contains("the second simple, log-replay"),
+            "{error}"
+        );
+        let pair = |second: &str| {
+            Some(PlannerPair {
+                first: "idm".to_owned(),
+                second: second.to_owned(),
+            })
+        };
         assert!(RunComparison::new((&one, &first), (&two, &second), pair("simple")).is_ok());
         let error = RunComparison::new((&one, &first), (&two, &second), pair("smple")).unwrap_err();
-        assert_eq!(error.to_string(), "the second run has no planner 'smple'; it has simple, log-replay");
+        assert_eq!(
+            error.to_string(),
+            "the second run has no planner 'smple'; it has simple, log-replay"
+        );
         let none = [row(1, "simple", Some(1.0)), row(0, "simple", None)];
-        assert_eq!(RunComparison::new((&one, &first), (&other, &none), None).unwrap_err(), NoPair::Scenes);
+        assert_eq!(
+            RunComparison::new((&one, &first), (&other, &none), None).unwrap_err(),
+            NoPair::Scenes
+        );
     }
 }

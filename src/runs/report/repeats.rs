@@ -1,4 +1,5 @@
-//! Attempts that repeat an earlier one of the same planning call: models do, although the prompt says that it was refused.
+//! Attempts that repeat an earlier one of the same planning call: models do, although the prompt
+//! says that it was refused.
 
 use planagent_agent::planner::Attempt;
 
@@ -16,10 +17,18 @@ impl Repeat {
     pub(super) fn of(attempts: &[Attempt], index: usize) -> Option<Self> {
         let (attempt, before) = (attempts.get(index)?, attempts.get(..index)?);
         let code = attempt.line()?;
-        let answers = |attempt: &Attempt| attempt.rounds.iter().map(|round| round.answer.clone()).collect::<Vec<_>>();
+        let answers = |attempt: &Attempt| {
+            attempt
+                .rounds
+                .iter()
+                .map(|round| round.answer.clone())
+                .collect::<Vec<_>>()
+        };
         let own = answers(attempt);
         let has_code = |other: &Attempt| other.line().as_deref() == Some(&code);
-        let whole = before.iter().position(|other| has_code(other) && answers(other) == own);
+        let whole = before
+            .iter()
+            .position(|other| has_code(other) && answers(other) == own);
         let whole = whole.filter(|_| !own.is_empty()).map(Self::Answers);
         whole.or_else(|| before.iter().position(has_code).map(Self::Code))
     }

@@ -1,7 +1,7 @@
 //! The folder of a run: created, locked, resumed.
 //!
-//! A simulation gets its folder under `simulations/` when it is complete. A process that is killed at any moment loses only
-//! the simulations in progress.
+//! A simulation gets its folder under `simulations/` when it is complete. A process that is killed
+//! at any moment loses only the simulations in progress.
 
 use super::atomic::{self, UNFINISHED};
 use super::error::{ReportError, ReportFault};
@@ -33,7 +33,8 @@ pub struct RunFolder {
 pub struct CompletedSimulations {
     /// Their rows by number.
     pub rows: Vec<SimulationRow>,
-    /// Folders with a damaged record or damaged results, for example after a power failure; they do not count as completed.
+    /// Folders with a damaged record or damaged results, for example after a power failure; they do
+    /// not count as completed.
     pub damaged: Vec<PathBuf>,
 }
 
@@ -50,10 +51,12 @@ struct AnyManifest {
 }
 
 impl RunFolder {
-    /// Creates the folder of a new run with its manifest; without a path, the next free `runs/NNNN`.
+    /// Creates the folder of a new run with its manifest; without a path, the next free
+    /// `runs/NNNN`.
     ///
     /// # Errors
-    /// When the folder cannot be written, is not empty, or holds a run. The first simulation has not started then.
+    /// When the folder cannot be written, is not empty, or holds a run. The first simulation has
+    /// not started then.
     pub fn create(path: Option<&Path>, manifest: &Manifest) -> Result<Self, ReportError> {
         Self::check_new(path)?;
         let path = path.map_or_else(next_free, Path::to_owned);
@@ -67,10 +70,12 @@ impl RunFolder {
         Ok(folder)
     }
 
-    /// Checks that a run can be created in a folder, without a path in the next free `runs/NNNN`. Leaves nothing behind.
+    /// Checks that a run can be created in a folder, without a path in the next free `runs/NNNN`.
+    /// Leaves nothing behind.
     ///
     /// # Errors
-    /// When the folder holds a run or other files, something else stands where it should be, or it cannot be written.
+    /// When the folder holds a run or other files, something else stands where it should be, or it
+    /// cannot be written.
     pub fn check_new(path: Option<&Path>) -> Result<(), ReportError> {
         let path = &path.map_or_else(next_free, Path::to_owned);
         check_holds_no_run(path)?;
@@ -83,7 +88,8 @@ impl RunFolder {
             let name = entry.map_err(ReportError::read(path))?.file_name();
             let name = name.to_string_lossy();
             // A process that was killed before its manifest was whole left no results.
-            let is_leftover = name == LOCK || name.starts_with(UNFINISHED) || begun && BEGUN.contains(&&*name);
+            let is_leftover =
+                name == LOCK || name.starts_with(UNFINISHED) || begun && BEGUN.contains(&&*name);
             if !is_leftover {
                 return Err(ReportError::at(path)(ReportFault::NotEmpty));
             }
@@ -106,7 +112,11 @@ impl RunFolder {
     /// When the folder holds no run, one of another format version, or the manifest is damaged.
     pub fn manifest(path: &Path) -> Result<Manifest, ReportError> {
         if !path.join(MANIFEST).is_file() {
-            let fault = if path.is_dir() { ReportFault::NoRun } else { ReportFault::Absent };
+            let fault = if path.is_dir() {
+                ReportFault::NoRun
+            } else {
+                ReportFault::Absent
+            };
             return Err(ReportError::at(path)(fault));
         }
         match read_manifest(path) {
@@ -117,11 +127,13 @@ impl RunFolder {
         }
     }
 
-    /// Opens the folder of a run to resume it; `now` is the manifest that a new run would have. With `accept_changes`, inputs
-    /// may have changed: the manifest then says so. Gives the manifest and what was accepted now.
+    /// Opens the folder of a run to resume it; `now` is the manifest that a new run would have.
+    /// With `accept_changes`, inputs may have changed: the manifest then says so. Gives the
+    /// manifest and what was accepted now.
     ///
     /// # Errors
-    /// When the folder holds no run, another process runs in it, the two manifests differ, or inputs changed.
+    /// When the folder holds no run, another process runs in it, the two manifests differ, or
+    /// inputs changed.
     pub fn resume(
         path: &Path,
         now: &Manifest,
@@ -131,8 +143,15 @@ impl RunFolder {
         let changes = manifest.changed_inputs(now);
         Self::check_inputs(path, &changes, accept_changes)?;
         // The digest of all prompts is that of the files in the changes.
-        let prompts = if changes.is_empty() { now.prompts.clone() } else { manifest.prompts.clone() };
-        let differences = manifest.differences(&Manifest { prompts, ..now.clone() });
+        let prompts = if changes.is_empty() {
+            now.prompts.clone()
+        } else {
+            manifest.prompts.clone()
+        };
+        let differences = manifest.differences(&Manifest {
+            prompts,
+            ..now.clone()
+        });
         if !differences.is_empty() {
             return Err(ReportError::at(path)(ReportFault::Differs(differences)));
         }
@@ -141,7 +160,10 @@ impl RunFolder {
         atomic::sweep(&folder.path)?;
         atomic::sweep(&folder.path.join(SIMULATIONS))?;
         if !changes.is_empty() {
-            manifest.accepted.push(AcceptedChanges { resumed: now.started.clone(), changes: changes.clone() });
+            manifest.accepted.push(AcceptedChanges {
+                resumed: now.started.clone(),
+                changes: changes.clone(),
+            });
         }
         if !changes.is_empty() || manifest.inputs.is_none() {
             manifest.inputs.clone_from(&now.inputs);
@@ -152,11 +174,17 @@ impl RunFolder {
     }
 
     /// Refuses changed inputs, unless they are accepted.
-    pub fn check_inputs(path: &Path, changes: &[String], accept_changes: bool) -> Result<(), ReportError> {
+    pub fn check_inputs(
+        path: &Path,
+        changes: &[String],
+        accept_changes: bool,
+    ) -> Result<(), ReportError> {
         if changes.is_empty() || accept_changes {
             return Ok(());
         }
-        Err(ReportError::at(path)(ReportFault::InputsChanged(changes.to_vec())))
+        Err(ReportError::at(path)(ReportFault::InputsChanged(
+            changes.to_vec(),
+        )))
     }
 
     fn write_manifest(&self, manifest: &Manifest) -> Result<(), ReportError> {
@@ -166,7 +194,11 @@ impl RunFolder {
 
     fn locked(path: PathBuf) -> Result<Self, ReportError> {
         let file = path.join(LOCK);
-        let lock = File::options().create(true).append(true).open(&file).map_err(ReportError::write(&file))?;
+        let lock = File::options()
+            .create(true)
+            .append(true)
+            .open(&file)
+            .map_err(ReportError::write(&file))?;
         match lock.try_lock() {
             Ok(()) => Ok(Self { path, _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(ReportError::at(&path)(ReportFault::Locked)),
@@ -184,7 +216,8 @@ impl RunFolder {
         simulation_folder::write(&self.path.join(SIMULATIONS), number, record)
     }
 
-    /// The completed simulations of the run in a folder, without a lock and without a look at the manifest.
+    /// The completed simulations of the run in a folder, without a lock and without a look at the
+    /// manifest.
     ///
     /// # Errors
     /// When a record cannot be read or is in the folder of another simulation.
@@ -193,7 +226,9 @@ impl RunFolder {
         let folders: Vec<(usize, PathBuf)> = folders(path)?.into_iter().collect();
         let read = folders.into_par_iter().map(|(number, folder)| {
             let row = read_toml::<SimulationRow>(&folder.join(RECORD));
-            let is_whole = row.as_ref().is_ok_and(|row| simulation_folder::is_whole(&folder, row));
+            let is_whole = row
+                .as_ref()
+                .is_ok_and(|row| simulation_folder::is_whole(&folder, row));
             (number, folder, row, is_whole)
         });
         for (number, folder, row, is_whole) in read.collect::<Vec<_>>() {
@@ -202,27 +237,38 @@ impl RunFolder {
                 Ok(row) if row.number == number && !is_whole => completed.damaged.push(folder),
                 Ok(row) if row.number == number => completed.rows.push(row),
                 Ok(row) => return Err(wrong_record(&path, &row, format!("simulation {number}"))),
-                Err(ReportError { fault: ReportFault::Toml(_), .. }) => completed.damaged.push(folder),
+                Err(ReportError {
+                    fault: ReportFault::Toml(_),
+                    ..
+                }) => completed.damaged.push(folder),
                 Err(error) => return Err(error),
             }
         }
         Ok(completed)
     }
 
-    /// The completed simulations, checked against the tasks of the run. Damaged records are deleted.
+    /// The completed simulations, checked against the tasks of the run. Damaged records are
+    /// deleted.
     ///
     /// # Errors
     /// When a record cannot be read or belongs to another task.
     pub fn completed(&self, tasks: &[SimulationTask]) -> Result<CompletedSimulations, ReportError> {
         let completed = Self::read_completed(&self.path)?;
         for row in &completed.rows {
-            let expected = tasks.get(row.number).map_or_else(|| "nothing".to_owned(), SimulationTask::to_string);
+            let expected = tasks
+                .get(row.number)
+                .map_or_else(|| "nothing".to_owned(), SimulationTask::to_string);
             if row.identity() != expected {
-                let folder = folders(&self.path)?.remove(&row.number).unwrap_or_else(|| self.path.join(SIMULATIONS));
+                let folder = folders(&self.path)?
+                    .remove(&row.number)
+                    .unwrap_or_else(|| self.path.join(SIMULATIONS));
                 return Err(wrong_record(&folder.join(RECORD), row, expected));
             }
         }
-        completed.damaged.iter().try_for_each(|folder| simulation_folder::remove(folder))?;
+        completed
+            .damaged
+            .iter()
+            .try_for_each(|folder| simulation_folder::remove(folder))?;
         Ok(completed)
     }
 
@@ -233,19 +279,29 @@ impl RunFolder {
 
     /// Deletes completed simulations, so that they run again.
     pub fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
-        let discarded = folders(&self.path)?.into_iter().filter(|(number, _)| numbers.contains(number));
-        discarded.map(|(_, folder)| folder).try_for_each(|folder| simulation_folder::remove(&folder))
+        let discarded = folders(&self.path)?
+            .into_iter()
+            .filter(|(number, _)| numbers.contains(number));
+        discarded
+            .map(|(_, folder)| folder)
+            .try_for_each(|folder| simulation_folder::remove(&folder))
     }
 
     /// The metrics of simulations, in the order of `rows`.
     pub(super) fn metrics<'a>(
         &self,
         rows: impl Iterator<Item = &'a SimulationRow> + Clone,
-    ) -> Result<impl Iterator<Item = Result<(&'a SimulationRow, Vec<MetricResult>), ReportError>> + Clone, ReportError>
-    {
+    ) -> Result<
+        impl Iterator<Item = Result<(&'a SimulationRow, Vec<MetricResult>), ReportError>> + Clone,
+        ReportError,
+    > {
         let folders = folders(&self.path)?;
-        let of_row = move |row: &'a SimulationRow| folders.get(&row.number).map(|folder| (row, folder.clone()));
-        Ok(rows.filter_map(of_row).map(|(row, folder)| Ok((row, simulation_folder::metrics(&folder)?))))
+        let of_row = move |row: &'a SimulationRow| {
+            folders.get(&row.number).map(|folder| (row, folder.clone()))
+        };
+        Ok(rows
+            .filter_map(of_row)
+            .map(|(row, folder)| Ok((row, simulation_folder::metrics(&folder)?))))
     }
 
     /// Joins the planning calls of all simulations to one file.
@@ -275,8 +331,8 @@ impl RunFolder {
     }
 }
 
-/// Fails if a folder holds a run, with what can be done about it. A damaged manifest without simulations is no run: a process
-/// that died while it started left it.
+/// Fails if a folder holds a run, with what can be done about it. A damaged manifest without
+/// simulations is no run: a process that died while it started left it.
 fn check_holds_no_run(path: &Path) -> Result<(), ReportError> {
     let file = path.join(MANIFEST);
     if !file.exists() {
@@ -284,7 +340,10 @@ fn check_holds_no_run(path: &Path) -> Result<(), ReportError> {
     }
     let fault = match read_manifest(path) {
         Ok(_) => ReportFault::AlreadyRun,
-        Err(ReportError { fault: ReportFault::FormatVersion { found }, .. }) => ReportFault::OldRun { found },
+        Err(ReportError {
+            fault: ReportFault::FormatVersion { found },
+            ..
+        }) => ReportFault::OldRun { found },
         Err(error) if error.fault.is_damage() && !has_simulations(path) => return Ok(()),
         Err(error) if error.fault.is_damage() => ReportFault::DamagedManifest,
         Err(error) => return Err(error),
@@ -296,23 +355,33 @@ fn check_holds_no_run(path: &Path) -> Result<(), ReportError> {
 fn read_manifest(run: &Path) -> Result<Manifest, ReportError> {
     let file = run.join(MANIFEST);
     match read_toml(&file)? {
-        AnyManifest { format_version: FORMAT_VERSION, .. } => read_toml(&file),
+        AnyManifest {
+            format_version: FORMAT_VERSION,
+            ..
+        } => read_toml(&file),
         // The first formats had no number.
-        AnyManifest { format_version: 0, .. } if is_blank(&file) => {
-            Err(ReportError::at(run)(ReportFault::DamagedManifest))
-        }
-        AnyManifest { format_version: found, .. } => Err(ReportError::at(run)(ReportFault::FormatVersion { found })),
+        AnyManifest {
+            format_version: 0, ..
+        } if is_blank(&file) => Err(ReportError::at(run)(ReportFault::DamagedManifest)),
+        AnyManifest {
+            format_version: found,
+            ..
+        } => Err(ReportError::at(run)(ReportFault::FormatVersion { found })),
     }
 }
 
 /// Whether a file was cut off before its first line.
 fn is_blank(file: &Path) -> bool {
-    planagent_files::read_text(file, planagent_files::MAX_LIST_BYTES).is_ok_and(|text| text.trim().is_empty())
+    planagent_files::read_text(file, planagent_files::MAX_LIST_BYTES)
+        .is_ok_and(|text| text.trim().is_empty())
 }
 
 /// Whether a run has simulations, as far as that can be seen.
 fn has_simulations(run: &Path) -> bool {
-    folders(run).map_or_else(|_| run.join(SIMULATIONS).exists(), |simulations| !simulations.is_empty())
+    folders(run).map_or_else(
+        |_| run.join(SIMULATIONS).exists(),
+        |simulations| !simulations.is_empty(),
+    )
 }
 
 /// The folders of the completed simulations of a run, by number.
@@ -321,8 +390,13 @@ pub fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(&simulations).map_err(ReportError::read(&simulations))? {
         let path = entry.map_err(ReportError::read(&simulations))?.path();
-        let name = path.file_name().expect("an entry of a folder has a name").to_string_lossy();
-        let number = name.split_once('-').and_then(|(digits, _)| digits.parse().ok());
+        let name = path
+            .file_name()
+            .expect("an entry of a folder has a name")
+            .to_string_lossy();
+        let number = name
+            .split_once('-')
+            .and_then(|(digits, _)| digits.parse().ok());
         if let Some(number) = number {
             found.insert(number, path);
         }
@@ -331,12 +405,16 @@ pub fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
 }
 
 fn wrong_record(path: &Path, row: &SimulationRow, expected: String) -> ReportError {
-    ReportError::at(path)(ReportFault::WrongRecord { found: row.identity(), expected })
+    ReportError::at(path)(ReportFault::WrongRecord {
+        found: row.identity(),
+        expected,
+    })
 }
 
 /// Reads a TOML file.
 pub(super) fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, ReportError> {
-    let text = planagent_files::read_text(path, planagent_files::MAX_LIST_BYTES).map_err(ReportError::read(path))?;
+    let text = planagent_files::read_text(path, planagent_files::MAX_LIST_BYTES)
+        .map_err(ReportError::read(path))?;
     toml::from_str(&text).map_err(|error| ReportError::at(path)(Box::new(error)))
 }
 
@@ -346,10 +424,22 @@ pub(super) fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, ReportErr
 /// When there is none, or the folder cannot be read.
 pub fn last_run() -> Result<PathBuf, ReportError> {
     let runs = Path::new(RUNS);
-    let entries = fs::read_dir(runs).map(|entries| entries.flatten().map(|entry| entry.path()).collect::<Vec<_>>());
-    let started = |path: &PathBuf| read_toml::<AnyManifest>(&path.join(MANIFEST)).ok().map(|run| run.started);
+    let entries = fs::read_dir(runs).map(|entries| {
+        entries
+            .flatten()
+            .map(|entry| entry.path())
+            .collect::<Vec<_>>()
+    });
+    let started = |path: &PathBuf| {
+        read_toml::<AnyManifest>(&path.join(MANIFEST))
+            .ok()
+            .map(|run| run.started)
+    };
     // Runs of one second are ordered by their names, which count up.
-    let runs_with_start = entries.unwrap_or_default().into_iter().filter_map(|path| Some((started(&path)?, path)));
+    let runs_with_start = entries
+        .unwrap_or_default()
+        .into_iter()
+        .filter_map(|path| Some((started(&path)?, path)));
     let last = runs_with_start.max().map(|(_, path)| path);
     last.ok_or_else(|| ReportError::at(runs)(ReportFault::NoRuns))
 }
@@ -357,5 +447,8 @@ pub fn last_run() -> Result<PathBuf, ReportError> {
 /// The first `runs/NNNN` that does not exist.
 fn next_free() -> PathBuf {
     let path = |number: u32| Path::new(RUNS).join(format!("{number:04}"));
-    (1..u32::MAX).map(path).find(|path| !path.exists()).unwrap_or_else(|| path(u32::MAX))
+    (1..u32::MAX)
+        .map(path)
+        .find(|path| !path.exists())
+        .unwrap_or_else(|| path(u32::MAX))
 }

@@ -82,7 +82,10 @@ pub struct SimulationRow {
 }
 
 /// Lets serde omit fields that most records do not need.
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+#[allow(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
 pub(super) fn is_zero(count: &usize) -> bool {
     *count == 0
 }
@@ -105,8 +108,12 @@ impl SimulationRow {
         let calls = outcome.map_or(&[][..], |outcome| outcome.calls.as_slice());
         let gated_calls = calls.iter().filter(|call| call.is_gated()).count();
         let score = outcome.map(|outcome| &outcome.score);
-        let interrupted =
-            |why: fn(&Interruption) -> bool| calls.iter().filter(|call| call.interruption().is_some_and(why)).count();
+        let interrupted = |why: fn(&Interruption) -> bool| {
+            calls
+                .iter()
+                .filter(|call| call.interruption().is_some_and(why))
+                .count()
+        };
         let metrics = outcome.map_or(&[][..], |outcome| outcome.metrics.as_slice());
         Self {
             number,
@@ -118,13 +125,21 @@ impl SimulationRow {
             challenge: record.challenge,
             error: record.outcome.as_ref().err().cloned(),
             score: score.map(|score| positive_zero(score.value)),
-            zeroed_by: score.map_or_else(Vec::new, |score| score.zero_multipliers().map(ToString::to_string).collect()),
+            zeroed_by: score.map_or_else(Vec::new, |score| {
+                score.zero_multipliers().map(ToString::to_string).collect()
+            }),
             planning_calls: calls.len() - gated_calls,
             gated_calls,
             refused_calls: calls.iter().filter(|call| all_refused(call)).count(),
             first_refused_calls: calls.iter().filter(|call| first_refused(call)).count(),
-            off_area_calls: calls.iter().filter(|call| all_are_zero(call, |parts| parts.drivable_area)).count(),
-            off_route_calls: calls.iter().filter(|call| all_are_zero(call, |parts| parts.driving_direction)).count(),
+            off_area_calls: calls
+                .iter()
+                .filter(|call| all_are_zero(call, |parts| parts.drivable_area))
+                .count(),
+            off_route_calls: calls
+                .iter()
+                .filter(|call| all_are_zero(call, |parts| parts.driving_direction))
+                .count(),
             rethinks: calls.iter().map(PlanningCall::rethinks).sum(),
             parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
             deadlines: interrupted(|why| matches!(why, Interruption::Deadline)),
@@ -135,11 +150,18 @@ impl SimulationRow {
                 started_s: record.started_s,
                 ended_s: record.ended_s,
                 planner_s: outcome.map_or_else(Vec::new, |outcome| outcome.log.runtimes_s.clone()),
-                calls: calls.iter().filter(|call| !call.is_gated()).map(CallTimes::of).collect(),
+                calls: calls
+                    .iter()
+                    .filter(|call| !call.is_gated())
+                    .map(CallTimes::of)
+                    .collect(),
             },
             metrics: metrics
                 .iter()
-                .map(|m| MetricScore { name: m.name.clone(), score: m.score.map(positive_zero) })
+                .map(|m| MetricScore {
+                    name: m.name.clone(),
+                    score: m.score.map(positive_zero),
+                })
                 .collect(),
         }
     }
@@ -151,22 +173,36 @@ impl SimulationRow {
 
     /// The score of a metric.
     pub fn metric(&self, name: &str) -> Option<f64> {
-        self.metrics.iter().find(|metric| metric.name == name).and_then(|metric| metric.score)
+        self.metrics
+            .iter()
+            .find(|metric| metric.name == name)
+            .and_then(|metric| metric.score)
     }
 
-    /// The names of the metrics of its score, in the order of that: interPlan's in a modified scenario of its kinds.
+    /// The names of the metrics of its score, in the order of that: interPlan's in a modified
+    /// scenario of its kinds.
     pub fn scored(&self) -> Vec<&'static str> {
-        let kind =
-            InteractionKind::named(&self.scenario_type).filter(|_| self.metric("lane_changes_to_goal").is_some());
+        let kind = InteractionKind::named(&self.scenario_type)
+            .filter(|_| self.metric("lane_changes_to_goal").is_some());
         scored_names(self.challenge.metric_list(), kind)
     }
 
-    /// The input of nuPlan's aggregation; none for a failed simulation, which does not count. The scored metrics come first, in
-    /// the order of the score, so that the aggregation sums in the same order to the last bit.
+    /// The input of nuPlan's aggregation; none for a failed simulation, which does not count. The
+    /// scored metrics come first, in the order of the score, so that the aggregation sums in the
+    /// same order to the last bit.
     pub fn scenario_row(&self) -> Option<ScenarioRow> {
         let scored = self.scored();
-        let place = |name: &str| scored.iter().position(|metric| *metric == name).unwrap_or(usize::MAX);
-        let mut metrics: Vec<_> = self.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect();
+        let place = |name: &str| {
+            scored
+                .iter()
+                .position(|metric| *metric == name)
+                .unwrap_or(usize::MAX)
+        };
+        let mut metrics: Vec<_> = self
+            .metrics
+            .iter()
+            .map(|metric| (metric.name.clone(), metric.score))
+            .collect();
         metrics.sort_by_key(|(name, _)| place(name));
         self.score.map(|_| ScenarioRow {
             scenario: self.scenario.clone(),
@@ -179,7 +215,13 @@ impl SimulationRow {
 
     /// A row without metrics, as tests need it.
     #[doc(hidden)]
-    pub fn example(kind: &str, seed: usize, planner: &str, challenge: Challenge, score: Option<f64>) -> Self {
+    pub fn example(
+        kind: &str,
+        seed: usize,
+        planner: &str,
+        challenge: Challenge,
+        score: Option<f64>,
+    ) -> Self {
         let source = format!("generated/{kind}/{seed}");
         Self {
             number: seed,

@@ -69,7 +69,9 @@ impl From<&SimulationRow> for ScenarioSummary {
             succeeded: row.error.is_none(),
             error: row.error.clone(),
             score: row.score,
-            metrics: scored.filter_map(|name| Some((name.to_owned(), json!(row.metric(name)?)))).collect(),
+            metrics: scored
+                .filter_map(|name| Some((name.to_owned(), json!(row.metric(name)?))))
+                .collect(),
             zeroed_by: row.score.map(|_| row.zeroed_by.clone()),
             planning_calls: row.planning_calls,
             gated_calls: row.gated_calls,
@@ -123,20 +125,33 @@ pub struct Summary {
 
 impl Summary {
     /// The summary of the simulations of a run; `missing` scenarios have none.
-    pub fn new(seed: u64, model: Option<ModelDescription>, missing: &[MissingTokens], rows: &[SimulationRow]) -> Self {
+    pub fn new(
+        seed: u64,
+        model: Option<ModelDescription>,
+        missing: &[MissingTokens],
+        rows: &[SimulationRow],
+    ) -> Self {
         let mut aggregates = Vec::new();
         let mut scenario_types = Vec::new();
         for planner in distinct(rows.iter().map(|row| &row.planner)) {
             for challenge in distinct(rows.iter().map(|row| &row.challenge)) {
-                let own: Vec<&SimulationRow> =
-                    rows.iter().filter(|row| row.planner == *planner && row.challenge == *challenge).collect();
+                let own: Vec<&SimulationRow> = rows
+                    .iter()
+                    .filter(|row| row.planner == *planner && row.challenge == *challenge)
+                    .collect();
                 if own.is_empty() {
                     continue;
                 }
                 let table = aggregated(*challenge, own.iter().copied());
                 aggregates.push(mean(&table, &own, planner, *challenge, None));
                 for scenario_type in distinct(own.iter().map(|row| &row.scenario_type)) {
-                    scenario_types.push(mean(&table, &own, planner, *challenge, Some(scenario_type)));
+                    scenario_types.push(mean(
+                        &table,
+                        &own,
+                        planner,
+                        *challenge,
+                        Some(scenario_type),
+                    ));
                 }
             }
         }
@@ -153,7 +168,10 @@ impl Summary {
 }
 
 /// nuPlan's aggregation of the simulations of one challenge.
-pub(super) fn aggregated<'a>(challenge: Challenge, rows: impl Iterator<Item = &'a SimulationRow>) -> Vec<AggregateRow> {
+pub(super) fn aggregated<'a>(
+    challenge: Challenge,
+    rows: impl Iterator<Item = &'a SimulationRow>,
+) -> Vec<AggregateRow> {
     let scored: Vec<_> = rows.filter_map(SimulationRow::scenario_row).collect();
     aggregate(&scored, &Weighting::of(challenge.metric_list()))
 }
@@ -166,8 +184,12 @@ fn mean(
     scenario_type: Option<&String>,
 ) -> Aggregate {
     let wanted = scenario_type.map_or(FINAL_SCORE, String::as_str);
-    let row = table.iter().find(|row| row.scenarios.is_some() && row.scenario_type == wanted);
-    let counted = own.iter().filter(|row| scenario_type.is_none_or(|wanted| row.scenario_type == *wanted));
+    let row = table
+        .iter()
+        .find(|row| row.scenarios.is_some() && row.scenario_type == wanted);
+    let counted = own
+        .iter()
+        .filter(|row| scenario_type.is_none_or(|wanted| row.scenario_type == *wanted));
     let failed = counted.clone().filter(|row| row.score.is_none()).count();
     Aggregate {
         planner: planner.to_owned(),

@@ -34,7 +34,11 @@ impl CallTimes {
             prefill: rounds().map(|round| round.time.prefill).sum(),
             decode: rounds().map(|round| round.time.decode).sum(),
             remote: rounds().map(|round| round.time.remote).sum(),
-            reflection: call.attempts.iter().map(|attempt| attempt.reflection_ms).sum(),
+            reflection: call
+                .attempts
+                .iter()
+                .map(|attempt| attempt.reflection_ms)
+                .sum(),
             total: call.total_ms,
         }
     }
@@ -71,7 +75,10 @@ impl Quantiles {
             let place = (share * values.len() as f64).ceil() as usize;
             values.get(place.max(1) - 1).copied()
         };
-        Some(Self { p50: rank(0.50)?, p95: rank(0.95)? })
+        Some(Self {
+            p50: rank(0.50)?,
+            p95: rank(0.95)?,
+        })
     }
 }
 
@@ -84,6 +91,9 @@ mod tests {
         let q = Quantiles::of((1..=20).map(f64::from).collect()).unwrap();
         assert!((q.p50 - 10.0).abs() < 1e-12 && (q.p95 - 19.0).abs() < 1e-12);
         assert_eq!(Quantiles::of(vec![]), None);
-        assert_eq!(Quantiles::of(vec![3.0]), Some(Quantiles { p50: 3.0, p95: 3.0 }));
+        assert_eq!(
+            Quantiles::of(vec![3.0]),
+            Some(Quantiles { p50: 3.0, p95: 3.0 })
+        );
     }
 }

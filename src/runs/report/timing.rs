@@ -38,7 +38,8 @@ pub struct PlannerTiming {
     pub planner: String,
     /// Number of iterations.
     pub iterations: usize,
-    /// Mean per iteration, milliseconds; it spreads a planning call over the iterations until the next.
+    /// Mean per iteration, milliseconds; it spreads a planning call over the iterations until the
+    /// next.
     pub mean_iteration_ms: Option<f64>,
     /// Per iteration, milliseconds.
     pub iteration_ms: Option<Quantiles>,
@@ -82,7 +83,11 @@ pub struct Timing {
 impl Timing {
     /// The times of a run.
     pub fn new(session: Session, rows: &[SimulationRow]) -> Self {
-        let calls: Vec<CallTimes> = rows.iter().flat_map(|row| &row.time.calls).copied().collect();
+        let calls: Vec<CallTimes> = rows
+            .iter()
+            .flat_map(|row| &row.time.calls)
+            .copied()
+            .collect();
         let part = |of: fn(&CallTimes) -> f64| Quantiles::of(calls.iter().map(of).collect());
         Self {
             session,
@@ -108,7 +113,9 @@ impl Timing {
                     planner: row.planner.clone(),
                     challenge: row.challenge,
                     planner_s: row.time.planner_s.iter().sum(),
-                    iteration_ms: Quantiles::of(row.time.planner_s.iter().map(|s| s * 1e3).collect()),
+                    iteration_ms: Quantiles::of(
+                        row.time.planner_s.iter().map(|s| s * 1e3).collect(),
+                    ),
                 })
                 .collect(),
         }
@@ -119,12 +126,19 @@ impl PlannerTiming {
     /// The times of a planner's simulations among `rows`.
     pub(super) fn of(planner: &str, rows: &[SimulationRow]) -> Self {
         let own = || rows.iter().filter(|row| row.planner == planner);
-        let steps: Vec<f64> = own().flat_map(|row| &row.time.planner_s).map(|s| s * 1e3).collect();
-        let calls: Vec<f64> = own().flat_map(|row| &row.time.calls).map(|call| call.total).collect();
+        let steps: Vec<f64> = own()
+            .flat_map(|row| &row.time.planner_s)
+            .map(|s| s * 1e3)
+            .collect();
+        let calls: Vec<f64> = own()
+            .flat_map(|row| &row.time.calls)
+            .map(|call| call.total)
+            .collect();
         Self {
             planner: planner.to_owned(),
             iterations: steps.len(),
-            mean_iteration_ms: (!steps.is_empty()).then(|| steps.iter().sum::<f64>() / steps.len() as f64),
+            mean_iteration_ms: (!steps.is_empty())
+                .then(|| steps.iter().sum::<f64>() / steps.len() as f64),
             iteration_ms: Quantiles::of(steps),
             planning_calls: calls.len(),
             planning_call_ms: Quantiles::of(calls),

@@ -12,23 +12,38 @@ use planagent_agent::reasoning::RoundRecord;
 use planagent_world::STEP_S;
 use std::fmt::Write;
 
-/// The transcript of a simulation; `image` gives the path of a call's BEV map, relative to the transcript.
+/// The transcript of a simulation; `image` gives the path of a call's BEV map, relative to the
+/// transcript.
 pub fn transcript(
     record: &SimulationRecord,
     outcome: &SimulationOutcome,
     image: impl Fn(&PlanningCall) -> Option<String>,
 ) -> String {
-    let mut text = format!("# {} · {} · {}\n\n", one_line(&record.scenario), record.planner, record.challenge);
+    let mut text = format!(
+        "# {} · {} · {}\n\n",
+        one_line(&record.scenario),
+        record.planner,
+        record.challenge
+    );
     let score = &outcome.score;
     // Writing to a string cannot fail.
-    let _ = writeln!(text, "Scenario type {}. Score **{:.4}**.\n", code(&record.scenario_type), score.value);
+    let _ = writeln!(
+        text,
+        "Scenario type {}. Score **{:.4}**.\n",
+        code(&record.scenario_type),
+        score.value
+    );
     text.push_str("| metric | score |\n|---|---|\n");
     for part in &score.parts {
         let _ = writeln!(text, "| `{}` | {:.4} |", part.name, part.score);
     }
     let key = CompactParts::of(&outcome.calls).key();
     if !key.is_empty() {
-        let _ = write!(text, "\n## Key to the compact texts\n\n{}\n", key.trim_end());
+        let _ = write!(
+            text,
+            "\n## Key to the compact texts\n\n{}\n",
+            key.trim_end()
+        );
     }
     for call in &outcome.calls {
         text.push('\n');
@@ -37,9 +52,17 @@ pub fn transcript(
     text
 }
 
-fn call_markdown(call: &PlanningCall, outcome: &SimulationOutcome, image: Option<String>) -> String {
+fn call_markdown(
+    call: &PlanningCall,
+    outcome: &SimulationOutcome,
+    image: Option<String>,
+) -> String {
     let seconds = |iteration: usize| iteration as f64 * STEP_S;
-    let mut text = format!("## {:.1} s (iteration {})\n\n", seconds(call.iteration), call.iteration);
+    let mut text = format!(
+        "## {:.1} s (iteration {})\n\n",
+        seconds(call.iteration),
+        call.iteration
+    );
     if let Some(sample) = outcome.log.samples.get(call.iteration) {
         let _ = writeln!(text, "Ego at {:.1} m/s.\n", sample.ego.speed());
     }
@@ -55,37 +78,67 @@ fn call_markdown(call: &PlanningCall, outcome: &SimulationOutcome, image: Option
         let _ = writeln!(text, "Active from {:.1} s on.\n", seconds(iteration));
     }
     if let Some(iteration) = call.aborted_lane_change {
-        let _ = writeln!(text, "Lane change aborted at {:.1} s.\n", seconds(iteration));
+        let _ = writeln!(
+            text,
+            "Lane change aborted at {:.1} s.\n",
+            seconds(iteration)
+        );
     }
     if call.emergency_brakes > 0 {
-        let _ = writeln!(text, "The emergency brake acted in {} iterations.\n", call.emergency_brakes);
+        let _ = writeln!(
+            text,
+            "The emergency brake acted in {} iterations.\n",
+            call.emergency_brakes
+        );
     }
     let time = CallTimes::of(call);
     let _ = writeln!(
         text,
         "Time: {:.1} ms (environment {:.1}, image {:.1}, prefill {:.1}, decode {:.1}, server {:.1}, reflection {:.1}).",
-        time.total, time.environment, time.image_encode, time.prefill, time.decode, time.remote, time.reflection
+        time.total,
+        time.environment,
+        time.image_encode,
+        time.prefill,
+        time.decode,
+        time.remote,
+        time.reflection
     );
     text
 }
 
-/// One of the attempts of a call: its rounds, its planner code, the reflection on it. What it repeats of an earlier attempt is
-/// said, not written again.
+/// One of the attempts of a call: its rounds, its planner code, the reflection on it. What it
+/// repeats of an earlier attempt is said, not written again.
 pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
-    let Some(attempt) = attempts.get(index) else { return String::new() };
+    let Some(attempt) = attempts.get(index) else {
+        return String::new();
+    };
     let mut text = String::new();
     let repeat = Repeat::of(attempts, index);
     if let Some(Repeat::Answers(of)) = repeat {
         for round in new_prompts(attempts, of, attempt) {
             let _ = writeln!(text, "*{}*\n\n{}\n", round.round, fenced(&round.prompt));
         }
-        let score = attempt.reflection.as_ref().map(|reflection| format!(" Reflection: **{:.2}**", reflection.score));
+        let score = attempt
+            .reflection
+            .as_ref()
+            .map(|reflection| format!(" Reflection: **{:.2}**", reflection.score));
         let same = "the same answers, the same code and the same score";
-        let _ = writeln!(text, "The model repeated attempt {}: {same}.{}\n", of + 1, score.unwrap_or_default());
+        let _ = writeln!(
+            text,
+            "The model repeated attempt {}: {same}.{}\n",
+            of + 1,
+            score.unwrap_or_default()
+        );
         return text;
     }
     for round in &attempt.rounds {
-        let _ = writeln!(text, "*{}*\n\n{}\n\n{}\n", round.round, fenced(&round.prompt), quoted(&round.answer));
+        let _ = writeln!(
+            text,
+            "*{}*\n\n{}\n\n{}\n",
+            round.round,
+            fenced(&round.prompt),
+            quoted(&round.answer)
+        );
     }
     for error in &attempt.errors {
         let _ = writeln!(text, "- not understood: {}", one_line(&error.to_string()));
@@ -93,43 +146,77 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
     if !attempt.proposals.is_empty() {
         text.push_str("| proposal | score |\n|---|---:|\n");
         for proposal in &attempt.proposals {
-            let score = proposal.reflection.as_ref().map_or_else(|| "-".to_owned(), |report| fixed(report.score, 2));
+            let score = proposal
+                .reflection
+                .as_ref()
+                .map_or_else(|| "-".to_owned(), |report| fixed(report.score, 2));
             let _ = writeln!(text, "| {} | {score} |", code(&proposal.answer.to_string()));
         }
         text.push('\n');
     }
     if let Some(line) = attempt.line() {
         let same = match repeat {
-            Some(Repeat::Code(of) | Repeat::Answers(of)) => format!(" (the code of attempt {})", of + 1),
+            Some(Repeat::Code(of) | Repeat::Answers(of)) => {
+                format!(" (the code of attempt {})", of + 1)
+            }
             None => String::new(),
         };
         let _ = writeln!(text, "Code: {}{same}\n", code(&line));
     }
     if let Some(reflection) = &attempt.reflection {
-        let parts: Vec<String> =
-            reflection.parts.named().iter().map(|(name, v)| format!("{name} {}", fixed(*v, 2))).collect();
-        let _ = writeln!(text, "Reflection: **{:.2}** ({})\n", reflection.score, parts.join(", "));
+        let parts: Vec<String> = reflection
+            .parts
+            .named()
+            .iter()
+            .map(|(name, v)| format!("{name} {}", fixed(*v, 2)))
+            .collect();
+        let _ = writeln!(
+            text,
+            "Reflection: **{:.2}** ({})\n",
+            reflection.score,
+            parts.join(", ")
+        );
     }
     text
 }
 
 /// The rounds whose prompts differ from those of an earlier attempt.
-fn new_prompts<'a>(attempts: &'a [Attempt], of: usize, attempt: &'a Attempt) -> impl Iterator<Item = &'a RoundRecord> {
+fn new_prompts<'a>(
+    attempts: &'a [Attempt],
+    of: usize,
+    attempt: &'a Attempt,
+) -> impl Iterator<Item = &'a RoundRecord> {
     let before = attempts.get(of).map_or(&[][..], |earlier| &earlier.rounds);
-    let is_new =
-        move |(i, round): &(usize, &RoundRecord)| before.get(*i).is_none_or(|other| other.prompt != round.prompt);
-    attempt.rounds.iter().enumerate().filter(is_new).map(|(_, round)| round)
+    let is_new = move |(i, round): &(usize, &RoundRecord)| {
+        before
+            .get(*i)
+            .is_none_or(|other| other.prompt != round.prompt)
+    };
+    attempt
+        .rounds
+        .iter()
+        .enumerate()
+        .filter(is_new)
+        .map(|(_, round)| round)
 }
 
 /// A fenced block; its fence is longer than any run of backticks inside.
 fn fenced(text: &str) -> String {
-    let longest = text.split(|c| c != '`').map(str::len).max().expect("a split gives one part at least");
+    let longest = text
+        .split(|c| c != '`')
+        .map(str::len)
+        .max()
+        .expect("a split gives one part at least");
     let fence = "`".repeat(longest.max(2) + 1);
     format!("{fence}text\n{}\n{fence}", visible(text))
 }
 
 fn quoted(text: &str) -> String {
-    in_markdown(text).lines().map(|line| format!("> {line}")).collect::<Vec<_>>().join("\n")
+    in_markdown(text)
+        .lines()
+        .map(|line| format!("> {line}"))
+        .collect::<Vec<_>>()
+        .join("\n")
 }
 
 /// A text that ends no line and begins no element.
@@ -139,7 +226,11 @@ fn one_line(text: &str) -> String {
 
 /// A code span; its marks are longer than any run of backticks inside.
 fn code(text: &str) -> String {
-    let longest = text.split(|c| c != '`').map(str::len).max().expect("a split gives one part at least");
+    let longest = text
+        .split(|c| c != '`')
+        .map(str::len)
+        .max()
+        .expect("a split gives one part at least");
     let (marks, space) = ("`".repeat(longest + 1), if longest > 0 { " " } else { "" });
     format!("{marks}{space}{}{space}{marks}", visible_line(text))
 }
@@ -163,7 +254,13 @@ mod tests {
             time: RoundTime::default(),
         };
         let (centerline, lead_agent) = (CenterlineName::EgoLane, None);
-        let code = PlannerCode { centerline, lead_agent, target_speed, accel_max: 1.0, decel_max: 2.0 };
+        let code = PlannerCode {
+            centerline,
+            lead_agent,
+            target_speed,
+            accel_max: 1.0,
+            decel_max: 2.0,
+        };
         let mut attempt = Attempt::of_rounds(vec![round]);
         attempt.answer = Some(code.into());
         attempt
@@ -179,16 +276,31 @@ mod tests {
         ];
         let text = |index| attempt_markdown(&attempts, index);
         assert!(
-            text(0).contains("> go on") && text(0).contains("Code: `") && !text(0).contains("attempt 1"),
+            text(0).contains("> go on")
+                && text(0).contains("Code: `")
+                && !text(0).contains("attempt 1"),
             "{}",
             text(0)
         );
         let whole = text(1);
-        assert!(whole.contains("it was refused") && whole.contains("The model repeated attempt 1"), "{whole}");
-        assert!(!whole.contains("> go on") && !whole.contains("Code:"), "{whole}");
+        assert!(
+            whole.contains("it was refused") && whole.contains("The model repeated attempt 1"),
+            "{whole}"
+        );
+        assert!(
+            !whole.contains("> go on") && !whole.contains("Code:"),
+            "{whole}"
+        );
         let code = text(2);
-        assert!(code.contains("> go on, please") && code.contains("` (the code of attempt 1)"), "{code}");
-        assert!(!text(3).contains("attempt 1") && text(3).contains("> slow down"), "{}", text(3));
+        assert!(
+            code.contains("> go on, please") && code.contains("` (the code of attempt 1)"),
+            "{code}"
+        );
+        assert!(
+            !text(3).contains("attempt 1") && text(3).contains("> slow down"),
+            "{}",
+            text(3)
+        );
         assert_eq!(text(4), "");
     }
 }

@@ -1,5 +1,5 @@
-//! Text from outside for terminals and Markdown: names of recordings, answers of models, errors of servers. A terminal obeys
-//! control characters, and a browser obeys HTML.
+//! Text from outside for terminals and Markdown: names of recordings, answers of models, errors of
+//! servers. A terminal obeys control characters, and a browser obeys HTML.
 
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -16,10 +16,14 @@ pub fn visible_line(text: &str) -> Cow<'_, str> {
 
 /// A text within Markdown, as it is: neither HTML nor an image from elsewhere.
 pub(super) fn in_markdown(text: &str) -> String {
-    visible(text).replace('&', "&amp;").replace('<', "&lt;").replace("![", "!\\[")
+    visible(text)
+        .replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace("![", "!\\[")
 }
 
-/// Whether a terminal obeys a character instead of showing it: controls, changes of the writing direction, line separators.
+/// Whether a terminal obeys a character instead of showing it: controls, changes of the writing
+/// direction, line separators.
 fn is_hidden(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}')
@@ -49,10 +53,16 @@ mod tests {
     #[test]
     fn what_a_terminal_would_obey_is_shown() {
         assert_eq!(visible("a\tb\nü 汉"), "a\tb\nü 汉");
-        assert_eq!(visible("\u{1b}[2J\r\u{9b}31m\u{7f}\u{202e}"), "\\u001b[2J\\u000d\\u009b31m\\u007f\\u202e");
+        assert_eq!(
+            visible("\u{1b}[2J\r\u{9b}31m\u{7f}\u{202e}"),
+            "\\u001b[2J\\u000d\\u009b31m\\u007f\\u202e"
+        );
         assert_eq!(visible_line("a\nb\tc"), "a\\u000ab\\u0009c");
         let json = serde_json::to_string("\u{9b}2J\u{202e}").unwrap();
-        assert_eq!(serde_json::from_str::<String>(&visible(&json)).unwrap(), "\u{9b}2J\u{202e}");
+        assert_eq!(
+            serde_json::from_str::<String>(&visible(&json)).unwrap(),
+            "\u{9b}2J\u{202e}"
+        );
     }
 
     #[test]

@@ -14,9 +14,15 @@ pub fn check_writable(folder: &Path) -> Result<(), ReportError> {
     if let Some(existing) = folder.ancestors().find(|part| part.exists())
         && !existing.is_dir()
     {
-        return Err(ReportError::at(folder)(ReportFault::NoFolder(existing.to_owned())));
+        return Err(ReportError::at(folder)(ReportFault::NoFolder(
+            existing.to_owned(),
+        )));
     }
-    let missing: Vec<&Path> = folder.ancestors().filter(is_named).take_while(|part| !part.exists()).collect();
+    let missing: Vec<&Path> = folder
+        .ancestors()
+        .filter(is_named)
+        .take_while(|part| !part.exists())
+        .collect();
     let written = atomic::folder(folder).and_then(|()| write_file(folder));
     for made in missing {
         // Another process may use it by now.
@@ -45,7 +51,9 @@ mod tests {
         check_writable(&new).unwrap();
         assert!(new.is_dir() && fs::read_dir(&new).unwrap().count() == 0);
         fs::write(work.path().join("file"), "").unwrap();
-        let error = check_writable(&work.path().join("file/run")).unwrap_err().to_string();
+        let error = check_writable(&work.path().join("file/run"))
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("is a file and no folder"), "{error}");
     }
 
@@ -54,7 +62,10 @@ mod tests {
     fn a_folder_that_takes_no_files_is_an_error() {
         for folder in ["/proc", "/proc/run"] {
             let error = check_writable(Path::new(folder)).unwrap_err().to_string();
-            assert!(error.starts_with(&format!("{folder}: cannot write: ")), "{error}");
+            assert!(
+                error.starts_with(&format!("{folder}: cannot write: ")),
+                "{error}"
+            );
         }
     }
 }

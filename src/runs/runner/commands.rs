@@ -38,14 +38,24 @@ impl Commands {
 
     /// The commands of agents, by name.
     pub(super) fn of_agents(&self) -> BTreeMap<String, String> {
-        self.agents.iter().map(|agents| (agents.name.to_string(), agents.command.clone())).collect()
+        self.agents
+            .iter()
+            .map(|agents| (agents.name.to_string(), agents.command.clone()))
+            .collect()
     }
 }
 
 /// The command of a word of `--agents`.
 pub(super) fn agent_command(word: &str, timeout: Duration) -> Result<AgentCommand, CommandError> {
-    let Some(parsed) = ExecCommand::parse(word) else { return Err(CommandError::NoCommand(word.to_owned())) };
+    let Some(parsed) = ExecCommand::parse(word) else {
+        return Err(CommandError::NoCommand(word.to_owned()));
+    };
     let ExecCommand { name, command } = parsed?;
-    let name = AgentPolicyName::new(name.as_str()).ok_or_else(|| CommandError::Reserved(name.to_string()))?;
-    Ok(AgentCommand { name, command, timeout })
+    let name = AgentPolicyName::new(name.as_str())
+        .ok_or_else(|| CommandError::Reserved(name.to_string()))?;
+    Ok(AgentCommand {
+        name,
+        command,
+        timeout,
+    })
 }

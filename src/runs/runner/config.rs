@@ -11,7 +11,8 @@ use planagent_world::STEP_S;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// The configuration, in the sections of its file. `planagent.toml` at the root of the project has every key with its default.
+/// The configuration, in the sections of its file. `planagent.toml` at the root of the project has
+/// every key with its default.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
@@ -36,15 +37,16 @@ pub struct Config {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MllmConfig {
-    /// Name of a `models/NAME.toml` or the path of such a file, a folder in Hugging Face's layout, a GGUF file, or a hub id
-    /// `org/name` (`org/name/file.gguf`).
+    /// Name of a `models/NAME.toml` or the path of such a file, a folder in Hugging Face's layout,
+    /// a GGUF file, or a hub id `org/name` (`org/name/file.gguf`).
     pub model: String,
     /// Do not use the network: a hub id must be in the cache, a server on this machine.
     pub offline: bool,
     /// Weight format in memory; `None` for that of the description or the files.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantize: Option<WeightFormat>,
-    /// Longest chat, tokens: prompts, image and answers. It bounds the memory of keys and values. `None` for that of the model.
+    /// Longest chat, tokens: prompts, image and answers. It bounds the memory of keys and values.
+    /// `None` for that of the model.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub context: Option<usize>,
     /// Load a model even if it seems to need more memory than is free.
@@ -73,9 +75,15 @@ impl Default for MllmConfig {
 #[allow(missing_docs)]
 pub enum ConfigError {
     #[error("cannot read the configuration {}: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    Read {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error("in the configuration {place}: {source}")]
-    Parse { place: String, source: Box<toml::de::Error> },
+    Parse {
+        place: String,
+        source: Box<toml::de::Error>,
+    },
     #[error("in the configuration {place}: {fault}")]
     Value { place: String, fault: String },
     #[error("cannot serialize the configuration")]
@@ -89,22 +97,35 @@ impl Config {
     /// When the configuration cannot be serialized.
     pub fn changes(&self) -> Result<Vec<(String, toml::Value)>, toml::ser::Error> {
         let mut changes = Vec::new();
-        collect_changes("", &toml::Table::try_from(self)?, &toml::Table::try_from(Self::default())?, &mut changes);
+        collect_changes(
+            "",
+            &toml::Table::try_from(self)?,
+            &toml::Table::try_from(Self::default())?,
+            &mut changes,
+        );
         Ok(changes)
     }
 
-    /// Reads a file. `None` reads `planagent.toml` in the working directory; without that file the defaults apply.
+    /// Reads a file. `None` reads `planagent.toml` in the working directory; without that file the
+    /// defaults apply.
     pub fn load(path: Option<&Path>) -> Result<Self, ConfigError> {
         let found: Option<PathBuf> = match path {
             Some(path) => Some(path.to_owned()),
             None => Self::default_file(),
         };
-        let Some(path) = found else { return Ok(Self::default()) };
+        let Some(path) = found else {
+            return Ok(Self::default());
+        };
         let place = path.display().to_string();
         let text = planagent_files::read_text(&path, planagent_files::MAX_SETTINGS_BYTES)
             .map_err(|source| ConfigError::Read { path, source })?;
         let parsed = toml::from_str::<Self>(&text);
-        parsed.map_err(|source| ConfigError::Parse { place: place.clone(), source: Box::new(source) })?.checked(place)
+        parsed
+            .map_err(|source| ConfigError::Parse {
+                place: place.clone(),
+                source: Box::new(source),
+            })?
+            .checked(place)
     }
 
     /// This configuration with some keys replaced.
@@ -115,7 +136,10 @@ impl Config {
     /// The same; errors say that the keys come from `place`.
     pub fn overlaid_at(&self, settings: &toml::Table, place: &str) -> Result<Self, ConfigError> {
         let place = || place.to_owned();
-        let parse_error = |source| ConfigError::Parse { place: place(), source: Box::new(source) };
+        let parse_error = |source| ConfigError::Parse {
+            place: place(),
+            source: Box::new(source),
+        };
         let mut table = toml::Table::try_from(self)?;
         overlay(&mut table, settings.clone());
         let mut config = table.try_into::<Self>().map_err(parse_error)?;
@@ -123,14 +147,16 @@ impl Config {
         config.checked(place())
     }
 
-    /// Vouches for the chat template and the tokenizer of the model, as `AgentBuilder::trust_model` does.
+    /// Vouches for the chat template and the tokenizer of the model, as `AgentBuilder::trust_model`
+    /// does.
     #[must_use]
     pub fn trust_model(mut self) -> Self {
         self.mllm.trust = Trust::Caller;
         self
     }
 
-    /// The file that is read if none is named: `planagent.toml` in the working directory, if it exists.
+    /// The file that is read if none is named: `planagent.toml` in the working directory, if it
+    /// exists.
     pub fn default_file() -> Option<PathBuf> {
         Some(PathBuf::from("planagent.toml")).filter(|default| default.is_file())
     }
@@ -146,7 +172,10 @@ impl Config {
     pub fn agent_settings(&self) -> PlanAgentSettings {
         PlanAgentSettings {
             agent: self.agent.clone(),
-            environment: EnvironmentSettings { oncoming_lane: self.names_oncoming_lane(), ..self.environment.clone() },
+            environment: EnvironmentSettings {
+                oncoming_lane: self.names_oncoming_lane(),
+                ..self.environment.clone()
+            },
             reflection: self.reflection.clone(),
             learned: self.learned.clone(),
             plan_interval_s: self.reasoning.interval as f64 * STEP_S,
@@ -155,11 +184,13 @@ impl Config {
         }
     }
 
-    /// Whether codes may name the oncoming lane: as the key says, else as the prompt set that is named. `None` leaves it to the prompt
-    /// set of the model.
+    /// Whether codes may name the oncoming lane: as the key says, else as the prompt set that is
+    /// named. `None` leaves it to the prompt set of the model.
     fn names_oncoming_lane(&self) -> Option<bool> {
         let set = || PromptSet::open(self.reasoning.prompt_set.as_deref()?).ok();
-        self.environment.oncoming_lane.or_else(|| Some(set()?.forms().scene_text.names_oncoming_lane()))
+        self.environment
+            .oncoming_lane
+            .or_else(|| Some(set()?.forms().scene_text.names_oncoming_lane()))
     }
 
     /// Refuses values of the right type that make no sense; names the key, its value and its range.
@@ -168,27 +199,73 @@ impl Config {
             if range.contains(&value) {
                 return Ok(());
             }
-            Err(format!("{key} is {value:e}; it must lie in {} to {}", range.start(), range.end()))
+            Err(format!(
+                "{key} is {value:e}; it must lie in {} to {}",
+                range.start(),
+                range.end()
+            ))
         };
-        let Self { environment, reasoning, reflection, .. } = self;
+        let Self {
+            environment,
+            reasoning,
+            reflection,
+            ..
+        } = self;
         if self.agent.deadline_ms == Some(0) {
-            return Err("agent.deadline_ms is 0; it must be at least 1, or absent for no deadline".to_owned());
+            return Err(
+                "agent.deadline_ms is 0; it must be at least 1, or absent for no deadline"
+                    .to_owned(),
+            );
         }
         if self.mllm.context == Some(0) {
-            return Err("mllm.context is 0; it must be at least 1, or absent for the context of the model".to_owned());
+            return Err(
+                "mllm.context is 0; it must be at least 1, or absent for the context of the model"
+                    .to_owned(),
+            );
         }
         within("agent.gate", self.agent.gate.unwrap_or(0.0), 0.0..=1.0)?;
-        within("environment.view_m", environment.view_m, BevView::MIN_METRES..=BevView::MAX_METRES)?;
-        within("environment.node_length_m", environment.node_length_m, MIN_NODE_LENGTH..=MAX_NODE_LENGTH)?;
+        within(
+            "environment.view_m",
+            environment.view_m,
+            BevView::MIN_METRES..=BevView::MAX_METRES,
+        )?;
+        within(
+            "environment.node_length_m",
+            environment.node_length_m,
+            MIN_NODE_LENGTH..=MAX_NODE_LENGTH,
+        )?;
         within("reflection.horizon_s", reflection.horizon_s, 1.0..=8.0)?;
         within("reflection.threshold", reflection.threshold, 0.0..=1.0)?;
-        within("reflection.lane_change_threshold", reflection.lane_change_threshold, 0.0..=1.0)?;
-        within("reflection.max_exec", reflection.max_exec as f64, 1.0..=100.0)?;
-        within("reasoning.interval", reasoning.interval as f64, 1.0..=1000.0)?;
-        within("reasoning.blocked_interval", reasoning.blocked_interval as f64, 1.0..=1000.0)?;
-        within("reasoning.rethink_temperature", reasoning.rethink_temperature, 0.0..=10.0)?;
-        if self.reasoning.rounds.last() != Some(&Round::Code) || !self.reasoning.rounds.is_sorted_by(|a, b| a < b) {
-            let rule = "must be some of understanding, instruction, code, in this order, ending with code";
+        within(
+            "reflection.lane_change_threshold",
+            reflection.lane_change_threshold,
+            0.0..=1.0,
+        )?;
+        within(
+            "reflection.max_exec",
+            reflection.max_exec as f64,
+            1.0..=100.0,
+        )?;
+        within(
+            "reasoning.interval",
+            reasoning.interval as f64,
+            1.0..=1000.0,
+        )?;
+        within(
+            "reasoning.blocked_interval",
+            reasoning.blocked_interval as f64,
+            1.0..=1000.0,
+        )?;
+        within(
+            "reasoning.rethink_temperature",
+            reasoning.rethink_temperature,
+            0.0..=10.0,
+        )?;
+        if self.reasoning.rounds.last() != Some(&Round::Code)
+            || !self.reasoning.rounds.is_sorted_by(|a, b| a < b)
+        {
+            let rule =
+                "must be some of understanding, instruction, code, in this order, ending with code";
             return Err(format!("reasoning.rounds {rule}"));
         }
         Ok(())
@@ -208,7 +285,12 @@ fn overlay(below: &mut toml::Table, above: toml::Table) {
 }
 
 /// Adds the values of `own` that are not those of `default`.
-fn collect_changes(prefix: &str, own: &toml::Table, default: &toml::Table, changes: &mut Vec<(String, toml::Value)>) {
+fn collect_changes(
+    prefix: &str,
+    own: &toml::Table,
+    default: &toml::Table,
+    changes: &mut Vec<(String, toml::Value)>,
+) {
     for (name, value) in own {
         let key = format!("{prefix}{name}");
         match (value, default.get(name)) {
@@ -230,13 +312,20 @@ mod tests {
 
     #[test]
     fn settings_are_laid_over_and_checked() {
-        let base = Config { seed: 7, ..Config::default() };
+        let base = Config {
+            seed: 7,
+            ..Config::default()
+        };
         let overlaid = |settings: &str| base.overlaid(&settings.parse().unwrap());
         assert_eq!(overlaid("").unwrap(), base);
         let other = overlaid("environment.bev = false\nreflection = { max_exec = 1 }").unwrap();
         assert!(!other.environment.bev && other.environment.lane_graph);
         assert_eq!((other.seed, other.reflection.max_exec), (7, 1));
-        for wrong in ["environment.bov = false", "reasoning.interval = 'often'", "reasoning.interval = 0"] {
+        for wrong in [
+            "environment.bov = false",
+            "reasoning.interval = 'often'",
+            "reasoning.interval = 0",
+        ] {
             assert!(overlaid(wrong).is_err(), "{wrong}");
         }
     }
@@ -245,11 +334,24 @@ mod tests {
     fn changes_make_the_configuration_again() {
         assert_eq!(Config::default().changes().unwrap(), []);
         let settings = "seed = 3\n[environment]\nbev = false\n[mllm]\nquantize = 'q8_0'\n[learned]\nplantf = 'a.ckpt'";
-        let changed = Config::default().overlaid(&settings.parse().unwrap()).unwrap();
+        let changed = Config::default()
+            .overlaid(&settings.parse().unwrap())
+            .unwrap();
         let changes = changed.changes().unwrap();
         let keys: Vec<&str> = changes.iter().map(|(key, _)| key.as_str()).collect();
-        assert_eq!(keys, ["environment.bev", "learned.plantf", "mllm.quantize", "seed"]);
-        let lines: Vec<String> = changes.iter().map(|(key, value)| format!("{key} = {value}")).collect();
-        assert_eq!(Config::default().overlaid(&lines.join("\n").parse().unwrap()).unwrap(), changed);
+        assert_eq!(
+            keys,
+            ["environment.bev", "learned.plantf", "mllm.quantize", "seed"]
+        );
+        let lines: Vec<String> = changes
+            .iter()
+            .map(|(key, value)| format!("{key} = {value}"))
+            .collect();
+        assert_eq!(
+            Config::default()
+                .overlaid(&lines.join("\n").parse().unwrap())
+                .unwrap(),
+            changed
+        );
     }
 }

@@ -23,7 +23,11 @@ pub enum MergeError {
         "cannot merge {} with {}, because it was started with other settings:\n  {}", other.display(), first.display(),
         differences.join("\n  ")
     )]
-    Differs { first: PathBuf, other: PathBuf, differences: Vec<String> },
+    Differs {
+        first: PathBuf,
+        other: PathBuf,
+        differences: Vec<String>,
+    },
     #[error("{}: the record of a simulation is damaged; repeat it with --resume {}", record.display(), run.display())]
     Damaged { record: PathBuf, run: PathBuf },
     #[error(
@@ -35,13 +39,27 @@ pub enum MergeError {
         "{} and {} both hold simulation {number} ({simulation}), with different results; leave one of them out",
         first.display(), other.display()
     )]
-    Overlap { first: PathBuf, other: PathBuf, number: usize, simulation: String },
+    Overlap {
+        first: PathBuf,
+        other: PathBuf,
+        number: usize,
+        simulation: String,
+    },
     #[error("{}: simulation {number} is {found}, expected {expected}", run.display())]
-    Unexpected { run: PathBuf, number: usize, found: String, expected: String },
+    Unexpected {
+        run: PathBuf,
+        number: usize,
+        found: String,
+        expected: String,
+    },
     #[error("the simulations are not those of the scenarios in the manifest of {}", run.display())]
     OtherScenarios { run: PathBuf },
     #[error("{missing} of {total} simulations are in none of the runs; {advice}")]
-    Incomplete { missing: usize, total: usize, advice: String },
+    Incomplete {
+        missing: usize,
+        total: usize,
+        advice: String,
+    },
 }
 
 /// Why a run cannot start, resume or end. A failed simulation is no such error: the run records it.
@@ -80,17 +98,26 @@ pub enum RunnerError {
     #[error(transparent)]
     FindModel(Box<MllmError>),
     #[error("cannot load the model '{name}'")]
-    LoadModel { name: String, source: Box<MllmError> },
+    LoadModel {
+        name: String,
+        source: Box<MllmError>,
+    },
     #[error(transparent)]
     Config(#[from] ConfigError),
     #[error("cannot make {} absolute: {source}", path.display())]
-    Absolute { path: PathBuf, source: std::io::Error },
+    Absolute {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     #[error("cannot serialize the configuration or the model")]
     Toml(#[from] toml::ser::Error),
     #[error("cannot serialize the results")]
     Json(#[from] serde_json::Error),
     #[error("the model of the run in {} is not what this program writes: {source}", folder.display())]
-    ManifestModel { folder: PathBuf, source: toml::de::Error },
+    ManifestModel {
+        folder: PathBuf,
+        source: toml::de::Error,
+    },
     #[error(
         "{}: config.seed in manifest.toml is {found}, expected a whole number from 0 on; restore the file, or start a new run",
         folder.display()
@@ -99,7 +126,11 @@ pub enum RunnerError {
     #[error(
         "two scenarios have the id {id}: {first} and {second}; simulate them in two runs, or, of modifications, give one a key name"
     )]
-    SameId { id: String, first: String, second: String },
+    SameId {
+        id: String,
+        first: String,
+        second: String,
+    },
     #[error("there is no scenario to simulate")]
     NoScenario,
     #[error(transparent)]
@@ -109,24 +140,50 @@ pub enum RunnerError {
     #[error(transparent)]
     Prepare(Box<PlannerError>),
     #[error("{key} is not supported by {planner}; remove one of them")]
-    Unsupported { key: &'static str, planner: PlannerName },
-    #[error("the scenario set changed since the run started: {then} then, {now} now, named by {words}")]
-    ScenariosChanged { then: usize, now: usize, words: String },
+    Unsupported {
+        key: &'static str,
+        planner: PlannerName,
+    },
+    #[error(
+        "the scenario set changed since the run started: {then} then, {now} now, named by {words}"
+    )]
+    ScenariosChanged {
+        then: usize,
+        now: usize,
+        words: String,
+    },
     #[error(
         "{}: the run cannot be resumed, because it was started with other settings:\n  {}", folder.display(),
         differences.join("\n  ")
     )]
-    OtherSettings { folder: PathBuf, differences: Vec<String> },
+    OtherSettings {
+        folder: PathBuf,
+        differences: Vec<String>,
+    },
     #[error("cannot resume the run in {} ({completed} of {total} simulations completed)", folder.display())]
-    CannotResume { folder: PathBuf, completed: usize, total: usize, source: Box<Self> },
+    CannotResume {
+        folder: PathBuf,
+        completed: usize,
+        total: usize,
+        source: Box<Self>,
+    },
     #[error("{missing} of {total} simulations left no record in {}", folder.display())]
-    Unrecorded { missing: usize, total: usize, folder: PathBuf },
+    Unrecorded {
+        missing: usize,
+        total: usize,
+        folder: PathBuf,
+    },
     #[error("suite {name}")]
     Suite { name: String, source: Box<Self> },
     #[error("unknown list of text twins '{name}'; there are {known}")]
     UnknownPairs { name: String, known: String },
-    #[error("no recordings: name some by --scenario, or name a folder that holds {folders} by ${variable}")]
-    NoRecordings { folders: String, variable: &'static str },
+    #[error(
+        "no recordings: name some by --scenario, or name a folder that holds {folders} by ${variable}"
+    )]
+    NoRecordings {
+        folders: String,
+        variable: &'static str,
+    },
     #[error("the run in {} was stopped; resume it to simulate the rest", folder.display())]
     Stopped { folder: PathBuf },
     #[error(transparent)]

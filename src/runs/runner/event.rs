@@ -33,7 +33,8 @@ pub enum Event {
     Opened {
         /// The folder.
         folder: PathBuf,
-        /// Whether a command is a planner of the run, or controls its agents. A run that is resumed takes commands from its user alone.
+        /// Whether a command is a planner of the run, or controls its agents. A run that is resumed
+        /// takes commands from its user alone.
         has_commands: bool,
     },
     /// So many simulations start.

@@ -11,12 +11,12 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// Largest file that is read for a digest. Most logs of nuPlan are larger, and a run begins without reading them all: size
-/// and time stand for them.
+/// Largest file that is read for a digest. Most logs of nuPlan are larger, and a run begins without
+/// reading them all: size and time stand for them.
 const MAX_DIGESTED_BYTES: u64 = 64 << 20;
 
-/// The files of the scenarios. A file with the size and time it had `before` keeps its digest. A file that cannot be read is
-/// left out: opening its scenario says why.
+/// The files of the scenarios. A file with the size and time it had `before` keeps its digest. A
+/// file that cannot be read is left out: opening its scenario says why.
 pub fn data_files<'a>(
     sources: impl IntoIterator<Item = &'a ScenarioRef>,
     before: Option<&Inputs>,
@@ -37,26 +37,42 @@ fn data_file(path: &Path, before: Option<&DataFile>) -> io::Result<DataFile> {
     if !metadata.is_file() {
         return Err(io::ErrorKind::InvalidInput.into());
     }
-    let since_1970 = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+    let since_1970 = metadata
+        .modified()?
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
     let modified_ns = i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX);
-    let stamp = DataFile { size: metadata.len(), modified_ns, blake3: None };
+    let stamp = DataFile {
+        size: metadata.len(),
+        modified_ns,
+        blake3: None,
+    };
     match before {
         Some(before) if before.same_stamp(&stamp) => Ok(before.clone()),
         _ if stamp.size > MAX_DIGESTED_BYTES => Ok(stamp),
         _ => {
             let mut hasher = blake3::Hasher::new();
             hasher.update_reader(File::open(path)?)?;
-            Ok(DataFile { blake3: Some(hasher.finalize().to_hex().to_string()), ..stamp })
+            Ok(DataFile {
+                blake3: Some(hasher.finalize().to_hex().to_string()),
+                ..stamp
+            })
         }
     }
 }
 
-/// BLAKE3 of the checkpoints of these planners, by path. One that cannot be read is left out: preparing its planner says why.
+/// BLAKE3 of the checkpoints of these planners, by path. One that cannot be read is left out:
+/// preparing its planner says why.
 pub(super) fn checkpoint_digests(planners: &[String], config: &Config) -> BTreeMap<String, String> {
     let digest = |path: &str| {
         let mut hasher = blake3::Hasher::new();
-        hasher.update_reader(planagent_files::open(&path_of(path)).ok()?).ok()?;
+        hasher
+            .update_reader(planagent_files::open(&path_of(path)).ok()?)
+            .ok()?;
         Some((path.to_owned(), hasher.finalize().to_hex().to_string()))
     };
-    planners.iter().filter_map(|planner| digest(config.learned.checkpoint(planner)?)).collect()
+    planners
+        .iter()
+        .filter_map(|planner| digest(config.learned.checkpoint(planner)?))
+        .collect()
 }

@@ -3,8 +3,8 @@
 use super::error::{MergeError, RunnerError};
 use super::run::{self, RunResults};
 use crate::report::{
-    Inputs, Manifest, RunFolder, ScenarioList, ShardList, SimulationRow, SimulationTime, simulation_folders,
-    simulation_metrics,
+    Inputs, Manifest, RunFolder, ScenarioList, ShardList, SimulationRow, SimulationTime,
+    simulation_folders, simulation_metrics,
 };
 use planagent_files::{quoted, word_of};
 use std::collections::BTreeMap;
@@ -25,22 +25,34 @@ struct Simulation<'a> {
     row: SimulationRow,
 }
 
-/// Copies the simulations of several runs with equal settings to a new folder, and writes the results of all; without a name,
-/// the next free `runs/NNNN`. Apart from measured times, the files are those of a run without shards.
+/// Copies the simulations of several runs with equal settings to a new folder, and writes the
+/// results of all; without a name, the next free `runs/NNNN`. Apart from measured times, the files
+/// are those of a run without shards.
 ///
 /// # Errors
-/// When settings differ, a simulation is missing, or two runs have different results of one simulation.
+/// When settings differ, a simulation is missing, or two runs have different results of one
+/// simulation.
 pub fn merge(runs: &[PathBuf], out: Option<&Path>) -> Result<RunResults, RunnerError> {
     let started = Instant::now();
-    let parts = runs.iter().map(|path| Ok(Part { path: path.clone(), manifest: RunFolder::manifest(path)? }));
+    let parts = runs.iter().map(|path| {
+        Ok(Part {
+            path: path.clone(),
+            manifest: RunFolder::manifest(path)?,
+        })
+    });
     let parts = parts.collect::<Result<Vec<_>, RunnerError>>()?;
     let manifest = merged(&parts)?;
     let simulations = simulations(&parts)?;
     check_complete(&parts, &manifest, &simulations)?;
     check_identities(&parts, &manifest, &simulations)?;
     let folder = RunFolder::create(out, &manifest)?;
-    simulations.values().try_for_each(|simulation| folder.adopt(&simulation.folder))?;
-    let rows = simulations.into_values().map(|simulation| simulation.row).collect();
+    simulations
+        .values()
+        .try_for_each(|simulation| folder.adopt(&simulation.folder))?;
+    let rows = simulations
+        .into_values()
+        .map(|simulation| simulation.row)
+        .collect();
     run::finish(&folder, manifest, run::session(started, 0, None), rows)
 }
 
@@ -53,16 +65,28 @@ fn merged(parts: &[Part]) -> Result<Manifest, MergeError> {
         differences.extend(whole.conflicting_inputs(&other.manifest));
         if !differences.is_empty() {
             let (first, other) = (first.path.clone(), other.path.clone());
-            return Err(MergeError::Differs { first, other, differences });
+            return Err(MergeError::Differs {
+                first,
+                other,
+                differences,
+            });
         }
     }
     let all = || parts.iter().map(|part| &part.manifest);
     let one_commit = all().all(|manifest| manifest.commit == whole.commit);
-    let data = all().filter_map(|manifest| manifest.inputs.as_ref()).flat_map(|inputs| inputs.data.clone()).collect();
+    let data = all()
+        .filter_map(|manifest| manifest.inputs.as_ref())
+        .flat_map(|inputs| inputs.data.clone())
+        .collect();
     Ok(Manifest {
         inputs: whole.inputs.clone().map(|inputs| Inputs { data, ..inputs }),
-        accepted: all().flat_map(|manifest| manifest.accepted.clone()).collect(),
-        started: all().map(|manifest| manifest.started.clone()).min().expect("a merge has one part at least"),
+        accepted: all()
+            .flat_map(|manifest| manifest.accepted.clone())
+            .collect(),
+        started: all()
+            .map(|manifest| manifest.started.clone())
+            .min()
+            .expect("a merge has one part at least"),
         commit: whole.commit.clone().filter(|_| one_commit),
         ..whole
     })
@@ -70,8 +94,14 @@ fn merged(parts: &[Part]) -> Result<Manifest, MergeError> {
 
 /// The manifest without its shard.
 fn whole(manifest: &Manifest) -> Manifest {
-    let scenarios = ScenarioList { shard: None, ..manifest.scenarios.clone() };
-    Manifest { scenarios, ..manifest.clone() }
+    let scenarios = ScenarioList {
+        shard: None,
+        ..manifest.scenarios.clone()
+    };
+    Manifest {
+        scenarios,
+        ..manifest.clone()
+    }
 }
 
 /// The completed simulations of all parts, by number.
@@ -80,13 +110,20 @@ fn simulations(parts: &[Part]) -> Result<BTreeMap<usize, Simulation<'_>>, Runner
     for part in parts {
         let completed = RunFolder::read_completed(&part.path)?;
         if let Some(record) = completed.damaged.into_iter().next() {
-            return Err(MergeError::Damaged { record, run: part.path.clone() }.into());
+            return Err(MergeError::Damaged {
+                record,
+                run: part.path.clone(),
+            }
+            .into());
         }
         let mut folders = simulation_folders(&part.path)?;
         for row in completed.rows {
             let folder = folders
                 .remove(&row.number)
-                .ok_or_else(|| MergeError::Vanished { number: row.number, run: part.path.clone() })?;
+                .ok_or_else(|| MergeError::Vanished {
+                    number: row.number,
+                    run: part.path.clone(),
+                })?;
             let own = Simulation { part, folder, row };
             match all.entry(own.row.number) {
                 Entry::Vacant(entry) => {
@@ -96,7 +133,13 @@ fn simulations(parts: &[Part]) -> Result<BTreeMap<usize, Simulation<'_>>, Runner
                 Entry::Occupied(entry) => {
                     let (first, other) = (entry.get().part.path.clone(), part.path.clone());
                     let (number, simulation) = (own.row.number, own.row.identity());
-                    return Err(MergeError::Overlap { first, other, number, simulation }.into());
+                    return Err(MergeError::Overlap {
+                        first,
+                        other,
+                        number,
+                        simulation,
+                    }
+                    .into());
                 }
             }
         }
@@ -115,7 +158,8 @@ impl Simulation<'_> {
         if timeless(&self.row) != timeless(&other.row) {
             return Ok(false);
         }
-        Ok(self.row.score.is_none() || simulation_metrics(&self.folder)? == simulation_metrics(&other.folder)?)
+        Ok(self.row.score.is_none()
+            || simulation_metrics(&self.folder)? == simulation_metrics(&other.folder)?)
     }
 }
 
@@ -126,43 +170,69 @@ fn check_complete(
     simulations: &BTreeMap<usize, Simulation<'_>>,
 ) -> Result<(), MergeError> {
     let total = manifest.simulations();
-    let missing = (0..total).filter(|number| !simulations.contains_key(number)).count();
+    let missing = (0..total)
+        .filter(|number| !simulations.contains_key(number))
+        .count();
     if missing == 0 {
         return Ok(());
     }
-    Err(MergeError::Incomplete { missing, total, advice: advice(parts) })
+    Err(MergeError::Incomplete {
+        missing,
+        total,
+        advice: advice(parts),
+    })
 }
 
 /// How to get the missing simulations.
 fn advice(parts: &[Part]) -> String {
     for part in parts {
-        let rows = RunFolder::read_completed(&part.path).map(|completed| completed.rows.len()).unwrap_or_default();
+        let rows = RunFolder::read_completed(&part.path)
+            .map(|completed| completed.rows.len())
+            .unwrap_or_default();
         if rows < part.manifest.simulations() {
             let folder = quoted(&word_of(part.path.as_os_str()));
             return format!("continue with `planagent simulate --resume {folder}`");
         }
     }
-    let shards: Vec<ShardList> = parts.iter().filter_map(|part| part.manifest.scenarios.shard).collect();
+    let shards: Vec<ShardList> = parts
+        .iter()
+        .filter_map(|part| part.manifest.scenarios.shard)
+        .collect();
     let of = shards.first().map_or(0, |shard| shard.of);
-    let absent = (1..=of).filter(|index| !shards.iter().any(|shard| shard.of == of && shard.index == *index));
+    let absent = (1..=of).filter(|index| {
+        !shards
+            .iter()
+            .any(|shard| shard.of == of && shard.index == *index)
+    });
     let absent: Vec<String> = absent.map(|index| format!("{index}/{of}")).collect();
-    format!("simulate and name the missing shards ({})", absent.join(", "))
+    format!(
+        "simulate and name the missing shards ({})",
+        absent.join(", ")
+    )
 }
 
-/// Refuses simulations that are not those of the manifest: every scenario by every planner in every challenge.
+/// Refuses simulations that are not those of the manifest: every scenario by every planner in every
+/// challenge.
 fn check_identities(
     parts: &[Part],
     manifest: &Manifest,
     simulations: &BTreeMap<usize, Simulation<'_>>,
 ) -> Result<(), MergeError> {
     let (planners, challenges) = (&manifest.planners, &manifest.challenges);
-    let pairs = planners.iter().flat_map(|planner| challenges.iter().map(move |challenge| (planner, challenge)));
+    let pairs = planners
+        .iter()
+        .flat_map(|planner| challenges.iter().map(move |challenge| (planner, challenge)));
     for (simulation, (planner, challenge)) in simulations.values().zip(pairs.cycle()) {
         let row = &simulation.row;
         if row.planner != *planner || row.challenge.to_string() != *challenge {
             let expected = format!("{} by {planner} in {challenge}", row.source);
             let (run, number, found) = (simulation.part.path.clone(), row.number, row.identity());
-            return Err(MergeError::Unexpected { run, number, found, expected });
+            return Err(MergeError::Unexpected {
+                run,
+                number,
+                found,
+                expected,
+            });
         }
     }
     let sources = simulations
@@ -171,7 +241,10 @@ fn check_identities(
         .map(|simulation| &simulation.row.source);
     if ScenarioList::digest(sources) != manifest.scenarios.blake3 {
         return Err(MergeError::OtherScenarios {
-            run: parts.first().map(|part| part.path.clone()).expect("a merge has one part at least"),
+            run: parts
+                .first()
+                .map(|part| part.path.clone())
+                .expect("a merge has one part at least"),
         });
     }
     Ok(())

@@ -8,7 +8,8 @@ use crate::worker::run::AgentParts;
 use planagent_agent::planner::{CodeSource, PlannerRegistry};
 use planagent_agent::reasoning::{PromptPlace, PromptSet, ReasoningSettings};
 use planagent_mllm::{
-    Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry, models_folder,
+    Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry,
+    models_folder,
 };
 use planagent_planners::all_planners;
 use std::sync::Arc;
@@ -39,9 +40,16 @@ pub struct OpenModel {
 pub fn load_model(config: &Config, listener: &Listener) -> Result<LoadedModel, RunnerError> {
     let loaded = OpenModel::open(config, listener)?.with_prompts(config)?;
     if let Some(prompts) = loaded.prompt_list() {
-        let text = format!("prompts {} ({}): {}", prompts.set, prompts.named_by, prompts.place);
+        let text = format!(
+            "prompts {} ({}): {}",
+            prompts.set, prompts.named_by, prompts.place
+        );
         // Prompts of one's own are worth a line, the usual ones are not.
-        listener(if prompts.built_in { Event::Detail(text) } else { Event::Note(text) });
+        listener(if prompts.built_in {
+            Event::Detail(text)
+        } else {
+            Event::Note(text)
+        });
     }
     Ok(loaded)
 }
@@ -55,7 +63,11 @@ impl LoadedModel {
     /// The model with its prompts and the way in which it samples.
     pub fn parts(&self) -> Option<(&dyn Mllm, &PromptSet, &ReasoningSettings)> {
         match &self.code_source {
-            CodeSource::Model { model, prompts, reasoning } => Some((model.as_ref(), prompts.as_ref(), reasoning)),
+            CodeSource::Model {
+                model,
+                prompts,
+                reasoning,
+            } => Some((model.as_ref(), prompts.as_ref(), reasoning)),
             _ => None,
         }
     }
@@ -64,9 +76,10 @@ impl LoadedModel {
     pub fn prompt_list(&self) -> Option<PromptList> {
         let (_, prompts, _) = self.parts()?;
         let place = match prompts.place() {
-            PromptPlace::Folder(folder) => {
-                std::path::absolute(folder).unwrap_or_else(|_| folder.clone()).display().to_string()
-            }
+            PromptPlace::Folder(folder) => std::path::absolute(folder)
+                .unwrap_or_else(|_| folder.clone())
+                .display()
+                .to_string(),
             PromptPlace::BuiltIn => PromptPlace::BuiltIn.to_string(),
         };
         Some(PromptList {
@@ -83,18 +96,34 @@ impl OpenModel {
     pub fn open(config: &Config, listener: &Listener) -> Result<Self, RunnerError> {
         let started = Instant::now();
         let registry = model_registry(config, listener);
-        let spec = registry.find(&config.mllm.model).map_err(|error| RunnerError::FindModel(Box::new(error)))?;
-        let failed = |source| RunnerError::LoadModel { name: spec.name.clone(), source: Box::new(source) };
+        let spec = registry
+            .find(&config.mllm.model)
+            .map_err(|error| RunnerError::FindModel(Box::new(error)))?;
+        let failed = |source| RunnerError::LoadModel {
+            name: spec.name.clone(),
+            source: Box::new(source),
+        };
         let asking = registry.asking(&spec).map_err(failed)?;
         // Loading a model takes long: what is wrong with its prompts is said before.
         config.reasoning.prompts(&asking.prompt_set)?;
         let model = registry.open(&spec).map_err(failed)?;
         let load_s = started.elapsed().as_secs_f64();
         let about = model.describe();
-        about.load.lines().into_iter().for_each(|line| listener(Event::Detail(line)));
+        about
+            .load
+            .lines()
+            .into_iter()
+            .for_each(|line| listener(Event::Detail(line)));
         listener(Event::Note(in_words(&about, load_s)));
-        let inputs = registry.inputs(&spec).map_err(|error| RunnerError::FindModel(Box::new(error)))?;
-        Ok(Self { model: Arc::from(model), asking, inputs, load_s })
+        let inputs = registry
+            .inputs(&spec)
+            .map_err(|error| RunnerError::FindModel(Box::new(error)))?;
+        Ok(Self {
+            model: Arc::from(model),
+            asking,
+            inputs,
+            load_s,
+        })
     }
 
     pub fn model(&self) -> &dyn Mllm {
@@ -110,8 +139,18 @@ impl OpenModel {
             None => self.asking.named_by.to_string(),
         };
         let inputs = of_model(self.inputs.clone(), &prompts);
-        let code_source = CodeSource::Model { model: Arc::clone(&self.model), prompts, reasoning };
-        Ok(LoadedModel { code_source, about: self.model.describe(), load_s: self.load_s, named_by, inputs })
+        let code_source = CodeSource::Model {
+            model: Arc::clone(&self.model),
+            prompts,
+            reasoning,
+        };
+        Ok(LoadedModel {
+            code_source,
+            about: self.model.describe(),
+            load_s: self.load_s,
+            named_by,
+            inputs,
+        })
     }
 }
 
@@ -125,15 +164,27 @@ pub(super) fn inputs_here(config: &Config, listener: &Listener) -> Result<Inputs
     let spec = registry.find(&config.mllm.model).map_err(find)?;
     let inputs = registry.inputs(&spec).map_err(find)?;
     let asking = registry.asking(&spec).map_err(find)?;
-    Ok(of_model(inputs, &config.reasoning.prompts(&asking.prompt_set)?))
+    Ok(of_model(
+        inputs,
+        &config.reasoning.prompts(&asking.prompt_set)?,
+    ))
 }
 
 fn of_model(ModelInputs { files, description }: ModelInputs, prompts: &PromptSet) -> Inputs {
-    Inputs { prompts: prompts.digests().clone(), model: files, description, ..Inputs::default() }
+    Inputs {
+        prompts: prompts.digests().clone(),
+        model: files,
+        description,
+        ..Inputs::default()
+    }
 }
 
 /// The parts of an agent, with the model where one is loaded.
-pub fn agent_parts(config: &Config, registry: PlannerRegistry, loaded: Option<&LoadedModel>) -> AgentParts {
+pub fn agent_parts(
+    config: &Config,
+    registry: PlannerRegistry,
+    loaded: Option<&LoadedModel>,
+) -> AgentParts {
     AgentParts {
         registry,
         model: loaded.map(|loaded| loaded.code_source.clone()),
@@ -145,8 +196,15 @@ pub fn agent_parts(config: &Config, registry: PlannerRegistry, loaded: Option<&L
 
 /// The models that the configuration can name.
 pub fn model_registry(config: &Config, listener: &Listener) -> ModelRegistry {
-    let hub = HubAccess { offline: config.mllm.offline, ..HubAccess::default() };
-    let memory = if config.mllm.ignore_memory { MemoryCheck::Ignore } else { MemoryCheck::Refuse };
+    let hub = HubAccess {
+        offline: config.mllm.offline,
+        ..HubAccess::default()
+    };
+    let memory = if config.mllm.ignore_memory {
+        MemoryCheck::Ignore
+    } else {
+        MemoryCheck::Refuse
+    };
     let listener = Arc::clone(listener);
     ModelRegistry::new(models_folder(), hub)
         .with_quantize(config.mllm.quantize)
@@ -158,12 +216,19 @@ pub fn model_registry(config: &Config, listener: &Listener) -> ModelRegistry {
 
 fn in_words(about: &ModelDescription, load_s: f64) -> String {
     match &about.server {
-        Some(server) => format!("model {}: {} at {}", about.name, server.model, server.endpoint),
+        Some(server) => format!(
+            "model {}: {} at {}",
+            about.name, server.model, server.endpoint
+        ),
         None => format!(
             "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
             about.name,
             about.parameters / 1_000_000,
-            about.load.weight_formats.first().map_or(about.dtype.as_str(), |most| most.weight_format.name()),
+            about
+                .load
+                .weight_formats
+                .first()
+                .map_or(about.dtype.as_str(), |most| most.weight_format.name()),
             about.image_tokens
         ),
     }

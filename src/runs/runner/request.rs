@@ -14,8 +14,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// What to simulate, in the words of the command line. An empty field takes the value of the run that is resumed, else
-/// the default: one generated scenario, `plan-agent`, non-reactive agents.
+/// What to simulate, in the words of the command line. An empty field takes the value of the run
+/// that is resumed, else the default: one generated scenario, `plan-agent`, non-reactive agents.
 #[derive(Debug, Clone)]
 pub struct Request {
     /// Files, folders, `LOG.db#TOKEN`, `generated/TYPE/SEED`.
@@ -81,7 +81,10 @@ impl Default for Request {
 impl Request {
     /// Whether it says which scenarios are meant.
     pub(super) fn names_scenarios(&self) -> bool {
-        !self.scenarios.is_empty() || !self.splits.is_empty() || self.draws() || self.shard.is_some()
+        !self.scenarios.is_empty()
+            || !self.splits.is_empty()
+            || self.draws()
+            || self.shard.is_some()
     }
 
     /// Whether it selects from what words and splits name.
@@ -93,7 +96,9 @@ impl Request {
     pub(super) fn with_commands(&self) -> Result<(Self, Commands), CommandError> {
         let (mut request, mut commands) = (self.clone(), BTreeMap::new());
         for word in &mut request.planners {
-            let Some(command) = ExecCommand::parse(word).transpose()? else { continue };
+            let Some(command) = ExecCommand::parse(word).transpose()? else {
+                continue;
+            };
             *word = command.name.to_string();
             if commands.get(word.as_str()) == Some(&command.command) {
                 continue;
@@ -101,8 +106,18 @@ impl Request {
             request.registry = request.registry.with_command(&command, self.exec_timeout)?;
             commands.insert(word.clone(), command.command);
         }
-        let agents = self.agents.as_deref().map(|word| agent_command(word, self.exec_timeout)).transpose()?;
-        Ok((request, Commands { planners: commands, agents }))
+        let agents = self
+            .agents
+            .as_deref()
+            .map(|word| agent_command(word, self.exec_timeout))
+            .transpose()?;
+        Ok((
+            request,
+            Commands {
+                planners: commands,
+                agents,
+            },
+        ))
     }
 
     /// Whether it only resumes a run, as that was started.

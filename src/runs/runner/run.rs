@@ -68,14 +68,27 @@ impl Run {
     pub fn create(path: Option<&Path>, plan: RunPlan) -> Result<Self, RunnerError> {
         let folder = RunFolder::create(path, &plan.manifest)?;
         let left = plan.numbers.clone();
-        Ok(Self { plan, folder, left, rows: Vec::new(), simulated: 0, retried: 0 })
+        Ok(Self {
+            plan,
+            folder,
+            left,
+            rows: Vec::new(),
+            simulated: 0,
+            retried: 0,
+        })
     }
 
     /// Resumes the run in a folder.
     #[doc(hidden)]
-    pub fn resume(path: &Path, mut plan: RunPlan, how: Resume, listener: &Listener) -> Result<Self, RunnerError> {
+    pub fn resume(
+        path: &Path,
+        mut plan: RunPlan,
+        how: Resume,
+        listener: &Listener,
+    ) -> Result<Self, RunnerError> {
         let recorded = RunFolder::manifest(path)?.inputs.is_some();
-        let (folder, manifest, accepted) = RunFolder::resume(path, &plan.manifest, how.accept_changes)?;
+        let (folder, manifest, accepted) =
+            RunFolder::resume(path, &plan.manifest, how.accept_changes)?;
         if !recorded {
             let text = "the run was started by a version that recorded no digests of prompts, model files and recordings; \
                         whether they changed is not known";
@@ -87,14 +100,24 @@ impl Run {
         plan.manifest = manifest;
         let completed = folder.completed(&plan.tasks)?;
         for path in &completed.damaged {
-            let text = format!("the record or a result in {} is damaged; its simulation is repeated", path.display());
+            let text = format!(
+                "the record or a result in {} is damaged; its simulation is repeated",
+                path.display()
+            );
             listener(Event::Note(text));
         }
-        let (discarded, rows): (Vec<_>, Vec<_>) =
-            completed.rows.into_iter().partition(|row| how.retry_failed && row.error.is_some());
+        let (discarded, rows): (Vec<_>, Vec<_>) = completed
+            .rows
+            .into_iter()
+            .partition(|row| how.retry_failed && row.error.is_some());
         folder.discard(&discarded.iter().map(|row| row.number).collect())?;
         let done: BTreeSet<usize> = rows.iter().map(|row| row.number).collect();
-        let left: Vec<usize> = plan.numbers.iter().copied().filter(|number| !done.contains(number)).collect();
+        let left: Vec<usize> = plan
+            .numbers
+            .iter()
+            .copied()
+            .filter(|number| !done.contains(number))
+            .collect();
         if folder.path().join(SUMMARY).is_file() {
             let known = discarded.len() + completed.damaged.len();
             let lost = left.len().saturating_sub(known);
@@ -104,7 +127,14 @@ impl Run {
                 )));
             }
         }
-        Ok(Self { plan, folder, left, rows, simulated: 0, retried: discarded.len() })
+        Ok(Self {
+            plan,
+            folder,
+            left,
+            rows,
+            simulated: 0,
+            retried: discarded.len(),
+        })
     }
 
     /// Numbers of the tasks that are not completed.
@@ -126,7 +156,9 @@ impl Run {
 
     /// Whether a command is one of its planners, or controls its agents.
     pub(super) fn has_commands(&self) -> bool {
-        let Manifest { commands, agents, .. } = &self.plan.manifest;
+        let Manifest {
+            commands, agents, ..
+        } = &self.plan.manifest;
         !commands.is_empty() || !agents.is_empty()
     }
 
@@ -135,13 +167,21 @@ impl Run {
     pub fn first(&self) -> Vec<usize> {
         let source = |number: &usize| self.plan.tasks.get(*number).map(|task| &task.source);
         let first = self.left.first().and_then(source);
-        self.left.iter().copied().take_while(|number| source(number) == first).collect()
+        self.left
+            .iter()
+            .copied()
+            .take_while(|number| source(number) == first)
+            .collect()
     }
 
     /// Mean wall time of the completed simulations; none before the first.
     #[doc(hidden)]
     pub fn seconds_per_simulation(&self) -> Option<f64> {
-        let seconds: f64 = self.rows.iter().map(|row| row.time.ended_s - row.time.started_s).sum();
+        let seconds: f64 = self
+            .rows
+            .iter()
+            .map(|row| row.time.ended_s - row.time.started_s)
+            .sum();
         (!self.rows.is_empty()).then(|| seconds / self.rows.len() as f64)
     }
 
@@ -149,16 +189,38 @@ impl Run {
     #[doc(hidden)]
     pub fn simulate(&mut self, numbers: &[usize], listener: &Listener) -> Result<(), RunnerError> {
         let folder = &self.folder;
-        let is_stopped = || self.plan.agent.stop.as_ref().is_some_and(StopSwitch::is_stopped);
-        run::run(&self.plan.tasks, numbers, &self.plan.agent, &|_| listener(Event::Stepped), &|number, record| {
-            // A simulation that was cut short is none.
-            if is_stopped() && record.outcome.is_err() {
-                return Err(RunnerError::Stopped { folder: folder.path().to_owned() });
-            }
-            folder.commit(number, &record)?;
-            listener(Event::Ended { failed: record.outcome.is_err() });
-            if is_stopped() { Err(RunnerError::Stopped { folder: folder.path().to_owned() }) } else { Ok(()) }
-        })?;
+        let is_stopped = || {
+            self.plan
+                .agent
+                .stop
+                .as_ref()
+                .is_some_and(StopSwitch::is_stopped)
+        };
+        run::run(
+            &self.plan.tasks,
+            numbers,
+            &self.plan.agent,
+            &|_| listener(Event::Stepped),
+            &|number, record| {
+                // A simulation that was cut short is none.
+                if is_stopped() && record.outcome.is_err() {
+                    return Err(RunnerError::Stopped {
+                        folder: folder.path().to_owned(),
+                    });
+                }
+                folder.commit(number, &record)?;
+                listener(Event::Ended {
+                    failed: record.outcome.is_err(),
+                });
+                if is_stopped() {
+                    Err(RunnerError::Stopped {
+                        folder: folder.path().to_owned(),
+                    })
+                } else {
+                    Ok(())
+                }
+            },
+        )?;
         self.left.retain(|number| !numbers.contains(number));
         self.simulated += numbers.len();
         self.rows = folder.completed(&self.plan.tasks)?.rows;
@@ -168,12 +230,27 @@ impl Run {
     /// Writes the results of a run whose simulations are all completed, and unlocks its folder.
     #[doc(hidden)]
     pub fn finish(self, started: Instant) -> Result<RunResults, RunnerError> {
-        let Self { plan, folder, rows, simulated, .. } = self;
+        let Self {
+            plan,
+            folder,
+            rows,
+            simulated,
+            ..
+        } = self;
         let (total, path) = (plan.numbers.len(), folder.path().to_owned());
         if rows.len() != total {
-            return Err(RunnerError::Unrecorded { missing: total - rows.len(), total, folder: path });
+            return Err(RunnerError::Unrecorded {
+                missing: total - rows.len(),
+                total,
+                folder: path,
+            });
         }
-        finish(&folder, plan.manifest, session(started, simulated, plan.load_s), rows)
+        finish(
+            &folder,
+            plan.manifest,
+            session(started, simulated, plan.load_s),
+            rows,
+        )
     }
 }
 
@@ -186,22 +263,45 @@ pub(super) fn finish(
 ) -> Result<RunResults, RunnerError> {
     let path = folder.path().to_owned();
     let seed = manifest.config.get("seed");
-    let seed = seed.and_then(toml::Value::as_integer).and_then(|seed| u64::try_from(seed).ok()).ok_or_else(|| {
-        RunnerError::ManifestSeed {
+    let seed = seed
+        .and_then(toml::Value::as_integer)
+        .and_then(|seed| u64::try_from(seed).ok())
+        .ok_or_else(|| RunnerError::ManifestSeed {
             folder: path.clone(),
             found: seed.map_or_else(|| "absent".to_owned(), ToString::to_string),
-        }
+        })?;
+    let model = manifest
+        .model
+        .clone()
+        .map(toml::Table::try_into)
+        .transpose();
+    let model = model.map_err(|source| RunnerError::ManifestModel {
+        folder: path.clone(),
+        source,
     })?;
-    let model = manifest.model.clone().map(toml::Table::try_into).transpose();
-    let model = model.map_err(|source| RunnerError::ManifestModel { folder: path.clone(), source })?;
     let summary = Summary::new(seed, model, &manifest.scenarios.missing, &rows);
     let timing = Timing::new(session, &rows);
     folder.finish(&manifest, &summary, &timing, &rows)?;
-    Ok(RunResults { folder: path, summary, timing, rows, missing: manifest.scenarios.missing })
+    Ok(RunResults {
+        folder: path,
+        summary,
+        timing,
+        rows,
+        missing: manifest.scenarios.missing,
+    })
 }
 
 /// This machine, and what this session simulated since it `started`.
 pub(super) fn session(started: Instant, simulations: usize, load_s: Option<f64>) -> Session {
-    let (threads, wall_s) = (rayon::current_num_threads(), started.elapsed().as_secs_f64());
-    Session { cpu: cpu(), threads, wall_s, simulations, load_s }
+    let (threads, wall_s) = (
+        rayon::current_num_threads(),
+        started.elapsed().as_secs_f64(),
+    );
+    Session {
+        cpu: cpu(),
+        threads,
+        wall_s,
+        simulations,
+        load_s,
+    }
 }

@@ -43,28 +43,50 @@ impl Sample {
             return Ok(found);
         }
         let known: BTreeSet<&str> = found.iter().flat_map(types_of).collect();
-        if let Some(name) = self.types.iter().find(|name| !known.contains(name.as_str())) {
-            return Err(NoSuchType { name: name.clone(), known: known.into_iter().map(str::to_owned).collect() });
+        if let Some(name) = self
+            .types
+            .iter()
+            .find(|name| !known.contains(name.as_str()))
+        {
+            return Err(NoSuchType {
+                name: name.clone(),
+                known: known.into_iter().map(str::to_owned).collect(),
+            });
         }
-        let is_wanted =
-            |scenario: &ScenarioRef| types_of(scenario).any(|own| self.types.iter().any(|name| name == own));
+        let is_wanted = |scenario: &ScenarioRef| {
+            types_of(scenario).any(|own| self.types.iter().any(|name| name == own))
+        };
         Ok(found.into_iter().filter(is_wanted).collect())
     }
 }
 
-/// At most `limit` scenarios: of each type the first, then of each the second, and so on. Modified scenarios of one type are
-/// taken in the same way from the types that they had before. They stay in their order.
+/// At most `limit` scenarios: of each type the first, then of each the second, and so on. Modified
+/// scenarios of one type are taken in the same way from the types that they had before. They stay
+/// in their order.
 fn evenly(scenarios: Vec<ScenarioRef>, limit: usize) -> Vec<ScenarioRef> {
-    let by_type = groups(scenarios.iter().enumerate(), |(_, scenario)| type_of(scenario));
-    let by_type = by_type.into_iter().map(|group| in_turn(&groups(group, |(_, scenario)| scenario.unmodified_type())));
-    let taken: BTreeSet<usize> =
-        in_turn(&by_type.collect::<Vec<_>>()).into_iter().take(limit).map(|(place, _)| place).collect();
-    let kept = scenarios.into_iter().enumerate().filter(|(place, _)| taken.contains(place));
+    let by_type = groups(scenarios.iter().enumerate(), |(_, scenario)| {
+        type_of(scenario)
+    });
+    let by_type = by_type
+        .into_iter()
+        .map(|group| in_turn(&groups(group, |(_, scenario)| scenario.unmodified_type())));
+    let taken: BTreeSet<usize> = in_turn(&by_type.collect::<Vec<_>>())
+        .into_iter()
+        .take(limit)
+        .map(|(place, _)| place)
+        .collect();
+    let kept = scenarios
+        .into_iter()
+        .enumerate()
+        .filter(|(place, _)| taken.contains(place));
     kept.map(|(_, scenario)| scenario).collect()
 }
 
 /// The items of each key, in the order in which the keys come.
-fn groups<T, K: PartialEq>(items: impl IntoIterator<Item = T>, key: impl Fn(&T) -> K) -> Vec<Vec<T>> {
+fn groups<T, K: PartialEq>(
+    items: impl IntoIterator<Item = T>,
+    key: impl Fn(&T) -> K,
+) -> Vec<Vec<T>> {
     let mut groups: Vec<(K, Vec<T>)> = Vec::new();
     for item in items {
         let own = key(&item);
@@ -79,7 +101,13 @@ fn groups<T, K: PartialEq>(items: impl IntoIterator<Item = T>, key: impl Fn(&T) 
 /// The first of each group, then the second of each, and so on.
 fn in_turn<T: Copy>(groups: &[Vec<T>]) -> Vec<T> {
     let longest = groups.iter().map(Vec::len).max().unwrap_or(0);
-    (0..longest).flat_map(|turn| groups.iter().filter_map(move |items| items.get(turn).copied())).collect()
+    (0..longest)
+        .flat_map(|turn| {
+            groups
+                .iter()
+                .filter_map(move |items| items.get(turn).copied())
+        })
+        .collect()
 }
 
 fn type_of(scenario: &ScenarioRef) -> &str {
@@ -93,14 +121,31 @@ fn types_of(scenario: &ScenarioRef) -> impl Iterator<Item = &str> {
 
 /// A name of the scenario that does not depend on where its file lies.
 pub(super) fn key(scenario: &ScenarioRef) -> String {
-    let file = || scenario.path()?.file_name().map(|name| name.to_string_lossy().into_owned());
-    scenario.id().map(str::to_owned).or_else(file).unwrap_or_else(|| scenario.to_string())
+    let file = || {
+        scenario
+            .path()?
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned())
+    };
+    scenario
+        .id()
+        .map(str::to_owned)
+        .or_else(file)
+        .unwrap_or_else(|| scenario.to_string())
 }
 
 /// A number that stays the same on every machine and in every version.
 pub(super) fn hash(salt: &[u8], text: &str) -> u64 {
-    let digest = blake3::Hasher::new().update(salt).update(b"\n").update(text.as_bytes()).finalize();
-    digest.as_bytes().iter().take(8).fold(0, |number, &byte| number << 8 | u64::from(byte))
+    let digest = blake3::Hasher::new()
+        .update(salt)
+        .update(b"\n")
+        .update(text.as_bytes())
+        .finalize();
+    digest
+        .as_bytes()
+        .iter()
+        .take(8)
+        .fold(0, |number, &byte| number << 8 | u64::from(byte))
 }
 
 #[cfg(test)]
@@ -113,7 +158,9 @@ mod tests {
     fn scenario(kind: &str, seed: usize) -> ScenarioRef {
         let word = format!("generated/{kind}/{seed}");
         let unopened = || Err(ReaderError::Unreadable(String::new()));
-        ScenarioRef::new(word.clone(), unopened).with_id(word).with_type(kind)
+        ScenarioRef::new(word.clone(), unopened)
+            .with_id(word)
+            .with_type(kind)
     }
 
     fn scenarios() -> Vec<ScenarioRef> {
@@ -124,12 +171,24 @@ mod tests {
     }
 
     fn names(scenarios: &[ScenarioRef]) -> Vec<String> {
-        scenarios.iter().map(|one| one.to_string().replace("generated/", "")).collect()
+        scenarios
+            .iter()
+            .map(|one| one.to_string().replace("generated/", ""))
+            .collect()
     }
 
     #[test]
     fn a_limit_takes_evenly_and_keeps_the_order() {
-        let taken = |limit| names(&Sample { limit: Some(limit), ..Sample::default() }.of(scenarios()).unwrap());
+        let taken = |limit| {
+            names(
+                &Sample {
+                    limit: Some(limit),
+                    ..Sample::default()
+                }
+                .of(scenarios())
+                .unwrap(),
+            )
+        };
         assert_eq!(taken(2), ["a/0", "b/0"]);
         assert_eq!(taken(4), ["a/0", "a/1", "b/0", "c/0"]);
         assert_eq!(taken(7), ["a/0", "a/1", "a/2", "b/0", "c/0", "c/1", "c/2"]);
@@ -138,35 +197,81 @@ mod tests {
 
     #[test]
     fn types_are_kept_and_unknown_ones_refused() {
-        let of = |kind: &str| Sample { types: vec![kind.to_owned()], ..Sample::default() }.of(scenarios());
+        let of = |kind: &str| {
+            Sample {
+                types: vec![kind.to_owned()],
+                ..Sample::default()
+            }
+            .of(scenarios())
+        };
         assert_eq!(names(&of("c").unwrap()), ["c/0", "c/1", "c/2"]);
         let error = of("d").unwrap_err();
-        assert_eq!(error.to_string(), "no scenario is of type 'd'; there are a, b, c");
+        assert_eq!(
+            error.to_string(),
+            "no scenario is of type 'd'; there are a, b, c"
+        );
     }
 
     #[test]
     fn modified_scenarios_are_found_by_both_types_and_taken_evenly_from_both() {
-        let modification = ModifiedName::of(InteractionKind::JaywalkingPedestrian).read().unwrap();
-        let modified: Vec<ScenarioRef> = scenarios().into_iter().map(|one| modification.of(one)).collect();
+        let modification = ModifiedName::of(InteractionKind::JaywalkingPedestrian)
+            .read()
+            .unwrap();
+        let modified: Vec<ScenarioRef> = scenarios()
+            .into_iter()
+            .map(|one| modification.of(one))
+            .collect();
         let taken = |sample: Sample| {
-            names(&sample.of(modified.clone()).unwrap()).join(" ").replace("~jaywalking_pedestrian", "")
+            names(&sample.of(modified.clone()).unwrap())
+                .join(" ")
+                .replace("~jaywalking_pedestrian", "")
         };
-        assert_eq!(taken(Sample { limit: Some(3), ..Sample::default() }), "a/0 b/0 c/0");
-        let of = |kind: &str| Sample { types: vec![kind.to_owned()], limit: Some(2), ..Sample::default() };
+        assert_eq!(
+            taken(Sample {
+                limit: Some(3),
+                ..Sample::default()
+            }),
+            "a/0 b/0 c/0"
+        );
+        let of = |kind: &str| Sample {
+            types: vec![kind.to_owned()],
+            limit: Some(2),
+            ..Sample::default()
+        };
         assert_eq!(taken(of("c")), "c/0 c/1");
         assert_eq!(taken(of("jaywalking_pedestrian")), "a/0 b/0");
     }
 
     #[test]
     fn a_seed_draws_an_order_that_other_scenarios_do_not_change() {
-        let order = |seed, found| names(&Sample { shuffle: Some(seed), ..Sample::default() }.of(found).unwrap());
+        let order = |seed, found| {
+            names(
+                &Sample {
+                    shuffle: Some(seed),
+                    ..Sample::default()
+                }
+                .of(found)
+                .unwrap(),
+            )
+        };
         let all = order(0, scenarios());
         assert_ne!(all, names(&scenarios()));
         assert_ne!(all, order(1, scenarios()));
         let mut sorted = all.clone();
         sorted.sort();
         assert_eq!(sorted, names(&scenarios()));
-        let some = order(0, scenarios().into_iter().filter(|one| type_of(one) != "b").collect());
-        assert_eq!(some, all.into_iter().filter(|name| !name.starts_with('b')).collect::<Vec<_>>());
+        let some = order(
+            0,
+            scenarios()
+                .into_iter()
+                .filter(|one| type_of(one) != "b")
+                .collect(),
+        );
+        assert_eq!(
+            some,
+            all.into_iter()
+                .filter(|name| !name.starts_with('b'))
+                .collect::<Vec<_>>()
+        );
     }
 }

@@ -12,7 +12,9 @@ use crate::worker::suite::Suite;
 use planagent_agent::planner::{PlannerName, PlannerRegistry};
 use planagent_agent::simulation::{AgentPolicyName, Challenge};
 use planagent_files::word_of;
-use planagent_scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
+use planagent_scenario::{
+    DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator,
+};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -41,7 +43,8 @@ pub struct Selected {
 }
 
 impl Selection {
-    /// The tasks of a request with the policy of its own agents; `seed` draws the order of shuffled scenarios.
+    /// The tasks of a request with the policy of its own agents; `seed` draws the order of shuffled
+    /// scenarios.
     pub(super) fn new(
         (request, agents): (&Request, Option<AgentPolicyName>),
         resumed: Option<&Manifest>,
@@ -55,19 +58,45 @@ impl Selection {
         if let Some(manifest) = resumed {
             check_commands(request, agents, manifest)?;
         }
-        let planners = planners(&request.registry, &own(&request.planners, |manifest| &manifest.planners))?;
-        let challenges = challenges(&own(&request.challenges, |manifest| &manifest.challenges), agents)?;
+        let planners = planners(
+            &request.registry,
+            &own(&request.planners, |manifest| &manifest.planners),
+        )?;
+        let challenges = challenges(
+            &own(&request.challenges, |manifest| &manifest.challenges),
+            agents,
+        )?;
         let named = match resumed {
-            Some(Manifest { scenarios, .. }) if !request.names_scenarios() => Named::in_run(scenarios),
+            Some(Manifest { scenarios, .. }) if !request.names_scenarios() => {
+                Named::in_run(scenarios)
+            }
             _ => Named::in_request(request)?,
         };
-        let Named { words, splits, types, shuffle, limit, shard } = named;
+        let Named {
+            words,
+            splits,
+            types,
+            shuffle,
+            limit,
+            shard,
+        } = named;
         let roots = roots(request, resumed)?;
         let readers = (request.readers)(&roots);
         // The run can be resumed from any working directory.
-        let words: Vec<String> = words.iter().map(|word| readers.absolute_word(word)).collect();
-        let sample = Sample { types: types.clone(), shuffle: shuffle.then_some(seed), limit };
-        let Selected { sources, splits, missing } = select(&words, &splits, &sample, &readers, listener)?;
+        let words: Vec<String> = words
+            .iter()
+            .map(|word| readers.absolute_word(word))
+            .collect();
+        let sample = Sample {
+            types: types.clone(),
+            shuffle: shuffle.then_some(seed),
+            limit,
+        };
+        let Selected {
+            sources,
+            splits,
+            missing,
+        } = select(&words, &splits, &sample, &readers, listener)?;
         let shard_list = shard.map(|shard| shard.list(&sources));
         let named = ScenarioList {
             words,
@@ -82,13 +111,27 @@ impl Selection {
         let list = scenario_list(&sources, named, roots)?;
         let tasks = tasks(&sources, &planners, &challenges);
         let is_own = |task: &SimulationTask| shard.is_none_or(|shard| shard.has(&task.source));
-        let numbers = tasks.iter().enumerate().filter(|(_, task)| is_own(task)).map(|(number, _)| number).collect();
-        Ok(Self { list, planners, challenges, tasks, numbers, readers })
+        let numbers = tasks
+            .iter()
+            .enumerate()
+            .filter(|(_, task)| is_own(task))
+            .map(|(number, _)| number)
+            .collect();
+        Ok(Self {
+            list,
+            planners,
+            challenges,
+            tasks,
+            numbers,
+            readers,
+        })
     }
 
     /// The scenarios that this run simulates, each at least once.
     pub(super) fn own_sources(&self) -> impl Iterator<Item = &ScenarioRef> {
-        self.numbers.iter().filter_map(|&number| Some(&self.tasks.get(number)?.source))
+        self.numbers
+            .iter()
+            .filter_map(|&number| Some(&self.tasks.get(number)?.source))
     }
 
     /// Refuses a run whose scenarios changed since it started.
@@ -98,7 +141,11 @@ impl Selection {
             return Ok(());
         }
         let words = [&then.words[..], &then.splits[..]].concat().join(" ");
-        Err(RunnerError::ScenariosChanged { then: then.count, now: now.count, words })
+        Err(RunnerError::ScenariosChanged {
+            then: then.count,
+            now: now.count,
+            words,
+        })
     }
 }
 
@@ -144,24 +191,33 @@ impl Named {
     }
 }
 
-/// Refuses to take a command from a run that the request does not give: a folder from elsewhere must start no program.
-fn check_commands(request: &Request, agents: Option<AgentPolicyName>, manifest: &Manifest) -> Result<(), RunnerError> {
+/// Refuses to take a command from a run that the request does not give: a folder from elsewhere
+/// must start no program.
+fn check_commands(
+    request: &Request,
+    agents: Option<AgentPolicyName>,
+    manifest: &Manifest,
+) -> Result<(), RunnerError> {
     if let (None, Some((policy, command))) = (agents, manifest.agents.iter().next()) {
-        return Err(RunnerError::AgentsNotGiven { policy: policy.clone(), command: command.clone() });
+        return Err(RunnerError::AgentsNotGiven {
+            policy: policy.clone(),
+            command: command.clone(),
+        });
     }
     if !request.planners.is_empty() {
         return Ok(());
     }
     match manifest.commands.iter().next() {
         None => Ok(()),
-        Some((planner, command)) => {
-            Err(RunnerError::CommandNotGiven { planner: planner.clone(), command: command.clone() })
-        }
+        Some((planner, command)) => Err(RunnerError::CommandNotGiven {
+            planner: planner.clone(),
+            command: command.clone(),
+        }),
     }
 }
 
-/// Completes a manifest's list by the scenarios, and checks that their files exist: before the first simulation
-/// instead of in each.
+/// Completes a manifest's list by the scenarios, and checks that their files exist: before the
+/// first simulation instead of in each.
 pub fn scenario_list(
     sources: &[ScenarioRef],
     named: ScenarioList,
@@ -169,14 +225,25 @@ pub fn scenario_list(
 ) -> Result<ScenarioList, RunnerError> {
     sources.iter().try_for_each(ScenarioRef::check)?;
     let blake3 = ScenarioList::digest(sources.iter().map(ToString::to_string));
-    let DataRoots { data: data_root, maps: maps_root } = roots;
-    Ok(ScenarioList { data_root, maps_root, count: sources.len(), blake3, ..named })
+    let DataRoots {
+        data: data_root,
+        maps: maps_root,
+    } = roots;
+    Ok(ScenarioList {
+        data_root,
+        maps_root,
+        count: sources.len(),
+        blake3,
+        ..named
+    })
 }
 
-/// The folders of nuPlan's data: those of the request, else those of the run that is resumed; absolute.
+/// The folders of nuPlan's data: those of the request, else those of the run that is resumed;
+/// absolute.
 fn roots(request: &Request, resumed: Option<&Manifest>) -> Result<DataRoots, RunnerError> {
     let DataRoots { data, maps } = request.roots.clone();
-    let before = |of: fn(&ScenarioList) -> &Option<PathBuf>| resumed.and_then(|m| of(&m.scenarios).clone());
+    let before =
+        |of: fn(&ScenarioList) -> &Option<PathBuf>| resumed.and_then(|m| of(&m.scenarios).clone());
     absolute(DataRoots {
         data: data.or_else(|| before(|l| &l.data_root)),
         maps: maps.or_else(|| before(|l| &l.maps_root)),
@@ -186,10 +253,15 @@ fn roots(request: &Request, resumed: Option<&Manifest>) -> Result<DataRoots, Run
 pub fn absolute(DataRoots { data, maps }: DataRoots) -> Result<DataRoots, RunnerError> {
     let absolute = |folder: Option<PathBuf>| {
         folder
-            .map(|path| std::path::absolute(&path).map_err(|source| RunnerError::Absolute { path, source }))
+            .map(|path| {
+                std::path::absolute(&path).map_err(|source| RunnerError::Absolute { path, source })
+            })
             .transpose()
     };
-    Ok(DataRoots { data: absolute(data)?, maps: absolute(maps)? })
+    Ok(DataRoots {
+        data: absolute(data)?,
+        maps: absolute(maps)?,
+    })
 }
 
 /// Finds the scenarios that words and splits name, or the default one where both are empty.
@@ -203,14 +275,21 @@ pub fn select(
     let note = |text: String| listener(Event::Note(text));
     let (mut found, mut missing, mut lists) = (Vec::new(), Vec::new(), Vec::new());
     for name in splits {
-        let of_split = split(name, readers, &|done, total| listener(Event::LogsSearched { done, total }))?;
+        let of_split = split(name, readers, &|done, total| {
+            listener(Event::LogsSearched { done, total })
+        })?;
         found.extend(of_split.scenarios);
-        of_split.notes.iter().for_each(|text| note(format!("{name}: {text}")));
+        of_split
+            .notes
+            .iter()
+            .for_each(|text| note(format!("{name}: {text}")));
         if !of_split.missing.is_empty() {
             note(of_split.missing.to_string());
             missing.push(of_split.missing);
         }
-        let file = of_split.file.map(|file| absolute_path(&word_of(file.as_os_str())));
+        let file = of_split
+            .file
+            .map(|file| absolute_path(&word_of(file.as_os_str())));
         lists.push(file.unwrap_or_else(|| name.clone()));
     }
     for word in words {
@@ -224,14 +303,20 @@ pub fn select(
     let (sources, repeated) = ScenarioRef::distinct(found);
     if let Some(first) = repeated.first() {
         let count = repeated.len();
-        note(format!("{count} scenarios are named more than once and simulated once, for example {first}"));
+        note(format!(
+            "{count} scenarios are named more than once and simulated once, for example {first}"
+        ));
     }
     let sources = sample.of(sources)?;
     check_ids(&sources)?;
     if sources.is_empty() {
         return Err(RunnerError::NoScenario);
     }
-    Ok(Selected { sources, splits: lists, missing })
+    Ok(Selected {
+        sources,
+        splits: lists,
+        missing,
+    })
 }
 
 /// Refuses two scenarios with one id: results name scenarios by their ids.
@@ -252,12 +337,18 @@ fn planners(registry: &PlannerRegistry, names: &[String]) -> Result<Vec<PlannerN
     if names.is_empty() {
         return Ok(vec![PlannerName::PLAN_AGENT]);
     }
-    let planners = names.iter().map(|name| registry.find(name).map(|entry| entry.name));
+    let planners = names
+        .iter()
+        .map(|name| registry.find(name).map(|entry| entry.name));
     Ok(distinct(planners.collect::<Result<_, _>>()?))
 }
 
-/// The challenges by name, and the closed loop with own agents. These alone are simulated if no challenge is named.
-fn challenges(names: &[String], agents: Option<AgentPolicyName>) -> Result<Vec<Challenge>, RunnerError> {
+/// The challenges by name, and the closed loop with own agents. These alone are simulated if no
+/// challenge is named.
+fn challenges(
+    names: &[String],
+    agents: Option<AgentPolicyName>,
+) -> Result<Vec<Challenge>, RunnerError> {
     if names.is_empty() && agents.is_none() {
         return Ok(vec![Challenge::NonReactive]);
     }
@@ -265,7 +356,10 @@ fn challenges(names: &[String], agents: Option<AgentPolicyName>) -> Result<Vec<C
     for name in names {
         match name.as_str() {
             "both" => challenges.extend(Challenge::CLOSED_LOOP),
-            one => challenges.push(one.parse().map_err(|source| RunnerError::Challenge { source })?),
+            one => challenges.push(
+                one.parse()
+                    .map_err(|source| RunnerError::Challenge { source })?,
+            ),
         }
     }
     challenges.extend(agents.map(Challenge::OwnAgents));
@@ -284,10 +378,25 @@ fn distinct<T: PartialEq>(values: Vec<T>) -> Vec<T> {
 }
 
 /// Every scenario with every planner in every challenge.
-pub fn tasks(sources: &[ScenarioRef], planners: &[PlannerName], challenges: &[Challenge]) -> Vec<SimulationTask> {
+pub fn tasks(
+    sources: &[ScenarioRef],
+    planners: &[PlannerName],
+    challenges: &[Challenge],
+) -> Vec<SimulationTask> {
     let of_planner = |source: &ScenarioRef, planner: PlannerName| {
-        let task = |&challenge: &Challenge| SimulationTask { source: source.clone(), planner, challenge };
+        let task = |&challenge: &Challenge| SimulationTask {
+            source: source.clone(),
+            planner,
+            challenge,
+        };
         challenges.iter().map(task).collect::<Vec<_>>()
     };
-    sources.iter().flat_map(|source| planners.iter().flat_map(move |&planner| of_planner(source, planner))).collect()
+    sources
+        .iter()
+        .flat_map(|source| {
+            planners
+                .iter()
+                .flat_map(move |&planner| of_planner(source, planner))
+        })
+        .collect()
 }

@@ -17,8 +17,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Instant, SystemTime};
 
-/// Simulates what a request names in a new folder; without a name, in the next free `runs/NNNN`. A failed simulation is
-/// recorded and no error.
+/// Simulates what a request names in a new folder; without a name, in the next free `runs/NNNN`. A
+/// failed simulation is recorded and no error.
 pub fn start(
     request: &Request,
     config: &Config,
@@ -31,12 +31,16 @@ pub fn start(
     // Loading a model takes long: what is wrong with the folder is said before.
     RunFolder::check_new(folder)?;
     let data = data_files(selection.own_sources(), None);
-    let run = Run::create(folder, plan(request, commands, &selection, data, config, listener)?)?;
+    let run = Run::create(
+        folder,
+        plan(request, commands, &selection, data, config, listener)?,
+    )?;
     complete(run, &selection, started, listener)
 }
 
-/// Resumes the run in a folder. The request and the configuration must be those it was started with; completed
-/// simulations stay. A run without simulations left gives its results even if its scenarios cannot be found.
+/// Resumes the run in a folder. The request and the configuration must be those it was started
+/// with; completed simulations stay. A run without simulations left gives its results even if its
+/// scenarios cannot be found.
 pub fn resume(
     folder: &Path,
     request: &Request,
@@ -47,7 +51,12 @@ pub fn resume(
     let before = RunFolder::manifest(folder)?;
     let (request, commands) = &request.with_commands()?;
     let is_plain = request.is_plain_resume();
-    let selected = Selection::new((request, commands.policy()), Some(&before), config.seed, listener);
+    let selected = Selection::new(
+        (request, commands.policy()),
+        Some(&before),
+        config.seed,
+        listener,
+    );
     let selected = selected.and_then(|selection| {
         if is_plain {
             selection.check_unchanged(&before)?;
@@ -56,43 +65,67 @@ pub fn resume(
     });
     let selection = match selected {
         Ok(selection) => selection,
-        Err(cause) if is_plain => return without_scenarios(folder, &before, config, cause, listener),
+        Err(cause) if is_plain => {
+            return without_scenarios(folder, &before, config, cause, listener);
+        }
         Err(cause) => return Err(cause),
     };
     // Loading a model takes long: a run with other settings is refused before.
     let data = data_files(selection.own_sources(), before.inputs.as_ref());
     let now = of_selection(&selection, commands, None, data.clone(), config)?;
-    let differences =
-        before.differences(&Manifest { model: before.model.clone(), prompts: before.prompts.clone(), ..now });
+    let differences = before.differences(&Manifest {
+        model: before.model.clone(),
+        prompts: before.prompts.clone(),
+        ..now
+    });
     if !differences.is_empty() {
-        return Err(RunnerError::OtherSettings { folder: folder.to_owned(), differences });
+        return Err(RunnerError::OtherSettings {
+            folder: folder.to_owned(),
+            differences,
+        });
     }
     if let Some(then) = &before.inputs {
-        let mut inputs = Inputs { data: data.clone(), ..then.clone() };
+        let mut inputs = Inputs {
+            data: data.clone(),
+            ..then.clone()
+        };
         // Files that are not on this machine yet are compared once the model is loaded.
         if before.model.is_some()
             && let Ok(of_model) = model::inputs_here(config, listener)
         {
-            inputs = Inputs { data: data.clone(), ..of_model };
+            inputs = Inputs {
+                data: data.clone(),
+                ..of_model
+            };
         }
         RunFolder::check_inputs(folder, &then.changes(&inputs), request.accept_changes)?;
     }
     RunFolder::check_resumable(folder)?;
     let plan = plan(request, commands, &selection, data, config, listener)?;
-    let how = Resume { retry_failed: request.retry_failed, accept_changes: request.accept_changes };
+    let how = Resume {
+        retry_failed: request.retry_failed,
+        accept_changes: request.accept_changes,
+    };
     let run = Run::resume(folder, plan, how, listener)?;
     if let (Some(then), Some(now)) = (before.commit.as_deref(), build_commit())
         && then != now
         && !run.left().is_empty()
     {
-        let text =
-            format!("the run was started by commit {then}, this program is {now}; both have the same result version");
+        let text = format!(
+            "the run was started by commit {then}, this program is {now}; both have the same result version"
+        );
         listener(Event::Note(text));
     }
     let (total, left) = (run.total(), run.left().len());
-    let failed = if run.retried > 0 { format!(", {} of them had failed", run.retried) } else { String::new() };
+    let failed = if run.retried > 0 {
+        format!(", {} of them had failed", run.retried)
+    } else {
+        String::new()
+    };
     let completed = total - left;
-    listener(Event::Note(format!("{completed} of {total} simulations are completed, {left} are left{failed}")));
+    listener(Event::Note(format!(
+        "{completed} of {total} simulations are completed, {left} are left{failed}"
+    )));
     complete(run, &selection, started, listener)
 }
 
@@ -101,7 +134,10 @@ impl Config {
     pub fn of_run(folder: &Path) -> Result<Self, RunnerError> {
         let place = format!("of the run in {}", folder.display());
         let table = RunFolder::manifest(folder)?.config;
-        Ok(table.try_into().map_err(|source| ConfigError::Parse { place, source: Box::new(source) })?)
+        Ok(table.try_into().map_err(|source| ConfigError::Parse {
+            place,
+            source: Box::new(source),
+        })?)
     }
 }
 
@@ -120,10 +156,16 @@ fn plan(
         if let Some(key) = entry.unsupported(&config.agent_settings()) {
             return Err(RunnerError::Unsupported { key, planner });
         }
-        entry.prepare(&config.agent_settings()).map_err(|source| RunnerError::Prepare(Box::new(source)))?;
+        entry
+            .prepare(&config.agent_settings())
+            .map_err(|source| RunnerError::Prepare(Box::new(source)))?;
         needs_model |= entry.needs_model();
     }
-    let loaded = if needs_model { Some((request.loader)(config, listener)?) } else { None };
+    let loaded = if needs_model {
+        Some((request.loader)(config, listener)?)
+    } else {
+        None
+    };
     Ok(RunPlan {
         manifest: of_selection(selection, commands, loaded.as_deref(), data, config)?,
         tasks: selection.tasks.clone(),
@@ -146,8 +188,18 @@ fn of_selection(
     config: &Config,
 ) -> Result<Manifest, RunnerError> {
     let planners = selection.planners.iter().map(ToString::to_string).collect();
-    let challenges = selection.challenges.iter().map(ToString::to_string).collect();
-    let subject = RunSubject { planners, commands, challenges, scenarios: selection.list.clone(), data };
+    let challenges = selection
+        .challenges
+        .iter()
+        .map(ToString::to_string)
+        .collect();
+    let subject = RunSubject {
+        planners,
+        commands,
+        challenges,
+        scenarios: selection.list.clone(),
+        data,
+    };
     manifest(subject, loaded, config)
 }
 
@@ -164,11 +216,22 @@ pub struct RunSubject<'a> {
 
 /// What a run would be started with now.
 pub fn manifest(
-    RunSubject { planners, commands, challenges, scenarios, data }: RunSubject<'_>,
+    RunSubject {
+        planners,
+        commands,
+        challenges,
+        scenarios,
+        data,
+    }: RunSubject<'_>,
     loaded: Option<&LoadedModel>,
     config: &Config,
 ) -> Result<Manifest, RunnerError> {
-    let mut inputs = Inputs { data, ..loaded.map(|loaded| loaded.inputs.clone()).unwrap_or_default() };
+    let mut inputs = Inputs {
+        data,
+        ..loaded
+            .map(|loaded| loaded.inputs.clone())
+            .unwrap_or_default()
+    };
     inputs.model.extend(checkpoint_digests(&planners, config));
     Ok(Manifest {
         format_version: FORMAT_VERSION,
@@ -181,7 +244,9 @@ pub fn manifest(
         agents: commands.of_agents(),
         challenges,
         scenarios,
-        model: loaded.map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?,
+        model: loaded
+            .map(|loaded| toml::Table::try_from(&loaded.about))
+            .transpose()?,
         prompts: loaded.and_then(LoadedModel::prompt_list),
         config: toml::Table::try_from(config)?,
         inputs: Some(inputs),
@@ -197,12 +262,19 @@ fn complete(
     listener: &Listener,
 ) -> Result<RunResults, RunnerError> {
     let left = run.left().to_vec();
-    listener(Event::Opened { folder: run.path().to_owned(), has_commands: run.has_commands() });
+    listener(Event::Opened {
+        folder: run.path().to_owned(),
+        has_commands: run.has_commands(),
+    });
     listener(Event::Started { total: left.len() });
     let simulated = run.simulate(&left, listener);
     listener(Event::Finished);
     simulated?;
-    selection.readers.take_notes().into_iter().for_each(|text| listener(Event::Note(text)));
+    selection
+        .readers
+        .take_notes()
+        .into_iter()
+        .for_each(|text| listener(Event::Note(text)));
     run.finish(started)
 }
 
@@ -219,10 +291,17 @@ fn without_scenarios(
     let (completed, total) = (rows.len(), manifest.simulations());
     let folder = folder.to_owned();
     if completed != total || manifest.config != toml::Table::try_from(config)? {
-        return Err(RunnerError::CannotResume { folder, completed, total, source: Box::new(cause) });
+        return Err(RunnerError::CannotResume {
+            folder,
+            completed,
+            total,
+            source: Box::new(cause),
+        });
     }
     let shown = folder.display();
-    listener(Event::Note(format!("the run in {shown} has ended; only its results are shown, because {cause}")));
+    listener(Event::Note(format!(
+        "the run in {shown} has ended; only its results are shown, because {cause}"
+    )));
     let (locked, manifest, _) = RunFolder::resume(&folder, manifest, false)?;
     run::finish(&locked, manifest, run::session(started, 0, None), rows)
 }

@@ -1,4 +1,5 @@
-//! The interactive suites: modified scenarios of interPlan's eight kinds, drawn before any was simulated.
+//! The interactive suites: modified scenarios of interPlan's eight kinds, drawn before any was
+//! simulated.
 
 use super::seeds::Split as Seeds;
 use super::split::SplitError;
@@ -19,18 +20,21 @@ pub const NAMES: [&str; 2] = [GENERATED, RECORDED];
 
 /// Scenarios of each kind in [`GENERATED`].
 pub const SCENARIOS: usize = 100;
-/// First test seed of [`GENERATED`]: those before belong to other suites. Each kind has a block of seeds of its own.
+/// First test seed of [`GENERATED`]: those before belong to other suites. Each kind has a block of
+/// seeds of its own.
 const FIRST_SEED: u64 = 10_000;
 const SEEDS_OF_KIND: u64 = 300;
-/// Road before the next intersection that the maneuver of a kind takes, meters: a change of lanes, or the way past what stands. In
-/// [`RECORDED`] the road is what it is.
+/// Road before the next intersection that the maneuver of a kind takes, meters: a change of lanes,
+/// or the way past what stands. In [`RECORDED`] the road is what it is.
 const fn road_m(kind: InteractionKind) -> f64 {
     use InteractionKind as Kind;
     match kind {
         Kind::LowTrafficDensity | Kind::MediumTrafficDensity | Kind::HighTrafficDensity => 60.0,
         Kind::AvoidCrashedCars => 75.0,
         Kind::ApproachingConstructionZone => 80.0,
-        Kind::OvertakeParkedVehicle | Kind::NudgeAroundParkedVehicle | Kind::JaywalkingPedestrian => 0.0,
+        Kind::OvertakeParkedVehicle
+        | Kind::NudgeAroundParkedVehicle
+        | Kind::JaywalkingPedestrian => 0.0,
     }
 }
 
@@ -54,10 +58,12 @@ const RECORDED_HEADER: &str = "\
 
 /// The lines of a list without its comments.
 fn words(list: &'static str) -> impl Iterator<Item = &'static str> {
-    list.lines().filter(|line| !line.is_empty() && !line.starts_with('#'))
+    list.lines()
+        .filter(|line| !line.is_empty() && !line.starts_with('#'))
 }
 
-/// The words of a suite; `None` for other names. Those of recordings are paths in the folder of data.
+/// The words of a suite; `None` for other names. Those of recordings are paths in the folder of
+/// data.
 pub fn suite_words(name: &str) -> Option<Vec<&'static str>> {
     match name {
         GENERATED => Some(words(GENERATED_LIST).collect()),
@@ -66,7 +72,8 @@ pub fn suite_words(name: &str) -> Option<Vec<&'static str>> {
     }
 }
 
-/// The scenarios of a suite; `None` for other names. Recordings that the folder of data lacks are missing.
+/// The scenarios of a suite; `None` for other names. Recordings that the folder of data lacks are
+/// missing.
 pub fn split(name: &str, readers: &Readers) -> Option<Result<Split, SplitError>> {
     let words = suite_words(name)?;
     let found = |words: Vec<String>| -> Result<Vec<ScenarioRef>, ReaderError> {
@@ -77,17 +84,35 @@ pub fn split(name: &str, readers: &Readers) -> Option<Result<Split, SplitError>>
         let scenarios = found(words.into_iter().map(str::to_owned).collect());
         return Some(scenarios.map(Split::of).map_err(Into::into));
     }
-    let data = std::env::var_os(DATA).filter(|folder| !folder.is_empty()).map(PathBuf::from);
+    let data = std::env::var_os(DATA)
+        .filter(|folder| !folder.is_empty())
+        .map(PathBuf::from);
     let (mut here, mut absent) = (Vec::new(), Vec::new());
     for word in &words {
         let base = ModifiedName::in_word(word).map_or(*word, |(base, _)| base);
-        match data.as_ref().map(|data| data.join(base)).filter(|path| path.exists()) {
-            Some(_) => here.extend(data.as_ref().map(|data| word_of(data.join(word).as_os_str()))),
+        match data
+            .as_ref()
+            .map(|data| data.join(base))
+            .filter(|path| path.exists())
+        {
+            Some(_) => here.extend(
+                data.as_ref()
+                    .map(|data| word_of(data.join(word).as_os_str())),
+            ),
             None => absent.push((*word).to_owned()),
         }
     }
-    let missing = MissingTokens { split: name.to_owned(), wanted: words.len(), absent, excluded: Vec::new() };
-    let notes = if data.is_none() { vec![format!("${DATA} names the folder of the recordings")] } else { Vec::new() };
+    let missing = MissingTokens {
+        split: name.to_owned(),
+        wanted: words.len(),
+        absent,
+        excluded: Vec::new(),
+    };
+    let notes = if data.is_none() {
+        vec![format!("${DATA} names the folder of the recordings")]
+    } else {
+        Vec::new()
+    };
     let split = |scenarios| Split::of(scenarios).lacking(missing, notes);
     Some(found(here).map(split).map_err(Into::into))
 }
@@ -101,7 +126,8 @@ pub fn draw_generated(seeds: Seeds, per_kind: usize) -> Result<Vec<String>, Read
     for (place, kind) in InteractionKind::ALL.into_iter().enumerate() {
         let modification = modification(kind)?;
         let first = seeds.seeds().start + FIRST_SEED + place as u64 * SEEDS_OF_KIND;
-        let of_seed = |seed| types::nuplan14().map(move |scenario_type| Spec::new(scenario_type, seed));
+        let of_seed =
+            |seed| types::nuplan14().map(move |scenario_type| Spec::new(scenario_type, seed));
         let candidates: Vec<Spec> = (first..first + SEEDS_OF_KIND).flat_map(of_seed).collect();
         let mut own = Vec::new();
         for batch in candidates.chunks(BATCH) {
@@ -117,12 +143,16 @@ pub fn draw_generated(seeds: Seeds, per_kind: usize) -> Result<Vec<String>, Read
     Ok(all)
 }
 
-/// Draws the scenarios of [`RECORDED`] in a folder of data: every recording with every kind that fits it.
+/// Draws the scenarios of [`RECORDED`] in a folder of data: every recording with every kind that
+/// fits it.
 ///
 /// # Errors
 /// When the folder has no recordings.
 pub fn draw_recorded(data: &Path, readers: &Readers) -> Result<Vec<String>, ReaderError> {
-    let folders = RECORDINGS.map(|folder| data.join(folder)).into_iter().filter(|folder| folder.is_dir());
+    let folders = RECORDINGS
+        .map(|folder| data.join(folder))
+        .into_iter()
+        .filter(|folder| folder.is_dir());
     let mut recordings = Vec::new();
     for folder in folders {
         recordings.extend(readers.find(&word_of(folder.as_os_str()))?);
@@ -133,7 +163,10 @@ pub fn draw_recorded(data: &Path, readers: &Readers) -> Result<Vec<String>, Read
         let modification = modification(kind)?;
         let fits = |recording: &ScenarioRef| fitting(&modification, recording.clone(), 0.0);
         let own: Vec<String> = recordings.par_iter().filter_map(fits).collect();
-        all.extend(own.into_iter().map(|word| word.strip_prefix(&prefix).unwrap_or(&word).to_owned()));
+        all.extend(
+            own.into_iter()
+                .map(|word| word.strip_prefix(&prefix).unwrap_or(&word).to_owned()),
+        );
     }
     Ok(all)
 }
@@ -146,7 +179,9 @@ fn modification(kind: InteractionKind) -> Result<ReadModification, ReaderError> 
 fn fitting(modification: &ReadModification, base: ScenarioRef, road_m: f64) -> Option<String> {
     let modified = modification.of(base);
     let opened = modified.open().ok()?;
-    to_intersection(&opened).is_none_or(|road| road >= road_m).then(|| modified.to_string())
+    to_intersection(&opened)
+        .is_none_or(|road| road >= road_m)
+        .then(|| modified.to_string())
 }
 
 /// The text of `suites/interactive-generated.txt`.
@@ -170,7 +205,9 @@ pub fn recorded_list(words: &[String]) -> String {
 }
 
 fn listed(header: &str, words: &[String]) -> String {
-    words.iter().fold(header.to_owned(), |list, word| format!("{list}{word}\n"))
+    words
+        .iter()
+        .fold(header.to_owned(), |list, word| format!("{list}{word}\n"))
 }
 
 #[cfg(test)]
@@ -189,15 +226,27 @@ mod tests {
                 let (base, name) = ModifiedName::in_word(word).unwrap();
                 assert_eq!(name, ModifiedName::of(kind));
                 let spec: Spec = base.parse().unwrap();
-                assert!(Seeds::Test.seeds().contains(&spec.seed) && seen.insert(spec), "{word}");
-                assert!(spec.seed >= Seeds::Test.seeds().start + FIRST_SEED, "{word}");
+                assert!(
+                    Seeds::Test.seeds().contains(&spec.seed) && seen.insert(spec),
+                    "{word}"
+                );
+                assert!(
+                    spec.seed >= Seeds::Test.seeds().start + FIRST_SEED,
+                    "{word}"
+                );
             }
         }
     }
 
     #[test]
     fn the_lists_are_as_they_are_written() {
-        let owned = |name| suite_words(name).unwrap().into_iter().map(str::to_owned).collect::<Vec<_>>();
+        let owned = |name| {
+            suite_words(name)
+                .unwrap()
+                .into_iter()
+                .map(str::to_owned)
+                .collect::<Vec<_>>()
+        };
         assert_eq!(generated_list(&owned(GENERATED)), GENERATED_LIST);
         assert_eq!(recorded_list(&owned(RECORDED)), RECORDED_LIST);
     }
@@ -209,7 +258,10 @@ mod tests {
         for scenario in scenarios.iter().step_by(SCENARIOS) {
             let opened = scenario.open().unwrap();
             assert_eq!(Some(opened.id.as_str()), scenario.id());
-            assert_eq!(Some(opened.scenario_type.as_str()), scenario.scenario_type());
+            assert_eq!(
+                Some(opened.scenario_type.as_str()),
+                scenario.scenario_type()
+            );
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Stage 9: many simulations in parallel, the studies behind the paper's tables, datasets, benches, and token counts.
+//! Stage 9: many simulations in parallel, the studies behind the paper's tables, datasets, benches,
+//! and token counts.
 
 pub mod interactive;
 mod oracle;

@@ -31,8 +31,9 @@ pub fn catch_panic<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, Str
     })
 }
 
-/// Puts a panic hook before the present one, once in a process: inside guarded work it records the place of a panic and prints
-/// nothing. Only a hook knows the place. It is process-wide, so the program installs it and the library does not.
+/// Puts a panic hook before the present one, once in a process: inside guarded work it records the
+/// place of a panic and prints nothing. Only a hook knows the place. It is process-wide, so the
+/// program installs it and the library does not.
 pub fn install_hook() {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
@@ -41,7 +42,10 @@ pub fn install_hook() {
             let guarded = GUARD.with_borrow_mut(|guard| {
                 let guarded = guard.is_some();
                 if guarded {
-                    *guard = Some(Guard::PanickedAt(info.location().map_or_else(String::new, ToString::to_string)));
+                    *guard = Some(Guard::PanickedAt(
+                        info.location()
+                            .map_or_else(String::new, ToString::to_string),
+                    ));
                 }
                 guarded
             });
@@ -54,7 +58,9 @@ pub fn install_hook() {
 
 fn message(payload: &(dyn Any + Send)) -> String {
     let text = payload.downcast_ref::<&str>().copied();
-    text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("no message").to_owned()
+    text.or_else(|| payload.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("no message")
+        .to_owned()
 }
 
 #[cfg(test)]
@@ -64,11 +70,18 @@ mod tests {
     #[test]
     fn a_panic_is_an_error_with_message_and_place() {
         install_hook();
-        let outcome: Result<(), String> = catch_panic(|| panic!("the wheel came off after {} m", 3));
+        let outcome: Result<(), String> =
+            catch_panic(|| panic!("the wheel came off after {} m", 3));
         let error = outcome.unwrap_err();
-        assert!(error.contains("panic_guard.rs") && error.contains("the wheel came off after 3 m"), "{error}");
+        assert!(
+            error.contains("panic_guard.rs") && error.contains("the wheel came off after 3 m"),
+            "{error}"
+        );
         assert_eq!(catch_panic(|| Ok(7)), Ok(7));
-        assert_eq!(catch_panic::<()>(|| Err("no road".to_owned())), Err("no road".to_owned()));
+        assert_eq!(
+            catch_panic::<()>(|| Err("no road".to_owned())),
+            Err("no road".to_owned())
+        );
     }
 
     #[test]
@@ -77,7 +90,8 @@ mod tests {
         let outcome = catch_panic(|| {
             let inner: Result<(), String> = catch_panic(|| panic!("inner"));
             assert!(inner.is_err());
-            let text: Result<(), String> = catch_panic(|| std::panic::panic_any(String::from("second")));
+            let text: Result<(), String> =
+                catch_panic(|| std::panic::panic_any(String::from("second")));
             text.map_err(|error| format!("{error} in the outer"))
         });
         assert!(outcome.unwrap_err().ends_with("second in the outer"));

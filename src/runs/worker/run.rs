@@ -1,14 +1,17 @@
-//! Many simulations on all cores: scenarios x planners x challenges, each with its score or its error.
+//! Many simulations on all cores: scenarios x planners x challenges, each with its score or its
+//! error.
 
 use super::oracle::OracleAgent;
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
 use super::stoppable::{StopSwitch, Stoppable};
 use planagent_agent::planner::{
-    AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, PlannerNeeds,
-    PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
+    AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError,
+    PlannerName, PlannerNeeds, PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
 };
-use planagent_agent::simulation::{AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared};
+use planagent_agent::simulation::{
+    AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared,
+};
 use planagent_files::shortened;
 use planagent_planners::all_planners;
 use planagent_scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
@@ -36,13 +39,24 @@ pub struct AgentParts {
 impl Default for AgentParts {
     fn default() -> Self {
         let (model, settings, agents, stop) = Default::default();
-        Self { registry: all_planners(), model, settings, agents, stop }
+        Self {
+            registry: all_planners(),
+            model,
+            settings,
+            agents,
+            stop,
+        }
     }
 }
 
 impl AgentParts {
-    /// The planner of one simulation. The scenario's name goes into the seed, so that no simulation depends on another.
-    pub fn planner(&self, name: PlannerName, scenario: &Scenario) -> Result<Box<dyn Planner>, BuildError> {
+    /// The planner of one simulation. The scenario's name goes into the seed, so that no simulation
+    /// depends on another.
+    pub fn planner(
+        &self,
+        name: PlannerName,
+        scenario: &Scenario,
+    ) -> Result<Box<dyn Planner>, BuildError> {
         let entry = self.registry.find(name.as_str())?;
         let recording: Vec<EgoState> = match entry.needs {
             PlannerNeeds::Recording => scenario.recorded().copied().collect(),
@@ -70,19 +84,32 @@ impl AgentParts {
     /// The planner under the switch of the run.
     fn stoppable<'a>(&self, planner: Box<dyn Planner + 'a>) -> Box<dyn Planner + 'a> {
         match &self.stop {
-            Some(switch) => Box::new(Stoppable { planner, switch: switch.clone() }),
+            Some(switch) => Box::new(Stoppable {
+                planner,
+                switch: switch.clone(),
+            }),
             None => planner,
         }
     }
 
     fn shuffled_bev(&self) -> Option<BevSource> {
-        self.settings.environment.shuffled_bev.then(shuffled_bev::source)
+        self.settings
+            .environment
+            .shuffled_bev
+            .then(shuffled_bev::source)
     }
 
     fn settings_for(&self, scenario_id: &str) -> PlanAgentSettings {
         let mut settings = self.settings.clone();
-        let hash = blake3::Hasher::new().update(&settings.seed.to_le_bytes()).update(scenario_id.as_bytes()).finalize();
-        settings.seed = hash.as_bytes().iter().take(8).fold(0, |seed, &byte| seed << 8 | u64::from(byte));
+        let hash = blake3::Hasher::new()
+            .update(&settings.seed.to_le_bytes())
+            .update(scenario_id.as_bytes())
+            .finalize();
+        settings.seed = hash
+            .as_bytes()
+            .iter()
+            .take(8)
+            .fold(0, |seed, &byte| seed << 8 | u64::from(byte));
         settings
     }
 }
@@ -105,7 +132,11 @@ pub struct SimulationTask {
 
 impl fmt::Display for SimulationTask {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} by {} in {}", self.source, self.planner, self.challenge)
+        write!(
+            f,
+            "{} by {} in {}",
+            self.source, self.planner, self.challenge
+        )
     }
 }
 
@@ -118,7 +149,8 @@ pub struct SimulationOutcome {
     pub metrics: Vec<MetricResult>,
     /// The planning calls, for agents.
     pub calls: Vec<PlanningCall>,
-    /// The map layers that counted as drivable, for `pdm-closed`; for `plan-agent` they are in every reflection.
+    /// The map layers that counted as drivable, for `pdm-closed`; for `plan-agent` they are in
+    /// every reflection.
     pub drivable_layers: Option<DrivableLayers>,
     pub log: SimulationLog,
 }
@@ -142,10 +174,11 @@ pub struct SimulationRecord {
     pub outcome: Result<SimulationOutcome, String>,
 }
 
-/// Simulates the tasks of these numbers (places in `tasks`, ascending) on all threads of the current pool. `on_simulation` gets
-/// each record when its simulation ends, from any thread and in any order. `on_iteration` is called after every iteration of
-/// every simulation. A simulation that fails or panics is recorded with its error. The first error of `on_simulation` is
-/// returned, and no further simulation starts.
+/// Simulates the tasks of these numbers (places in `tasks`, ascending) on all threads of the
+/// current pool. `on_simulation` gets each record when its simulation ends, from any thread and in
+/// any order. `on_iteration` is called after every iteration of every simulation. A simulation that
+/// fails or panics is recorded with its error. The first error of `on_simulation` is returned, and
+/// no further simulation starts.
 pub fn run<E: Send>(
     tasks: &[SimulationTask],
     numbers: &[usize],
@@ -153,12 +186,26 @@ pub fn run<E: Send>(
     on_iteration: &(dyn Fn(Progress) + Sync),
     on_simulation: &(dyn Fn(usize, SimulationRecord) -> Result<(), E> + Sync),
 ) -> Result<(), E> {
-    let numbered: Vec<(usize, &SimulationTask)> = numbers.iter().filter_map(|&i| Some((i, tasks.get(i)?))).collect();
-    // Neighboring tasks of one source share the scenario: opening a recording can take longer than simulating it.
-    let groups: Vec<&[(usize, &SimulationTask)]> = numbered.chunk_by(|(_, a), (_, b)| a.source == b.source).collect();
+    let numbered: Vec<(usize, &SimulationTask)> = numbers
+        .iter()
+        .filter_map(|&i| Some((i, tasks.get(i)?)))
+        .collect();
+    // Neighboring tasks of one source share the scenario: opening a recording can take longer than
+    // simulating it.
+    let groups: Vec<&[(usize, &SimulationTask)]> = numbered
+        .chunk_by(|(_, a), (_, b)| a.source == b.source)
+        .collect();
     groups.par_iter().try_for_each(|group| {
-        let Some((_, first)) = group.first() else { return Ok(()) };
-        let opened = catch_panic(|| first.source.open().map(Arc::new).map_err(|error| with_causes(&error)));
+        let Some((_, first)) = group.first() else {
+            return Ok(());
+        };
+        let opened = catch_panic(|| {
+            first
+                .source
+                .open()
+                .map(Arc::new)
+                .map_err(|error| with_causes(&error))
+        });
         group.par_iter().try_for_each(|&(i, task)| {
             let scenario = opened.as_ref().map_err(String::as_str);
             on_simulation(i, record(task, scenario, parts, on_iteration))
@@ -172,11 +219,15 @@ fn record(
     parts: &AgentParts,
     on_iteration: &(dyn Fn(Progress) + Sync),
 ) -> SimulationRecord {
-    let SimulationTask { source, planner, challenge } = task;
+    let SimulationTask {
+        source,
+        planner,
+        challenge,
+    } = task;
     let started_s = now_s();
-    let outcome = scenario
-        .map_err(str::to_owned)
-        .and_then(|scenario| catch_panic(|| simulate_task(scenario, *planner, *challenge, parts, on_iteration)));
+    let outcome = scenario.map_err(str::to_owned).and_then(|scenario| {
+        catch_panic(|| simulate_task(scenario, *planner, *challenge, parts, on_iteration))
+    });
     let opened = scenario.ok();
     SimulationRecord {
         source: source.to_string(),
@@ -189,7 +240,9 @@ fn record(
             .or_else(|| source.scenario_type())
             .unwrap_or(UNKNOWN_TYPE)
             .to_owned(),
-        log_name: opened.map_or_else(|| source.log_name(), |scenario| &scenario.log_name).to_owned(),
+        log_name: opened
+            .map_or_else(|| source.log_name(), |scenario| &scenario.log_name)
+            .to_owned(),
         planner: *planner,
         challenge: *challenge,
         started_s,
@@ -200,7 +253,9 @@ fn record(
 
 /// Seconds since 1970.
 fn now_s() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0.0, |since| since.as_secs_f64())
 }
 
 fn simulate_task(
@@ -211,25 +266,53 @@ fn simulate_task(
     on_iteration: &(dyn Fn(Progress) + Sync),
 ) -> Result<SimulationOutcome, String> {
     // Only a policy that was given is started; without it, the first step fails.
-    let own = parts.agents.as_ref().filter(|agents| Some(agents.name) == challenge.own_agents());
+    let own = parts
+        .agents
+        .as_ref()
+        .filter(|agents| Some(agents.name) == challenge.own_agents());
     let prepared = || match own {
-        Some(agents) => ClosedLoop::with_agents(scenario, challenge, |first| agents.policy(scenario, first)),
+        Some(agents) => {
+            ClosedLoop::with_agents(scenario, challenge, |first| agents.policy(scenario, first))
+        }
         None => ClosedLoop::new(scenario, challenge),
     };
-    let needs = parts.registry.find(planner.as_str()).map_err(|error| with_causes(&error))?.needs;
+    let needs = parts
+        .registry
+        .find(planner.as_str())
+        .map_err(|error| with_causes(&error))?
+        .needs;
     let mut planner: Box<dyn Planner + '_> = match needs {
         PlannerNeeds::Simulation => {
             let ahead = prepared().map_err(|error| with_causes(&error))?;
-            parts.stoppable(Box::new(OracleAgent::new(planner, parts.settings_for(&scenario.id), ahead)))
+            parts.stoppable(Box::new(OracleAgent::new(
+                planner,
+                parts.settings_for(&scenario.id),
+                ahead,
+            )))
         }
-        _ => parts.planner(planner, scenario).map_err(|error| with_causes(&error))?,
+        _ => parts
+            .planner(planner, scenario)
+            .map_err(|error| with_causes(&error))?,
     };
     let log = prepared()
-        .and_then(|simulation| simulate_prepared(simulation, planner.as_mut(), challenge, &mut |p| on_iteration(p)))
+        .and_then(|simulation| {
+            simulate_prepared(simulation, planner.as_mut(), challenge, &mut |p| {
+                on_iteration(p)
+            })
+        })
         .map_err(|error| with_causes(&error))?;
     let (calls, drivable_layers) = (planner.take_calls(), planner.drivable_layers());
-    let Evaluation { score, metrics, .. } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
-    Ok(SimulationOutcome { scenario: Arc::clone(scenario), score, metrics, calls, drivable_layers, log })
+    let Evaluation { score, metrics, .. } = log
+        .evaluate(scenario)
+        .map_err(|error| with_causes(&error))?;
+    Ok(SimulationOutcome {
+        scenario: Arc::clone(scenario),
+        score,
+        metrics,
+        calls,
+        drivable_layers,
+        log,
+    })
 }
 
 /// An error with all its causes in one line, without the middle of a long one.

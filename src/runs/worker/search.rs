@@ -20,7 +20,8 @@ const REPLAN: usize = 5;
 const ROLLOUT_S: f64 = 4.0;
 /// λ: Reflection's default.
 pub const THRESHOLD: f64 = 0.75;
-/// Desired speeds, as fractions of the limit. A monitored planner slows down by itself for foreseeable events.
+/// Desired speeds, as fractions of the limit. A monitored planner slows down by itself for
+/// foreseeable events.
 const SPEED_FRACTIONS: [f64; 4] = [1.0, 0.7, 0.4, 0.2];
 /// Desired speeds with a lane change; a slow one makes no sense.
 const LANE_CHANGE_FRACTIONS: [f64; 1] = [1.0];
@@ -28,32 +29,36 @@ const LANE_CHANGE_FRACTIONS: [f64; 1] = [1.0];
 pub const NEAR_LIMIT: f64 = 0.85;
 /// Limit if the map has none, m/s.
 const FALLBACK_LIMIT: f64 = 15.0;
-/// Other accelerations, tried with the best centerline and speed if these leave something to gain, m/s²: gentle, firm, emergency.
+/// Other accelerations, tried with the best centerline and speed if these leave something to gain,
+/// m/s²: gentle, firm, emergency.
 const REFINEMENTS: [(f64, f64); 3] = [(1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
 /// From this score on, slower planners and other accelerations are not tried.
 const GOOD: f64 = 0.95;
-/// Bonus of full progress at the limit. nuPlan's progress is capped by the expert's, which leaves ties.
+/// Bonus of full progress at the limit. nuPlan's progress is capped by the expert's, which leaves
+/// ties.
 const PROGRESS_BONUS: f64 = 0.2;
-/// Time for which the final speed counts as progress, seconds. It rewards passing a slow lead vehicle.
+/// Time for which the final speed counts as progress, seconds. It rewards passing a slow lead
+/// vehicle.
 const TERMINAL_S: f64 = 4.0;
 /// Distance ahead for which a lane change must stay on the route, meters, beyond the horizon.
 const ON_ROUTE_AHEAD: f64 = 120.0;
 /// Minimum gain of a lane change.
 const LANE_CHANGE_COST: f64 = 0.02;
-/// Minimum gain of a slow planner. The search picks the best of several slow ones in hindsight, which a model cannot. About
-/// what remains are collisions.
+/// Minimum gain of a slow planner. The search picks the best of several slow ones in hindsight,
+/// which a model cannot. About what remains are collisions.
 const SLOW_COST: f64 = 0.7;
 /// Minimum gain of a lane change that Reflection rejects: more than possible.
 const REJECTED_CHANGE_COST: f64 = 2.0;
-/// Minimum gain of a rejected planner in the ego's lane. It is small, since the best rejected one is executed in the end,
-/// monitored as in the search.
+/// Minimum gain of a rejected planner in the ego's lane. It is small, since the best rejected one
+/// is executed in the end, monitored as in the search.
 const REJECTED_COST: f64 = 0.05;
-/// Minimum gain of other accelerations, which are also picked in hindsight. In simulations they only scattered the scores. On 350
-/// validation scenarios with reactive agents it was by -0.5 to +0.2 of 100, depending on the weights, in few scenarios.
+/// Minimum gain of other accelerations, which are also picked in hindsight. In simulations they
+/// only scattered the scores. On 350 validation scenarios with reactive agents it was by -0.5 to
+/// +0.2 of 100, depending on the weights, in few scenarios.
 const REFINEMENT_COST: f64 = 0.5;
 
-/// What each lane change costs that is left to the goal's lane after the horizon: what a modified scene's score loses where one was
-/// needed and none was made.
+/// What each lane change costs that is left to the goal's lane after the horizon: what a modified
+/// scene's score loses where one was needed and none was made.
 const GOAL_COST: f64 = 0.2;
 
 /// A simulated planner.
@@ -76,23 +81,42 @@ impl Candidate {
 
     /// Feedback to an attempt after this one.
     pub fn feedback(&self) -> Feedback {
-        feedback(Some(self.code.to_string()), Some(&self.reflection), &[], THRESHOLD)
+        feedback(
+            Some(self.code.to_string()),
+            Some(&self.reflection),
+            &[],
+            THRESHOLD,
+        )
     }
 }
 
-/// Simulates every candidate from the present state, in order. Candidates that fail in the simulation or the metrics are skipped.
+/// Simulates every candidate from the present state, in order. Candidates that fail in the
+/// simulation or the metrics are skipped.
 pub fn search(simulation: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Candidate> {
     search_ahead(simulation, graph, HORIZON)
 }
 
 /// As [`search`], over a number of iterations.
-pub fn search_ahead(simulation: &ClosedLoop<'_>, graph: &LaneGraph, horizon: usize) -> Vec<Candidate> {
+pub fn search_ahead(
+    simulation: &ClosedLoop<'_>,
+    graph: &LaneGraph,
+    horizon: usize,
+) -> Vec<Candidate> {
     let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
     let mut tried: Vec<Candidate> = Vec::new();
     let scene = simulation.scene();
     let mut memory = PdmMemory::default();
-    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else { return tried };
-    let present = Present { simulation, graph, judge: &judge, memory: &memory, limit, horizon };
+    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else {
+        return tried;
+    };
+    let present = Present {
+        simulation,
+        graph,
+        judge: &judge,
+        memory: &memory,
+        limit,
+        horizon,
+    };
     for centerline in graph.named() {
         let fractions: &[f64] = match centerline.name {
             CenterlineName::EgoLane => &SPEED_FRACTIONS,
@@ -101,7 +125,8 @@ pub fn search_ahead(simulation: &ClosedLoop<'_>, graph: &LaneGraph, horizon: usi
         };
         for fraction in fractions {
             let code = planner_code(graph, centerline.name, *fraction, DEFAULT_ACCELERATIONS);
-            // Slower planners are skipped if the limit scores well: their gain would be smaller than the ties that they cause.
+            // Slower planners are skipped if the limit scores well: their gain would be smaller
+            // than the ties that they cause.
             if *fraction < 1.0 && tried.iter().any(|t| t.score >= GOOD && t.is_accepted()) {
                 continue;
             }
@@ -112,20 +137,37 @@ pub fn search_ahead(simulation: &ClosedLoop<'_>, graph: &LaneGraph, horizon: usi
     }
     if let Some(best) = best(&tried).filter(|best| best.score < GOOD).cloned() {
         for (accel_max, decel_max) in REFINEMENTS {
-            let code = PlannerCode { accel_max, decel_max, ..best.code };
+            let code = PlannerCode {
+                accel_max,
+                decel_max,
+                ..best.code
+            };
             tried.extend(present.attempt(code));
         }
     }
     tried
 }
 
-/// Simulates one planner code from the present state over [`HORIZON`]. None if it gives no plan, or fails as in [`search`].
-pub fn attempt(simulation: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode) -> Option<Candidate> {
+/// Simulates one planner code from the present state over [`HORIZON`]. None if it gives no plan, or
+/// fails as in [`search`].
+pub fn attempt(
+    simulation: &ClosedLoop<'_>,
+    graph: &LaneGraph,
+    code: PlannerCode,
+) -> Option<Candidate> {
     let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
     let scene = simulation.scene();
     let mut memory = PdmMemory::default();
     let judge = Judge::new(&scene, graph, ROLLOUT_S, &mut memory).ok()?;
-    Present { simulation, graph, judge: &judge, memory: &memory, limit, horizon: HORIZON }.attempt(code)
+    Present {
+        simulation,
+        graph,
+        judge: &judge,
+        memory: &memory,
+        limit,
+        horizon: HORIZON,
+    }
+    .attempt(code)
 }
 
 /// True if a centerline stays on the route for [`ON_ROUTE_AHEAD`], or to the route's end.
@@ -133,7 +175,11 @@ fn stays_on_route(simulation: &ClosedLoop<'_>, centerline: &Centerline) -> bool 
     let scenario = simulation.scenario();
     let last = scenario.route.roadblocks.last();
     let path = &centerline.path;
-    let ahead = path.lanes.iter().zip(&path.starts).filter(|&(_, &start)| start < centerline.ego_s + ON_ROUTE_AHEAD);
+    let ahead = path
+        .lanes
+        .iter()
+        .zip(&path.starts)
+        .filter(|&(_, &start)| start < centerline.ego_s + ON_ROUTE_AHEAD);
     let mut blocks = ahead.map(|(&lane, _)| scenario.map[lane].roadblock);
     let mut arrived = false;
     blocks.all(|block| {
@@ -144,7 +190,10 @@ fn stays_on_route(simulation: &ClosedLoop<'_>, centerline: &Centerline) -> bool 
 
 /// The candidate with the highest value, the first one of equals.
 pub fn best(tried: &[Candidate]) -> Option<&Candidate> {
-    tried.iter().rev().max_by(|a, b| a.value.total_cmp(&b.value))
+    tried
+        .iter()
+        .rev()
+        .max_by(|a, b| a.value.total_cmp(&b.value))
 }
 
 /// The state from which the search starts.
@@ -167,14 +216,29 @@ impl Present<'_> {
         let planner = planner(simulation, self.graph, code)?;
         let reflection = self.judge.reflect(&planner, THRESHOLD).ok()?;
         let mut future = simulation.clone();
-        let samples = follow(&mut future, &planner, &mut self.memory.clone(), self.horizon)?;
+        let samples = follow(
+            &mut future,
+            &planner,
+            &mut self.memory.clone(),
+            self.horizon,
+        )?;
         let scenario = simulation.scenario();
         let from = scenario.start + simulation.iteration();
-        let expert: Vec<EgoState> =
-            scenario.frames.get(from..=from + samples.len())?.iter().map(|frame| frame.ego).collect();
+        let expert: Vec<EgoState> = scenario
+            .frames
+            .get(from..=from + samples.len())?
+            .iter()
+            .map(|frame| frame.ego)
+            .collect();
         let judged = EvaluatedSimulation::new(&scenario.map, &samples, &expert);
-        let score = metrics::evaluate(MetricList::ClosedLoop, &judged).ok()?.score.value;
-        let driven: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
+        let score = metrics::evaluate(MetricList::ClosedLoop, &judged)
+            .ok()?
+            .score
+            .value;
+        let driven: f64 = samples
+            .windows(2)
+            .map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle))
+            .sum();
         let distance = driven + samples.last()?.ego.speed() * TERMINAL_S;
         let possible = self.limit.max(1.0) * (samples.len() as f64 * STEP_S + TERMINAL_S);
         let unusual = (planner.code.accel_max, planner.code.decel_max) != DEFAULT_ACCELERATIONS;
@@ -186,35 +250,67 @@ impl Present<'_> {
             - cost(slow, SLOW_COST)
             - cost(unusual, REFINEMENT_COST)
             - GOAL_COST * f64::from(self.changes_left(&future, planner.code.centerline))
-            - cost(reflection.verdict == Verdict::Rethink, if changes { REJECTED_CHANGE_COST } else { REJECTED_COST });
+            - cost(
+                reflection.verdict == Verdict::Rethink,
+                if changes {
+                    REJECTED_CHANGE_COST
+                } else {
+                    REJECTED_COST
+                },
+            );
         let speed_later = samples.get(30).or(samples.last())?.ego.speed();
-        Some(Candidate { code: planner.code, score, value, speed_later, reflection })
+        Some(Candidate {
+            code: planner.code,
+            score,
+            value,
+            speed_later,
+            reflection,
+        })
     }
 
-    /// Lane changes to the goal's lane that a code leaves in its last state; where no lane there leads to the goal, those that it does
-    /// not make.
+    /// Lane changes to the goal's lane that a code leaves in its last state; where no lane there
+    /// leads to the goal, those that it does not make.
     fn changes_left(&self, future: &ClosedLoop<'_>, centerline: CenterlineName) -> u32 {
-        let Some(goal) = self.graph.goal else { return 0 };
+        let Some(goal) = self.graph.goal else {
+            return 0;
+        };
         let last = GoalLane::of(&future.scene());
-        last.map_or_else(|| goal.left_after(centerline.lane_changes()), |last| last.changes.unsigned_abs())
+        last.map_or_else(
+            || goal.left_after(centerline.lane_changes()),
+            |last| last.changes.unsigned_abs(),
+        )
     }
 }
 
 /// The plan of a code at the present state.
-pub fn planner(simulation: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode) -> Option<IdmPlan> {
-    let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: ROLLOUT_S };
-    builder.build(&simulation.scene(), graph, code).ok().flatten()
+pub fn planner(
+    simulation: &ClosedLoop<'_>,
+    graph: &LaneGraph,
+    code: PlannerCode,
+) -> Option<IdmPlan> {
+    let builder = PlanBuilder {
+        lead_policy: LeadPolicy::Nearest,
+        horizon_s: ROLLOUT_S,
+    };
+    builder
+        .build(&simulation.scene(), graph, code)
+        .ok()
+        .flatten()
 }
 
-/// Simulates a monitored plan for some iterations, or to the goal at which the scene ends. The samples begin with the present. `None` if
-/// the recording ends or the simulation fails before.
+/// Simulates a monitored plan for some iterations, or to the goal at which the scene ends. The
+/// samples begin with the present. `None` if the recording ends or the simulation fails before.
 pub fn follow(
     simulation: &mut ClosedLoop<'_>,
     planner: &IdmPlan,
     memory: &mut PdmMemory,
     iterations: usize,
 ) -> Option<Vec<HistorySample>> {
-    let monitor = PlanMonitor { steps: steps_of(ROLLOUT_S), threshold: THRESHOLD, emergency_brake: true };
+    let monitor = PlanMonitor {
+        steps: steps_of(ROLLOUT_S),
+        threshold: THRESHOLD,
+        emergency_brake: true,
+    };
     let mut samples = Vec::with_capacity(iterations + 1);
     let mut trajectory = None;
     for i in 0..iterations {

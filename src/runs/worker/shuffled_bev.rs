@@ -1,4 +1,5 @@
-//! The shuffled-BEV ablation: the model gets the BEV image of an unrelated scene, to measure what the image is worth.
+//! The shuffled-BEV ablation: the model gets the BEV image of an unrelated scene, to measure what
+//! the image is worth.
 
 use image::RgbImage;
 use planagent_agent::environment::{BevView, bev};
@@ -21,8 +22,15 @@ pub(super) fn source() -> BevSource {
 /// The BEV image of a generated scene at some time of its log; the same one for the same draw.
 fn render(draw: u64, view: &BevView) -> Result<RgbImage, GeneratorError> {
     let kinds = types::nuplan14().count() as u64;
-    let kind = types::nuplan14().nth((draw % kinds) as usize).unwrap_or(generator::DEFAULT.scenario_type);
-    let generated = |tries: u64| generator::generate(&Spec::new(kind, FIRST_SEED + draw.wrapping_add(tries) % SEEDS));
+    let kind = types::nuplan14()
+        .nth((draw % kinds) as usize)
+        .unwrap_or(generator::DEFAULT.scenario_type);
+    let generated = |tries: u64| {
+        generator::generate(&Spec::new(
+            kind,
+            FIRST_SEED + draw.wrapping_add(tries) % SEEDS,
+        ))
+    };
     let mut scenario = generated(0);
     for tries in 1..MAX_TRIES {
         if scenario.is_ok() {

@@ -1,6 +1,8 @@
 //! Ends the simulations of a run that its user stops.
 
-use planagent_agent::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlanningCall};
+use planagent_agent::planner::{
+    Planner, PlannerError, PlannerInitialization, PlannerInput, PlanningCall,
+};
 use planagent_score::pdm::DrivableLayers;
 use planagent_world::Trajectory;
 use std::sync::Arc;
@@ -38,13 +40,19 @@ impl Planner for Stoppable<'_> {
         self.planner.name()
     }
 
-    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+    fn initialize(
+        &mut self,
+        initialization: &PlannerInitialization<'_>,
+    ) -> Result<(), PlannerError> {
         self.planner.initialize(initialization)
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         if self.switch.is_stopped() {
-            return Err(PlannerError::Failed { doing: "planning", source: Box::new(Stopped) });
+            return Err(PlannerError::Failed {
+                doing: "planning",
+                source: Box::new(Stopped),
+            });
         }
         self.planner.compute_trajectory(input)
     }

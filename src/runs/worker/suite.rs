@@ -9,8 +9,8 @@ use std::ops::Range;
 const DEMONSTRATION_SEEDS: Range<u64> = 0..10;
 /// Test seeds of each type in [`Suite::CANDIDATES`].
 const CANDIDATE_SEEDS: Range<u64> = 350..450;
-/// Test seeds of each type in [`Suite::TEST14`]. The first 350 test seeds belonged to suites before: they were simulated, with
-/// sparser lanes.
+/// Test seeds of each type in [`Suite::TEST14`]. The first 350 test seeds belonged to suites
+/// before: they were simulated, with sparser lanes.
 const TEST14_SEEDS: Range<u64> = 450..600;
 /// Test seeds of each type in [`Suite::TEST14_WIDE`].
 const WIDE_SEEDS: Range<u64> = 600..620;
@@ -18,7 +18,8 @@ const WIDE_SEEDS: Range<u64> = 600..620;
 const HARD_SCENARIOS: usize = 20;
 /// Traffic seed of the candidates.
 const CANDIDATE_TRAFFIC: u64 = 1;
-/// Traffic seed of the hard scenarios. It differs, so that bad luck in the selection does not carry over.
+/// Traffic seed of the hard scenarios. It differs, so that bad luck in the selection does not carry
+/// over.
 const HARD_TRAFFIC: u64 = 2;
 /// [`Suite::TEST14_HARD`] as [`hard_list`] writes it.
 const HARD_LIST: &str = include_str!("../../../suites/generated-test14-hard.txt");
@@ -42,32 +43,61 @@ pub struct Suite {
 
 impl Suite {
     /// Every type with the seeds 0 to 9, for tests and demonstrations.
-    pub const DEMONSTRATION: Self = Self { name: "generated", specs: || each(types::in_suites(), DEMONSTRATION_SEEDS) };
+    pub const DEMONSTRATION: Self = Self {
+        name: "generated",
+        specs: || each(types::in_suites(), DEMONSTRATION_SEEDS),
+    };
     /// nuPlan's fourteen types with 150 test seeds each.
-    pub const TEST14: Self =
-        Self { name: "generated-test14", specs: || each(types::nuplan14(), test_seeds(TEST14_SEEDS)) };
-    /// Of each of nuPlan's fourteen types the 20 candidates with the lowest scores of PDM-Closed, with other traffic.
+    pub const TEST14: Self = Self {
+        name: "generated-test14",
+        specs: || each(types::nuplan14(), test_seeds(TEST14_SEEDS)),
+    };
+    /// Of each of nuPlan's fourteen types the 20 candidates with the lowest scores of PDM-Closed,
+    /// with other traffic.
     pub const TEST14_HARD: Self = Self {
         name: "generated-test14-hard",
-        specs: || HARD_LIST.lines().filter_map(|line| line.parse().ok()).collect(),
+        specs: || {
+            HARD_LIST
+                .lines()
+                .filter_map(|line| line.parse().ok())
+                .collect()
+        },
     };
     /// nuPlan's fourteen types with 20 test seeds each, drawn from the wider ranges of recordings.
     pub const TEST14_WIDE: Self = Self {
         name: "generated-test14-wide",
-        specs: || each(types::nuplan14(), test_seeds(WIDE_SEEDS)).into_iter().map(Spec::widened).collect(),
+        specs: || {
+            each(types::nuplan14(), test_seeds(WIDE_SEEDS))
+                .into_iter()
+                .map(Spec::widened)
+                .collect()
+        },
     };
-    /// nuPlan's fourteen types with 100 test seeds each, from which the hard scenarios are selected.
+    /// nuPlan's fourteen types with 100 test seeds each, from which the hard scenarios are
+    /// selected.
     pub const CANDIDATES: Self = Self {
         name: "generated-test14-candidates",
         specs: || {
             let own = each(types::nuplan14(), test_seeds(CANDIDATE_SEEDS));
-            own.into_iter().map(|spec| spec.with_traffic_seed(CANDIDATE_TRAFFIC)).collect()
+            own.into_iter()
+                .map(|spec| spec.with_traffic_seed(CANDIDATE_TRAFFIC))
+                .collect()
         },
     };
-    /// Suites drawn before lanes had a vertex every half meter. Their scenes cannot be made any more.
-    pub const RETIRED: [&str; 3] = ["generated-14", "generated-14-hard", "generated-14-candidates"];
-    pub const ALL: [Self; 5] =
-        [Self::DEMONSTRATION, Self::TEST14, Self::TEST14_HARD, Self::TEST14_WIDE, Self::CANDIDATES];
+    /// Suites drawn before lanes had a vertex every half meter. Their scenes cannot be made any
+    /// more.
+    pub const RETIRED: [&str; 3] = [
+        "generated-14",
+        "generated-14-hard",
+        "generated-14-candidates",
+    ];
+    pub const ALL: [Self; 5] = [
+        Self::DEMONSTRATION,
+        Self::TEST14,
+        Self::TEST14_HARD,
+        Self::TEST14_WIDE,
+        Self::CANDIDATES,
+    ];
 
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|suite| suite.name == name)
@@ -101,16 +131,23 @@ pub struct Unscored {
     first: Spec,
 }
 
-/// Selects [`Suite::TEST14_HARD`] by PDM-Closed's scores on [`Suite::CANDIDATES`]: the lowest of each type, equal scores by
-/// seed, in the order of the candidates. Fails if a candidate has no score.
+/// Selects [`Suite::TEST14_HARD`] by PDM-Closed's scores on [`Suite::CANDIDATES`]: the lowest of
+/// each type, equal scores by seed, in the order of the candidates. Fails if a candidate has no
+/// score.
 pub fn hard_scenarios(scores: &BTreeMap<Spec, f64>) -> Result<Vec<Spec>, Unscored> {
     let candidates = Suite::CANDIDATES.specs();
     let mut unscored = candidates.iter().filter(|spec| !scores.contains_key(spec));
     if let Some(&first) = unscored.next() {
-        return Err(Unscored { missing: 1 + unscored.count(), first });
+        return Err(Unscored {
+            missing: 1 + unscored.count(),
+            first,
+        });
     }
     let of_type = candidates.chunk_by(|a, b| a.scenario_type == b.scenario_type);
-    Ok(of_type.flat_map(|specs| lowest(specs, scores)).map(|spec| spec.with_traffic_seed(HARD_TRAFFIC)).collect())
+    Ok(of_type
+        .flat_map(|specs| lowest(specs, scores))
+        .map(|spec| spec.with_traffic_seed(HARD_TRAFFIC))
+        .collect())
 }
 
 /// The scenarios with the lowest scores, by seed.
@@ -125,7 +162,9 @@ fn lowest(specs: &[Spec], scores: &BTreeMap<Spec, f64>) -> Vec<Spec> {
 
 /// The text of `suites/generated-test14-hard.txt`.
 pub fn hard_list(specs: &[Spec]) -> String {
-    specs.iter().fold(HARD_HEADER.to_owned(), |list, spec| format!("{list}{spec}\n"))
+    specs.iter().fold(HARD_HEADER.to_owned(), |list, spec| {
+        format!("{list}{spec}\n")
+    })
 }
 
 #[cfg(test)]
@@ -137,13 +176,25 @@ mod tests {
     fn suites_have_their_size_and_share_no_scenario() {
         let sizes = Suite::ALL.map(|suite| suite.specs().len());
         assert_eq!(sizes, [160, 2100, 280, 280, 1400]);
-        let seeds = |suite: Suite| suite.specs().into_iter().map(|spec| spec.seed).collect::<BTreeSet<u64>>();
+        let seeds = |suite: Suite| {
+            suite
+                .specs()
+                .into_iter()
+                .map(|spec| spec.seed)
+                .collect::<BTreeSet<u64>>()
+        };
         let (common, hard) = (seeds(Suite::TEST14), seeds(Suite::TEST14_HARD));
         assert!(common.is_disjoint(&hard) && hard.is_subset(&seeds(Suite::CANDIDATES)));
         let wide = seeds(Suite::TEST14_WIDE);
         assert!(wide.is_disjoint(&common) && wide.is_disjoint(&seeds(Suite::CANDIDATES)));
         let test = Seeds::Test.seeds();
-        assert!(common.iter().chain(&hard).chain(&wide).all(|seed| test.contains(seed)));
+        assert!(
+            common
+                .iter()
+                .chain(&hard)
+                .chain(&wide)
+                .all(|seed| test.contains(seed))
+        );
     }
 
     #[test]
@@ -151,7 +202,14 @@ mod tests {
         let specs = Suite::TEST14_HARD.specs();
         assert_eq!(hard_list(&specs), HARD_LIST);
         for kind in types::nuplan14() {
-            assert_eq!(specs.iter().filter(|spec| spec.scenario_type == kind).count(), HARD_SCENARIOS, "{kind}");
+            assert_eq!(
+                specs
+                    .iter()
+                    .filter(|spec| spec.scenario_type == kind)
+                    .count(),
+                HARD_SCENARIOS,
+                "{kind}"
+            );
         }
         assert!(specs.iter().all(|spec| spec.traffic_seed == HARD_TRAFFIC));
     }
@@ -164,14 +222,30 @@ mod tests {
         scores.extend([(low, 0.5), (zero, 0.0)]);
         let selected = hard_scenarios(&scores).unwrap();
         assert_eq!(selected.len(), 14 * HARD_SCENARIOS);
-        let of_type: Vec<Spec> =
-            selected[..HARD_SCENARIOS].iter().map(|spec| spec.with_traffic_seed(CANDIDATE_TRAFFIC)).collect();
-        assert_eq!((&of_type[..18], &of_type[18..]), (&candidates[..18], &[low, zero][..]));
+        let of_type: Vec<Spec> = selected[..HARD_SCENARIOS]
+            .iter()
+            .map(|spec| spec.with_traffic_seed(CANDIDATE_TRAFFIC))
+            .collect();
+        assert_eq!(
+            (&of_type[..18], &of_type[18..]),
+            (&candidates[..18], &[low, zero][..])
+        );
 
         scores.remove(&low);
         scores.remove(&candidates[50]);
         let unscored = hard_scenarios(&scores).unwrap_err();
-        assert_eq!(unscored, Unscored { missing: 2, first: low });
-        assert!(unscored.to_string().contains("2 of the 1400 scenarios of generated-test14-candidates"), "{unscored}");
+        assert_eq!(
+            unscored,
+            Unscored {
+                missing: 2,
+                first: low
+            }
+        );
+        assert!(
+            unscored
+                .to_string()
+                .contains("2 of the 1400 scenarios of generated-test14-candidates"),
+            "{unscored}"
+        );
     }
 }

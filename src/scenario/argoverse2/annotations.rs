@@ -1,9 +1,13 @@
-//! Annotated boxes of a sensor log: `annotations.feather`, or `annotations_with_ego.feather` of the scenario-mining challenge.
+//! Annotated boxes of a sensor log: `annotations.feather`, or `annotations_with_ego.feather` of the
+//! scenario-mining challenge.
 //!
-//! * Boxes are in the ego frame of their sweep (10 Hz). The ego's pose at that time moves them to the map frame.
-//! * The dataset has no velocities. An agent's is the slope of its box center over five sweeps (`recording::motion`), fewer at
-//!   the ends of its track and at gaps. A track of a single sweep stands. Static kinds have none, as in nuPlan.
-//! * Sweeps without an annotation are not in the table. A gap of a tenth of a second or more is an error.
+//! * Boxes are in the ego frame of their sweep (10 Hz). The ego's pose at that time moves them to
+//!   the map frame.
+//! * The dataset has no velocities. An agent's is the slope of its box center over five sweeps
+//!   (`recording::motion`), fewer at the ends of its track and at gaps. A track of a single sweep
+//!   stands. Static kinds have none, as in nuPlan.
+//! * Sweeps without an annotation are not in the table. A gap of a tenth of a second or more is an
+//!   error.
 
 use super::category::{Meaning, of_annotation};
 use super::error::LogFault;
@@ -44,7 +48,11 @@ impl Rows {
     fn read(table: &Table) -> Result<Self, LogFault> {
         let words = table.words("category")?;
         let kinds = words.into_iter().enumerate().map(|(row, word)| {
-            of_annotation(&word).ok_or_else(|| LogFault::Category { column: "category", row, word })
+            of_annotation(&word).ok_or_else(|| LogFault::Category {
+                column: "category",
+                row,
+                word,
+            })
         });
         Ok(Self {
             times_ns: table.integers("timestamp_ns")?,
@@ -58,7 +66,9 @@ impl Rows {
 }
 
 fn sizes(table: &Table, column: &'static str) -> Result<Vec<f64>, LogFault> {
-    in_range(column, table.numbers(column)?, |size| size > 0.0 && size <= MAX_BOX)
+    in_range(column, table.numbers(column)?, |size| {
+        size > 0.0 && size <= MAX_BOX
+    })
 }
 
 /// Times of the sweeps in order, ns.
@@ -68,8 +78,9 @@ pub(super) fn sweeps(table: &Table) -> Result<Vec<i64>, LogFault> {
 }
 
 impl Annotations {
-    /// Reads the table and moves every box to the map frame. `sweeps_ns` are the sweeps of the table in order, `egos` the ego
-    /// frames in the city frame at them. `origin` becomes the point (0, 0).
+    /// Reads the table and moves every box to the map frame. `sweeps_ns` are the sweeps of the
+    /// table in order, `egos` the ego frames in the city frame at them. `origin` becomes the point
+    /// (0, 0).
     pub(super) fn read(
         table: &Table,
         sweeps_ns: &[i64],
@@ -79,16 +90,36 @@ impl Annotations {
         let rows = Rows::read(table)?;
         let mut tracks: BTreeMap<&str, BTreeMap<usize, SweepBox>> = BTreeMap::new();
         for (row, track) in rows.tracks.iter().enumerate() {
-            let Meaning::Object(kind) = rows.kinds[row] else { continue };
+            let Meaning::Object(kind) = rows.kinds[row] else {
+                continue;
+            };
             let sweep = sweeps_ns.partition_point(|&time| time < rows.times_ns[row]);
             let place = egos[sweep] * rows.boxes[row];
-            let center = Point::new(place.translation.x - origin.x, place.translation.y - origin.y);
-            let shape = OrientedBox::new(Pose::at(center, heading(&place)), rows.lengths[row], rows.widths[row]);
-            if tracks.entry(track).or_default().insert(sweep, SweepBox { sweep, kind, shape }).is_some() {
-                return Err(LogFault::Twice { row, track: track.clone() });
+            let center = Point::new(
+                place.translation.x - origin.x,
+                place.translation.y - origin.y,
+            );
+            let shape = OrientedBox::new(
+                Pose::at(center, heading(&place)),
+                rows.lengths[row],
+                rows.widths[row],
+            );
+            if tracks
+                .entry(track)
+                .or_default()
+                .insert(sweep, SweepBox { sweep, kind, shape })
+                .is_some()
+            {
+                return Err(LogFault::Twice {
+                    row,
+                    track: track.clone(),
+                });
             }
         }
-        let tracks = tracks.into_values().map(|track| track.into_values().collect()).collect();
+        let tracks = tracks
+            .into_values()
+            .map(|track| track.into_values().collect())
+            .collect();
         Ok(Self { tracks })
     }
 
@@ -98,10 +129,22 @@ impl Annotations {
         for (number, track) in self.tracks.iter().enumerate() {
             for run in track.chunk_by(|before, after| after.sweep == before.sweep + 1) {
                 let times: Vec<f64> = run.iter().map(|state| seconds[state.sweep]).collect();
-                let velocities = slopes(&times, run.iter().map(|state| state.shape.center.position().coords));
+                let velocities = slopes(
+                    &times,
+                    run.iter().map(|state| state.shape.center.position().coords),
+                );
                 for (&SweepBox { sweep, kind, shape }, moving) in run.iter().zip(velocities) {
-                    let velocity = if kind.is_agent() { moving } else { Vector::zeros() };
-                    objects[sweep].push(TrackedObject { token: TrackToken(number as u32), kind, shape, velocity });
+                    let velocity = if kind.is_agent() {
+                        moving
+                    } else {
+                        Vector::zeros()
+                    };
+                    objects[sweep].push(TrackedObject {
+                        token: TrackToken(number as u32),
+                        kind,
+                        shape,
+                        velocity,
+                    });
                 }
             }
         }

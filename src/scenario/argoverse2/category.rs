@@ -3,8 +3,8 @@
 //! * nuPlan's bicycles include motorcycles, its generic objects permanent poles and animals.
 //! * A rider and the vehicle are two annotated boxes, hence two objects that overlap.
 //! * nuPlan's trailers are vehicles, also those that carry signs.
-//! * `EGO_VEHICLE` is a row of `annotations_with_ego.feather`: the recording car at the origin of its own frame. Stop signs
-//!   belong to the map, not to nuPlan's objects.
+//! * `EGO_VEHICLE` is a row of `annotations_with_ego.feather`: the recording car at the origin of
+//!   its own frame. Stop signs belong to the map, not to nuPlan's objects.
 
 use planagent_world::ObjectKind;
 
@@ -31,9 +31,8 @@ pub(super) fn of_annotation(word: &str) -> Option<Meaning> {
         | "MESSAGE_BOARD_TRAILER"
         | "TRAFFIC_LIGHT_TRAILER" => ObjectKind::Vehicle,
         "PEDESTRIAN" | "OFFICIAL_SIGNALER" | "STROLLER" | "WHEELCHAIR" => ObjectKind::Pedestrian,
-        "BICYCLE" | "BICYCLIST" | "MOTORCYCLE" | "MOTORCYCLIST" | "WHEELED_DEVICE" | "WHEELED_RIDER" => {
-            ObjectKind::Bicycle
-        }
+        "BICYCLE" | "BICYCLIST" | "MOTORCYCLE" | "MOTORCYCLIST" | "WHEELED_DEVICE"
+        | "WHEELED_RIDER" => ObjectKind::Bicycle,
         "CONSTRUCTION_CONE" | "CONSTRUCTION_BARREL" => ObjectKind::TrafficCone,
         "MOBILE_PEDESTRIAN_CROSSING_SIGN" => ObjectKind::CzoneSign,
         "BOLLARD" | "SIGN" | "ANIMAL" | "DOG" => ObjectKind::GenericObject,
@@ -49,12 +48,24 @@ mod tests {
 
     #[test]
     fn signs_on_poles_stand_still_and_the_ego_is_no_object() {
-        let static_kinds = ["SIGN", "BOLLARD", "CONSTRUCTION_BARREL", "MOBILE_PEDESTRIAN_CROSSING_SIGN", "DOG"];
+        let static_kinds = [
+            "SIGN",
+            "BOLLARD",
+            "CONSTRUCTION_BARREL",
+            "MOBILE_PEDESTRIAN_CROSSING_SIGN",
+            "DOG",
+        ];
         for word in static_kinds {
-            assert!(matches!(of_annotation(word), Some(Meaning::Object(kind)) if !kind.is_agent()), "{word}");
+            assert!(
+                matches!(of_annotation(word), Some(Meaning::Object(kind)) if !kind.is_agent()),
+                "{word}"
+            );
         }
         for word in ["STROLLER", "WHEELCHAIR", "BICYCLIST", "MOTORCYCLE"] {
-            assert!(matches!(of_annotation(word), Some(Meaning::Object(kind)) if kind.is_vulnerable()), "{word}");
+            assert!(
+                matches!(of_annotation(word), Some(Meaning::Object(kind)) if kind.is_vulnerable()),
+                "{word}"
+            );
         }
         assert_eq!(of_annotation("EGO_VEHICLE"), Some(Meaning::NoObject));
         assert_eq!(of_annotation("SPACESHIP"), None);

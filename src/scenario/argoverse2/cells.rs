@@ -1,16 +1,25 @@
-//! Cells of a column, whatever integer, float or text type it has. Each function gives nothing for a column of another type; an
-//! empty cell, or a value that does not fit, is `None`.
+//! Cells of a column, whatever integer, float or text type it has. Each function gives nothing for
+//! a column of another type; an empty cell, or a value that does not fit, is `None`.
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{
-    Float16Type, Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, UInt8Type, UInt16Type,
-    UInt32Type, UInt64Type,
+    Float16Type, Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, UInt8Type,
+    UInt16Type, UInt32Type, UInt64Type,
 };
 use arrow_array::{Array, ArrowPrimitiveType};
 
 /// Cells of a column of one primitive type.
-fn of<T: ArrowPrimitiveType, V>(column: &dyn Array, value: impl Fn(T::Native) -> Option<V>) -> Option<Vec<Option<V>>> {
-    Some(column.as_primitive_opt::<T>()?.iter().map(|cell| cell.and_then(&value)).collect())
+fn of<T: ArrowPrimitiveType, V>(
+    column: &dyn Array,
+    value: impl Fn(T::Native) -> Option<V>,
+) -> Option<Vec<Option<V>>> {
+    Some(
+        column
+            .as_primitive_opt::<T>()?
+            .iter()
+            .map(|cell| cell.and_then(&value))
+            .collect(),
+    )
 }
 
 pub(super) fn integers(column: &dyn Array) -> Option<Vec<Option<i64>>> {
@@ -25,7 +34,14 @@ pub(super) fn integers(column: &dyn Array) -> Option<Vec<Option<i64>>> {
 }
 
 pub(super) fn numbers(column: &dyn Array) -> Option<Vec<Option<f64>>> {
-    let whole = || Some(integers(column)?.into_iter().map(|cell| cell.map(|value| value as f64)).collect());
+    let whole = || {
+        Some(
+            integers(column)?
+                .into_iter()
+                .map(|cell| cell.map(|value| value as f64))
+                .collect(),
+        )
+    };
     of::<Float64Type, _>(column, Some)
         .or_else(|| of::<Float32Type, _>(column, |value| Some(value.into())))
         .or_else(|| of::<Float16Type, _>(column, |value| Some(value.into())))
@@ -39,7 +55,15 @@ pub(super) fn words(column: &dyn Array) -> Option<Vec<Option<String>>> {
             return Some(vec![None; dictionary.len()]);
         }
         let keys = dictionary.normalized_keys().into_iter().enumerate();
-        return Some(keys.map(|(row, key)| values.get(key).filter(|_| dictionary.is_valid(row))?.clone()).collect());
+        return Some(
+            keys.map(|(row, key)| {
+                values
+                    .get(key)
+                    .filter(|_| dictionary.is_valid(row))?
+                    .clone()
+            })
+            .collect(),
+        );
     }
     let owned = |word: Option<&str>| word.map(str::to_owned);
     let short = || Some(column.as_string_opt::<i32>()?.iter().map(owned).collect());

@@ -34,15 +34,27 @@ pub enum LogFault {
     #[error("there is no column '{column}'")]
     NoColumn { column: &'static str },
     #[error("column '{column}' holds {found}, not {needed}")]
-    WrongType { column: &'static str, found: String, needed: &'static str },
+    WrongType {
+        column: &'static str,
+        found: String,
+        needed: &'static str,
+    },
     #[error("column '{column}', row {row}: no value")]
     NoValue { column: &'static str, row: usize },
     #[error("column '{column}', row {row}: {value} is out of range")]
-    OutOfRange { column: &'static str, row: usize, value: f64 },
+    OutOfRange {
+        column: &'static str,
+        row: usize,
+        value: f64,
+    },
     #[error("columns `qw` to `qz`, row {row}: a quaternion of norm {norm} is no rotation")]
     NoRotation { row: usize, norm: f64 },
     #[error("column '{column}', row {row}: unknown category '{word}'")]
-    Category { column: &'static str, row: usize, word: String },
+    Category {
+        column: &'static str,
+        row: usize,
+        word: String,
+    },
     #[error("row {row}: a second row of track {track} at the same time")]
     Twice { row: usize, track: String },
     #[error("no ego pose at {timestamp_ns} ns, nor two around it within 0.15 s of each other")]

@@ -30,12 +30,17 @@ impl LogFiles {
             let annotations = if published.is_file() {
                 published
             } else {
-                first_named(folder, "annotations", ".feather")?.ok_or_else(|| missing("annotations*.feather"))?
+                first_named(folder, "annotations", ".feather")?
+                    .ok_or_else(|| missing("annotations*.feather"))?
             };
             let maps = folder.join("map");
             let map = if maps.is_dir() { map_in(&maps)? } else { None };
             let map = map.ok_or_else(|| missing("map/log_map_archive_*.json"))?;
-            return Ok(Self::Sensor(SensorFiles { poses, annotations, map }));
+            return Ok(Self::Sensor(SensorFiles {
+                poses,
+                annotations,
+                map,
+            }));
         }
         let tracks = first_named(folder, "scenario_", ".parquet")?;
         let tracks = tracks.ok_or_else(|| Argoverse2Error::at(folder)(LogFault::NoLog))?;
@@ -46,7 +51,11 @@ impl LogFiles {
     /// All of them.
     pub(super) fn paths(self) -> Vec<PathBuf> {
         match self {
-            Self::Sensor(SensorFiles { poses, annotations, map }) => vec![poses, annotations, map],
+            Self::Sensor(SensorFiles {
+                poses,
+                annotations,
+                map,
+            }) => vec![poses, annotations, map],
             Self::Forecasting { tracks, map } => vec![tracks, map],
         }
     }
@@ -57,9 +66,16 @@ fn map_in(folder: &Path) -> Result<Option<PathBuf>, Argoverse2Error> {
 }
 
 /// The first file by name with this beginning and ending.
-fn first_named(folder: &Path, beginning: &str, ending: &str) -> Result<Option<PathBuf>, Argoverse2Error> {
+fn first_named(
+    folder: &Path,
+    beginning: &str,
+    ending: &str,
+) -> Result<Option<PathBuf>, Argoverse2Error> {
     let fits = |path: &PathBuf| {
-        let name = path.file_name().expect("an entry of a folder has a name").to_string_lossy();
+        let name = path
+            .file_name()
+            .expect("an entry of a folder has a name")
+            .to_string_lossy();
         name.starts_with(beginning) && name.ends_with(ending)
     };
     Ok(entries(folder)?.into_iter().find(fits))
@@ -67,18 +83,22 @@ fn first_named(folder: &Path, beginning: &str, ending: &str) -> Result<Option<Pa
 
 /// The entries of a folder, by name.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
-    let listed = std::fs::read_dir(folder).and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect());
-    let mut paths: Vec<PathBuf> = listed.map_err(|error: io::Error| Argoverse2Error::at(folder)(error))?;
+    let listed = std::fs::read_dir(folder)
+        .and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect());
+    let mut paths: Vec<PathBuf> =
+        listed.map_err(|error: io::Error| Argoverse2Error::at(folder)(error))?;
     paths.sort();
     Ok(paths)
 }
 
 /// True if a folder is a log, complete or not.
 pub fn is_log(folder: &Path) -> bool {
-    folder.join(POSES).is_file() || matches!(first_named(folder, "scenario_", ".parquet"), Ok(Some(_)))
+    folder.join(POSES).is_file()
+        || matches!(first_named(folder, "scenario_", ".parquet"), Ok(Some(_)))
 }
 
-/// The logs in a folder and in the folders directly below it (`sensor/val/LOG` for `sensor`), by name.
+/// The logs in a folder and in the folders directly below it (`sensor/val/LOG` for `sensor`), by
+/// name.
 pub fn logs_in(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
     let mut logs = Vec::new();
     for below in folders_in(folder)? {
@@ -92,10 +112,14 @@ pub fn logs_in(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
 }
 
 fn folders_in(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
-    Ok(entries(folder)?.into_iter().filter(|path| path.is_dir()).collect())
+    Ok(entries(folder)?
+        .into_iter()
+        .filter(|path| path.is_dir())
+        .collect())
 }
 
-/// The city in the name of a sensor log's map: `MIA` of `log_map_archive_ID____MIA_city_47894.json`.
+/// The city in the name of a sensor log's map: `MIA` of
+/// `log_map_archive_ID____MIA_city_47894.json`.
 pub(super) fn city_of(map: &Path) -> Option<&str> {
     let (_, rest) = map.file_stem()?.to_str()?.split_once("____")?;
     rest.split('_').next().filter(|city| !city.is_empty())
@@ -107,7 +131,10 @@ mod tests {
 
     #[test]
     fn cities_are_parsed_from_the_names_of_maps() {
-        assert_eq!(city_of(Path::new("map/log_map_archive_a-b____MIA_city_47894.json")), Some("MIA"));
+        assert_eq!(
+            city_of(Path::new("map/log_map_archive_a-b____MIA_city_47894.json")),
+            Some("MIA")
+        );
         assert_eq!(city_of(Path::new("log_map_archive_a-b.json")), None);
     }
 }

@@ -11,17 +11,38 @@ use std::sync::Arc;
 fn forecasting(steps: usize) -> Columns {
     let count = 2 * steps;
     let of = |value: &dyn Fn(usize, bool) -> f64| -> ArrayRef {
-        Arc::new((0..count).map(|row| Some(value(row / 2, row % 2 == 0))).collect::<Float64Array>())
+        Arc::new(
+            (0..count)
+                .map(|row| Some(value(row / 2, row % 2 == 0)))
+                .collect::<Float64Array>(),
+        )
     };
     let words = |ego: &str, bus: &str| -> ArrayRef {
-        Arc::new((0..count).map(|row| Some(if row % 2 == 0 { ego } else { bus })).collect::<StringArray>())
+        Arc::new(
+            (0..count)
+                .map(|row| Some(if row % 2 == 0 { ego } else { bus }))
+                .collect::<StringArray>(),
+        )
     };
     vec![
         ("track_id", words("AV", "7")),
         ("object_type", words("vehicle", "bus")),
-        ("timestep", Arc::new((0..count).map(|row| Some((row / 2) as i64)).collect::<Int64Array>())),
-        ("position_x", of(&|step, ego| CITY.0 + 5.0 + 0.8 * step as f64 + if ego { 0.0 } else { 10.0 })),
-        ("position_y", of(&|_, ego| CITY.1 + if ego { 0.0 } else { 3.5 })),
+        (
+            "timestep",
+            Arc::new(
+                (0..count)
+                    .map(|row| Some((row / 2) as i64))
+                    .collect::<Int64Array>(),
+            ),
+        ),
+        (
+            "position_x",
+            of(&|step, ego| CITY.0 + 5.0 + 0.8 * step as f64 + if ego { 0.0 } else { 10.0 }),
+        ),
+        (
+            "position_y",
+            of(&|_, ego| CITY.1 + if ego { 0.0 } else { 3.5 }),
+        ),
         ("heading", of(&|_, _| 0.0)),
         ("velocity_x", of(&|_, _| 8.0)),
         ("velocity_y", of(&|_, _| 0.0)),
@@ -36,7 +57,11 @@ fn forecasting_opened(columns: Columns) -> Result<Scenario, Argoverse2Error> {
     let mut writer = ArrowWriter::try_new(file, batch.schema(), None).unwrap();
     writer.write(&batch).unwrap();
     writer.close().unwrap();
-    std::fs::write(folder.path().join("log_map_archive_synthetic.json"), crossing_map().to_string()).unwrap();
+    std::fs::write(
+        folder.path().join("log_map_archive_synthetic.json"),
+        crossing_map().to_string(),
+    )
+    .unwrap();
     open(folder.path())
 }
 
@@ -44,12 +69,22 @@ fn forecasting_opened(columns: Columns) -> Result<Scenario, Argoverse2Error> {
 fn a_forecasting_scenario_opens() {
     let scenario = forecasting_opened(forecasting(110)).unwrap();
     assert_eq!((scenario.start, scenario.iterations()), (10, 100));
-    assert_eq!(scenario.map.name(), "argoverse 2 pittsburgh, origin (1005, -500)");
+    assert_eq!(
+        scenario.map.name(),
+        "argoverse 2 pittsburgh, origin (1005, -500)"
+    );
     let frame = &scenario.frames[10];
     assert!((frame.ego.rear_axle.x - 8.0).abs() < 1e-9 && (frame.ego.speed() - 8.0).abs() < 1e-6);
-    let [bus] = &frame.objects[..] else { panic!("{:?}", frame.objects) };
+    let [bus] = &frame.objects[..] else {
+        panic!("{:?}", frame.objects)
+    };
     assert!((bus.shape.center.x - 18.0).abs() < 1e-9 && (bus.shape.length - 12.0).abs() < 1e-9);
-    let route: Vec<i64> = scenario.route.roadblocks.iter().map(|&b| scenario.map[b].source_id).collect();
+    let route: Vec<i64> = scenario
+        .route
+        .roadblocks
+        .iter()
+        .map(|&b| scenario.map[b].source_id)
+        .collect();
     assert_eq!(route, vec![1, 11, 21]);
 }
 
@@ -61,10 +96,19 @@ fn broken_forecasting_scenarios_are_reported() {
         forecasting_opened(columns).unwrap_err().to_string()
     };
     let no_ego = fault(&|columns| set(columns, "track_id", StringArray::from(vec!["7"; 60])));
-    assert!(no_ego.contains("track 'AV' is missing at step 0"), "{no_ego}");
+    assert!(
+        no_ego.contains("track 'AV' is missing at step 0"),
+        "{no_ego}"
+    );
     let twice = fault(&|columns| set(columns, "timestep", Int64Array::from(vec![0; 60])));
     assert!(twice.contains("row 2: a second row of track AV"), "{twice}");
-    let fast = fault(&|columns| set(columns, "velocity_y", with(columns, "velocity_y", 5, Some(1e6))));
+    let fast = fault(&|columns| {
+        set(
+            columns,
+            "velocity_y",
+            with(columns, "velocity_y", 5, Some(1e6)),
+        )
+    });
     assert!(fast.contains("column 'velocity_y', row 5"), "{fast}");
     let endless = fault(&|columns| set(columns, "timestep", Int64Array::from(vec![i64::MAX; 60])));
     assert!(endless.contains("column 'timestep', row 0"), "{endless}");

@@ -1,10 +1,13 @@
 //! Checks of the offsets and lengths in an Arrow IPC file.
 //!
-//! Arrow's reader trusts them and allocates what a damaged length says, which may abort the program.
+//! Arrow's reader trusts them and allocates what a damaged length says, which may abort the
+//! program.
 
 use super::error::LogFault;
 use arrow_ipc::reader::read_footer_length;
-use arrow_ipc::{Block, CompressionType, MessageHeader, RecordBatch, root_as_footer, root_as_message};
+use arrow_ipc::{
+    Block, CompressionType, MessageHeader, RecordBatch, root_as_footer, root_as_message,
+};
 
 /// Length of the footer and the magic bytes behind it.
 const TAIL: usize = 10;
@@ -20,14 +23,30 @@ const MAX_COLUMN: i64 = 1 << 28;
 /// Checks every offset and length of a file.
 pub(super) fn check(bytes: &[u8]) -> Result<(), LogFault> {
     let Some((rest, tail)) = bytes.split_last_chunk::<TAIL>() else {
-        return Err(LogFault::Damaged { part: "file", number: 0 });
+        return Err(LogFault::Damaged {
+            part: "file",
+            number: 0,
+        });
     };
     let length = read_footer_length(*tail)?;
-    let begin = rest.len().checked_sub(length).ok_or(LogFault::Damaged { part: "footer", number: 0 })?;
-    let footer = root_as_footer(&rest[begin..]).map_err(|_| LogFault::Damaged { part: "footer", number: 0 })?;
-    let blocks = footer.dictionaries().into_iter().flatten().chain(footer.recordBatches().into_iter().flatten());
+    let begin = rest.len().checked_sub(length).ok_or(LogFault::Damaged {
+        part: "footer",
+        number: 0,
+    })?;
+    let footer = root_as_footer(&rest[begin..]).map_err(|_| LogFault::Damaged {
+        part: "footer",
+        number: 0,
+    })?;
+    let blocks = footer
+        .dictionaries()
+        .into_iter()
+        .flatten()
+        .chain(footer.recordBatches().into_iter().flatten());
     for (number, block) in blocks.enumerate() {
-        check_block(rest, block).ok_or(LogFault::Damaged { part: "block", number })?;
+        check_block(rest, block).ok_or(LogFault::Damaged {
+            part: "block",
+            number,
+        })?;
     }
     Ok(())
 }
@@ -38,11 +57,16 @@ fn check_block(bytes: &[u8], block: &Block) -> Option<()> {
     let body_from = from.checked_add(usize::try_from(block.metaDataLength()).ok()?)?;
     let body_to = body_from.checked_add(usize::try_from(block.bodyLength()).ok()?)?;
     let (message, body) = (bytes.get(from..body_from)?, bytes.get(body_from..body_to)?);
-    let message = message.strip_prefix(&CONTINUATION).unwrap_or(message).get(CONTINUATION.len()..)?;
+    let message = message
+        .strip_prefix(&CONTINUATION)
+        .unwrap_or(message)
+        .get(CONTINUATION.len()..)?;
     let message = root_as_message(message).ok()?;
     match message.header_type() {
         MessageHeader::RecordBatch => check_batch(body, message.header_as_record_batch()?),
-        MessageHeader::DictionaryBatch => check_batch(body, message.header_as_dictionary_batch()?.data()?),
+        MessageHeader::DictionaryBatch => {
+            check_batch(body, message.header_as_dictionary_batch()?.data()?)
+        }
         _ => None,
     }
 }

@@ -1,14 +1,17 @@
-//! Argoverse 2 logs as published: a folder of the sensor dataset (boxes at 10 Hz, ego poses, vector map), or of the
-//! motion-forecasting dataset (tracks over 11 s, vector map).
+//! Argoverse 2 logs as published: a folder of the sensor dataset (boxes at 10 Hz, ego poses, vector
+//! map), or of the motion-forecasting dataset (tracks over 11 s, vector map).
 //!
-//! [`open`] opens a log folder, [`contents`] counts what it holds, [`logs_in`] lists the logs of a folder.
+//! [`open`] opens a log folder, [`contents`] counts what it holds, [`logs_in`] lists the logs of a
+//! folder.
 //!
-//! * `files`, `table` (with `ipc_bounds`), `map_file`: the files of a log, and checked cells and fields;
-//! * `poses`, `annotations`, `category`: ego and objects of a sensor log; `forecasting`: those of a motion-forecasting scenario;
+//! * `files`, `table` (with `ipc_bounds`), `map_file`: the files of a log, and checked cells and
+//!   fields;
+//! * `poses`, `annotations`, `category`: ego and objects of a sensor log; `forecasting`: those of a
+//!   motion-forecasting scenario;
 //! * `map`: lanes, areas and crosswalks.
 //!
-//! `scenario::recording` derives nuPlan's other layers and the route as for every recording. Errors name file, column and row,
-//! or the feature of the map.
+//! `scenario::recording` derives nuPlan's other layers and the route as for every recording. Errors
+//! name file, column and row, or the feature of the map.
 
 mod annotations;
 mod category;
@@ -60,5 +63,8 @@ pub fn contents(folder: &Path) -> Result<Contents, Argoverse2Error> {
 pub fn name(folder: &Path) -> String {
     // `.` and `..` have no name.
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-    folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+    folder
+        .file_name()
+        .map(|name| name.to_string_lossy().into_owned())
+        .unwrap_or_default()
 }

@@ -16,7 +16,11 @@ impl ScenarioReader for Argoverse2Reader {
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
         let path = &path_of(word);
-        let folders = if is_log(path) { vec![path.clone()] } else { logs_in(path).map_err(ReaderError::new)? };
+        let folders = if is_log(path) {
+            vec![path.clone()]
+        } else {
+            logs_in(path).map_err(ReaderError::new)?
+        };
         let reference = |folder: PathBuf| {
             let name = name(&folder);
             ScenarioRef::new(word_of(folder.as_os_str()), Log(folder.clone()))
@@ -41,7 +45,9 @@ impl OpenScenario for Log {
     }
 
     fn files(&self) -> Vec<PathBuf> {
-        LogFiles::of(&self.0).map(LogFiles::paths).unwrap_or_default()
+        LogFiles::of(&self.0)
+            .map(LogFiles::paths)
+            .unwrap_or_default()
     }
 
     fn contents(&self) -> Result<Option<Contents>, ReaderError> {

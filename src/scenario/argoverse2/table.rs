@@ -30,8 +30,11 @@ impl Table {
         let mut bytes = Vec::new();
         let read = planagent_files::open(path).and_then(|mut file| file.read_to_end(&mut bytes));
         read.map_err(Argoverse2Error::at(path))?;
-        let table =
-            if bytes.starts_with(FEATHER_1) { Err(LogFault::OldFeather) } else { guarded(|| Self::of_ipc(&bytes)) };
+        let table = if bytes.starts_with(FEATHER_1) {
+            Err(LogFault::OldFeather)
+        } else {
+            guarded(|| Self::of_ipc(&bytes))
+        };
         table.map_err(Argoverse2Error::at(path))
     }
 
@@ -61,7 +64,11 @@ impl Table {
     ) -> Result<Self, LogFault> {
         let batches = batches.collect::<Result<Vec<_>, ArrowError>>()?;
         let rows = concat_batches(schema, &batches)?;
-        if rows.num_rows() == 0 { Err(LogFault::Empty) } else { Ok(Self { rows }) }
+        if rows.num_rows() == 0 {
+            Err(LogFault::Empty)
+        } else {
+            Ok(Self { rows })
+        }
     }
 
     /// A column of integers without empty cells.
@@ -82,7 +89,11 @@ impl Table {
 
     /// Number of different texts in a column.
     pub(super) fn distinct(&self, column: &'static str) -> Result<usize, LogFault> {
-        Ok(self.words(column)?.into_iter().collect::<BTreeSet<_>>().len())
+        Ok(self
+            .words(column)?
+            .into_iter()
+            .collect::<BTreeSet<_>>()
+            .len())
     }
 
     /// A column without empty cells, by a function that gives nothing for another type of column.
@@ -92,10 +103,19 @@ impl Table {
         read: impl Fn(&dyn Array) -> Option<Vec<Option<T>>>,
         needed: &'static str,
     ) -> Result<Vec<T>, LogFault> {
-        let found = self.rows.column_by_name(column).ok_or(LogFault::NoColumn { column })?;
-        let wrong_type = || LogFault::WrongType { column, found: found.data_type().to_string(), needed };
+        let found = self
+            .rows
+            .column_by_name(column)
+            .ok_or(LogFault::NoColumn { column })?;
+        let wrong_type = || LogFault::WrongType {
+            column,
+            found: found.data_type().to_string(),
+            needed,
+        };
         let cells = read(found).ok_or_else(wrong_type)?.into_iter().enumerate();
-        cells.map(|(row, cell)| cell.ok_or(LogFault::NoValue { column, row })).collect()
+        cells
+            .map(|(row, cell)| cell.ok_or(LogFault::NoValue { column, row }))
+            .collect()
     }
 }
 
@@ -106,12 +126,17 @@ pub(super) fn in_range(
     is_valid: impl Fn(f64) -> bool,
 ) -> Result<Vec<f64>, LogFault> {
     match values.iter().position(|&value| !is_valid(value)) {
-        Some(row) => Err(LogFault::OutOfRange { column, row, value: values[row] }),
+        Some(row) => Err(LogFault::OutOfRange {
+            column,
+            row,
+            value: values[row],
+        }),
         None => Ok(values),
     }
 }
 
-/// Turns a panic into a fault: the readers of both formats panic at lengths that contradict each other.
+/// Turns a panic into a fault: the readers of both formats panic at lengths that contradict each
+/// other.
 fn guarded(read: impl FnOnce() -> Result<Table, LogFault> + UnwindSafe) -> Result<Table, LogFault> {
     catch_unwind(read).unwrap_or(Err(LogFault::Unreadable))
 }

@@ -28,7 +28,10 @@ pub(super) struct Log {
 
 /// A line on the city's map; its points are relative to where that begins.
 pub(super) fn line(points: &[(f64, f64)]) -> Value {
-    points.iter().map(|(x, y)| json!({"x": CITY.0 + x, "y": CITY.1 + y, "z": 7.0})).collect()
+    points
+        .iter()
+        .map(|(x, y)| json!({"x": CITY.0 + x, "y": CITY.1 + y, "z": 7.0}))
+        .collect()
 }
 
 /// A lane 3.5 m wide around a line that is straight or turns right.
@@ -40,7 +43,10 @@ fn lane(id: i64, points: &[(f64, f64)], successors: &[i64]) -> Value {
                 let (from, to) = (points[i.saturating_sub(1)], points[(i + 1).min(last)]);
                 let (dx, dy) = (to.0 - from.0, to.1 - from.1);
                 let norm = dx.hypot(dy);
-                (points[i].0 - dy / norm * offset, points[i].1 + dx / norm * offset)
+                (
+                    points[i].0 - dy / norm * offset,
+                    points[i].1 + dx / norm * offset,
+                )
             })
             .collect()
     };
@@ -52,8 +58,9 @@ fn lane(id: i64, points: &[(f64, f64)], successors: &[i64]) -> Value {
     })
 }
 
-/// Two lanes to the east (1, 2) beside one to the west (3) and a bike lane (9); ways straight on (11, 12) and to the right (13)
-/// over a road from the south (31, 41, 51). Lane 3 leads out of the map.
+/// Two lanes to the east (1, 2) beside one to the west (3) and a bike lane (9); ways straight on
+/// (11, 12) and to the right (13) over a road from the south (31, 41, 51). Lane 3 leads out of the
+/// map.
 pub(super) fn crossing_map() -> Value {
     let lanes = [
         lane(1, &[(0.0, 3.5), (60.0, 3.5)], &[11]),
@@ -62,7 +69,11 @@ pub(super) fn crossing_map() -> Value {
         lane(9, &[(0.0, -3.5), (60.0, -3.5)], &[12]),
         lane(11, &[(60.0, 3.5), (80.0, 3.5)], &[21]),
         lane(12, &[(60.0, 0.0), (80.0, 0.0)], &[22]),
-        lane(13, &[(60.0, 0.0), (65.0, -1.5), (68.0, -5.0), (68.0, -10.0)], &[23]),
+        lane(
+            13,
+            &[(60.0, 0.0), (65.0, -1.5), (68.0, -5.0), (68.0, -10.0)],
+            &[23],
+        ),
         lane(21, &[(80.0, 3.5), (140.0, 3.5)], &[]),
         lane(22, &[(80.0, 0.0), (140.0, 0.0)], &[]),
         lane(23, &[(68.0, -10.0), (68.0, -60.0)], &[]),
@@ -70,8 +81,10 @@ pub(super) fn crossing_map() -> Value {
         lane(41, &[(72.0, -10.0), (72.0, 13.0)], &[51]),
         lane(51, &[(72.0, 13.0), (72.0, 60.0)], &[]),
     ];
-    let mut segments: serde_json::Map<String, Value> =
-        lanes.into_iter().map(|lane| (lane["id"].to_string(), lane)).collect();
+    let mut segments: serde_json::Map<String, Value> = lanes
+        .into_iter()
+        .map(|lane| (lane["id"].to_string(), lane))
+        .collect();
     let left_of = [("1", 3), ("2", 1), ("3", 1), ("22", 21)].map(|(id, other)| (id, "left", other));
     let right_of = [("1", 2), ("2", 9), ("21", 22)].map(|(id, other)| (id, "right", other));
     for (id, side, other) in left_of.into_iter().chain(right_of) {
@@ -95,7 +108,8 @@ pub(super) fn time_ns(step: usize) -> i64 {
     315_971_916_960_141_000 + 100_000_000 * step as i64
 }
 
-/// The ego on lane 2 at 8 m/s; a car 20 m ahead of it, a person that stands, a cone at steps 0 to 4 and the ego's own row.
+/// The ego on lane 2 at 8 m/s; a car 20 m ahead of it, a person that stands, a cone at steps 0 to 4
+/// and the ego's own row.
 pub(super) fn log(steps: usize) -> Log {
     let along = |step: usize| 5.0 + 0.8 * step as f64;
     let mut rows: Vec<(usize, &str, &str, f64, f64)> = Vec::new();
@@ -108,15 +122,32 @@ pub(super) fn log(steps: usize) -> Log {
         }
     }
     let count = rows.len();
-    let numbers = |value: f64, count: usize| -> ArrayRef { Arc::new(Float64Array::from(vec![value; count])) };
-    let words = |column: fn(&(usize, &'static str, &'static str, f64, f64)) -> &'static str| -> ArrayRef {
-        Arc::new(rows.iter().map(|row| Some(column(row))).collect::<StringArray>())
-    };
+    let numbers =
+        |value: f64, count: usize| -> ArrayRef { Arc::new(Float64Array::from(vec![value; count])) };
+    let words =
+        |column: fn(&(usize, &'static str, &'static str, f64, f64)) -> &'static str| -> ArrayRef {
+            Arc::new(
+                rows.iter()
+                    .map(|row| Some(column(row)))
+                    .collect::<StringArray>(),
+            )
+        };
     let places = |column: fn(&(usize, &str, &str, f64, f64)) -> f64| -> ArrayRef {
-        Arc::new(rows.iter().map(|row| Some(column(row))).collect::<Float64Array>())
+        Arc::new(
+            rows.iter()
+                .map(|row| Some(column(row)))
+                .collect::<Float64Array>(),
+        )
     };
     let annotations: Columns = vec![
-        ("timestamp_ns", Arc::new(rows.iter().map(|row| Some(time_ns(row.0))).collect::<Int64Array>())),
+        (
+            "timestamp_ns",
+            Arc::new(
+                rows.iter()
+                    .map(|row| Some(time_ns(row.0)))
+                    .collect::<Int64Array>(),
+            ),
+        ),
         ("track_uuid", words(|row| row.1)),
         ("category", words(|row| row.2)),
         ("length_m", numbers(2.0, count)),
@@ -130,35 +161,66 @@ pub(super) fn log(steps: usize) -> Log {
         ("tz_m", numbers(0.5, count)),
     ];
     let poses: Columns = vec![
-        ("timestamp_ns", Arc::new((0..steps).map(|step| Some(time_ns(step))).collect::<Int64Array>())),
+        (
+            "timestamp_ns",
+            Arc::new(
+                (0..steps)
+                    .map(|step| Some(time_ns(step)))
+                    .collect::<Int64Array>(),
+            ),
+        ),
         ("qw", numbers(1.0, steps)),
         ("qx", numbers(0.0, steps)),
         ("qy", numbers(0.0, steps)),
         ("qz", numbers(0.0, steps)),
-        ("tx_m", Arc::new((0..steps).map(|step| Some(CITY.0 + along(step))).collect::<Float64Array>())),
+        (
+            "tx_m",
+            Arc::new(
+                (0..steps)
+                    .map(|step| Some(CITY.0 + along(step)))
+                    .collect::<Float64Array>(),
+            ),
+        ),
         ("ty_m", numbers(CITY.1, steps)),
         ("tz_m", numbers(7.0, steps)),
     ];
-    Log { annotations, poses, map: crossing_map() }
+    Log {
+        annotations,
+        poses,
+        map: crossing_map(),
+    }
 }
 
 /// Puts another array in the place of a column.
 pub(super) fn set(columns: &mut Columns, name: &str, array: impl arrow_array::Array + 'static) {
-    columns.iter_mut().find(|(column, _)| *column == name).unwrap().1 = Arc::new(array);
+    columns
+        .iter_mut()
+        .find(|(column, _)| *column == name)
+        .unwrap()
+        .1 = Arc::new(array);
 }
 
 /// A column of numbers with one of them changed.
 pub(super) fn with(columns: &Columns, name: &str, row: usize, value: Option<f64>) -> Float64Array {
     use arrow_array::cast::AsArray;
-    let column = &columns.iter().find(|(column, _)| *column == name).unwrap().1;
-    let mut values: Vec<Option<f64>> = column.as_primitive::<arrow_array::types::Float64Type>().iter().collect();
+    let column = &columns
+        .iter()
+        .find(|(column, _)| *column == name)
+        .unwrap()
+        .1;
+    let mut values: Vec<Option<f64>> = column
+        .as_primitive::<arrow_array::types::Float64Type>()
+        .iter()
+        .collect();
     values[row] = value;
     Float64Array::from(values)
 }
 
 fn feather(path: &Path, columns: &Columns) {
     let batch = RecordBatch::try_from_iter(columns.clone()).unwrap();
-    let options = IpcWriteOptions::default().try_with_compression(Some(CompressionType::LZ4_FRAME)).unwrap();
+    let options = IpcWriteOptions::default()
+        .try_with_compression(Some(CompressionType::LZ4_FRAME))
+        .unwrap();
     let file = File::create(path).unwrap();
     let mut writer = FileWriter::try_new_with_options(file, &batch.schema(), options).unwrap();
     writer.write(&batch).unwrap();

@@ -1,4 +1,5 @@
-//! The log of a generated scenario: runs the traffic with the expert as the ego's driver, records it and checks it.
+//! The log of a generated scenario: runs the traffic with the expert as the ego's driver, records
+//! it and checks it.
 
 use super::expert::Expert;
 use super::scene::setting::SETTLING;
@@ -6,8 +7,8 @@ use super::traffic::Traffic;
 use crate::{FUTURE_FRAMES, Frame};
 use planagent_world::geometry::{Point, Vector, wrap_angle};
 use planagent_world::{
-    EgoState, HISTORY_SAMPLES, LaneId, LaneMap, ObjectKind, PACIFICA, STEP_S, STEP_US, SignalStatus, TrackedObject,
-    TrafficLights,
+    EgoState, HISTORY_SAMPLES, LaneId, LaneMap, ObjectKind, PACIFICA, STEP_S, STEP_US,
+    SignalStatus, TrackedObject, TrafficLights,
 };
 use std::sync::Arc;
 
@@ -73,7 +74,11 @@ impl GeneratedLog {
                 if *lights != now {
                     lights = Arc::new(now);
                 }
-                log.record_frame(traffic, (step - settling) as i64 - PAST as i64, lights.clone())?;
+                log.record_frame(
+                    traffic,
+                    (step - settling) as i64 - PAST as i64,
+                    lights.clone(),
+                )?;
             }
             advance(traffic, expert);
         }
@@ -88,18 +93,29 @@ impl GeneratedLog {
     ) -> Result<(), Discard> {
         let ego = &traffic.movers[0];
         let (state, objects) = observe(traffic, &self.map, iteration)?;
-        self.frames.push(Frame { ego: state, objects, lights });
-        self.lanes.push(ego.track.span_at(ego.s + PACIFICA.rear_axle_to_center()).lane);
+        self.frames.push(Frame {
+            ego: state,
+            objects,
+            lights,
+        });
+        self.lanes.push(
+            ego.track
+                .span_at(ego.s + PACIFICA.rear_axle_to_center())
+                .lane,
+        );
         self.curvatures.push(ego.path_curvature(ego.s));
         self.changing.push(ego.is_between_lanes());
         Ok(())
     }
 
-    /// The ego after the last frame: the traffic runs on, for eight seconds or until the ego collides or leaves the roads.
+    /// The ego after the last frame: the traffic runs on, for eight seconds or until the ego
+    /// collides or leaves the roads.
     pub(super) fn future(&self, traffic: &mut Traffic<'_>, expert: &mut Expert) -> Vec<EgoState> {
         let mut future = Vec::with_capacity(FUTURE_FRAMES);
         for step in 0..FUTURE_FRAMES {
-            let Ok((ego, _)) = observe(traffic, &self.map, (ITERATIONS + step) as i64) else { break };
+            let Ok((ego, _)) = observe(traffic, &self.map, (ITERATIONS + step) as i64) else {
+                break;
+            };
             future.push(ego);
             advance(traffic, expert);
         }
@@ -111,9 +127,13 @@ impl GeneratedLog {
         self.frames.iter().enumerate().skip(PAST)
     }
 
-    /// True if the heading changes by more than `angle` radians (negative: to the right) within 8 s.
+    /// True if the heading changes by more than `angle` radians (negative: to the right) within 8
+    /// s.
     pub fn turns(&self, angle: f64) -> bool {
-        let headings: Vec<f64> = self.simulated().map(|(_, frame)| frame.ego.rear_axle.heading).collect();
+        let headings: Vec<f64> = self
+            .simulated()
+            .map(|(_, frame)| frame.ego.rear_axle.heading)
+            .collect();
         (0..headings.len()).any(|i| {
             let end = (i + 80).min(headings.len() - 1);
             wrap_angle(headings[end] - headings[i]) * angle.signum() > angle.abs()
@@ -122,7 +142,8 @@ impl GeneratedLog {
 
     /// True if the ego drives on a connector with traffic lights.
     pub fn crosses_a_light(&self) -> bool {
-        self.simulated().any(|(i, frame)| self.map[self.lanes[i]].has_traffic_lights && frame.ego.speed() > 1.0)
+        self.simulated()
+            .any(|(i, frame)| self.map[self.lanes[i]].has_traffic_lights && frame.ego.speed() > 1.0)
     }
 
     /// True if the ego is on a connector that others cross or join.
@@ -136,8 +157,11 @@ impl GeneratedLog {
     /// The lead vehicle in a frame, and the gap to it, meters.
     fn lead(frame: &Frame) -> Option<(f64, &TrackedObject)> {
         let (front, own) = (frame.ego.center(), frame.ego.footprint());
-        let leads =
-            frame.objects.iter().filter(|object| object.kind == ObjectKind::Vehicle).filter_map(move |object| {
+        let leads = frame
+            .objects
+            .iter()
+            .filter(|object| object.kind == ObjectKind::Vehicle)
+            .filter_map(move |object| {
                 let local = front.to_local(object.shape.center.position());
                 let turned = wrap_angle(object.shape.center.heading - front.heading).abs();
                 let ahead = local.x > 0.0 && local.y.abs() < 1.2 + 0.03 * local.x && turned < 0.6;
@@ -151,38 +175,50 @@ impl GeneratedLog {
         let (mut moved, mut stopped) = (false, false);
         for (_, frame) in self.simulated() {
             moved |= frame.ego.speed() > 3.0;
-            stopped |= moved && frame.ego.speed() < 0.4 && Self::lead(frame).is_some_and(|(gap, _)| gap < 7.0);
+            stopped |= moved
+                && frame.ego.speed() < 0.4
+                && Self::lead(frame).is_some_and(|(gap, _)| gap < 7.0);
         }
         stopped
     }
 
-    /// True if the ego follows a vehicle within `gap` meters at more than `speed` m/s for two seconds in all.
+    /// True if the ego follows a vehicle within `gap` meters at more than `speed` m/s for two
+    /// seconds in all.
     pub fn follows(&self, gap: f64, speed: f64) -> bool {
         let follows = |frame: &Frame| {
-            frame.ego.speed() > speed && Self::lead(frame).is_some_and(|(d, o)| d < gap && o.speed() > speed / 2.0)
+            frame.ego.speed() > speed
+                && Self::lead(frame).is_some_and(|(d, o)| d < gap && o.speed() > speed / 2.0)
         };
         self.simulated().filter(|(_, frame)| follows(frame)).count() >= 20
     }
 
     /// True if the ego is within 25 m behind a vehicle longer than 8 m for two seconds in all.
     pub fn behind_long(&self) -> bool {
-        let long = |frame: &Frame| Self::lead(frame).is_some_and(|(gap, o)| gap < 25.0 && o.shape.length > 8.0);
+        let long = |frame: &Frame| {
+            Self::lead(frame).is_some_and(|(gap, o)| gap < 25.0 && o.shape.length > 8.0)
+        };
         self.simulated().filter(|(_, frame)| long(frame)).count() >= 20
     }
 
     /// True if the ego stands with at least four vehicles within 25 m in the first 6 s.
     pub fn stands_in_traffic(&self) -> bool {
-        self.simulated().take(60).any(|(_, frame)| frame.ego.speed() < 0.1 && vehicles_within(frame, 25.0) >= 4)
+        self.simulated()
+            .take(60)
+            .any(|(_, frame)| frame.ego.speed() < 0.1 && vehicles_within(frame, 25.0) >= 4)
     }
 
     /// True if the ego moves faster than 3 m/s with at least `count` vehicles within 25 m.
     pub fn near_vehicles(&self, count: usize) -> bool {
-        self.simulated().any(|(_, frame)| frame.ego.speed() > 3.0 && vehicles_within(frame, 25.0) >= count)
+        self.simulated()
+            .any(|(_, frame)| frame.ego.speed() > 3.0 && vehicles_within(frame, 25.0) >= count)
     }
 
     /// True if the ego moves, but slower than `speed` m/s, for two seconds in all.
     pub fn slow(&self, speed: f64) -> bool {
-        self.simulated().filter(|(_, frame)| (0.2..speed).contains(&frame.ego.speed())).count() >= 20
+        self.simulated()
+            .filter(|(_, frame)| (0.2..speed).contains(&frame.ego.speed()))
+            .count()
+            >= 20
     }
 
     /// True if the ego is faster than `speed` m/s.
@@ -192,7 +228,8 @@ impl GeneratedLog {
 
     /// True if the lateral acceleration exceeds `bound` m/s².
     pub fn lateral(&self, bound: f64) -> bool {
-        self.simulated().any(|(i, frame)| self.curvatures[i].abs() * frame.ego.speed().powi(2) > bound)
+        self.simulated()
+            .any(|(i, frame)| self.curvatures[i].abs() * frame.ego.speed().powi(2) > bound)
     }
 
     /// True if the ego is between two lanes for 1.5 s in all.
@@ -221,10 +258,18 @@ impl GeneratedLog {
         self.simulated().any(|(i, frame)| {
             moved |= frame.ego.speed() > 5.0;
             let lane = &self.map[self.lanes[i]];
-            let front = frame.ego.footprint().center.translated(frame.ego.footprint().length / 2.0, 0.0);
+            let front = frame
+                .ego
+                .footprint()
+                .center
+                .translated(frame.ego.footprint().length / 2.0, 0.0);
             let left = lane.centerline.length() - lane.centerline.project(front.position()).s;
             let red = |onward: &LaneId| frame.lights.status(*onward) == Some(SignalStatus::Red);
-            moved && frame.ego.speed() < 0.1 && !lane.is_connector() && left < 6.0 && lane.outgoing.iter().any(red)
+            moved
+                && frame.ego.speed() < 0.1
+                && !lane.is_connector()
+                && left < 6.0
+                && lane.outgoing.iter().any(red)
         })
     }
 
@@ -232,7 +277,10 @@ impl GeneratedLog {
     pub fn passes_bay(&self) -> bool {
         let near = |frame: &Frame| {
             let point = frame.ego.center().position();
-            self.map.carparks().iter().any(|bay| bay.distance_to(point) < 14.0)
+            self.map
+                .carparks()
+                .iter()
+                .any(|bay| bay.distance_to(point) < 14.0)
         };
         self.simulated().filter(|(_, frame)| near(frame)).count() >= 15
     }
@@ -240,8 +288,9 @@ impl GeneratedLog {
 
 fn vehicles_within(frame: &Frame, reach: f64) -> usize {
     let center = frame.ego.center();
-    let near =
-        |object: &&TrackedObject| object.kind == ObjectKind::Vehicle && object.shape.center.distance(&center) < reach;
+    let near = |object: &&TrackedObject| {
+        object.kind == ObjectKind::Vehicle && object.shape.center.distance(&center) < reach
+    };
     frame.objects.iter().filter(near).count()
 }
 
@@ -257,7 +306,11 @@ fn advance(traffic: &mut Traffic<'_>, expert: &mut Expert) {
 }
 
 /// The ego and the objects around it, unless the draw must be discarded.
-fn observe(traffic: &Traffic<'_>, map: &LaneMap, iteration: i64) -> Result<(EgoState, Arc<[TrackedObject]>), Discard> {
+fn observe(
+    traffic: &Traffic<'_>,
+    map: &LaneMap,
+    iteration: i64,
+) -> Result<(EgoState, Arc<[TrackedObject]>), Discard> {
     let ego = &traffic.movers[0];
     if ego.gone || ego.track.length() < ego.front_s() + 25.0 {
         return Err(Discard::RoadEnds);
@@ -270,18 +323,32 @@ fn observe(traffic: &Traffic<'_>, map: &LaneMap, iteration: i64) -> Result<(EgoS
     if iteration % 2 == 0 && collide(&objects, shape.center.position()) {
         return Err(Discard::OthersCollide);
     }
-    if !shape.corners().iter().all(|&corner| map.is_drivable(corner)) {
+    if !shape
+        .corners()
+        .iter()
+        .all(|&corner| map.is_drivable(corner))
+    {
         return Err(Discard::OffRoad);
     }
     let acceleration = Vector::new(ego.accel, ego.path_curvature(ego.s) * ego.speed * ego.speed);
     let time_us = START_US + iteration * STEP_US;
-    Ok((EgoState::from_log(time_us, ego.pose(), Vector::new(ego.speed, 0.0), acceleration), objects))
+    Ok((
+        EgoState::from_log(
+            time_us,
+            ego.pose(),
+            Vector::new(ego.speed, 0.0),
+            acceleration,
+        ),
+        objects,
+    ))
 }
 
 /// True if two objects near the ego overlap. Pedestrians may stand close together.
 fn collide(objects: &[TrackedObject], ego: Point) -> bool {
-    let near: Vec<&TrackedObject> =
-        objects.iter().filter(|object| (object.shape.center.position() - ego).norm() < CHECKED_WITHIN).collect();
+    let near: Vec<&TrackedObject> = objects
+        .iter()
+        .filter(|object| (object.shape.center.position() - ego).norm() < CHECKED_WITHIN)
+        .collect();
     near.iter().enumerate().any(|(i, a)| {
         near[i + 1..].iter().any(|b| {
             let moves = a.speed() > 0.0 || b.speed() > 0.0;

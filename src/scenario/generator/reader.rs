@@ -8,7 +8,8 @@ pub struct GeneratedReader;
 
 impl ScenarioReader for GeneratedReader {
     fn recognizes(&self, word: &str) -> bool {
-        word.strip_prefix(SOURCE).is_some_and(|rest| rest.starts_with('/'))
+        word.strip_prefix(SOURCE)
+            .is_some_and(|rest| rest.starts_with('/'))
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
@@ -23,9 +24,11 @@ impl ScenarioReader for GeneratedReader {
 
 impl From<Spec> for ScenarioRef {
     fn from(spec: Spec) -> Self {
-        Self::new(spec.to_string(), move || generate(&spec).map_err(ReaderError::new))
-            .with_id(spec.to_string())
-            .with_type(spec.scenario_type.name())
-            .with_log_name(spec.log_name())
+        Self::new(spec.to_string(), move || {
+            generate(&spec).map_err(ReaderError::new)
+        })
+        .with_id(spec.to_string())
+        .with_type(spec.scenario_type.name())
+        .with_log_name(spec.log_name())
     }
 }

@@ -5,8 +5,8 @@ use rand_pcg::Pcg64;
 
 /// A stream of random draws; the same seed gives the same stream everywhere.
 ///
-/// Some draws determine the *situation*: what the scenario is about. With a traffic seed, the situation of the seed
-/// [is repeated](Self::with_situation_of) and all other draws change.
+/// Some draws determine the *situation*: what the scenario is about. With a traffic seed, the
+/// situation of the seed [is repeated](Self::with_situation_of) and all other draws change.
 #[derive(Debug, Clone)]
 pub struct SeededRng {
     source: Pcg64,
@@ -32,8 +32,14 @@ pub(crate) struct EarlyDraw {
 impl SeededRng {
     /// The stream of `seed` for one purpose; streams of different purposes are unrelated.
     pub(crate) fn new(seed: u64, purpose: u64) -> Self {
-        let source = Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ purpose.rotate_left(48));
-        Self { source, situation: Situation::Recorded(Vec::new()), wide: false }
+        let source = Pcg64::seed_from_u64(
+            seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ purpose.rotate_left(48),
+        );
+        Self {
+            source,
+            situation: Situation::Recorded(Vec::new()),
+            wide: false,
+        }
     }
 
     /// This stream for draws from wider ranges.
@@ -49,7 +55,10 @@ impl SeededRng {
     /// This stream, with the situation that `drawn` recorded.
     pub(crate) fn with_situation_of(self, drawn: &Self) -> Self {
         let (Situation::Recorded(recorded) | Situation::Repeated(recorded, _)) = &drawn.situation;
-        Self { situation: Situation::Repeated(recorded.clone(), 0), ..self }
+        Self {
+            situation: Situation::Repeated(recorded.clone(), 0),
+            ..self
+        }
     }
 
     /// A draw of the situation.
@@ -66,7 +75,11 @@ impl SeededRng {
         };
         match then {
             None => draw(self),
-            Some(source) => draw(&mut Self { source, situation: Situation::Recorded(Vec::new()), wide: self.wide }),
+            Some(source) => draw(&mut Self {
+                source,
+                situation: Situation::Recorded(Vec::new()),
+                wide: self.wide,
+            }),
         }
     }
 
@@ -80,7 +93,10 @@ impl SeededRng {
 
     /// A draw in [low, high) that is used later by [`Self::value_of`].
     pub(crate) fn early_draw(&mut self, low: f64, high: f64) -> EarlyDraw {
-        EarlyDraw { value: self.uniform(low, high), bounds: [low, high] }
+        EarlyDraw {
+            value: self.uniform(low, high),
+            bounds: [low, high],
+        }
     }
 
     /// The value of an early draw; with a traffic seed, a new one.
@@ -140,7 +156,10 @@ mod tests {
             let n = a.range(1, 4);
             assert!((1..=4).contains(&n) && n == b.range(1, 4));
         }
-        assert_ne!(SeededRng::new(7, 1).unit().to_bits(), SeededRng::new(7, 2).unit().to_bits());
+        assert_ne!(
+            SeededRng::new(7, 1).unit().to_bits(),
+            SeededRng::new(7, 2).unit().to_bits()
+        );
     }
 
     #[test]
@@ -153,7 +172,10 @@ mod tests {
         let mut first = SeededRng::new(7, 1);
         let mut plain = first.clone();
         let own = deal(&mut first);
-        assert_eq!(own, [plain.unit(), plain.unit(), plain.uniform(3.0, 4.0)].map(f64::to_bits));
+        assert_eq!(
+            own,
+            [plain.unit(), plain.unit(), plain.uniform(3.0, 4.0)].map(f64::to_bits)
+        );
         let mut other = SeededRng::new(8, 1).with_situation_of(&first);
         assert!(!other.kept_situation());
         let other_draws = deal(&mut other);

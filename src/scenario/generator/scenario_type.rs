@@ -14,8 +14,9 @@ use std::hash::{Hash, Hasher};
 pub struct TypeDefinition {
     /// Name as nuPlan writes it; the second part of the scenarios' ids.
     pub name: &'static str,
-    /// Selects the random numbers of the type. It must never change, since every scenario of the type would change with it.
-    /// The number of the draw is added, so two types differ by at least [`super::MAX_DRAWS`].
+    /// Selects the random numbers of the type. It must never change, since every scenario of the
+    /// type would change with it. The number of the draw is added, so two types differ by at least
+    /// [`super::MAX_DRAWS`].
     pub seed: u64,
     /// Suites that hold the type.
     pub group: TypeGroup,

@@ -12,8 +12,9 @@ pub const SOURCE: &str = "generated";
 /// Second part of the id of a scenario that is drawn from wider ranges.
 const WIDE: &str = "wide";
 
-/// Names a generated scenario and determines its every byte. Written `generated/<scenario type>/<seed>` or
-/// `generated/<scenario type>/<seed>.<traffic seed>`, with `wide/` before the type for one that is drawn from wider ranges.
+/// Names a generated scenario and determines its every byte. Written `generated/<scenario
+/// type>/<seed>` or `generated/<scenario type>/<seed>.<traffic seed>`, with `wide/` before the type
+/// for one that is drawn from wider ranges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Spec {
     /// Scenario type.
@@ -38,25 +39,41 @@ pub enum GeneratorError {
     #[error("'{0}' is not a scenario type of the generator; `planagent scenarios list` names them")]
     UnknownType(String),
     #[error("the {which} '{seed}' of '{id}' is not an integer from 0 to 2^64 - 1")]
-    Seed { which: &'static str, seed: String, id: String },
+    Seed {
+        which: &'static str,
+        seed: String,
+        id: String,
+    },
     #[error(
         "'{modification}' in '{id}' is no modification; name a kind of docs/modified.md, or a file whose name ends in .toml"
     )]
     Modification { modification: String, id: String },
     #[error("cannot generate {id}: all {draws} draws were discarded, the last one because {last}")]
-    Exhausted { id: String, draws: usize, last: Discard },
+    Exhausted {
+        id: String,
+        draws: usize,
+        last: Discard,
+    },
 }
 
 impl Spec {
     /// The scenario of a seed with its own traffic.
     pub const fn new(scenario_type: ScenarioType, seed: u64) -> Self {
-        Self { scenario_type, seed, traffic_seed: 0, wide: false }
+        Self {
+            scenario_type,
+            seed,
+            traffic_seed: 0,
+            wide: false,
+        }
     }
 
     /// The same situation with other traffic.
     #[must_use]
     pub const fn with_traffic_seed(self, traffic_seed: u64) -> Self {
-        Self { traffic_seed, ..self }
+        Self {
+            traffic_seed,
+            ..self
+        }
     }
 
     /// The scenario of the same type and seed that is drawn from wider ranges: another scenario.
@@ -67,15 +84,27 @@ impl Spec {
 
     /// Name of the log that the scenario counts as cut from; it depends on the seed alone.
     pub fn log_name(&self) -> String {
-        if self.wide { format!("{SOURCE}-{WIDE}-{}", self.seed) } else { format!("{SOURCE}-{}", self.seed) }
+        if self.wide {
+            format!("{SOURCE}-{WIDE}-{}", self.seed)
+        } else {
+            format!("{SOURCE}-{}", self.seed)
+        }
     }
 }
 
 impl fmt::Display for Spec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let wide = if self.wide { format!("{WIDE}/") } else { String::new() };
+        let wide = if self.wide {
+            format!("{WIDE}/")
+        } else {
+            String::new()
+        };
         write!(f, "{SOURCE}/{wide}{}/{}", self.scenario_type, self.seed)?;
-        if self.traffic_seed == 0 { Ok(()) } else { write!(f, ".{}", self.traffic_seed) }
+        if self.traffic_seed == 0 {
+            Ok(())
+        } else {
+            write!(f, ".{}", self.traffic_seed)
+        }
     }
 }
 
@@ -83,23 +112,42 @@ impl FromStr for Spec {
     type Err = GeneratorError;
 
     fn from_str(id: &str) -> Result<Self, Self::Err> {
-        let named = id.strip_prefix(SOURCE).and_then(|rest| rest.strip_prefix('/'));
-        let wide = named.and_then(|rest| rest.strip_prefix(WIDE)).and_then(|rest| rest.strip_prefix('/'));
-        let mut parts =
-            std::iter::once(SOURCE).filter(|_| named.is_some()).chain(wide.or(named).unwrap_or(id).split('/'));
-        let (Some(SOURCE), Some(kind), Some(seed), None) = (parts.next(), parts.next(), parts.next(), parts.next())
+        let named = id
+            .strip_prefix(SOURCE)
+            .and_then(|rest| rest.strip_prefix('/'));
+        let wide = named
+            .and_then(|rest| rest.strip_prefix(WIDE))
+            .and_then(|rest| rest.strip_prefix('/'));
+        let mut parts = std::iter::once(SOURCE)
+            .filter(|_| named.is_some())
+            .chain(wide.or(named).unwrap_or(id).split('/'));
+        let (Some(SOURCE), Some(kind), Some(seed), None) =
+            (parts.next(), parts.next(), parts.next(), parts.next())
         else {
             return Err(GeneratorError::Form(id.to_owned()));
         };
-        let scenario_type = types::named(kind).ok_or_else(|| GeneratorError::UnknownType(kind.to_owned()))?;
+        let scenario_type =
+            types::named(kind).ok_or_else(|| GeneratorError::UnknownType(kind.to_owned()))?;
         let number = |which, seed: &str| {
-            seed.parse().map_err(|_| GeneratorError::Seed { which, seed: seed.to_owned(), id: id.to_owned() })
+            seed.parse().map_err(|_| GeneratorError::Seed {
+                which,
+                seed: seed.to_owned(),
+                id: id.to_owned(),
+            })
         };
         if let Some((_, modification)) = seed.split_once('~') {
-            return Err(GeneratorError::Modification { modification: modification.to_owned(), id: id.to_owned() });
+            return Err(GeneratorError::Modification {
+                modification: modification.to_owned(),
+                id: id.to_owned(),
+            });
         }
         let (seed, traffic) = seed.split_once('.').unwrap_or((seed, "0"));
         let (seed, traffic_seed) = (number("seed", seed)?, number("traffic seed", traffic)?);
-        Ok(Self { scenario_type, seed, traffic_seed, wide: wide.is_some() })
+        Ok(Self {
+            scenario_type,
+            seed,
+            traffic_seed,
+            wide: wide.is_some(),
+        })
     }
 }

@@ -38,7 +38,8 @@ pub struct Row {
     pub is_ego_lane: bool,
     /// Limit of the lane, m/s.
     pub limit: Option<f64>,
-    /// Whether the ego's roadblock has exactly one successor: the first vehicle then drives at the limit.
+    /// Whether the ego's roadblock has exactly one successor: the first vehicle then drives at the
+    /// limit.
     pub leads_on: bool,
     /// Maximum acceleration and deceleration of interPlan's drivers, m/s².
     pub accelerations: (f64, f64),
@@ -71,7 +72,8 @@ pub fn fill_row(random: &mut PythonRandom, density: Density, row: &Row) -> Vec<P
             gap += s - row.ego_s;
             s = row.ego_s;
         }
-        // interPlan compares the progress alone: a place exactly beside the ego, on any lane, counts as the ego's.
+        // interPlan compares the progress alone: a place exactly beside the ego, on any lane,
+        // counts as the ego's.
         let is_ego = s.total_cmp(&row.ego_s).is_eq();
         let mut speed = match places.last() {
             None if row.leads_on => row.limit.unwrap_or(FALLBACK_SPEED),

@@ -1,4 +1,5 @@
-//! Names of interPlan's scenes: a token and pairs of a letter and a value (interPlan `scenario_utils.py`).
+//! Names of interPlan's scenes: a token and pairs of a letter and a value (interPlan
+//! `scenario_utils.py`).
 
 use super::density::Density;
 use planagent_world::{DriverBehavior, InteractionKind};
@@ -15,7 +16,11 @@ pub enum NameFault {
     #[error("the amount of agents '{0}' is not a digit")]
     Amount(char),
     #[error("the {what} '{value}' is none of {known}")]
-    UnknownValue { what: &'static str, value: char, known: &'static str },
+    UnknownValue {
+        what: &'static str,
+        value: char,
+        known: &'static str,
+    },
 }
 
 /// Where the route turns.
@@ -44,7 +49,8 @@ impl From<Observation> for DriverBehavior {
     }
 }
 
-/// A name behind its token. Values are as written: interPlan does not check them where it reads them.
+/// A name behind its token. Values are as written: interPlan does not check them where it reads
+/// them.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct InterPlanName {
     pub(super) amount: Option<u8>,
@@ -70,7 +76,9 @@ impl InterPlanName {
             at += 2;
             match letter {
                 'a' => {
-                    let digit = value.to_digit(10).and_then(|digit| u8::try_from(digit).ok());
+                    let digit = value
+                        .to_digit(10)
+                        .and_then(|digit| u8::try_from(digit).ok());
                     name.amount = Some(digit.ok_or(NameFault::Amount(value))?);
                 }
                 'd' => name.density = Some(value),
@@ -104,7 +112,11 @@ impl InterPlanName {
             'l' => Ok(Density::Low),
             'm' => Ok(Density::Medium),
             'h' => Ok(Density::High),
-            _ => Err(NameFault::UnknownValue { what: "density", value, known: "l, m, h" }),
+            _ => Err(NameFault::UnknownValue {
+                what: "density",
+                value,
+                known: "l, m, h",
+            }),
         };
         self.density.map(known).transpose()
     }
@@ -118,12 +130,17 @@ impl InterPlanName {
             'l' => Ok(Command::Left),
             's' => Ok(Command::Straight),
             'r' => Ok(Command::Right),
-            _ => Err(NameFault::UnknownValue { what: "goal", value, known: "l, r, s" }),
+            _ => Err(NameFault::UnknownValue {
+                what: "goal",
+                value,
+                known: "l, r, s",
+            }),
         };
         self.goal.map(known).transpose()
     }
 
-    /// How other drivers behave. Without a word, interPlan takes that of the scene before; here it is assertive, interPlan's first.
+    /// How other drivers behave. Without a word, interPlan takes that of the scene before; here it
+    /// is assertive, interPlan's first.
     ///
     /// # Errors
     /// When it is none of interPlan's.
@@ -132,7 +149,11 @@ impl InterPlanName {
             None | Some('a') => Ok(Observation::Assertive),
             Some('c') => Ok(Observation::Cautious),
             Some('m') => Ok(Observation::Mixed),
-            Some(value) => Err(NameFault::UnknownValue { what: "observation", value, known: "a, c, m" }),
+            Some(value) => Err(NameFault::UnknownValue {
+                what: "observation",
+                value,
+                known: "a, c, m",
+            }),
         }
     }
 
@@ -161,7 +182,11 @@ impl fmt::Display for InterPlanName {
         if let Some(amount) = self.amount {
             write!(f, "a{amount}")?;
         }
-        for (letter, value) in [('d', self.density), ('g', self.goal), ('o', self.observation)] {
+        for (letter, value) in [
+            ('d', self.density),
+            ('g', self.goal),
+            ('o', self.observation),
+        ] {
             if let Some(value) = value {
                 write!(f, "{letter}{value}")?;
             }

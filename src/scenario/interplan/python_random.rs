@@ -1,5 +1,5 @@
-//! Python's random numbers: the Mersenne Twister with CPython's seeding by texts and its derived draws (CPython 3.11 `random.py`,
-//! `_randommodule.c`).
+//! Python's random numbers: the Mersenne Twister with CPython's seeding by texts and its derived
+//! draws (CPython 3.11 `random.py`, `_randommodule.c`).
 
 use sha2::{Digest, Sha512};
 use std::f64::consts::TAU;
@@ -24,7 +24,11 @@ impl PythonRandom {
         bytes.reverse();
         let mut key: Vec<u32> = bytes
             .chunks(4)
-            .map(|word| word.iter().rev().fold(0, |value, &byte| value << 8 | u32::from(byte)))
+            .map(|word| {
+                word.iter()
+                    .rev()
+                    .fold(0, |value, &byte| value << 8 | u32::from(byte))
+            })
             .collect();
         while key.len() > 1 && key.last() == Some(&0) {
             key.pop();
@@ -36,12 +40,16 @@ impl PythonRandom {
         let mut state = [0u32; WORDS];
         state[0] = 19_650_218;
         for i in 1..WORDS {
-            state[i] = 1_812_433_253u32.wrapping_mul(state[i - 1] ^ (state[i - 1] >> 30)).wrapping_add(i as u32);
+            state[i] = 1_812_433_253u32
+                .wrapping_mul(state[i - 1] ^ (state[i - 1] >> 30))
+                .wrapping_add(i as u32);
         }
         let (mut i, mut j) = (1, 0);
         for _ in 0..WORDS.max(key.len()) {
             let mixed = (state[i - 1] ^ (state[i - 1] >> 30)).wrapping_mul(1_664_525);
-            state[i] = (state[i] ^ mixed).wrapping_add(key[j]).wrapping_add(j as u32);
+            state[i] = (state[i] ^ mixed)
+                .wrapping_add(key[j])
+                .wrapping_add(j as u32);
             (i, j) = (i + 1, (j + 1) % key.len());
             if i >= WORDS {
                 (state[0], i) = (state[WORDS - 1], 1);
@@ -56,7 +64,11 @@ impl PythonRandom {
             }
         }
         state[0] = 0x8000_0000;
-        Self { state, next: WORDS, gauss: None }
+        Self {
+            state,
+            next: WORDS,
+            gauss: None,
+        }
     }
 
     fn word(&mut self) -> u32 {
@@ -80,7 +92,11 @@ impl PythonRandom {
     pub fn bits(&mut self, bits: u32) -> u128 {
         let (mut value, mut left, mut at) = (0u128, bits, 0);
         while left > 0 {
-            let word = if left < 32 { self.word() >> (32 - left) } else { self.word() };
+            let word = if left < 32 {
+                self.word() >> (32 - left)
+            } else {
+                self.word()
+            };
             value |= u128::from(word) << at;
             (left, at) = (left.saturating_sub(32), at + 32);
         }
@@ -139,6 +155,8 @@ impl PythonRandom {
 
 impl std::fmt::Debug for PythonRandom {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("PythonRandom").field("next", &self.next).finish_non_exhaustive()
+        f.debug_struct("PythonRandom")
+            .field("next", &self.next)
+            .finish_non_exhaustive()
     }
 }

@@ -23,7 +23,10 @@ pub struct Fault {
 
 impl Fault {
     pub(super) fn new(field: &'static str, text: impl Into<String>) -> Self {
-        Self { field, text: text.into() }
+        Self {
+            field,
+            text: text.into(),
+        }
     }
 }
 

@@ -8,7 +8,8 @@ use super::lanes::{EgoLanes, LanePlace};
 use crate::Scenario;
 use planagent_world::geometry::{OrientedBox, Pose, Vector};
 use planagent_world::{
-    CrossingActor, DriverBehavior, EgoState, LaneId, ObjectKind, RoadblockId, TrackToken, TrackedObject,
+    CrossingActor, DriverBehavior, EgoState, LaneId, ObjectKind, RoadblockId, TrackToken,
+    TrackedObject,
 };
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -70,17 +71,31 @@ pub(super) struct Draft {
 }
 
 impl Draft {
-    pub(super) fn new(scenario: Scenario, modification: &Modification, seed: u64) -> Result<Self, ModifyError> {
+    pub(super) fn new(
+        scenario: Scenario,
+        modification: &Modification,
+        seed: u64,
+    ) -> Result<Self, ModifyError> {
         let unfit = |fault: &str| ModifyError::Unfit {
             place: modification.place.clone(),
             scenario: scenario.id.clone(),
             fault: fault.to_owned(),
         };
-        let first = scenario.frame(0).ok_or_else(|| unfit("the scenario has no frames"))?;
-        let lanes = EgoLanes::of(&scenario.map, &scenario.route, &first.ego)
-            .ok_or_else(|| unfit("the ego starts on no lane, and places are relative to its lane"))?;
-        let draws = Draws::new(&scenario.id, &modification.drawn_by, [modification.seed, seed]);
-        let tokens = scenario.frames.iter().flat_map(|frame| frame.objects.iter().map(|object| object.token.0));
+        let first = scenario
+            .frame(0)
+            .ok_or_else(|| unfit("the scenario has no frames"))?;
+        let lanes = EgoLanes::of(&scenario.map, &scenario.route, &first.ego).ok_or_else(|| {
+            unfit("the ego starts on no lane, and places are relative to its lane")
+        })?;
+        let draws = Draws::new(
+            &scenario.id,
+            &modification.drawn_by,
+            [modification.seed, seed],
+        );
+        let tokens = scenario
+            .frames
+            .iter()
+            .flat_map(|frame| frame.objects.iter().map(|object| object.token.0));
         let next_token = tokens.max().map_or(0, |token| token.saturating_add(1));
         Ok(Self {
             scenario,
@@ -114,7 +129,12 @@ impl Draft {
     pub(super) fn stand(&mut self, kind: ObjectKind, center: Pose, (length, width): (f64, f64)) {
         let token = self.token();
         let shape = OrientedBox::new(center, length, width);
-        self.standing.push(TrackedObject { token, kind, shape, velocity: Vector::zeros() });
+        self.standing.push(TrackedObject {
+            token,
+            kind,
+            shape,
+            velocity: Vector::zeros(),
+        });
     }
 
     /// Adds a vehicle that drives along its heading.
@@ -128,13 +148,26 @@ impl Draft {
         let token = self.token();
         let shape = OrientedBox::new(center, length, width);
         let velocity = center.direction() * speed;
-        let object = TrackedObject { token, kind: ObjectKind::Vehicle, shape, velocity };
+        let object = TrackedObject {
+            token,
+            kind: ObjectKind::Vehicle,
+            shape,
+            velocity,
+        };
         self.moving.push(MovingVehicle { object, behavior });
     }
 
     /// Adds an actor that crosses a lane.
-    pub(super) fn cross(&mut self, kind: ObjectKind, size: (f64, f64), way: CrossingWay) -> Result<(), Fault> {
-        let pose = self.lanes.place(&self.scenario.map, way.ahead_m, way.lane)?.pose;
+    pub(super) fn cross(
+        &mut self,
+        kind: ObjectKind,
+        size: (f64, f64),
+        way: CrossingWay,
+    ) -> Result<(), Fault> {
+        let pose = self
+            .lanes
+            .place(&self.scenario.map, way.ahead_m, way.lane)?
+            .pose;
         let beside = |left_m: f64| pose.translated(0.0, left_m).position();
         let actor = CrossingActor {
             token: self.token(),
@@ -154,8 +187,13 @@ impl Draft {
     /// How far the recorded driver gets along the ego's path, meters from the start.
     pub(super) fn driven_m(&self) -> f64 {
         let line = &self.lanes.path.centerline;
-        let end =
-            self.scenario.expert().last().map_or(self.lanes.start_s, |ego| line.project(ego.center().position()).s);
+        let end = self
+            .scenario
+            .expert()
+            .last()
+            .map_or(self.lanes.start_s, |ego| {
+                line.project(ego.center().position()).s
+            });
         end - self.lanes.start_s
     }
 
@@ -164,7 +202,17 @@ impl Draft {
         /// nuPlan's IDM agents drive so fast where a lane has no limit, m/s.
         const FALLBACK: f64 = 10.0;
         let map = &self.scenario.map;
-        let of_path = || self.lanes.path.lanes.iter().find_map(|&lane| map[lane].speed_limit);
-        map[lane].speed_limit.filter(|&limit| limit > 0.0).or_else(of_path).unwrap_or(FALLBACK)
+        let of_path = || {
+            self.lanes
+                .path
+                .lanes
+                .iter()
+                .find_map(|&lane| map[lane].speed_limit)
+        };
+        map[lane]
+            .speed_limit
+            .filter(|&limit| limit > 0.0)
+            .or_else(of_path)
+            .unwrap_or(FALLBACK)
     }
 }

@@ -21,8 +21,15 @@ impl Draws {
             hasher.update(&seed.to_le_bytes());
         }
         let digest = hasher.finalize();
-        let seed = digest.as_bytes().iter().take(8).fold(0, |seed, &byte| seed << 8 | u64::from(byte));
-        Self { source: Pcg64::seed_from_u64(seed), seed }
+        let seed = digest
+            .as_bytes()
+            .iter()
+            .take(8)
+            .fold(0, |seed, &byte| seed << 8 | u64::from(byte));
+        Self {
+            source: Pcg64::seed_from_u64(seed),
+            seed,
+        }
     }
 
     /// The seed of the stream.

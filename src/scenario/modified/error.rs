@@ -9,17 +9,43 @@ use planagent_world::InteractionKind;
 #[non_exhaustive]
 pub enum ModifyError {
     #[error("cannot read the modification {place}: {source}")]
-    Read { place: String, source: std::io::Error },
+    Read {
+        place: String,
+        source: std::io::Error,
+    },
     #[error("in the modification {place}: {source}")]
-    Parse { place: String, source: Box<toml::de::Error> },
+    Parse {
+        place: String,
+        source: Box<toml::de::Error>,
+    },
     #[error("in the modification {place}, line {line}: {key}.{fault}")]
-    Value { place: String, line: usize, key: &'static str, fault: Fault },
+    Value {
+        place: String,
+        line: usize,
+        key: &'static str,
+        fault: Fault,
+    },
     #[error("in the modification {place}: {fault}")]
     Head { place: String, fault: Fault },
     #[error("the modification {place} does not fit {scenario}: line {line}: {change}.{fault}")]
-    Misfit { place: String, line: usize, change: &'static str, scenario: String, fault: Fault },
+    Misfit {
+        place: String,
+        line: usize,
+        change: &'static str,
+        scenario: String,
+        fault: Fault,
+    },
     #[error("the modification {place} does not fit {scenario}: {fault}")]
-    Unfit { place: String, scenario: String, fault: String },
-    #[error("{misfit}; the suite interactive-generated has scenarios for it, which --type {kind} takes")]
-    KindMisfit { misfit: Box<Self>, kind: InteractionKind },
+    Unfit {
+        place: String,
+        scenario: String,
+        fault: String,
+    },
+    #[error(
+        "{misfit}; the suite interactive-generated has scenarios for it, which --type {kind} takes"
+    )]
+    KindMisfit {
+        misfit: Box<Self>,
+        kind: InteractionKind,
+    },
 }

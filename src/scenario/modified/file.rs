@@ -14,7 +14,8 @@ pub(super) struct Modification {
     pub(super) place: String,
     /// What ids of its scenarios end in.
     pub(super) name: String,
-    /// What numbers are drawn by, beside scenario and seeds: the name, unless two scenes share their draws.
+    /// What numbers are drawn by, beside scenario and seeds: the name, unless two scenes share
+    /// their draws.
     pub(super) drawn_by: String,
     /// interPlan's kind, which gives scenario type and score.
     pub(super) kind: Option<InteractionKind>,
@@ -41,31 +42,59 @@ pub(super) struct Head {
 }
 
 impl Modification {
-    /// Reads a file; its name without the ending is the name of the modification, unless it says another.
+    /// Reads a file; its name without the ending is the name of the modification, unless it says
+    /// another.
     pub(super) fn read(path: &Path) -> Result<Self, ModifyError> {
         let place = path.display().to_string();
-        let text = planagent_files::read_text(path, planagent_files::MAX_SETTINGS_BYTES)
-            .map_err(|source| ModifyError::Read { place: place.clone(), source })?;
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let text = planagent_files::read_text(path, planagent_files::MAX_SETTINGS_BYTES).map_err(
+            |source| ModifyError::Read {
+                place: place.clone(),
+                source,
+            },
+        )?;
+        let stem = path
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
         Self::parse(&place, &stem, &text)
     }
 
     /// A scene that interPlan names.
     pub(super) fn of_scene(name: &InterPlanName) -> Result<Self, ModifyError> {
         let place = format!("interPlan's {name}");
-        let refused = |fault| ModifyError::Head { place: place.clone(), fault };
+        let refused = |fault| ModifyError::Head {
+            place: place.clone(),
+            fault,
+        };
         name.check().map_err(refused)?;
-        let change = PlacedChange { key: "interplan", line: 1, change: Box::new(name.clone()) };
+        let change = PlacedChange {
+            key: "interplan",
+            line: 1,
+            change: Box::new(name.clone()),
+        };
         let (name, kind) = (name.to_string(), name.kind());
-        Ok(Self { place, drawn_by: name.clone(), name, kind, seed: 0, changes: vec![change] })
+        Ok(Self {
+            place,
+            drawn_by: name.clone(),
+            name,
+            kind,
+            seed: 0,
+            changes: vec![change],
+        })
     }
 
     /// Parses the text of a file.
     pub(super) fn parse(place: &str, stem: &str, text: &str) -> Result<Self, ModifyError> {
         let parsed: Result<(Head, Changes), _> = Changes::parse(text);
-        let (head, changes) =
-            parsed.map_err(|source| ModifyError::Parse { place: place.to_owned(), source: Box::new(source) })?;
-        let refused = |fault| ModifyError::Head { place: place.to_owned(), fault };
+        let (head, changes) = parsed.map_err(|source| ModifyError::Parse {
+            place: place.to_owned(),
+            source: Box::new(source),
+        })?;
+        let refused = |fault| ModifyError::Head {
+            place: place.to_owned(),
+            fault,
+        };
         let name = head.name.unwrap_or_else(|| stem.to_owned());
         let fits = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
         if name.is_empty() || !name.chars().all(fits) {
@@ -82,11 +111,29 @@ impl Modification {
                 refused(Fault::new("kind", format!("{word:?} is none of {known}")))
             })?),
         };
-        let line_of = |byte: usize| text.bytes().take(byte).filter(|&byte| byte == b'\n').count() + 1;
+        let line_of = |byte: usize| {
+            text.bytes()
+                .take(byte)
+                .filter(|&byte| byte == b'\n')
+                .count()
+                + 1
+        };
         let changes = changes.placed(line_of);
         for PlacedChange { key, line, change } in &changes {
-            change.check().map_err(|fault| ModifyError::Value { place: place.to_owned(), line: *line, key, fault })?;
+            change.check().map_err(|fault| ModifyError::Value {
+                place: place.to_owned(),
+                line: *line,
+                key,
+                fault,
+            })?;
         }
-        Ok(Self { place: place.to_owned(), drawn_by: name.clone(), name, kind, seed: head.seed, changes })
+        Ok(Self {
+            place: place.to_owned(),
+            drawn_by: name.clone(),
+            name,
+            kind,
+            seed: head.seed,
+            changes,
+        })
     }
 }

@@ -29,7 +29,10 @@ pub fn kind_texts() -> impl Iterator<Item = (InteractionKind, &'static str)> {
 /// The modification of a kind; each is parsed once.
 pub(super) fn modification(kind: InteractionKind) -> Result<Arc<Modification>, ModifyError> {
     static PARSED: [OnceLock<Arc<Modification>>; 8] = [const { OnceLock::new() }; 8];
-    let place = InteractionKind::ALL.iter().position(|&one| one == kind).expect("ALL lists every kind");
+    let place = InteractionKind::ALL
+        .iter()
+        .position(|&one| one == kind)
+        .expect("ALL lists every kind");
     if let Some(known) = PARSED[place].get() {
         return Ok(Arc::clone(known));
     }

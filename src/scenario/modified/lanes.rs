@@ -12,7 +12,8 @@ use std::fmt;
 const PATH_LENGTH: f64 = 400.0;
 /// Maximum distance to the lane of an ego that is beside all lanes, meters.
 const LANE_REACH: f64 = 3.0;
-/// Oncoming lanes are looked for up to this distance to the left of the ego's lane, and in these steps, meters.
+/// Oncoming lanes are looked for up to this distance to the left of the ego's lane, and in these
+/// steps, meters.
 const ONCOMING_REACH: f64 = 22.0;
 const ONCOMING_STEP: f64 = 0.5;
 
@@ -46,7 +47,9 @@ impl<'de> Deserialize<'de> for LanePlace {
             type Value = LanePlace;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a whole number of lanes to the left (negative: to the right), or \"oncoming\"")
+                f.write_str(
+                    "a whole number of lanes to the left (negative: to the right), or \"oncoming\"",
+                )
             }
 
             fn visit_i64<E: de::Error>(self, lanes: i64) -> Result<LanePlace, E> {
@@ -91,9 +94,14 @@ impl EgoLanes {
     /// The lanes around the ego; `None` where it is on no lane.
     pub(super) fn of(map: &LaneMap, route: &Route, ego: &EgoState) -> Option<Self> {
         let center = ego.center();
-        let on_route: Vec<LaneId> =
-            map.lanes_at(center.position()).into_iter().filter(|&lane| route.contains(map[lane].roadblock)).collect();
-        let lane = map.best_fit(&on_route, center).or_else(|| map.lane_of(center, LANE_REACH))?;
+        let on_route: Vec<LaneId> = map
+            .lanes_at(center.position())
+            .into_iter()
+            .filter(|&lane| route.contains(map[lane].roadblock))
+            .collect();
+        let lane = map
+            .best_fit(&on_route, center)
+            .or_else(|| map.lane_of(center, LANE_REACH))?;
         let path = LanePath::along(map, route, lane, PATH_LENGTH);
         let start_s = path.centerline.project(center.position()).s;
         Some(Self { path, start_s })
@@ -108,20 +116,35 @@ impl EgoLanes {
         let (behind, ahead) = (self.start_s, end - self.start_s);
         Err(Fault::new(
             "ahead_m",
-            format!("{ahead_m:.1} is not on the ego's path, which is from -{behind:.1} to {ahead:.1}"),
+            format!(
+                "{ahead_m:.1} is not on the ego's path, which is from -{behind:.1} to {ahead:.1}"
+            ),
         ))
     }
 
-    /// From the ego's center along its path to the next lane connector, meters; 0 on one. `None` where the path has none.
+    /// From the ego's center along its path to the next lane connector, meters; 0 on one. `None`
+    /// where the path has none.
     pub(super) fn to_intersection(&self, map: &LaneMap) -> Option<f64> {
-        let ends = self.path.starts.iter().skip(1).copied().chain([self.path.centerline.length()]);
+        let ends = self
+            .path
+            .starts
+            .iter()
+            .skip(1)
+            .copied()
+            .chain([self.path.centerline.length()]);
         let mut lanes = self.path.lanes.iter().zip(&self.path.starts).zip(ends);
-        let ((_, &start), _) = lanes.find(|&((&lane, _), end)| map[lane].is_connector() && end > self.start_s)?;
+        let ((_, &start), _) =
+            lanes.find(|&((&lane, _), end)| map[lane].is_connector() && end > self.start_s)?;
         Some((start - self.start_s).max(0.0))
     }
 
     /// The place on a lane `ahead_m` ahead of the ego's center.
-    pub(super) fn place(&self, map: &LaneMap, ahead_m: f64, lane: LanePlace) -> Result<OnLane, Fault> {
+    pub(super) fn place(
+        &self,
+        map: &LaneMap,
+        ahead_m: f64,
+        lane: LanePlace,
+    ) -> Result<OnLane, Fault> {
         let pose = self.ahead(ahead_m)?;
         let own = self.path.lane_at(self.start_s + ahead_m);
         let found = match lane {
@@ -129,7 +152,12 @@ impl EgoLanes {
             LanePlace::Beside(lanes) => beside(map, own, pose.position(), lanes),
             LanePlace::Oncoming => self.oncoming(map, ahead_m)?.first().copied(),
         };
-        found.ok_or_else(|| Fault::new("lane", format!("there is no lane {lane} at {ahead_m:.1} m ahead of the ego")))
+        found.ok_or_else(|| {
+            Fault::new(
+                "lane",
+                format!("there is no lane {lane} at {ahead_m:.1} m ahead of the ego"),
+            )
+        })
     }
 
     /// The lanes of the ego's direction at a place: from the right to the left.
@@ -143,7 +171,9 @@ impl EgoLanes {
             }
             (rightmost, steps) = (next.lane, steps - 1);
         }
-        Ok((steps..steps + 9).map_while(|lanes| beside(map, own, point, lanes)).collect())
+        Ok((steps..steps + 9)
+            .map_while(|lanes| beside(map, own, point, lanes))
+            .collect())
     }
 
     /// The lanes of the other direction at a place, the nearest first.
@@ -167,27 +197,41 @@ impl EgoLanes {
 
 /// The lane that is `lanes` lanes to the left of one at a point.
 fn beside(map: &LaneMap, lane: LaneId, point: Point, lanes: i32) -> Option<OnLane> {
-    map.beside(lane, point, lanes).map(|(lane, pose)| OnLane { lane, pose })
+    map.beside(lane, point, lanes)
+        .map(|(lane, pose)| OnLane { lane, pose })
 }
 
-/// A line of whole lanes, and the progress of a point on it. It reaches `reach` meters behind and ahead of the point, or to the
-/// end of the road. It has no lane with a traffic light, and nothing beyond one.
-pub(super) fn whole_lanes(map: &LaneMap, lane: LaneId, point: Point, reach: f64) -> (Polyline, f64) {
+/// A line of whole lanes, and the progress of a point on it. It reaches `reach` meters behind and
+/// ahead of the point, or to the end of the road. It has no lane with a traffic light, and nothing
+/// beyond one.
+pub(super) fn whole_lanes(
+    map: &LaneMap,
+    lane: LaneId,
+    point: Point,
+    reach: f64,
+) -> (Polyline, f64) {
     let bend = |lane: &LaneId| map[*lane].centerline.curvature_at(0.0).abs();
     let open = |lanes: &[LaneId]| -> Option<LaneId> {
-        let before_lights = lanes.iter().copied().take_while(|&lane| !map[lane].has_traffic_lights);
+        let before_lights = lanes
+            .iter()
+            .copied()
+            .take_while(|&lane| !map[lane].has_traffic_lights);
         before_lights.min_by(|a, b| bend(a).total_cmp(&bend(b)))
     };
     let (mut line, mut seen) = (map[lane].centerline.clone(), BTreeSet::from([lane]));
     let mut last = lane;
     while line.length() - line.project(point).s < reach {
-        let Some(next) = open(&map[last].outgoing).filter(|lane| seen.insert(*lane)) else { break };
+        let Some(next) = open(&map[last].outgoing).filter(|lane| seen.insert(*lane)) else {
+            break;
+        };
         line = line.joined(&map[next].centerline);
         last = next;
     }
     let mut first = lane;
     while line.project(point).s < reach {
-        let Some(before) = open(&map[first].incoming).filter(|lane| seen.insert(*lane)) else { break };
+        let Some(before) = open(&map[first].incoming).filter(|lane| seen.insert(*lane)) else {
+            break;
+        };
         line = map[before].centerline.joined(&line);
         first = before;
     }
@@ -195,22 +239,38 @@ pub(super) fn whole_lanes(map: &LaneMap, lane: LaneId, point: Point, reach: f64)
     (line, s)
 }
 
-/// A line along a lane, `behind` and `ahead` meters from a point as far as lanes go, with the progress of the point. Of several
-/// lanes before and after, the one that bends least at its start.
-pub(super) fn through(map: &LaneMap, lane: LaneId, point: Point, behind: f64, ahead: f64) -> (Polyline, f64) {
+/// A line along a lane, `behind` and `ahead` meters from a point as far as lanes go, with the
+/// progress of the point. Of several lanes before and after, the one that bends least at its start.
+pub(super) fn through(
+    map: &LaneMap,
+    lane: LaneId,
+    point: Point,
+    behind: f64,
+    ahead: f64,
+) -> (Polyline, f64) {
     let bend = |lane: &LaneId| map[*lane].centerline.curvature_at(0.0).abs();
-    let straightest = |lanes: &[LaneId]| lanes.iter().copied().min_by(|a, b| bend(a).total_cmp(&bend(b)));
+    let straightest = |lanes: &[LaneId]| {
+        lanes
+            .iter()
+            .copied()
+            .min_by(|a, b| bend(a).total_cmp(&bend(b)))
+    };
     let mut line = map[lane].centerline.clone();
     let mut seen = BTreeSet::from([lane]);
     let mut first = lane;
     while line.project(point).s < behind {
-        let Some(before) = straightest(&map[first].incoming).filter(|lane| seen.insert(*lane)) else { break };
+        let Some(before) = straightest(&map[first].incoming).filter(|lane| seen.insert(*lane))
+        else {
+            break;
+        };
         line = map[before].centerline.joined(&line);
         first = before;
     }
     let mut last = lane;
     while line.length() - line.project(point).s < ahead {
-        let Some(next) = straightest(&map[last].outgoing).filter(|lane| seen.insert(*lane)) else { break };
+        let Some(next) = straightest(&map[last].outgoing).filter(|lane| seen.insert(*lane)) else {
+            break;
+        };
         line = line.joined(&map[next].centerline);
         last = next;
     }

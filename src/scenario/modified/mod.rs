@@ -1,8 +1,10 @@
-//! Modified scenarios: a layer over a scenario of any source, read from a TOML file or one of the built-in kinds.
+//! Modified scenarios: a layer over a scenario of any source, read from a TOML file or one of the
+//! built-in kinds.
 //!
-//! A word `WORD~NAME` or `WORD~FILE.toml` names the scenario of `WORD` with a modification. Places are relative to the ego's lane,
-//! and numbers may be bounds between which the seed of the scene draws. A modification is a list of changes; each kind of change is
-//! one file of `changes` and one line of its table. The changes apply in the order of that table.
+//! A word `WORD~NAME` or `WORD~FILE.toml` names the scenario of `WORD` with a modification. Places
+//! are relative to the ego's lane, and numbers may be bounds between which the seed of the scene
+//! draws. A modification is a list of changes; each kind of change is one file of `changes` and one
+//! line of its table. The changes apply in the order of that table.
 
 mod change;
 mod changes;
@@ -31,28 +33,36 @@ use draft::Draft;
 use file::Modification;
 use lanes::EgoLanes;
 
-/// From the ego's center at the start along its lane to the next lane connector, meters; 0 on one. `None` where there is none, or
-/// the ego is on no lane.
+/// From the ego's center at the start along its lane to the next lane connector, meters; 0 on one.
+/// `None` where there is none, or the ego is on no lane.
 pub fn to_intersection(scenario: &Scenario) -> Option<f64> {
     let ego = scenario.expert().next()?;
     EgoLanes::of(&scenario.map, &scenario.route, ego)?.to_intersection(&scenario.map)
 }
 
-/// The scenario with the changes of a modification; `seed` beside that of the file draws other numbers.
+/// The scenario with the changes of a modification; `seed` beside that of the file draws other
+/// numbers.
 ///
 /// # Errors
 /// When a change does not fit the scenario.
-fn modified(base: Scenario, modification: &Modification, seed: u64) -> Result<Scenario, ModifyError> {
+fn modified(
+    base: Scenario,
+    modification: &Modification,
+    seed: u64,
+) -> Result<Scenario, ModifyError> {
     let id = base.id.clone();
     let mut draft = Draft::new(base, modification, seed)?;
     for change in &modification.changes {
-        change.change.apply(&mut draft).map_err(|fault| ModifyError::Misfit {
-            place: modification.place.clone(),
-            line: change.line,
-            change: change.key,
-            scenario: id.clone(),
-            fault,
-        })?;
+        change
+            .change
+            .apply(&mut draft)
+            .map_err(|fault| ModifyError::Misfit {
+                place: modification.place.clone(),
+                line: change.line,
+                change: change.key,
+                scenario: id.clone(),
+                fault,
+            })?;
     }
     finish::finish(draft, modification)
 }

@@ -10,7 +10,8 @@ use planagent_world::{LaneId, LaneMap, LanePath, ObjectKind, PACIFICA, Roadblock
 use std::collections::{BTreeMap, VecDeque};
 use std::f64::consts::FRAC_PI_2;
 
-/// A lane gets vehicles up to this distance ahead of and behind the ego, meters, and on to the end of the lane there.
+/// A lane gets vehicles up to this distance ahead of and behind the ego, meters, and on to the end
+/// of the lane there.
 const REACH: f64 = 50.0;
 /// Limit of a lane without one, m/s, to compute the time that a way takes.
 const UNKNOWN_LIMIT: f64 = 15.0;
@@ -24,7 +25,9 @@ impl Change for InterPlanName {
         match self.special() {
             Some(number) => Err(Fault::new(
                 "name",
-                format!("special scene s{number}: its places are in interPlan's own files; take a kind or a file"),
+                format!(
+                    "special scene s{number}: its places are in interPlan's own files; take a kind or a file"
+                ),
             )),
             None => Ok(()),
         }
@@ -32,7 +35,11 @@ impl Change for InterPlanName {
 
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
         let fault = |fault: &dyn std::fmt::Display| Fault::new("name", fault.to_string());
-        let objects = draft.scenario.frames.iter().flat_map(|frame| frame.objects.iter());
+        let objects = draft
+            .scenario
+            .frames
+            .iter()
+            .flat_map(|frame| frame.objects.iter());
         let everything: Vec<_> = objects.map(|object| object.token).collect();
         draft.removed.extend(everything);
         draft.behavior = self.observation().map_err(|text| fault(&text))?.into();
@@ -57,7 +64,10 @@ fn fill(draft: &mut Draft, density: Density) {
         .collect();
     let mut random = PythonRandom::seeded(&draft.scenario.id);
     let order = random.permutation(sizes.len());
-    sizes = order.into_iter().filter_map(|place| sizes.get(place).copied()).collect();
+    sizes = order
+        .into_iter()
+        .filter_map(|place| sizes.get(place).copied())
+        .collect();
     let mut sizes = sizes.into_iter();
     let own = draft.lanes.path.lane_at(draft.lanes.start_s);
     let block = &map[map[own].roadblock];
@@ -74,7 +84,9 @@ fn fill(draft: &mut Draft, density: Density) {
         };
         for place in fill_row(&mut random, density, &row) {
             if place.is_ego {
-                draft.ego_speed = (place.speed > 0.0).then_some(place.speed).or(draft.ego_speed);
+                draft.ego_speed = (place.speed > 0.0)
+                    .then_some(place.speed)
+                    .or(draft.ego_speed);
             } else {
                 let size = sizes.next().unwrap_or((PACIFICA.length(), PACIFICA.width));
                 draft.drive(line.pose_at(place.s), size, place.speed, None);
@@ -83,17 +95,25 @@ fn fill(draft: &mut Draft, density: Density) {
     }
 }
 
-/// The way to the last lane of a route that turns as the command says. It has as many roadblocks as the recorded one.
+/// The way to the last lane of a route that turns as the command says. It has as many roadblocks as
+/// the recorded one.
 fn goal(draft: &Draft, command: Command) -> Result<GoalPath, Fault> {
     let map = &*draft.scenario.map;
     let own = draft.lanes.path.lane_at(draft.lanes.start_s);
-    let blocks = turning(map, map[own].roadblock, command, draft.scenario.route.roadblocks.len());
+    let blocks = turning(
+        map,
+        map[own].roadblock,
+        command,
+        draft.scenario.route.roadblocks.len(),
+    );
     let unknown = || Fault::new("name", "no lane of the ego's road leads to the goal");
     let last = blocks.last().copied().ok_or_else(unknown)?;
     let target = map[last].lanes.last().copied().ok_or_else(unknown)?;
     let starts = &map[map[own].roadblock].lanes;
-    let mut chains: Vec<Vec<LaneId>> =
-        starts.iter().filter_map(|&start| chain(map, start, target, blocks.len())).collect();
+    let mut chains: Vec<Vec<LaneId>> = starts
+        .iter()
+        .filter_map(|&start| chain(map, start, target, blocks.len()))
+        .collect();
     // A way that ends in another lane of the goal's roadblock is second choice.
     chains.sort_by_key(|chain| chain.last() != Some(&target));
     let mut lanes = chains.into_iter().next().ok_or_else(unknown)?;
@@ -103,7 +123,8 @@ fn goal(draft: &Draft, command: Command) -> Result<GoalPath, Fault> {
         .iter()
         .take_while(|&&lane| {
             let before = needed;
-            needed += map[lane].centerline.length() / map[lane].speed_limit.unwrap_or(UNKNOWN_LIMIT);
+            needed +=
+                map[lane].centerline.length() / map[lane].speed_limit.unwrap_or(UNKNOWN_LIMIT);
             before <= duration
         })
         .count();
@@ -111,9 +132,15 @@ fn goal(draft: &Draft, command: Command) -> Result<GoalPath, Fault> {
     let path = LanePath::of(map, lanes).ok_or_else(unknown)?;
     let from_s = path.centerline.project(draft.ego().center().position()).s;
     let length = path.centerline.length() - from_s;
-    let mut roadblocks: Vec<RoadblockId> = path.lanes.iter().map(|&lane| map[lane].roadblock).collect();
+    let mut roadblocks: Vec<RoadblockId> =
+        path.lanes.iter().map(|&lane| map[lane].roadblock).collect();
     roadblocks.dedup();
-    Ok(GoalPath { path, from_s, length, roadblocks })
+    Ok(GoalPath {
+        path,
+        from_s,
+        length,
+        roadblocks,
+    })
 }
 
 /// Roadblocks from one on, each the successor whose end turns most as the command says.
@@ -130,8 +157,13 @@ fn turning(map: &LaneMap, first: RoadblockId, command: Command, count: usize) ->
     let mut blocks = vec![first];
     while blocks.len() < count.max(1) {
         let present = blocks[blocks.len() - 1];
-        let off = |block: &RoadblockId| wrap_angle(wrap_angle(end(*block) - end(present)) - wanted).abs();
-        let next = map[present].outgoing.iter().copied().min_by(|a, b| off(a).total_cmp(&off(b)));
+        let off =
+            |block: &RoadblockId| wrap_angle(wrap_angle(end(*block) - end(present)) - wanted).abs();
+        let next = map[present]
+            .outgoing
+            .iter()
+            .copied()
+            .min_by(|a, b| off(a).total_cmp(&off(b)));
         match next {
             Some(next) => blocks.push(next),
             None => break,
@@ -140,7 +172,8 @@ fn turning(map: &LaneMap, first: RoadblockId, command: Command, count: usize) ->
     blocks
 }
 
-/// The shortest chain of successors from a lane to the goal or, where none leads there, to a lane beside it.
+/// The shortest chain of successors from a lane to the goal or, where none leads there, to a lane
+/// beside it.
 fn chain(map: &LaneMap, start: LaneId, goal: LaneId, depth: usize) -> Option<Vec<LaneId>> {
     let mut parents: BTreeMap<LaneId, Option<LaneId>> = BTreeMap::from([(start, None)]);
     let mut queue = VecDeque::from([(start, 1)]);
@@ -164,7 +197,10 @@ fn chain(map: &LaneMap, start: LaneId, goal: LaneId, depth: usize) -> Option<Vec
         }
     }
     let mut lanes = vec![found.or(beside)?];
-    while let Some(before) = lanes.last().and_then(|lane| parents.get(lane).copied().flatten()) {
+    while let Some(before) = lanes
+        .last()
+        .and_then(|lane| parents.get(lane).copied().flatten())
+    {
         lanes.push(before);
     }
     lanes.reverse();

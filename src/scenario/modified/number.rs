@@ -16,7 +16,10 @@ pub(super) struct Number {
 
 impl Number {
     pub(super) const fn fixed(value: f64) -> Self {
-        Self { low: value, high: value }
+        Self {
+            low: value,
+            high: value,
+        }
     }
 
     pub(super) const fn between(low: f64, high: f64) -> Self {
@@ -25,28 +28,47 @@ impl Number {
 
     /// The number of a scene. A fixed one draws nothing.
     pub(super) fn draw(self, draws: &mut Draws) -> f64 {
-        if self.low < self.high { draws.uniform(self.low, self.high) } else { self.low }
+        if self.low < self.high {
+            draws.uniform(self.low, self.high)
+        } else {
+            self.low
+        }
     }
 
     /// A whole number of a scene, both bounds included.
     pub(super) fn draw_whole(self, draws: &mut Draws) -> i32 {
         let (low, high) = (self.low.round() as i32, self.high.round() as i32);
-        if low < high { draws.whole(low, high) } else { low }
+        if low < high {
+            draws.whole(low, high)
+        } else {
+            low
+        }
     }
 
     /// Refuses a number outside the bounds of its field.
-    pub(super) fn check(self, field: &'static str, bounds: RangeInclusive<f64>) -> Result<(), Fault> {
+    pub(super) fn check(
+        self,
+        field: &'static str,
+        bounds: RangeInclusive<f64>,
+    ) -> Result<(), Fault> {
         if bounds.contains(&self.low) && bounds.contains(&self.high) {
             return Ok(());
         }
         let (least, most) = (bounds.start(), bounds.end());
-        Err(Fault::new(field, format!("{self} must be from {least} to {most}")))
+        Err(Fault::new(
+            field,
+            format!("{self} must be from {least} to {most}"),
+        ))
     }
 }
 
 impl fmt::Display for Number {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.low < self.high { write!(f, "[{}, {}]", self.low, self.high) } else { write!(f, "{}", self.low) }
+        if self.low < self.high {
+            write!(f, "[{}, {}]", self.low, self.high)
+        } else {
+            write!(f, "{}", self.low)
+        }
     }
 }
 
@@ -62,7 +84,11 @@ impl<'de> Deserialize<'de> for Number {
             }
 
             fn visit_f64<E: Error>(self, value: f64) -> Result<Number, E> {
-                if value.is_finite() { Ok(Number::fixed(value)) } else { Err(E::custom("the number is not finite")) }
+                if value.is_finite() {
+                    Ok(Number::fixed(value))
+                } else {
+                    Err(E::custom("the number is not finite"))
+                }
             }
 
             fn visit_i64<E: Error>(self, value: i64) -> Result<Number, E> {
@@ -76,8 +102,12 @@ impl<'de> Deserialize<'de> for Number {
             fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<Number, A::Error> {
                 let mut next = || sequence.next_element::<Number>();
                 match (next()?, next()?, next()?) {
-                    (Some(low), Some(high), None) if low.low <= high.high => Ok(Number::between(low.low, high.high)),
-                    _ => Err(A::Error::custom("expected two numbers, the lower one first")),
+                    (Some(low), Some(high), None) if low.low <= high.high => {
+                        Ok(Number::between(low.low, high.high))
+                    }
+                    _ => Err(A::Error::custom(
+                        "expected two numbers, the lower one first",
+                    )),
                 }
             }
         }

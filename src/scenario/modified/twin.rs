@@ -1,5 +1,6 @@
-//! Text twins: two scenes on one base with the same lane-graph text. One closes the ego's lane, the other the lane beside it.
-//! The text names the same things at the same distances; only the picture shows which lane is closed.
+//! Text twins: two scenes on one base with the same lane-graph text. One closes the ego's lane, the
+//! other the lane beside it. The text names the same things at the same distances; only the picture
+//! shows which lane is closed.
 
 use super::error::ModifyError;
 use super::file::Modification;
@@ -8,13 +9,16 @@ use std::fmt;
 /// What the text does not tell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum TwinKind {
-    /// A stopped vehicle in one lane, behind a cone at its edge: the text names the nearest thing on a node alone.
+    /// A stopped vehicle in one lane, behind a cone at its edge: the text names the nearest thing
+    /// on a node alone.
     Hidden,
-    /// A line of cones in each lane: one is a taper that closes its lane, the other follows the edge.
+    /// A line of cones in each lane: one is a taper that closes its lane, the other follows the
+    /// edge.
     Taper,
     /// A person beside each lane: one walks onto it, the other away.
     Person,
-    /// A vehicle beside the road at each lane, off the nodes: one drives into its lane, the other waits.
+    /// A vehicle beside the road at each lane, off the nodes: one drives into its lane, the other
+    /// waits.
     CrossTraffic,
 }
 
@@ -98,7 +102,8 @@ impl Twin {
     pub fn named(name: &str) -> Option<Self> {
         let of_kind = |kind| [TwinSide::Left, TwinSide::Right].map(|side| (kind, side));
         let all = TwinKind::ALL.into_iter().flat_map(of_kind);
-        let mut all = all.flat_map(|(kind, side)| TwinPart::ALL.map(|part| Self { kind, side, part }));
+        let mut all =
+            all.flat_map(|(kind, side)| TwinPart::ALL.map(|part| Self { kind, side, part }));
         all.find(|twin| twin.to_string() == name)
     }
 
@@ -106,7 +111,10 @@ impl Twin {
     pub(super) fn modification(self) -> Result<Modification, ModifyError> {
         let name = self.to_string();
         let parsed = Modification::parse(&name, &name, &self.text())?;
-        Ok(Modification { drawn_by: self.pair(), ..parsed })
+        Ok(Modification {
+            drawn_by: self.pair(),
+            ..parsed
+        })
     }
 
     /// The modification as a file would say it.
@@ -116,8 +124,12 @@ impl Twin {
             TwinSide::Right => -1,
         };
         let own_is_closed = self.part == TwinPart::OwnClosed;
-        // Each lane with the direction of its outer edge; things stand there, so that the two do not meet.
-        let lanes = [(0, -f64::from(beside), own_is_closed), (beside, f64::from(beside), !own_is_closed)];
+        // Each lane with the direction of its outer edge; things stand there, so that the two do
+        // not meet.
+        let lanes = [
+            (0, -f64::from(beside), own_is_closed),
+            (beside, f64::from(beside), !own_is_closed),
+        ];
         let of_lane = |(lane, outer, is_closed)| match self.kind {
             TwinKind::Hidden => hidden(lane, outer, is_closed),
             TwinKind::Taper => taper(lane, outer, is_closed),
@@ -149,7 +161,9 @@ fn hidden(lane: i32, outer: f64, is_closed: bool) -> String {
         "[[cones]]\nlane = {lane}\nahead_m = [18, 22]\nfrom_left_m = {edge}\nto_left_m = {edge}\ntaper_m = 0\nlength_m = 0\n\n"
     );
     let left = 0.4 * outer;
-    let vehicle = format!("[[stopped]]\nlane = {lane}\nahead_m = [27, 31]\nleft_m = {left}\nheading_deg = [-3, 3]\n\n");
+    let vehicle = format!(
+        "[[stopped]]\nlane = {lane}\nahead_m = [27, 31]\nleft_m = {left}\nheading_deg = [-3, 3]\n\n"
+    );
     if is_closed { cone + &vehicle } else { cone }
 }
 

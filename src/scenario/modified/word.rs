@@ -22,7 +22,8 @@ pub fn without_modification(word: &str) -> &str {
     ModifiedName::in_word(word).map_or(word, |(base, _)| base)
 }
 
-/// What a word names behind [`MARK`]: a built-in kind, or a file, each with a seed of its own behind a point.
+/// What a word names behind [`MARK`]: a built-in kind, or a file, each with a seed of its own
+/// behind a point.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ModifiedName {
     source: Source,
@@ -43,34 +44,55 @@ enum Source {
 impl ModifiedName {
     /// A built-in kind.
     pub fn of(kind: InteractionKind) -> Self {
-        Self { source: Source::Kind(kind), seed: 0 }
+        Self {
+            source: Source::Kind(kind),
+            seed: 0,
+        }
     }
 
     /// A part of a pair.
     pub fn of_twin(twin: Twin) -> Self {
-        Self { source: Source::Twin(twin), seed: 0 }
+        Self {
+            source: Source::Twin(twin),
+            seed: 0,
+        }
     }
 
-    /// `KIND`, `KIND.SEED`, `FILE.toml`, `FILE.toml.SEED`, or letters of interPlan's as `dhgloa`; `None` for other words.
+    /// `KIND`, `KIND.SEED`, `FILE.toml`, `FILE.toml.SEED`, or letters of interPlan's as `dhgloa`;
+    /// `None` for other words.
     pub fn parse(word: &str) -> Option<Self> {
         let (name, seed) = match word.rsplit_once('.') {
-            Some((name, seed)) if !seed.is_empty() && seed.bytes().all(|byte| byte.is_ascii_digit()) => {
+            Some((name, seed))
+                if !seed.is_empty() && seed.bytes().all(|byte| byte.is_ascii_digit()) =>
+            {
                 (name, seed.parse().ok()?)
             }
             _ => (word, 0),
         };
         // The letters of a scene of interPlan's; the empty name is none.
-        let scene = || InterPlanName::parse(word).ok().filter(|_| !word.is_empty()).map(Source::InterPlan);
+        let scene = || {
+            InterPlanName::parse(word)
+                .ok()
+                .filter(|_| !word.is_empty())
+                .map(Source::InterPlan)
+        };
         if let Some(source) = scene() {
             return Some(Self { source, seed: 0 });
         }
         let kind = InteractionKind::named(name).map(Source::Kind);
         let twin = || Twin::named(name).map(Source::Twin);
-        let file = || (name.len() > ENDING.len() && name.ends_with(ENDING)).then(|| Source::File(name.to_owned()));
-        Some(Self { source: kind.or_else(twin).or_else(file)?, seed })
+        let file = || {
+            (name.len() > ENDING.len() && name.ends_with(ENDING))
+                .then(|| Source::File(name.to_owned()))
+        };
+        Some(Self {
+            source: kind.or_else(twin).or_else(file)?,
+            seed,
+        })
     }
 
-    /// The word before the mark and the modification behind it, unless the whole is the name of a file.
+    /// The word before the mark and the modification behind it, unless the whole is the name of a
+    /// file.
     pub fn in_word(word: &str) -> Option<(&str, Self)> {
         let (base, name) = word.rsplit_once(MARK)?;
         let parsed = Self::parse(name).filter(|_| !base.is_empty())?;
@@ -81,14 +103,21 @@ impl ModifiedName {
     #[must_use]
     pub fn absolute(self) -> Self {
         match self.source {
-            Source::File(word) => Self { source: Source::File(absolute_path(&word)), ..self },
+            Source::File(word) => Self {
+                source: Source::File(absolute_path(&word)),
+                ..self
+            },
             Source::Kind(_) | Source::InterPlan(_) | Source::Twin(_) => self,
         }
     }
 
     /// A word with this modification.
     pub fn mark(&self, base: &str) -> String {
-        let seed = if self.seed == 0 { String::new() } else { format!(".{}", self.seed) };
+        let seed = if self.seed == 0 {
+            String::new()
+        } else {
+            format!(".{}", self.seed)
+        };
         match &self.source {
             Source::Kind(kind) => format!("{base}{MARK}{kind}{seed}"),
             Source::InterPlan(name) => format!("{base}{MARK}{name}"),
@@ -112,7 +141,11 @@ impl ModifiedName {
             Source::Kind(_) | Source::InterPlan(_) | Source::Twin(_) => None,
             Source::File(word) => Some(path_of(word)),
         };
-        Ok(ReadModification { name: self.clone(), modification, file })
+        Ok(ReadModification {
+            name: self.clone(),
+            modification,
+            file,
+        })
     }
 }
 
@@ -125,12 +158,19 @@ pub struct ReadModification {
 }
 
 impl ReadModification {
-    /// The modified scenario of a reference: its word ends in the modification, its id in the name of that.
+    /// The modified scenario of a reference: its word ends in the modification, its id in the name
+    /// of that.
     pub fn of(&self, source: ScenarioRef) -> ScenarioRef {
         let id = source.id().map(|id| self.id(id));
         let kind = self.modification.kind;
-        let modified_source = ModifiedSource { base: source.clone(), own: self.clone() };
-        let mut modified = source.with_source(|part| self.name.mark(part), move |_| Arc::new(modified_source));
+        let modified_source = ModifiedSource {
+            base: source.clone(),
+            own: self.clone(),
+        };
+        let mut modified = source.with_source(
+            |part| self.name.mark(part),
+            move |_| Arc::new(modified_source),
+        );
         if let Some(id) = id {
             modified = modified.with_id(id);
         }
@@ -141,7 +181,11 @@ impl ReadModification {
     }
 
     fn id(&self, id: &str) -> String {
-        let seed = if self.name.seed == 0 { String::new() } else { format!(".{}", self.name.seed) };
+        let seed = if self.name.seed == 0 {
+            String::new()
+        } else {
+            format!(".{}", self.name.seed)
+        };
         format!("{id}{MARK}{}{seed}", self.modification.name)
     }
 
@@ -154,7 +198,10 @@ impl ReadModification {
         match modified(base, &self.modification, self.name.seed) {
             Ok(scenario) => Ok(Scenario { id, ..scenario }),
             Err(misfit) => Err(match self.name.source {
-                Source::Kind(kind) => ModifyError::KindMisfit { misfit: Box::new(misfit), kind },
+                Source::Kind(kind) => ModifyError::KindMisfit {
+                    misfit: Box::new(misfit),
+                    kind,
+                },
                 Source::InterPlan(_) | Source::Twin(_) | Source::File(_) => misfit,
             }),
         }
@@ -182,7 +229,11 @@ impl OpenScenario for ModifiedSource {
     }
 
     fn files(&self) -> Vec<PathBuf> {
-        self.base.files().into_iter().chain(self.own.file.clone()).collect()
+        self.base
+            .files()
+            .into_iter()
+            .chain(self.own.file.clone())
+            .collect()
     }
 
     fn contents(&self) -> Result<Option<Contents>, ReaderError> {

@@ -1,6 +1,7 @@
 //! Read-only access to an `SQLite` file, with checks of its contents.
 //!
-//! Files are opened as immutable: nothing is locked, and no journal or shared-memory file is created beside the user's data.
+//! Files are opened as immutable: nothing is locked, and no journal or shared-memory file is
+//! created beside the user's data.
 
 use super::error::{CellFault, CellPlace, FileFault, NuPlanError, RowName};
 use super::schema::Table;
@@ -25,12 +26,28 @@ impl Database {
     pub(super) fn open(path: &Path) -> Result<Self, NuPlanError> {
         check_bytes(path)?;
         check_finished(path)?;
-        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let failed = |source| NuPlanError::file(path, FileFault::Sqlite { reading: "the file".to_owned(), source });
-        let mut connection = Connection::open_with_flags(immutable_uri(path), flags).map_err(failed)?;
-        let bytes = std::fs::metadata(path).map_err(|source| NuPlanError::file(path, FileFault::Open(source)))?.len();
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
+            | OpenFlags::SQLITE_OPEN_URI
+            | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let failed = |source| {
+            NuPlanError::file(
+                path,
+                FileFault::Sqlite {
+                    reading: "the file".to_owned(),
+                    source,
+                },
+            )
+        };
+        let mut connection =
+            Connection::open_with_flags(immutable_uri(path), flags).map_err(failed)?;
+        let bytes = std::fs::metadata(path)
+            .map_err(|source| NuPlanError::file(path, FileFault::Open(source)))?
+            .len();
         harden(&mut connection, bytes).map_err(failed)?;
-        Ok(Self { path: path.to_owned(), connection })
+        Ok(Self {
+            path: path.to_owned(),
+            connection,
+        })
     }
 
     /// Checks that a table has its columns; `kind` says what the file should be.
@@ -38,22 +55,39 @@ impl Database {
         self.require_real(table)?;
         let present = self.columns(table.name)?;
         if present.is_empty() {
-            return Err(NuPlanError::file(&self.path, FileFault::MissingTable { table: table.name, kind }));
+            return Err(NuPlanError::file(
+                &self.path,
+                FileFault::MissingTable {
+                    table: table.name,
+                    kind,
+                },
+            ));
         }
-        match table.read_columns().into_iter().find(|&column| !present.iter().any(|p| p == column)) {
-            Some(column) => Err(NuPlanError::file(&self.path, FileFault::MissingColumn { table: table.name, column })),
+        match table
+            .read_columns()
+            .into_iter()
+            .find(|&column| !present.iter().any(|p| p == column))
+        {
+            Some(column) => Err(NuPlanError::file(
+                &self.path,
+                FileFault::MissingColumn {
+                    table: table.name,
+                    column,
+                },
+            )),
             None => Ok(()),
         }
     }
 
-    /// Refuses a view or a virtual table of this name, which are programs: reading one may never end.
+    /// Refuses a view or a virtual table of this name, which are programs: reading one may never
+    /// end.
     fn require_real(&self, table: Table) -> Result<(), NuPlanError> {
         let read = || {
-            let query =
-                "SELECT type, rootpage FROM sqlite_schema WHERE name = ?1 COLLATE NOCASE AND type IN ('table', 'view')";
+            let query = "SELECT type, rootpage FROM sqlite_schema WHERE name = ?1 COLLATE NOCASE AND type IN ('table', 'view')";
             let mut statement = self.connection.prepare(query)?;
-            let found =
-                statement.query_map([table.name], |row| Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?)))?;
+            let found = statement.query_map([table.name], |row| {
+                Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?))
+            })?;
             found.collect::<rusqlite::Result<Vec<_>>>()
         };
         let found = read().map_err(|source| self.failed("the list of tables", source))?;
@@ -63,14 +97,22 @@ impl Database {
                 (_, 0) => "a virtual table",
                 _ => continue,
             };
-            return Err(NuPlanError::file(&self.path, FileFault::NoRealTable { table: table.name, kind }));
+            return Err(NuPlanError::file(
+                &self.path,
+                FileFault::NoRealTable {
+                    table: table.name,
+                    kind,
+                },
+            ));
         }
         Ok(())
     }
 
     fn columns(&self, table: &str) -> Result<Vec<String>, NuPlanError> {
         let read = || {
-            let mut statement = self.connection.prepare("SELECT name FROM pragma_table_info(?1)")?;
+            let mut statement = self
+                .connection
+                .prepare("SELECT name FROM pragma_table_info(?1)")?;
             let names = statement.query_map([table], |row| row.get::<_, String>(0))?;
             names.collect::<rusqlite::Result<Vec<_>>>()
         };
@@ -113,7 +155,12 @@ impl Database {
         let mut rows = statement.query(params).map_err(failed)?;
         let columns = table.read_columns();
         while let Some(row) = rows.next().map_err(failed)? {
-            take(&Record { database: self, table, columns: &columns, row })?;
+            take(&Record {
+                database: self,
+                table,
+                columns: &columns,
+                row,
+            })?;
         }
         Ok(())
     }
@@ -140,7 +187,9 @@ impl Database {
         let fault = match source.sqlite_error_code() {
             Some(ErrorCode::NotADatabase) => FileFault::NotADatabase,
             Some(ErrorCode::OperationInterrupted) => FileFault::TooManySteps { reading },
-            Some(ErrorCode::DatabaseCorrupt | ErrorCode::SystemIoFailure) => FileFault::Damaged { reading, source },
+            Some(ErrorCode::DatabaseCorrupt | ErrorCode::SystemIoFailure) => {
+                FileFault::Damaged { reading, source }
+            }
             _ => FileFault::Sqlite { reading, source },
         };
         NuPlanError::file(&self.path, fault)
@@ -151,13 +200,15 @@ impl Database {
 const STEPS_A_LOOK: i32 = 10_000;
 /// Steps that every file may take.
 const MIN_STEPS: u64 = 20_000_000;
-/// Steps for each byte of a file. Reading a table of a log takes about one for four bytes, and a log is read a few times.
+/// Steps for each byte of a file. Reading a table of a log takes about one for four bytes, and a
+/// log is read a few times.
 const STEPS_A_BYTE: u64 = 20;
 /// Longest text or blob, bytes. The outlines of the largest map features have less than a megabyte.
 const MAX_VALUE_BYTES: i32 = 64 << 20;
 
-/// Prepares a connection for a file of this size that anyone may have written: its schema runs no functions, its views are
-/// not read, and reading ends after as many steps as honest tables of that size never take.
+/// Prepares a connection for a file of this size that anyone may have written: its schema runs no
+/// functions, its views are not read, and reading ends after as many steps as honest tables of that
+/// size never take.
 pub(super) fn harden(connection: &mut Connection, bytes: u64) -> rusqlite::Result<()> {
     connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
     for off in [
@@ -183,11 +234,20 @@ pub(super) fn harden(connection: &mut Connection, bytes: u64) -> rusqlite::Resul
 fn check_bytes(path: &Path) -> Result<(), NuPlanError> {
     let io = |source| NuPlanError::file(path, FileFault::Open(source));
     let mut start = Vec::with_capacity(MAGIC.len());
-    planagent_files::open(path).map_err(io)?.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(io)?;
-    if start == MAGIC { Ok(()) } else { Err(NuPlanError::file(path, FileFault::NotADatabase)) }
+    planagent_files::open(path)
+        .map_err(io)?
+        .take(MAGIC.len() as u64)
+        .read_to_end(&mut start)
+        .map_err(io)?;
+    if start == MAGIC {
+        Ok(())
+    } else {
+        Err(NuPlanError::file(path, FileFault::NotADatabase))
+    }
 }
 
-/// Rejects a database whose last changes lie in a file beside it: ignoring them would be wrong, and merging them would write.
+/// Rejects a database whose last changes lie in a file beside it: ignoring them would be wrong, and
+/// merging them would write.
 fn check_finished(path: &Path) -> Result<(), NuPlanError> {
     for ending in ["-wal", "-journal"] {
         let mut name = path.as_os_str().to_owned();
@@ -204,8 +264,17 @@ fn check_finished(path: &Path) -> Result<(), NuPlanError> {
 pub(super) fn immutable_uri(path: &Path) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/-._~".contains(&byte);
     let bytes = path.as_os_str().as_encoded_bytes().iter();
-    let name = bytes.map(|&byte| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") });
-    format!("file:{}?mode=ro&immutable=1", name.collect::<Vec<_>>().concat())
+    let name = bytes.map(|&byte| {
+        if plain(byte) {
+            char::from(byte).to_string()
+        } else {
+            format!("%{byte:02X}")
+        }
+    });
+    format!(
+        "file:{}?mode=ro&immutable=1",
+        name.collect::<Vec<_>>().concat()
+    )
 }
 
 /// One row. The error of every getter names the cell.
@@ -220,12 +289,21 @@ pub(super) struct Record<'a> {
 impl Record<'_> {
     fn value(&self, column: &'static str) -> ValueRef<'_> {
         let place = self.columns.iter().position(|&c| c == column);
-        place.and_then(|place| self.row.get_ref(place).ok()).unwrap_or(ValueRef::Null)
+        place
+            .and_then(|place| self.row.get_ref(place).ok())
+            .unwrap_or(ValueRef::Null)
     }
 
     fn name(&self) -> RowName {
-        let number = self.row.get::<_, i64>(self.columns.len()).unwrap_or_default();
-        let key = self.columns.first().copied().expect("a query reads one column at least");
+        let number = self
+            .row
+            .get::<_, i64>(self.columns.len())
+            .unwrap_or_default();
+        let key = self
+            .columns
+            .first()
+            .copied()
+            .expect("a query reads one column at least");
         match (key, self.value(key)) {
             (_, ValueRef::Blob(bytes)) => match <[u8; TOKEN_BYTES]>::try_from(bytes) {
                 Ok(bytes) => RowName::Token(Token::new(bytes)),
@@ -238,7 +316,12 @@ impl Record<'_> {
 
     /// An error about a cell of this row.
     pub(super) fn fault(&self, column: &'static str, fault: impl Into<CellFault>) -> NuPlanError {
-        let place = CellPlace { path: self.database.path.clone(), table: self.table.name, column, row: self.name() };
+        let place = CellPlace {
+            path: self.database.path.clone(),
+            table: self.table.name,
+            column,
+            row: self.name(),
+        };
         NuPlanError::cell(place, fault)
     }
 
@@ -264,11 +347,19 @@ impl Record<'_> {
     }
 
     pub(super) fn float(&self, column: &'static str) -> Result<f64, NuPlanError> {
-        let number = self.maybe_float(column)?.ok_or_else(|| self.fault(column, CellFault::Null))?;
+        let number = self
+            .maybe_float(column)?
+            .ok_or_else(|| self.fault(column, CellFault::Null))?;
         if number.is_finite() {
             Ok(number)
         } else {
-            Err(self.fault(column, CellFault::Number { got: number, expected: "a finite number" }))
+            Err(self.fault(
+                column,
+                CellFault::Number {
+                    got: number,
+                    expected: "a finite number",
+                },
+            ))
         }
     }
 
@@ -279,7 +370,8 @@ impl Record<'_> {
         }
     }
 
-    /// A feature id; `None` for NULL or NaN. Columns of ids with gaps hold numbers with a fraction of 0, or text.
+    /// A feature id; `None` for NULL or NaN. Columns of ids with gaps hold numbers with a fraction
+    /// of 0, or text.
     pub(super) fn maybe_fid(&self, column: &'static str) -> Result<Option<i64>, NuPlanError> {
         match self.value(column) {
             ValueRef::Null => Ok(None),
@@ -290,7 +382,10 @@ impl Record<'_> {
                 let text = String::from_utf8_lossy(text);
                 match text.trim() {
                     "" => Ok(None),
-                    fid => fid.parse().map(Some).map_err(|_| self.wrong(column, "an id")),
+                    fid => fid
+                        .parse()
+                        .map(Some)
+                        .map_err(|_| self.wrong(column, "an id")),
                 }
             }
             _ => Err(self.wrong(column, "an id")),
@@ -298,7 +393,8 @@ impl Record<'_> {
     }
 
     pub(super) fn fid(&self, column: &'static str) -> Result<i64, NuPlanError> {
-        self.maybe_fid(column)?.ok_or_else(|| self.fault(column, CellFault::Null))
+        self.maybe_fid(column)?
+            .ok_or_else(|| self.fault(column, CellFault::Null))
     }
 
     pub(super) fn maybe_text(&self, column: &'static str) -> Result<Option<String>, NuPlanError> {
@@ -310,7 +406,8 @@ impl Record<'_> {
     }
 
     pub(super) fn text(&self, column: &'static str) -> Result<String, NuPlanError> {
-        self.maybe_text(column)?.ok_or_else(|| self.fault(column, CellFault::Null))
+        self.maybe_text(column)?
+            .ok_or_else(|| self.fault(column, CellFault::Null))
     }
 
     pub(super) fn maybe_token(&self, column: &'static str) -> Result<Option<Token>, NuPlanError> {
@@ -325,7 +422,8 @@ impl Record<'_> {
     }
 
     pub(super) fn token(&self, column: &'static str) -> Result<Token, NuPlanError> {
-        self.maybe_token(column)?.ok_or_else(|| self.fault(column, CellFault::Null))
+        self.maybe_token(column)?
+            .ok_or_else(|| self.fault(column, CellFault::Null))
     }
 
     pub(super) fn blob(&self, column: &'static str) -> Result<&[u8], NuPlanError> {

@@ -39,7 +39,14 @@ pub struct CellPlace {
 
 impl fmt::Display for CellPlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: table {}, {}, column {}", self.path.display(), self.table, self.row, self.column)
+        write!(
+            f,
+            "{}: table {}, {}, column {}",
+            self.path.display(),
+            self.table,
+            self.row,
+            self.column
+        )
     }
 }
 
@@ -50,7 +57,10 @@ pub enum CellFault {
     #[error("is NULL")]
     Null,
     #[error("holds {got}, expected {expected}")]
-    Type { expected: &'static str, got: &'static str },
+    Type {
+        expected: &'static str,
+        got: &'static str,
+    },
     /// NaN, infinite, or out of range.
     #[error("holds {got}, expected {expected}")]
     Number { got: f64, expected: &'static str },
@@ -77,7 +87,9 @@ pub enum CellFault {
 pub enum ScenarioFault {
     #[error("the log holds no lidar_pc row of this token")]
     NotInLog,
-    #[error("table lidar has no row with channel `MergedPointCloud`, so no row belongs to the scenario")]
+    #[error(
+        "table lidar has no row with channel `MergedPointCloud`, so no row belongs to the scenario"
+    )]
     NoSensor,
     #[error("its window holds {seconds:.1} s of the log; at least {needed} s are needed")]
     TooShort { seconds: f64, needed: f64 },
@@ -86,7 +98,11 @@ pub enum ScenarioFault {
     )]
     NoHistory,
     #[error("lidar_pc rows {before} and {after} have the same timestamp {time_us}")]
-    SameTime { before: Token, after: Token, time_us: i64 },
+    SameTime {
+        before: Token,
+        after: Token,
+        time_us: i64,
+    },
     #[error("scene {scene}: {fault}")]
     Route { scene: Token, fault: RouteFault },
 }
@@ -99,7 +115,9 @@ pub enum RouteFault {
     Empty,
     #[error("its route holds '{0}' in column roadblock_ids, expected ids separated by spaces")]
     Word(String),
-    #[error("its route holds roadblock {id}, which the map {map} does not have; do log and map belong together?")]
+    #[error(
+        "its route holds roadblock {id}, which the map {map} does not have; do log and map belong together?"
+    )]
     Unknown { id: i64, map: String },
 }
 
@@ -118,17 +136,34 @@ pub enum FileFault {
     #[error("not an SQLite database")]
     NotADatabase,
     #[error("damaged, found when reading {reading} ({source}); copy or download it again")]
-    Damaged { reading: String, source: rusqlite::Error },
+    Damaged {
+        reading: String,
+        source: rusqlite::Error,
+    },
     #[error("cannot read {reading}: {source}")]
-    Sqlite { reading: String, source: rusqlite::Error },
+    Sqlite {
+        reading: String,
+        source: rusqlite::Error,
+    },
     #[error("no table {table}; is it {kind}?")]
-    MissingTable { table: &'static str, kind: &'static str },
+    MissingTable {
+        table: &'static str,
+        kind: &'static str,
+    },
     #[error("{table} is {kind} and no table; is it a nuPlan file?")]
-    NoRealTable { table: &'static str, kind: &'static str },
-    #[error("reading {reading} takes more steps than its size allows; the file is damaged, or made to never end")]
+    NoRealTable {
+        table: &'static str,
+        kind: &'static str,
+    },
+    #[error(
+        "reading {reading} takes more steps than its size allows; the file is damaged, or made to never end"
+    )]
     TooManySteps { reading: String },
     #[error("table {table} has no column {column}")]
-    MissingColumn { table: &'static str, column: &'static str },
+    MissingColumn {
+        table: &'static str,
+        column: &'static str,
+    },
     /// The list of maps.
     #[error("cannot open: {0}; --maps-root or NUPLAN_MAPS_ROOT must name the folder that holds it")]
     NoMapsIndex(#[source] std::io::Error),
@@ -136,7 +171,10 @@ pub enum FileFault {
     #[error("{0}")]
     MapsIndex(String),
     #[error("no map of '{location}'; there are {}", known.join(", "))]
-    UnknownLocation { location: String, known: Vec<String> },
+    UnknownLocation {
+        location: String,
+        known: Vec<String>,
+    },
     #[error("missing; {}", versions(found))]
     MissingMap { found: Vec<String> },
     /// The map does not name its projection.
@@ -172,22 +210,42 @@ pub enum NuPlanError {
     #[error("nuPlan's logs (--data-root or NUPLAN_DATA_ROOT): {0}")]
     DataRoot(#[source] Box<NuPlanError>),
     #[error("{}: {fault}", path.display())]
-    File { path: PathBuf, fault: Box<FileFault> },
+    File {
+        path: PathBuf,
+        fault: Box<FileFault>,
+    },
     #[error("{place} {fault}")]
-    Cell { place: Box<CellPlace>, fault: Box<CellFault> },
+    Cell {
+        place: Box<CellPlace>,
+        fault: Box<CellFault>,
+    },
     /// The log is intact, the scenario is not.
     #[error("{}: scenario {token}: {fault}", path.display())]
-    Scenario { path: PathBuf, token: Token, fault: ScenarioFault },
+    Scenario {
+        path: PathBuf,
+        token: Token,
+        fault: ScenarioFault,
+    },
     #[error("scenario {token} is in two logs: {} and {}", first.display(), second.display())]
-    TwoLogs { token: Token, first: PathBuf, second: PathBuf },
+    TwoLogs {
+        token: Token,
+        first: PathBuf,
+        second: PathBuf,
+    },
 }
 
 impl NuPlanError {
     pub(super) fn file(path: impl Into<PathBuf>, fault: FileFault) -> Self {
-        Self::File { path: path.into(), fault: Box::new(fault) }
+        Self::File {
+            path: path.into(),
+            fault: Box::new(fault),
+        }
     }
 
     pub(super) fn cell(place: CellPlace, fault: impl Into<CellFault>) -> Self {
-        Self::Cell { place: Box::new(place), fault: Box::new(fault.into()) }
+        Self::Cell {
+            place: Box::new(place),
+            fault: Box::new(fault.into()),
+        }
     }
 }

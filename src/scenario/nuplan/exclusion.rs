@@ -24,7 +24,9 @@ impl Exclusion {
     /// The deciding field of the filter, else the rule in words.
     fn key(self) -> &'static str {
         match self {
-            Self::SceneAtEdge => "nuPlan's rule that the first two and last two scenes of a log give none",
+            Self::SceneAtEdge => {
+                "nuPlan's rule that the first two and last two scenes of a log give none"
+            }
             Self::OtherType => "scenario_types",
             Self::OtherMap => "map_names",
             Self::OtherLog => "log_names",
@@ -63,7 +65,10 @@ pub struct Exclusions {
 impl Exclusions {
     /// Rows that a field of the filter excludes.
     pub fn by(&self, key: &'static str) -> usize {
-        self.rows.get(&Exclusion::Filtered(key)).copied().unwrap_or_default()
+        self.rows
+            .get(&Exclusion::Filtered(key))
+            .copied()
+            .unwrap_or_default()
     }
 }
 
@@ -74,7 +79,11 @@ impl fmt::Display for Exclusions {
         }
         let rows: usize = self.rows.values().sum();
         if rows == 0 {
-            write!(f, "{} logs were searched, and no row has a scenario tag", self.logs)?;
+            write!(
+                f,
+                "{} logs were searched, and no row has a scenario tag",
+                self.logs
+            )?;
         } else {
             write!(f, "{} logs were searched; of {rows} rows", self.logs)?;
         }
@@ -83,7 +92,11 @@ impl fmt::Display for Exclusions {
             write!(f, "{comma} {count} were excluded by {}", refusal.key())?;
         }
         if self.other_logs > 0 {
-            write!(f, "; log_names does not name {} other logs", self.other_logs)?;
+            write!(
+                f,
+                "; log_names does not name {} other logs",
+                self.other_logs
+            )?;
         }
         Ok(())
     }

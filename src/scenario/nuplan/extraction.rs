@@ -1,7 +1,7 @@
 //! The part of a log that is a scenario: nuPlan's scenario types and the window around their tag.
 
-/// The scenario types of nuPlan's scenario mapping, in alphabetical order (devkit `nuplan_scenario_mapping.yaml`; the
-/// challenge's mapping is the same).
+/// The scenario types of nuPlan's scenario mapping, in alphabetical order (devkit
+/// `nuplan_scenario_mapping.yaml`; the challenge's mapping is the same).
 pub const MAPPED_TYPES: [&str; 73] = [
     "accelerating_at_crosswalk",
     "accelerating_at_stop_sign",
@@ -95,12 +95,22 @@ pub struct Extraction {
 
 impl Extraction {
     /// Of the types in the mapping: 15 s, from 3 s before the tag.
-    pub const MAPPED: Self = Self { offset_us: -3_000_000, duration_us: 15_000_000 };
+    pub const MAPPED: Self = Self {
+        offset_us: -3_000_000,
+        duration_us: 15_000_000,
+    };
     /// Of all other types: 20 s, from the row on.
-    pub const UNMAPPED: Self = Self { offset_us: 0, duration_us: 20_000_000 };
+    pub const UNMAPPED: Self = Self {
+        offset_us: 0,
+        duration_us: 20_000_000,
+    };
 
     pub fn of(scenario_type: &str) -> Self {
-        if MAPPED_TYPES.binary_search(&scenario_type).is_ok() { Self::MAPPED } else { Self::UNMAPPED }
+        if MAPPED_TYPES.binary_search(&scenario_type).is_ok() {
+            Self::MAPPED
+        } else {
+            Self::UNMAPPED
+        }
     }
 
     /// First and last time of the window of a row at `anchor_us`, µs, both inclusive.
@@ -118,8 +128,14 @@ mod tests {
     #[test]
     fn the_mapping_covers_its_types_and_no_others() {
         assert!(MAPPED_TYPES.is_sorted(), "binary search needs order");
-        assert_eq!(Extraction::of("changing_lane").window(10_000_000), (7_000_000, 22_000_000));
-        assert_eq!(Extraction::of(UNKNOWN_TYPE).window(10_000_000), (10_000_000, 30_000_000));
+        assert_eq!(
+            Extraction::of("changing_lane").window(10_000_000),
+            (7_000_000, 22_000_000)
+        );
+        assert_eq!(
+            Extraction::of(UNKNOWN_TYPE).window(10_000_000),
+            (10_000_000, 30_000_000)
+        );
         assert_eq!(Extraction::of("changing_lan"), Extraction::UNMAPPED);
     }
 }

@@ -24,7 +24,8 @@ pub struct TokenSet {
 /// Which scenarios [`ScenarioFilter::timestamp_threshold_s`] compares.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum ThresholdScope {
-    /// Those of all logs, by the clock, as the devkit does: scenarios of logs recorded at the same time exclude each other.
+    /// Those of all logs, by the clock, as the devkit does: scenarios of logs recorded at the same
+    /// time exclude each other.
     #[default]
     AllLogs,
     /// Those of one log.
@@ -55,8 +56,8 @@ pub struct ScenarioFilter {
     pub ego_displacement_minimum_m: Option<f64>,
     /// Whether scenarios without a mission goal are excluded.
     pub remove_invalid_goals: bool,
-    /// Whether order and samples are random. The devkit draws from Python's global generator, whose state is unknown; here the
-    /// numbers come from [`Self::seed`].
+    /// Whether order and samples are random. The devkit draws from Python's global generator, whose
+    /// state is unknown; here the numbers come from [`Self::seed`].
     pub shuffle: bool,
     /// Seed of [`Self::shuffle`]; not a field of nuPlan.
     pub seed: u64,

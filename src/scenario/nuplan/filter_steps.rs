@@ -1,8 +1,9 @@
-//! The filters that follow nuPlan's scenario query, in the devkit's order: number per type, number in all, time between
-//! scenarios, motion of the ego, token set, route. The order of the scenarios comes last.
+//! The filters that follow nuPlan's scenario query, in the devkit's order: number per type, number
+//! in all, time between scenarios, motion of the ego, token set, route. The order of the scenarios
+//! comes last.
 //!
-//! The scenarios of a type are in order of log and time, until the filter of time sorts those of all logs by time alone (devkit
-//! `_filter_scenarios_by_timestamp`).
+//! The scenarios of a type are in order of log and time, until the filter of time sorts those of
+//! all logs by time alone (devkit `_filter_scenarios_by_timestamp`).
 
 use super::error::{FileFault, NuPlanError};
 use super::exclusion::Exclusion;
@@ -40,10 +41,16 @@ pub(super) fn apply(
     maps: &MapStore,
 ) -> Result<Filtered, NuPlanError> {
     let mut rng = filter.shuffle.then(|| Pcg64Mcg::seed_from_u64(filter.seed));
-    let mut ledger = Ledger { left: found.iter().map(|one| one.token).collect(), excluded: Vec::new() };
+    let mut ledger = Ledger {
+        left: found.iter().map(|one| one.token).collect(),
+        excluded: Vec::new(),
+    };
     let mut by_type = ByType::new();
     for one in found {
-        by_type.entry(one.scenario_type.clone()).or_default().push(one);
+        by_type
+            .entry(one.scenario_type.clone())
+            .or_default()
+            .push(one);
     }
     if let Some(count) = filter.num_scenarios_per_type {
         for scenarios in by_type.values_mut() {
@@ -64,8 +71,9 @@ pub(super) fn apply(
     let mut kept: Vec<LogScenario> = by_type.into_values().flatten().collect();
     if filter.needs_rows() {
         let set = filter.token_set.as_ref().map(read_token_set).transpose()?;
-        let judged =
-            kept.into_par_iter().map(|one| exclusion(&one, filter, set.as_ref(), maps).map(|judged| (one, judged)));
+        let judged = kept
+            .into_par_iter()
+            .map(|one| exclusion(&one, filter, set.as_ref(), maps).map(|judged| (one, judged)));
         let judged = judged.collect::<Result<Vec<_>, NuPlanError>>()?;
         kept = Vec::with_capacity(judged.len());
         for (one, exclusion) in judged {
@@ -79,7 +87,10 @@ pub(super) fn apply(
     if let Some(rng) = &mut rng {
         kept.shuffle(rng);
     }
-    Ok(Filtered { kept, excluded: ledger.excluded })
+    Ok(Filtered {
+        kept,
+        excluded: ledger.excluded,
+    })
 }
 
 /// The scenarios that are left, and why the others are not.
@@ -92,13 +103,21 @@ impl Ledger {
     /// Records that a field of the filter excluded those that were left and are not in `kept`.
     fn keep(&mut self, key: &'static str, kept: &ByType) {
         let kept: BTreeSet<Token> = kept.values().flatten().map(|one| one.token).collect();
-        self.excluded.extend(self.left.difference(&kept).map(|&token| (token, Exclusion::Filtered(key))));
+        self.excluded.extend(
+            self.left
+                .difference(&kept)
+                .map(|&token| (token, Exclusion::Filtered(key))),
+        );
         self.left = kept;
     }
 }
 
 /// `count` scenarios: random, or evenly spaced from the first on.
-fn sample(scenarios: Vec<LogScenario>, count: usize, rng: Option<&mut Pcg64Mcg>) -> Vec<LogScenario> {
+fn sample(
+    scenarios: Vec<LogScenario>,
+    count: usize,
+    rng: Option<&mut Pcg64Mcg>,
+) -> Vec<LogScenario> {
     if let Some(rng) = rng.filter(|_| count < scenarios.len()) {
         return scenarios.sample(rng, count).cloned().collect();
     }
@@ -157,20 +176,26 @@ fn read_token_set(set: &TokenSet) -> Result<(BTreeSet<Token>, f64), NuPlanError>
     let failed = |reason: String| NuPlanError::file(&set.path, FileFault::TokenSet(reason));
     let text = planagent_files::read_text(&set.path, planagent_files::MAX_LIST_BYTES)
         .map_err(|error| failed(error.to_string()))?;
-    let words: Vec<String> = serde_json::from_str(&text).map_err(|error| failed(error.to_string()))?;
-    let tokens = words.iter().map(|word| word.parse().map_err(|error| failed(format!("{error}"))));
+    let words: Vec<String> =
+        serde_json::from_str(&text).map_err(|error| failed(error.to_string()))?;
+    let tokens = words
+        .iter()
+        .map(|word| word.parse().map_err(|error| failed(format!("{error}"))));
     Ok((tokens.collect::<Result<_, _>>()?, set.fraction))
 }
 
-/// The exclusion of a scenario by its rows. One that cannot be simulated (too short, without route) is excluded. One whose log is
-/// damaged passes: its simulation will fail and report the damage.
+/// The exclusion of a scenario by its rows. One that cannot be simulated (too short, without route)
+/// is excluded. One whose log is damaged passes: its simulation will fail and report the damage.
 fn exclusion(
     found: &LogScenario,
     filter: &ScenarioFilter,
     set: Option<&(BTreeSet<Token>, f64)>,
     maps: &MapStore,
 ) -> Result<Option<Exclusion>, NuPlanError> {
-    let route = filter.ego_route_radius.map(|radius| maps.map(&found.map_name).map(|map| (radius, map))).transpose()?;
+    let route = filter
+        .ego_route_radius
+        .map(|radius| maps.map(&found.map_name).map(|map| (radius, map)))
+        .transpose()?;
     match excluded_by_rows(found, filter, set, route.as_ref()) {
         Err(NuPlanError::Scenario { .. }) => Ok(Some(Exclusion::NotDrivable)),
         Err(_) => Ok(None),
@@ -178,8 +203,8 @@ fn exclusion(
     }
 }
 
-/// The first field of the filter that the rows of a scenario do not satisfy; `route` is the maximal distance to a lane of the
-/// route, m, and the map.
+/// The first field of the filter that the rows of a scenario do not satisfy; `route` is the maximal
+/// distance to a lane of the route, m, and the map.
 fn excluded_by_rows(
     found: &LogScenario,
     filter: &ScenarioFilter,
@@ -190,15 +215,23 @@ fn excluded_by_rows(
     let rows = Rows::read(&database, found)?;
     let iterations: Vec<_> = rows.iterations().collect();
     let ego = |place: usize| match rows.window.get(place) {
-        Some(row) => database.first(EGO_POSE, "WHERE token = ?1", [row.ego_pose], |record| ego_of(record, row.time_us)),
+        Some(row) => database.first(EGO_POSE, "WHERE token = ?1", [row.ego_pose], |record| {
+            ego_of(record, row.time_us)
+        }),
         None => Ok(None),
     };
-    let Some(start) = ego(0)? else { return Ok(Some(Exclusion::NotDrivable)) };
+    let Some(start) = ego(0)? else {
+        return Ok(Some(Exclusion::NotDrivable));
+    };
     let moves = filter.ego_displacement_minimum_m.is_some()
         || filter.ego_start_speed_threshold.is_some()
         || filter.ego_stop_speed_threshold.is_some();
     if moves {
-        let duration = (iterations.last().expect("the window has its first row").time_us - start.time_us) as f64
+        let duration = (iterations
+            .last()
+            .expect("the window has its first row")
+            .time_us
+            - start.time_us) as f64
             / MICROS_PER_SECOND;
         let mut future = Vec::new();
         for place in future_rows(duration) {
@@ -207,7 +240,10 @@ fn excluded_by_rows(
         let noise = filter.speed_noise_tolerance.unwrap_or(SPEED_NOISE);
         let starts = |threshold: f64| crosses(&start, &future, threshold, noise).0;
         let stops = |threshold: f64| crosses(&start, &future, threshold, noise).1;
-        if filter.ego_displacement_minimum_m.is_some_and(|meters| displacement(&future) < meters) {
+        if filter
+            .ego_displacement_minimum_m
+            .is_some_and(|meters| displacement(&future) < meters)
+        {
             return Ok(Some(Exclusion::Filtered("ego_displacement_minimum_m")));
         }
         if !filter.ego_start_speed_threshold.is_none_or(starts) {
@@ -220,7 +256,11 @@ fn excluded_by_rows(
     if let Some((set, fraction)) = set {
         let own: BTreeSet<Token> = iterations.iter().map(|row| row.token).collect();
         let share = own.intersection(set).count() as f64 / own.len() as f64;
-        if !(if *fraction >= 1.0 { own == *set } else { share > *fraction }) {
+        if !(if *fraction >= 1.0 {
+            own == *set
+        } else {
+            share > *fraction
+        }) {
             return Ok(Some(Exclusion::Filtered("fraction_in_token_set_threshold")));
         }
     }
@@ -229,14 +269,18 @@ fn excluded_by_rows(
         let on_route: BTreeSet<_> = ids.iter().filter_map(|&id| map.roadblock(id)).collect();
         let here = map.to_local(start.rear_axle).position();
         let near = map.lanes.lanes_near(here, *radius);
-        if !near.iter().any(|&lane| on_route.contains(&map.lanes[lane].roadblock)) {
+        if !near
+            .iter()
+            .any(|&lane| on_route.contains(&map.lanes[lane].roadblock))
+        {
             return Ok(Some(Exclusion::Filtered("ego_route_radius")));
         }
     }
     Ok(None)
 }
 
-/// The rows after iteration 0 that the devkit samples over the duration of a scenario (`sample_indices_with_time_horizon`).
+/// The rows after iteration 0 that the devkit samples over the duration of a scenario
+/// (`sample_indices_with_time_horizon`).
 fn future_rows(duration_s: f64) -> impl Iterator<Item = usize> {
     let count = (duration_s / STEP_S) as usize;
     let rows = (duration_s / ROW_S) as usize + 1;
@@ -246,10 +290,14 @@ fn future_rows(duration_s: f64) -> impl Iterator<Item = usize> {
 
 /// Distance that the center of the ego covers from sample to sample, m.
 fn displacement(states: &[EgoState]) -> f64 {
-    states.windows(2).map(|pair| pair[0].center().distance(&pair[1].center())).sum()
+    states
+        .windows(2)
+        .map(|pair| pair[0].center().distance(&pair[1].center()))
+        .sum()
 }
 
-/// Whether the speed rises above a threshold, and whether it falls to the threshold (devkit `_check_for_speed_edge`).
+/// Whether the speed rises above a threshold, and whether it falls to the threshold (devkit
+/// `_check_for_speed_edge`).
 fn crosses(start: &EgoState, future: &[EgoState], threshold: f64, noise: f64) -> (bool, bool) {
     let (mut highest, mut lowest) = (start.speed(), start.speed());
     let (mut rises, mut falls) = (false, false);

@@ -1,8 +1,9 @@
-//! Geometries as a `GeoPackage` stores them: a header (`GP`, version, flags, reference system, envelope), then well-known binary.
+//! Geometries as a `GeoPackage` stores them: a header (`GP`, version, flags, reference system,
+//! envelope), then well-known binary.
 //!
-//! Both byte orders, all kinds of envelope and three or four dimensions can be read; only x and y are kept. A damaged blob is
-//! an error: no count in it is trusted. Bytes behind the geometry are ignored. Written blobs are little-endian, of two
-//! dimensions, with an envelope.
+//! Both byte orders, all kinds of envelope and three or four dimensions can be read; only x and y
+//! are kept. A damaged blob is an error: no count in it is trusted. Bytes behind the geometry are
+//! ignored. Written blobs are little-endian, of two dimensions, with an envelope.
 
 use geo::{BoundingRect, Coord, CoordsIter, Geometry, LineString, Polygon};
 use geozero::error::GeozeroError;
@@ -39,7 +40,9 @@ impl fmt::Display for GeometryKind {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum BlobError {
-    #[error("no GeoPackage geometry of version 0, or its header is damaged: it begins with {0:02x?}")]
+    #[error(
+        "no GeoPackage geometry of version 0, or its header is damaged: it begins with {0:02x?}"
+    )]
     Header(Vec<u8>),
     #[error("the geometry is in reference system {got}, expected {expected}")]
     ReferenceSystem { expected: i32, got: i32 },
@@ -68,7 +71,11 @@ pub fn decode_line(blob: &[u8], srs_id: i32) -> Result<LineString<f64>, BlobErro
 /// The polygons of a blob in reference system `srs_id`, at least one, each with its holes.
 pub fn decode_polygons(blob: &[u8], srs_id: i32) -> Result<Vec<Polygon<f64>>, BlobError> {
     let polygons = decode(blob, srs_id, GeometryKind::Polygon)?.polygons;
-    if polygons.is_empty() { Err(BlobError::Empty) } else { Ok(polygons) }
+    if polygons.is_empty() {
+        Err(BlobError::Empty)
+    } else {
+        Ok(polygons)
+    }
 }
 
 /// A geometry as a package stores it, and its extent: west, south, east, north.
@@ -76,13 +83,23 @@ pub type StoredShape = (Vec<u8>, [f64; 4]);
 
 /// The blob of a geometry in reference system `srs_id`.
 pub fn encode(geometry: &Geometry<f64>, srs_id: i32) -> Result<StoredShape, BlobError> {
-    if let Some((index, c)) = geometry.coords_iter().enumerate().find(|(_, c)| !c.x.is_finite() || !c.y.is_finite()) {
-        return Err(BlobError::NotFinite { index, x: c.x, y: c.y });
+    if let Some((index, c)) = geometry
+        .coords_iter()
+        .enumerate()
+        .find(|(_, c)| !c.x.is_finite() || !c.y.is_finite())
+    {
+        return Err(BlobError::NotFinite {
+            index,
+            x: c.x,
+            y: c.y,
+        });
     }
     let extent = geometry.bounding_rect().ok_or(BlobError::Empty)?;
     let (min, max) = (extent.min(), extent.max());
     let envelope = vec![min.x, max.x, min.y, max.y];
-    let blob = geometry.to_gpkg_wkb(CoordDimensions::xy(), Some(srs_id), envelope).map_err(BlobError::Damaged)?;
+    let blob = geometry
+        .to_gpkg_wkb(CoordDimensions::xy(), Some(srs_id), envelope)
+        .map_err(BlobError::Damaged)?;
     Ok((blob, [min.x, min.y, max.x, max.y]))
 }
 
@@ -90,38 +107,62 @@ fn decode(blob: &[u8], srs_id: i32, expected: GeometryKind) -> Result<Parts, Blo
     let start = || BlobError::Header(blob.iter().take(8).copied().collect());
     let (srs, code, mut wkb) = header(blob).ok_or_else(start)?;
     if srs != srs_id {
-        return Err(BlobError::ReferenceSystem { expected: srs_id, got: srs });
+        return Err(BlobError::ReferenceSystem {
+            expected: srs_id,
+            got: srs,
+        });
     }
-    // The thousands say the dimensions. Only these kinds are read: collections could nest without end.
+    // The thousands say the dimensions. Only these kinds are read: collections could nest without
+    // end.
     let kind = match code % 1000 {
         2 | 5 => Some(GeometryKind::Line),
         3 | 6 => Some(GeometryKind::Polygon),
         _ => None,
     };
     if kind != Some(expected) {
-        return Err(BlobError::Kind { expected, got: code });
+        return Err(BlobError::Kind {
+            expected,
+            got: code,
+        });
     }
     let mut parts = Parts::default();
     let read = process_wkb_geom(&mut wkb, &mut parts);
     match parts.not_finite {
-        Some((index, c)) => Err(BlobError::NotFinite { index, x: c.x, y: c.y }),
+        Some((index, c)) => Err(BlobError::NotFinite {
+            index,
+            x: c.x,
+            y: c.y,
+        }),
         None => read.map(|()| parts).map_err(BlobError::Damaged),
     }
 }
 
 /// The reference system of a blob, the code of its geometry type, and its well-known binary.
 fn header(blob: &[u8]) -> Option<(i32, u32, &[u8])> {
-    let (&[b'G', b'P', 0, flags, s0, s1, s2, s3], rest) = blob.split_first_chunk()? else { return None };
-    let envelope = *ENVELOPE_BYTES.get(usize::from(flags >> 1 & 0b111)).filter(|_| flags & EXTENDED == 0)?;
+    let (&[b'G', b'P', 0, flags, s0, s1, s2, s3], rest) = blob.split_first_chunk()? else {
+        return None;
+    };
+    let envelope = *ENVELOPE_BYTES
+        .get(usize::from(flags >> 1 & 0b111))
+        .filter(|_| flags & EXTENDED == 0)?;
     let wkb = rest.get(envelope..)?;
     let &[order, c0, c1, c2, c3] = wkb.first_chunk()?;
     let (srs, code) = ([s0, s1, s2, s3], [c0, c1, c2, c3]);
-    let srs = if flags & LITTLE_ENDIAN == 0 { i32::from_be_bytes(srs) } else { i32::from_le_bytes(srs) };
-    let code = if order == 0 { u32::from_be_bytes(code) } else { u32::from_le_bytes(code) };
+    let srs = if flags & LITTLE_ENDIAN == 0 {
+        i32::from_be_bytes(srs)
+    } else {
+        i32::from_le_bytes(srs)
+    };
+    let code = if order == 0 {
+        u32::from_be_bytes(code)
+    } else {
+        u32::from_le_bytes(code)
+    };
     Some((srs, code, wkb))
 }
 
-/// Collects the lines or polygons of a blob. geozero's own `GeoWriter` reserves memory by the counts of the blob.
+/// Collects the lines or polygons of a blob. geozero's own `GeoWriter` reserves memory by the
+/// counts of the blob.
 #[derive(Debug, Default)]
 struct Parts {
     lines: Vec<LineString<f64>>,
@@ -140,7 +181,9 @@ impl GeomProcessor for Parts {
         let coord = Coord { x, y };
         if !x.is_finite() || !y.is_finite() {
             self.not_finite = Some((self.read, coord));
-            return Err(GeozeroError::Geometry("a coordinate is not finite".to_owned()));
+            return Err(GeozeroError::Geometry(
+                "a coordinate is not finite".to_owned(),
+            ));
         }
         self.read += 1;
         self.vertices.push(coord);
@@ -150,7 +193,10 @@ impl GeomProcessor for Parts {
     fn linestring_end(&mut self, _: bool, _: usize) -> geozero::error::Result<()> {
         let vertices = std::mem::take(&mut self.vertices);
         if !vertices.is_empty() {
-            self.rings.as_mut().unwrap_or(&mut self.lines).push(LineString(vertices));
+            self.rings
+                .as_mut()
+                .unwrap_or(&mut self.lines)
+                .push(LineString(vertices));
         }
         Ok(())
     }
@@ -177,7 +223,13 @@ mod tests {
     use proptest::prelude::*;
 
     fn square(side: f64) -> LineString<f64> {
-        LineString::from(vec![(0.0, 0.0), (side, 0.0), (side, side), (0.0, side), (0.0, 0.0)])
+        LineString::from(vec![
+            (0.0, 0.0),
+            (side, 0.0),
+            (side, side),
+            (0.0, side),
+            (0.0, 0.0),
+        ])
     }
 
     /// A blob with the numbers of its header and its well-known binary in one byte order.
@@ -185,8 +237,16 @@ mod tests {
         let mut bytes = vec![b'G', b'P', 0, envelope << 1 | u8::from(little)];
         let mut put = |number: Number| match number {
             Number::Byte(b) => bytes.push(b),
-            Number::Int(i) => bytes.extend(if little { i.to_le_bytes() } else { i.to_be_bytes() }),
-            Number::Float(f) => bytes.extend(if little { f.to_le_bytes() } else { f.to_be_bytes() }),
+            Number::Int(i) => bytes.extend(if little {
+                i.to_le_bytes()
+            } else {
+                i.to_be_bytes()
+            }),
+            Number::Float(f) => bytes.extend(if little {
+                f.to_le_bytes()
+            } else {
+                f.to_be_bytes()
+            }),
         };
         put(Number::Int(4326));
         (0..ENVELOPE_BYTES[usize::from(envelope)] / 8).for_each(|i| put(Number::Float(i as f64)));
@@ -221,7 +281,11 @@ mod tests {
             for envelope in 0..5 {
                 for (code, extra) in [(2, 0), (1002, 1), (2002, 1), (3002, 2)] {
                     let blob = blob(little, envelope, line(code, extra));
-                    assert_eq!(decode_line(&blob, WGS84).unwrap(), expected, "{little} {envelope} {code}");
+                    assert_eq!(
+                        decode_line(&blob, WGS84).unwrap(),
+                        expected,
+                        "{little} {envelope} {code}"
+                    );
                 }
             }
         }
@@ -233,19 +297,31 @@ mod tests {
 
     #[test]
     fn what_is_written_reads_back() {
-        assert_eq!(decode_line(&encoded(square(2.0)), WGS84).unwrap(), square(2.0));
+        assert_eq!(
+            decode_line(&encoded(square(2.0)), WGS84).unwrap(),
+            square(2.0)
+        );
         let holed = Polygon::new(square(4.0), vec![square(1.0)]);
         let blob = encoded(holed.clone());
         assert_eq!(blob[..4], [b'G', b'P', 0, 0b11]);
-        assert_eq!(decode_polygons(&blob, WGS84).unwrap(), std::slice::from_ref(&holed));
+        assert_eq!(
+            decode_polygons(&blob, WGS84).unwrap(),
+            std::slice::from_ref(&holed)
+        );
         let several = MultiPolygon(vec![holed, Polygon::new(square(9.0), vec![])]);
-        assert_eq!(decode_polygons(&encoded(several.clone()), WGS84).unwrap(), several.0);
+        assert_eq!(
+            decode_polygons(&encoded(several.clone()), WGS84).unwrap(),
+            several.0
+        );
         assert_eq!(
             encode(&several.into(), WGS84).unwrap().1.map(f64::to_bits),
             [0.0_f64, 0.0, 9.0, 9.0].map(f64::to_bits)
         );
         let lines = MultiLineString(vec![square(1.0), square(2.0)]);
-        assert!(matches!(decode_line(&encoded(lines), WGS84), Err(BlobError::Parts(2))));
+        assert!(matches!(
+            decode_line(&encoded(lines), WGS84),
+            Err(BlobError::Parts(2))
+        ));
     }
 
     #[test]
@@ -259,21 +335,45 @@ mod tests {
         for (place, byte) in [(0, b'X'), (2, 7), (3, 0b1011), (3, 0b10_0011)] {
             assert!(matches!(with(place, byte), BlobError::Header(start) if start[place] == byte));
         }
-        assert!(matches!(decode_line(&good, 3857), Err(BlobError::ReferenceSystem { expected: 3857, got: 4326 })));
+        assert!(matches!(
+            decode_line(&good, 3857),
+            Err(BlobError::ReferenceSystem {
+                expected: 3857,
+                got: 4326
+            })
+        ));
         assert!(matches!(
             decode_polygons(&good, WGS84),
-            Err(BlobError::Kind { expected: GeometryKind::Polygon, got: 2 })
+            Err(BlobError::Kind {
+                expected: GeometryKind::Polygon,
+                got: 2
+            })
         ));
-        assert!(matches!(decode_line(&good[..20], WGS84), Err(BlobError::Header(_))));
+        assert!(matches!(
+            decode_line(&good[..20], WGS84),
+            Err(BlobError::Header(_))
+        ));
         assert!(matches!(decode_line(&[], WGS84), Err(BlobError::Header(_))));
-        assert!(matches!(decode_line(&good[..good.len() - 1], WGS84), Err(BlobError::Damaged(_))));
-        assert!(matches!(encode(&MultiPolygon(vec![]).into(), WGS84), Err(BlobError::Empty)));
+        assert!(matches!(
+            decode_line(&good[..good.len() - 1], WGS84),
+            Err(BlobError::Damaged(_))
+        ));
+        assert!(matches!(
+            encode(&MultiPolygon(vec![]).into(), WGS84),
+            Err(BlobError::Empty)
+        ));
         let nan = LineString::from(vec![(0.0, 0.0), (f64::NAN, 1.0)]);
-        assert!(matches!(encode(&nan.into(), WGS84), Err(BlobError::NotFinite { index: 1, .. })));
+        assert!(matches!(
+            encode(&nan.into(), WGS84),
+            Err(BlobError::NotFinite { index: 1, .. })
+        ));
         let mut blob = good.clone();
         let second = 8 + 32 + 9 + 16;
         blob[second..second + 8].copy_from_slice(&f64::NAN.to_le_bytes());
-        assert!(matches!(decode_line(&blob, WGS84), Err(BlobError::NotFinite { index: 1, .. })));
+        assert!(matches!(
+            decode_line(&blob, WGS84),
+            Err(BlobError::NotFinite { index: 1, .. })
+        ));
     }
 
     #[test]
@@ -285,19 +385,31 @@ mod tests {
             })
         };
         for code in [2, 5] {
-            assert!(matches!(decode_line(&endless(code), WGS84), Err(BlobError::Damaged(_))));
+            assert!(matches!(
+                decode_line(&endless(code), WGS84),
+                Err(BlobError::Damaged(_))
+            ));
         }
         for code in [3, 6] {
-            assert!(matches!(decode_polygons(&endless(code), WGS84), Err(BlobError::Damaged(_))));
+            assert!(matches!(
+                decode_polygons(&endless(code), WGS84),
+                Err(BlobError::Damaged(_))
+            ));
         }
         let mut deep = endless(7);
         (0..100_000).for_each(|_| deep.extend([1, 7, 0, 0, 0, 1, 0, 0, 0]));
-        assert!(matches!(decode_line(&deep, WGS84), Err(BlobError::Kind { got: 7, .. })));
+        assert!(matches!(
+            decode_line(&deep, WGS84),
+            Err(BlobError::Kind { got: 7, .. })
+        ));
         let empty = blob(true, 0, |put| {
             put(Number::Int(3));
             put(Number::Int(0));
         });
-        assert!(matches!(decode_polygons(&empty, WGS84), Err(BlobError::Empty)));
+        assert!(matches!(
+            decode_polygons(&empty, WGS84),
+            Err(BlobError::Empty)
+        ));
     }
 
     proptest! {

@@ -1,18 +1,22 @@
 //! The lane map of a `map.gpkg`, with nuPlan's derived relations.
 //!
-//! * A connector succeeds the lane of its `exit_lane_fid` and precedes the lane of its `entry_lane_fid`.
-//! * The left and right neighbors of a lane have a `lane_index` of one less and one more in its lane group, along its length.
+//! * A connector succeeds the lane of its `exit_lane_fid` and precedes the lane of its
+//!   `entry_lane_fid`.
+//! * The left and right neighbors of a lane have a `lane_index` of one less and one more in its
+//!   lane group, along its length.
 //! * Lane groups are roadblocks, lane group connectors are roadblock connectors.
-//! * A connector has traffic lights when `traffic_light_stop_line_fids` names any stop polygon. Of these, its stop lines are
-//!   those that meet its baseline; when none does, the one nearest to the start of the baseline.
-//! * A connector without traffic lights has the stop-sign polygons that name it in `lane_connector_fids`; nuPlan's simulation
-//!   does not use them.
+//! * A connector has traffic lights when `traffic_light_stop_line_fids` names any stop polygon. Of
+//!   these, its stop lines are those that meet its baseline; when none does, the one nearest to the
+//!   start of the baseline.
+//! * A connector without traffic lights has the stop-sign polygons that name it in
+//!   `lane_connector_fids`; nuPlan's simulation does not use them.
 
 use super::error::{CellFault, CellPlace, NuPlanError, RowName};
 use super::layers::{ConnectorRow, Layers, StopRow, largest};
 use planagent_world::geometry::{Polygon, Polyline, Pose, Vector};
 use planagent_world::{
-    Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId,
+    Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapParts, Neighbor, Roadblock, RoadblockId,
+    StopLine, StopLineId,
 };
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -39,7 +43,10 @@ pub struct NuPlanMap {
 impl NuPlanMap {
     /// The roadblock of this fid, else the roadblock connector.
     pub fn roadblock(&self, fid: i64) -> Option<RoadblockId> {
-        self.roadblocks.get(&fid).or_else(|| self.roadblock_connectors.get(&fid)).copied()
+        self.roadblocks
+            .get(&fid)
+            .or_else(|| self.roadblock_connectors.get(&fid))
+            .copied()
     }
 
     /// The lane connector of this fid.
@@ -49,15 +56,26 @@ impl NuPlanMap {
 
     /// A pose of the projection in local meters.
     pub fn to_local(&self, pose: Pose) -> Pose {
-        Pose { x: pose.x - self.origin.x, y: pose.y - self.origin.y, ..pose }
+        Pose {
+            x: pose.x - self.origin.x,
+            y: pose.y - self.origin.y,
+            ..pose
+        }
     }
 }
 
 /// Reads a map file; also returns notes for the user.
-pub(super) fn read(path: &Path, location: &str, version: &str) -> Result<(NuPlanMap, Vec<String>), NuPlanError> {
+pub(super) fn read(
+    path: &Path,
+    location: &str,
+    version: &str,
+) -> Result<(NuPlanMap, Vec<String>), NuPlanError> {
     let mut layers = Layers::read(path)?;
     let origin = layers.origin;
-    let name = format!("{location} {version}, EPSG:{}, origin ({}, {})", layers.epsg, origin.x, origin.y);
+    let name = format!(
+        "{location} {version}, EPSG:{}, origin ({}, {})",
+        layers.epsg, origin.x, origin.y
+    );
     let ids = Ids::of(path, &layers)?;
     let mut lanes = ids.lanes(&mut layers)?;
     lanes.extend(ids.connectors(&mut layers)?);
@@ -77,7 +95,12 @@ pub(super) fn read(path: &Path, location: &str, version: &str) -> Result<(NuPlan
         carparks: layers.carparks,
     };
     let lanes = LaneMap::new(parts).map_err(|fault| NuPlanError::file(path, fault.into()))?;
-    let Ids { connectors, lane_groups, group_connectors, .. } = ids;
+    let Ids {
+        connectors,
+        lane_groups,
+        group_connectors,
+        ..
+    } = ids;
     let map = NuPlanMap {
         lanes: Arc::new(lanes),
         origin,
@@ -86,7 +109,10 @@ pub(super) fn read(path: &Path, location: &str, version: &str) -> Result<(NuPlan
         roadblock_connectors: group_connectors,
     };
     let note = (open_ends > 0).then(|| {
-        format!("{}: {open_ends} ends of lane connectors name lanes that the map does not have", path.display())
+        format!(
+            "{}: {open_ends} ends of lane connectors name lanes that the map does not have",
+            path.display()
+        )
     });
     Ok((map, note.into_iter().collect()))
 }
@@ -112,8 +138,12 @@ impl<'a> Ids<'a> {
         Ok(Self {
             path,
             lanes: places(path, "lanes_polygons", lane_fids, |n| LaneId(n as u32))?,
-            connectors: places(path, "lane_connectors", connector_fids, |n| LaneId((lanes + n) as u32))?,
-            lane_groups: places(path, "lane_groups_polygons", group_fids, |n| RoadblockId(n as u32))?,
+            connectors: places(path, "lane_connectors", connector_fids, |n| {
+                LaneId((lanes + n) as u32)
+            })?,
+            lane_groups: places(path, "lane_groups_polygons", group_fids, |n| {
+                RoadblockId(n as u32)
+            })?,
             group_connectors: places(path, "lane_group_connectors", group_connector_fids, |n| {
                 RoadblockId((blocks + n) as u32)
             })?,
@@ -132,16 +162,36 @@ impl<'a> Ids<'a> {
         let lane = |(place, row): (usize, super::layers::LaneRow)| {
             let fault = |column, fault| self.fault("lanes_polygons", row.fid, column, fault);
             let centerline = layers.lane_baselines.remove(&row.fid).ok_or_else(|| {
-                fault("fid", CellFault::Dangling { target: "its baseline path".to_owned(), table: "baseline_paths" })
+                fault(
+                    "fid",
+                    CellFault::Dangling {
+                        target: "its baseline path".to_owned(),
+                        table: "baseline_paths",
+                    },
+                )
             })?;
             let roadblock = self.lane_groups.get(&row.group).copied().ok_or_else(|| {
                 let target = format!("lane group {}", row.group);
-                fault("lane_group_fid", CellFault::Dangling { target, table: "lane_groups_polygons" })
+                fault(
+                    "lane_group_fid",
+                    CellFault::Dangling {
+                        target,
+                        table: "lane_groups_polygons",
+                    },
+                )
             })?;
             let polygon = largest(row.areas).ok_or_else(|| fault("geom", CellFault::Null))?;
             let at = |index: Option<i64>| {
-                let lane = index.and_then(|index| beside.get(&(row.group, index))).copied();
-                lane.map(|lane| Neighbor { lane, from_s: 0.0, to_s: centerline.length() }).into_iter().collect()
+                let lane = index
+                    .and_then(|index| beside.get(&(row.group, index)))
+                    .copied();
+                lane.map(|lane| Neighbor {
+                    lane,
+                    from_s: 0.0,
+                    to_s: centerline.length(),
+                })
+                .into_iter()
+                .collect()
             };
             let (left, right) = (at(row.index.checked_sub(1)), at(row.index.checked_add(1)));
             Ok(Lane {
@@ -164,22 +214,50 @@ impl<'a> Ids<'a> {
     }
 
     fn connectors(&self, layers: &mut Layers) -> Result<Vec<Lane>, NuPlanError> {
-        let Layers { connectors, connector_baselines, connector_areas, .. } = layers;
+        let Layers {
+            connectors,
+            connector_baselines,
+            connector_areas,
+            ..
+        } = layers;
         let connector = |row: &ConnectorRow| {
             let fault = |column, fault| self.fault("lane_connectors", row.fid, column, fault);
-            let missing = |target: &str, table| fault("fid", CellFault::Dangling { target: target.to_owned(), table });
-            let centerline =
-                connector_baselines.remove(&row.fid).ok_or_else(|| missing("its baseline path", "baseline_paths"))?;
+            let missing = |target: &str, table| {
+                fault(
+                    "fid",
+                    CellFault::Dangling {
+                        target: target.to_owned(),
+                        table,
+                    },
+                )
+            };
+            let centerline = connector_baselines
+                .remove(&row.fid)
+                .ok_or_else(|| missing("its baseline path", "baseline_paths"))?;
             let polygon = connector_areas
                 .remove(&row.fid)
                 .and_then(largest)
                 .ok_or_else(|| missing("its area", "gen_lane_connectors_scaled_width_polygons"))?;
-            let roadblock = self.group_connectors.get(&row.group).copied().ok_or_else(|| {
-                let target = format!("lane group connector {}", row.group);
-                fault("lane_group_connector_fid", CellFault::Dangling { target, table: "lane_group_connectors" })
-            })?;
+            let roadblock = self
+                .group_connectors
+                .get(&row.group)
+                .copied()
+                .ok_or_else(|| {
+                    let target = format!("lane group connector {}", row.group);
+                    fault(
+                        "lane_group_connector_fid",
+                        CellFault::Dangling {
+                            target,
+                            table: "lane_group_connectors",
+                        },
+                    )
+                })?;
             Ok(Lane {
-                id: self.connectors.get(&row.fid).copied().expect("every row of the layer has its lane"),
+                id: self
+                    .connectors
+                    .get(&row.fid)
+                    .copied()
+                    .expect("every row of the layer has its lane"),
                 source_id: row.fid,
                 kind: LaneKind::Connector,
                 centerline,
@@ -201,7 +279,9 @@ impl<'a> Ids<'a> {
     fn link(&self, layers: &Layers, lanes: &mut [Lane]) -> usize {
         let mut open_ends = 0;
         for row in &layers.connectors {
-            let Some(&connector) = self.connectors.get(&row.fid) else { continue };
+            let Some(&connector) = self.connectors.get(&row.fid) else {
+                continue;
+            };
             match self.lanes.get(&row.from) {
                 Some(&from) => {
                     lanes[connector.index()].incoming.push(from);
@@ -223,20 +303,39 @@ impl<'a> Ids<'a> {
     /// Adds the stop lines to the connectors; returns them with the lanes that stop there.
     fn stop(&self, layers: &Layers, lanes: &mut [Lane]) -> Result<Vec<StopLine>, NuPlanError> {
         for row in &layers.connectors {
-            let Some(&connector) = self.connectors.get(&row.fid) else { continue };
+            let Some(&connector) = self.connectors.get(&row.fid) else {
+                continue;
+            };
             let mut named = Vec::with_capacity(row.stops.len());
             for stop in &row.stops {
                 let id = self.stops.get(stop).copied().ok_or_else(|| {
-                    let fault = CellFault::Dangling { target: format!("stop polygon {stop}"), table: "stop_polygons" };
-                    self.fault("lane_connectors", row.fid, "traffic_light_stop_line_fids", fault)
+                    let fault = CellFault::Dangling {
+                        target: format!("stop polygon {stop}"),
+                        table: "stop_polygons",
+                    };
+                    self.fault(
+                        "lane_connectors",
+                        row.fid,
+                        "traffic_light_stop_line_fids",
+                        fault,
+                    )
                 })?;
                 named.push(id);
             }
             let lane = &mut lanes[connector.index()];
             lane.stop_lines = stop_lines_of(&lane.centerline, &named, &layers.stops);
         }
-        for (place, row) in layers.stops.iter().enumerate().filter(|(_, row)| row.kind == STOP_SIGN) {
-            for connector in row.connectors.iter().filter_map(|fid| self.connectors.get(fid)) {
+        for (place, row) in layers
+            .stops
+            .iter()
+            .enumerate()
+            .filter(|(_, row)| row.kind == STOP_SIGN)
+        {
+            for connector in row
+                .connectors
+                .iter()
+                .filter_map(|fid| self.connectors.get(fid))
+            {
                 let lane = &mut lanes[connector.index()];
                 if !lane.has_traffic_lights {
                     lane.stop_lines.push(StopLineId(place as u32));
@@ -271,11 +370,16 @@ impl<'a> Ids<'a> {
         };
         let groups = std::mem::take(&mut layers.lane_groups);
         let count = groups.len();
-        let groups = groups.into_iter().enumerate().map(|(n, (fid, areas))| (RoadblockId(n as u32), fid, areas));
+        let groups = groups
+            .into_iter()
+            .enumerate()
+            .map(|(n, (fid, areas))| (RoadblockId(n as u32), fid, areas));
         let connecting = std::mem::take(&mut layers.group_connectors);
         let joints: Vec<(i64, i64)> = connecting.iter().map(|row| (row.from, row.to)).collect();
-        let connecting =
-            connecting.into_iter().enumerate().map(|(n, row)| (RoadblockId((count + n) as u32), row.fid, row.areas));
+        let connecting = connecting
+            .into_iter()
+            .enumerate()
+            .map(|(n, row)| (RoadblockId((count + n) as u32), row.fid, row.areas));
         let mut blocks: Vec<Roadblock> = groups.map(block(LaneKind::Lane)).collect();
         blocks.extend(connecting.map(block(LaneKind::Connector)));
         for (n, (from, to)) in joints.into_iter().enumerate() {
@@ -295,13 +399,33 @@ impl<'a> Ids<'a> {
         blocks
     }
 
-    fn fault(&self, table: &'static str, fid: i64, column: &'static str, fault: CellFault) -> NuPlanError {
+    fn fault(
+        &self,
+        table: &'static str,
+        fid: i64,
+        column: &'static str,
+        fault: CellFault,
+    ) -> NuPlanError {
         cell(self.path, table, fid, column, fault)
     }
 }
 
-fn cell(path: &Path, table: &'static str, fid: i64, column: &'static str, fault: CellFault) -> NuPlanError {
-    NuPlanError::cell(CellPlace { path: path.to_owned(), table, column, row: RowName::Fid(fid) }, fault)
+fn cell(
+    path: &Path,
+    table: &'static str,
+    fid: i64,
+    column: &'static str,
+    fault: CellFault,
+) -> NuPlanError {
+    NuPlanError::cell(
+        CellPlace {
+            path: path.to_owned(),
+            table,
+            column,
+            row: RowName::Fid(fid),
+        },
+        fault,
+    )
 }
 
 /// The id of each row by its fid, which must be unique.
@@ -323,12 +447,19 @@ fn places<Id>(
 /// Of the named stop polygons, those that meet the baseline, else the one nearest to its start.
 fn stop_lines_of(baseline: &Polyline, named: &[StopLineId], stops: &[StopRow]) -> Vec<StopLineId> {
     let area = |id: StopLineId| &stops[id.index()].area;
-    let met: Vec<StopLineId> = named.iter().copied().filter(|&id| area(id).meets_line(baseline)).collect();
+    let met: Vec<StopLineId> = named
+        .iter()
+        .copied()
+        .filter(|&id| area(id).meets_line(baseline))
+        .collect();
     if !met.is_empty() {
         return met;
     }
     let distance = |id: StopLineId| area(id).distance_to(baseline.start());
-    let nearest = named.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+    let nearest = named
+        .iter()
+        .copied()
+        .min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
     nearest.into_iter().collect()
 }
 
@@ -340,19 +471,36 @@ mod tests {
     fn stop(fid: i64, x: f64, y: f64) -> StopRow {
         let ring = [(x, y), (x + 1.0, y), (x + 1.0, y + 3.0), (x, y + 3.0)];
         let area = Polygon::new(ring.map(|(x, y)| Point::new(x, y))).unwrap();
-        StopRow { fid, kind: 2, connectors: Vec::new(), area }
+        StopRow {
+            fid,
+            kind: 2,
+            connectors: Vec::new(),
+            area,
+        }
     }
 
     #[test]
     fn stop_lines_meet_the_baseline_or_the_nearest_is_taken() {
         let baseline = Polyline::new([Point::new(0.0, 0.0), Point::new(20.0, 0.0)]).unwrap();
-        let stops = [stop(1, 2.0, -1.0), stop(2, 4.0, 1.0), stop(3, 18.0, -1.0), stop(4, -3.0, 1.0)];
+        let stops = [
+            stop(1, 2.0, -1.0),
+            stop(2, 4.0, 1.0),
+            stop(3, 18.0, -1.0),
+            stop(4, -3.0, 1.0),
+        ];
         let lines = |named: &[u32]| {
             let named: Vec<StopLineId> = named.iter().map(|&id| StopLineId(id)).collect();
-            stop_lines_of(&baseline, &named, &stops).into_iter().map(|id| id.0).collect::<Vec<_>>()
+            stop_lines_of(&baseline, &named, &stops)
+                .into_iter()
+                .map(|id| id.0)
+                .collect::<Vec<_>>()
         };
         assert_eq!(lines(&[0, 1, 2]), [0, 2], "those that meet the baseline");
-        assert_eq!(lines(&[1, 3]), [3], "none does: the one nearest to its start");
+        assert_eq!(
+            lines(&[1, 3]),
+            [3],
+            "none does: the one nearest to its start"
+        );
         assert_eq!(lines(&[]), [0; 0]);
     }
 }

@@ -5,8 +5,9 @@ use super::error::{CellFault, FileFault, NuPlanError};
 use super::geometry_blob::{decode_line, decode_polygons};
 use super::projection::{ProjectionError, Utm, WGS84};
 use super::schema::{
-    BASELINE_PATHS, CARPARK_AREAS, CONNECTOR_AREAS, CROSSWALKS, GENERIC_DRIVABLE_AREAS, INTERSECTIONS, LANE_CONNECTORS,
-    LANE_GROUP_CONNECTORS, LANE_GROUPS, LANES, META, PROJECTION_KEY, READ_LAYERS, ROAD_SEGMENTS, STOP_POLYGONS, Table,
+    BASELINE_PATHS, CARPARK_AREAS, CONNECTOR_AREAS, CROSSWALKS, GENERIC_DRIVABLE_AREAS,
+    INTERSECTIONS, LANE_CONNECTORS, LANE_GROUP_CONNECTORS, LANE_GROUPS, LANES, META,
+    PROJECTION_KEY, READ_LAYERS, ROAD_SEGMENTS, STOP_POLYGONS, Table,
 };
 use geo::{Coord, LineString};
 use planagent_world::geometry::{Point, Polygon, Polyline, Vector};
@@ -73,7 +74,8 @@ pub(super) struct Layers {
 }
 
 impl Layers {
-    /// Reads a map file. The layers are decoded in parallel, not on rayon's threads: the caller holds a lock that they may wait for.
+    /// Reads a map file. The layers are decoded in parallel, not on rayon's threads: the caller
+    /// holds a lock that they may wait for.
     pub(super) fn read(path: &Path) -> Result<Self, NuPlanError> {
         let database = Database::open(path)?;
         for table in READ_LAYERS {
@@ -81,14 +83,23 @@ impl Layers {
         }
         let projection = projection(&database)?;
         let origin = origin(&database, &projection)?;
-        let source = Source { path, projection: &projection, origin };
+        let source = Source {
+            path,
+            projection: &projection,
+            origin,
+        };
         std::thread::scope(|scope| {
             let lanes = scope.spawn(|| source.each(LANES, Source::lane));
-            let connector_areas = scope.spawn(|| source.each(CONNECTOR_AREAS, Source::connector_area));
+            let connector_areas =
+                scope.spawn(|| source.each(CONNECTOR_AREAS, Source::connector_area));
             let baselines = scope.spawn(|| source.each(BASELINE_PATHS, Source::baseline));
-            let lane_groups =
-                scope.spawn(|| source.each(LANE_GROUPS, |source, r| Ok((r.fid("fid")?, source.areas(r)?))));
-            let group_connectors = scope.spawn(|| source.each(LANE_GROUP_CONNECTORS, Source::group_connector));
+            let lane_groups = scope.spawn(|| {
+                source.each(LANE_GROUPS, |source, r| {
+                    Ok((r.fid("fid")?, source.areas(r)?))
+                })
+            });
+            let group_connectors =
+                scope.spawn(|| source.each(LANE_GROUP_CONNECTORS, Source::group_connector));
             let drivable = scope.spawn(|| {
                 let of = |table| source.each(table, Source::areas).map(|rows| rows.concat());
                 Ok([
@@ -101,7 +112,13 @@ impl Layers {
             });
             let stops = source.each(STOP_POLYGONS, Source::stop)?;
             let connectors = source.each(LANE_CONNECTORS, |_, record| connector(record))?;
-            let [road_segments, generic_drivable, carparks, intersections, crosswalks] = joined(drivable)?;
+            let [
+                road_segments,
+                generic_drivable,
+                carparks,
+                intersections,
+                crosswalks,
+            ] = joined(drivable)?;
             let (lane_baselines, connector_baselines) = split(joined(baselines)?);
             Ok(Self {
                 epsg: projection.epsg(),
@@ -126,7 +143,9 @@ impl Layers {
 
 /// The result of a thread; its panic continues here.
 fn joined<T>(thread: std::thread::ScopedJoinHandle<'_, T>) -> T {
-    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    thread
+        .join()
+        .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
 /// A baseline with the fid of its lane or connector.
@@ -149,15 +168,27 @@ fn split(baselines: Vec<Baseline>) -> (BTreeMap<i64, Polyline>, BTreeMap<i64, Po
 
 fn projection(database: &Database) -> Result<Utm, NuPlanError> {
     let failed = |reason: String| NuPlanError::file(&database.path, FileFault::MapMeta(reason));
-    let name = database.first(META, "WHERE key = ?1", [PROJECTION_KEY], |record| record.text("value"))?;
-    let name = name.ok_or_else(|| failed(format!("no row with key `{PROJECTION_KEY}` names the projection")))?;
+    let name = database.first(META, "WHERE key = ?1", [PROJECTION_KEY], |record| {
+        record.text("value")
+    })?;
+    let name = name.ok_or_else(|| {
+        failed(format!(
+            "no row with key `{PROJECTION_KEY}` names the projection"
+        ))
+    })?;
     Utm::from_name(&name).map_err(|error| failed(format!("key `{PROJECTION_KEY}`: {error}")))
 }
 
 /// The grid point nearest to the start of the first baseline, m.
 fn origin(database: &Database, projection: &Utm) -> Result<Vector, NuPlanError> {
-    let source = Source { path: &database.path, projection, origin: Vector::zeros() };
-    let start = database.first(BASELINE_PATHS, "ORDER BY fid", [], |record| Ok(source.line(record)?.start()))?;
+    let source = Source {
+        path: &database.path,
+        projection,
+        origin: Vector::zeros(),
+    };
+    let start = database.first(BASELINE_PATHS, "ORDER BY fid", [], |record| {
+        Ok(source.line(record)?.start())
+    })?;
     let start = start.map_or_else(Vector::zeros, |start| start.coords);
     Ok(start.map(|meters| (meters / ORIGIN_GRID).round() * ORIGIN_GRID))
 }
@@ -201,7 +232,10 @@ impl Source<'_> {
 
     fn baseline(&self, record: &Record<'_>) -> Result<Baseline, NuPlanError> {
         let line = self.line(record)?;
-        match (record.maybe_fid("lane_fid")?, record.maybe_fid("lane_connector_fid")?) {
+        match (
+            record.maybe_fid("lane_fid")?,
+            record.maybe_fid("lane_connector_fid")?,
+        ) {
             (Some(lane), _) => Ok(Baseline::Lane(lane, line)),
             (None, Some(connector)) => Ok(Baseline::Connector(connector, line)),
             (None, None) => Err(record.fault("lane_fid", CellFault::Null)),
@@ -219,21 +253,34 @@ impl Source<'_> {
 
     fn stop(&self, record: &Record<'_>) -> Result<StopRow, NuPlanError> {
         let fid = record.fid("fid")?;
-        let area = largest(self.areas(record)?).ok_or_else(|| record.fault("geom", CellFault::Null))?;
+        let area =
+            largest(self.areas(record)?).ok_or_else(|| record.fault("geom", CellFault::Null))?;
         let connectors = fids(record, "lane_connector_fids")?;
-        Ok(StopRow { fid, kind: record.fid("stop_polygon_type_fid")?, connectors, area })
+        Ok(StopRow {
+            fid,
+            kind: record.fid("stop_polygon_type_fid")?,
+            connectors,
+            area,
+        })
     }
 
     fn line(&self, record: &Record<'_>) -> Result<Polyline, NuPlanError> {
-        let line = decode_line(record.blob("geom")?, WGS84).map_err(|fault| record.fault("geom", fault))?;
-        let vertices = self.vertices(&line).map_err(|fault| record.fault("geom", fault))?;
+        let line = decode_line(record.blob("geom")?, WGS84)
+            .map_err(|fault| record.fault("geom", fault))?;
+        let vertices = self
+            .vertices(&line)
+            .map_err(|fault| record.fault("geom", fault))?;
         Polyline::new(vertices).map_err(|fault| record.fault("geom", fault))
     }
 
     /// The parts of a polygon.
     fn areas(&self, record: &Record<'_>) -> Result<Vec<Polygon>, NuPlanError> {
-        let parts = decode_polygons(record.blob("geom")?, WGS84).map_err(|fault| record.fault("geom", fault))?;
-        parts.iter().map(|part| self.area(part).map_err(|fault| record.fault("geom", fault))).collect()
+        let parts = decode_polygons(record.blob("geom")?, WGS84)
+            .map_err(|fault| record.fault("geom", fault))?;
+        parts
+            .iter()
+            .map(|part| self.area(part).map_err(|fault| record.fault("geom", fault)))
+            .collect()
     }
 
     fn area(&self, part: &geo::Polygon<f64>) -> Result<Polygon, CellFault> {
@@ -268,9 +315,13 @@ fn connector(record: &Record<'_>) -> Result<ConnectorRow, NuPlanError> {
 /// A speed limit, m/s; NULL and NaN both mean none.
 fn speed_limit(record: &Record<'_>) -> Result<Option<f64>, NuPlanError> {
     match record.maybe_float("speed_limit_mps")? {
-        Some(limit) if limit.is_infinite() || limit < 0.0 => {
-            Err(record.fault("speed_limit_mps", CellFault::Number { got: limit, expected: "m/s from 0 on" }))
-        }
+        Some(limit) if limit.is_infinite() || limit < 0.0 => Err(record.fault(
+            "speed_limit_mps",
+            CellFault::Number {
+                got: limit,
+                expected: "m/s from 0 on",
+            },
+        )),
         limit => Ok(limit.filter(|limit| !limit.is_nan())),
     }
 }
@@ -278,9 +329,20 @@ fn speed_limit(record: &Record<'_>) -> Result<Option<f64>, NuPlanError> {
 /// Ids in a text, separated by commas.
 fn fids(record: &Record<'_>, column: &'static str) -> Result<Vec<i64>, NuPlanError> {
     let text = record.maybe_text(column)?.unwrap_or_default();
-    let words = text.split(',').map(str::trim).filter(|word| !word.is_empty());
-    let unknown = |word: &str| CellFault::Word { got: word.to_owned(), expected: "ids separated by commas" };
-    words.map(|word| word.parse().map_err(|_| record.fault(column, unknown(word)))).collect()
+    let words = text
+        .split(',')
+        .map(str::trim)
+        .filter(|word| !word.is_empty());
+    let unknown = |word: &str| CellFault::Word {
+        got: word.to_owned(),
+        expected: "ids separated by commas",
+    };
+    words
+        .map(|word| {
+            word.parse()
+                .map_err(|_| record.fault(column, unknown(word)))
+        })
+        .collect()
 }
 
 /// The largest part of an area that should have one part only.
@@ -288,5 +350,7 @@ pub(super) fn largest(areas: Vec<Polygon>) -> Option<Polygon> {
     if areas.len() == 1 {
         return areas.into_iter().next();
     }
-    areas.into_iter().max_by(|a, b| a.area().total_cmp(&b.area()))
+    areas
+        .into_iter()
+        .max_by(|a, b| a.area().total_cmp(&b.area()))
 }

@@ -28,14 +28,20 @@ impl Log {
     /// The log of a file, existing or not.
     pub fn at(path: impl Into<PathBuf>) -> Self {
         let path = path.into();
-        let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+        let name = path
+            .file_stem()
+            .map(|stem| stem.to_string_lossy().into_owned())
+            .unwrap_or_default();
         Self { name, path }
     }
 
     /// Opens the log and checks that it has every table and column that is read.
     pub(super) fn open(&self) -> Result<Database, NuPlanError> {
         let database = Database::open(&self.path)?;
-        for table in LOG_TABLES.into_iter().filter(|table| !table.read_columns().is_empty()) {
+        for table in LOG_TABLES
+            .into_iter()
+            .filter(|table| !table.read_columns().is_empty())
+        {
             database.require(table, "a nuPlan log")?;
         }
         Ok(database)
@@ -80,12 +86,15 @@ impl Logs {
         Self::under(root).map_err(|error| NuPlanError::DataRoot(Box::new(error)))
     }
 
-    /// The log of a file, or all logs in a folder and the folders below. A log that lies in several folders (nuPlan's mini split
-    /// repeats logs) counts once: the first path.
+    /// The log of a file, or all logs in a folder and the folders below. A log that lies in several
+    /// folders (nuPlan's mini split repeats logs) counts once: the first path.
     pub fn under(path: &Path) -> Result<Self, NuPlanError> {
         let io = |source| NuPlanError::file(path, FileFault::Open(source));
         if !std::fs::metadata(path).map_err(io)?.is_dir() {
-            return Ok(Self { logs: vec![Arc::new(Log::at(path))], notes: Vec::new() });
+            return Ok(Self {
+                logs: vec![Arc::new(Log::at(path))],
+                notes: Vec::new(),
+            });
         }
         let mut files = Vec::new();
         let mut notes = Vec::new();
@@ -106,13 +115,25 @@ impl Logs {
             return Err(NuPlanError::file(path, FileFault::NoLogs));
         }
         notes.extend(again.first().map(|log| {
-            format!("{} log(s) lie in two folders and are read once, for example {}", again.len(), log.path.display())
+            format!(
+                "{} log(s) lie in two folders and are read once, for example {}",
+                again.len(),
+                log.path.display()
+            )
         }));
-        Ok(Self { logs: by_name.into_values().collect(), notes })
+        Ok(Self {
+            logs: by_name.into_values().collect(),
+            notes,
+        })
     }
 }
 
-fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>, notes: &mut Vec<String>) -> Result<(), NuPlanError> {
+fn walk(
+    folder: &Path,
+    depth: usize,
+    files: &mut Vec<PathBuf>,
+    notes: &mut Vec<String>,
+) -> Result<(), NuPlanError> {
     let io = |source| NuPlanError::file(folder, FileFault::List(source));
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let entry = entry.map_err(io)?;

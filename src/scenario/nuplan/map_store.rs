@@ -29,8 +29,8 @@ pub struct MapStore {
 }
 
 impl MapStore {
-    /// The maps below `NUPLAN_MAPS_ROOT`; nothing is read before a scenario asks for it. Indices of logs go to
-    /// `$PLANAGENT_CACHE`, else to the platform's cache folder.
+    /// The maps below `NUPLAN_MAPS_ROOT`; nothing is read before a scenario asks for it. Indices of
+    /// logs go to `$PLANAGENT_CACHE`, else to the platform's cache folder.
     pub fn new(root: Option<PathBuf>) -> Self {
         Self::with_cache(root, side_index::default_folder())
     }
@@ -49,7 +49,10 @@ impl MapStore {
 
     /// The map of a location, as `us-ma-boston`.
     pub fn map(&self, location: &str) -> Result<Arc<NuPlanMap>, NuPlanError> {
-        let slot = lock(&self.maps).entry(location.to_owned()).or_default().clone();
+        let slot = lock(&self.maps)
+            .entry(location.to_owned())
+            .or_default()
+            .clone();
         // Other threads that need this map wait here until it is read.
         let mut slot = lock(&slot);
         if let Some(map) = &*slot {
@@ -73,12 +76,18 @@ impl MapStore {
         Ok(path)
     }
 
-    /// Notes for the user about the maps and logs that were opened since the last call, in alphabetical order.
+    /// Notes for the user about the maps and logs that were opened since the last call, in
+    /// alphabetical order.
     pub fn take_notes(&self) -> Vec<String> {
-        let mut notes: Vec<String> = std::mem::take(&mut *lock(&self.notes)).into_iter().collect();
+        let mut notes: Vec<String> = std::mem::take(&mut *lock(&self.notes))
+            .into_iter()
+            .collect();
         let derived = std::mem::take(&mut *lock(&self.without_velocity));
         notes.extend(derived.into_iter().map(|(log, count)| {
-            format!("{}: {count} states of agents have no velocity; it is derived from their positions", log.display())
+            format!(
+                "{}: {count} states of agents have no velocity; it is derived from their positions",
+                log.display()
+            )
         }));
         notes
     }
@@ -86,12 +95,18 @@ impl MapStore {
     /// Counts the agents of a log whose velocity was derived.
     pub(super) fn count_without_velocity(&self, log: &Path, count: usize) {
         if count > 0 {
-            *lock(&self.without_velocity).entry(log.to_owned()).or_default() += count;
+            *lock(&self.without_velocity)
+                .entry(log.to_owned())
+                .or_default() += count;
         }
     }
 
     /// Provides indices for the rows of a log between two times, µs.
-    pub(super) fn attach_index(&self, log: &Database, times: (i64, i64)) -> Result<side_index::LogIndex, NuPlanError> {
+    pub(super) fn attach_index(
+        &self,
+        log: &Database,
+        times: (i64, i64),
+    ) -> Result<side_index::LogIndex, NuPlanError> {
         let found = self.indices.attach(log, times)?;
         lock(&self.notes).extend(found.note.clone());
         Ok(found)
@@ -104,14 +119,19 @@ impl MapStore {
         let text = planagent_files::read_text(&index, planagent_files::MAX_LIST_BYTES)
             .map_err(|source| NuPlanError::file(&index, FileFault::NoMapsIndex(source)))?;
         let wrong = |reason: String| NuPlanError::file(&index, FileFault::MapsIndex(reason));
-        let known: BTreeMap<String, Value> =
-            serde_json::from_str(&text).map_err(|error| wrong(format!("not a JSON object: {error}")))?;
+        let known: BTreeMap<String, Value> = serde_json::from_str(&text)
+            .map_err(|error| wrong(format!("not a JSON object: {error}")))?;
         let Some(entry) = known.get(location) else {
             let (location, known) = (location.to_owned(), known.into_keys().collect());
-            return Err(NuPlanError::file(index, FileFault::UnknownLocation { location, known }));
+            return Err(NuPlanError::file(
+                index,
+                FileFault::UnknownLocation { location, known },
+            ));
         };
         let version = entry.get("version").and_then(Value::as_str);
-        let version = version.ok_or_else(|| wrong(format!("`{location}` has no version")))?.to_owned();
+        let version = version
+            .ok_or_else(|| wrong(format!("`{location}` has no version")))?
+            .to_owned();
         let path = root.join(location).join(&version).join(MAP_FILE);
         if path.is_file() {
             Ok((path, version))

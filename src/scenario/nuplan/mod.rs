@@ -1,15 +1,17 @@
-//! nuPlan's data: log databases (`.db`), map packages (`map.gpkg`), and the scenarios that a `ScenarioFilter` picks from them.
+//! nuPlan's data: log databases (`.db`), map packages (`map.gpkg`), and the scenarios that a
+//! `ScenarioFilter` picks from them.
 //!
 //! * `schema`, `database`: tables and columns, and access to them;
 //! * `logs`, `side_index`: logs on disk, which are never written;
-//! * `filter`, `filter_file`, `search`, `filter_steps`, `exclusion`: the scenarios that a filter takes;
+//! * `filter`, `filter_file`, `search`, `filter_steps`, `exclusion`: the scenarios that a filter
+//!   takes;
 //! * `extraction`, `rows`, `route`, `velocity`, `open`: a scenario as [`super::Scenario`];
 //! * [`geometry_blob`], [`projection`], `layers`, `lane_map`, `map_store`: the map around it;
 //! * `reader`, `split`: words of the command line, and published lists;
 //! * [`export`]: writes any scenario as a log and its map.
 //!
-//! Logs and maps are read as the queries of the nuPlan devkit read them. Damage is an error that names file, table, row and
-//! column.
+//! Logs and maps are read as the queries of the nuPlan devkit read them. Damage is an error that
+//! names file, table, row and column.
 
 mod database;
 mod error;

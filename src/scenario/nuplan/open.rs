@@ -1,6 +1,7 @@
 //! A scenario of a log as [`Scenario`].
 //!
-//! The time of the ego is that of the `lidar_pc` row, its pose that of the rear axle. Positions are relative to the map's origin.
+//! The time of the ego is that of the `lidar_pc` row, its pose that of the rear axle. Positions are
+//! relative to the map's origin.
 
 use super::database::{Database, Record};
 use super::error::{CellFault, NuPlanError, ScenarioFault};
@@ -15,7 +16,9 @@ use super::token::Token;
 use super::velocity;
 use crate::{Frame, Scenario};
 use planagent_world::geometry::{OrientedBox, Pose, Vector};
-use planagent_world::{EgoState, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
+use planagent_world::{
+    EgoState, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights,
+};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -26,14 +29,27 @@ pub fn open(maps: &MapStore, found: &LogScenario) -> Result<Scenario, NuPlanErro
     let indices = maps.attach_index(&database, rows.times())?;
     let map = maps.map(&found.map_name)?;
     let route = route::read(&database, found, &map)?;
-    let mut reader = Reader { database: &database, indices: &indices, map: &map, tracks: Tracks::default() };
-    let frames = rows.past.iter().chain(rows.iterations()).map(|sweep| reader.frame(sweep));
+    let mut reader = Reader {
+        database: &database,
+        indices: &indices,
+        map: &map,
+        tracks: Tracks::default(),
+    };
+    let frames = rows
+        .past
+        .iter()
+        .chain(rows.iterations())
+        .map(|sweep| reader.frame(sweep));
     let mut frames: Vec<Frame> = frames.collect::<Result<_, _>>()?;
     maps.count_without_velocity(&found.log.path, velocity::derive_missing(&mut frames));
     Ok(Scenario {
         frames,
         start: rows.past.len(),
-        future: rows.future.iter().map(|sweep| reader.ego(sweep)).collect::<Result<_, _>>()?,
+        future: rows
+            .future
+            .iter()
+            .map(|sweep| reader.ego(sweep))
+            .collect::<Result<_, _>>()?,
         id: found.token.to_string(),
         scenario_type: found.scenario_type.clone(),
         log_name: found.log.name.clone(),
@@ -59,17 +75,25 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     fn frame(&mut self, sweep: &Sweep) -> Result<Frame, NuPlanError> {
-        Ok(Frame { ego: self.ego(sweep)?, objects: self.objects(sweep)?, lights: self.lights(sweep)? })
+        Ok(Frame {
+            ego: self.ego(sweep)?,
+            objects: self.objects(sweep)?,
+            lights: self.lights(sweep)?,
+        })
     }
 
     fn ego(&self, sweep: &Sweep) -> Result<EgoState, NuPlanError> {
         let mut ego = None;
         let query = self.indices.search(EGO_POSE, "token");
-        self.database.each_of(EGO_POSE, &query, [sweep.ego_pose], &mut |record| {
-            let state = ego_of(record, sweep.time_us)?;
-            ego = Some(EgoState { rear_axle: self.map.to_local(state.rear_axle), ..state });
-            Ok(())
-        })?;
+        self.database
+            .each_of(EGO_POSE, &query, [sweep.ego_pose], &mut |record| {
+                let state = ego_of(record, sweep.time_us)?;
+                ego = Some(EgoState {
+                    rear_axle: self.map.to_local(state.rear_axle),
+                    ..state
+                });
+                Ok(())
+            })?;
         match ego {
             Some(ego) => Ok(ego),
             None => self.dangling(sweep),
@@ -78,11 +102,23 @@ impl Reader<'_> {
 
     fn dangling<T>(&self, sweep: &Sweep) -> Result<T, NuPlanError> {
         let target = sweep.ego_pose.to_string();
-        let told = self.database.first(LIDAR_PC, "WHERE token = ?1", [sweep.token], |record| {
-            Ok(record.fault("ego_pose_token", CellFault::Dangling { target: target.clone(), table: "ego_pose" }))
-        })?;
+        let told = self
+            .database
+            .first(LIDAR_PC, "WHERE token = ?1", [sweep.token], |record| {
+                Ok(record.fault(
+                    "ego_pose_token",
+                    CellFault::Dangling {
+                        target: target.clone(),
+                        table: "ego_pose",
+                    },
+                ))
+            })?;
         let (path, token) = (self.database.path.clone(), sweep.token);
-        Err(told.unwrap_or(NuPlanError::Scenario { path, token, fault: ScenarioFault::NotInLog }))
+        Err(told.unwrap_or(NuPlanError::Scenario {
+            path,
+            token,
+            fault: ScenarioFault::NotInLog,
+        }))
     }
 
     /// The boxes of a sweep, in the order of the log.
@@ -93,9 +129,22 @@ impl Reader<'_> {
         database.each_of(LIDAR_BOX, &query, [sweep.token], &mut |record| {
             let (token, kind) = self.track(record)?;
             let center = Pose::new(record.float("x")?, record.float("y")?, record.float("yaw")?);
-            let shape = OrientedBox::new(map.to_local(center), extent(record, "length")?, extent(record, "width")?);
-            let velocity = if kind.is_agent() { logged_velocity(record)? } else { Vector::zeros() };
-            objects.push(TrackedObject { token, kind, shape, velocity });
+            let shape = OrientedBox::new(
+                map.to_local(center),
+                extent(record, "length")?,
+                extent(record, "width")?,
+            );
+            let velocity = if kind.is_agent() {
+                logged_velocity(record)?
+            } else {
+                Vector::zeros()
+            };
+            objects.push(TrackedObject {
+                token,
+                kind,
+                shape,
+                velocity,
+            });
             Ok(())
         })?;
         Ok(objects.into())
@@ -109,11 +158,15 @@ impl Reader<'_> {
         }
         let mut kind = None;
         let query = self.indices.search(TRACK, "token");
-        self.database.each_of(TRACK, &query, [token], &mut |track| {
-            kind = Some(self.tracks.category(self.database, track)?);
-            Ok(())
-        })?;
-        let missing = || CellFault::Dangling { target: token.to_string(), table: "track" };
+        self.database
+            .each_of(TRACK, &query, [token], &mut |track| {
+                kind = Some(self.tracks.category(self.database, track)?);
+                Ok(())
+            })?;
+        let missing = || CellFault::Dangling {
+            target: token.to_string(),
+            table: "track",
+        };
         let kind = kind.ok_or_else(|| record.fault("track_token", missing()))?;
         let known = (TrackToken(self.tracks.known.len() as u32), kind);
         self.tracks.known.insert(token, known);
@@ -124,25 +177,30 @@ impl Reader<'_> {
     fn lights(&self, sweep: &Sweep) -> Result<Arc<TrafficLights>, NuPlanError> {
         let mut lights = TrafficLights::default();
         let query = self.indices.search(TRAFFIC_LIGHT_STATUS, "lidar_pc_token");
-        self.database.each_of(TRAFFIC_LIGHT_STATUS, &query, [sweep.token], &mut |record| {
-            let connector = self.map.connector(record.fid("lane_connector_id")?);
-            let status = match record.maybe_text("status")?.as_deref() {
-                Some("green") => SignalStatus::Green,
-                Some("yellow") => SignalStatus::Yellow,
-                Some("red") => SignalStatus::Red,
-                _ => SignalStatus::Unknown,
-            };
-            if let Some(connector) = connector {
-                lights.set(connector, status);
-            }
-            Ok(())
-        })?;
+        self.database
+            .each_of(TRAFFIC_LIGHT_STATUS, &query, [sweep.token], &mut |record| {
+                let connector = self.map.connector(record.fid("lane_connector_id")?);
+                let status = match record.maybe_text("status")?.as_deref() {
+                    Some("green") => SignalStatus::Green,
+                    Some("yellow") => SignalStatus::Yellow,
+                    Some("red") => SignalStatus::Red,
+                    _ => SignalStatus::Unknown,
+                };
+                if let Some(connector) = connector {
+                    lights.set(connector, status);
+                }
+                Ok(())
+            })?;
         Ok(Arc::new(lights))
     }
 }
 
 impl Tracks {
-    fn category(&mut self, database: &Database, track: &Record<'_>) -> Result<ObjectKind, NuPlanError> {
+    fn category(
+        &mut self,
+        database: &Database,
+        track: &Record<'_>,
+    ) -> Result<ObjectKind, NuPlanError> {
         let token = track.token("category_token")?;
         if let Some(&kind) = self.categories.get(&token) {
             return Ok(kind);
@@ -150,11 +208,19 @@ impl Tracks {
         let kind = database.first(CATEGORY, "WHERE token = ?1", [token], |record| {
             let name = record.text("name")?;
             object_kind(&name).ok_or_else(|| {
-                record
-                    .fault("name", CellFault::Word { got: name.clone(), expected: "one of nuPlan's seven categories" })
+                record.fault(
+                    "name",
+                    CellFault::Word {
+                        got: name.clone(),
+                        expected: "one of nuPlan's seven categories",
+                    },
+                )
             })
         })?;
-        let missing = || CellFault::Dangling { target: token.to_string(), table: "category" };
+        let missing = || CellFault::Dangling {
+            target: token.to_string(),
+            table: "category",
+        };
         let kind = kind.ok_or_else(|| track.fault("category_token", missing()))?;
         self.categories.insert(token, kind);
         Ok(kind)
@@ -180,12 +246,22 @@ fn extent(record: &Record<'_>, column: &'static str) -> Result<f64, NuPlanError>
     if meters > 0.0 {
         Ok(meters)
     } else {
-        Err(record.fault(column, CellFault::Number { got: meters, expected: "meters above 0" }))
+        Err(record.fault(
+            column,
+            CellFault::Number {
+                got: meters,
+                expected: "meters above 0",
+            },
+        ))
     }
 }
 
 /// Velocity of an agent, map frame; NaN where the log has none, for [`velocity::derive_missing`].
 fn logged_velocity(record: &Record<'_>) -> Result<Vector, NuPlanError> {
-    let part = |column| record.maybe_float(column).map(|speed| speed.unwrap_or(f64::NAN));
+    let part = |column| {
+        record
+            .maybe_float(column)
+            .map(|speed| speed.unwrap_or(f64::NAN))
+    };
     Ok(Vector::new(part("vx")?, part("vy")?))
 }

@@ -1,7 +1,9 @@
-//! The universal transverse Mercator projection: between longitude and latitude and the meters of a map.
+//! The universal transverse Mercator projection: between longitude and latitude and the meters of a
+//! map.
 //!
-//! nuPlan's maps store shapes in WGS 84 degrees (EPSG:4326) and name the projection to meters in layer `meta`, key
-//! `projectedCoordSystem`, for example `epsg:32619`. Ego poses and boxes of the logs are in these meters.
+//! nuPlan's maps store shapes in WGS 84 degrees (EPSG:4326) and name the projection to meters in
+//! layer `meta`, key `projectedCoordSystem`, for example `epsg:32619`. Ego poses and boxes of the
+//! logs are in these meters.
 
 use proj4rs::Proj;
 use proj4rs::transform::transform;
@@ -22,11 +24,18 @@ const ZONES: u32 = 60;
 pub enum ProjectionError {
     #[error("'{0}' does not name a coordinate system: expected for example `epsg:32611`")]
     Name(String),
-    #[error("EPSG:{0} is not a UTM zone on WGS 84: expected 32601 to 32660 (north) or 32701 to 32760 (south)")]
+    #[error(
+        "EPSG:{0} is not a UTM zone on WGS 84: expected 32601 to 32660 (north) or 32701 to 32760 (south)"
+    )]
     NotUtm(u32),
     /// The coordinates are degrees or meters, as given.
     #[error("EPSG:{epsg} cannot project ({x}, {y}): {reason}")]
-    Failed { epsg: u32, x: f64, y: f64, reason: String },
+    Failed {
+        epsg: u32,
+        x: f64,
+        y: f64,
+        reason: String,
+    },
 }
 
 /// A zone of the projection on WGS 84.
@@ -45,10 +54,13 @@ impl Utm {
             _ if (SOUTH + 1..=SOUTH + ZONES).contains(&epsg) => (epsg - SOUTH, " +south"),
             _ => return Err(ProjectionError::NotUtm(epsg)),
         };
-        let proj = |text: &str| Proj::from_proj_string(text).map_err(|_| ProjectionError::NotUtm(epsg));
+        let proj =
+            |text: &str| Proj::from_proj_string(text).map_err(|_| ProjectionError::NotUtm(epsg));
         Ok(Self {
             epsg,
-            meters: proj(&format!("+proj=utm +zone={zone}{south} +datum=WGS84 +units=m +no_defs +type=crs"))?,
+            meters: proj(&format!(
+                "+proj=utm +zone={zone}{south} +datum=WGS84 +units=m +no_defs +type=crs"
+            ))?,
             degrees: proj("+proj=longlat +datum=WGS84 +no_defs +type=crs")?,
         })
     }
@@ -71,17 +83,24 @@ impl Utm {
     /// Easting and northing, m, of a longitude and latitude, degrees.
     pub fn to_utm(&self, lon_deg: f64, lat_deg: f64) -> Result<(f64, f64), ProjectionError> {
         let start = (lon_deg.to_radians(), lat_deg.to_radians());
-        project(&self.degrees, &self.meters, start).map_err(|reason| self.failed(lon_deg, lat_deg, reason))
+        project(&self.degrees, &self.meters, start)
+            .map_err(|reason| self.failed(lon_deg, lat_deg, reason))
     }
 
     /// Longitude and latitude, degrees, of an easting and northing, m.
     pub fn to_geographic(&self, x: f64, y: f64) -> Result<(f64, f64), ProjectionError> {
-        let (lon, lat) = project(&self.meters, &self.degrees, (x, y)).map_err(|reason| self.failed(x, y, reason))?;
+        let (lon, lat) = project(&self.meters, &self.degrees, (x, y))
+            .map_err(|reason| self.failed(x, y, reason))?;
         Ok((lon.to_degrees(), lat.to_degrees()))
     }
 
     fn failed(&self, x: f64, y: f64, reason: String) -> ProjectionError {
-        ProjectionError::Failed { epsg: self.epsg, x, y, reason }
+        ProjectionError::Failed {
+            epsg: self.epsg,
+            x,
+            y,
+            reason,
+        }
     }
 }
 
@@ -125,8 +144,14 @@ mod tests {
 
     #[test]
     fn las_vegas_lies_where_its_ego_poses_do() {
-        let (x, y) = Utm::from_epsg(32_611).unwrap().to_utm(-115.17, 36.11).unwrap();
-        assert!((x - 664_713.0).abs() < 0.5 && (y - 3_997_700.0).abs() < 0.5, "{x} {y}");
+        let (x, y) = Utm::from_epsg(32_611)
+            .unwrap()
+            .to_utm(-115.17, 36.11)
+            .unwrap();
+        assert!(
+            (x - 664_713.0).abs() < 0.5 && (y - 3_997_700.0).abs() < 0.5,
+            "{x} {y}"
+        );
     }
 
     #[test]
@@ -138,7 +163,13 @@ mod tests {
             let utm = Utm::from_epsg(sample.epsg).unwrap();
             let (x, y) = utm.to_utm(sample.lon, sample.lat).unwrap();
             let off = (x - sample.x).hypot(y - sample.y);
-            assert!(off < 1e-6, "EPSG:{} ({}, {}): {off} m", sample.epsg, sample.lon, sample.lat);
+            assert!(
+                off < 1e-6,
+                "EPSG:{} ({}, {}): {off} m",
+                sample.epsg,
+                sample.lon,
+                sample.lat
+            );
         }
     }
 
@@ -148,17 +179,36 @@ mod tests {
             assert_eq!(Utm::from_epsg(epsg), Err(ProjectionError::NotUtm(epsg)));
         }
         assert_eq!(Utm::from_name("EPSG:32619").unwrap().epsg(), 32_619);
-        assert_eq!(Utm::from_name("epsg:32733").unwrap().to_string(), "epsg:32733");
-        for name in ["", "32619", "epsg:", "epsg:32619.0", "esri:32619", "epsg:-1"] {
-            assert_eq!(Utm::from_name(name), Err(ProjectionError::Name(name.to_owned())), "{name}");
+        assert_eq!(
+            Utm::from_name("epsg:32733").unwrap().to_string(),
+            "epsg:32733"
+        );
+        for name in [
+            "",
+            "32619",
+            "epsg:",
+            "epsg:32619.0",
+            "esri:32619",
+            "epsg:-1",
+        ] {
+            assert_eq!(
+                Utm::from_name(name),
+                Err(ProjectionError::Name(name.to_owned())),
+                "{name}"
+            );
         }
     }
 
     #[test]
     fn what_is_not_finite_fails() {
         let utm = Utm::from_epsg(32_611).unwrap();
-        for (x, y) in [(f64::NAN, 0.0), (0.0, f64::NAN), (f64::INFINITY, 0.0), (0.0, f64::NEG_INFINITY), (1e300, 1e300)]
-        {
+        for (x, y) in [
+            (f64::NAN, 0.0),
+            (0.0, f64::NAN),
+            (f64::INFINITY, 0.0),
+            (0.0, f64::NEG_INFINITY),
+            (1e300, 1e300),
+        ] {
             assert!(utm.to_utm(x, y).is_err(), "({x}, {y})");
             assert!(utm.to_geographic(x, y).is_err(), "({x}, {y})");
         }

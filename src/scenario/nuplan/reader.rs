@@ -1,14 +1,17 @@
-//! nuPlan's logs in the registry of readers: words that name a log or one of its scenarios, and splits.
+//! nuPlan's logs in the registry of readers: words that name a log or one of its scenarios, and
+//! splits.
 
 use super::error::FileFault;
 use super::logs::UnreadableLog;
 use super::search::{SearchResult, search, tag_types};
 use super::split::{self, SplitError};
 use super::{
-    Exclusion, Exclusions, LogScenario, Logs, MAX_FOLDER_DEPTH, MapStore, NuPlanError, ScenarioFilter, THRESHOLD_KEY,
-    ThresholdScope, Token, TokenError, open,
+    Exclusion, Exclusions, LogScenario, Logs, MAX_FOLDER_DEPTH, MapStore, NuPlanError,
+    ScenarioFilter, THRESHOLD_KEY, ThresholdScope, Token, TokenError, open,
 };
-use crate::{DataRoots, OnProgress, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef, Split};
+use crate::{
+    DataRoots, OnProgress, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef, Split,
+};
 use planagent_files::{path_of, word_of};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -17,10 +20,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 const LOG_ENDING: &str = ".db";
 /// Separates a log from the token of one of its scenarios.
 const TOKEN_MARK: char = '#';
-/// Minimum time between the starts of tagged scenarios of one type in one log, s: as in nuPlan's challenge.
+/// Minimum time between the starts of tagged scenarios of one type in one log, s: as in nuPlan's
+/// challenge.
 const MIN_SPACING_S: f64 = 15.0;
 
-/// Takes words of the form `LOG.db` or `LOG.db#TOKEN`, folders of logs, published splits and filter files.
+/// Takes words of the form `LOG.db` or `LOG.db#TOKEN`, folders of logs, published splits and filter
+/// files.
 #[derive(Debug)]
 pub struct NuPlanReader {
     roots: DataRoots,
@@ -41,18 +46,29 @@ pub enum LogWordError {
     #[error("{}: no scenario {token}: the log does not hold it", path.display())]
     Absent { path: PathBuf, token: Token },
     #[error("{}: no scenario {token}: {exclusion}", path.display())]
-    Excluded { path: PathBuf, token: Token, exclusion: Exclusion },
+    Excluded {
+        path: PathBuf,
+        token: Token,
+        exclusion: Exclusion,
+    },
     #[error("{}: no row has a scenario tag; name one as FILE.db{TOKEN_MARK}TOKEN", .0.display())]
     NoTags(PathBuf),
     #[error("{}: no scenario found: {exclusions}", path.display())]
-    NothingFound { path: PathBuf, exclusions: Exclusions },
+    NothingFound {
+        path: PathBuf,
+        exclusions: Exclusions,
+    },
 }
 
 impl NuPlanReader {
     /// The data below these folders; nothing is read yet.
     pub fn new(roots: DataRoots) -> Self {
         let maps = Arc::new(MapStore::new(roots.maps.clone()));
-        Self { roots, maps, notes: Mutex::default() }
+        Self {
+            roots,
+            maps,
+            notes: Mutex::default(),
+        }
     }
 
     /// The scenarios of a log: the named one, else the tagged ones.
@@ -62,13 +78,25 @@ impl NuPlanReader {
         if !path.exists() {
             return Err(LogWordError::NoLog(path.to_owned()));
         }
-        let Some(token) = token else { return self.tagged(&Logs::under(path)?, path) };
-        let token: Token = token.parse().map_err(|source| LogWordError::Token { word: word.to_owned(), source })?;
-        let filter = ScenarioFilter { scenario_tokens: Some(vec![token]), ..ScenarioFilter::default() };
+        let Some(token) = token else {
+            return self.tagged(&Logs::under(path)?, path);
+        };
+        let token: Token = token.parse().map_err(|source| LogWordError::Token {
+            word: word.to_owned(),
+            source,
+        })?;
+        let filter = ScenarioFilter {
+            scenario_tokens: Some(vec![token]),
+            ..ScenarioFilter::default()
+        };
         let result = search(&Logs::under(path)?.logs, &filter, &self.maps, &|_, _| {})?;
         let path = path.to_owned();
         match result.excluded.first() {
-            Some(&(token, exclusion)) => Err(LogWordError::Excluded { path, token, exclusion }),
+            Some(&(token, exclusion)) => Err(LogWordError::Excluded {
+                path,
+                token,
+                exclusion,
+            }),
             None if result.scenarios.is_empty() => Err(LogWordError::Absent { path, token }),
             None => Ok(self.references(result.scenarios)),
         }
@@ -77,12 +105,15 @@ impl NuPlanReader {
     /// The tagged scenarios of all logs in a folder; none when it holds no log.
     fn in_folder(&self, folder: &Path) -> Result<Vec<ScenarioRef>, LogWordError> {
         match Logs::under(folder) {
-            Err(NuPlanError::File { fault, .. }) if matches!(*fault, FileFault::NoLogs) => Ok(Vec::new()),
+            Err(NuPlanError::File { fault, .. }) if matches!(*fault, FileFault::NoLogs) => {
+                Ok(Vec::new())
+            }
             logs => self.tagged(&logs?, folder),
         }
     }
 
-    /// Tagged scenarios at least 15 s apart, log by log and type by type; then the logs that cannot be read.
+    /// Tagged scenarios at least 15 s apart, log by log and type by type; then the logs that cannot
+    /// be read.
     fn tagged(&self, logs: &Logs, path: &Path) -> Result<Vec<ScenarioRef>, LogWordError> {
         let types = tag_types(&logs.logs)?;
         if types.is_empty() {
@@ -94,12 +125,23 @@ impl NuPlanReader {
             threshold_scope: ThresholdScope::EachLog,
             ..ScenarioFilter::default()
         };
-        let SearchResult { scenarios, exclusions, unreadable, .. } =
-            search(&logs.logs, &filter, &self.maps, &|_, _| {})?;
+        let SearchResult {
+            scenarios,
+            exclusions,
+            unreadable,
+            ..
+        } = search(&logs.logs, &filter, &self.maps, &|_, _| {})?;
         if scenarios.is_empty() {
-            return Err(LogWordError::NothingFound { path: path.to_owned(), exclusions });
+            return Err(LogWordError::NothingFound {
+                path: path.to_owned(),
+                exclusions,
+            });
         }
-        self.note(logs.notes.iter().map(|note| format!("{}: {note}", path.display())));
+        self.note(
+            logs.notes
+                .iter()
+                .map(|note| format!("{}: {note}", path.display())),
+        );
         let close = exclusions.by(THRESHOLD_KEY);
         self.note((close > 0).then(|| {
             format!(
@@ -113,33 +155,55 @@ impl NuPlanReader {
         Ok(references)
     }
 
-    fn split_named(&self, name: &str, on_progress: OnProgress<'_>) -> Option<Result<Split, SplitError>> {
+    fn split_named(
+        &self,
+        name: &str,
+        on_progress: OnProgress<'_>,
+    ) -> Option<Result<Split, SplitError>> {
         let list = match split::open(name)? {
             Ok(list) => list,
             Err(error) => return Some(Err(error)),
         };
-        Some(Logs::of_root(&self.roots).map_err(SplitError::from).and_then(|Logs { logs, notes }| {
-            let mut result = search(&logs, &list.filter, &self.maps, on_progress)?;
-            let scenarios = self.references(std::mem::take(&mut result.scenarios));
-            let unreadable = std::mem::take(&mut result.unreadable).into_iter().map(unreadable_reference).collect();
-            list.noting(notes).split(result, scenarios, unreadable)
-        }))
+        Some(
+            Logs::of_root(&self.roots)
+                .map_err(SplitError::from)
+                .and_then(|Logs { logs, notes }| {
+                    let mut result = search(&logs, &list.filter, &self.maps, on_progress)?;
+                    let scenarios = self.references(std::mem::take(&mut result.scenarios));
+                    let unreadable = std::mem::take(&mut result.unreadable)
+                        .into_iter()
+                        .map(unreadable_reference)
+                        .collect();
+                    list.noting(notes).split(result, scenarios, unreadable)
+                }),
+        )
     }
 
     fn note(&self, notes: impl IntoIterator<Item = String>) {
-        self.notes.lock().unwrap_or_else(PoisonError::into_inner).extend(notes);
+        self.notes
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .extend(notes);
     }
 
     fn references(&self, scenarios: Vec<LogScenario>) -> Vec<ScenarioRef> {
         let reference = |scenario: LogScenario| {
             let (log, token) = (scenario.log.clone(), scenario.token.to_string());
-            let (word, scenario_type) =
-                (format!("{}{TOKEN_MARK}{token}", word_of(log.path.as_os_str())), scenario.scenario_type.clone());
-            ScenarioRef::new(word, InLog { scenario, maps: self.maps.clone() })
-                .with_id(token.clone())
-                .with_type(scenario_type)
-                .with_log_name(log.name.clone())
-                .in_file(log.path.clone(), token)
+            let (word, scenario_type) = (
+                format!("{}{TOKEN_MARK}{token}", word_of(log.path.as_os_str())),
+                scenario.scenario_type.clone(),
+            );
+            ScenarioRef::new(
+                word,
+                InLog {
+                    scenario,
+                    maps: self.maps.clone(),
+                },
+            )
+            .with_id(token.clone())
+            .with_type(scenario_type)
+            .with_log_name(log.name.clone())
+            .in_file(log.path.clone(), token)
         };
         scenarios.into_iter().map(reference).collect()
     }
@@ -151,12 +215,18 @@ impl ScenarioReader for NuPlanReader {
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
-        let listed = if self.recognizes(word) { self.in_log(word) } else { self.in_folder(&path_of(word)) };
+        let listed = if self.recognizes(word) {
+            self.in_log(word)
+        } else {
+            self.in_folder(&path_of(word))
+        };
         listed.map_err(ReaderError::new)
     }
 
     fn looks_for(&self) -> Option<String> {
-        Some(format!("nuPlan logs (*{LOG_ENDING}) down to {MAX_FOLDER_DEPTH} folders below"))
+        Some(format!(
+            "nuPlan logs (*{LOG_ENDING}) down to {MAX_FOLDER_DEPTH} folders below"
+        ))
     }
 
     fn splits(&self) -> Vec<&'static str> {
@@ -164,11 +234,13 @@ impl ScenarioReader for NuPlanReader {
     }
 
     fn split(&self, name: &str, on_progress: OnProgress<'_>) -> Option<Result<Split, ReaderError>> {
-        self.split_named(name, on_progress).map(|split| split.map_err(ReaderError::new))
+        self.split_named(name, on_progress)
+            .map(|split| split.map_err(ReaderError::new))
     }
 
     fn take_notes(&self) -> Vec<String> {
-        let mut notes = std::mem::take(&mut *self.notes.lock().unwrap_or_else(PoisonError::into_inner));
+        let mut notes =
+            std::mem::take(&mut *self.notes.lock().unwrap_or_else(PoisonError::into_inner));
         notes.extend(self.maps.take_notes());
         notes
     }
@@ -186,12 +258,18 @@ impl OpenScenario for InLog {
     }
 
     fn check(&self) -> Result<(), ReaderError> {
-        self.maps.check(&self.scenario.map_name).map(|_| ()).map_err(ReaderError::new)
+        self.maps
+            .check(&self.scenario.map_name)
+            .map(|_| ())
+            .map_err(ReaderError::new)
     }
 
     fn files(&self) -> Vec<PathBuf> {
         let map = self.maps.check(&self.scenario.map_name).ok();
-        [self.scenario.log.path.clone()].into_iter().chain(map).collect()
+        [self.scenario.log.path.clone()]
+            .into_iter()
+            .chain(map)
+            .collect()
     }
 }
 

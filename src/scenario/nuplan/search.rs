@@ -30,8 +30,8 @@ pub struct SearchResult {
     pub unreadable: Vec<UnreadableLog>,
 }
 
-/// Finds the scenarios of a filter in logs, in parallel. Fails when no log can be read, when two logs hold the same scenario, or
-/// when a map or file that a filter needs cannot be read.
+/// Finds the scenarios of a filter in logs, in parallel. Fails when no log can be read, when two
+/// logs hold the same scenario, or when a map or file that a filter needs cannot be read.
 pub fn search(
     logs: &[Arc<Log>],
     filter: &ScenarioFilter,
@@ -58,7 +58,10 @@ pub fn search(
                 continue;
             }
             Err(error) => {
-                result.unreadable.push(UnreadableLog { log: log.clone(), cause: error.to_string() });
+                result.unreadable.push(UnreadableLog {
+                    log: log.clone(),
+                    cause: error.to_string(),
+                });
                 first_error.get_or_insert(error);
                 continue;
             }
@@ -67,10 +70,19 @@ pub fn search(
         for (exclusion, count) in in_log.counts {
             *result.exclusions.rows.entry(exclusion).or_default() += count;
         }
-        for token in in_log.scenarios.iter().map(|f| f.token).chain(in_log.excluded.iter().map(|(token, _)| *token)) {
+        for token in in_log
+            .scenarios
+            .iter()
+            .map(|f| f.token)
+            .chain(in_log.excluded.iter().map(|(token, _)| *token))
+        {
             if let Some(first) = held.insert(token, log) {
                 let (first, second) = (first.path.clone(), log.path.clone());
-                return Err(NuPlanError::TwoLogs { token, first, second });
+                return Err(NuPlanError::TwoLogs {
+                    token,
+                    first,
+                    second,
+                });
             }
         }
         found.extend(in_log.scenarios);
@@ -79,7 +91,10 @@ pub fn search(
     if let Some(error) = first_error.filter(|_| result.exclusions.logs == 0) {
         return Err(error);
     }
-    let Filtered { kept, excluded: filtered } = filter_steps::apply(found, filter, maps)?;
+    let Filtered {
+        kept,
+        excluded: filtered,
+    } = filter_steps::apply(found, filter, maps)?;
     for (_, exclusion) in &filtered {
         *result.exclusions.rows.entry(*exclusion).or_default() += 1;
     }
@@ -88,13 +103,16 @@ pub fn search(
         excluded.extend(filtered);
         result.excluded = excluded.into_iter().collect();
         let wanted: BTreeSet<Token> = wanted.iter().copied().collect();
-        result.absent = wanted.into_iter().filter(|token| !held.contains_key(token)).collect();
+        result.absent = wanted
+            .into_iter()
+            .filter(|token| !held.contains_key(token))
+            .collect();
     }
     Ok(result)
 }
 
-/// All types among the tags of these logs, in alphabetical order. Logs that cannot be read are skipped, unless all are:
-/// [`search`] reports them.
+/// All types among the tags of these logs, in alphabetical order. Logs that cannot be read are
+/// skipped, unless all are: [`search`] reports them.
 pub fn tag_types(logs: &[Arc<Log>]) -> Result<Vec<String>, NuPlanError> {
     let of_log = |log: &Arc<Log>| {
         let tags = tags(&log.open()?, None)?;
@@ -102,9 +120,18 @@ pub fn tag_types(logs: &[Arc<Log>]) -> Result<Vec<String>, NuPlanError> {
     };
     let read: Vec<Result<BTreeSet<String>, NuPlanError>> = logs.par_iter().map(of_log).collect();
     if read.iter().all(Result::is_err) {
-        return read.into_iter().collect::<Result<Vec<_>, _>>().map(|_| Vec::new());
+        return read
+            .into_iter()
+            .collect::<Result<Vec<_>, _>>()
+            .map(|_| Vec::new());
     }
-    Ok(read.into_iter().flatten().flatten().collect::<BTreeSet<String>>().into_iter().collect())
+    Ok(read
+        .into_iter()
+        .flatten()
+        .flatten()
+        .collect::<BTreeSet<String>>()
+        .into_iter()
+        .collect())
 }
 
 /// The scenarios of a filter in one log.
@@ -125,10 +152,13 @@ struct Candidate {
     scene: Option<Token>,
 }
 
-/// nuPlan's scenario query on one log: all rows of a valid scene that pass the filter, in order of time. `None` for a log that
-/// the filter does not name.
+/// nuPlan's scenario query on one log: all rows of a valid scene that pass the filter, in order of
+/// time. `None` for a log that the filter does not name.
 fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<Option<InLog>, NuPlanError> {
-    let named = filter.log_names.as_ref().is_none_or(|names| names.contains(&log.name));
+    let named = filter
+        .log_names
+        .as_ref()
+        .is_none_or(|names| names.contains(&log.name));
     if !named && filter.scenario_tokens.is_none() {
         return Ok(None);
     }
@@ -151,7 +181,12 @@ fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<Option<InLog>, 
             Some(Exclusion::SceneAtEdge)
         } else if filter.scenario_types.is_some() && tag.is_none() {
             Some(Exclusion::OtherType)
-        } else if map_name.is_some_and(|map| filter.map_names.as_ref().is_some_and(|names| !names.contains(map))) {
+        } else if map_name.is_some_and(|map| {
+            filter
+                .map_names
+                .as_ref()
+                .is_some_and(|names| !names.contains(map))
+        }) {
             Some(Exclusion::OtherMap)
         } else if filter.remove_invalid_goals && !scene.is_some_and(|scene| scene.has_goal) {
             Some(Exclusion::NoGoal)
@@ -198,11 +233,20 @@ fn candidates(database: &Database, filter: &ScenarioFilter) -> Result<Vec<Candid
         Some(tokens) => {
             let wanted: BTreeSet<Token> = tokens.iter().copied().collect();
             database.each(LIDAR_PC, "", [], |record| {
-                if wanted.contains(&record.token("token")?) { take(record) } else { Ok(()) }
+                if wanted.contains(&record.token("token")?) {
+                    take(record)
+                } else {
+                    Ok(())
+                }
             })?;
         }
         None if filter.scenario_types.is_some() => {
-            database.each(LIDAR_PC, "WHERE token IN (SELECT lidar_pc_token FROM scenario_tag)", [], &mut take)?;
+            database.each(
+                LIDAR_PC,
+                "WHERE token IN (SELECT lidar_pc_token FROM scenario_tag)",
+                [],
+                &mut take,
+            )?;
         }
         None => database.each(LIDAR_PC, "", [], &mut take)?,
     }
@@ -211,10 +255,15 @@ fn candidates(database: &Database, filter: &ScenarioFilter) -> Result<Vec<Candid
 }
 
 /// The alphabetically last of the wanted types of each tagged row.
-fn tags(database: &Database, types: Option<&[String]>) -> Result<BTreeMap<Token, String>, NuPlanError> {
+fn tags(
+    database: &Database,
+    types: Option<&[String]>,
+) -> Result<BTreeMap<Token, String>, NuPlanError> {
     let mut tags: BTreeMap<Token, String> = BTreeMap::new();
     database.each(SCENARIO_TAG, "", [], |record| {
-        let Some(name) = record.maybe_text("type")? else { return Ok(()) };
+        let Some(name) = record.maybe_text("type")? else {
+            return Ok(());
+        };
         if types.is_none_or(|types| types.contains(&name)) {
             let tag = tags.entry(record.token("lidar_pc_token")?).or_default();
             if *tag < name {
@@ -236,18 +285,29 @@ struct SceneState {
 fn scenes(database: &Database) -> Result<BTreeMap<Token, SceneState>, NuPlanError> {
     let mut rows: Vec<(Token, Option<Token>)> = Vec::new();
     database.each(SCENE, "ORDER BY name ASC, scene.rowid", [], |record| {
-        rows.push((record.token("token")?, record.maybe_token("goal_ego_pose_token")?));
+        rows.push((
+            record.token("token")?,
+            record.maybe_token("goal_ego_pose_token")?,
+        ));
         Ok(())
     })?;
     let count = rows.len();
     let mut scenes = BTreeMap::new();
     for (place, (token, goal)) in rows.into_iter().enumerate() {
         let has_goal = match goal {
-            Some(goal) => database.first(EGO_POSE, "WHERE token = ?1", [goal], |_| Ok(()))?.is_some(),
+            Some(goal) => database
+                .first(EGO_POSE, "WHERE token = ?1", [goal], |_| Ok(()))?
+                .is_some(),
             None => false,
         };
         let number = place + 1;
-        scenes.insert(token, SceneState { is_valid: number >= 3 && number + 1 < count, has_goal });
+        scenes.insert(
+            token,
+            SceneState {
+                is_valid: number >= 3 && number + 1 < count,
+                has_goal,
+            },
+        );
     }
     Ok(scenes)
 }

@@ -1,8 +1,9 @@
 //! Indices for logs that lack them, in files of their own.
 //!
-//! Official logs need not have an index on `lidar_box (lidar_pc_token)`; without one every frame would read the whole table. The
-//! user's files are never written. An index is a small database in the cache folder, named by path, size and modification time
-//! of the log, so that a changed log gets a new one. It gets its name only when it is complete.
+//! Official logs need not have an index on `lidar_box (lidar_pc_token)`; without one every frame
+//! would read the whole table. The user's files are never written. An index is a small database in
+//! the cache folder, named by path, size and modification time of the log, so that a changed log
+//! gets a new one. It gets its name only when it is complete.
 
 use super::database::{Database, harden, immutable_uri};
 use super::error::{FileFault, NuPlanError};
@@ -20,8 +21,12 @@ const VERSION: u32 = 1;
 /// Ending of the files.
 const ENDING: &str = "index";
 /// The tables that each frame searches, and the column.
-const SEARCHED: [(Table, &str); 4] =
-    [(LIDAR_BOX, "lidar_pc_token"), (TRAFFIC_LIGHT_STATUS, "lidar_pc_token"), (EGO_POSE, "token"), (TRACK, "token")];
+const SEARCHED: [(Table, &str); 4] = [
+    (LIDAR_BOX, "lidar_pc_token"),
+    (TRAFFIC_LIGHT_STATUS, "lidar_pc_token"),
+    (EGO_POSE, "token"),
+    (TRACK, "token"),
+];
 
 /// The folder of the indices.
 #[derive(Debug)]
@@ -44,7 +49,8 @@ pub(super) struct LogIndex {
 }
 
 impl LogIndex {
-    /// The query that finds the rows of a table by a column: with our index, else with the table's own.
+    /// The query that finds the rows of a table by a column: with our index, else with the table's
+    /// own.
     pub(super) fn search(&self, table: Table, column: &str) -> String {
         let (name, schema) = (table.name, self.schema);
         let select = table.select();
@@ -62,12 +68,19 @@ impl LogIndex {
 impl SideIndices {
     /// Indices in `$PLANAGENT_CACHE`, else in the cache folder of the platform.
     pub(super) fn new(folder: Option<PathBuf>) -> Self {
-        Self { folder, building: Mutex::default() }
+        Self {
+            folder,
+            building: Mutex::default(),
+        }
     }
 
-    /// Attaches a file with the indices that the log lacks. Where no file can be written, the rows between two times, µs, are
-    /// indexed in memory.
-    pub(super) fn attach(&self, log: &Database, times: (i64, i64)) -> Result<LogIndex, NuPlanError> {
+    /// Attaches a file with the indices that the log lacks. Where no file can be written, the rows
+    /// between two times, µs, are indexed in memory.
+    pub(super) fn attach(
+        &self,
+        log: &Database,
+        times: (i64, i64),
+    ) -> Result<LogIndex, NuPlanError> {
         let mut missing = Vec::new();
         for (table, column) in SEARCHED {
             if !log.is_indexed(table.name, column)? {
@@ -79,7 +92,9 @@ impl SideIndices {
         }
         match self.file_for(log, &missing) {
             Ok(file) => {
-                let attached = log.connection.execute("ATTACH DATABASE ?1 AS side", [immutable_uri(&file)]);
+                let attached = log
+                    .connection
+                    .execute("ATTACH DATABASE ?1 AS side", [immutable_uri(&file)]);
                 attached.map_err(|source| log.failed("the attached index", source))?;
                 Ok(LogIndex {
                     aside: missing.into_iter().map(|(table, _)| table).collect(),
@@ -102,8 +117,15 @@ impl SideIndices {
         }
     }
 
-    fn file_for(&self, log: &Database, missing: &[(&'static str, &'static str)]) -> Result<PathBuf, IndexError> {
-        let folder = self.folder.as_deref().ok_or_else(|| IndexError::Cache("no cache folder is known".to_owned()))?;
+    fn file_for(
+        &self,
+        log: &Database,
+        missing: &[(&'static str, &'static str)],
+    ) -> Result<PathBuf, IndexError> {
+        let folder = self
+            .folder
+            .as_deref()
+            .ok_or_else(|| IndexError::Cache("no cache folder is known".to_owned()))?;
         let (stem, name) = file_name(&log.path).map_err(IndexError::Log)?;
         let file = folder.join(&name);
         let lock = {
@@ -112,7 +134,8 @@ impl SideIndices {
         };
         let _building = lock.lock().unwrap_or_else(PoisonError::into_inner);
         if !is_complete(&file, missing) {
-            fs::create_dir_all(folder).map_err(|e| IndexError::Cache(format!("{}: {e}", folder.display())))?;
+            fs::create_dir_all(folder)
+                .map_err(|e| IndexError::Cache(format!("{}: {e}", folder.display())))?;
             build(log, missing, &file)?;
             remove_stale(folder, &stem, &name);
         }
@@ -121,14 +144,21 @@ impl SideIndices {
 }
 
 /// Indexes in memory the rows between two times, µs.
-fn remember(log: &Database, missing: &[(&'static str, &'static str)], times: (i64, i64)) -> Result<(), NuPlanError> {
+fn remember(
+    log: &Database,
+    missing: &[(&'static str, &'static str)],
+    times: (i64, i64),
+) -> Result<(), NuPlanError> {
     let run = |query: &str| log.connection.execute_batch(query);
-    run("PRAGMA temp_store = MEMORY").map_err(|source| log.failed("the index in memory", source))?;
+    run("PRAGMA temp_store = MEMORY")
+        .map_err(|source| log.failed("the index in memory", source))?;
     for (table, column) in missing {
         let name = format!("{table}_{column}");
         let wanted = if *column == "lidar_pc_token" {
             let (from, to) = times;
-            format!("IN (SELECT token FROM lidar_pc WHERE timestamp >= {from} AND timestamp <= {to})")
+            format!(
+                "IN (SELECT token FROM lidar_pc WHERE timestamp >= {from} AND timestamp <= {to})"
+            )
         } else {
             "IS NOT NULL".to_owned()
         };
@@ -144,7 +174,9 @@ fn remember(log: &Database, missing: &[(&'static str, &'static str)], times: (i6
 
 /// The query that creates an index.
 fn created(schema: &str, name: &str) -> String {
-    format!("CREATE TABLE {schema}.{name} (key BLOB, number INTEGER, PRIMARY KEY (key, number)) WITHOUT ROWID")
+    format!(
+        "CREATE TABLE {schema}.{name} (key BLOB, number INTEGER, PRIMARY KEY (key, number)) WITHOUT ROWID"
+    )
 }
 
 /// Why there is no index.
@@ -160,33 +192,64 @@ fn file_name(log: &Path) -> Result<(String, String), NuPlanError> {
     let io = |source| NuPlanError::file(log, FileFault::Open(source));
     let real = fs::canonicalize(log).map_err(io)?;
     let file = fs::metadata(&real).map_err(io)?;
-    let modified = file.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok()).unwrap_or_default();
+    let modified = file
+        .modified()
+        .ok()
+        .and_then(|time| time.duration_since(UNIX_EPOCH).ok())
+        .unwrap_or_default();
     let stem = blake3::hash(real.as_os_str().as_encoded_bytes()).to_hex();
-    let stem = stem.get(..24).expect("a digest has 64 hexadecimal digits").to_owned();
-    let name = format!("{stem}-{}-{}.{VERSION}.{ENDING}", file.len(), modified.as_nanos());
+    let stem = stem
+        .get(..24)
+        .expect("a digest has 64 hexadecimal digits")
+        .to_owned();
+    let name = format!(
+        "{stem}-{}-{}.{VERSION}.{ENDING}",
+        file.len(),
+        modified.as_nanos()
+    );
     Ok((stem, name))
 }
 
 /// Whether a file is complete and holds all missing indices.
 fn is_complete(file: &Path, missing: &[(&str, &str)]) -> bool {
-    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let Ok(index) = Connection::open_with_flags(immutable_uri(file), flags) else { return false };
-    let number = |query: &str, name: &str| index.query_row(query, [name], |row| row.get::<_, i64>(0)).ok();
-    let length = number("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size WHERE ?1 = ''", "");
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
+        | OpenFlags::SQLITE_OPEN_URI
+        | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let Ok(index) = Connection::open_with_flags(immutable_uri(file), flags) else {
+        return false;
+    };
+    let number = |query: &str, name: &str| {
+        index
+            .query_row(query, [name], |row| row.get::<_, i64>(0))
+            .ok()
+    };
+    let length = number(
+        "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size WHERE ?1 = ''",
+        "",
+    );
     let holds = |(table, column): &(&str, &str)| {
-        number("SELECT 1 FROM complete WHERE name = ?1", &format!("{table}_{column}")).is_some()
+        number(
+            "SELECT 1 FROM complete WHERE name = ?1",
+            &format!("{table}_{column}"),
+        )
+        .is_some()
     };
     length.is_some_and(|length| fs::metadata(file).is_ok_and(|found| found.len() as i64 == length))
         && missing.iter().all(holds)
 }
 
-fn build(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) -> Result<(), IndexError> {
+fn build(
+    log: &Database,
+    missing: &[(&'static str, &'static str)],
+    file: &Path,
+) -> Result<(), IndexError> {
     /// Distinguishes the files that threads of this process write.
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
     let unfinished = file.with_extension(format!("{}-{number}.tmp", std::process::id()));
     let written = write(log, missing, &unfinished).and_then(|()| {
-        fs::rename(&unfinished, file).map_err(|e| IndexError::Cache(format!("{}: {e}", file.display())))
+        fs::rename(&unfinished, file)
+            .map_err(|e| IndexError::Cache(format!("{}: {e}", file.display())))
     });
     if written.is_err() {
         // Should the removal fail as well, the first error matters.
@@ -195,38 +258,58 @@ fn build(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) 
     written
 }
 
-fn write(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) -> Result<(), IndexError> {
-    let cache = |source: rusqlite::Error| IndexError::Cache(format!("{}: {source}", file.display()));
+fn write(
+    log: &Database,
+    missing: &[(&'static str, &'static str)],
+    file: &Path,
+) -> Result<(), IndexError> {
+    let cache =
+        |source: rusqlite::Error| IndexError::Cache(format!("{}: {source}", file.display()));
     let mut index = Connection::open(file).map_err(cache)?;
     index
-        .execute_batch("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA temp_store = MEMORY;")
+        .execute_batch(
+            "PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA temp_store = MEMORY;",
+        )
         .map_err(cache)?;
-    index.execute("ATTACH DATABASE ?1 AS log", [immutable_uri(&log.path)]).map_err(cache)?;
-    index.execute_batch("CREATE TABLE complete (name TEXT PRIMARY KEY)").map_err(cache)?;
+    index
+        .execute("ATTACH DATABASE ?1 AS log", [immutable_uri(&log.path)])
+        .map_err(cache)?;
+    index
+        .execute_batch("CREATE TABLE complete (name TEXT PRIMARY KEY)")
+        .map_err(cache)?;
     let bytes = fs::metadata(&log.path)
         .map_err(|source| IndexError::Log(NuPlanError::file(&log.path, FileFault::Open(source))))?;
     harden(&mut index, bytes.len()).map_err(cache)?;
     for (table, column) in missing {
         let name = format!("{table}_{column}");
-        index.execute_batch(&created("main", &name)).map_err(cache)?;
+        index
+            .execute_batch(&created("main", &name))
+            .map_err(cache)?;
         // A row with NULL in the column belongs to no frame.
         let filled = format!(
             "INSERT INTO {name} SELECT \"{column}\", rowid FROM log.{table} WHERE \"{column}\" IS NOT NULL ORDER BY 1, 2"
         );
-        index.execute(&filled, []).map_err(|source| match source.sqlite_error_code() {
-            Some(rusqlite::ErrorCode::DatabaseCorrupt | rusqlite::ErrorCode::OperationInterrupted) => {
-                IndexError::Log(log.failed(table, source))
-            }
-            _ => cache(source),
-        })?;
-        index.execute("INSERT INTO complete VALUES (?1)", [name]).map_err(cache)?;
+        index
+            .execute(&filled, [])
+            .map_err(|source| match source.sqlite_error_code() {
+                Some(
+                    rusqlite::ErrorCode::DatabaseCorrupt
+                    | rusqlite::ErrorCode::OperationInterrupted,
+                ) => IndexError::Log(log.failed(table, source)),
+                _ => cache(source),
+            })?;
+        index
+            .execute("INSERT INTO complete VALUES (?1)", [name])
+            .map_err(cache)?;
     }
     index.close().map_err(|(_, source)| cache(source))
 }
 
 /// Removes the indices of former states of a log, as far as possible.
 fn remove_stale(folder: &Path, stem: &str, current: &str) {
-    let Ok(entries) = fs::read_dir(folder) else { return };
+    let Ok(entries) = fs::read_dir(folder) else {
+        return;
+    };
     for entry in entries.flatten() {
         let name = entry.file_name();
         let name = name.to_string_lossy();

@@ -38,7 +38,9 @@ impl FromStr for Token {
         if text.len() != 2 * TOKEN_BYTES || !text.bytes().all(|b| b.is_ascii_hexdigit()) {
             return Err(wrong());
         }
-        u64::from_str_radix(text, 16).map(|number| Self(number.to_be_bytes())).map_err(|_| wrong())
+        u64::from_str_radix(text, 16)
+            .map(|number| Self(number.to_be_bytes()))
+            .map_err(|_| wrong())
     }
 }
 
@@ -69,9 +71,18 @@ mod tests {
     #[test]
     fn a_token_is_sixteen_hexadecimal_digits() {
         let token: Token = "0488dbdf03b55f00".parse().unwrap();
-        assert_eq!(token.bytes(), &[0x04, 0x88, 0xdb, 0xdf, 0x03, 0xb5, 0x5f, 0x00]);
+        assert_eq!(
+            token.bytes(),
+            &[0x04, 0x88, 0xdb, 0xdf, 0x03, 0xb5, 0x5f, 0x00]
+        );
         assert_eq!(token.to_string(), "0488dbdf03b55f00");
-        for wrong in ["", "0488dbdf03b55f0", "0488dbdf03b55f000", "0488dbdf03b55f0g", "+488dbdf03b55f00"] {
+        for wrong in [
+            "",
+            "0488dbdf03b55f0",
+            "0488dbdf03b55f000",
+            "0488dbdf03b55f0g",
+            "+488dbdf03b55f00",
+        ] {
             assert_eq!(wrong.parse::<Token>(), Err(TokenError(wrong.to_owned())));
         }
     }

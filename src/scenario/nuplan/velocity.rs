@@ -1,5 +1,6 @@
-//! Velocities that a log lacks, from the positions of the track. nuPlan's tables allow NULL. A program that takes it for a
-//! number, or for standing still, judges traffic that the log does not hold.
+//! Velocities that a log lacks, from the positions of the track. nuPlan's tables allow NULL. A
+//! program that takes it for a number, or for standing still, judges traffic that the log does not
+//! hold.
 
 use crate::Frame;
 use planagent_world::geometry::{Point, Vector};
@@ -7,7 +8,8 @@ use planagent_world::{MICROS_PER_SECOND, TrackToken};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Longest time between the two positions of a velocity, s. Over a longer one the track may have turned.
+/// Longest time between the two positions of a velocity, s. Over a longer one the track may have
+/// turned.
 const MAX_SPAN_S: f64 = 1.0;
 
 /// A track in a frame.
@@ -18,32 +20,52 @@ struct Sighted {
     center: Point,
 }
 
-/// Sets the velocities that are NaN: the change of position between the frames before and after, at the ends of a track
-/// between the frame and its neighbor; zero for a track of one frame. Gives their number.
+/// Sets the velocities that are NaN: the change of position between the frames before and after, at
+/// the ends of a track between the frame and its neighbor; zero for a track of one frame. Gives
+/// their number.
 pub(super) fn derive_missing(frames: &mut [Frame]) -> usize {
     let is_missing = |velocity: &Vector| velocity.x.is_nan() || velocity.y.is_nan();
     let all = || frames.iter().flat_map(|frame| frame.objects.iter());
-    let tracks: BTreeSet<TrackToken> =
-        all().filter(|object| is_missing(&object.velocity)).map(|object| object.token).collect();
+    let tracks: BTreeSet<TrackToken> = all()
+        .filter(|object| is_missing(&object.velocity))
+        .map(|object| object.token)
+        .collect();
     if tracks.is_empty() {
         return 0;
     }
     let mut places: BTreeMap<TrackToken, Vec<Sighted>> = BTreeMap::new();
     for (number, frame) in frames.iter().enumerate() {
-        for object in frame.objects.iter().filter(|object| tracks.contains(&object.token)) {
+        for object in frame
+            .objects
+            .iter()
+            .filter(|object| tracks.contains(&object.token))
+        {
             let center = object.shape.center.position();
-            let seen = Sighted { frame: number, time_us: frame.ego.time_us, center };
+            let seen = Sighted {
+                frame: number,
+                time_us: frame.ego.time_us,
+                center,
+            };
             places.entry(object.token).or_default().push(seen);
         }
     }
     let mut derived = 0;
     for (number, frame) in frames.iter_mut().enumerate() {
-        if !frame.objects.iter().any(|object| is_missing(&object.velocity)) {
+        if !frame
+            .objects
+            .iter()
+            .any(|object| is_missing(&object.velocity))
+        {
             continue;
         }
         let mut objects = frame.objects.to_vec();
-        for object in objects.iter_mut().filter(|object| is_missing(&object.velocity)) {
-            object.velocity = places.get(&object.token).map_or_else(Vector::zeros, |places| velocity(places, number));
+        for object in objects
+            .iter_mut()
+            .filter(|object| is_missing(&object.velocity))
+        {
+            object.velocity = places
+                .get(&object.token)
+                .map_or_else(Vector::zeros, |places| velocity(places, number));
             derived += 1;
         }
         frame.objects = Arc::from(objects);
@@ -56,11 +78,18 @@ fn velocity(places: &[Sighted], frame: usize) -> Vector {
     let own = places.partition_point(|place| place.frame < frame);
     let at = |place: usize| places.get(place).copied();
     let before = own.checked_sub(1).and_then(at);
-    let pairs = [(before, at(own + 1)), (before, at(own)), (at(own), at(own + 1))];
+    let pairs = [
+        (before, at(own + 1)),
+        (before, at(own)),
+        (at(own), at(own + 1)),
+    ];
     let over = |(from, to): (Option<Sighted>, Option<Sighted>)| {
         let (from, to) = (from?, to?);
         let seconds = (to.time_us - from.time_us) as f64 / MICROS_PER_SECOND;
         (seconds > 0.0 && seconds <= MAX_SPAN_S).then(|| (to.center - from.center) / seconds)
     };
-    pairs.into_iter().find_map(over).unwrap_or_else(Vector::zeros)
+    pairs
+        .into_iter()
+        .find_map(over)
+        .unwrap_or_else(Vector::zeros)
 }

@@ -16,7 +16,9 @@ pub struct FilePlace {
 impl fmt::Display for FilePlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.path.display())?;
-        self.part.as_ref().map_or(Ok(()), |part| write!(f, ": {part}"))
+        self.part
+            .as_ref()
+            .map_or(Ok(()), |part| write!(f, ": {part}"))
     }
 }
 
@@ -32,12 +34,24 @@ pub struct FileError<F: Error + 'static> {
 impl<F: Error + 'static> FileError<F> {
     /// Places a fault in a file or folder; an argument of `map_err`.
     pub(crate) fn at<E: Into<F>>(path: &Path) -> impl FnOnce(E) -> Self {
-        |fault| Self { place: FilePlace { path: path.to_owned(), part: None }, fault: fault.into() }
+        |fault| Self {
+            place: FilePlace {
+                path: path.to_owned(),
+                part: None,
+            },
+            fault: fault.into(),
+        }
     }
 
     /// Places a fault in a part of a file.
     pub(crate) fn at_part<E: Into<F>>(path: &Path, part: String) -> impl FnOnce(E) -> Self {
-        |fault| Self { place: FilePlace { path: path.to_owned(), part: Some(part) }, fault: fault.into() }
+        |fault| Self {
+            place: FilePlace {
+                path: path.to_owned(),
+                part: Some(part),
+            },
+            fault: fault.into(),
+        }
     }
 }
 

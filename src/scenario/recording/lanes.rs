@@ -41,7 +41,10 @@ impl<T> Sides<T> {
     }
 
     pub(crate) fn each(mut make: impl FnMut(Side) -> T) -> Self {
-        Self { left: make(Side::Left), right: make(Side::Right) }
+        Self {
+            left: make(Side::Left),
+            right: make(Side::Right),
+        }
     }
 }
 
@@ -65,9 +68,17 @@ impl RecordedLane {
 
     /// Neighbors of the same direction, in driving order.
     pub(crate) fn neighbors_along(&self, lanes: &[Self], side: Side) -> Vec<Neighbor> {
-        let listed = self.neighbors.at(side).iter().filter(|beside| beside.one_direction(&self.trace, lanes));
+        let listed = self
+            .neighbors
+            .at(side)
+            .iter()
+            .filter(|beside| beside.one_direction(&self.trace, lanes));
         let mut neighbors: Vec<Neighbor> = listed
-            .map(|beside| Neighbor { lane: LaneId(beside.lane as u32), from_s: beside.from_s, to_s: beside.to_s })
+            .map(|beside| Neighbor {
+                lane: LaneId(beside.lane as u32),
+                from_s: beside.from_s,
+                to_s: beside.to_s,
+            })
             .collect();
         neighbors.sort_by(|a, b| a.from_s.total_cmp(&b.from_s).then(a.lane.cmp(&b.lane)));
         neighbors
@@ -97,7 +108,8 @@ impl Beside {
 pub(crate) struct Places<'a> {
     /// By id.
     pub(crate) lanes: BTreeMap<i64, usize>,
-    /// Lanes without length, and the ids of the lanes behind them. Lanes that lead into them lead there.
+    /// Lanes without length, and the ids of the lanes behind them. Lanes that lead into them lead
+    /// there.
     pub(crate) passages: BTreeMap<i64, &'a [i64]>,
 }
 
@@ -109,11 +121,16 @@ pub(crate) struct Ends<'a> {
 }
 
 impl Places<'_> {
-    /// Pairs of lanes of which the first leads to the second, as stated by either. Unknown ids are dropped.
+    /// Pairs of lanes of which the first leads to the second, as stated by either. Unknown ids are
+    /// dropped.
     pub(crate) fn joints<'a>(&self, ends: impl Iterator<Item = Ends<'a>>) -> Joints {
         let mut joints: BTreeSet<(usize, usize)> = BTreeSet::new();
         for (place, ends) in ends.enumerate() {
-            joints.extend(self.reached(ends.exits).into_iter().map(|exit| (place, exit)));
+            joints.extend(
+                self.reached(ends.exits)
+                    .into_iter()
+                    .map(|exit| (place, exit)),
+            );
             let entries = ends.entries.iter().filter_map(|id| self.lanes.get(id));
             joints.extend(entries.map(|&entry| (entry, place)));
         }
@@ -143,10 +160,18 @@ pub(crate) struct Joints(BTreeSet<(usize, usize)>);
 
 impl Joints {
     pub(crate) fn before(&self, lane: usize) -> Vec<usize> {
-        self.0.iter().filter(|(_, to)| *to == lane).map(|(from, _)| *from).collect()
+        self.0
+            .iter()
+            .filter(|(_, to)| *to == lane)
+            .map(|(from, _)| *from)
+            .collect()
     }
 
     pub(crate) fn after(&self, lane: usize) -> Vec<usize> {
-        self.0.iter().filter(|(from, _)| *from == lane).map(|(_, to)| *to).collect()
+        self.0
+            .iter()
+            .filter(|(from, _)| *from == lane)
+            .map(|(_, to)| *to)
+            .collect()
     }
 }

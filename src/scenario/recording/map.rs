@@ -6,7 +6,9 @@ use super::roadblocks::roadblocks;
 use super::trace::Trace;
 use geo::Simplify;
 use planagent_world::geometry::{Point, Polygon};
-use planagent_world::{Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, StopLine, StopLineId};
+use planagent_world::{
+    Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, StopLine, StopLineId,
+};
 use std::collections::BTreeSet;
 
 /// Layers of a map. Lanes are indices; the n-th element of every list belongs to the n-th lane.
@@ -29,28 +31,50 @@ pub(crate) struct Layers<'a> {
 
 /// Derives roadblocks and intersections and checks the map.
 pub(crate) fn lane_map(layers: Layers<'_>) -> Result<LaneMap, MapError> {
-    let Layers { name, lanes: recorded, connector, areas, stop_lines, crosswalks, generic_drivable, .. } = layers;
+    let Layers {
+        name,
+        lanes: recorded,
+        connector,
+        areas,
+        stop_lines,
+        crosswalks,
+        generic_drivable,
+        ..
+    } = layers;
     let (roadblocks, block_of) = roadblocks(recorded, connector, &areas);
     let intersections = intersections(layers.edges, layers.clusters, &areas);
-    let ids = |places: &[usize]| places.iter().map(|&place| LaneId(place as u32)).collect::<Vec<_>>();
-    let lanes = recorded.iter().zip(areas).enumerate().map(|(place, (lane, polygon))| Lane {
-        id: LaneId(place as u32),
-        source_id: lane.id,
-        kind: if connector[place] { LaneKind::Connector } else { LaneKind::Lane },
-        centerline: lane.trace.line.clone(),
-        polygon,
-        incoming: ids(&lane.entries),
-        outgoing: ids(&lane.exits),
-        left: lane.neighbors_along(recorded, Side::Left),
-        right: lane.neighbors_along(recorded, Side::Right),
-        roadblock: block_of[place],
-        speed_limit: lane.speed_limit,
-        has_traffic_lights: layers.lit.contains(&place),
-        stop_lines: (0..stop_lines.len())
-            .filter(|&line| stop_lines[line].lanes.contains(&LaneId(place as u32)))
-            .map(|line| StopLineId(line as u32))
-            .collect(),
-    });
+    let ids = |places: &[usize]| {
+        places
+            .iter()
+            .map(|&place| LaneId(place as u32))
+            .collect::<Vec<_>>()
+    };
+    let lanes = recorded
+        .iter()
+        .zip(areas)
+        .enumerate()
+        .map(|(place, (lane, polygon))| Lane {
+            id: LaneId(place as u32),
+            source_id: lane.id,
+            kind: if connector[place] {
+                LaneKind::Connector
+            } else {
+                LaneKind::Lane
+            },
+            centerline: lane.trace.line.clone(),
+            polygon,
+            incoming: ids(&lane.entries),
+            outgoing: ids(&lane.exits),
+            left: lane.neighbors_along(recorded, Side::Left),
+            right: lane.neighbors_along(recorded, Side::Right),
+            roadblock: block_of[place],
+            speed_limit: lane.speed_limit,
+            has_traffic_lights: layers.lit.contains(&place),
+            stop_lines: (0..stop_lines.len())
+                .filter(|&line| stop_lines[line].lanes.contains(&LaneId(place as u32)))
+                .map(|line| StopLineId(line as u32))
+                .collect(),
+        });
     let lanes = lanes.collect();
     let parts = MapParts {
         name,
@@ -67,8 +91,9 @@ pub(crate) fn lane_map(layers: Layers<'_>) -> Result<LaneMap, MapError> {
     LaneMap::new(parts.with_roadblocks_as_road().with_dense_baselines())
 }
 
-/// Cuts lane areas so that at most one lane holds a point, as nuPlan's metrics assume. An earlier lane keeps the overlap, and
-/// a lane that would lose everything keeps its area. Connectors may overlap each other and lanes.
+/// Cuts lane areas so that at most one lane holds a point, as nuPlan's metrics assume. An earlier
+/// lane keeps the overlap, and a lane that would lose everything keeps its area. Connectors may
+/// overlap each other and lanes.
 pub(crate) fn separate(areas: &mut [Polygon], connector: &[bool]) {
     /// Smaller overlaps are rounding, m².
     const MIN_OVERLAP: f64 = 1e-6;

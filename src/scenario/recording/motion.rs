@@ -12,12 +12,16 @@ pub(crate) const MAX_BOX: f64 = 100.0;
 /// Samples to each side over which a slope is fitted.
 const SLOPE_REACH: usize = 2;
 
-/// Slope at sample `i` of the straight line fitted by least squares to the samples up to two before and two after it: a central
-/// difference that is smooth under measurement noise, one-sided at the ends. 0 if there is only one sample.
+/// Slope at sample `i` of the straight line fitted by least squares to the samples up to two before
+/// and two after it: a central difference that is smooth under measurement noise, one-sided at the
+/// ends. 0 if there is only one sample.
 ///
 /// `times` in seconds, as many as `values`; the slope has the values' unit per second.
 pub(crate) fn slope(times: &[f64], values: &[f64], i: usize) -> f64 {
-    let (from, to) = (i.saturating_sub(SLOPE_REACH), (i + SLOPE_REACH).min(times.len() - 1));
+    let (from, to) = (
+        i.saturating_sub(SLOPE_REACH),
+        (i + SLOPE_REACH).min(times.len() - 1),
+    );
     let count = (to - from + 1) as f64;
     let mean = |list: &[f64]| list[from..=to].iter().sum::<f64>() / count;
     let (mean_time, mean_value) = (mean(times), mean(values));
@@ -32,11 +36,14 @@ pub(crate) fn slope(times: &[f64], values: &[f64], i: usize) -> f64 {
 /// The [slopes](slope) of vectors at all samples.
 pub(crate) fn slopes(times: &[f64], vectors: impl Iterator<Item = Vector>) -> Vec<Vector> {
     let (east, north): (Vec<f64>, Vec<f64>) = vectors.map(|vector| (vector.x, vector.y)).unzip();
-    (0..times.len()).map(|i| Vector::new(slope(times, &east, i), slope(times, &north, i))).collect()
+    (0..times.len())
+        .map(|i| Vector::new(slope(times, &east, i), slope(times, &north, i)))
+        .collect()
 }
 
-/// The recorded ego from its rear axles and their velocities in the map frame. Accelerations are the slopes of the velocities.
-/// nuPlan's vehicle replaces the recording car, with the rear axle in the same place.
+/// The recorded ego from its rear axles and their velocities in the map frame. Accelerations are
+/// the slopes of the velocities. nuPlan's vehicle replaces the recording car, with the rear axle in
+/// the same place.
 pub(crate) fn ego_states(
     times_us: &[i64],
     seconds: &[f64],
@@ -44,10 +51,18 @@ pub(crate) fn ego_states(
     velocities: &[Vector],
 ) -> Vec<EgoState> {
     let accelerations = slopes(seconds, velocities.iter().copied());
-    let states = rear_axles.iter().zip(times_us).zip(velocities.iter().zip(accelerations));
+    let states = rear_axles
+        .iter()
+        .zip(times_us)
+        .zip(velocities.iter().zip(accelerations));
     let states = states.map(|((&rear_axle, &time_us), (&velocity, acceleration))| {
         let into_body = Pose::new(0.0, 0.0, -rear_axle.heading);
-        EgoState::from_log(time_us, rear_axle, into_body.rotate(velocity), into_body.rotate(acceleration))
+        EgoState::from_log(
+            time_us,
+            rear_axle,
+            into_body.rotate(velocity),
+            into_body.rotate(acceleration),
+        )
     });
     states.collect()
 }
@@ -74,13 +89,23 @@ mod tests {
             .iter()
             .map(|t| {
                 let angle = 0.25 * t;
-                Pose::new(20.0 * angle.cos(), 20.0 * angle.sin(), angle + std::f64::consts::FRAC_PI_2)
+                Pose::new(
+                    20.0 * angle.cos(),
+                    20.0 * angle.sin(),
+                    angle + std::f64::consts::FRAC_PI_2,
+                )
             })
             .collect();
         let velocities = slopes(&seconds, poses.iter().map(|pose| pose.position().coords));
         for state in &ego_states(&times_us, &seconds, &poses, &velocities)[4..96] {
-            assert!((state.velocity - Vector::new(5.0, 0.0)).norm() < 5e-3, "{state:?}");
-            assert!((state.acceleration - Vector::new(0.0, 1.25)).norm() < 5e-3, "{state:?}");
+            assert!(
+                (state.velocity - Vector::new(5.0, 0.0)).norm() < 5e-3,
+                "{state:?}"
+            );
+            assert!(
+                (state.acceleration - Vector::new(0.0, 1.25)).norm() < 5e-3,
+                "{state:?}"
+            );
         }
     }
 }

@@ -3,8 +3,8 @@
 use planagent_world::geometry::{Pose, wrap_angle};
 use planagent_world::{LaneId, LaneMap, RoadblockId};
 
-/// Minimum length of the route beyond the last recorded pose, meters: a trajectory of 8 s, from wherever a simulation of 15 s can
-/// have taken the ego.
+/// Minimum length of the route beyond the last recorded pose, meters: a trajectory of 8 s, from
+/// wherever a simulation of 15 s can have taken the ego.
 const MIN_LENGTH: f64 = 200.0;
 /// Time at the speed limit that the route covers beyond that pose, seconds.
 const SECONDS: f64 = 20.0;
@@ -13,16 +13,24 @@ const COMPARED: f64 = 30.0;
 /// Maximum number of lanes over which they are compared.
 const MAX_COMPARED: usize = 6;
 
-/// The roadblocks after `route`, which ends in the lane `last` with the recorded `pose`: through the successors that need least
-/// turning, over the neighbor where the lane ends. They end with the map, or where they would come back to the route.
-pub(super) fn onward(map: &LaneMap, route: &[RoadblockId], last: LaneId, pose: Pose) -> Vec<RoadblockId> {
+/// The roadblocks after `route`, which ends in the lane `last` with the recorded `pose`: through
+/// the successors that need least turning, over the neighbor where the lane ends. They end with the
+/// map, or where they would come back to the route.
+pub(super) fn onward(
+    map: &LaneMap,
+    route: &[RoadblockId],
+    last: LaneId,
+    pose: Pose,
+) -> Vec<RoadblockId> {
     let limit = map[last].speed_limit.unwrap_or(0.0);
     let mut left = MIN_LENGTH.max(SECONDS * limit);
     left -= map[last].centerline.length() - map[last].centerline.project(pose.position()).s;
     let mut blocks: Vec<RoadblockId> = Vec::new();
     let mut lane = last;
     while left > 0.0 {
-        let Some(next) = successor(map, lane).or_else(|| successor(map, neighbor_that_goes_on(map, lane)?)) else {
+        let Some(next) =
+            successor(map, lane).or_else(|| successor(map, neighbor_that_goes_on(map, lane)?))
+        else {
             break;
         };
         let block = map[next].roadblock;
@@ -39,14 +47,22 @@ pub(super) fn onward(map: &LaneMap, route: &[RoadblockId], last: LaneId, pose: P
 /// The successor that needs least turning, the first of equals.
 fn successor(map: &LaneMap, lane: LaneId) -> Option<LaneId> {
     let turn = |next: LaneId| turning(map, next, COMPARED, MAX_COMPARED);
-    map[lane].outgoing.iter().copied().min_by(|&a, &b| turn(a).total_cmp(&turn(b)))
+    map[lane]
+        .outgoing
+        .iter()
+        .copied()
+        .min_by(|&a, &b| turn(a).total_cmp(&turn(b)))
 }
 
 /// A lane of the same roadblock beside the end of this one that leads on.
 fn neighbor_that_goes_on(map: &LaneMap, lane: LaneId) -> Option<LaneId> {
     let (end, block) = (map[lane].centerline.length(), map[lane].roadblock);
-    let beside = [map[lane].left_at(end), map[lane].right_at(end)].into_iter().flatten();
-    beside.into_iter().find(|&beside| map[beside].roadblock == block && !map[beside].outgoing.is_empty())
+    let beside = [map[lane].left_at(end), map[lane].right_at(end)]
+        .into_iter()
+        .flatten();
+    beside
+        .into_iter()
+        .find(|&beside| map[beside].roadblock == block && !map[beside].outgoing.is_empty())
 }
 
 /// The least turning over the next `length` meters from the start of a lane on, radians.
@@ -57,7 +73,10 @@ fn turning(map: &LaneMap, lane: LaneId, length: f64, lanes: usize) -> f64 {
     if rest <= 0.0 || lanes == 0 {
         return here;
     }
-    let onward = map[lane].outgoing.iter().map(|&next| turning(map, next, rest, lanes - 1));
+    let onward = map[lane]
+        .outgoing
+        .iter()
+        .map(|&next| turning(map, next, rest, lanes - 1));
     here + onward.min_by(f64::total_cmp).unwrap_or(0.0)
 }
 
@@ -71,8 +90,9 @@ mod tests {
         points.iter().map(|&(x, y)| Point::new(x, y)).collect()
     }
 
-    /// A lane to the east (0), 100 m; behind it a lane that bends to the right (1) and one straight on (2), then two more of
-    /// 100 m each (3, 4). Beside the last a lane (5) that leads to a sixth (6).
+    /// A lane to the east (0), 100 m; behind it a lane that bends to the right (1) and one straight
+    /// on (2), then two more of 100 m each (3, 4). Beside the last a lane (5) that leads to a sixth
+    /// (6).
     fn road() -> LaneMap {
         let mut road = MapBuilder::default();
         for points in [
@@ -92,7 +112,10 @@ mod tests {
     }
 
     fn lanes(map: &LaneMap, blocks: &[RoadblockId]) -> Vec<u32> {
-        blocks.iter().flat_map(|&block| map[block].lanes.iter().map(|lane| lane.0)).collect()
+        blocks
+            .iter()
+            .flat_map(|&block| map[block].lanes.iter().map(|lane| lane.0))
+            .collect()
     }
 
     #[test]
@@ -100,7 +123,10 @@ mod tests {
         let map = road();
         let from = |lane: u32, x: f64| {
             let route = [map[LaneId(lane)].roadblock];
-            lanes(&map, &onward(&map, &route, LaneId(lane), Pose::new(x, 0.0, 0.0)))
+            lanes(
+                &map,
+                &onward(&map, &route, LaneId(lane), Pose::new(x, 0.0, 0.0)),
+            )
         };
         // 90 m are left of the first lane, and 110 m follow it.
         assert_eq!(from(0, 10.0), vec![2, 3]);
@@ -112,13 +138,25 @@ mod tests {
     #[test]
     fn a_circle_ends_where_it_comes_back_to_the_route() {
         let mut road = MapBuilder::default();
-        let corners = [(0.0, 0.0), (30.0, 0.0), (30.0, 30.0), (0.0, 30.0), (0.0, 0.0)];
+        let corners = [
+            (0.0, 0.0),
+            (30.0, 0.0),
+            (30.0, 30.0),
+            (0.0, 30.0),
+            (0.0, 0.0),
+        ];
         for side in corners.windows(2) {
             road.lane(line(side), 3.5, None).unwrap();
         }
         road.connect_touching();
         let map = road.finish().unwrap();
         let route = [map[LaneId(0)].roadblock, map[LaneId(1)].roadblock];
-        assert_eq!(lanes(&map, &onward(&map, &route, LaneId(1), Pose::new(30.0, 10.0, 1.57))), vec![2, 3]);
+        assert_eq!(
+            lanes(
+                &map,
+                &onward(&map, &route, LaneId(1), Pose::new(30.0, 10.0, 1.57))
+            ),
+            vec![2, 3]
+        );
     }
 }

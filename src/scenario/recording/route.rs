@@ -1,8 +1,9 @@
 //! The route: the chain of roadblocks that the recorded ego followed.
 //!
-//! A Viterbi search matches the recorded poses to lanes. The cost of a lane at a pose grows with distance and heading difference.
-//! A step to another lane costs little along the lane graph, more to a neighbor, and much elsewhere. The route is the lanes'
-//! roadblocks, with those in between from the graph. It goes on beyond the recording (`onward`).
+//! A Viterbi search matches the recorded poses to lanes. The cost of a lane at a pose grows with
+//! distance and heading difference. A step to another lane costs little along the lane graph, more
+//! to a neighbor, and much elsewhere. The route is the lanes' roadblocks, with those in between
+//! from the graph. It goes on beyond the recording (`onward`).
 
 use super::onward::onward;
 use planagent_world::geometry::{Point, Pose, wrap_angle};
@@ -68,7 +69,10 @@ pub(crate) fn route(map: &LaneMap, poses: &[Pose]) -> Vec<RoadblockId> {
 fn spaced(poses: &[Pose]) -> Vec<Pose> {
     let mut samples: Vec<Pose> = Vec::new();
     for &pose in poses {
-        if samples.last().is_none_or(|last| last.distance(&pose) >= SAMPLE_STEP) {
+        if samples
+            .last()
+            .is_none_or(|last| last.distance(&pose) >= SAMPLE_STEP)
+        {
             samples.push(pose);
         }
     }
@@ -77,7 +81,10 @@ fn spaced(poses: &[Pose]) -> Vec<Pose> {
 
 fn nearest_lane(map: &LaneMap, pose: Pose) -> Option<LaneId> {
     let distance = |lane: &Lane| lane.polygon.distance_to(pose.position());
-    map.lanes().iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).map(|lane| lane.id)
+    map.lanes()
+        .iter()
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        .map(|lane| lane.id)
 }
 
 /// A lane that may hold a pose.
@@ -89,12 +96,20 @@ struct Candidate {
 }
 
 fn candidates(map: &LaneMap, pose: Pose) -> Vec<Candidate> {
-    let near = map.lanes_near(pose.position(), REACH).into_iter().filter_map(|lane| {
-        let foot = map[lane].centerline.project(pose.position());
-        let turn = wrap_angle(foot.heading - pose.heading).abs();
-        let misfit = (foot.distance / OFFSET_SIGMA).powi(2) / 2.0 + (turn / TURN_SIGMA).powi(2) / 2.0;
-        (foot.distance < REACH && turn < std::f64::consts::FRAC_PI_2).then_some(Candidate { lane, s: foot.s, misfit })
-    });
+    let near = map
+        .lanes_near(pose.position(), REACH)
+        .into_iter()
+        .filter_map(|lane| {
+            let foot = map[lane].centerline.project(pose.position());
+            let turn = wrap_angle(foot.heading - pose.heading).abs();
+            let misfit =
+                (foot.distance / OFFSET_SIGMA).powi(2) / 2.0 + (turn / TURN_SIGMA).powi(2) / 2.0;
+            (foot.distance < REACH && turn < std::f64::consts::FRAC_PI_2).then_some(Candidate {
+                lane,
+                s: foot.s,
+                misfit,
+            })
+        });
     near.collect()
 }
 
@@ -119,7 +134,8 @@ fn matched_lanes(map: &LaneMap, samples: &[Pose]) -> Vec<LaneId> {
                 Some(last) => {
                     let moved = (pose.position() - last.at).norm();
                     let steps = last.candidates.iter().zip(&last.costs);
-                    let steps = steps.map(|(before, cost)| cost + step_cost(map, *before, *candidate, moved));
+                    let steps = steps
+                        .map(|(before, cost)| cost + step_cost(map, *before, *candidate, moved));
                     let best = steps.enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
                     best.map_or((0.0, 0), |(i, cost)| (cost, i))
                 }
@@ -127,11 +143,23 @@ fn matched_lanes(map: &LaneMap, samples: &[Pose]) -> Vec<LaneId> {
             costs.push(cost + candidate.misfit);
             from.push(best);
         }
-        layers.push(Layer { at: pose.position(), candidates: found, costs, from });
+        layers.push(Layer {
+            at: pose.position(),
+            candidates: found,
+            costs,
+            from,
+        });
     }
-    let Some(last) = layers.last() else { return Vec::new() };
-    let mut best =
-        last.costs.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)).expect("a layer has one candidate at least").0;
+    let Some(last) = layers.last() else {
+        return Vec::new();
+    };
+    let mut best = last
+        .costs
+        .iter()
+        .enumerate()
+        .min_by(|a, b| a.1.total_cmp(b.1))
+        .expect("a layer has one candidate at least")
+        .0;
     let mut lanes = Vec::with_capacity(layers.len());
     for layer in layers.iter().rev() {
         lanes.push(layer.candidates[best].lane);
@@ -148,14 +176,24 @@ fn step_cost(map: &LaneMap, before: Candidate, after: Candidate, moved: f64) -> 
         return BACKWARDS * (before.s - after.s - 0.5).max(0.0);
     }
     let left = map[before.lane].centerline.length() - before.s;
-    if let Some(between) = lanes_between(map, before.lane, after.lane, moved + SLACK - left - after.s) {
+    if let Some(between) =
+        lanes_between(map, before.lane, after.lane, moved + SLACK - left - after.s)
+    {
         return FOLLOW * (between.len() + 1) as f64;
     }
     let beside = map[before.lane].left.iter().chain(&map[before.lane].right);
-    if beside.into_iter().any(|neighbor| neighbor.lane == after.lane) { CHANGE } else { BREAK }
+    if beside
+        .into_iter()
+        .any(|neighbor| neighbor.lane == after.lane)
+    {
+        CHANGE
+    } else {
+        BREAK
+    }
 }
 
-/// The shortest chain of lanes between two, at most four lanes and `spare` meters; empty if one leads to the other.
+/// The shortest chain of lanes between two, at most four lanes and `spare` meters; empty if one
+/// leads to the other.
 fn lanes_between(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<Vec<LaneId>> {
     const MAX_BETWEEN: usize = 4;
     if map[from].outgoing.contains(&to) {
@@ -169,7 +207,11 @@ fn lanes_between(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<
                 return Some(between);
             }
             let covered = covered + map[next].centerline.length();
-            if between.len() < MAX_BETWEEN && covered <= spare && next != from && !between.contains(&next) {
+            if between.len() < MAX_BETWEEN
+                && covered <= spare
+                && next != from
+                && !between.contains(&next)
+            {
                 open.push_back((between.iter().copied().chain([next]).collect(), covered));
             }
         }
@@ -177,7 +219,8 @@ fn lanes_between(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<
     None
 }
 
-/// The shortest chain of roadblocks between two, at most six; empty if the graph does not join them.
+/// The shortest chain of roadblocks between two, at most six; empty if the graph does not join
+/// them.
 fn blocks_between(map: &LaneMap, from: RoadblockId, to: RoadblockId) -> Vec<RoadblockId> {
     const MAX_BETWEEN: usize = 6;
     let mut parent: BTreeMap<RoadblockId, RoadblockId> = BTreeMap::new();

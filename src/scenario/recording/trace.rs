@@ -6,7 +6,8 @@ use planagent_world::geometry::{Bounds, Point, Polyline, SpatialIndex, Vector};
 /// A point of a recorded map: east, north, up, meters.
 pub(crate) type Place = nalgebra::Point3<f64>;
 
-/// Maximum difference in height on one level, meters: less than the height of a bridge, more than the bank of a road.
+/// Maximum difference in height on one level, meters: less than the height of a bridge, more than
+/// the bank of a road.
 pub(crate) const SAME_LEVEL: f64 = 3.0;
 
 /// Maximum distance of a map point from the ego, meters; recorded maps end after some hundred.
@@ -26,14 +27,21 @@ pub(crate) struct Trace {
 
 impl Trace {
     /// `None` without two distinct points; such features exist and bound nothing.
-    pub(crate) fn of(feature: i64, points: &[Place], origin: Vector) -> Result<Option<Self>, RecordingFault> {
+    pub(crate) fn of(
+        feature: i64,
+        points: &[Place],
+        origin: Vector,
+    ) -> Result<Option<Self>, RecordingFault> {
         /// Points nearer than this are the same, meters.
         const SAME_POINT: f64 = 1e-6;
         let local = local_points(feature, points, origin)?;
-        let (mut vertices, mut heights, mut point_s): (Vec<Point>, Vec<f64>, Vec<f64>) = Default::default();
+        let (mut vertices, mut heights, mut point_s): (Vec<Point>, Vec<f64>, Vec<f64>) =
+            Default::default();
         let mut s = 0.0;
         for (&point, place) in local.iter().zip(points) {
-            let step = vertices.last().map_or(f64::INFINITY, |last| (point - last).norm());
+            let step = vertices
+                .last()
+                .map_or(f64::INFINITY, |last| (point - last).norm());
             if step > SAME_POINT {
                 s += if step.is_finite() { step } else { 0.0 };
                 vertices.push(point);
@@ -44,13 +52,20 @@ impl Trace {
         if s > MAX_LENGTH {
             return Err(RecordingFault::EndlessLine { feature, length: s });
         }
-        Ok(Polyline::new(vertices).ok().map(|line| Self { line, heights, point_s }))
+        Ok(Polyline::new(vertices).ok().map(|line| Self {
+            line,
+            heights,
+            point_s,
+        }))
     }
 
     /// Arc length of a recorded point, clamped to the line.
     pub(crate) fn s_of(&self, point: i32) -> f64 {
         let last = self.point_s.len().saturating_sub(1);
-        self.point_s.get((point.max(0) as usize).min(last)).copied().expect("a line has one recorded point at least")
+        self.point_s
+            .get((point.max(0) as usize).min(last))
+            .copied()
+            .expect("a line has one recorded point at least")
     }
 
     /// Height at an arc length, meters.
@@ -59,7 +74,11 @@ impl Trace {
         let after = arcs.partition_point(|&a| a < s).min(arcs.len() - 1);
         let before = after.saturating_sub(1);
         let length = arcs[after] - arcs[before];
-        let share = if length > 0.0 { ((s - arcs[before]) / length).clamp(0.0, 1.0) } else { 0.0 };
+        let share = if length > 0.0 {
+            ((s - arcs[before]) / length).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
         self.heights[before] + (self.heights[after] - self.heights[before]) * share
     }
 
@@ -69,21 +88,35 @@ impl Trace {
         const REACH: f64 = 0.75;
         let s = s.clamp(0.0, self.line.length());
         let along = self.line.point_at(s + REACH) - self.line.point_at(s - REACH);
-        along.try_normalize(1e-9).unwrap_or_else(|| self.line.pose_at(s).direction())
+        along
+            .try_normalize(1e-9)
+            .unwrap_or_else(|| self.line.pose_at(s).direction())
     }
 
     /// Arc lengths about `step` meters apart, both ends included.
     pub(crate) fn stations(&self, step: f64) -> Vec<f64> {
         let length = self.line.length();
         let count = (length / step).ceil().max(1.0) as usize;
-        (0..=count).map(|i| length * i as f64 / count as f64).collect()
+        (0..=count)
+            .map(|i| length * i as f64 / count as f64)
+            .collect()
     }
 }
 
 /// Recorded points in local coordinates.
-pub(crate) fn local_points(feature: i64, points: &[Place], origin: Vector) -> Result<Vec<Point>, RecordingFault> {
-    let local: Vec<Point> = points.iter().map(|p| Point::new(p.x - origin.x, p.y - origin.y)).collect();
-    match local.iter().position(|p| !p.coords.norm().is_finite() || p.coords.norm() > MAX_DISTANCE) {
+pub(crate) fn local_points(
+    feature: i64,
+    points: &[Place],
+    origin: Vector,
+) -> Result<Vec<Point>, RecordingFault> {
+    let local: Vec<Point> = points
+        .iter()
+        .map(|p| Point::new(p.x - origin.x, p.y - origin.y))
+        .collect();
+    match local
+        .iter()
+        .position(|p| !p.coords.norm().is_finite() || p.coords.norm() > MAX_DISTANCE)
+    {
         Some(point) => Err(RecordingFault::NoPlace { feature, point }),
         None => Ok(local),
     }
@@ -112,7 +145,12 @@ impl Segments {
         for (owner, trace) in traces.into_iter().enumerate() {
             for (i, pair) in trace.line.vertices().windows(2).enumerate() {
                 let height = f64::midpoint(trace.heights[i], trace.heights[i + 1]);
-                list.push(Segment { from: pair[0], to: pair[1], height, owner });
+                list.push(Segment {
+                    from: pair[0],
+                    to: pair[1],
+                    height,
+                    owner,
+                });
             }
         }
         let index = SpatialIndex::new(list.iter().map(|s| Bounds::around(&[s.from, s.to])));
@@ -124,7 +162,10 @@ impl Segments {
     }
 
     /// Segments whose bounds meet the given ones.
-    pub(crate) fn within<'a>(&'a self, bounds: &Bounds) -> impl Iterator<Item = &'a Segment> + use<'a> {
+    pub(crate) fn within<'a>(
+        &'a self,
+        bounds: &Bounds,
+    ) -> impl Iterator<Item = &'a Segment> + use<'a> {
         self.index.within(bounds).into_iter().map(|i| &self.list[i])
     }
 
@@ -140,7 +181,9 @@ impl Segments {
 
     fn hits(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> impl Iterator<Item = f64> {
         let bounds = Bounds::around(&[ray.from, ray.from + ray.direction * ray.reach]);
-        let level = self.within(&bounds).filter(move |s| (s.height - ray.height).abs() < SAME_LEVEL && counts(s));
+        let level = self
+            .within(&bounds)
+            .filter(move |s| (s.height - ray.height).abs() < SAME_LEVEL && counts(s));
         level.filter_map(|segment| ray.meets(segment.from, segment.to))
     }
 }
@@ -174,13 +217,21 @@ mod tests {
     use super::*;
 
     fn trace(points: &[(f64, f64, f64)]) -> Trace {
-        let points: Vec<Place> = points.iter().map(|&(x, y, z)| Place::new(x, y, z)).collect();
+        let points: Vec<Place> = points
+            .iter()
+            .map(|&(x, y, z)| Place::new(x, y, z))
+            .collect();
         Trace::of(1, &points, Vector::zeros()).unwrap().unwrap()
     }
 
     #[test]
     fn repeated_points_share_their_arc_length() {
-        let line = trace(&[(0.0, 0.0, 0.0), (0.0, 0.0, 5.0), (4.0, 0.0, 2.0), (8.0, 0.0, 2.0)]);
+        let line = trace(&[
+            (0.0, 0.0, 0.0),
+            (0.0, 0.0, 5.0),
+            (4.0, 0.0, 2.0),
+            (8.0, 0.0, 2.0),
+        ]);
         assert_eq!(line.point_s, vec![0.0, 0.0, 4.0, 8.0]);
         assert!((line.height_at(2.0) - 1.0).abs() < 1e-12);
         assert!((line.s_of(99) - 8.0).abs() < 1e-12 && line.s_of(-3).abs() < 1e-12);
@@ -191,9 +242,18 @@ mod tests {
         let near_bridge = trace(&[(-5.0, 2.0, 8.0), (5.0, 2.0, 8.0)]);
         let far = trace(&[(-5.0, 3.0, 0.0), (5.0, 3.0, 0.0)]);
         let segments = Segments::of([&near_bridge, &far]);
-        let ray = Ray { from: Point::origin(), direction: Vector::y(), height: 0.0, reach: 10.0 };
+        let ray = Ray {
+            from: Point::origin(),
+            direction: Vector::y(),
+            height: 0.0,
+            reach: 10.0,
+        };
         assert!((segments.first_hit(&ray, |_| true).unwrap() - 3.0).abs() < 1e-12);
-        assert!(segments.first_hit(&Ray { reach: 2.9, ..ray }, |_| true).is_none());
+        assert!(
+            segments
+                .first_hit(&Ray { reach: 2.9, ..ray }, |_| true)
+                .is_none()
+        );
         assert!(segments.first_hit(&ray, |s| s.owner == 0).is_none());
     }
 
@@ -201,7 +261,17 @@ mod tests {
     fn points_far_away_are_refused() {
         let points = [Place::origin(), Place::new(f64::NAN, 0.0, 0.0)];
         let fault = Trace::of(9, &points, Vector::zeros()).unwrap_err();
-        assert_eq!(fault, RecordingFault::NoPlace { feature: 9, point: 1 });
-        assert!(Trace::of(9, &points[..1], Vector::zeros()).unwrap().is_none());
+        assert_eq!(
+            fault,
+            RecordingFault::NoPlace {
+                feature: 9,
+                point: 1
+            }
+        );
+        assert!(
+            Trace::of(9, &points[..1], Vector::zeros())
+                .unwrap()
+                .is_none()
+        );
     }
 }

@@ -25,7 +25,11 @@ pub enum WomdFault {
     #[error("the recording car has no valid state at step {step}, nor at {missing} steps in a row")]
     EgoMissing { step: usize, missing: usize },
     #[error("track {track} has {states} states for {steps} steps")]
-    TrackLength { track: i32, states: usize, steps: usize },
+    TrackLength {
+        track: i32,
+        states: usize,
+        steps: usize,
+    },
     #[error("no recording number {wanted} among the {records} of the file")]
     NotFound { wanted: usize, records: usize },
 }

@@ -50,9 +50,18 @@ fn lit_connectors(
     connector: &[bool],
     governed: &BTreeSet<usize>,
 ) -> BTreeSet<usize> {
-    let named: BTreeSet<i64> = lights.iter().flat_map(|step| &step.lane_states).map(|light| light.lane).collect();
-    let behind =
-        map.lanes.iter().enumerate().filter(|(place, lane)| named.contains(&lane.id) && !governed.contains(place));
-    let behind = behind.flat_map(|(_, lane)| lane.exits.iter().copied()).filter(|&lane| connector[lane]);
+    let named: BTreeSet<i64> = lights
+        .iter()
+        .flat_map(|step| &step.lane_states)
+        .map(|light| light.lane)
+        .collect();
+    let behind = map
+        .lanes
+        .iter()
+        .enumerate()
+        .filter(|(place, lane)| named.contains(&lane.id) && !governed.contains(place));
+    let behind = behind
+        .flat_map(|(_, lane)| lane.exits.iter().copied())
+        .filter(|&lane| connector[lane]);
     governed.iter().copied().chain(behind).collect()
 }

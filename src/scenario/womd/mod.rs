@@ -6,8 +6,8 @@
 //! * `features`, `connectors`: the lanes, and which of them are connectors; `outline`: their areas;
 //! * `drivable`, `signals`: the drivable area beside them, and the traffic lights.
 //!
-//! `scenario::recording` derives the rest (window, roadblocks, intersections, route) as for every recording. Errors name file,
-//! record and offset; no content of a file makes this module panic.
+//! `scenario::recording` derives the rest (window, roadblocks, intersections, route) as for every
+//! recording. Errors name file, record and offset; no content of a file makes this module panic.
 
 mod connectors;
 mod convert;
@@ -47,18 +47,25 @@ pub fn open_one(path: &Path, record: usize) -> Result<Scenario, WomdError> {
     };
     match found {
         Some(found) => decoded(path, found)?.scenario(&log_name(path)),
-        None => Err(WomdError::at(path)(WomdFault::NotFound { wanted: record, records: records.number() })),
+        None => Err(WomdError::at(path)(WomdFault::NotFound {
+            wanted: record,
+            records: records.number(),
+        })),
     }
 }
 
 /// The scenario ids and contents of the recordings of a file, one after the other.
-pub fn contents(path: &Path) -> Result<impl Iterator<Item = Result<(String, Contents), WomdError>>, WomdError> {
+pub fn contents(
+    path: &Path,
+) -> Result<impl Iterator<Item = Result<(String, Contents), WomdError>>, WomdError> {
     Ok(messages(path)?.map(|message| message.map(Decoded::contents)))
 }
 
 /// Name of the log that a file counts as: the file's own.
 pub fn log_name(path: &Path) -> String {
-    path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
+    path.file_stem()
+        .map(|stem| stem.to_string_lossy().into_owned())
+        .unwrap_or_default()
 }
 
 /// A decoded record and its place.
@@ -71,14 +78,31 @@ struct Decoded {
 
 impl Decoded {
     fn scenario(self, log_name: &str) -> Result<Scenario, WomdError> {
-        let part = format!("{}, scenario `{}`", part(self.record, self.offset), self.recording.scenario_id);
+        let part = format!(
+            "{}, scenario `{}`",
+            part(self.record, self.offset),
+            self.recording.scenario_id
+        );
         convert::scenario(&self.recording, log_name).map_err(WomdError::at_part(&self.path, part))
     }
 
     fn contents(self) -> (String, Contents) {
-        let proto::Scenario { scenario_id, timestamps_seconds, tracks, map_features, .. } = self.recording;
-        let contents = window::contents(&timestamps_seconds, tracks.len(), lane_count(&map_features));
-        (scenario_id, Contents { record: Some(self.record), ..contents })
+        let proto::Scenario {
+            scenario_id,
+            timestamps_seconds,
+            tracks,
+            map_features,
+            ..
+        } = self.recording;
+        let contents =
+            window::contents(&timestamps_seconds, tracks.len(), lane_count(&map_features));
+        (
+            scenario_id,
+            Contents {
+                record: Some(self.record),
+                ..contents
+            },
+        )
     }
 }
 
@@ -100,8 +124,22 @@ fn records(path: &Path) -> Result<Records<BufReader<File>>, WomdError> {
     Ok(records)
 }
 
-fn decoded(path: &Path, Record { number, offset, payload }: Record) -> Result<Decoded, WomdError> {
-    let decoded = payload.map_err(WomdFault::from).and_then(|bytes| Ok(proto::Scenario::decode(&bytes[..])?));
+fn decoded(
+    path: &Path,
+    Record {
+        number,
+        offset,
+        payload,
+    }: Record,
+) -> Result<Decoded, WomdError> {
+    let decoded = payload
+        .map_err(WomdFault::from)
+        .and_then(|bytes| Ok(proto::Scenario::decode(&bytes[..])?));
     let recording = decoded.map_err(WomdError::at_part(path, part(number, offset)))?;
-    Ok(Decoded { path: path.to_owned(), record: number, offset, recording })
+    Ok(Decoded {
+        path: path.to_owned(),
+        record: number,
+        offset,
+        recording,
+    })
 }

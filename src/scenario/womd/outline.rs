@@ -5,9 +5,10 @@
 //! * else halfway to the neighboring lane, within the same bound;
 //! * else [`DEFAULT_HALF`];
 //!
-//! but never farther than halfway to the next lane of its level, so that neighbors share a boundary. Overlaps that remain at
-//! sharp forks and merges go to the lane that comes first: at most one lane holds a point, as nuPlan's metrics assume. The
-//! width of a connector changes linearly between the lanes that it joins.
+//! but never farther than halfway to the next lane of its level, so that neighbors share a
+//! boundary. Overlaps that remain at sharp forks and merges go to the lane that comes first: at
+//! most one lane holds a point, as nuPlan's metrics assume. The width of a connector changes
+//! linearly between the lanes that it joins.
 
 use super::features::MapFeatures;
 use crate::recording::lanes::{RecordedLane, Side, Sides};
@@ -17,11 +18,13 @@ use planagent_world::geometry::{OrientedBox, Point, Polygon};
 
 /// Half of a lane's width without other information, meters.
 pub(super) const DEFAULT_HALF: f64 = 1.75;
-/// Maximum half of a lane's width, meters. A line farther away includes a shoulder or parking strip.
+/// Maximum half of a lane's width, meters. A line farther away includes a shoulder or parking
+/// strip.
 const MAX_HALF: f64 = 2.75;
 /// Minimum half of a lane's width, meters. A nearer line is the marking of the centerline itself.
 const MIN_HALF: f64 = 0.9;
-/// Minimum distance of a neighboring centerline, meters. A nearer one forks from this lane or merges with it.
+/// Minimum distance of a neighboring centerline, meters. A nearer one forks from this lane or
+/// merges with it.
 const MIN_LANE_DISTANCE: f64 = 2.0 * MIN_HALF;
 /// Distance between stations, meters.
 pub(super) const STATION_STEP: f64 = 1.0;
@@ -53,17 +56,35 @@ impl Strip {
         let folded: Vec<bool> = (0..self.stations.len() - 1)
             .map(|i| {
                 let along = lane.trace.direction_at(self.stations[i]);
-                [&left, &right].iter().any(|border| (border[i + 1] - border[i]).dot(&along) < 0.0)
+                [&left, &right]
+                    .iter()
+                    .any(|border| (border[i + 1] - border[i]).dot(&along) < 0.0)
             })
             .collect();
         let mut pieces = Vec::new();
         let mut from = 0;
         while from < folded.len() {
-            let same = folded[from..].iter().take_while(|&&f| !f).take(MAX_PIECE).count();
+            let same = folded[from..]
+                .iter()
+                .take_while(|&&f| !f)
+                .take(MAX_PIECE)
+                .count();
             let to = from + same.max(1);
-            let ring = left[from..=to].iter().chain(right[from..=to].iter().rev()).copied();
-            let piece = if folded[from] { Polygon::convex_hull(&ring.collect::<Vec<_>>()) } else { Polygon::new(ring) };
-            pieces.extend(piece.ok().map(|piece| simplified(&piece, TOLERANCE)).filter(|piece| piece.area() > 0.0));
+            let ring = left[from..=to]
+                .iter()
+                .chain(right[from..=to].iter().rev())
+                .copied();
+            let piece = if folded[from] {
+                Polygon::convex_hull(&ring.collect::<Vec<_>>())
+            } else {
+                Polygon::new(ring)
+            };
+            pieces.extend(
+                piece
+                    .ok()
+                    .map(|piece| simplified(&piece, TOLERANCE))
+                    .filter(|piece| piece.area() > 0.0),
+            );
             from = to;
         }
         pieces
@@ -75,14 +96,18 @@ impl Strip {
         if pieces.len() > 1 {
             pieces = Polygon::union_of(&pieces);
         }
-        pieces.into_iter().max_by(|a, b| a.area().total_cmp(&b.area()))
+        pieces
+            .into_iter()
+            .max_by(|a, b| a.area().total_cmp(&b.area()))
     }
 
     /// The outer line of the strip on one side.
     fn border(&self, lane: &RecordedLane, side: Side) -> Vec<Point> {
         let line = &lane.trace.line;
         let stations = self.stations.iter().zip(self.reach.at(side));
-        stations.map(|(&s, &reach)| line.point_at(s) + side.of(lane.trace.direction_at(s)) * reach).collect()
+        stations
+            .map(|(&s, &reach)| line.point_at(s) + side.of(lane.trace.direction_at(s)) * reach)
+            .collect()
     }
 }
 
@@ -90,12 +115,21 @@ pub(super) fn lane_areas(map: &MapFeatures, connector: &[bool]) -> Vec<Polygon> 
     let centerlines = Segments::of(map.lanes.iter().map(|lane| &lane.trace));
     let lines = Segments::of(&map.lines);
     let lane_strips: Vec<Option<Strip>> = (0..map.lanes.len())
-        .map(|place| (!connector[place]).then(|| lane_strip(map, place, connector, &centerlines, &lines)))
+        .map(|place| {
+            (!connector[place]).then(|| lane_strip(map, place, connector, &centerlines, &lines))
+        })
         .collect();
-    let areas = map.lanes.iter().zip(&lane_strips).enumerate().map(|(place, (lane, strip))| {
-        let strip = strip.clone().unwrap_or_else(|| connector_strip(map, place, &lane_strips));
-        strip.area(lane).unwrap_or_else(|| minimal_area(lane))
-    });
+    let areas = map
+        .lanes
+        .iter()
+        .zip(&lane_strips)
+        .enumerate()
+        .map(|(place, (lane, strip))| {
+            let strip = strip
+                .clone()
+                .unwrap_or_else(|| connector_strip(map, place, &lane_strips));
+            strip.area(lane).unwrap_or_else(|| minimal_area(lane))
+        });
     let mut areas: Vec<Polygon> = areas.collect();
     separate(&mut areas, connector);
     areas
@@ -107,7 +141,13 @@ fn minimal_area(lane: &RecordedLane) -> Polygon {
     OrientedBox::new(lane.trace.line.pose_at(0.0), LENGTH, 2.0 * DEFAULT_HALF).to_polygon()
 }
 
-fn lane_strip(map: &MapFeatures, place: usize, connector: &[bool], centerlines: &Segments, lines: &Segments) -> Strip {
+fn lane_strip(
+    map: &MapFeatures,
+    place: usize,
+    connector: &[bool],
+    centerlines: &Segments,
+    lines: &Segments,
+) -> Strip {
     /// Cosine of the maximum angle between neighbors.
     const ALONG: f64 = 0.7;
     let lane = &map.lanes[place];
@@ -136,7 +176,9 @@ fn lane_strip(map: &MapFeatures, place: usize, connector: &[bool], centerlines: 
             .filter(|b| b.from_s - STATION_STEP <= s && s <= b.to_s + STATION_STEP)
             .map(|b| b.line)
             .collect();
-        let bound = lines.first_hit(&ray, |line| bounds.contains(&line.owner)).filter(|&distance| distance > MIN_HALF);
+        let bound = lines
+            .first_hit(&ray, |line| bounds.contains(&line.owner))
+            .filter(|&distance| distance > MIN_HALF);
         match (bound, half_way) {
             (Some(bound), Some(half)) => bound.min(half),
             (Some(bound), None) => bound,
@@ -149,11 +191,21 @@ fn lane_strip(map: &MapFeatures, place: usize, connector: &[bool], centerlines: 
 fn connector_strip(map: &MapFeatures, place: usize, lane_strips: &[Option<Strip>]) -> Strip {
     let lane = &map.lanes[place];
     let joined = |near: &[usize], side: Side, end: fn(&[f64]) -> Option<&f64>| {
-        let widths = near.iter().filter_map(|&other| end(lane_strips[other].as_ref()?.reach.at(side)));
-        widths.copied().map(|w| w.max(DEFAULT_HALF)).reduce(f64::max).unwrap_or(DEFAULT_HALF)
+        let widths = near
+            .iter()
+            .filter_map(|&other| end(lane_strips[other].as_ref()?.reach.at(side)));
+        widths
+            .copied()
+            .map(|w| w.max(DEFAULT_HALF))
+            .reduce(f64::max)
+            .unwrap_or(DEFAULT_HALF)
     };
-    let widths =
-        Sides::each(|side| (joined(&lane.entries, side, <[f64]>::last), joined(&lane.exits, side, <[f64]>::first)));
+    let widths = Sides::each(|side| {
+        (
+            joined(&lane.entries, side, <[f64]>::last),
+            joined(&lane.exits, side, <[f64]>::first),
+        )
+    });
     Strip::measured(lane, |side, s| {
         let (from, to) = *widths.at(side);
         from + (to - from) * s / lane.length()

@@ -1,5 +1,5 @@
-//! The fields of the `Scenario` message that are read, with the numbers of the published descriptors. Others (laser and camera
-//! data, prediction tasks) are skipped as unknown.
+//! The fields of the `Scenario` message that are read, with the numbers of the published
+//! descriptors. Others (laser and camera data, prediction tasks) are skipped as unknown.
 //!
 //! Meters, radians, m/s; speed limits in miles per hour; 10 Hz.
 

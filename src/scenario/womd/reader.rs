@@ -38,14 +38,21 @@ impl ScenarioReader for WomdReader {
 }
 
 fn is_recording(path: &Path) -> bool {
-    path.file_name().is_some_and(|name| name.to_string_lossy().contains(MARK))
+    path.file_name()
+        .is_some_and(|name| name.to_string_lossy().contains(MARK))
 }
 
 /// The recordings of a folder, by name.
 fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReaderError> {
-    let failed = |source| ReaderError::Folder { path: folder.to_owned(), source };
+    let failed = |source| ReaderError::Folder {
+        path: folder.to_owned(),
+        source,
+    };
     let entries = std::fs::read_dir(folder).map_err(failed)?;
-    let mut files = entries.map(|entry| entry.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(failed)?;
+    let mut files = entries
+        .map(|entry| entry.map(|e| e.path()))
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(failed)?;
     files.retain(|path| is_recording(path));
     files.sort();
     Ok(files)
@@ -53,15 +60,30 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReaderError> {
 
 fn records(path: &Path) -> Result<Vec<ScenarioRef>, WomdError> {
     let reference = |(id, contents): (String, Contents)| {
-        let record = contents.record.expect("contents of a file name their record");
+        let record = contents
+            .record
+            .expect("contents of a file name their record");
         let own = word_of(path.as_os_str());
-        let word = if record == 0 { own } else { format!("{own} record {record}") };
-        ScenarioRef::new(word, Recording { path: path.to_owned(), record, contents })
-            .with_id(id)
-            .with_log_name(log_name(path))
-            .in_file(path, record.to_string())
+        let word = if record == 0 {
+            own
+        } else {
+            format!("{own} record {record}")
+        };
+        ScenarioRef::new(
+            word,
+            Recording {
+                path: path.to_owned(),
+                record,
+                contents,
+            },
+        )
+        .with_id(id)
+        .with_log_name(log_name(path))
+        .in_file(path, record.to_string())
     };
-    contents(path)?.map(|contents| contents.map(reference)).collect()
+    contents(path)?
+        .map(|contents| contents.map(reference))
+        .collect()
 }
 
 struct Recording {
@@ -87,14 +109,29 @@ mod tests {
     #[test]
     fn recordings_are_found_under_the_names_that_waymo_gives_them() {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["validation.tfrecord-00001-of-00150", "a.tfrecord", "notes.txt"] {
+        for name in [
+            "validation.tfrecord-00001-of-00150",
+            "a.tfrecord",
+            "notes.txt",
+        ] {
             std::fs::write(folder.path().join(name), "no record").unwrap();
         }
         let word = |name: &str| word_of(folder.path().join(name).as_os_str());
         let found = WomdReader.list(&word("")).unwrap();
-        let names: Vec<_> = found.iter().filter_map(|one| one.path()?.file_name()?.to_str()).collect();
+        let names: Vec<_> = found
+            .iter()
+            .filter_map(|one| one.path()?.file_name()?.to_str())
+            .collect();
         assert_eq!(names, ["a.tfrecord", "validation.tfrecord-00001-of-00150"]);
-        let taken = ["a.tfrecord", "validation.tfrecord-00001-of-00150", "notes.txt", "b.tfrecord"];
-        assert_eq!(taken.map(|name| WomdReader.recognizes(&word(name))), [true, true, false, false]);
+        let taken = [
+            "a.tfrecord",
+            "validation.tfrecord-00001-of-00150",
+            "notes.txt",
+            "b.tfrecord",
+        ];
+        assert_eq!(
+            taken.map(|name| WomdReader.recognizes(&word(name))),
+            [true, true, false, false]
+        );
     }
 }

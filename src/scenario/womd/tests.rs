@@ -1,8 +1,8 @@
 //! A synthetic recording: what is derived from it, and errors of broken ones.
 
 use super::proto::{
-    DynamicMapState, FeatureData, LaneCenter, LaneNeighbor, LaneType, Line, MapFeature, MapPoint, ObjectState,
-    ObjectType, SignalState, Track, TrafficSignalLaneState,
+    DynamicMapState, FeatureData, LaneCenter, LaneNeighbor, LaneType, Line, MapFeature, MapPoint,
+    ObjectState, ObjectType, SignalState, Track, TrafficSignalLaneState,
 };
 use super::tfrecord::frame;
 use super::*;
@@ -18,9 +18,17 @@ const MPH_25: f64 = 25.0 * 0.447_04;
 fn line(points: &[(f64, f64)]) -> Vec<MapPoint> {
     let pairs = points.windows(2).flat_map(|pair| {
         let ((x0, y0), (x1, y1)) = (pair[0], pair[1]);
-        (0..20).map(move |i| (x0 + (x1 - x0) * f64::from(i) / 20.0, y0 + (y1 - y0) * f64::from(i) / 20.0))
+        (0..20).map(move |i| {
+            (
+                x0 + (x1 - x0) * f64::from(i) / 20.0,
+                y0 + (y1 - y0) * f64::from(i) / 20.0,
+            )
+        })
     });
-    pairs.chain(points.last().copied()).map(|(x, y)| MapPoint { x, y, z: 0.0 }).collect()
+    pairs
+        .chain(points.last().copied())
+        .map(|(x, y)| MapPoint { x, y, z: 0.0 })
+        .collect()
 }
 
 fn lane(id: i64, points: &[(f64, f64)], entries: &[i64], exits: &[i64]) -> MapFeature {
@@ -32,22 +40,36 @@ fn lane(id: i64, points: &[(f64, f64)], entries: &[i64], exits: &[i64]) -> MapFe
         exit_lanes: exits.to_vec(),
         ..LaneCenter::default()
     };
-    MapFeature { id, feature_data: Some(FeatureData::Lane(lane)) }
+    MapFeature {
+        id,
+        feature_data: Some(FeatureData::Lane(lane)),
+    }
 }
 
 fn edge(id: i64, points: &[(f64, f64)]) -> MapFeature {
-    MapFeature { id, feature_data: Some(FeatureData::RoadEdge(Line { polyline: line(points) })) }
+    MapFeature {
+        id,
+        feature_data: Some(FeatureData::RoadEdge(Line {
+            polyline: line(points),
+        })),
+    }
 }
 
-/// Two neighboring lanes to the east (1, 2), 60 m; connectors straight on (11, 12) and to the right (13), 20 m; the lanes behind
-/// them (21, 22, 23); and a road from the south (31, 41, 51) that crosses. Curbs 6 m beside lane 2 and 5 m beside lane 1.
+/// Two neighboring lanes to the east (1, 2), 60 m; connectors straight on (11, 12) and to the right
+/// (13), 20 m; the lanes behind them (21, 22, 23); and a road from the south (31, 41, 51) that
+/// crosses. Curbs 6 m beside lane 2 and 5 m beside lane 1.
 fn crossing_map() -> Vec<MapFeature> {
     let mut map = vec![
         lane(1, &[(0.0, 3.5), (60.0, 3.5)], &[], &[11]),
         lane(2, &[(0.0, 0.0), (60.0, 0.0)], &[], &[12, 13]),
         lane(11, &[(60.0, 3.5), (80.0, 3.5)], &[1], &[21]),
         lane(12, &[(60.0, 0.0), (80.0, 0.0)], &[2], &[22]),
-        lane(13, &[(60.0, 0.0), (65.0, -1.5), (68.0, -5.0), (68.0, -10.0)], &[2], &[23]),
+        lane(
+            13,
+            &[(60.0, 0.0), (65.0, -1.5), (68.0, -5.0), (68.0, -10.0)],
+            &[2],
+            &[23],
+        ),
         lane(21, &[(80.0, 3.5), (140.0, 3.5)], &[11], &[]),
         lane(22, &[(80.0, 0.0), (140.0, 0.0)], &[12], &[]),
         lane(23, &[(68.0, -10.0), (68.0, -60.0)], &[13], &[]),
@@ -57,9 +79,17 @@ fn crossing_map() -> Vec<MapFeature> {
         edge(101, &[(0.0, 8.5), (60.0, 8.5)]),
         edge(102, &[(0.0, -6.0), (60.0, -6.0)]),
     ];
-    let neighbor = |feature_id| LaneNeighbor { feature_id, self_end_index: 20, ..LaneNeighbor::default() };
-    for (own, left, right) in [(0, vec![], vec![2]), (1, vec![1], vec![]), (5, vec![], vec![22]), (6, vec![21], vec![])]
-    {
+    let neighbor = |feature_id| LaneNeighbor {
+        feature_id,
+        self_end_index: 20,
+        ..LaneNeighbor::default()
+    };
+    for (own, left, right) in [
+        (0, vec![], vec![2]),
+        (1, vec![1], vec![]),
+        (5, vec![], vec![22]),
+        (6, vec![21], vec![]),
+    ] {
         if let Some(FeatureData::Lane(lane)) = &mut map[own].feature_data {
             lane.left_neighbors = left.into_iter().map(neighbor).collect();
             lane.right_neighbors = right.into_iter().map(neighbor).collect();
@@ -68,7 +98,8 @@ fn crossing_map() -> Vec<MapFeature> {
     map
 }
 
-/// The ego on lane 2 at 8 m/s for 13 s, straight on; a pedestrian; a light for lane 12 that is observed from step 10 on.
+/// The ego on lane 2 at 8 m/s for 13 s, straight on; a pedestrian; a light for lane 12 that is
+/// observed from step 10 on.
 fn recording() -> proto::Scenario {
     let steps = 131;
     let moving = |speed: f64, y: f64, length: f32| {
@@ -96,17 +127,34 @@ fn recording() -> proto::Scenario {
     }
     let light = |step: i32| TrafficSignalLaneState {
         lane: 12,
-        state: if step < 60 { SignalState::Stop as i32 } else { SignalState::ArrowGo as i32 },
-        stop_point: Some(MapPoint { x: 1_060.0, y: -500.0, z: 0.0 }),
+        state: if step < 60 {
+            SignalState::Stop as i32
+        } else {
+            SignalState::ArrowGo as i32
+        },
+        stop_point: Some(MapPoint {
+            x: 1_060.0,
+            y: -500.0,
+            z: 0.0,
+        }),
     };
-    let lights =
-        (0..steps).map(|step| DynamicMapState { lane_states: (step >= 10).then(|| light(step)).into_iter().collect() });
+    let lights = (0..steps).map(|step| DynamicMapState {
+        lane_states: (step >= 10).then(|| light(step)).into_iter().collect(),
+    });
     proto::Scenario {
         scenario_id: "synthetic".to_owned(),
         timestamps_seconds: (0..steps).map(|i| 3.0 + f64::from(i) * 0.1).collect(),
         tracks: vec![
-            Track { id: 5, object_type: ObjectType::Pedestrian as i32, states: moving(1.0, 7.0, 0.8) },
-            Track { id: 9, object_type: ObjectType::Vehicle as i32, states: moving(8.0, 0.0, 4.6) },
+            Track {
+                id: 5,
+                object_type: ObjectType::Pedestrian as i32,
+                states: moving(1.0, 7.0, 0.8),
+            },
+            Track {
+                id: 9,
+                object_type: ObjectType::Vehicle as i32,
+                states: moving(8.0, 0.0, 4.6),
+            },
         ],
         dynamic_map_states: lights.collect(),
         map_features,
@@ -122,7 +170,12 @@ fn lane_of(scenario: &crate::Scenario, source_id: i64) -> &planagent_world::Lane
 fn the_crossing_becomes_nuplans_layers() {
     let scenario = convert::scenario(&recording(), "log").unwrap();
     let map = &scenario.map;
-    let connectors: Vec<i64> = map.lanes().iter().filter(|l| l.is_connector()).map(|l| l.source_id).collect();
+    let connectors: Vec<i64> = map
+        .lanes()
+        .iter()
+        .filter(|l| l.is_connector())
+        .map(|l| l.source_id)
+        .collect();
     // 11 and 12 cross 41; 13 bends off; the rest are lanes.
     assert_eq!(connectors, vec![11, 12, 13, 41]);
     let ids = |lanes: &[LaneId]| lanes.iter().map(|&l| map[l].source_id).collect::<Vec<_>>();
@@ -137,7 +190,9 @@ fn the_crossing_becomes_nuplans_layers() {
     assert!((lane_of(&scenario, 1).speed_limit.unwrap() - MPH_25).abs() < 1e-9);
     assert_eq!(map.intersections().len(), 1);
     // The ego's first place, 5 m along lane 2, is the origin.
-    assert!(map.in_intersection(Point::new(60.0, 2.0)) && !map.in_intersection(Point::new(30.0, 2.0)));
+    assert!(
+        map.in_intersection(Point::new(60.0, 2.0)) && !map.in_intersection(Point::new(30.0, 2.0))
+    );
     assert!(map.name().contains("(1005, -500)"));
 }
 
@@ -146,7 +201,10 @@ fn lanes_meet_halfway_and_curbs_end_the_drivable_area() {
     let map = convert::scenario(&recording(), "log").unwrap().map;
     for x in [0.0, 17.3, 50.0] {
         assert_eq!(map.lanes_at(Point::new(x, 1.70)).len(), 1);
-        assert_ne!(map.lanes_at(Point::new(x, 1.70)), map.lanes_at(Point::new(x, 1.80)));
+        assert_ne!(
+            map.lanes_at(Point::new(x, 1.70)),
+            map.lanes_at(Point::new(x, 1.80))
+        );
         assert!(map.lanes_at(Point::new(x, -1.9)).is_empty());
         assert!(map.is_drivable(Point::new(x, -5.9)) && !map.is_drivable(Point::new(x, -6.1)));
         assert!(map.is_drivable(Point::new(x, 8.4)) && !map.is_drivable(Point::new(x, 8.6)));
@@ -156,19 +214,37 @@ fn lanes_meet_halfway_and_curbs_end_the_drivable_area() {
 #[test]
 fn time_route_lights_and_objects_are_as_recorded() {
     let scenario = convert::scenario(&recording(), "log").unwrap();
-    assert_eq!((scenario.id.as_str(), scenario.log_name.as_str()), ("synthetic", "log"));
+    assert_eq!(
+        (scenario.id.as_str(), scenario.log_name.as_str()),
+        ("synthetic", "log")
+    );
     assert_eq!((scenario.start, scenario.iterations()), (20, 111));
     assert_eq!(scenario.frames[20].ego.time_us, 2_000_000);
     assert!((scenario.frames[50].ego.speed() - 8.0).abs() < 1e-5);
     assert!(scenario.frames[50].ego.acceleration.norm() < 1e-4);
-    let route: Vec<i64> = scenario.route.roadblocks.iter().map(|&b| scenario.map[b].source_id).collect();
+    let route: Vec<i64> = scenario
+        .route
+        .roadblocks
+        .iter()
+        .map(|&b| scenario.map[b].source_id)
+        .collect();
     assert_eq!(route, vec![1, 11, 21]);
-    assert_eq!(scenario.route.goal, Some(scenario.frames[130].ego.rear_axle));
+    assert_eq!(
+        scenario.route.goal,
+        Some(scenario.frames[130].ego.rear_axle)
+    );
     assert_eq!(scenario.frames[40].objects.len(), 1);
     let lit = lane_of(&scenario, 12);
     assert!(lit.has_traffic_lights && !lane_of(&scenario, 11).has_traffic_lights);
     let shown = [5, 30, 70].map(|step| scenario.frames[step].lights.status(lit.id).unwrap());
-    assert_eq!(shown, [SignalStatus::Unknown, SignalStatus::Red, SignalStatus::Green]);
+    assert_eq!(
+        shown,
+        [
+            SignalStatus::Unknown,
+            SignalStatus::Red,
+            SignalStatus::Green
+        ]
+    );
     let stop = &scenario.map[lit.stop_lines[0]];
     assert!(!stop.stop_sign && stop.polygon.contains(lit.centerline.start()));
 }
@@ -180,33 +256,72 @@ fn faults_are_reported() {
         change(&mut recording);
         convert::scenario(&recording, "log").unwrap_err()
     };
-    assert!(matches!(fault(|r| r.sdc_track_index = -1), WomdFault::NoEgoTrack { index: -1, tracks: 2 }));
-    assert!(matches!(fault(|r| r.sdc_track_index = 2), WomdFault::NoEgoTrack { .. }));
+    assert!(matches!(
+        fault(|r| r.sdc_track_index = -1),
+        WomdFault::NoEgoTrack {
+            index: -1,
+            tracks: 2
+        }
+    ));
+    assert!(matches!(
+        fault(|r| r.sdc_track_index = 2),
+        WomdFault::NoEgoTrack { .. }
+    ));
     let shared = |change| match fault(change) {
         WomdFault::Recording(fault) => fault,
         other => panic!("{other}"),
     };
-    assert!(matches!(shared(|r| r.tracks[0].id = 9), RecordingFault::DuplicateId { layer: "track", id: 9 }));
-    assert!(matches!(fault(|r| r.tracks[0].states.truncate(9)), WomdFault::TrackLength { track: 5, .. }));
-    assert!(matches!(shared(|r| r.map_features[3].id = 1), RecordingFault::DuplicateId { id: 1, .. }));
-    assert!(matches!(shared(|r| r.map_features.clear()), RecordingFault::Map(_)));
+    assert!(matches!(
+        shared(|r| r.tracks[0].id = 9),
+        RecordingFault::DuplicateId {
+            layer: "track",
+            id: 9
+        }
+    ));
+    assert!(matches!(
+        fault(|r| r.tracks[0].states.truncate(9)),
+        WomdFault::TrackLength { track: 5, .. }
+    ));
+    assert!(matches!(
+        shared(|r| r.map_features[3].id = 1),
+        RecordingFault::DuplicateId { id: 1, .. }
+    ));
+    assert!(matches!(
+        shared(|r| r.map_features.clear()),
+        RecordingFault::Map(_)
+    ));
     let short = shared(|r| r.timestamps_seconds.truncate(9));
     assert!(matches!(short, RecordingFault::TooShort { steps: 9, .. }));
     let lost = fault(|r| r.tracks[1].states.iter_mut().for_each(|s| s.valid = false));
-    assert!(matches!(lost, WomdFault::EgoMissing { step: 0, missing: 131 }));
+    assert!(matches!(
+        lost,
+        WomdFault::EgoMissing {
+            step: 0,
+            missing: 131
+        }
+    ));
     let far = shared(|r| {
         if let Some(FeatureData::Lane(lane)) = &mut r.map_features[1].feature_data {
             lane.polyline[4].x = f64::INFINITY;
         }
     });
-    assert_eq!(far, RecordingFault::NoPlace { feature: 2, point: 4 });
+    assert_eq!(
+        far,
+        RecordingFault::NoPlace {
+            feature: 2,
+            point: 4
+        }
+    );
 }
 
 /// A file in a temporary folder, which the guard keeps.
 fn written(bytes: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recordings.tfrecord");
-    std::fs::File::create(&path).unwrap().write_all(bytes).unwrap();
+    std::fs::File::create(&path)
+        .unwrap()
+        .write_all(bytes)
+        .unwrap();
     (folder, path)
 }
 
@@ -214,14 +329,26 @@ fn written(bytes: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
 fn a_recording_is_opened_by_its_number() {
     let mut second = recording();
     second.scenario_id = "second".to_owned();
-    let bytes = [frame(&recording().encode_to_vec()), frame(&second.encode_to_vec())].concat();
+    let bytes = [
+        frame(&recording().encode_to_vec()),
+        frame(&second.encode_to_vec()),
+    ]
+    .concat();
     let (_folder, path) = written(&bytes);
     assert_eq!(open_one(&path, 0).unwrap().id, "synthetic");
     assert_eq!(open_one(&path, 1).unwrap().id, "second");
     let missing = open_one(&path, 2).unwrap_err();
-    assert!(missing.to_string().ends_with("no recording number 2 among the 2 of the file"), "{missing}");
+    assert!(
+        missing
+            .to_string()
+            .ends_with("no recording number 2 among the 2 of the file"),
+        "{missing}"
+    );
     let (id, contents) = contents(&path).unwrap().map(Result::unwrap).nth(1).unwrap();
-    assert_eq!((id.as_str(), contents.iterations, contents.lanes), ("second", 111, 11));
+    assert_eq!(
+        (id.as_str(), contents.iterations, contents.lanes),
+        ("second", 111, 11)
+    );
 }
 
 #[test]
@@ -232,7 +359,10 @@ fn broken_files_are_reported_with_their_place() {
     flipped[first.len() + 40] ^= 8;
     let (_folder, path) = written(&flipped);
     let error = open_one(&path, 1).unwrap_err().to_string();
-    assert!(error.contains(&format!("record 1 at byte {}", first.len())) && error.contains("checksum"), "{error}");
+    assert!(
+        error.contains(&format!("record 1 at byte {}", first.len())) && error.contains("checksum"),
+        "{error}"
+    );
     let fault = |path: &Path| open_one(path, 0).unwrap_err().fault;
     let (_folder, path) = written(&first[..first.len() / 2]);
     assert!(matches!(fault(&path), WomdFault::Framing(_)));

@@ -1,7 +1,8 @@
 //! The TFRecord container: framing and both checksums.
 //!
-//! A file is a sequence of records, each `{u64 length, u32 masked CRC32C of the length, payload, u32 masked CRC32C of the
-//! payload}`, little endian. Both checksums are verified, that of the length before the length is used.
+//! A file is a sequence of records, each `{u64 length, u32 masked CRC32C of the length, payload,
+//! u32 masked CRC32C of the payload}`, little endian. Both checksums are verified, that of the
+//! length before the length is used.
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
 use std::path::Path;
@@ -19,9 +20,19 @@ const MAX_PAYLOAD: u64 = i32::MAX as u64;
 #[derive(Debug, thiserror::Error)]
 pub enum FramingFault {
     #[error("the file ends inside the {part}: {needed} bytes needed, {left} left")]
-    Truncated { part: &'static str, needed: u64, left: u64 },
-    #[error("the checksum of the {part} does not match (stored {stored:#010x}, computed {computed:#010x})")]
-    Checksum { part: &'static str, stored: u32, computed: u32 },
+    Truncated {
+        part: &'static str,
+        needed: u64,
+        left: u64,
+    },
+    #[error(
+        "the checksum of the {part} does not match (stored {stored:#010x}, computed {computed:#010x})"
+    )]
+    Checksum {
+        part: &'static str,
+        stored: u32,
+        computed: u32,
+    },
     /// The checksum of the length matches.
     #[error("a payload of {0} bytes is longer than a protobuf message can be")]
     TooLong(u64),
@@ -60,7 +71,13 @@ impl Records<BufReader<File>> {
 
 impl<R: Read> Records<R> {
     pub(super) fn new(reader: R, total: u64) -> Self {
-        Self { reader, total, offset: 0, number: 0, broken: false }
+        Self {
+            reader,
+            total,
+            offset: 0,
+            number: 0,
+            broken: false,
+        }
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -72,9 +89,16 @@ impl<R: Read> Records<R> {
         let header: [u8; HEADER_BYTES as usize] = self.read_array("length")?;
         let [l0, l1, l2, l3, l4, l5, l6, l7, c0, c1, c2, c3] = header;
         let length_bytes = [l0, l1, l2, l3, l4, l5, l6, l7];
-        let (stored, computed) = (u32::from_le_bytes([c0, c1, c2, c3]), masked_crc(&length_bytes));
+        let (stored, computed) = (
+            u32::from_le_bytes([c0, c1, c2, c3]),
+            masked_crc(&length_bytes),
+        );
         if stored != computed {
-            return Err(FramingFault::Checksum { part: "length", stored, computed });
+            return Err(FramingFault::Checksum {
+                part: "length",
+                stored,
+                computed,
+            });
         }
         let length = u64::from_le_bytes(length_bytes);
         if length > MAX_PAYLOAD {
@@ -87,15 +111,29 @@ impl<R: Read> Records<R> {
     fn read_payload(&mut self) -> Result<Vec<u8>, FramingFault> {
         let length = self.read_length()?;
         let mut payload = Vec::new();
-        let got = self.reader.by_ref().take(length).read_to_end(&mut payload)? as u64;
+        let got = self
+            .reader
+            .by_ref()
+            .take(length)
+            .read_to_end(&mut payload)? as u64;
         if got < length {
-            return Err(FramingFault::Truncated { part: "payload", needed: length, left: got });
+            return Err(FramingFault::Truncated {
+                part: "payload",
+                needed: length,
+                left: got,
+            });
         }
         self.offset += length;
-        let stored = u32::from_le_bytes(self.read_array::<{ FOOTER_BYTES as usize }>("checksum of the payload")?);
+        let stored = u32::from_le_bytes(
+            self.read_array::<{ FOOTER_BYTES as usize }>("checksum of the payload")?,
+        );
         let computed = masked_crc(&payload);
         if stored != computed {
-            return Err(FramingFault::Checksum { part: "payload", stored, computed });
+            return Err(FramingFault::Checksum {
+                part: "payload",
+                stored,
+                computed,
+            });
         }
         Ok(payload)
     }
@@ -111,26 +149,36 @@ impl<R: Read> Records<R> {
     /// Checks against the size of the source before anything is allocated.
     fn demand(&self, part: &'static str, needed: u64) -> Result<(), FramingFault> {
         let left = self.total.saturating_sub(self.offset);
-        if needed > left { Err(FramingFault::Truncated { part, needed, left }) } else { Ok(()) }
+        if needed > left {
+            Err(FramingFault::Truncated { part, needed, left })
+        } else {
+            Ok(())
+        }
     }
 }
 
 impl<R: Read + Seek> Records<R> {
-    /// Skips records without reading their payloads, until the next one has this number. Gives the record whose length is
-    /// broken, which is the last.
+    /// Skips records without reading their payloads, until the next one has this number. Gives the
+    /// record whose length is broken, which is the last.
     pub(super) fn skip_to(&mut self, number: usize) -> Option<Record> {
         while self.number < number && self.offset < self.total {
             let (own, offset) = (self.number, self.offset);
             let skipped = self.read_length().and_then(|length| {
                 let bytes = length + FOOTER_BYTES;
                 self.demand("payload", bytes)?;
-                self.reader.seek_relative(i64::try_from(bytes).map_err(|_| FramingFault::TooLong(length))?)?;
+                self.reader.seek_relative(
+                    i64::try_from(bytes).map_err(|_| FramingFault::TooLong(length))?,
+                )?;
                 self.offset += bytes;
                 Ok(())
             });
             if let Err(fault) = skipped {
                 self.broken = true;
-                return Some(Record { number: own, offset, payload: Err(fault) });
+                return Some(Record {
+                    number: own,
+                    offset,
+                    payload: Err(fault),
+                });
             }
             self.number += 1;
         }
@@ -154,13 +202,19 @@ impl<R: Read> Iterator for Records<R> {
         let payload = self.read_payload();
         self.broken = payload.is_err();
         self.number += 1;
-        Some(Record { number, offset, payload })
+        Some(Record {
+            number,
+            offset,
+            payload,
+        })
     }
 }
 
 /// TFRecord's checksum: CRC32C, rotated right by 15 bits, plus a constant.
 fn masked_crc(bytes: &[u8]) -> u32 {
-    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(MASK_DELTA)
+    crc32c::crc32c(bytes)
+        .rotate_right(15)
+        .wrapping_add(MASK_DELTA)
 }
 
 /// Frames a payload as a record.
@@ -198,7 +252,10 @@ mod tests {
         assert_eq!(read.len(), 2);
         assert_eq!((read[0].number, read[0].offset), (0, 0));
         assert_eq!((read[1].number, read[1].offset), (1, 29));
-        let payloads: Vec<Vec<u8>> = read.into_iter().map(|record| record.payload.unwrap()).collect();
+        let payloads: Vec<Vec<u8>> = read
+            .into_iter()
+            .map(|record| record.payload.unwrap())
+            .collect();
         assert_eq!(payloads, [b"first payload".to_vec(), b"second".to_vec()]);
     }
 
@@ -211,10 +268,16 @@ mod tests {
                 assert!(read.len() == 1 && read[0].payload.is_ok());
                 continue;
             }
-            let broken = read.into_iter().find(|record| record.payload.is_err()).unwrap();
+            let broken = read
+                .into_iter()
+                .find(|record| record.payload.is_err())
+                .unwrap();
             let expected = if end < 29 { (0, 0) } else { (1, 29) };
             assert_eq!((broken.number, broken.offset), expected, "cut at {end}");
-            assert!(matches!(broken.payload, Err(FramingFault::Truncated { .. })), "cut at {end}: {broken:?}");
+            assert!(
+                matches!(broken.payload, Err(FramingFault::Truncated { .. })),
+                "cut at {end}: {broken:?}"
+            );
         }
     }
 
@@ -225,16 +288,33 @@ mod tests {
             let mut bytes = whole.clone();
             bytes[bit / 8] ^= 1 << (bit % 8);
             let read = records(&bytes);
-            assert!(matches!(&read[..], [Record { payload: Err(_), .. }]), "bit {bit}: {read:?}");
+            assert!(
+                matches!(
+                    &read[..],
+                    [Record {
+                        payload: Err(_),
+                        ..
+                    }]
+                ),
+                "bit {bit}: {read:?}"
+            );
         }
     }
 
     #[test]
     fn an_absurd_length_with_a_good_checksum_is_refused() {
         let length = u64::MAX.to_le_bytes();
-        let bytes = [length.to_vec(), masked_crc(&length).to_le_bytes().to_vec(), vec![0; 64]].concat();
+        let bytes = [
+            length.to_vec(),
+            masked_crc(&length).to_le_bytes().to_vec(),
+            vec![0; 64],
+        ]
+        .concat();
         let payload = records(&bytes).remove(0).payload;
-        assert!(matches!(payload, Err(FramingFault::TooLong(u64::MAX))), "{payload:?}");
+        assert!(
+            matches!(payload, Err(FramingFault::TooLong(u64::MAX))),
+            "{payload:?}"
+        );
     }
 
     #[test]
@@ -244,7 +324,10 @@ mod tests {
         let mut records = Records::new(io::Cursor::new(&bytes), bytes.len() as u64);
         assert!(records.skip_to(1).is_none());
         let second = records.next().unwrap();
-        assert_eq!((second.number, second.offset, second.payload.unwrap()), (1, 29, b"second".to_vec()));
+        assert_eq!(
+            (second.number, second.offset, second.payload.unwrap()),
+            (1, 29, b"second".to_vec())
+        );
         let mut records = Records::new(io::Cursor::new(&bytes), bytes.len() as u64);
         assert!(records.skip_to(9).is_none());
         assert!(records.number() == 2 && records.next().is_none());
@@ -252,11 +335,17 @@ mod tests {
         let mut records = Records::new(io::Cursor::new(&bytes), bytes.len() as u64);
         let broken = records.skip_to(1).unwrap();
         assert!(
-            matches!(broken.payload, Err(FramingFault::Checksum { part: "length", .. })) && records.next().is_none()
+            matches!(
+                broken.payload,
+                Err(FramingFault::Checksum { part: "length", .. })
+            ) && records.next().is_none()
         );
         let cut = &two_records()[..27];
         let mut records = Records::new(io::Cursor::new(cut), cut.len() as u64);
-        assert!(matches!(records.skip_to(1).unwrap().payload, Err(FramingFault::Truncated { .. })));
+        assert!(matches!(
+            records.skip_to(1).unwrap().payload,
+            Err(FramingFault::Truncated { .. })
+        ));
     }
 
     #[test]

@@ -1,16 +1,20 @@
 //! The recorded ego and the objects around it at each step.
 //!
-//! * A state counts if it is flagged valid and its numbers are plausible. Any other state counts as not observed. A box needs a
-//!   length and a width.
-//! * nuPlan's vehicle replaces the recording car around the same box center, since all scores assume that vehicle.
+//! * A state counts if it is flagged valid and its numbers are plausible. Any other state counts as
+//!   not observed. A box needs a length and a width.
+//! * nuPlan's vehicle replaces the recording car around the same box center, since all scores
+//!   assume that vehicle.
 //! * Short gaps of the ego are interpolated. Longer gaps, and gaps at either end, are an error.
-//! * Waymo records no accelerations. They are slopes of the rear-axle velocity in the map frame (`recording::motion`).
+//! * Waymo records no accelerations. They are slopes of the rear-axle velocity in the map frame
+//!   (`recording::motion`).
 
 use super::error::WomdFault;
 use super::proto::{ObjectState, ObjectType, Track};
 use crate::recording::motion::{self, MAX_BOX, MAX_COORDINATE, MAX_SPEED, slope};
 use planagent_world::geometry::{OrientedBox, Point, Pose, Vector, unwrap_angles, wrap_angle};
-use planagent_world::{EgoState, MICROS_PER_SECOND, ObjectKind, PACIFICA, TrackToken, TrackedObject};
+use planagent_world::{
+    EgoState, MICROS_PER_SECOND, ObjectKind, PACIFICA, TrackToken, TrackedObject,
+};
 use std::sync::Arc;
 
 /// Maximum gap of the ego that is interpolated, steps.
@@ -25,19 +29,30 @@ struct BoxState {
 
 impl BoxState {
     fn of(state: &ObjectState, origin: Vector) -> Option<Self> {
-        let center = Pose::new(state.center_x - origin.x, state.center_y - origin.y, f64::from(state.heading));
+        let center = Pose::new(
+            state.center_x - origin.x,
+            state.center_y - origin.y,
+            f64::from(state.heading),
+        );
         let velocity = Vector::new(f64::from(state.velocity_x), f64::from(state.velocity_y));
         let sound = state.valid
             && center.is_finite()
             && center.position().coords.norm() < MAX_COORDINATE
             && center.heading.abs() < MAX_COORDINATE
             && velocity.norm() < MAX_SPEED;
-        sound.then(|| Self { center: Pose { heading: wrap_angle(center.heading), ..center }, velocity })
+        sound.then(|| Self {
+            center: Pose {
+                heading: wrap_angle(center.heading),
+                ..center
+            },
+            velocity,
+        })
     }
 
     fn between(self, other: Self, share: f64) -> Self {
         let turn = wrap_angle(other.center.heading - self.center.heading);
-        let position = self.center.position() + (other.center.position() - self.center.position()) * share;
+        let position =
+            self.center.position() + (other.center.position() - self.center.position()) * share;
         Self {
             center: Pose::at(position, wrap_angle(self.center.heading + turn * share)),
             velocity: self.velocity.lerp(&other.velocity, share),
@@ -47,25 +62,52 @@ impl BoxState {
 
 /// First valid position of the recording car, in recorded coordinates.
 pub(super) fn first_position(track: &Track) -> Option<Point> {
-    let seen = track.states.iter().find_map(|state| BoxState::of(state, Vector::zeros()));
+    let seen = track
+        .states
+        .iter()
+        .find_map(|state| BoxState::of(state, Vector::zeros()));
     seen.map(|state| state.center.position())
 }
 
-/// The recorded ego, one state per step. Fails if it is missing for more than [`MAX_EGO_GAP`] steps, or at either end.
-pub(super) fn ego_states(track: &Track, times_us: &[i64], origin: Vector) -> Result<Vec<EgoState>, WomdFault> {
-    let seen: Vec<Option<BoxState>> = track.states.iter().map(|state| BoxState::of(state, origin)).collect();
+/// The recorded ego, one state per step. Fails if it is missing for more than [`MAX_EGO_GAP`]
+/// steps, or at either end.
+pub(super) fn ego_states(
+    track: &Track,
+    times_us: &[i64],
+    origin: Vector,
+) -> Result<Vec<EgoState>, WomdFault> {
+    let seen: Vec<Option<BoxState>> = track
+        .states
+        .iter()
+        .map(|state| BoxState::of(state, origin))
+        .collect();
     let boxes = fill_gaps(&seen, times_us)?;
-    let seconds: Vec<f64> = times_us.iter().map(|&t| t as f64 / MICROS_PER_SECOND).collect();
+    let seconds: Vec<f64> = times_us
+        .iter()
+        .map(|&t| t as f64 / MICROS_PER_SECOND)
+        .collect();
     let headings = unwrap_angles(&boxes.iter().map(|s| s.center.heading).collect::<Vec<_>>());
     let to_axle = PACIFICA.rear_axle_to_center();
     // The rear axle of a turning car does not move sideways with the center of its box.
     let velocities: Vec<Vector> = boxes
         .iter()
         .enumerate()
-        .map(|(i, s)| s.velocity - s.center.rotate(Vector::new(0.0, to_axle * slope(&seconds, &headings, i))))
+        .map(|(i, s)| {
+            s.velocity
+                - s.center
+                    .rotate(Vector::new(0.0, to_axle * slope(&seconds, &headings, i)))
+        })
         .collect();
-    let rear_axles: Vec<Pose> = boxes.iter().map(|state| PACIFICA.rear_axle_of(state.center)).collect();
-    Ok(motion::ego_states(times_us, &seconds, &rear_axles, &velocities))
+    let rear_axles: Vec<Pose> = boxes
+        .iter()
+        .map(|state| PACIFICA.rear_axle_of(state.center))
+        .collect();
+    Ok(motion::ego_states(
+        times_us,
+        &seconds,
+        &rear_axles,
+        &velocities,
+    ))
 }
 
 fn fill_gaps(seen: &[Option<BoxState>], times_us: &[i64]) -> Result<Vec<BoxState>, WomdFault> {
@@ -79,7 +121,9 @@ fn fill_gaps(seen: &[Option<BoxState>], times_us: &[i64]) -> Result<Vec<BoxState
         }
         let missing = seen[step..].iter().take_while(|s| s.is_none()).count();
         let fault = WomdFault::EgoMissing { step, missing };
-        let (Some(&before), Some(Some(after))) = (filled.last(), seen.get(step + missing)) else { return Err(fault) };
+        let (Some(&before), Some(Some(after))) = (filled.last(), seen.get(step + missing)) else {
+            return Err(fault);
+        };
         if missing > MAX_EGO_GAP {
             return Err(fault);
         }
@@ -93,13 +137,24 @@ fn fill_gaps(seen: &[Option<BoxState>], times_us: &[i64]) -> Result<Vec<BoxState
 }
 
 /// Objects around the ego at a step, in order of track.
-pub(super) fn objects_at(tracks: &[Track], ego: usize, step: usize, origin: Vector) -> Arc<[TrackedObject]> {
-    let others = tracks.iter().enumerate().filter(|&(index, _)| index != ego).map(|(_, track)| track);
-    others.filter_map(|track| object(track, track.states.get(step)?, origin)).collect()
+pub(super) fn objects_at(
+    tracks: &[Track],
+    ego: usize,
+    step: usize,
+    origin: Vector,
+) -> Arc<[TrackedObject]> {
+    let others = tracks
+        .iter()
+        .enumerate()
+        .filter(|&(index, _)| index != ego)
+        .map(|(_, track)| track);
+    others
+        .filter_map(|track| object(track, track.states.get(step)?, origin))
+        .collect()
 }
 
-/// A state as nuPlan's object. Cyclists are bicycles. Other types are generic objects, which are static in nuPlan: their
-/// velocity is zero.
+/// A state as nuPlan's object. Cyclists are bicycles. Other types are generic objects, which are
+/// static in nuPlan: their velocity is zero.
 fn object(track: &Track, state: &ObjectState, origin: Vector) -> Option<TrackedObject> {
     let BoxState { center, velocity } = BoxState::of(state, origin)?;
     let (length, width) = (f64::from(state.length), f64::from(state.width));
@@ -114,7 +169,11 @@ fn object(track: &Track, state: &ObjectState, origin: Vector) -> Option<TrackedO
         token: TrackToken(track.id.cast_unsigned()),
         kind,
         shape: OrientedBox::new(center, length, width),
-        velocity: if kind.is_agent() { velocity } else { Vector::zeros() },
+        velocity: if kind.is_agent() {
+            velocity
+        } else {
+            Vector::zeros()
+        },
     })
 }
 
@@ -138,7 +197,11 @@ mod tests {
                 ..ObjectState::default()
             }
         });
-        let track = Track { id: 7, object_type: ObjectType::Vehicle as i32, states: states.collect() };
+        let track = Track {
+            id: 7,
+            object_type: ObjectType::Vehicle as i32,
+            states: states.collect(),
+        };
         (track, (0..steps as i64).map(|i| i * 100_000).collect())
     }
 
@@ -148,10 +211,16 @@ mod tests {
         let states = ego_states(&track, &times, Vector::zeros()).unwrap();
         for state in &states[5..295] {
             assert!((state.velocity.x - 5.0).abs() < 1e-3, "{state:?}");
-            assert!((state.velocity.y + PACIFICA.rear_axle_to_center() * 0.25).abs() < 1e-3, "{state:?}");
+            assert!(
+                (state.velocity.y + PACIFICA.rear_axle_to_center() * 0.25).abs() < 1e-3,
+                "{state:?}"
+            );
             // v²/r of the box center, less what the rear axle turns: 5 · 0.25, and d·ω² forward.
             assert!((state.acceleration.y - 1.25).abs() < 0.01, "{state:?}");
-            assert!((state.acceleration.x - PACIFICA.rear_axle_to_center() * 0.0625).abs() < 0.01, "{state:?}");
+            assert!(
+                (state.acceleration.x - PACIFICA.rear_axle_to_center() * 0.0625).abs() < 0.01,
+                "{state:?}"
+            );
         }
     }
 
@@ -163,14 +232,37 @@ mod tests {
             state.valid = false;
         }
         let bridged = ego_states(&track, &times, Vector::zeros()).unwrap();
-        assert!(bridged.iter().zip(&whole).all(|(a, b)| a.rear_axle.distance(&b.rear_axle) < 0.1));
+        assert!(
+            bridged
+                .iter()
+                .zip(&whole)
+                .all(|(a, b)| a.rear_axle.distance(&b.rear_axle) < 0.1)
+        );
         track.states[15].center_x = f64::NAN;
         let fault = ego_states(&track, &times, Vector::zeros()).unwrap_err();
-        assert!(matches!(fault, WomdFault::EgoMissing { step: 10, missing: 6 }), "{fault}");
+        assert!(
+            matches!(
+                fault,
+                WomdFault::EgoMissing {
+                    step: 10,
+                    missing: 6
+                }
+            ),
+            "{fault}"
+        );
         let (mut track, times) = circling(40);
         track.states[39].valid = false;
         let fault = ego_states(&track, &times, Vector::zeros()).unwrap_err();
-        assert!(matches!(fault, WomdFault::EgoMissing { step: 39, missing: 1 }), "{fault}");
+        assert!(
+            matches!(
+                fault,
+                WomdFault::EgoMissing {
+                    step: 39,
+                    missing: 1
+                }
+            ),
+            "{fault}"
+        );
     }
 
     #[test]
@@ -184,6 +276,9 @@ mod tests {
         assert_eq!(objects_at(&tracks, 0, 2, Vector::zeros()).len(), 1);
         tracks[1].object_type = ObjectType::Other as i32;
         let seen = objects_at(&tracks, 0, 2, Vector::zeros());
-        assert_eq!((seen[0].kind, seen[0].speed()), (ObjectKind::GenericObject, 0.0));
+        assert_eq!(
+            (seen[0].kind, seen[0].speed()),
+            (ObjectKind::GenericObject, 0.0)
+        );
     }
 }

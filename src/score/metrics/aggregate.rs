@@ -6,7 +6,8 @@ use super::score::{Weighting, combine};
 use planagent_world::InteractionKind;
 use std::borrow::Cow;
 
-/// The metric scores of one simulated scenario. A scenario whose simulation failed has no row at all.
+/// The metric scores of one simulated scenario. A scenario whose simulation failed has no row at
+/// all.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScenarioRow {
     /// Name of the scenario.
@@ -24,8 +25,8 @@ pub struct ScenarioRow {
 /// nuPlan's name of the last row of a planner.
 pub const FINAL_SCORE: &str = "final_score";
 
-/// One row of the aggregate: a scenario, the scenarios of a type, or all of a planner. The metric columns of a type are sums,
-/// its score is a mean: nuPlan's behavior.
+/// One row of the aggregate: a scenario, the scenarios of a type, or all of a planner. The metric
+/// columns of a type are sums, its score is a mean: nuPlan's behavior.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AggregateRow {
     /// Name of a single scenario, else the type or [`FINAL_SCORE`].
@@ -44,21 +45,31 @@ pub struct AggregateRow {
     pub score: f64,
 }
 
-/// Rows of every planner by name: its scenarios, then its scenario types, both in order of first appearance, then its final
-/// score. Metric columns go by name, as nuPlan's do.
+/// Rows of every planner by name: its scenarios, then its scenario types, both in order of first
+/// appearance, then its final score. Metric columns go by name, as nuPlan's do.
 pub fn aggregate(rows: &[ScenarioRow], weighting: &Weighting) -> Vec<AggregateRow> {
-    let mut columns = distinct(rows.iter().flat_map(|r| r.metrics.iter().map(|(name, _)| name)));
+    let mut columns = distinct(
+        rows.iter()
+            .flat_map(|r| r.metrics.iter().map(|(name, _)| name)),
+    );
     columns.sort();
     let mut planners = distinct(rows.iter().map(|r| &r.planner));
     planners.sort();
     let mut table = Vec::new();
     for planner in planners {
         let own: Vec<&ScenarioRow> = rows.iter().filter(|r| r.planner == *planner).collect();
-        let scenarios: Vec<AggregateRow> = own.iter().map(|row| scenario_row(row, &columns, weighting)).collect();
+        let scenarios: Vec<AggregateRow> = own
+            .iter()
+            .map(|row| scenario_row(row, &columns, weighting))
+            .collect();
         let mut types = Vec::new();
         for scenario_type in distinct(own.iter().map(|r| &r.scenario_type)) {
-            let of_type: Vec<&AggregateRow> =
-                scenarios.iter().zip(&own).filter(|(_, r)| r.scenario_type == *scenario_type).map(|(s, _)| s).collect();
+            let of_type: Vec<&AggregateRow> = scenarios
+                .iter()
+                .zip(&own)
+                .filter(|(_, r)| r.scenario_type == *scenario_type)
+                .map(|(s, _)| s)
+                .collect();
             types.push(type_row(scenario_type, &of_type, &columns));
         }
         let last = final_row(planner, scenarios.len(), &types, &columns);
@@ -80,9 +91,13 @@ pub fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
     seen
 }
 
-/// The weighting of a row. Modified scenarios of interPlan's kinds have interPlan's; they alone have that metric.
+/// The weighting of a row. Modified scenarios of interPlan's kinds have interPlan's; they alone
+/// have that metric.
 fn weighting_of<'a>(row: &ScenarioRow, weighting: &'a Weighting) -> Cow<'a, Weighting> {
-    let is_scored = row.metrics.iter().any(|(name, score)| name == "lane_changes_to_goal" && score.is_some());
+    let is_scored = row
+        .metrics
+        .iter()
+        .any(|(name, score)| name == "lane_changes_to_goal" && score.is_some());
     match InteractionKind::named(&row.scenario_type).filter(|_| is_scored) {
         Some(kind) => Cow::Owned(Weighting::of_kind(kind, &METRICS)),
         None => Cow::Borrowed(weighting),
@@ -91,7 +106,12 @@ fn weighting_of<'a>(row: &ScenarioRow, weighting: &'a Weighting) -> Cow<'a, Weig
 
 fn scenario_row(row: &ScenarioRow, columns: &[&String], weighting: &Weighting) -> AggregateRow {
     let weighting = &weighting_of(row, weighting);
-    let value = |column: &str| row.metrics.iter().find(|(name, _)| name == column).and_then(|&(_, score)| score);
+    let value = |column: &str| {
+        row.metrics
+            .iter()
+            .find(|(name, _)| name == column)
+            .and_then(|&(_, score)| score)
+    };
     AggregateRow {
         scenario: row.scenario.clone(),
         log_name: Some(row.log_name.clone()),
@@ -99,7 +119,12 @@ fn scenario_row(row: &ScenarioRow, columns: &[&String], weighting: &Weighting) -
         scenarios: None,
         planner: row.planner.clone(),
         metrics: columns.iter().map(|&c| (c.clone(), value(c))).collect(),
-        score: combine(row.metrics.iter().map(|(name, score)| (name.as_str(), *score)), weighting),
+        score: combine(
+            row.metrics
+                .iter()
+                .map(|(name, score)| (name.as_str(), *score)),
+            weighting,
+        ),
     }
 }
 
@@ -116,13 +141,23 @@ fn type_row(scenario_type: &str, rows: &[&AggregateRow], columns: &[&String]) ->
         log_name: None,
         scenario_type: scenario_type.to_owned(),
         scenarios: Some(rows.len()),
-        planner: rows.first().map(|row| row.planner.clone()).expect("a type is that of a row"),
-        metrics: metrics.map(|(i, &c)| (c.clone(), column_sum(rows.iter().copied(), i))).collect(),
+        planner: rows
+            .first()
+            .map(|row| row.planner.clone())
+            .expect("a type is that of a row"),
+        metrics: metrics
+            .map(|(i, &c)| (c.clone(), column_sum(rows.iter().copied(), i)))
+            .collect(),
         score: rows.iter().map(|row| row.score).sum::<f64>() / rows.len() as f64,
     }
 }
 
-fn final_row(planner: &str, scenarios: usize, types: &[AggregateRow], columns: &[&String]) -> AggregateRow {
+fn final_row(
+    planner: &str,
+    scenarios: usize,
+    types: &[AggregateRow],
+    columns: &[&String],
+) -> AggregateRow {
     let total = scenarios as f64;
     let mean = |i| column_sum(types.iter(), i).map(|sum| sum / total);
     AggregateRow {
@@ -131,7 +166,15 @@ fn final_row(planner: &str, scenarios: usize, types: &[AggregateRow], columns: &
         scenario_type: FINAL_SCORE.to_owned(),
         scenarios: Some(scenarios),
         planner: planner.to_owned(),
-        metrics: columns.iter().enumerate().map(|(i, &c)| (c.clone(), mean(i))).collect(),
-        score: types.iter().map(|row| row.score * row.scenarios.unwrap_or(1) as f64).sum::<f64>() / total,
+        metrics: columns
+            .iter()
+            .enumerate()
+            .map(|(i, &c)| (c.clone(), mean(i)))
+            .collect(),
+        score: types
+            .iter()
+            .map(|row| row.score * row.scenarios.unwrap_or(1) as f64)
+            .sum::<f64>()
+            / total,
     }
 }

@@ -24,7 +24,8 @@ pub fn is_behind(rear_axle: Pose, point: Point) -> bool {
     rear_axle.bearing_to(point) > BEHIND_ANGLE
 }
 
-/// nuPlan's overlap test: centers nearer than half the sum of the diagonals, and shapes that share a point.
+/// nuPlan's overlap test: centers nearer than half the sum of the diagonals, and shapes that share
+/// a point.
 pub fn in_collision(a: &OrientedBox, b: &OrientedBox) -> bool {
     let reach = f64::midpoint(a.diagonal(), b.diagonal());
     (a.center.position() - b.center.position()).norm_squared() < reach * reach && a.overlaps(b)
@@ -47,7 +48,8 @@ pub enum CollisionType {
 }
 
 impl CollisionType {
-    /// Whether the ego is at fault. In a lateral collision it is when it was in multiple lanes or off the road.
+    /// Whether the ego is at fault. In a lateral collision it is when it was in multiple lanes or
+    /// off the road.
     pub fn is_at_fault(self, in_multiple_lanes_or_off_road: bool) -> bool {
         match self {
             Self::StoppedTrack | Self::ActiveFront => true,
@@ -57,7 +59,8 @@ impl CollisionType {
     }
 }
 
-/// The type of a collision between the ego and an overlapping object; the first matching rule decides.
+/// The type of a collision between the ego and an overlapping object; the first matching rule
+/// decides.
 pub fn classify_collision(ego: &EgoState, track: &TrackedObject) -> CollisionType {
     if ego.speed() <= STOPPED_SPEED {
         return CollisionType::StoppedEgo;
@@ -69,12 +72,23 @@ pub fn classify_collision(ego: &EgoState, track: &TrackedObject) -> CollisionTyp
         return CollisionType::ActiveRear;
     }
     let [left, right] = ego.footprint().front_edge();
-    if track.shape.meets_segment(left, right) { CollisionType::ActiveFront } else { CollisionType::ActiveLateral }
+    if track.shape.meets_segment(left, right) {
+        CollisionType::ActiveFront
+    } else {
+        CollisionType::ActiveLateral
+    }
 }
 
 /// nuPlan's "collision energy": the change of the ego's velocity when both masses are equal, m/s.
 pub fn delta_v(ego: &EgoState, track: &TrackedObject) -> f64 {
-    let (own, other) = (ego.speed(), if track.kind.is_agent() { track.speed() } else { 0.0 });
+    let (own, other) = (
+        ego.speed(),
+        if track.kind.is_agent() {
+            track.speed()
+        } else {
+            0.0
+        },
+    );
     let turn = ego.rear_axle.heading - track.shape.center.heading;
     let squared = own.powi(2) + other.powi(2) - 2.0 * own * other * turn.cos();
     0.5 * squared.max(0.0).sqrt()
@@ -100,9 +114,10 @@ impl CollisionGroup {
         match kind {
             ObjectKind::Pedestrian | ObjectKind::Bicycle => Self::Vru,
             ObjectKind::Vehicle => Self::Vehicle,
-            ObjectKind::TrafficCone | ObjectKind::Barrier | ObjectKind::CzoneSign | ObjectKind::GenericObject => {
-                Self::Object
-            }
+            ObjectKind::TrafficCone
+            | ObjectKind::Barrier
+            | ObjectKind::CzoneSign
+            | ObjectKind::GenericObject => Self::Object,
         }
     }
 
@@ -115,7 +130,8 @@ impl CollisionGroup {
         }
     }
 
-    /// At-fault collisions that are still tolerated (devkit `no_ego_at_fault_collisions_statistics.yaml`).
+    /// At-fault collisions that are still tolerated (devkit
+    /// `no_ego_at_fault_collisions_statistics.yaml`).
     pub fn tolerated(self) -> usize {
         match self {
             Self::Vru | Self::Vehicle => 0,
@@ -143,7 +159,8 @@ pub struct Collision {
     pub delta_v: f64,
 }
 
-/// The collisions of a simulation. Each track counts once, at the first sample at which it touches the ego.
+/// The collisions of a simulation. Each track counts once, at the first sample at which it touches
+/// the ego.
 pub fn find_collisions(samples: &[HistorySample], lanes: &DrivenLanes) -> Vec<Collision> {
     let mut collided: BTreeSet<TrackToken> = BTreeSet::new();
     let mut found = Vec::new();
@@ -179,7 +196,12 @@ mod tests {
 
     fn track(kind: ObjectKind, center: Pose, speed: f64) -> TrackedObject {
         let velocity = center.direction() * speed;
-        TrackedObject { token: TrackToken(1), kind, shape: OrientedBox::new(center, 4.0, 2.0), velocity }
+        TrackedObject {
+            token: TrackToken(1),
+            kind,
+            shape: OrientedBox::new(center, 4.0, 2.0),
+            velocity,
+        }
     }
 
     #[test]
@@ -188,11 +210,23 @@ mod tests {
         // The ego's box reaches from x = −1.127 to 4.049 and |y| ≤ 1.1485.
         let cases = [
             (ego(0.05), vehicle(5.0, 0.0, 5.0), CollisionType::StoppedEgo),
-            (ego(5.0), vehicle(5.0, 0.0, 0.05), CollisionType::StoppedTrack),
-            (ego(5.0), track(ObjectKind::TrafficCone, Pose::new(-3.0, 0.0, 0.0), 0.0), CollisionType::StoppedTrack),
+            (
+                ego(5.0),
+                vehicle(5.0, 0.0, 0.05),
+                CollisionType::StoppedTrack,
+            ),
+            (
+                ego(5.0),
+                track(ObjectKind::TrafficCone, Pose::new(-3.0, 0.0, 0.0), 0.0),
+                CollisionType::StoppedTrack,
+            ),
             (ego(5.0), vehicle(-3.0, 0.5, 6.0), CollisionType::ActiveRear),
             (ego(5.0), vehicle(5.5, 0.5, 3.0), CollisionType::ActiveFront),
-            (ego(5.0), vehicle(0.0, 2.0, 6.0), CollisionType::ActiveLateral),
+            (
+                ego(5.0),
+                vehicle(0.0, 2.0, 6.0),
+                CollisionType::ActiveLateral,
+            ),
         ];
         for (ego, track, expected) in cases {
             assert!(in_collision(&ego.footprint(), &track.shape));
@@ -205,7 +239,10 @@ mod tests {
         for kind in [CollisionType::StoppedTrack, CollisionType::ActiveFront] {
             assert!(kind.is_at_fault(false) && kind.is_at_fault(true));
         }
-        assert!(CollisionType::ActiveLateral.is_at_fault(true) && !CollisionType::ActiveLateral.is_at_fault(false));
+        assert!(
+            CollisionType::ActiveLateral.is_at_fault(true)
+                && !CollisionType::ActiveLateral.is_at_fault(false)
+        );
         for kind in [CollisionType::StoppedEgo, CollisionType::ActiveRear] {
             assert!(!kind.is_at_fault(true));
         }

@@ -1,5 +1,5 @@
-//! Whether the four corners of the ego are in one lane (devkit `route_extractor.py`, `extract_corners_route` and
-//! `get_common_or_connected_route_objs_of_corners`).
+//! Whether the four corners of the ego are in one lane (devkit `route_extractor.py`,
+//! `extract_corners_route` and `get_common_or_connected_route_objs_of_corners`).
 
 use super::route::{driven_route, lanes_at, lanes_from};
 use planagent_world::geometry::Pose;
@@ -20,7 +20,8 @@ pub enum CornerAgreement {
     Split,
 }
 
-/// The lanes that a driven path used: at the center, at the corners, and whether the corners agree, for every sample.
+/// The lanes that a driven path used: at the center, at the corners, and whether the corners agree,
+/// for every sample.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DrivenLanes {
     /// At the center of the ego.
@@ -37,11 +38,15 @@ impl DrivenLanes {
         let centers: Vec<Pose> = states.iter().map(EgoState::center).collect();
         let corners = corner_routes(map, states);
         let agreement = corners.iter().map(|lanes| agreement(map, lanes)).collect();
-        Self { center: driven_route(map, &centers), corners, agreement }
+        Self {
+            center: driven_route(map, &centers),
+            corners,
+            agreement,
+        }
     }
 
-    /// Whether all corners are in one lane, or in lanes that follow one another, at this sample. Elsewhere the ego
-    /// counts as in multiple lanes or off the road.
+    /// Whether all corners are in one lane, or in lanes that follow one another, at this sample.
+    /// Elsewhere the ego counts as in multiple lanes or off the road.
     pub fn in_common(&self, sample: usize) -> bool {
         matches!(self.agreement.get(sample), Some(CornerAgreement::Shared(_)))
     }
@@ -54,8 +59,11 @@ fn corner_routes(map: &LaneMap, states: &[EgoState]) -> Vec<CornerLanes> {
         let shape = state.footprint();
         let mut next: Vec<LaneId> = Vec::new();
         let lanes = shape.corners().map(|corner| {
-            let mut here =
-                if candidates.is_empty() { Vec::new() } else { lanes_from(map, &candidates, corner, shape.center) };
+            let mut here = if candidates.is_empty() {
+                Vec::new()
+            } else {
+                lanes_from(map, &candidates, corner, shape.center)
+            };
             if here.is_empty() {
                 here = lanes_at(map, corner, shape.center);
                 // nuPlan means the first sample here but tests for the second.
@@ -87,9 +95,14 @@ fn agreement(map: &LaneMap, corners: &CornerLanes) -> CornerAgreement {
     if corners.iter().any(Vec::is_empty) {
         return CornerAgreement::Split;
     }
-    let [fl, rl, rr, fr] = corners.each_ref().map(|lanes| lanes.iter().copied().collect::<BTreeSet<LaneId>>());
-    let common: BTreeSet<LaneId> =
-        fl.iter().copied().filter(|id| rl.contains(id) && rr.contains(id) && fr.contains(id)).collect();
+    let [fl, rl, rr, fr] = corners
+        .each_ref()
+        .map(|lanes| lanes.iter().copied().collect::<BTreeSet<LaneId>>());
+    let common: BTreeSet<LaneId> = fl
+        .iter()
+        .copied()
+        .filter(|id| rl.contains(id) && rr.contains(id) && fr.contains(id))
+        .collect();
     if !common.is_empty() {
         return CornerAgreement::Shared(common);
     }
@@ -99,12 +112,28 @@ fn agreement(map: &LaneMap, corners: &CornerLanes) -> CornerAgreement {
     if !rears_meet {
         return CornerAgreement::Split;
     }
-    let one: BTreeSet<LaneId> = with_before(&fl).intersection(&with_next(&rr)).copied().collect();
-    let other: BTreeSet<LaneId> = with_before(&fr).intersection(&with_next(&rl)).copied().collect();
+    let one: BTreeSet<LaneId> = with_before(&fl)
+        .intersection(&with_next(&rr))
+        .copied()
+        .collect();
+    let other: BTreeSet<LaneId> = with_before(&fr)
+        .intersection(&with_next(&rl))
+        .copied()
+        .collect();
     let connecting: BTreeSet<LaneId> = one.intersection(&other).copied().collect();
-    if connecting.is_empty() { CornerAgreement::Split } else { CornerAgreement::Shared(connecting) }
+    if connecting.is_empty() {
+        CornerAgreement::Split
+    } else {
+        CornerAgreement::Shared(connecting)
+    }
 }
 
-fn extended<'m>(ids: &BTreeSet<LaneId>, edges: impl Fn(LaneId) -> &'m [LaneId]) -> BTreeSet<LaneId> {
-    ids.iter().copied().chain(ids.iter().flat_map(|&id| edges(id).iter().copied())).collect()
+fn extended<'m>(
+    ids: &BTreeSet<LaneId>,
+    edges: impl Fn(LaneId) -> &'m [LaneId],
+) -> BTreeSet<LaneId> {
+    ids.iter()
+        .copied()
+        .chain(ids.iter().flat_map(|&id| edges(id).iter().copied()))
+        .collect()
 }

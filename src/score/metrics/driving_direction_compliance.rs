@@ -11,7 +11,11 @@ pub const DIRECTION_VIOLATION: f64 = 6.0;
 const HORIZON_S: f64 = 1.0;
 
 pub(super) const SPEC: MetricSpec = MetricSpec::new("driving_direction_compliance", |input| {
-    Ok(Some(driving_direction_compliance(input.simulation.map, input.states(), &input.lanes().center)))
+    Ok(Some(driving_direction_compliance(
+        input.simulation.map,
+        input.states(),
+        &input.lanes().center,
+    )))
 })
 .only(MetricList::ClosedLoop)
 .multiplier()
@@ -30,36 +34,59 @@ pub fn direction_score(meters_against: f64) -> f64 {
     }
 }
 
-/// The [`direction_score`] of the worst second along the lanes at the ego's center (`center_lanes`, one entry a state).
-pub fn driving_direction_compliance(map: &LaneMap, states: &[EgoState], center_lanes: &[Vec<LaneId>]) -> MetricResult {
+/// The [`direction_score`] of the worst second along the lanes at the ego's center (`center_lanes`,
+/// one entry a state).
+pub fn driving_direction_compliance(
+    map: &LaneMap,
+    states: &[EgoState],
+    center_lanes: &[Vec<LaneId>],
+) -> MetricResult {
     let progress = progress_along_lanes(map, states, center_lanes);
     let window = samples_in_horizon(states);
-    let sums: Vec<f64> =
-        (0..progress.len()).map(|i| progress[i.saturating_sub(window)..=i].iter().sum::<f64>()).collect();
-    // The absolute value also turns a positive minimum into movement against the direction; sample 0 is always 0.
+    let sums: Vec<f64> = (0..progress.len())
+        .map(|i| progress[i.saturating_sub(window)..=i].iter().sum::<f64>())
+        .collect();
+    // The absolute value also turns a positive minimum into movement against the direction; sample
+    // 0 is always 0.
     let worst = sums.iter().copied().fold(f64::INFINITY, f64::min);
     let against = if worst.is_finite() { worst.abs() } else { 0.0 };
     let score = direction_score(against);
     let least = "min_progress_along_driving_direction_in_1_second_interval";
     let statistics = vec![
-        Statistic::new(StatisticKind::Value, format!("{}_score", SPEC.name), "value", score),
+        Statistic::new(
+            StatisticKind::Value,
+            format!("{}_score", SPEC.name),
+            "value",
+            score,
+        ),
         Statistic::new(StatisticKind::Min, least, "meters", -against),
     ];
     let unit = "progress_along_driving_direction_in_last_1_seconds_[m]";
-    SPEC.scored(score, statistics).with_series(TimeSeries::of_states(unit, states, sums))
+    SPEC.scored(score, statistics)
+        .with_series(TimeSeries::of_states(unit, states, sums))
 }
 
-/// Samples in the window before the present one: 10 at 10 Hz, 9 when the mean step is any longer. Counted in microseconds,
-/// because rounding the step in seconds could lose the tenth.
+/// Samples in the window before the present one: 10 at 10 Hz, 9 when the mean step is any longer.
+/// Counted in microseconds, because rounding the step in seconds could lose the tenth.
 fn samples_in_horizon(states: &[EgoState]) -> usize {
     let [first, .., last] = states else { return 0 };
     let mean_step_us = (last.time_us - first.time_us) as f64 / (states.len() - 1) as f64;
-    if mean_step_us > 0.0 { (HORIZON_S * MICROS_PER_SECOND / mean_step_us) as usize } else { 0 }
+    if mean_step_us > 0.0 {
+        (HORIZON_S * MICROS_PER_SECOND / mean_step_us) as usize
+    } else {
+        0
+    }
 }
 
 /// Movement of the ego's center along the lane at each sample, meters.
-fn progress_along_lanes(map: &LaneMap, states: &[EgoState], center_lanes: &[Vec<LaneId>]) -> Vec<f64> {
-    let mut followed = center_lanes.first().and_then(|lanes| lanes.first().copied());
+fn progress_along_lanes(
+    map: &LaneMap,
+    states: &[EgoState],
+    center_lanes: &[Vec<LaneId>],
+) -> Vec<f64> {
+    let mut followed = center_lanes
+        .first()
+        .and_then(|lanes| lanes.first().copied());
     let mut before: Option<f64> = None;
     let mut progress = Vec::with_capacity(states.len());
     for (state, lanes) in states.iter().zip(center_lanes) {

@@ -9,7 +9,11 @@ use std::collections::BTreeSet;
 const MAX_FAIL_RATE: f64 = 0.3;
 
 pub(super) const SPEC: MetricSpec = MetricSpec::new("ego_lane_change", |input| {
-    Ok(Some(ego_lane_change(input.simulation.map, input.states(), input.lanes())))
+    Ok(Some(ego_lane_change(
+        input.simulation.map,
+        input.states(),
+        input.lanes(),
+    )))
 })
 .only(MetricList::ClosedLoop);
 
@@ -25,7 +29,11 @@ pub struct LaneChange {
 }
 
 /// The lane changes of a simulation.
-pub fn find_lane_changes(map: &LaneMap, states: &[EgoState], agreement: &[CornerAgreement]) -> Vec<LaneChange> {
+pub fn find_lane_changes(
+    map: &LaneMap,
+    states: &[EgoState],
+    agreement: &[CornerAgreement],
+) -> Vec<LaneChange> {
     let mut found = Vec::new();
     let mut open: Option<(i64, &BTreeSet<LaneId>)> = None;
     for (pair, state) in agreement.windows(2).zip(states.iter().skip(1)) {
@@ -36,21 +44,33 @@ pub fn find_lane_changes(map: &LaneMap, states: &[EgoState], agreement: &[Corner
                 }
             }
             (Some((start_us, initial)), CornerAgreement::Shared(last)) => {
-                let success = !last
-                    .iter()
-                    .any(|id| initial.contains(id) || initial.iter().any(|&i| map[i].outgoing.contains(id)));
-                found.push(LaneChange { start_us, duration_us: state.time_us - start_us, success });
+                let success = !last.iter().any(|id| {
+                    initial.contains(id) || initial.iter().any(|&i| map[i].outgoing.contains(id))
+                });
+                found.push(LaneChange {
+                    start_us,
+                    duration_us: state.time_us - start_us,
+                    success,
+                });
                 open = None;
             }
             (Some((start_us, _)), CornerAgreement::Outside) => {
-                found.push(LaneChange { start_us, duration_us: state.time_us - start_us, success: false });
+                found.push(LaneChange {
+                    start_us,
+                    duration_us: state.time_us - start_us,
+                    success: false,
+                });
                 open = None;
             }
             _ => {}
         }
     }
     if let (Some((start_us, _)), Some(last)) = (open, states.last()) {
-        found.push(LaneChange { start_us, duration_us: last.time_us - start_us, success: false });
+        found.push(LaneChange {
+            start_us,
+            duration_us: last.time_us - start_us,
+            success: false,
+        });
     }
     found
 }
@@ -62,18 +82,39 @@ pub fn ego_lane_change(map: &LaneMap, states: &[EgoState], lanes: &DrivenLanes) 
     let mut statistics = vec![Statistic::count(format!("number_of_{NAME}"), changes.len())];
     let mut acceptable = true;
     if !changes.is_empty() {
-        let seconds: Vec<f64> = changes.iter().map(|c| c.duration_us as f64 / MICROS_PER_SECOND).collect();
+        let seconds: Vec<f64> = changes
+            .iter()
+            .map(|c| c.duration_us as f64 / MICROS_PER_SECOND)
+            .collect();
         let total = changes.len() as f64;
         let failed = changes.iter().filter(|c| !c.success).count() as f64 / total;
         acceptable = failed <= MAX_FAIL_RATE;
         let longest = seconds.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mean = seconds.iter().sum::<f64>() / total;
         statistics.extend([
-            Statistic::new(StatisticKind::Max, format!("max_{NAME}_duration"), "seconds", longest),
-            Statistic::new(StatisticKind::Mean, format!("avg_{NAME}_duration"), "seconds", mean),
-            Statistic::new(StatisticKind::Ratio, format!("ratio_of_failed_{NAME}"), "ratio", failed),
+            Statistic::new(
+                StatisticKind::Max,
+                format!("max_{NAME}_duration"),
+                "seconds",
+                longest,
+            ),
+            Statistic::new(
+                StatisticKind::Mean,
+                format!("avg_{NAME}_duration"),
+                "seconds",
+                mean,
+            ),
+            Statistic::new(
+                StatisticKind::Ratio,
+                format!("ratio_of_failed_{NAME}"),
+                "ratio",
+                failed,
+            ),
         ]);
     }
-    statistics.push(Statistic::boolean(format!("{NAME}_fail_rate_below_threshold"), acceptable));
+    statistics.push(Statistic::boolean(
+        format!("{NAME}_fail_rate_below_threshold"),
+        acceptable,
+    ));
     SPEC.unscored(statistics)
 }

@@ -29,17 +29,31 @@ pub struct EvaluatedSimulation<'a> {
 impl<'a> EvaluatedSimulation<'a> {
     /// What the closed-loop metrics need.
     pub fn new(map: &'a LaneMap, samples: &'a [HistorySample], expert: &'a [EgoState]) -> Self {
-        Self { map, samples, expert, trajectories: &[], future: &[], interaction: None }
+        Self {
+            map,
+            samples,
+            expert,
+            trajectories: &[],
+            future: &[],
+            interaction: None,
+        }
     }
 
     /// Adds what the open-loop metrics need.
     pub fn with_plans(self, trajectories: &'a [Trajectory], future: &'a [EgoState]) -> Self {
-        Self { trajectories, future, ..self }
+        Self {
+            trajectories,
+            future,
+            ..self
+        }
     }
 
     /// Adds what a modification added to the scenario: its kind decides the metrics of the score.
     pub fn with_interaction(self, interaction: Option<&'a Interaction>) -> Self {
-        Self { interaction, ..self }
+        Self {
+            interaction,
+            ..self
+        }
     }
 }
 
@@ -76,17 +90,21 @@ impl<'a> MetricInput<'a> {
     }
 
     pub(super) fn lanes(&self) -> &DrivenLanes {
-        self.lanes.get_or_init(|| DrivenLanes::of(self.simulation.map, &self.states))
+        self.lanes
+            .get_or_init(|| DrivenLanes::of(self.simulation.map, &self.states))
     }
 
     pub(super) fn collisions(&self) -> &[Collision] {
-        self.collisions.get_or_init(|| find_collisions(self.simulation.samples, self.lanes()))
+        self.collisions
+            .get_or_init(|| find_collisions(self.simulation.samples, self.lanes()))
     }
 
     /// The progress along the expert's route; `None` without one.
     pub(super) fn progress(&self) -> Option<&Progress> {
         let EvaluatedSimulation { map, expert, .. } = self.simulation;
-        self.progress.get_or_init(|| Progress::of(map, &self.states, expert)).as_ref()
+        self.progress
+            .get_or_init(|| Progress::of(map, &self.states, expert))
+            .as_ref()
     }
 
     /// The share of the expert's progress that the ego made; 1 without an expert route.
@@ -95,11 +113,19 @@ impl<'a> MetricInput<'a> {
     }
 
     pub(super) fn comparison(&self) -> Result<&PlannerExpertErrors, MetricError> {
-        let EvaluatedSimulation { trajectories, expert, future, .. } = self.simulation;
+        let EvaluatedSimulation {
+            trajectories,
+            expert,
+            future,
+            ..
+        } = self.simulation;
         let compared = self.comparison.get_or_init(|| {
             let (samples, trajectories_len) = (self.states.len(), trajectories.len());
             if trajectories_len != samples {
-                return Err(MetricError::TrajectoryCount { samples, trajectories: trajectories_len });
+                return Err(MetricError::TrajectoryCount {
+                    samples,
+                    trajectories: trajectories_len,
+                });
             }
             compare_with_expert(trajectories, expert, future, FRAMES_PER_SECOND)
         });
@@ -112,14 +138,20 @@ const MIN_SAMPLES: usize = 4;
 
 fn check(states: &[EgoState], expert: &[EgoState]) -> Result<(), MetricError> {
     if states.len() < MIN_SAMPLES {
-        return Err(MetricError::TooFewSamples { got: states.len(), needed: MIN_SAMPLES });
+        return Err(MetricError::TooFewSamples {
+            got: states.len(),
+            needed: MIN_SAMPLES,
+        });
     }
     if expert.is_empty() {
         return Err(MetricError::NoExpert);
     }
     if let Some(before) = states.windows(2).position(|w| w[1].time_us <= w[0].time_us) {
         let index = before + 1;
-        return Err(MetricError::TimeNotIncreasing { index, time_us: states[index].time_us });
+        return Err(MetricError::TimeNotIncreasing {
+            index,
+            time_us: states[index].time_us,
+        });
     }
     for (whose, states) in [("ego", states), ("expert", expert)] {
         let finite = |s: &EgoState| {

@@ -1,15 +1,17 @@
 //! Stage 8: nuPlan's metrics of a simulation, and their aggregation into scores.
 //!
-//! [`METRICS`] is the table of all metrics: name, role in the score, category, unit, and the function that computes each.
-//! [`evaluate`] computes the metrics of one [`MetricList`] for an [`EvaluatedSimulation`] (the simulated samples and the
-//! expert) and joins them to a [`Score`]. A [`MetricRegistry`] does so with metrics of your own. Statistics, names,
-//! categories and units are those of nuPlan's devkit. [`aggregate`] joins the scores of many scenarios.
+//! [`METRICS`] is the table of all metrics: name, role in the score, category, unit, and the
+//! function that computes each. [`evaluate`] computes the metrics of one [`MetricList`] for an
+//! [`EvaluatedSimulation`] (the simulated samples and the expert) and joins them to a [`Score`]. A
+//! [`MetricRegistry`] does so with metrics of your own. Statistics, names, categories and units are
+//! those of nuPlan's devkit. [`aggregate`] joins the scores of many scenarios.
 //!
 //! To add a metric, write one file with a `SPEC` and add it to [`METRICS`].
 //!
-//! Thresholds and quirks are those of `motional/nuplan-devkit` at `e924167`. A comment marks behavior that looks unintended
-//! but decides scores. One deviation: nuPlan asserts that at most one lane contains a point. Maps derived from recordings
-//! may have several; then the best by heading and distance counts (see [`lanes_at`]).
+//! Thresholds and quirks are those of `motional/nuplan-devkit` at `e924167`. A comment marks
+//! behavior that looks unintended but decides scores. One deviation: nuPlan asserts that at most
+//! one lane contains a point. Maps derived from recordings may have several; then the best by
+//! heading and distance counts (see [`lanes_at`]).
 
 mod aggregate;
 mod collision;
@@ -39,14 +41,19 @@ mod time_to_collision_within_bound;
 pub use aggregate::distinct;
 pub use aggregate::{AggregateRow, FINAL_SCORE, ScenarioRow, aggregate};
 pub use collision::{
-    AHEAD_ANGLE, BEHIND_ANGLE, Collision, CollisionGroup, CollisionType, STOPPED_SPEED, classify_collision, delta_v,
-    find_collisions, in_collision, is_ahead, is_behind,
+    AHEAD_ANGLE, BEHIND_ANGLE, Collision, CollisionGroup, CollisionType, STOPPED_SPEED,
+    classify_collision, delta_v, find_collisions, in_collision, is_ahead, is_behind,
 };
 pub(crate) use comfort::{ACCELERATION_WINDOW, YAW_WINDOW};
-pub use comfort::{Bound, ComfortQuantity, SavitzkyGolay, differentiated, ego_is_comfortable, mean_step_s, smoothed};
+pub use comfort::{
+    Bound, ComfortQuantity, SavitzkyGolay, differentiated, ego_is_comfortable, mean_step_s,
+    smoothed,
+};
 pub use common::{ego_expert_l2_error, ego_expert_l2_error_with_yaw, ego_mean_speed};
 pub use corners::{CornerAgreement, CornerLanes, DrivenLanes};
-pub use drivable_area_compliance::{MAX_DISTANCE_OUTSIDE, corners_in_drivable_area, drivable_area_compliance};
+pub use drivable_area_compliance::{
+    MAX_DISTANCE_OUTSIDE, corners_in_drivable_area, drivable_area_compliance,
+};
 pub use driving_direction_compliance::{
     DIRECTION_COMPLIANCE, DIRECTION_VIOLATION, direction_score, driving_direction_compliance,
 };
@@ -57,18 +64,20 @@ pub use ego_progress_along_expert_route::{
 pub use ego_stop_at_stop_line::ego_stop_at_stop_line;
 pub use error::MetricError;
 pub use expert_comparison::{
-    COMPARISON_HORIZONS_S, FRAMES_PER_SECOND, HorizonErrors, PlannerExpertErrors, compare_with_expert,
+    COMPARISON_HORIZONS_S, FRAMES_PER_SECOND, HorizonErrors, PlannerExpertErrors,
+    compare_with_expert,
 };
 pub use input::{EvaluatedSimulation, MetricInput};
 pub use interactive::{
-    INTERACTIVE_METRICS, LaneRelations, UNCOUNTED, changes_between, lane_changes_score, passing_ratio, sorted,
+    INTERACTIVE_METRICS, LaneRelations, UNCOUNTED, changes_between, lane_changes_score,
+    passing_ratio, sorted,
 };
 pub use no_ego_at_fault_collisions::no_ego_at_fault_collisions;
 pub use open_loop::{
-    MAX_AVERAGE_HEADING_ERROR, MAX_AVERAGE_L2_ERROR, MAX_DISPLACEMENTS, MAX_FINAL_HEADING_ERROR, MAX_FINAL_L2_ERROR,
-    MAX_MISS_RATE, planner_expert_average_heading_error_within_bound, planner_expert_average_l2_error_within_bound,
-    planner_expert_final_heading_error_within_bound, planner_expert_final_l2_error_within_bound,
-    planner_miss_rate_within_bound,
+    MAX_AVERAGE_HEADING_ERROR, MAX_AVERAGE_L2_ERROR, MAX_DISPLACEMENTS, MAX_FINAL_HEADING_ERROR,
+    MAX_FINAL_L2_ERROR, MAX_MISS_RATE, planner_expert_average_heading_error_within_bound,
+    planner_expert_average_l2_error_within_bound, planner_expert_final_heading_error_within_bound,
+    planner_expert_final_l2_error_within_bound, planner_miss_rate_within_bound,
 };
 pub use registry::{Evaluation, METRICS, MetricRegistry, evaluate, metric, scored_names};
 pub use result::{MetricCategory, MetricResult, ScoreUnit, Statistic, StatisticKind, TimeSeries};
@@ -78,5 +87,6 @@ pub use score::{Score, ScorePart, Weighting, combine};
 pub use spec::{Compute, MetricList, MetricSpec, Role};
 pub use speed_limit_compliance::{MAX_OVERSPEED, speed_limit_compliance};
 pub use time_to_collision_within_bound::{
-    MIN_TIME_TO_COLLISION, TTC_HORIZON_S, TTC_STEP_S, time_to_collision, time_to_collision_within_bound,
+    MIN_TIME_TO_COLLISION, TTC_HORIZON_S, TTC_STEP_S, time_to_collision,
+    time_to_collision_within_bound,
 };

@@ -3,14 +3,15 @@
 use super::interactive::{INTERACTIVE_METRICS, specs_of};
 use super::spec::scored;
 use super::{
-    EvaluatedSimulation, MetricError, MetricInput, MetricList, MetricResult, MetricSpec, Score, Weighting, comfort,
-    common, drivable_area_compliance, driving_direction_compliance, ego_lane_change, ego_progress_along_expert_route,
-    ego_stop_at_stop_line, no_ego_at_fault_collisions, open_loop, speed_limit_compliance,
-    time_to_collision_within_bound,
+    EvaluatedSimulation, MetricError, MetricInput, MetricList, MetricResult, MetricSpec, Score,
+    Weighting, comfort, common, drivable_area_compliance, driving_direction_compliance,
+    ego_lane_change, ego_progress_along_expert_route, ego_stop_at_stop_line,
+    no_ego_at_fault_collisions, open_loop, speed_limit_compliance, time_to_collision_within_bound,
 };
 use planagent_world::InteractionKind;
 
-/// nuPlan's metrics in the order of their results. A score takes the multipliers, then the weighted metrics, in this order.
+/// nuPlan's metrics in the order of their results. A score takes the multipliers, then the weighted
+/// metrics, in this order.
 pub const METRICS: [MetricSpec; 27] = [
     common::MEAN_SPEED,
     common::EXPERT_ERROR,
@@ -68,10 +69,13 @@ impl Weighting {
     }
 }
 
-/// The names of the metrics that enter a score, multipliers first: of a kind, or nuPlan's of a list.
+/// The names of the metrics that enter a score, multipliers first: of a kind, or nuPlan's of a
+/// list.
 pub fn scored_names(list: MetricList, kind: Option<InteractionKind>) -> Vec<&'static str> {
     match kind.filter(|_| list == MetricList::ClosedLoop) {
-        Some(kind) => scored(&specs_of(kind, &METRICS), list).map(|spec| spec.name).collect(),
+        Some(kind) => scored(&specs_of(kind, &METRICS), list)
+            .map(|spec| spec.name)
+            .collect(),
         None => list.scored().map(|spec| spec.name).collect(),
     }
 }
@@ -84,7 +88,9 @@ pub struct MetricRegistry {
 
 impl Default for MetricRegistry {
     fn default() -> Self {
-        Self { specs: METRICS.to_vec() }
+        Self {
+            specs: METRICS.to_vec(),
+        }
     }
 }
 
@@ -105,17 +111,30 @@ impl MetricRegistry {
     /// Computes the metrics of a list and their score.
     ///
     /// # Errors
-    /// As [`MetricInput::new`], and when a metric cannot be computed: open-loop metrics need plans of more than 7 s.
-    pub fn evaluate(&self, list: MetricList, simulation: &EvaluatedSimulation<'_>) -> Result<Evaluation, MetricError> {
+    /// As [`MetricInput::new`], and when a metric cannot be computed: open-loop metrics need plans
+    /// of more than 7 s.
+    pub fn evaluate(
+        &self,
+        list: MetricList,
+        simulation: &EvaluatedSimulation<'_>,
+    ) -> Result<Evaluation, MetricError> {
         let input = MetricInput::new(*simulation)?;
-        let kind = simulation.interaction.and_then(|added| added.kind).filter(|_| list == MetricList::ClosedLoop);
+        let kind = simulation
+            .interaction
+            .and_then(|added| added.kind)
+            .filter(|_| list == MetricList::ClosedLoop);
         let specs = kind.map_or_else(|| self.specs.clone(), |kind| specs_of(kind, &self.specs));
-        let of_list = specs.iter().filter(|spec| spec.list.is_none_or(|own| own == list));
+        let of_list = specs
+            .iter()
+            .filter(|spec| spec.list.is_none_or(|own| own == list));
         let mut metrics = Vec::new();
         for spec in of_list {
             metrics.extend((spec.compute)(&input)?);
         }
-        Ok(Evaluation { score: Score::of(list, &specs, &metrics)?, metrics })
+        Ok(Evaluation {
+            score: Score::of(list, &specs, &metrics)?,
+            metrics,
+        })
     }
 }
 
@@ -137,6 +156,9 @@ impl Evaluation {
 }
 
 /// Computes nuPlan's metrics of a list and their score.
-pub fn evaluate(list: MetricList, simulation: &EvaluatedSimulation<'_>) -> Result<Evaluation, MetricError> {
+pub fn evaluate(
+    list: MetricList,
+    simulation: &EvaluatedSimulation<'_>,
+) -> Result<Evaluation, MetricError> {
     MetricRegistry::default().evaluate(list, simulation)
 }

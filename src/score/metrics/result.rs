@@ -1,9 +1,11 @@
-//! The result of a metric: a score, statistics and a time series, under nuPlan's names, categories and units.
+//! The result of a metric: a score, statistics and a time series, under nuPlan's names, categories
+//! and units.
 
 use planagent_world::EgoState;
 use serde::{Deserialize, Serialize};
 
-/// nuPlan's category of a metric (devkit `simulation_metric/**/*.yaml`, key `category`): the groups of its `nuBoard`.
+/// nuPlan's category of a metric (devkit `simulation_metric/**/*.yaml`, key `category`): the groups
+/// of its `nuBoard`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum MetricCategory {
@@ -106,13 +108,28 @@ pub struct Statistic {
 
 impl Statistic {
     /// A statistic from its parts.
-    pub fn new(kind: StatisticKind, name: impl Into<String>, unit: impl Into<String>, value: f64) -> Self {
-        Self { name: name.into(), unit: unit.into(), value, kind }
+    pub fn new(
+        kind: StatisticKind,
+        name: impl Into<String>,
+        unit: impl Into<String>,
+        value: f64,
+    ) -> Self {
+        Self {
+            name: name.into(),
+            unit: unit.into(),
+            value,
+            kind,
+        }
     }
 
     /// A truth value.
     pub fn boolean(name: impl Into<String>, value: bool) -> Self {
-        Self::new(StatisticKind::Boolean, name, "boolean", f64::from(u8::from(value)))
+        Self::new(
+            StatisticKind::Boolean,
+            name,
+            "boolean",
+            f64::from(u8::from(value)),
+        )
     }
 
     /// A number of things.
@@ -139,24 +156,49 @@ impl TimeSeries {
     /// A series with a value at every state.
     pub fn of_states(unit: impl Into<String>, states: &[EgoState], values: Vec<f64>) -> Self {
         let time_stamps = states.iter().map(|state| state.time_us).collect();
-        Self { unit: unit.into(), time_stamps, values, selected_frames: None }
+        Self {
+            unit: unit.into(),
+            time_stamps,
+            values,
+            selected_frames: None,
+        }
     }
 
-    /// The statistics of these kinds; NaN is ignored. A series has a maximum, minimum, mean and 90th percentile only.
+    /// The statistics of these kinds; NaN is ignored. A series has a maximum, minimum, mean and
+    /// 90th percentile only.
     pub fn statistics_of(&self, metric: &str, kinds: &[StatisticKind]) -> Vec<Statistic> {
         let all = self.statistics(metric);
-        kinds.iter().filter_map(|kind| all.iter().find(|s| s.kind == *kind).cloned()).collect()
+        kinds
+            .iter()
+            .filter_map(|kind| all.iter().find(|s| s.kind == *kind).cloned())
+            .collect()
     }
 
-    /// nuPlan's four statistics of a series, in its order: maximum, minimum, mean, 90th percentile; NaN is ignored.
+    /// nuPlan's four statistics of a series, in its order: maximum, minimum, mean, 90th percentile;
+    /// NaN is ignored.
     pub fn statistics(&self, metric: &str) -> Vec<Statistic> {
-        let mut known: Vec<f64> = self.values.iter().copied().filter(|v| !v.is_nan()).collect();
+        let mut known: Vec<f64> = self
+            .values
+            .iter()
+            .copied()
+            .filter(|v| !v.is_nan())
+            .collect();
         known.sort_by(f64::total_cmp);
-        let of = |kind, prefix: &str, value| Statistic::new(kind, format!("{prefix}_{metric}"), &*self.unit, value);
+        let of = |kind, prefix: &str, value| {
+            Statistic::new(kind, format!("{prefix}_{metric}"), &*self.unit, value)
+        };
         let mean = known.iter().sum::<f64>() / known.len() as f64;
         vec![
-            of(StatisticKind::Max, "max", known.last().copied().unwrap_or(f64::NAN)),
-            of(StatisticKind::Min, "min", known.first().copied().unwrap_or(f64::NAN)),
+            of(
+                StatisticKind::Max,
+                "max",
+                known.last().copied().unwrap_or(f64::NAN),
+            ),
+            of(
+                StatisticKind::Min,
+                "min",
+                known.first().copied().unwrap_or(f64::NAN),
+            ),
             of(StatisticKind::Mean, "avg", mean),
             of(StatisticKind::P90, "p90", percentile_90(&known)),
         ]
@@ -178,7 +220,8 @@ fn percentile_90(sorted: &[f64]) -> f64 {
 pub struct MetricResult {
     /// nuPlan's name of the result (`metric_statistics_name`).
     pub name: String,
-    /// nuPlan's name of the metric that computed it (`metric_computator`); it differs from `name` for a metric with several results.
+    /// nuPlan's name of the metric that computed it (`metric_computator`); it differs from `name`
+    /// for a metric with several results.
     pub computator: String,
     /// nuPlan's category.
     pub category: MetricCategory,
@@ -208,12 +251,18 @@ impl MetricResult {
 
     /// Adds a time series.
     pub fn with_series(self, series: TimeSeries) -> Self {
-        Self { time_series: Some(series), ..self }
+        Self {
+            time_series: Some(series),
+            ..self
+        }
     }
 
     /// A statistic by its name.
     pub fn statistic(&self, name: &str) -> Option<f64> {
-        self.statistics.iter().find(|s| s.name == name).map(|s| s.value)
+        self.statistics
+            .iter()
+            .find(|s| s.name == name)
+            .map(|s| s.value)
     }
 }
 
@@ -224,8 +273,16 @@ mod tests {
     #[test]
     fn ninetieth_percentile_takes_numpys_closest_observation() {
         let upto = |n: i32| (0..n).map(f64::from).collect::<Vec<_>>();
-        // Position 0.9 n − 1.5: the next observation above, unless the position is a whole, even number.
-        for (n, expected) in [(1, 0.0), (5, 4.0), (10, 8.0), (12, 10.0), (15, 12.0), (149, 133.0)] {
+        // Position 0.9 n − 1.5: the next observation above, unless the position is a whole, even
+        // number.
+        for (n, expected) in [
+            (1, 0.0),
+            (5, 4.0),
+            (10, 8.0),
+            (12, 10.0),
+            (15, 12.0),
+            (149, 133.0),
+        ] {
             assert!((percentile_90(&upto(n)) - expected).abs() < 1e-12, "{n}");
         }
         assert!(percentile_90(&[]).is_nan());

@@ -3,43 +3,62 @@
 use planagent_world::geometry::{Point, Pose};
 use planagent_world::{LaneId, LaneMap};
 
-/// Connectors of the previous sample nearer than this stay assigned where the map offers only other connectors, meters.
+/// Connectors of the previous sample nearer than this stay assigned where the map offers only other
+/// connectors, meters.
 const CONNECTOR_REACH: f64 = 5.0;
 
 /// The lane that contains a point, or all connectors that do, or none.
 ///
-/// nuPlan asserts that no two lanes hold a point. Where a derived map breaks that, the lane counts that fits `pose`
-/// (the center of the vehicle whose point this is) best by heading and distance.
+/// nuPlan asserts that no two lanes hold a point. Where a derived map breaks that, the lane counts
+/// that fits `pose` (the center of the vehicle whose point this is) best by heading and distance.
 pub fn lanes_at(map: &LaneMap, point: Point, pose: Pose) -> Vec<LaneId> {
     one_lane_or_connectors(map, map.lanes_at(point), pose)
 }
 
 fn one_lane_or_connectors(map: &LaneMap, found: Vec<LaneId>, pose: Pose) -> Vec<LaneId> {
-    let (connectors, lanes): (Vec<LaneId>, Vec<LaneId>) = found.into_iter().partition(|&id| map[id].is_connector());
+    let (connectors, lanes): (Vec<LaneId>, Vec<LaneId>) =
+        found.into_iter().partition(|&id| map[id].is_connector());
     match map.best_fit(&lanes, pose) {
         Some(lane) => vec![lane],
         None => connectors,
     }
 }
 
-/// The candidates that hold the point; if none does and there is a single candidate, its successors that do.
-pub(super) fn lanes_from(map: &LaneMap, candidates: &[LaneId], point: Point, pose: Pose) -> Vec<LaneId> {
-    let holding =
-        |ids: &[LaneId]| -> Vec<LaneId> { ids.iter().copied().filter(|&id| map[id].polygon.contains(point)).collect() };
+/// The candidates that hold the point; if none does and there is a single candidate, its successors
+/// that do.
+pub(super) fn lanes_from(
+    map: &LaneMap,
+    candidates: &[LaneId],
+    point: Point,
+    pose: Pose,
+) -> Vec<LaneId> {
+    let holding = |ids: &[LaneId]| -> Vec<LaneId> {
+        ids.iter()
+            .copied()
+            .filter(|&id| map[id].polygon.contains(point))
+            .collect()
+    };
     let kept = holding(candidates);
     match candidates {
-        [only] if kept.is_empty() => one_lane_or_connectors(map, holding(&map[*only].outgoing), pose),
+        [only] if kept.is_empty() => {
+            one_lane_or_connectors(map, holding(&map[*only].outgoing), pose)
+        }
         _ => kept,
     }
 }
 
-/// The lanes (a lane alone, or one or several connectors, or none) at each pose of a path, each sample continuing where
-/// the one before it was. Ambiguous connectors are resolved by where the path ends up.
+/// The lanes (a lane alone, or one or several connectors, or none) at each pose of a path, each
+/// sample continuing where the one before it was. Ambiguous connectors are resolved by where the
+/// path ends up.
 pub fn driven_route(map: &LaneMap, centers: &[Pose]) -> Vec<Vec<LaneId>> {
     let mut route: Vec<Vec<LaneId>> = Vec::with_capacity(centers.len());
     for (i, &pose) in centers.iter().enumerate() {
         let previous = route.last().map_or(&[][..], Vec::as_slice);
-        let mut here = if previous.is_empty() { Vec::new() } else { lanes_from(map, previous, pose.position(), pose) };
+        let mut here = if previous.is_empty() {
+            Vec::new()
+        } else {
+            lanes_from(map, previous, pose.position(), pose)
+        };
         if here.is_empty() {
             here = lanes_at(map, pose.position(), pose);
             if i > 1
@@ -54,8 +73,14 @@ pub fn driven_route(map: &LaneMap, centers: &[Pose]) -> Vec<Vec<LaneId>> {
     route
 }
 
-/// A path that leaves its connector sideways keeps the connectors that it came along while they are near.
-fn connectors_nearby(map: &LaneMap, previous: &[LaneId], found: &[LaneId], point: Point) -> Option<Vec<LaneId>> {
+/// A path that leaves its connector sideways keeps the connectors that it came along while they are
+/// near.
+fn connectors_nearby(
+    map: &LaneMap,
+    previous: &[LaneId],
+    found: &[LaneId],
+    point: Point,
+) -> Option<Vec<LaneId>> {
     let from_connector = previous.first().is_some_and(|&id| map[id].is_connector());
     let into_open = match found.first() {
         Some(&id) => map[id].is_connector(),
@@ -64,16 +89,22 @@ fn connectors_nearby(map: &LaneMap, previous: &[LaneId], found: &[LaneId], point
     if !(from_connector && into_open) {
         return None;
     }
-    let near: Vec<LaneId> =
-        previous.iter().copied().filter(|&id| map[id].polygon.distance_to(point) < CONNECTOR_REACH).collect();
+    let near: Vec<LaneId> = previous
+        .iter()
+        .copied()
+        .filter(|&id| map[id].polygon.distance_to(point) < CONNECTOR_REACH)
+        .collect();
     (!near.is_empty()).then_some(near)
 }
 
-/// From the end to the start, narrows several connectors to those that lead to where the path was next.
+/// From the end to the start, narrows several connectors to those that lead to where the path was
+/// next.
 fn resolve_backwards(map: &LaneMap, route: &mut [Vec<LaneId>]) {
     for i in (0..route.len().saturating_sub(1)).rev() {
         let (head, tail) = route.split_at_mut(i + 1);
-        let (Some(here), Some(next)) = (head.last_mut(), tail.first()) else { continue };
+        let (Some(here), Some(next)) = (head.last_mut(), tail.first()) else {
+            continue;
+        };
         if here.len() <= 1 {
             continue;
         }
@@ -83,7 +114,11 @@ fn resolve_backwards(map: &LaneMap, route: &mut [Vec<LaneId>]) {
             here.clone_from(next);
         }
         if let Some(&lane) = next.first().filter(|&&id| !map[id].is_connector()) {
-            let leading: Vec<LaneId> = original.iter().copied().filter(|id| map[lane].incoming.contains(id)).collect();
+            let leading: Vec<LaneId> = original
+                .iter()
+                .copied()
+                .filter(|id| map[lane].incoming.contains(id))
+                .collect();
             if !leading.is_empty() {
                 *here = leading;
             }

@@ -4,7 +4,8 @@ use super::route::driven_route;
 use planagent_world::geometry::{Point, Polyline, Pose};
 use planagent_world::{EgoState, LaneId, LaneMap, RoadblockId};
 
-/// Shorter distances count as this, meters. The devkit's documentation says 0.1; its configuration, which decides, 2.
+/// Shorter distances count as this, meters. The devkit's documentation says 0.1; its configuration,
+/// which decides, 2.
 pub const SCORE_PROGRESS: f64 = 2.0;
 
 /// A roadblock of the expert's route with the centerline along which progress is measured.
@@ -26,8 +27,14 @@ impl<'a> RouteProgress<'a> {
     pub fn along(map: &'a LaneMap, centers: &[Pose]) -> Self {
         let mut stages: Vec<Stage<'a>> = Vec::new();
         for lane in simplified(&driven_route(map, centers)) {
-            let stage = Stage { roadblock: map[lane].roadblock, baseline: &map[lane].centerline };
-            if stages.last().is_none_or(|last| last.roadblock != stage.roadblock) {
+            let stage = Stage {
+                roadblock: map[lane].roadblock,
+                baseline: &map[lane].centerline,
+            };
+            if stages
+                .last()
+                .is_none_or(|last| last.roadblock != stage.roadblock)
+            {
                 stages.push(stage);
             }
         }
@@ -67,32 +74,45 @@ impl<'a> RouteProgress<'a> {
         progress
     }
 
-    /// The next stage after `current` that contains the point, and the meters of the skipped stages.
+    /// The next stage after `current` that contains the point, and the meters of the skipped
+    /// stages.
     fn entered(&self, current: usize, point: Point) -> Option<(usize, f64)> {
         let mut skipped = 0.0;
         for (i, stage) in self.stages.iter().enumerate().skip(current + 1) {
             if self.map.roadblock_holds(stage.roadblock, point) {
                 return Some((i, skipped));
             }
-            let (before, after) = (self.stages[i - 1].baseline, self.stages.get(i + 1)?.baseline);
-            skipped += stage.baseline.project(after.start()).s - stage.baseline.project(before.end()).s;
+            let (before, after) = (
+                self.stages[i - 1].baseline,
+                self.stages.get(i + 1)?.baseline,
+            );
+            skipped +=
+                stage.baseline.project(after.start()).s - stage.baseline.project(before.end()).s;
         }
         None
     }
 }
 
-/// The first lane of each part of a route; a part ends where no lane is shared with the part's first sample.
+/// The first lane of each part of a route; a part ends where no lane is shared with the part's
+/// first sample.
 fn simplified(route: &[Vec<LaneId>]) -> Vec<LaneId> {
     let mut parts: Vec<&Vec<LaneId>> = Vec::new();
     for lanes in route.iter().filter(|lanes| !lanes.is_empty()) {
-        if parts.last().is_none_or(|last| !last.iter().any(|id| lanes.contains(id))) {
+        if parts
+            .last()
+            .is_none_or(|last| !last.iter().any(|id| lanes.contains(id)))
+        {
             parts.push(lanes);
         }
     }
-    parts.into_iter().filter_map(|lanes| lanes.first().copied()).collect()
+    parts
+        .into_iter()
+        .filter_map(|lanes| lanes.first().copied())
+        .collect()
 }
 
-/// 0 when the ego moved back by more than 2 m, else the ratio of the distances, each at least 2 m; at most 1.
+/// 0 when the ego moved back by more than 2 m, else the ratio of the distances, each at least 2 m;
+/// at most 1.
 pub fn progress_ratio(ego_total: f64, expert_total: f64) -> f64 {
     if ego_total < -SCORE_PROGRESS {
         0.0
@@ -123,7 +143,11 @@ impl Progress {
         let per_frame = route.per_frame(&centers);
         let ego_total = per_frame.iter().sum();
         let expert_total = route.per_frame(&expert_points).iter().sum();
-        Some(Self { per_frame, ego_total, expert_total })
+        Some(Self {
+            per_frame,
+            ego_total,
+            expert_total,
+        })
     }
 
     /// The [`progress_ratio`].

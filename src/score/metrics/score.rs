@@ -17,7 +17,11 @@ pub struct Weighting {
 impl Weighting {
     /// The weighting by the roles of these metrics.
     pub(super) fn new<'a>(specs: impl Iterator<Item = &'a MetricSpec>) -> Self {
-        let mut weighting = Self { multipliers: Vec::new(), weights: Vec::new(), default_weight: 1.0 };
+        let mut weighting = Self {
+            multipliers: Vec::new(),
+            weights: Vec::new(),
+            default_weight: 1.0,
+        };
         for spec in specs {
             match spec.role {
                 Role::Multiplier => weighting.multipliers.push(spec.name.to_owned()),
@@ -33,13 +37,19 @@ impl Weighting {
     }
 
     fn weight(&self, name: &str) -> f64 {
-        self.weights.iter().find(|(n, _)| n == name).map_or(self.default_weight, |&(_, w)| w)
+        self.weights
+            .iter()
+            .find(|(n, _)| n == name)
+            .map_or(self.default_weight, |&(_, w)| w)
     }
 }
 
-/// Product of the multipliers times the weighted mean of the other metrics. A metric without score leaves both sums;
-/// without any weighted score the mean is 0.
-pub fn combine<'a>(metrics: impl IntoIterator<Item = (&'a str, Option<f64>)>, weighting: &Weighting) -> f64 {
+/// Product of the multipliers times the weighted mean of the other metrics. A metric without score
+/// leaves both sums; without any weighted score the mean is 0.
+pub fn combine<'a>(
+    metrics: impl IntoIterator<Item = (&'a str, Option<f64>)>,
+    weighting: &Weighting,
+) -> f64 {
     let (mut product, mut sum, mut weights) = (1.0, 0.0, 0.0);
     for (name, score) in metrics {
         let Some(score) = score else { continue };
@@ -51,7 +61,11 @@ pub fn combine<'a>(metrics: impl IntoIterator<Item = (&'a str, Option<f64>)>, we
             weights += weight;
         }
     }
-    if weights > 0.0 { product * sum / weights } else { 0.0 }
+    if weights > 0.0 {
+        product * sum / weights
+    } else {
+        0.0
+    }
 }
 
 /// One metric of a score.
@@ -84,11 +98,22 @@ pub struct Score {
 
 impl Score {
     /// The score of the metrics of a list; other results are ignored.
-    pub fn of(list: MetricList, specs: &[MetricSpec], results: &[MetricResult]) -> Result<Self, MetricError> {
+    pub fn of(
+        list: MetricList,
+        specs: &[MetricSpec],
+        results: &[MetricResult],
+    ) -> Result<Self, MetricError> {
         let part = |spec: &MetricSpec| {
-            let score = results.iter().find(|r| r.name == spec.name).and_then(|r| r.score);
+            let score = results
+                .iter()
+                .find(|r| r.name == spec.name)
+                .and_then(|r| r.score);
             let score = score.ok_or(MetricError::NoScore(spec.name))?;
-            Ok(ScorePart { name: spec.name, role: spec.role, score })
+            Ok(ScorePart {
+                name: spec.name,
+                role: spec.role,
+                score,
+            })
         };
         let parts: Vec<ScorePart> = scored(specs, list).map(part).collect::<Result<_, _>>()?;
         let weighting = Weighting::new(scored(specs, list));
@@ -96,7 +121,11 @@ impl Score {
         let weighted = parts.iter().filter(|part| part.role != Role::Multiplier);
         Ok(Self {
             value: combine(parts.iter().map(named), &weighting),
-            multiplier: parts.iter().filter(|part| part.role == Role::Multiplier).map(|part| part.score).product(),
+            multiplier: parts
+                .iter()
+                .filter(|part| part.role == Role::Multiplier)
+                .map(|part| part.score)
+                .product(),
             weighted_average: combine(weighted.map(named), &weighting),
             list,
             parts,
@@ -105,12 +134,18 @@ impl Score {
 
     /// The score of one metric by its name; `None` when it does not enter this score.
     pub fn metric(&self, name: &str) -> Option<f64> {
-        self.parts.iter().find(|part| part.name == name).map(|part| part.score)
+        self.parts
+            .iter()
+            .find(|part| part.name == name)
+            .map(|part| part.score)
     }
 
     /// The names of the multipliers that are 0.
     pub fn zero_multipliers(&self) -> impl Iterator<Item = &'static str> + '_ {
-        self.parts.iter().filter(|part| part.role == Role::Multiplier && part.score <= 0.0).map(|part| part.name)
+        self.parts
+            .iter()
+            .filter(|part| part.role == Role::Multiplier && part.score <= 0.0)
+            .map(|part| part.name)
     }
 }
 
@@ -122,7 +157,10 @@ mod tests {
 
     fn results<const N: usize>(list: MetricList, scores: [f64; N]) -> Vec<MetricResult> {
         assert_eq!(list.scored().count(), N);
-        list.scored().zip(scores).map(|(spec, score)| spec.scored(score, vec![])).collect()
+        list.scored()
+            .zip(scores)
+            .map(|(spec, score)| spec.scored(score, vec![]))
+            .collect()
     }
 
     fn score<const N: usize>(list: MetricList, scores: [f64; N]) -> Score {
@@ -132,9 +170,14 @@ mod tests {
     #[test]
     fn weights_sum_to_sixteen_and_multipliers_multiply() {
         // 0.5 · (5·0.8 + 5·0 + 4·0.5 + 2·1)/16 = 0.5 · 8/16.
-        let score = score(MetricList::ClosedLoop, [0.5, 1.0, 1.0, 1.0, 0.8, 0.0, 0.5, 1.0]);
+        let score = score(
+            MetricList::ClosedLoop,
+            [0.5, 1.0, 1.0, 1.0, 0.8, 0.0, 0.5, 1.0],
+        );
         assert!((score.value - 0.25).abs() < 1e-12);
-        assert!((score.weighted_average - 0.5).abs() < 1e-12 && (score.multiplier - 0.5).abs() < 1e-12);
+        assert!(
+            (score.weighted_average - 0.5).abs() < 1e-12 && (score.multiplier - 0.5).abs() < 1e-12
+        );
         assert_eq!(score.zero_multipliers().next(), None);
     }
 
@@ -144,13 +187,19 @@ mod tests {
         let of = |miss: f64| score(MetricList::OpenLoop, [miss, 0.5, 0.2, 0.9, 0.4]);
         assert!((of(1.0).value - 0.55).abs() < 1e-12);
         assert!(of(0.0).value.abs() < 1e-12 && (of(0.0).weighted_average - 0.55).abs() < 1e-12);
-        assert_eq!(of(0.0).zero_multipliers().next(), Some("planner_miss_rate_within_bound"));
+        assert_eq!(
+            of(0.0).zero_multipliers().next(),
+            Some("planner_miss_rate_within_bound")
+        );
         assert_eq!(of(1.0).metric("ego_is_comfortable"), None);
     }
 
     #[test]
     fn a_score_of_zero_names_its_multipliers() {
-        let score = score(MetricList::ClosedLoop, [1.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
+        let score = score(
+            MetricList::ClosedLoop,
+            [1.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0],
+        );
         assert!(score.value.abs() < 1e-12);
         let all: Vec<_> = score.zero_multipliers().collect();
         assert_eq!(all, ["drivable_area_compliance", "ego_is_making_progress"]);
@@ -160,6 +209,9 @@ mod tests {
     fn a_missing_metric_is_an_error() {
         let missing = &results(MetricList::ClosedLoop, [1.0; 8])[1..];
         let error = Score::of(MetricList::ClosedLoop, &METRICS, missing);
-        assert_eq!(error, Err(MetricError::NoScore("no_ego_at_fault_collisions")));
+        assert_eq!(
+            error,
+            Err(MetricError::NoScore("no_ego_at_fault_collisions"))
+        );
     }
 }

@@ -19,8 +19,12 @@ impl MetricList {
     #[doc(hidden)]
     pub fn meaning(self) -> &'static str {
         match self {
-            Self::ClosedLoop => "NR, R = non-reactive, reactive agents  score = nuPlan's closed-loop score x 100",
-            Self::OpenLoop => "OLS = the ego replays the log  score = nuPlan's open-loop score x 100",
+            Self::ClosedLoop => {
+                "NR, R = non-reactive, reactive agents  score = nuPlan's closed-loop score x 100"
+            }
+            Self::OpenLoop => {
+                "OLS = the ego replays the log  score = nuPlan's open-loop score x 100"
+            }
         }
     }
 }
@@ -79,17 +83,26 @@ impl MetricSpec {
 
     /// Computed for one list only.
     pub const fn only(self, list: MetricList) -> Self {
-        Self { list: Some(list), ..self }
+        Self {
+            list: Some(list),
+            ..self
+        }
     }
 
     /// Multiplies the weighted mean.
     pub const fn multiplier(self) -> Self {
-        Self { role: Role::Multiplier, ..self }
+        Self {
+            role: Role::Multiplier,
+            ..self
+        }
     }
 
     /// Enters the weighted mean.
     pub const fn weight(self, weight: f64) -> Self {
-        Self { role: Role::Weight(weight), ..self }
+        Self {
+            role: Role::Weight(weight),
+            ..self
+        }
     }
 
     /// With a short name.
@@ -104,12 +117,18 @@ impl MetricSpec {
 
     /// With a truth value as score.
     pub const fn truth_value(self) -> Self {
-        Self { unit: ScoreUnit::Bool, ..self }
+        Self {
+            unit: ScoreUnit::Bool,
+            ..self
+        }
     }
 
     /// With bounds of its time series.
     pub const fn bounds(self, min: Option<f64>, max: Option<f64>) -> Self {
-        Self { bounds: (min, max), ..self }
+        Self {
+            bounds: (min, max),
+            ..self
+        }
     }
 
     /// Whether it multiplies the weighted mean.
@@ -119,7 +138,11 @@ impl MetricSpec {
 
     /// Its result with a score in [0, 1].
     pub fn scored(&self, score: f64, statistics: Vec<Statistic>) -> MetricResult {
-        MetricResult { score: Some(score), score_unit: Some(self.unit), ..self.unscored(statistics) }
+        MetricResult {
+            score: Some(score),
+            score_unit: Some(self.unit),
+            ..self.unscored(statistics)
+        }
     }
 
     /// Its result without score.
@@ -135,8 +158,17 @@ impl MetricSpec {
 }
 
 /// The metrics of a list that enter its score, multipliers first.
-pub(super) fn scored(specs: &[MetricSpec], list: MetricList) -> impl Iterator<Item = &MetricSpec> + Clone {
-    let of_list = move || specs.iter().filter(move |spec| spec.list.is_none_or(|own| own == list));
+pub(super) fn scored(
+    specs: &[MetricSpec],
+    list: MetricList,
+) -> impl Iterator<Item = &MetricSpec> + Clone {
+    let of_list = move || {
+        specs
+            .iter()
+            .filter(move |spec| spec.list.is_none_or(|own| own == list))
+    };
     let weighted = |spec: &&MetricSpec| matches!(spec.role, Role::Weight(_));
-    of_list().filter(|spec| spec.is_multiplier()).chain(of_list().filter(weighted))
+    of_list()
+        .filter(|spec| spec.is_multiplier())
+        .chain(of_list().filter(weighted))
 }

@@ -1,5 +1,6 @@
-//! The ego area: in several lanes, off the drivable area, off the route (`tuplan_garage` `pdm_scorer.py`,
-//! `_calculate_ego_area`, and `pdm_observation_utils.py`, `get_drivable_area_map`).
+//! The ego area: in several lanes, off the drivable area, off the route (`tuplan_garage`
+//! `pdm_scorer.py`, `_calculate_ego_area`, and `pdm_observation_utils.py`,
+//! `get_drivable_area_map`).
 
 use super::Placed;
 use crate::metrics::MAX_DISTANCE_OUTSIDE;
@@ -11,13 +12,16 @@ use std::collections::BTreeSet;
 pub const MAP_RADIUS: f64 = 50.0;
 
 /// The layers that count as drivable.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum DrivableLayers {
-    /// Lanes, connectors and car parks: PDM's choice. For nuPlan's maps, and others whose lanes tile the road.
+    /// Lanes, connectors and car parks: PDM's choice. For nuPlan's maps, and others whose lanes
+    /// tile the road.
     Lanes,
-    /// All of nuPlan's drivable area: roadblocks, intersections, generic drivable areas. For maps with derived lane polygons
-    /// that leave gaps.
+    /// All of nuPlan's drivable area: roadblocks, intersections, generic drivable areas. For maps
+    /// with derived lane polygons that leave gaps.
     DrivableArea,
 }
 
@@ -25,14 +29,15 @@ pub enum DrivableLayers {
 const TILING_STEP: f64 = 10.0;
 /// Distance between the tested points across the border, meters.
 const TILING_WIDTH_STEP: f64 = 0.25;
-/// Lanes tile the road when at least this share of the points lies on lanes. Generated maps have 0.996 and more; of eleven maps
-/// derived from Waymo's recordings eight have 0.987 and less.
+/// Lanes tile the road when at least this share of the points lies on lanes. Generated maps have
+/// 0.996 and more; of eleven maps derived from Waymo's recordings eight have 0.987 and less.
 const TILING_SHARE: f64 = 0.99;
 
 impl DrivableLayers {
-    /// The layers for a map: [`Self::Lanes`] where the source draws the areas of lanes (nuPlan's maps). Where they are derived,
-    /// how they lie on a route and within [`MAP_RADIUS`] of the ego decides: [`Self::Lanes`] if they tile the road. The tested
-    /// points lie every 10 m along each lane, from its baseline across to that of its neighbors, and from its end into its
+    /// The layers for a map: [`Self::Lanes`] where the source draws the areas of lanes (nuPlan's
+    /// maps). Where they are derived, how they lie on a route and within [`MAP_RADIUS`] of the ego
+    /// decides: [`Self::Lanes`] if they tile the road. The tested points lie every 10 m along each
+    /// lane, from its baseline across to that of its neighbors, and from its end into its
     /// successors. At least 99 % must lie on some lane.
     pub fn of(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
         if map.lane_areas() == LaneAreas::Drawn {
@@ -47,7 +52,11 @@ impl DrivableLayers {
                 all += 1;
             }
         }
-        if on_lanes as f64 >= TILING_SHARE * all as f64 { Self::Lanes } else { Self::DrivableArea }
+        if on_lanes as f64 >= TILING_SHARE * all as f64 {
+            Self::Lanes
+        } else {
+            Self::DrivableArea
+        }
     }
 }
 
@@ -67,7 +76,10 @@ impl Crossing {
     }
 
     fn is_on_lane(self, map: &LaneMap, point: Point) -> bool {
-        self.lanes.iter().any(|&lane| map[lane].polygon.contains(point)) || !map.lanes_at(point).is_empty()
+        self.lanes
+            .iter()
+            .any(|&lane| map[lane].polygon.contains(point))
+            || !map.lanes_at(point).is_empty()
     }
 }
 
@@ -76,14 +88,22 @@ fn crossings(map: &LaneMap, id: LaneId) -> Vec<Crossing> {
     let lane = &map[id];
     let line = &lane.centerline;
     // Places between the steps: the ends themselves lie on an edge.
-    let places = (0..(line.length() / TILING_STEP).round() as usize).map(|i| (i as f64 + 0.5) * TILING_STEP);
+    let places =
+        (0..(line.length() / TILING_STEP).round() as usize).map(|i| (i as f64 + 0.5) * TILING_STEP);
     let beside = places.flat_map(|s| {
         let from = line.point_at(s);
         let neighbors = lane.left_at(s).into_iter().chain(lane.right_at(s));
-        neighbors.map(move |other| Crossing { lanes: [id, other], from, to: map[other].centerline.project(from).point })
+        neighbors.map(move |other| Crossing {
+            lanes: [id, other],
+            from,
+            to: map[other].centerline.project(from).point,
+        })
     });
     let onward = lane.outgoing.iter().flat_map(|&next| {
-        let (end, start) = (line.pose_at(line.length()), map[next].centerline.pose_at(0.0));
+        let (end, start) = (
+            line.pose_at(line.length()),
+            map[next].centerline.pose_at(0.0),
+        );
         [-1.0, 0.0, 1.0].map(|left| Crossing {
             lanes: [id, next],
             from: end.translated(-1.0, left).position(),
@@ -127,42 +147,79 @@ pub struct DrivableMap<'a> {
 }
 
 impl<'a> DrivableMap<'a> {
-    /// All lanes and connectors of the roadblocks that meet the square of [`MAP_RADIUS`] around `center` (the center of
-    /// the ego), and the car parks there.
-    pub fn around(map: &'a LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point, layers: DrivableLayers) -> Self {
-        let blocks: BTreeSet<_> =
-            map.lanes_near(center, MAP_RADIUS).into_iter().map(|lane| map[lane].roadblock).collect();
-        let lanes: BTreeSet<LaneId> = blocks.iter().flat_map(|&block| map[block].lanes.iter().copied()).collect();
+    /// All lanes and connectors of the roadblocks that meet the square of [`MAP_RADIUS`] around
+    /// `center` (the center of the ego), and the car parks there.
+    pub fn around(
+        map: &'a LaneMap,
+        route_lanes: &BTreeSet<LaneId>,
+        center: Point,
+        layers: DrivableLayers,
+    ) -> Self {
+        let blocks: BTreeSet<_> = map
+            .lanes_near(center, MAP_RADIUS)
+            .into_iter()
+            .map(|lane| map[lane].roadblock)
+            .collect();
+        let lanes: BTreeSet<LaneId> = blocks
+            .iter()
+            .flat_map(|&block| map[block].lanes.iter().copied())
+            .collect();
         let patch = Bounds::square(center, MAP_RADIUS);
         let carparks = map.carparks_within(&patch);
         let areas = lanes
             .into_iter()
-            .map(|id| Area { polygon: &map[id].polygon, on_route: route_lanes.contains(&id) })
-            .chain(carparks.map(|polygon| Area { polygon, on_route: false }))
+            .map(|id| Area {
+                polygon: &map[id].polygon,
+                on_route: route_lanes.contains(&id),
+            })
+            .chain(carparks.map(|polygon| Area {
+                polygon,
+                on_route: false,
+            }))
             .collect();
-        Self { map, areas, layers, tolerance: 0.0 }
+        Self {
+            map,
+            areas,
+            layers,
+            tolerance: 0.0,
+        }
     }
 
-    /// Judges as nuPlan's metric of the drivable area does, where the areas of lanes are derived. All of nuPlan's drivable area
-    /// counts, and a corner may be outside by its tolerance. Areas that the source draws stay as they are.
+    /// Judges as nuPlan's metric of the drivable area does, where the areas of lanes are derived.
+    /// All of nuPlan's drivable area counts, and a corner may be outside by its tolerance. Areas
+    /// that the source draws stay as they are.
     #[must_use]
     pub fn judged_as_by_the_metric(self) -> Self {
         match self.map.lane_areas() {
             LaneAreas::Drawn => self,
-            LaneAreas::Derived => {
-                Self { layers: DrivableLayers::DrivableArea, tolerance: MAX_DISTANCE_OUTSIDE, ..self }
-            }
+            LaneAreas::Derived => Self {
+                layers: DrivableLayers::DrivableArea,
+                tolerance: MAX_DISTANCE_OUTSIDE,
+                ..self
+            },
         }
     }
 
-    /// The same with some lanes counted as lanes of the route: those on which the ego may pass something.
+    /// The same with some lanes counted as lanes of the route: those on which the ego may pass
+    /// something.
     #[must_use]
     pub fn allowing(&self, lanes: &[LaneId]) -> Self {
-        let is_allowed =
-            |area: &Area<'a>| lanes.iter().any(|&lane| std::ptr::eq(area.polygon, &raw const self.map[lane].polygon));
+        let is_allowed = |area: &Area<'a>| {
+            lanes
+                .iter()
+                .any(|&lane| std::ptr::eq(area.polygon, &raw const self.map[lane].polygon))
+        };
         let areas = self.areas.iter();
-        let areas = areas.map(|area| Area { polygon: area.polygon, on_route: area.on_route || is_allowed(area) });
-        Self { map: self.map, areas: areas.collect(), layers: self.layers, tolerance: self.tolerance }
+        let areas = areas.map(|area| Area {
+            polygon: area.polygon,
+            on_route: area.on_route || is_allowed(area),
+        });
+        Self {
+            map: self.map,
+            areas: areas.collect(),
+            layers: self.layers,
+            tolerance: self.tolerance,
+        }
     }
 
     /// The layers that count as drivable.
@@ -183,9 +240,19 @@ impl<'a> DrivableMap<'a> {
 
     /// The polygons that meet some bounds, prepared for many queries.
     pub(super) fn near(&self, bounds: &Bounds) -> NearAreas<'a> {
-        let near = self.areas.iter().filter(|area| area.polygon.bounds().overlaps(bounds));
-        let areas = near.map(|area| (PointLocator::new(area.polygon), area.on_route)).collect();
-        NearAreas { map: self.map, areas, layers: self.layers, tolerance: self.tolerance }
+        let near = self
+            .areas
+            .iter()
+            .filter(|area| area.polygon.bounds().overlaps(bounds));
+        let areas = near
+            .map(|area| (PointLocator::new(area.polygon), area.on_route))
+            .collect();
+        NearAreas {
+            map: self.map,
+            areas,
+            layers: self.layers,
+            tolerance: self.tolerance,
+        }
     }
 }
 
@@ -203,7 +270,11 @@ impl NearAreas<'_> {
         let (mut covered, mut holders, mut whole) = ([false; 4], 0, false);
         let mut on_route = false;
         let bounds = ego.bounds();
-        for (polygon, is_route) in self.areas.iter().filter(|(polygon, _)| polygon.bounds().overlaps(&bounds)) {
+        for (polygon, is_route) in self
+            .areas
+            .iter()
+            .filter(|(polygon, _)| polygon.bounds().overlaps(&bounds))
+        {
             let inside = ego.corners.map(|corner| polygon.contains(corner));
             holders += usize::from(inside.contains(&true));
             whole |= inside == [true; 4];
@@ -223,7 +294,11 @@ impl NearAreas<'_> {
     }
 
     fn is_near_drivable(&self, point: Point) -> bool {
-        let near = || self.map.distance_to_drivable(point, self.tolerance).is_some_and(|d| d < self.tolerance);
+        let near = || {
+            self.map
+                .distance_to_drivable(point, self.tolerance)
+                .is_some_and(|d| d < self.tolerance)
+        };
         self.map.is_drivable(point) || (self.tolerance > 0.0 && near())
     }
 }

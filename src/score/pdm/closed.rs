@@ -5,8 +5,8 @@ use super::emergency_brake::{emergency_brake, needs_emergency_brake, standing};
 use super::parameters::TRAJECTORY_STEPS;
 use super::proposals::{PROPOSAL_STEPS, Proposals};
 use super::{
-    Collided, DrivableLayers, DrivableMap, Forecast, NoReferencePath, PassVerdict, PdmParameters, Proposal,
-    ProposalScore, ReferencePath, ScoringScene, score_passing, score_proposals,
+    Collided, DrivableLayers, DrivableMap, Forecast, NoReferencePath, PassVerdict, PdmParameters,
+    Proposal, ProposalScore, ReferencePath, ScoringScene, score_passing, score_proposals,
 };
 use crate::metrics::MetricError;
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
@@ -14,7 +14,8 @@ use planagent_world::geometry::{Polyline, Pose};
 use planagent_world::{EgoState, LaneId, STEP_US, SceneView, Trajectory, TrajectoryError};
 use std::collections::BTreeSet;
 
-/// Scores that differ by less are equal. UTM coordinates in `f64` round at 1e-10 m, and the progress of 0.1 m divides that.
+/// Scores that differ by less are equal. UTM coordinates in `f64` round at 1e-10 m, and the
+/// progress of 0.1 m divides that.
 const EQUAL_SCORES: f64 = 1e-8;
 
 /// Why PDM-Closed gives no plan.
@@ -68,19 +69,40 @@ impl<'a> PdmInstant<'a> {
         layers: DrivableLayers,
         collided: &mut Collided,
     ) -> Self {
-        let SceneView { map, ego, objects, lights, .. } = *scene;
+        let SceneView {
+            map,
+            ego,
+            objects,
+            lights,
+            ..
+        } = *scene;
         let forecast = Forecast::new(map, route_lanes, ego, objects, lights, collided);
         let drivable = DrivableMap::around(map, route_lanes, ego.center().position(), layers);
         Self { drivable, forecast }
     }
 
     /// The view along a reference path.
-    pub fn along(reference_path: &ReferencePath, scene: &SceneView<'a>, collided: &mut Collided) -> Self {
-        Self::new(scene, reference_path.lane_set(), reference_path.layers(), collided)
+    pub fn along(
+        reference_path: &ReferencePath,
+        scene: &SceneView<'a>,
+        collided: &mut Collided,
+    ) -> Self {
+        Self::new(
+            scene,
+            reference_path.lane_set(),
+            reference_path.layers(),
+            collided,
+        )
     }
 
-    /// The proposals along a reference path from the ego's present state, `steps` steps of 0.1 s long.
-    pub fn proposals<'s>(&'s self, reference_path: &'s ReferencePath, ego: &EgoState, steps: usize) -> Proposals<'s> {
+    /// The proposals along a reference path from the ego's present state, `steps` steps of 0.1 s
+    /// long.
+    pub fn proposals<'s>(
+        &'s self,
+        reference_path: &'s ReferencePath,
+        ego: &EgoState,
+        steps: usize,
+    ) -> Proposals<'s> {
         self.tuned_proposals(reference_path, ego, PdmParameters::default(), steps)
     }
 
@@ -104,16 +126,28 @@ impl<'a> PdmInstant<'a> {
         )
     }
 
-    /// The input of the score beside the proposals; progress is measured along `centerline`, `rival_progress` is that of
-    /// [`ScoringScene`].
-    pub fn scoring<'s>(&'s self, centerline: &'s Polyline, rival_progress: f64) -> ScoringScene<'s> {
-        ScoringScene { drivable: &self.drivable, forecast: &self.forecast, centerline, rival_progress }
+    /// The input of the score beside the proposals; progress is measured along `centerline`,
+    /// `rival_progress` is that of [`ScoringScene`].
+    pub fn scoring<'s>(
+        &'s self,
+        centerline: &'s Polyline,
+        rival_progress: f64,
+    ) -> ScoringScene<'s> {
+        ScoringScene {
+            drivable: &self.drivable,
+            forecast: &self.forecast,
+            centerline,
+            rival_progress,
+        }
     }
 }
 
 /// The proposals as PDM's tracker follows them from the present state, a state every 0.1 s.
 pub fn simulate_proposals(ego: &EgoState, proposals: &[Proposal]) -> Vec<Vec<EgoState>> {
-    proposals.iter().map(|proposal| simulate_proposal(ego, &proposal.poses, JerkPenalty::PdmClosed)).collect()
+    proposals
+        .iter()
+        .map(|proposal| simulate_proposal(ego, &proposal.poses, JerkPenalty::PdmClosed))
+        .collect()
 }
 
 /// The result of one step.
@@ -159,17 +193,35 @@ pub fn plan_tuned(
     let instant = PdmInstant::along(reference_path, scene, collided);
     let mut proposals = instant.tuned_proposals(reference_path, ego, parameters, PROPOSAL_STEPS);
     let simulated = simulate_proposals(ego, proposals.all());
-    let scores = score_proposals(&instant.scoring(reference_path.centerline().line(), 0.0), &simulated)?;
+    let scores = score_proposals(
+        &instant.scoring(reference_path.centerline().line(), 0.0),
+        &simulated,
+    )?;
     let best = best_of(&scores).ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
-    let brake = parameters.emergency_brake && needs_emergency_brake(scores[best].first_at_fault_s, ego);
+    let brake =
+        parameters.emergency_brake && needs_emergency_brake(scores[best].first_at_fault_s, ego);
     let trajectory = if brake {
         emergency_brake(ego, TRAJECTORY_STEPS)?
     } else {
-        let poses = proposals.continued(best, TRAJECTORY_STEPS).iter().enumerate();
-        Trajectory::new(poses.map(|(step, &pose)| standing(ego.time_us + step as i64 * STEP_US, pose)).collect())?
+        let poses = proposals
+            .continued(best, TRAJECTORY_STEPS)
+            .iter()
+            .enumerate();
+        Trajectory::new(
+            poses
+                .map(|(step, &pose)| standing(ego.time_us + step as i64 * STEP_US, pose))
+                .collect(),
+        )?
     };
     let proposals = proposals.into_all();
-    Ok(PdmPlan { proposals, simulated, scores, best, emergency_brake: brake, trajectory })
+    Ok(PdmPlan {
+        proposals,
+        simulated,
+        scores,
+        best,
+        emergency_brake: brake,
+        trajectory,
+    })
 }
 
 /// A way past something over lanes against traffic.
@@ -182,8 +234,9 @@ pub struct Pass<'a> {
     pub verdict: &'a dyn Fn(&[Pose]) -> PassVerdict,
 }
 
-/// One step of PDM-Closed along several reference paths at once: the best of all proposals is executed. Progress is measured
-/// along the first path, and the collisions and areas are those of its route. On the lanes of `pass`, a proposal needs its verdict.
+/// One step of PDM-Closed along several reference paths at once: the best of all proposals is
+/// executed. Progress is measured along the first path, and the collisions and areas are those of
+/// its route. On the lanes of `pass`, a proposal needs its verdict.
 ///
 /// # Errors
 /// As [`plan_along`].
@@ -196,9 +249,13 @@ pub fn plan_among(
 ) -> Result<PdmPlan, PdmError> {
     let (ego, parameters) = (scene.ego, PdmParameters::default());
     let instant = PdmInstant::along(own, scene, collided);
-    let mut sets: Vec<Proposals<'_>> =
-        std::iter::once(own).chain(others).map(|path| instant.proposals(path, ego, PROPOSAL_STEPS)).collect();
-    let all = sets.iter().flat_map(|set| simulate_proposals(ego, set.all()));
+    let mut sets: Vec<Proposals<'_>> = std::iter::once(own)
+        .chain(others)
+        .map(|path| instant.proposals(path, ego, PROPOSAL_STEPS))
+        .collect();
+    let all = sets
+        .iter()
+        .flat_map(|set| simulate_proposals(ego, set.all()));
     let simulated: Vec<Vec<EgoState>> = all.collect();
     let scoring = instant.scoring(own.centerline().line(), 0.0);
     let scores = match pass {
@@ -206,7 +263,8 @@ pub fn plan_among(
         Some(pass) => score_passing(&scoring, pass.lanes, &verdicts(&mut sets, pass), &simulated)?,
     };
     let best = best_of(&scores).ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
-    let brake = parameters.emergency_brake && needs_emergency_brake(scores[best].first_at_fault_s, ego);
+    let brake =
+        parameters.emergency_brake && needs_emergency_brake(scores[best].first_at_fault_s, ego);
     let (mut set, mut place) = (0, best);
     while place >= sets[set].all().len() {
         place -= sets[set].all().len();
@@ -215,17 +273,34 @@ pub fn plan_among(
     let trajectory = if brake {
         emergency_brake(ego, TRAJECTORY_STEPS)?
     } else {
-        let poses = sets[set].continued(place, TRAJECTORY_STEPS).iter().take(TRAJECTORY_STEPS + 1).enumerate();
-        Trajectory::new(poses.map(|(step, &pose)| standing(ego.time_us + step as i64 * STEP_US, pose)).collect())?
+        let poses = sets[set]
+            .continued(place, TRAJECTORY_STEPS)
+            .iter()
+            .take(TRAJECTORY_STEPS + 1)
+            .enumerate();
+        Trajectory::new(
+            poses
+                .map(|(step, &pose)| standing(ego.time_us + step as i64 * STEP_US, pose))
+                .collect(),
+        )?
     };
     let proposals = sets.into_iter().flat_map(Proposals::into_all).collect();
-    Ok(PdmPlan { proposals, simulated, scores, best, emergency_brake: brake, trajectory })
+    Ok(PdmPlan {
+        proposals,
+        simulated,
+        scores,
+        best,
+        emergency_brake: brake,
+        trajectory,
+    })
 }
 
 /// The verdicts on all proposals, rolled out as far as they have to be.
 fn verdicts(sets: &mut [Proposals<'_>], pass: &Pass<'_>) -> Vec<PassVerdict> {
     let of_set = |set: &mut Proposals<'_>| -> Vec<PassVerdict> {
-        (0..set.all().len()).map(|place| (pass.verdict)(set.continued(place, pass.steps))).collect()
+        (0..set.all().len())
+            .map(|place| (pass.verdict)(set.continued(place, pass.steps)))
+            .collect()
     };
     sets.iter_mut().flat_map(of_set).collect()
 }
@@ -235,7 +310,10 @@ fn verdicts(sets: &mut [Proposals<'_>], pass: &Pass<'_>) -> Vec<PassVerdict> {
 /// # Errors
 /// When there is no reference path, or the proposals cannot be scored or are not finite.
 pub fn plan(memory: &mut PdmMemory, scene: &SceneView<'_>) -> Result<PdmPlan, PdmError> {
-    let PdmMemory { collided, reference_path } = memory;
+    let PdmMemory {
+        collided,
+        reference_path,
+    } = memory;
     let reference_path = match reference_path {
         Some(reference_path) => reference_path,
         none => none.insert(ReferencePath::find(scene.map, scene.route, scene.ego)?),
@@ -245,11 +323,17 @@ pub fn plan(memory: &mut PdmMemory, scene: &SceneView<'_>) -> Result<PdmPlan, Pd
 
 /// Index of the best score, the first of equals; `None` without scores.
 ///
-/// `tuplan_garage` takes the maximum, so rounding chooses where proposals are equally far along. Beside the centerline and on it they
-/// often are, where the ego has almost stopped.
+/// `tuplan_garage` takes the maximum, so rounding chooses where proposals are equally far along.
+/// Beside the centerline and on it they often are, where the ego has almost stopped.
 pub fn best_of(scores: &[ProposalScore]) -> Option<usize> {
-    let highest = scores.iter().map(|score| score.total).filter(|total| !total.is_nan()).max_by(f64::total_cmp)?;
-    scores.iter().position(|score| score.total >= highest - EQUAL_SCORES)
+    let highest = scores
+        .iter()
+        .map(|score| score.total)
+        .filter(|total| !total.is_nan())
+        .max_by(f64::total_cmp)?;
+    scores
+        .iter()
+        .position(|score| score.total >= highest - EQUAL_SCORES)
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! The collision multiplier and the time-to-collision term of a proposal (`tuplan_garage` `pdm_scorer.py`).
+//! The collision multiplier and the time-to-collision term of a proposal (`tuplan_garage`
+//! `pdm_scorer.py`).
 
 use super::encounters::{Encounters, PROJECTED_STEPS};
 use super::{EgoAreas, Forecast, Placed};
@@ -25,18 +26,33 @@ pub struct FirstTouch {
     pub state: Option<usize>,
 }
 
-/// 0 after a collision at fault with a vehicle, pedestrian or bicycle, 0.5 after one with another object. A track that the ego
-/// first touches without fault is never its fault later. `areas` has one entry per state.
-pub fn no_at_fault_collisions(states: &[EgoState], areas: &[EgoAreas], forecast: &Forecast) -> FirstTouch {
+/// 0 after a collision at fault with a vehicle, pedestrian or bicycle, 0.5 after one with another
+/// object. A track that the ego first touches without fault is never its fault later. `areas` has
+/// one entry per state.
+pub fn no_at_fault_collisions(
+    states: &[EgoState],
+    areas: &[EgoAreas],
+    forecast: &Forecast,
+) -> FirstTouch {
     let batch: [Vec<Placed>; 1] = [states.iter().map(Placed::of).collect()];
     let [placed] = &batch;
-    collide(SimulatedProposal { states, placed, areas }, &Encounters::of(forecast, &batch))
+    collide(
+        SimulatedProposal {
+            states,
+            placed,
+            areas,
+        },
+        &Encounters::of(forecast, &batch),
+    )
 }
 
 /// [`no_at_fault_collisions`] for one of a batch.
 pub(super) fn collide(proposal: SimulatedProposal<'_>, encounters: &Encounters<'_>) -> FirstTouch {
     let mut ignored: Vec<TrackToken> = Vec::new();
-    let mut result = FirstTouch { score: 1.0, state: None };
+    let mut result = FirstTouch {
+        score: 1.0,
+        state: None,
+    };
     for (i, placed) in proposal.placed.iter().enumerate() {
         for track in encounters.touching(&placed.shape, i, 0) {
             if ignored.contains(&track.token) {
@@ -44,7 +60,11 @@ pub(super) fn collide(proposal: SimulatedProposal<'_>, encounters: &Encounters<'
             }
             let off_lane = proposal.areas[i].in_multiple_lanes_or_off_road();
             if classify_collision(&proposal.states[i], &track).is_at_fault(off_lane) {
-                let left = if CollisionGroup::of(track.kind) == CollisionGroup::Object { 0.5 } else { 0.0 };
+                let left = if CollisionGroup::of(track.kind) == CollisionGroup::Object {
+                    0.5
+                } else {
+                    0.0
+                };
                 result.score = result.score.min(left);
                 result.state.get_or_insert(i);
             } else {
@@ -55,17 +75,35 @@ pub(super) fn collide(proposal: SimulatedProposal<'_>, encounters: &Encounters<'
     result
 }
 
-/// 0 when the ego, straight ahead at its speed, would touch a relevant track within 0.9 s. Tracks ahead are
-/// relevant; those beside only while the ego is in multiple lanes, off the road or in an intersection. A track that was
-/// touched while not relevant is ignored from then on: PDM's behaviour.
-pub fn time_to_collision(map: &LaneMap, states: &[EgoState], areas: &[EgoAreas], forecast: &Forecast) -> FirstTouch {
+/// 0 when the ego, straight ahead at its speed, would touch a relevant track within 0.9 s. Tracks
+/// ahead are relevant; those beside only while the ego is in multiple lanes, off the road or in an
+/// intersection. A track that was touched while not relevant is ignored from then on: PDM's
+/// behaviour.
+pub fn time_to_collision(
+    map: &LaneMap,
+    states: &[EgoState],
+    areas: &[EgoAreas],
+    forecast: &Forecast,
+) -> FirstTouch {
     let batch: [Vec<Placed>; 1] = [states.iter().map(Placed::of).collect()];
     let [placed] = &batch;
-    approach(map, SimulatedProposal { states, placed, areas }, &Encounters::of(forecast, &batch))
+    approach(
+        map,
+        SimulatedProposal {
+            states,
+            placed,
+            areas,
+        },
+        &Encounters::of(forecast, &batch),
+    )
 }
 
 /// [`time_to_collision`] for one of a batch.
-pub(super) fn approach(map: &LaneMap, proposal: SimulatedProposal<'_>, encounters: &Encounters<'_>) -> FirstTouch {
+pub(super) fn approach(
+    map: &LaneMap,
+    proposal: SimulatedProposal<'_>,
+    encounters: &Encounters<'_>,
+) -> FirstTouch {
     let mut ignored: Vec<TrackToken> = Vec::new();
     for (i, placed) in proposal.placed.iter().enumerate() {
         if placed.speed < STOPPED_SPEED || encounters.is_clear(i) {
@@ -81,14 +119,21 @@ pub(super) fn approach(map: &LaneMap, proposal: SimulatedProposal<'_>, encounter
                 }
                 let center = track.shape.center.position();
                 let sideways = *sideways.get_or_insert_with(|| {
-                    proposal.areas[i].in_multiple_lanes_or_off_road() || map.in_intersection(rear_axle.position())
+                    proposal.areas[i].in_multiple_lanes_or_off_road()
+                        || map.in_intersection(rear_axle.position())
                 });
                 if is_ahead(rear_axle, center) || (sideways && !is_behind(rear_axle, center)) {
-                    return FirstTouch { score: 0.0, state: Some(i) };
+                    return FirstTouch {
+                        score: 0.0,
+                        state: Some(i),
+                    };
                 }
                 ignored.push(track.token);
             }
         }
     }
-    FirstTouch { score: 1.0, state: None }
+    FirstTouch {
+        score: 1.0,
+        state: None,
+    }
 }

@@ -1,9 +1,11 @@
-//! The forecast of all objects at constant speed and direction (`tuplan_garage` `pdm_observation.py`,
-//! `pdm_object_manager.py`).
+//! The forecast of all objects at constant speed and direction (`tuplan_garage`
+//! `pdm_observation.py`, `pdm_object_manager.py`).
 
 use crate::metrics::in_collision;
 use planagent_world::geometry::{Bounds, OrientedBox, Point, Pose, Vector, wrap_angle};
-use planagent_world::{EgoState, LaneId, LaneMap, ObjectKind, STEP_S, TrackToken, TrackedObject, TrafficLights};
+use planagent_world::{
+    EgoState, LaneId, LaneMap, ObjectKind, STEP_S, TrackToken, TrackedObject, TrafficLights,
+};
 use std::collections::BTreeSet;
 use std::f64::consts::FRAC_PI_2;
 
@@ -23,7 +25,12 @@ const LANE_STEP: f64 = 2.0;
 /// Largest curvature of a forecast, 1/m.
 const MAX_LANE_CURVATURE: f64 = 0.2;
 /// How many of the nearest objects of each kind are kept, in the order of the occupancy map.
-const CAPS: [(Sort, usize); 4] = [(Sort::Static, 50), (Sort::Vehicle, 50), (Sort::Pedestrian, 25), (Sort::Bicycle, 10)];
+const CAPS: [(Sort, usize); 4] = [
+    (Sort::Static, 50),
+    (Sort::Vehicle, 50),
+    (Sort::Pedestrian, 25),
+    (Sort::Bicycle, 10),
+];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Sort {
@@ -39,14 +46,16 @@ impl Sort {
             ObjectKind::Vehicle => Self::Vehicle,
             ObjectKind::Pedestrian => Self::Pedestrian,
             ObjectKind::Bicycle => Self::Bicycle,
-            ObjectKind::TrafficCone | ObjectKind::Barrier | ObjectKind::CzoneSign | ObjectKind::GenericObject => {
-                Self::Static
-            }
+            ObjectKind::TrafficCone
+            | ObjectKind::Barrier
+            | ObjectKind::CzoneSign
+            | ObjectKind::GenericObject => Self::Static,
         }
     }
 }
 
-/// The objects that the ego has touched. They are ignored from then on, so this lives as long as the planner.
+/// The objects that the ego has touched. They are ignored from then on, so this lives as long as
+/// the planner.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Collided {
     /// Tracks.
@@ -70,15 +79,26 @@ pub struct ForecastObject {
 
 impl ForecastObject {
     fn new(track: &TrackedObject) -> Self {
-        let speed = if track.kind.is_agent() { track.speed() } else { 0.0 };
+        let speed = if track.kind.is_agent() {
+            track.speed()
+        } else {
+            0.0
+        };
         let heading = track.shape.center.heading;
-        let backwards = wrap_angle(heading - track.velocity.y.atan2(track.velocity.x)).abs() >= FRAC_PI_2;
+        let backwards =
+            wrap_angle(heading - track.velocity.y.atan2(track.velocity.x)).abs() >= FRAC_PI_2;
         let along = track.shape.center.direction() * speed;
         let velocity = if backwards { -along } else { along };
-        Self { track: *track, velocity, curvature: 0.0, radius: track.shape.diagonal() / 2.0 }
+        Self {
+            track: *track,
+            velocity,
+            curvature: 0.0,
+            radius: track.shape.diagonal() / 2.0,
+        }
     }
 
-    /// Seconds after a number of steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
+    /// Seconds after a number of steps of 0.1 s, at the forecast's resolution: odd steps show the
+    /// even step before.
     #[inline]
     fn seconds(step: usize) -> f64 {
         (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S
@@ -87,7 +107,11 @@ impl ForecastObject {
     /// The angle by which the way has turned after a number of steps, radians.
     #[inline]
     fn turned(&self, step: usize) -> f64 {
-        if self.curvature == 0.0 { 0.0 } else { self.curvature * self.velocity.norm() * Self::seconds(step) }
+        if self.curvature == 0.0 {
+            0.0
+        } else {
+            self.curvature * self.velocity.norm() * Self::seconds(step)
+        }
     }
 
     /// The center after a number of steps of 0.1 s.
@@ -101,7 +125,8 @@ impl ForecastObject {
         // The chord of the arc.
         let (sin, cos) = half.sin_cos();
         let chord = moved * (sin / half);
-        self.track.shape.center.position() + Vector::new(chord.x * cos - chord.y * sin, chord.x * sin + chord.y * cos)
+        self.track.shape.center.position()
+            + Vector::new(chord.x * cos - chord.y * sin, chord.x * sin + chord.y * cos)
     }
 
     /// Bounds of the centers between two steps.
@@ -112,18 +137,26 @@ impl ForecastObject {
         }
         // An arc keeps within half its length of the middle of its chord.
         let half_length = self.velocity.norm() * (last - first) as f64 * STEP_S / 2.0;
-        Bounds::square(Point::from((ends[0].coords + ends[1].coords) / 2.0), half_length)
+        Bounds::square(
+            Point::from((ends[0].coords + ends[1].coords) / 2.0),
+            half_length,
+        )
     }
 
     /// The box after a number of steps of 0.1 s.
     pub fn shape_at(&self, step: usize) -> OrientedBox {
         let heading = wrap_angle(self.track.shape.center.heading + self.turned(step));
-        self.track.shape.moved_to(Pose::at(self.center_at(step), heading))
+        self.track
+            .shape
+            .moved_to(Pose::at(self.center_at(step), heading))
     }
 
     /// The object after a number of steps; its velocity is the observed one.
     pub fn track_at(&self, step: usize) -> TrackedObject {
-        TrackedObject { shape: self.shape_at(step), ..self.track }
+        TrackedObject {
+            shape: self.shape_at(step),
+            ..self.track
+        }
     }
 }
 
@@ -135,9 +168,9 @@ pub struct Forecast {
 }
 
 impl Forecast {
-    /// Forecasts the near objects: at most 50 static objects, 50 vehicles, 25 pedestrians and 10 bicycles, the nearest ones
-    /// within [`MAX_DISTANCE`], and the connectors of the route that show red. What the ego touches now is added to
-    /// `collided` and left out from now on.
+    /// Forecasts the near objects: at most 50 static objects, 50 vehicles, 25 pedestrians and 10
+    /// bicycles, the nearest ones within [`MAX_DISTANCE`], and the connectors of the route that
+    /// show red. What the ego touches now is added to `collided` and left out from now on.
     pub fn new(
         map: &LaneMap,
         route_lanes: &BTreeSet<LaneId>,
@@ -150,17 +183,34 @@ impl Forecast {
         let center = footprint.center.position();
         let mut kept: Vec<ForecastObject> = Vec::new();
         for (sort, cap) in CAPS {
-            let seen = objects.iter().filter(|o| Sort::of(o.kind) == sort && !collided.tracks.contains(&o.token));
-            kept.extend(nearest(seen, center, cap).into_iter().map(ForecastObject::new));
+            let seen = objects
+                .iter()
+                .filter(|o| Sort::of(o.kind) == sort && !collided.tracks.contains(&o.token));
+            kept.extend(
+                nearest(seen, center, cap)
+                    .into_iter()
+                    .map(ForecastObject::new),
+            );
         }
-        let touched = kept.iter().map(|o| o.track).filter(|o| in_collision(&footprint, &o.shape));
+        let touched = kept
+            .iter()
+            .map(|o| o.track)
+            .filter(|o| in_collision(&footprint, &o.shape));
         collided.tracks.extend(touched.map(|o| o.token));
         kept.retain(|o| !collided.tracks.contains(&o.track.token));
 
-        let mut red_lights: Vec<LaneId> = lights.red().filter(|id| route_lanes.contains(id)).collect();
-        collided.red_lights.extend(red_lights.iter().filter(|&&id| map[id].polygon.holds_box(&footprint)));
+        let mut red_lights: Vec<LaneId> =
+            lights.red().filter(|id| route_lanes.contains(id)).collect();
+        collided.red_lights.extend(
+            red_lights
+                .iter()
+                .filter(|&&id| map[id].polygon.holds_box(&footprint)),
+        );
         red_lights.retain(|id| !collided.red_lights.contains(id));
-        Self { objects: kept, red_lights }
+        Self {
+            objects: kept,
+            red_lights,
+        }
     }
 
     /// The same, but vehicles and bicycles that drive along a lane keep its curvature.
@@ -177,8 +227,8 @@ impl Forecast {
         &self.objects
     }
 
-    /// Connectors of the route that show red; their polygons block the path for the whole forecast. The scorer
-    /// ignores them.
+    /// Connectors of the route that show red; their polygons block the path for the whole forecast.
+    /// The scorer ignores them.
     pub fn red_lights(&self) -> &[LaneId] {
         &self.red_lights
     }
@@ -187,19 +237,28 @@ impl Forecast {
 /// The mean curvature of the lane that an object drives along, over the next [`LANE_PREVIEW_S`].
 fn lane_curvature(map: &LaneMap, object: &ForecastObject) -> Option<f64> {
     let speed = object.velocity.norm();
-    if speed < MIN_LANE_SPEED || !matches!(object.track.kind, ObjectKind::Vehicle | ObjectKind::Bicycle) {
+    if speed < MIN_LANE_SPEED
+        || !matches!(object.track.kind, ObjectKind::Vehicle | ObjectKind::Bicycle)
+    {
         return None;
     }
-    let (center, heading) = (object.track.shape.center, object.velocity.y.atan2(object.velocity.x));
+    let (center, heading) = (
+        object.track.shape.center,
+        object.velocity.y.atan2(object.velocity.x),
+    );
     let along = |id: LaneId| {
         let s = map[id].centerline.project(center.position()).s;
         let off = wrap_angle(heading - map[id].centerline.smooth_pose_at(s).heading).abs();
         (off <= MAX_LANE_ANGLE).then_some((id, s, off))
     };
     let lanes = map.lanes_at(center.position());
-    let (mut lane, from, _) = lanes.into_iter().filter_map(along).min_by(|a, b| a.2.total_cmp(&b.2))?;
+    let (mut lane, from, _) = lanes
+        .into_iter()
+        .filter_map(along)
+        .min_by(|a, b| a.2.total_cmp(&b.2))?;
     let start = map[lane].centerline.smooth_pose_at(from).heading;
-    let (mut s, mut left, mut driven, mut turned, mut last) = (from, speed * LANE_PREVIEW_S, 0.0, 0.0, start);
+    let (mut s, mut left, mut driven, mut turned, mut last) =
+        (from, speed * LANE_PREVIEW_S, 0.0, 0.0, start);
     loop {
         let centerline = &map[lane].centerline;
         // Headings between are followed, so that more than half a turn counts as such.
@@ -209,7 +268,9 @@ fn lane_curvature(map: &LaneMap, object: &ForecastObject) -> Option<f64> {
             let heading = centerline.smooth_pose_at(s).heading;
             (turned, last) = (turned + wrap_angle(heading - last), heading);
         }
-        let [next] = map[lane].outgoing[..] else { break };
+        let [next] = map[lane].outgoing[..] else {
+            break;
+        };
         if left <= 0.0 {
             break;
         }
@@ -219,10 +280,16 @@ fn lane_curvature(map: &LaneMap, object: &ForecastObject) -> Option<f64> {
 }
 
 /// The nearest objects within reach, by distance; equal distances keep their order.
-fn nearest<'a>(objects: impl Iterator<Item = &'a TrackedObject>, center: Point, cap: usize) -> Vec<&'a TrackedObject> {
+fn nearest<'a>(
+    objects: impl Iterator<Item = &'a TrackedObject>,
+    center: Point,
+    cap: usize,
+) -> Vec<&'a TrackedObject> {
     let distance = |o: &TrackedObject| (o.shape.center.position() - center).norm();
-    let mut near: Vec<(f64, &TrackedObject)> =
-        objects.map(|o| (distance(o), o)).filter(|&(d, _)| d <= MAX_DISTANCE).collect();
+    let mut near: Vec<(f64, &TrackedObject)> = objects
+        .map(|o| (distance(o), o))
+        .filter(|&(d, _)| d <= MAX_DISTANCE)
+        .collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
     near.truncate(cap);
     near.into_iter().map(|(_, o)| o).collect()

@@ -55,7 +55,9 @@ impl Obstacle<'_> {
     /// A lower bound of the distance to a box around `center`, whose corners are `reach` away.
     fn min_distance(&self, center: Point, reach: f64) -> f64 {
         match self {
-            Self::Track { track, radius } => (track.shape.center.position() - center).norm() - radius - reach,
+            Self::Track { track, radius } => {
+                (track.shape.center.position() - center).norm() - radius - reach
+            }
             Self::RedLight(polygon) => polygon.bounds().distance_squared(center).sqrt() - reach,
         }
     }
@@ -70,15 +72,32 @@ impl Obstacle<'_> {
 
 impl<'a> PathTraffic<'a> {
     /// The traffic on `path` from progress `from` to progress `to`, meters.
-    pub(super) fn new(map: &'a LaneMap, path: &'a PdmPath, forecast: &'a Forecast, from: f64, to: f64) -> Self {
+    pub(super) fn new(
+        map: &'a LaneMap,
+        path: &'a PdmPath,
+        forecast: &'a Forecast,
+        from: f64,
+        to: f64,
+    ) -> Self {
         let corridor = Corridor::with_square_caps(&path.substring(from, to), PACIFICA.width / 2.0);
         let polygons = forecast.red_lights().iter().map(|&lane| &map[lane].polygon);
-        let red_lights = polygons.filter(|polygon| corridor.meets_polygon(polygon)).map(|polygon| Blocking {
-            progress: path.project(polygon.centroid()),
-            obstacle: Obstacle::RedLight(polygon),
-        });
-        let mut traffic = Self { path, red_lights: red_lights.collect(), corridor, objects: Vec::new() };
-        traffic.objects = forecast.objects().iter().filter_map(|object| traffic.nearby(object)).collect();
+        let red_lights = polygons
+            .filter(|polygon| corridor.meets_polygon(polygon))
+            .map(|polygon| Blocking {
+                progress: path.project(polygon.centroid()),
+                obstacle: Obstacle::RedLight(polygon),
+            });
+        let mut traffic = Self {
+            path,
+            red_lights: red_lights.collect(),
+            corridor,
+            objects: Vec::new(),
+        };
+        traffic.objects = forecast
+            .objects()
+            .iter()
+            .filter_map(|object| traffic.nearby(object))
+            .collect();
         traffic
     }
 
@@ -86,15 +105,23 @@ impl<'a> PathTraffic<'a> {
         if object.velocity == Vector::zeros() {
             return self.in_corridor(object, 0).map(Nearby::Standing);
         }
-        let sweep = object.bounds_between(0, TRAJECTORY_STEPS).grown(object.radius);
-        self.corridor.bounds().overlaps(&sweep).then_some(Nearby::Moving(object))
+        let sweep = object
+            .bounds_between(0, TRAJECTORY_STEPS)
+            .grown(object.radius);
+        self.corridor
+            .bounds()
+            .overlaps(&sweep)
+            .then_some(Nearby::Moving(object))
     }
 
     fn in_corridor(&self, object: &ForecastObject, step: usize) -> Option<Blocking<'a>> {
         let track = object.track_at(step);
         self.corridor.meets_box(&track.shape).then(|| Blocking {
             progress: self.path.project(track.shape.center.position()),
-            obstacle: Obstacle::Track { track, radius: object.radius },
+            obstacle: Obstacle::Track {
+                track,
+                radius: object.radius,
+            },
         })
     }
 
@@ -107,9 +134,16 @@ impl<'a> PathTraffic<'a> {
         objects.chain(self.red_lights.iter().copied()).collect()
     }
 
-    /// Writes the lead object of an ego at `progress` and `pose` into `lead`. As upstream, a red light and a free road leave the
-    /// velocity in `lead` as it is, and an obstacle leaves the length.
-    pub(super) fn find_lead(&self, blocking: &[Blocking<'_>], progress: f64, pose: Pose, lead: &mut LeadState) {
+    /// Writes the lead object of an ego at `progress` and `pose` into `lead`. As upstream, a red
+    /// light and a free road leave the velocity in `lead` as it is, and an obstacle leaves the
+    /// length.
+    pub(super) fn find_lead(
+        &self,
+        blocking: &[Blocking<'_>],
+        progress: f64,
+        pose: Pose,
+        lead: &mut LeadState,
+    ) {
         let ego = PACIFICA.footprint(pose);
         let (center, reach) = (ego.center.position(), ego.diagonal() / 2.0);
         let mut nearest: Option<(f64, &Obstacle<'_>)> = None;
@@ -130,7 +164,11 @@ impl<'a> PathTraffic<'a> {
         lead.progress = progress + distance;
         if let Obstacle::Track { track, .. } = obstacle {
             let along = (track.shape.center.heading - ego.center.heading).cos();
-            lead.velocity = if track.kind.is_agent() { track.speed() * along } else { 0.0 };
+            lead.velocity = if track.kind.is_agent() {
+                track.speed() * along
+            } else {
+                0.0
+            };
         }
     }
 }

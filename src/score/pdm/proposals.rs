@@ -1,5 +1,5 @@
-//! PDM-Closed's proposals: five IDM roll-outs along each of three paths (`tuplan_garage` `pdm_generator.py`,
-//! `batch_idm_policy.py`).
+//! PDM-Closed's proposals: five IDM roll-outs along each of three paths (`tuplan_garage`
+//! `pdm_generator.py`, `batch_idm_policy.py`).
 
 use super::lead::{LeadState, PathTraffic};
 use super::parameters::{PdmParameters, TRAJECTORY_STEPS};
@@ -50,9 +50,17 @@ impl Proposal {
     /// One step on behind `lead`: forward Euler with the speed of before.
     fn advance(&mut self, path: &PdmPath, parameters: &PdmParameters, lead: LeadState) {
         let IdmState { progress, velocity } = self.states[self.states.len() - 1];
-        let ahead = Lead { gap: lead.progress - progress - lead.length_rear, speed: lead.velocity };
-        let acceleration = parameters.policy(self.target_velocity).acceleration(velocity, Some(ahead));
-        let next = IdmState { progress: progress + STEP_S * velocity, velocity: velocity + STEP_S * acceleration };
+        let ahead = Lead {
+            gap: lead.progress - progress - lead.length_rear,
+            speed: lead.velocity,
+        };
+        let acceleration = parameters
+            .policy(self.target_velocity)
+            .acceleration(velocity, Some(ahead));
+        let next = IdmState {
+            progress: progress + STEP_S * velocity,
+            velocity: velocity + STEP_S * acceleration,
+        };
         self.states.push(next);
         self.leads.push(lead);
         self.poses.push(path.pose_at(next.progress));
@@ -68,8 +76,9 @@ pub struct Proposals<'a> {
 }
 
 impl<'a> Proposals<'a> {
-    /// Rolls all proposals out for `steps` steps of 0.1 s along `paths` (those of [`LATERAL_OFFSETS`]), from the projection
-    /// of the ego on each, on a road with this `speed_limit` in m/s.
+    /// Rolls all proposals out for `steps` steps of 0.1 s along `paths` (those of
+    /// [`LATERAL_OFFSETS`]), from the projection of the ego on each, on a road with this
+    /// `speed_limit` in m/s.
     pub fn generate(
         map: &'a LaneMap,
         paths: &'a [PdmPath; LATERAL_OFFSETS.len()],
@@ -82,17 +91,29 @@ impl<'a> Proposals<'a> {
         let limit = parameters.fastest(speed_limit.unwrap_or(FALLBACK_LIMIT));
         let targets = SPEED_FRACTIONS.map(|fraction| fraction * limit);
         let reach = targets.into_iter().fold(0.0, f64::max) * TRAJECTORY_STEPS as f64 * STEP_S;
-        let starts = paths.each_ref().map(|path| path.project(ego.rear_axle.position()));
-        let traffic = std::array::from_fn(|i| PathTraffic::new(map, &paths[i], forecast, starts[i], starts[i] + reach));
+        let starts = paths
+            .each_ref()
+            .map(|path| path.project(ego.rear_axle.position()));
+        let traffic = std::array::from_fn(|i| {
+            PathTraffic::new(map, &paths[i], forecast, starts[i], starts[i] + reach)
+        });
         let begun = |(path, target_velocity): (usize, f64)| Proposal {
             path,
             target_velocity,
-            states: vec![IdmState { progress: starts[path], velocity: ego.velocity.x }],
+            states: vec![IdmState {
+                progress: starts[path],
+                velocity: ego.velocity.x,
+            }],
             leads: vec![LeadState::default()],
             poses: vec![paths[path].pose_at(starts[path])],
         };
         let all = (0..paths.len()).flat_map(|path| targets.map(|target| (path, target)));
-        let mut proposals = Self { paths: paths.each_ref(), traffic, parameters, rolled_out: all.map(begun).collect() };
+        let mut proposals = Self {
+            paths: paths.each_ref(),
+            traffic,
+            parameters,
+            rolled_out: all.map(begun).collect(),
+        };
         for batch in 0..paths.len() {
             let members = batch * SPEED_FRACTIONS.len()..(batch + 1) * SPEED_FRACTIONS.len();
             for step in 1..=steps {
@@ -112,7 +133,8 @@ impl<'a> Proposals<'a> {
         self.rolled_out
     }
 
-    /// Rolls one proposal out further, alone, up to `steps` steps from the present, and gives its poses.
+    /// Rolls one proposal out further, alone, up to `steps` steps from the present, and gives its
+    /// poses.
     pub fn continued(&mut self, index: usize, steps: usize) -> &[Pose] {
         for step in self.rolled_out[index].states.len()..=steps {
             self.advance(index..index + 1, step);
@@ -120,21 +142,41 @@ impl<'a> Proposals<'a> {
         &self.rolled_out[index].poses
     }
 
-    /// One step of proposals that share a path. At even steps the lead is looked up where each was the step before; the
-    /// record of the lead is one for all of them in turn, as upstream's, so that what is not set for one is inherited from
-    /// the one before. At odd steps each keeps its lead.
+    /// One step of proposals that share a path. At even steps the lead is looked up where each was
+    /// the step before; the record of the lead is one for all of them in turn, as upstream's, so
+    /// that what is not set for one is inherited from the one before. At odd steps each keeps its
+    /// lead.
     fn advance(&mut self, members: std::ops::Range<usize>, step: usize) {
-        let Some(path) = self.rolled_out.get(members.start).map(|proposal| proposal.path) else { return };
+        let Some(path) = self
+            .rolled_out
+            .get(members.start)
+            .map(|proposal| proposal.path)
+        else {
+            return;
+        };
         let traffic = &self.traffic[path];
         let refresh = step.is_multiple_of(LEAD_REFRESH);
-        let blocking = if refresh { traffic.blocking(step) } else { Vec::new() };
+        let blocking = if refresh {
+            traffic.blocking(step)
+        } else {
+            Vec::new()
+        };
         let mut shared = LeadState::default();
         for proposal in &mut self.rolled_out[members] {
             let last = proposal.states.len() - 1;
             if refresh {
-                traffic.find_lead(&blocking, proposal.states[last].progress, proposal.poses[last], &mut shared);
+                traffic.find_lead(
+                    &blocking,
+                    proposal.states[last].progress,
+                    proposal.poses[last],
+                    &mut shared,
+                );
             }
-            let lead = if refresh { shared } else { proposal.leads[last] };
+            let lead = if refresh {
+                shared
+            } else {
+                proposal.leads[last]
+            };
             proposal.advance(self.paths[path], &self.parameters, lead);
         }
     }

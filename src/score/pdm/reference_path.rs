@@ -30,8 +30,8 @@ pub struct ReferencePath {
 }
 
 impl ReferencePath {
-    /// The reference path of an ego on a route: the route is repaired, and the cheapest chain of lanes starts at the lane under the
-    /// ego.
+    /// The reference path of an ego on a route: the route is repaired, and the cheapest chain of
+    /// lanes starts at the lane under the ego.
     ///
     /// # Errors
     /// When the route has no lanes or they make no line.
@@ -43,7 +43,8 @@ impl ReferencePath {
         Self::along(map, &blocks, &centerline_poses(map, &chain), ego)
     }
 
-    /// The reference path of an ego along a given centerline (rear-axle poses, map frame) on a given route.
+    /// The reference path of an ego along a given centerline (rear-axle poses, map frame) on a
+    /// given route.
     ///
     /// # Errors
     /// When the poses make no line.
@@ -59,7 +60,12 @@ impl ReferencePath {
         let layers = DrivableLayers::of(map, &lane_set, ego.center().position());
         let [_, right, left] = LATERAL_OFFSETS;
         let (right, left) = (center.offset(right)?, center.offset(left)?);
-        Ok(Self { lanes, lane_set, layers, paths: [center, right, left] })
+        Ok(Self {
+            lanes,
+            lane_set,
+            layers,
+            paths: [center, right, left],
+        })
     }
 
     /// The lanes of the route, in its order.
@@ -94,5 +100,8 @@ impl ReferencePath {
 }
 
 fn lanes_of(map: &LaneMap, route: &[RoadblockId]) -> Vec<LaneId> {
-    route.iter().flat_map(|&block| map[block].lanes.iter().copied()).collect()
+    route
+        .iter()
+        .flat_map(|&block| map[block].lanes.iter().copied())
+        .collect()
 }

@@ -34,7 +34,8 @@ pub struct ScoringScene<'a> {
 /// The score of one proposal with its parts.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ProposalScore {
-    /// Product of the multipliers times the weighted mean of progress, time to collision and comfort, in [0, 1].
+    /// Product of the multipliers times the weighted mean of progress, time to collision and
+    /// comfort, in [0, 1].
     pub total: f64,
     /// Multiplier: 1, 0.5 (an object) or 0.
     pub no_at_fault_collisions: f64,
@@ -52,7 +53,8 @@ pub struct ProposalScore {
     pub progress_m: f64,
     /// Time of the first collision at fault, seconds from the first state.
     pub first_at_fault_s: Option<f64>,
-    /// Time of the first state from which a collision was less than 0.9 s away, seconds from the first state.
+    /// Time of the first state from which a collision was less than 0.9 s away, seconds from the
+    /// first state.
     pub first_ttc_s: Option<f64>,
 }
 
@@ -65,14 +67,20 @@ impl ProposalScore {
     /// The same score with another relative progress, in [0, 1].
     #[must_use]
     pub fn with_progress(self, progress: f64) -> Self {
-        let weighted = WEIGHT_PROGRESS * progress + WEIGHT_TTC * self.time_to_collision + WEIGHT_COMFORT * self.comfort;
+        let weighted = WEIGHT_PROGRESS * progress
+            + WEIGHT_TTC * self.time_to_collision
+            + WEIGHT_COMFORT * self.comfort;
         let total = self.multiplier() * weighted / (WEIGHT_PROGRESS + WEIGHT_TTC + WEIGHT_COMFORT);
-        Self { total, progress, ..self }
+        Self {
+            total,
+            progress,
+            ..self
+        }
     }
 }
 
-/// Scores proposals: each a sequence of simulated states 0.1 s apart, the present one first. The horizon is their
-/// length; PDM's is 41. The n-th score belongs to the n-th proposal.
+/// Scores proposals: each a sequence of simulated states 0.1 s apart, the present one first. The
+/// horizon is their length; PDM's is 41. The n-th score belongs to the n-th proposal.
 ///
 /// # Errors
 /// When a proposal has fewer than 4 states.
@@ -94,7 +102,8 @@ pub enum PassVerdict {
     Refused,
 }
 
-/// As [`score_proposals`], where lanes against traffic count as the route's for each proposal that is allowed to use them.
+/// As [`score_proposals`], where lanes against traffic count as the route's for each proposal that
+/// is allowed to use them.
 ///
 /// # Errors
 /// As [`score_proposals`].
@@ -105,27 +114,61 @@ pub fn score_passing(
     proposals: &[Vec<EgoState>],
 ) -> Result<Vec<ProposalScore>, MetricError> {
     let drivable = scene.drivable.allowing(against_traffic);
-    let allowed = judge_all(&ScoringScene { drivable: &drivable, ..*scene }, proposals)?;
-    let scores = judge_all(scene, proposals)?.into_iter().zip(allowed).zip(verdicts);
+    let allowed = judge_all(
+        &ScoringScene {
+            drivable: &drivable,
+            ..*scene
+        },
+        proposals,
+    )?;
+    let scores = judge_all(scene, proposals)?
+        .into_iter()
+        .zip(allowed)
+        .zip(verdicts);
     let of_verdict = scores.map(|((usual, allowed), verdict)| match verdict {
         PassVerdict::Stays => usual,
         PassVerdict::Allowed => allowed,
-        PassVerdict::Refused => ProposalScore { driving_direction: 0.0, ..usual },
+        PassVerdict::Refused => ProposalScore {
+            driving_direction: 0.0,
+            ..usual
+        },
     });
     Ok(compared(of_verdict.collect(), scene.rival_progress))
 }
 
 /// All terms of each proposal but its relative progress, which needs the whole batch.
-fn judge_all(scene: &ScoringScene<'_>, proposals: &[Vec<EgoState>]) -> Result<Vec<ProposalScore>, MetricError> {
-    let batch: Vec<Vec<Placed>> = proposals.iter().map(|states| states.iter().map(Placed::of).collect()).collect();
-    let reach = batch.iter().flatten().fold(Bounds::around(&[]), |reach, placed| reach.joined(placed.bounds()));
-    let around = Around { areas: scene.drivable.near(&reach), encounters: Encounters::of(scene.forecast, &batch) };
-    proposals.iter().zip(&batch).map(|(states, placed)| judge(scene, &around, states, placed)).collect()
+fn judge_all(
+    scene: &ScoringScene<'_>,
+    proposals: &[Vec<EgoState>],
+) -> Result<Vec<ProposalScore>, MetricError> {
+    let batch: Vec<Vec<Placed>> = proposals
+        .iter()
+        .map(|states| states.iter().map(Placed::of).collect())
+        .collect();
+    let reach = batch
+        .iter()
+        .flatten()
+        .fold(Bounds::around(&[]), |reach, placed| {
+            reach.joined(placed.bounds())
+        });
+    let around = Around {
+        areas: scene.drivable.near(&reach),
+        encounters: Encounters::of(scene.forecast, &batch),
+    };
+    proposals
+        .iter()
+        .zip(&batch)
+        .map(|(states, placed)| judge(scene, &around, states, placed))
+        .collect()
 }
 
 /// The scores with their progress relative to the best of them, or to rivals.
 fn compared(mut scores: Vec<ProposalScore>, rival_progress: f64) -> Vec<ProposalScore> {
-    let best = scores.iter().map(|s| s.progress_m * s.multiplier()).chain([rival_progress]).fold(0.0, f64::max);
+    let best = scores
+        .iter()
+        .map(|s| s.progress_m * s.multiplier())
+        .chain([rival_progress])
+        .fold(0.0, f64::max);
     for score in &mut scores {
         *score = score.with_progress(if best > PROGRESS_THRESHOLD {
             score.progress_m * score.multiplier() / best
@@ -149,8 +192,15 @@ fn judge(
     states: &[EgoState],
     placed: &[Placed],
 ) -> Result<ProposalScore, MetricError> {
-    let areas: Vec<EgoAreas> = placed.iter().map(|placed| around.areas.areas_of(placed)).collect();
-    let proposal = SimulatedProposal { states, placed, areas: &areas };
+    let areas: Vec<EgoAreas> = placed
+        .iter()
+        .map(|placed| around.areas.areas_of(placed))
+        .collect();
+    let proposal = SimulatedProposal {
+        states,
+        placed,
+        areas: &areas,
+    };
     let collisions = collide(proposal, &around.encounters);
     let ttc = approach(scene.drivable.map(), proposal, &around.encounters);
     let seconds = |state: Option<usize>| state.map(|i| i as f64 * STEP_S);
@@ -172,7 +222,11 @@ fn judge(
 fn longest_oncoming(placed: &[Placed], areas: &[EgoAreas]) -> f64 {
     let (mut longest, mut stretch) = (0.0f64, 0.0);
     for (pair, areas) in placed.windows(2).zip(areas.iter().skip(1)) {
-        stretch = if areas.oncoming { stretch + pair[0].shape.center.distance(&pair[1].shape.center) } else { 0.0 };
+        stretch = if areas.oncoming {
+            stretch + pair[0].shape.center.distance(&pair[1].shape.center)
+        } else {
+            0.0
+        };
         longest = longest.max(stretch);
     }
     longest

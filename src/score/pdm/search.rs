@@ -21,12 +21,14 @@ impl SearchDirection {
     }
 }
 
-/// The chain with fewest links between `start` and any of `targets`, both included, in the direction of traffic for both
-/// search directions; `None` when there is none of at most `max_depth` roadblocks.
+/// The chain with fewest links between `start` and any of `targets`, both included, in the
+/// direction of traffic for both search directions; `None` when there is none of at most
+/// `max_depth` roadblocks.
 ///
-/// Of chains of one length upstream's choice is made: the target that its queue reaches first, each roadblock entered from
-/// the one of the level before that its queue expands last. Upstream's queue repeats roadblocks; here each stands once a
-/// level, by the place of its first and of its last repetition.
+/// Of chains of one length upstream's choice is made: the target that its queue reaches first, each
+/// roadblock entered from the one of the level before that its queue expands last. Upstream's queue
+/// repeats roadblocks; here each stands once a level, by the place of its first and of its last
+/// repetition.
 pub fn roadblock_chain(
     map: &LaneMap,
     start: RoadblockId,
@@ -34,7 +36,10 @@ pub fn roadblock_chain(
     direction: SearchDirection,
     max_depth: usize,
 ) -> Option<Vec<RoadblockId>> {
-    let mut level = Level { by_first: vec![start], by_last: vec![start] };
+    let mut level = Level {
+        by_first: vec![start],
+        by_last: vec![start],
+    };
     let mut parents: Vec<BTreeMap<RoadblockId, RoadblockId>> = Vec::new();
     for _ in 0..max_depth {
         if let Some(&goal) = level.by_first.iter().find(|block| targets.contains(block)) {
@@ -67,10 +72,19 @@ struct Level {
 
 impl Level {
     /// The level after, with the roadblock from which each of it is entered.
-    fn next(&self, map: &LaneMap, direction: SearchDirection) -> (Self, BTreeMap<RoadblockId, RoadblockId>) {
+    fn next(
+        &self,
+        map: &LaneMap,
+        direction: SearchDirection,
+    ) -> (Self, BTreeMap<RoadblockId, RoadblockId>) {
         let neighbors = |&block: &RoadblockId| direction.neighbors(map, block).iter().copied();
         let mut seen = BTreeSet::new();
-        let by_first = self.by_first.iter().flat_map(neighbors).filter(|&block| seen.insert(block)).collect();
+        let by_first = self
+            .by_first
+            .iter()
+            .flat_map(neighbors)
+            .filter(|&block| seen.insert(block))
+            .collect();
         let mut parent = BTreeMap::new();
         let mut by_last = Vec::new();
         for &block in self.by_last.iter().rev() {

@@ -27,13 +27,14 @@ pub struct Lead {
 }
 
 impl IdmParameters {
-    /// Acceleration of a vehicle of `speed` behind `lead` (`None`: free road), m/s², within [−b, a]; paper equation 1, with
-    /// s* = s0 + v·T + v·Δv/(2·√(a·b)) and the gap at least s0.
+    /// Acceleration of a vehicle of `speed` behind `lead` (`None`: free road), m/s², within [−b,
+    /// a]; paper equation 1, with s* = s0 + v·T + v·Δv/(2·√(a·b)) and the gap at least s0.
     #[inline]
     pub fn acceleration(&self, speed: f64, lead: Option<Lead>) -> f64 {
         let free = (speed / self.target_velocity).powi(self.exponent);
         let interaction = lead.map_or(0.0, |lead| {
-            let approach = speed * (speed - lead.speed) / (2.0 * (self.accel_max * self.decel_max).sqrt());
+            let approach =
+                speed * (speed - lead.speed) / (2.0 * (self.accel_max * self.decel_max).sqrt());
             let desired = self.min_gap + speed * self.headway + approach;
             (desired / lead.gap.max(self.min_gap)).powi(2)
         });
@@ -53,17 +54,29 @@ mod tests {
 
     #[test]
     fn follows_the_recorded_policy() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/fixtures/vectors/idm_policy.json");
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../../tests/fixtures/vectors/idm_policy.json"
+        );
         let vectors: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
         let cases = vectors["cases"].as_array().unwrap();
         assert_eq!(cases.len(), 60);
         for case in cases {
             let [target_velocity, min_gap, headway, accel_max, decel_max]: [f64; 5] =
                 serde_json::from_value(case["params"].clone()).unwrap();
-            let idm = IdmParameters { target_velocity, min_gap, headway, accel_max, decel_max, exponent: 4 };
+            let idm = IdmParameters {
+                target_velocity,
+                min_gap,
+                headway,
+                accel_max,
+                decel_max,
+                exponent: 4,
+            };
             let number = |key: &str| case[key].as_f64().unwrap();
-            let lead =
-                Lead { gap: number("lead_progress") - number("lead_length_rear"), speed: number("lead_velocity") };
+            let lead = Lead {
+                gap: number("lead_progress") - number("lead_length_rear"),
+                speed: number("lead_velocity"),
+            };
             let (progress, speed) = euler(&idm, number("v"), lead, number("dt"));
             assert!((progress - number("out_progress")).abs() < 1e-9, "{case}");
             assert!((speed - number("out_velocity")).abs() < 1e-9, "{case}");
@@ -80,7 +93,10 @@ mod tests {
             decel_max: 1.67,
             exponent: 4,
         };
-        let lead = Lead { gap: 15.0 - 5.0 - 5.0, speed: 2.0 };
+        let lead = Lead {
+            gap: 15.0 - 5.0 - 5.0,
+            speed: 2.0,
+        };
         assert!((idm.acceleration(3.0, Some(lead)) - -1.073_366).abs() < 1e-6);
         let (progress, speed) = euler(&idm, 3.0, lead, 0.5);
         assert!((5.0 + progress - 6.5).abs() < 1e-12 && (speed - 2.463_316_996_93).abs() < 1e-9);
@@ -98,6 +114,9 @@ mod tests {
         };
         assert!(idm.acceleration(10.0, None).abs() < 1e-12);
         assert!((idm.acceleration(0.0, None) - 1.0).abs() < 1e-12);
-        assert!((idm.acceleration(100.0, None) - -2.0).abs() < 1e-12, "braking is bounded");
+        assert!(
+            (idm.acceleration(100.0, None) - -2.0).abs() < 1e-12,
+            "braking is bounded"
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! The LQR tracker of nuPlan's two-stage controller (devkit `lqr.py`): longitudinal and lateral errors, decoupled.
+//! The LQR tracker of nuPlan's two-stage controller (devkit `lqr.py`): longitudinal and lateral
+//! errors, decoupled.
 
 use super::bicycle::Command;
 use super::profile::{JerkPenalty, MotionProfile};
@@ -28,7 +29,9 @@ const STOPPING_VELOCITY: f64 = 0.2;
 pub enum TrackingError {
     #[error("the trajectory does not cover the step to be driven")]
     NotCovered(#[from] TrajectoryError),
-    #[error("the trajectory lasts {duration_s} s; the tracker needs at least one step of {STEP_S} s")]
+    #[error(
+        "the trajectory lasts {duration_s} s; the tracker needs at least one step of {STEP_S} s"
+    )]
     TooShort { duration_s: f64 },
 }
 
@@ -38,8 +41,13 @@ pub enum TrackingError {
 /// When the trajectory does not cover that time or lasts less than 0.1 s.
 pub fn track(ego: &EgoState, trajectory: &Trajectory) -> Result<Command, TrackingError> {
     let target = trajectory.at(ego.time_us)?.rear_axle;
-    let too_short = || TrackingError::TooShort { duration_s: trajectory.duration_s() };
-    let profile = MotionProfile::fit(&resampled(trajectory)?, JerkPenalty::AccelerationDifferences);
+    let too_short = || TrackingError::TooShort {
+        duration_s: trajectory.duration_s(),
+    };
+    let profile = MotionProfile::fit(
+        &resampled(trajectory)?,
+        JerkPenalty::AccelerationDifferences,
+    );
     let profile = profile.ok_or_else(too_short)?;
     let now = (ego.time_us - trajectory.start_us()) as f64 / MICROS_PER_SECOND / STEP_S;
     Ok(command(ego, target, &profile, now))
@@ -54,14 +62,25 @@ fn resampled(trajectory: &Trajectory) -> Result<Vec<Pose>, TrajectoryError> {
 }
 
 /// The command for an ego that should be at `target`, `steps` steps after the start of the profile.
-pub(super) fn command(ego: &EgoState, target: Pose, profile: &MotionProfile, steps: f64) -> Command {
+pub(super) fn command(
+    ego: &EgoState,
+    target: Pose,
+    profile: &MotionProfile,
+    steps: f64,
+) -> Command {
     let speed = ego.velocity.x;
     let reference = profile.velocity_at(steps + HORIZON as f64);
     if reference <= STOPPING_VELOCITY && speed <= STOPPING_VELOCITY {
-        return Command { acceleration: -STOPPING_GAIN * (speed - reference), steering_rate: 0.0 };
+        return Command {
+            acceleration: -STOPPING_GAIN * (speed - reference),
+            steering_rate: 0.0,
+        };
     }
     let acceleration = longitudinal(speed, reference);
-    Command { acceleration, steering_rate: lateral(ego, target, acceleration, profile, steps) }
+    Command {
+        acceleration,
+        steering_rate: lateral(ego, target, acceleration, profile, steps),
+    }
 }
 
 /// One-step LQR over the whole horizon: v ← v + B·a with B the horizon in seconds.
@@ -70,13 +89,22 @@ fn longitudinal(speed: f64, reference: f64) -> f64 {
     -b * Q_VELOCITY / (b * Q_VELOCITY * b + R_ACCELERATION) * (speed - reference)
 }
 
-/// One-step LQR for a steering rate held over the horizon, the lateral dynamics linearized along the predicted speeds and
-/// the reference curvatures.
-fn lateral(ego: &EgoState, target: Pose, acceleration: f64, profile: &MotionProfile, steps: f64) -> f64 {
+/// One-step LQR for a steering rate held over the horizon, the lateral dynamics linearized along
+/// the predicted speeds and the reference curvatures.
+fn lateral(
+    ego: &EgoState,
+    target: Pose,
+    acceleration: f64,
+    profile: &MotionProfile,
+    steps: f64,
+) -> f64 {
     let (sin, cos) = target.heading.sin_cos();
     let (dx, dy) = (ego.rear_axle.x - target.x, ego.rear_axle.y - target.y);
-    let errors =
-        Vector3::new(-dx * sin + dy * cos, wrap_angle(ego.rear_axle.heading - target.heading), ego.steering_angle);
+    let errors = Vector3::new(
+        -dx * sin + dy * cos,
+        wrap_angle(ego.rear_axle.heading - target.heading),
+        ego.steering_angle,
+    );
     // Columns of the product of the steps.
     let mut a = [Vector3::x(), Vector3::y(), Vector3::z()];
     let mut b = Vector3::zeros();
@@ -113,25 +141,38 @@ mod tests {
     }
 
     fn ego(time_us: i64, y: f64) -> EgoState {
-        EgoState::from_log(time_us, Pose::new(0.0, y, 0.0), Vector::new(10.0, 0.0), Vector::zeros())
+        EgoState::from_log(
+            time_us,
+            Pose::new(0.0, y, 0.0),
+            Vector::new(10.0, 0.0),
+            Vector::zeros(),
+        )
     }
 
     #[test]
     fn steers_back_to_the_line() {
         let left = track(&ego(0, 1.0), &straight(0, 41)).unwrap();
         let right = track(&ego(0, -1.0), &straight(0, 41)).unwrap();
-        assert!(left.steering_rate < -0.01 && (left.steering_rate + right.steering_rate).abs() < 1e-12);
+        assert!(
+            left.steering_rate < -0.01 && (left.steering_rate + right.steering_rate).abs() < 1e-12
+        );
         assert!(left.acceleration.abs() < 1e-9);
     }
 
     #[test]
     fn says_what_is_wrong_with_a_trajectory() {
-        assert!(matches!(track(&ego(5_000_000, 0.0), &straight(0, 11)), Err(TrackingError::NotCovered(_))));
+        assert!(matches!(
+            track(&ego(5_000_000, 0.0), &straight(0, 11)),
+            Err(TrackingError::NotCovered(_))
+        ));
         let blink = Trajectory::new(vec![
             TrajectoryState::moving(0, Pose::default(), 1.0, 0.0),
             TrajectoryState::moving(50_000, Pose::new(0.05, 0.0, 0.0), 1.0, 0.0),
         ])
         .unwrap();
-        assert_eq!(track(&ego(0, 0.0), &blink), Err(TrackingError::TooShort { duration_s: 0.05 }));
+        assert_eq!(
+            track(&ego(0, 0.0), &blink),
+            Err(TrackingError::TooShort { duration_s: 0.05 })
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! Motion models: the intelligent driver model, the kinematic bicycle, the LQR tracker and reactive IDM agents.
+//! Motion models: the intelligent driver model, the kinematic bicycle, the LQR tracker and reactive
+//! IDM agents.
 
 mod bicycle;
 mod idm;

@@ -1,8 +1,10 @@
-//! Velocity and curvature along a reference of poses, fitted by regularized least squares (devkit `tracker_utils.py`).
+//! Velocity and curvature along a reference of poses, fitted by regularized least squares (devkit
+//! `tracker_utils.py`).
 //!
-//! nuPlan solves both fits for an initial value and its rates with the pseudo-inverse of a dense normal matrix. Written for
-//! the velocities and curvatures themselves, the same problems have a banded matrix that does not depend on the headings:
-//! an elimination of O(M) gives the same solution, better conditioned, at a cost of microseconds.
+//! nuPlan solves both fits for an initial value and its rates with the pseudo-inverse of a dense
+//! normal matrix. Written for the velocities and curvatures themselves, the same problems have a
+//! banded matrix that does not depend on the headings: an elimination of O(M) gives the same
+//! solution, better conditioned, at a cost of microseconds.
 
 use crate::STEP_S;
 use crate::geometry::{Pose, wrap_angle};
@@ -20,12 +22,13 @@ pub enum JerkPenalty {
     /// Differences of neighboring accelerations: nuPlan's tracker.
     #[default]
     AccelerationDifferences,
-    /// The batch tracker of PDM-Closed (and NAVSIM): an overwritten assignment upstream leaves the accelerations themselves
-    /// in all rows but the last. Needed for parity with PDM's scores.
+    /// The batch tracker of PDM-Closed (and NAVSIM): an overwritten assignment upstream leaves the
+    /// accelerations themselves in all rows but the last. Needed for parity with PDM's scores.
     PdmClosed,
 }
 
-/// Speed and curvature at the start of each of the M displacements between M + 1 poses, 0.1 s apart.
+/// Speed and curvature at the start of each of the M displacements between M + 1 poses, 0.1 s
+/// apart.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionProfile {
     velocity: Vec<f64>,
@@ -40,7 +43,10 @@ impl MotionProfile {
         }
         let velocity = fit_velocity(poses, penalty);
         let curvature = fit_curvature(poses, &velocity);
-        Some(Self { velocity, curvature })
+        Some(Self {
+            velocity,
+            curvature,
+        })
     }
 
     /// Speeds, m/s.
@@ -55,13 +61,15 @@ impl MotionProfile {
         &self.curvature
     }
 
-    /// Speed `steps` steps of 0.1 s after the first pose, linear in between, clamped at both ends, m/s.
+    /// Speed `steps` steps of 0.1 s after the first pose, linear in between, clamped at both ends,
+    /// m/s.
     #[inline]
     pub fn velocity_at(&self, steps: f64) -> f64 {
         interpolate(&self.velocity, steps)
     }
 
-    /// Curvature `steps` steps of 0.1 s after the first pose, linear in between, clamped at both ends, 1/m.
+    /// Curvature `steps` steps of 0.1 s after the first pose, linear in between, clamped at both
+    /// ends, 1/m.
     #[inline]
     pub fn curvature_at(&self, steps: f64) -> f64 {
         interpolate(&self.curvature, steps)
@@ -76,8 +84,8 @@ fn interpolate(values: &[f64], place: f64) -> f64 {
     values[before] + (values[after] - values[before]) * (place - before as f64)
 }
 
-/// Speeds v that minimize `Σ (dt·v_k − p_k)² + λ·‖R a‖²`, where `p_k` is the displacement k along the heading at its start,
-/// `a_k = (v_{k+1} − v_k)/dt`, and `penalty` names R.
+/// Speeds v that minimize `Σ (dt·v_k − p_k)² + λ·‖R a‖²`, where `p_k` is the displacement k along
+/// the heading at its start, `a_k = (v_{k+1} − v_k)/dt`, and `penalty` names R.
 fn fit_velocity(poses: &[Pose], penalty: JerkPenalty) -> Vec<f64> {
     let along = |w: &[Pose]| {
         let (sin, cos) = w[0].heading.sin_cos();
@@ -90,7 +98,9 @@ fn fit_velocity(poses: &[Pose], penalty: JerkPenalty) -> Vec<f64> {
     let differences = count.saturating_sub(2);
     for row in 0..differences {
         match penalty {
-            JerkPenalty::PdmClosed if row + 1 < differences => normal.add_square(row, &[-1.0, 1.0], weight),
+            JerkPenalty::PdmClosed if row + 1 < differences => {
+                normal.add_square(row, &[-1.0, 1.0], weight)
+            }
             JerkPenalty::PdmClosed | JerkPenalty::AccelerationDifferences => {
                 normal.add_square(row, &[1.0, -2.0, 1.0], weight);
             }
@@ -101,15 +111,19 @@ fn fit_velocity(poses: &[Pose], penalty: JerkPenalty) -> Vec<f64> {
 
 /// Curvatures κ that minimize `Σ (v_k·dt·κ_k − Δθ_k)² + λ_c·Σ ((κ_{k+1} − κ_k)/dt)² + ε·κ_0²`.
 ///
-/// The matrix is a chain Laplacian plus a non-negative diagonal. Eliminating the diagonal's excess instead of the diagonal
-/// needs no subtraction, so that a nearly standing reference loses no digits.
+/// The matrix is a chain Laplacian plus a non-negative diagonal. Eliminating the diagonal's excess
+/// instead of the diagonal needs no subtraction, so that a nearly standing reference loses no
+/// digits.
 fn fit_curvature(poses: &[Pose], velocity: &[f64]) -> Vec<f64> {
     let coupling = CURVATURE_RATE_PENALTY / (STEP_S * STEP_S);
     let count = velocity.len();
     let mut excess: Vec<f64> = velocity.iter().map(|v| (v * STEP_S).powi(2)).collect();
     excess[0] += INITIAL_CURVATURE_PENALTY;
-    let mut solution: Vec<f64> =
-        poses.windows(2).zip(velocity).map(|(w, v)| v * STEP_S * wrap_angle(w[1].heading - w[0].heading)).collect();
+    let mut solution: Vec<f64> = poses
+        .windows(2)
+        .zip(velocity)
+        .map(|(w, v)| v * STEP_S * wrap_angle(w[1].heading - w[0].heading))
+        .collect();
     for k in 1..count {
         let passed = coupling / (excess[k - 1] + coupling);
         excess[k] += passed * excess[k - 1];
@@ -131,10 +145,15 @@ struct Pentadiagonal {
 
 impl Pentadiagonal {
     fn identity(size: usize, scale: f64) -> Self {
-        Self { diagonal: vec![scale; size], first: vec![0.0; size], second: vec![0.0; size] }
+        Self {
+            diagonal: vec![scale; size],
+            first: vec![0.0; size],
+            second: vec![0.0; size],
+        }
     }
 
-    /// Adds weight·rᵀr for a row r that is zero but for at most three coefficients from column `start` on.
+    /// Adds weight·rᵀr for a row r that is zero but for at most three coefficients from column
+    /// `start` on.
     fn add_square(&mut self, start: usize, coefficients: &[f64], weight: f64) {
         for (i, a) in coefficients.iter().enumerate() {
             for (j, b) in coefficients.iter().enumerate().skip(i) {
@@ -192,9 +211,10 @@ mod tests {
         let mut y = DVector::zeros(2 * m);
         for k in 0..m {
             let (sin, cos) = poses[k].heading.sin_cos();
-            for (row, share, difference) in
-                [(2 * k, cos, poses[k + 1].x - poses[k].x), (2 * k + 1, sin, poses[k + 1].y - poses[k].y)]
-            {
+            for (row, share, difference) in [
+                (2 * k, cos, poses[k + 1].x - poses[k].x),
+                (2 * k + 1, sin, poses[k + 1].y - poses[k].y),
+            ] {
                 y[row] = difference;
                 a[(row, 0)] = STEP_S * share;
                 for j in 1..=k {
@@ -213,7 +233,9 @@ mod tests {
         }
         let normal = a.transpose() * &a + r.transpose() * &r * JERK_PENALTY;
         let x = normal.pseudo_inverse(1e-18).unwrap() * a.transpose() * y;
-        (0..m).map(|k| x[0] + STEP_S * (1..=k).map(|j| x[j]).sum::<f64>()).collect()
+        (0..m)
+            .map(|k| x[0] + STEP_S * (1..=k).map(|j| x[j]).sum::<f64>())
+            .collect()
     }
 
     proptest! {
@@ -248,12 +270,22 @@ mod tests {
         let profile = MotionProfile::fit(&circle, JerkPenalty::default()).unwrap();
         assert!((profile.velocity_at(20.0) - 8.0).abs() < 0.01);
         assert!((profile.curvature_at(20.5) - 0.05).abs() < 1e-3);
-        let standing = MotionProfile::fit(&[Pose::new(1.0, 2.0, 0.5); 41], JerkPenalty::default()).unwrap();
-        assert!(standing.velocity().iter().chain(standing.curvature()).all(|v| v.abs() < 1e-12));
+        let standing =
+            MotionProfile::fit(&[Pose::new(1.0, 2.0, 0.5); 41], JerkPenalty::default()).unwrap();
+        assert!(
+            standing
+                .velocity()
+                .iter()
+                .chain(standing.curvature())
+                .all(|v| v.abs() < 1e-12)
+        );
     }
 
     #[test]
     fn one_pose_has_no_profile() {
-        assert_eq!(MotionProfile::fit(&[Pose::default()], JerkPenalty::default()), None);
+        assert_eq!(
+            MotionProfile::fit(&[Pose::default()], JerkPenalty::default()),
+            None
+        );
     }
 }

@@ -1,5 +1,5 @@
-//! A path of poses by progress, as nuPlan's IDM agents and IDM planner have it (devkit `path/utils.py`,
-//! `interpolated_path.py`).
+//! A path of poses by progress, as nuPlan's IDM agents and IDM planner have it (devkit
+//! `path/utils.py`, `interpolated_path.py`).
 
 use crate::geometry::{Pose, unwrap_angles, wrap_angle};
 
@@ -17,15 +17,20 @@ pub struct ProgressPath {
 impl ProgressPath {
     /// A path through `poses`; `None` when fewer than two distinct ones remain.
     ///
-    /// As in nuPlan, the last pose is dropped (its filter for coincident poses is one element short), unless only one would
-    /// be left.
+    /// As in nuPlan, the last pose is dropped (its filter for coincident poses is one element
+    /// short), unless only one would be left.
     pub fn new(poses: &[Pose]) -> Option<Self> {
-        let mut kept: Vec<Pose> =
-            poses.windows(2).filter(|w| w[0].distance(&w[1]) > COINCIDENT).map(|w| w[0]).collect();
+        let mut kept: Vec<Pose> = poses
+            .windows(2)
+            .filter(|w| w[0].distance(&w[1]) > COINCIDENT)
+            .map(|w| w[0])
+            .collect();
         if kept.len() < 2 {
             kept.extend(poses.last());
         }
-        let [first, .., last] = kept.as_slice() else { return None };
+        let [first, .., last] = kept.as_slice() else {
+            return None;
+        };
         if kept.len() == 2 && first.distance(last) <= COINCIDENT {
             return None;
         }
@@ -38,7 +43,11 @@ impl ProgressPath {
         }));
         Some(Self {
             progress: progress.collect(),
-            poses: kept.iter().zip(headings).map(|(pose, heading)| Pose { heading, ..*pose }).collect(),
+            poses: kept
+                .iter()
+                .zip(headings)
+                .map(|(pose, heading)| Pose { heading, ..*pose })
+                .collect(),
         })
     }
 
@@ -54,13 +63,19 @@ impl ProgressPath {
         let progress = progress.clamp(0.0, self.length());
         let before = self.pose_before(progress);
         let (a, b) = (&self.poses[before], &self.poses[before + 1]);
-        let share = (progress - self.progress[before]) / (self.progress[before + 1] - self.progress[before]);
+        let share = (progress - self.progress[before])
+            / (self.progress[before + 1] - self.progress[before]);
         let mix = |from: f64, to: f64| from + (to - from) * share;
-        Pose::new(mix(a.x, b.x), mix(a.y, b.y), wrap_angle(mix(a.heading, b.heading)))
+        Pose::new(
+            mix(a.x, b.x),
+            mix(a.y, b.y),
+            wrap_angle(mix(a.heading, b.heading)),
+        )
     }
 
-    /// The poses from `from` to `to` (clamped), both ends interpolated. As in nuPlan, a part that begins at the very end
-    /// has the last two poses of the path, and one that ends at the very start the first two (devkit `trim_path`, `trim_path_up_to_progress`).
+    /// The poses from `from` to `to` (clamped), both ends interpolated. As in nuPlan, a part that
+    /// begins at the very end has the last two poses of the path, and one that ends at the very
+    /// start the first two (devkit `trim_path`, `trim_path_up_to_progress`).
     pub fn between(&self, from: f64, to: f64) -> Vec<Pose> {
         let (from, to) = (from.clamp(0.0, self.length()), to.clamp(0.0, self.length()));
         if from >= self.length() {
@@ -72,7 +87,10 @@ impl ProgressPath {
         let first = self.progress.partition_point(|&p| p <= from);
         let after = self.progress.partition_point(|&p| p < to).max(first);
         let inner = self.poses[first..after].iter().copied();
-        std::iter::once(self.pose_at(from)).chain(inner).chain(std::iter::once(self.pose_at(to))).collect()
+        std::iter::once(self.pose_at(from))
+            .chain(inner)
+            .chain(std::iter::once(self.pose_at(to)))
+            .collect()
     }
 
     /// Index of the last pose at or before a progress, the final one excepted.
@@ -109,12 +127,18 @@ mod tests {
 
     #[test]
     fn headings_turn_the_short_way_between_poses() {
-        let path =
-            ProgressPath::new(&[Pose::new(0.0, 0.0, 3.1), Pose::new(-2.0, 0.0, -3.1), Pose::new(-4.0, 0.0, -3.1)])
-                .unwrap();
+        let path = ProgressPath::new(&[
+            Pose::new(0.0, 0.0, 3.1),
+            Pose::new(-2.0, 0.0, -3.1),
+            Pose::new(-4.0, 0.0, -3.1),
+        ])
+        .unwrap();
         let middle = path.pose_at(1.0);
         assert!((middle.heading.abs() - std::f64::consts::PI).abs() < 1e-9);
-        assert!((path.pose_at(99.0).x + 2.0).abs() < 1e-12, "clamped to the end");
+        assert!(
+            (path.pose_at(99.0).x + 2.0).abs() < 1e-12,
+            "clamped to the end"
+        );
     }
 
     #[test]
@@ -127,7 +151,12 @@ mod tests {
     #[test]
     fn at_its_ends_a_path_gives_its_outermost_poses() {
         let path = ProgressPath::new(&straight(11)).unwrap();
-        let xs = |from: f64, to: f64| path.between(from, to).iter().map(|pose| pose.x).collect::<Vec<_>>();
+        let xs = |from: f64, to: f64| {
+            path.between(from, to)
+                .iter()
+                .map(|pose| pose.x)
+                .collect::<Vec<_>>()
+        };
         assert_eq!(xs(9.0, 9.0), [8.0, 9.0]);
         assert_eq!(xs(12.0, 15.0), [8.0, 9.0]);
         assert_eq!(xs(-4.0, 0.0), [0.0, 1.0]);

@@ -19,7 +19,11 @@ pub fn unwrap_angles(angles: &[f64]) -> Vec<f64> {
             Some(&last) => {
                 let step = wrap_angle(angle - last);
                 // numpy keeps a jump of exactly +π positive.
-                let step = if (step + PI).abs() < f64::EPSILON && angle - last > 0.0 { PI } else { step };
+                let step = if (step + PI).abs() < f64::EPSILON && angle - last > 0.0 {
+                    PI
+                } else {
+                    step
+                };
                 last + step
             }
         };

@@ -27,23 +27,34 @@ impl Bounds {
         bounds
     }
 
-    /// A square patch: all points within `half_size` of `center` on both axes (nuPlan's proximity query).
+    /// A square patch: all points within `half_size` of `center` on both axes (nuPlan's proximity
+    /// query).
     #[inline]
     pub fn square(center: Point, half_size: f64) -> Self {
-        Self { min: center, max: center }.grown(half_size)
+        Self {
+            min: center,
+            max: center,
+        }
+        .grown(half_size)
     }
 
     /// Moved outwards on every side.
     #[inline]
     pub fn grown(self, by: f64) -> Self {
         let margin = nalgebra::Vector2::new(by, by);
-        Self { min: self.min - margin, max: self.max + margin }
+        Self {
+            min: self.min - margin,
+            max: self.max + margin,
+        }
     }
 
     /// Smallest rectangle around both.
     #[inline]
     pub fn joined(self, other: Self) -> Self {
-        Self { min: self.min.inf(&other.min), max: self.max.sup(&other.max) }
+        Self {
+            min: self.min.inf(&other.min),
+            max: self.max.sup(&other.max),
+        }
     }
 
     /// Whether a point lies inside or on the edge.
@@ -63,7 +74,10 @@ impl Bounds {
     /// Whether two rectangles share a point.
     #[inline]
     pub fn overlaps(&self, other: &Self) -> bool {
-        self.min.x <= other.max.x && other.min.x <= self.max.x && self.min.y <= other.max.y && other.min.y <= self.max.y
+        self.min.x <= other.max.x
+            && other.min.x <= self.max.x
+            && self.min.y <= other.max.y
+            && other.min.y <= self.max.y
     }
 
     /// Distance from a point to the rectangle, meters; 0 inside.
@@ -78,7 +92,8 @@ impl Bounds {
     }
 }
 
-/// Finds which of many shapes, known by their index, may touch a place. Answers come in ascending index order.
+/// Finds which of many shapes, known by their index, may touch a place. Answers come in ascending
+/// index order.
 #[derive(Debug, Clone)]
 pub struct SpatialIndex {
     tree: RTree<GeomWithData<Rectangle<[f64; 2]>, usize>>,
@@ -92,25 +107,35 @@ impl SpatialIndex {
             .enumerate()
             .map(|(i, b)| GeomWithData::new(Rectangle::from_aabb(b.envelope()), i))
             .collect();
-        Self { tree: RTree::bulk_load(entries) }
+        Self {
+            tree: RTree::bulk_load(entries),
+        }
     }
 
     /// Indices of the shapes whose bounds hold the point.
     pub fn at(&self, point: Point) -> Vec<usize> {
-        self.within(&Bounds { min: point, max: point })
+        self.within(&Bounds {
+            min: point,
+            max: point,
+        })
     }
 
     /// Indices of the shapes whose bounds meet the given ones.
     pub fn within(&self, bounds: &Bounds) -> Vec<usize> {
-        let mut found: Vec<usize> =
-            self.tree.locate_in_envelope_intersecting(&bounds.envelope()).map(|entry| entry.data).collect();
+        let mut found: Vec<usize> = self
+            .tree
+            .locate_in_envelope_intersecting(&bounds.envelope())
+            .map(|entry| entry.data)
+            .collect();
         found.sort_unstable();
         found
     }
 
     /// Indices of all shapes by growing distance of their bounds from the point.
     pub fn nearest(&self, point: Point) -> impl Iterator<Item = usize> + '_ {
-        self.tree.nearest_neighbor_iter(&[point.x, point.y]).map(|entry| entry.data)
+        self.tree
+            .nearest_neighbor_iter(&[point.x, point.y])
+            .map(|entry| entry.data)
     }
 }
 

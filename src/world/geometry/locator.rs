@@ -6,8 +6,8 @@ use super::{Bounds, Point, Polygon};
 const EDGES_PER_SLAB: usize = 4;
 const MAX_SLABS: usize = 64;
 
-/// A polygon whose edges are sorted into horizontal slabs, so that a query compares a point only with the edges at its height.
-/// Gives the same answers as [`Polygon::contains`].
+/// A polygon whose edges are sorted into horizontal slabs, so that a query compares a point only
+/// with the edges at its height. Gives the same answers as [`Polygon::contains`].
 #[derive(Debug, Clone)]
 pub struct PointLocator<'a> {
     polygon: &'a Polygon,
@@ -24,11 +24,29 @@ impl<'a> PointLocator<'a> {
         let count = (polygon.ring().len() / EDGES_PER_SLAB).clamp(1, MAX_SLABS);
         let bounds = polygon.bounds();
         let height = bounds.max.y - bounds.min.y;
-        let slabs_per_metre = if height > 0.0 { count as f64 / height } else { 0.0 };
-        let mut locator = Self { polygon, edges: Vec::new(), starts: vec![0; count + 1], slabs_per_metre };
-        let slabs = |from: Point, to: Point| locator.slab(from.y.min(to.y))..=locator.slab(from.y.max(to.y));
+        let slabs_per_metre = if height > 0.0 {
+            count as f64 / height
+        } else {
+            0.0
+        };
+        let mut locator = Self {
+            polygon,
+            edges: Vec::new(),
+            starts: vec![0; count + 1],
+            slabs_per_metre,
+        };
+        let slabs = |from: Point, to: Point| {
+            locator.slab(from.y.min(to.y))..=locator.slab(from.y.max(to.y))
+        };
         let outline = || {
-            polygon.ring().iter().copied().zip(polygon.ring().iter().copied().cycle().skip(polygon.ring().len() - 1))
+            polygon.ring().iter().copied().zip(
+                polygon
+                    .ring()
+                    .iter()
+                    .copied()
+                    .cycle()
+                    .skip(polygon.ring().len() - 1),
+            )
         };
         let mut starts = vec![0; count + 1];
         for slab in outline().flat_map(|(end, start)| slabs(start, end)) {
@@ -55,7 +73,8 @@ impl<'a> PointLocator<'a> {
         self.polygon.bounds()
     }
 
-    /// Whether a point lies inside (even-odd rule); a point exactly on an edge may count either way.
+    /// Whether a point lies inside (even-odd rule); a point exactly on an edge may count either
+    /// way.
     pub fn contains(&self, point: Point) -> bool {
         if !self.bounds().contains(point) {
             return false;
@@ -67,7 +86,8 @@ impl<'a> PointLocator<'a> {
         let mut inside = false;
         for &(vertex, previous) in &self.edges[self.starts[slab]..self.starts[slab + 1]] {
             if (vertex.y > point.y) != (previous.y > point.y) {
-                let x = vertex.x + (point.y - vertex.y) / (previous.y - vertex.y) * (previous.x - vertex.x);
+                let x = vertex.x
+                    + (point.y - vertex.y) / (previous.y - vertex.y) * (previous.x - vertex.x);
                 inside ^= point.x < x;
             }
         }
@@ -102,7 +122,10 @@ mod tests {
     #[test]
     fn a_hole_is_outside() {
         let square = |r: f64| [(-r, -r), (r, -r), (r, r), (-r, r)].map(|(x, y)| Point::new(x, y));
-        let polygon = Polygon::new(square(5.0)).unwrap().with_hole(square(2.0)).unwrap();
+        let polygon = Polygon::new(square(5.0))
+            .unwrap()
+            .with_hole(square(2.0))
+            .unwrap();
         let locator = PointLocator::new(&polygon);
         assert!(locator.contains(Point::new(3.0, 0.0)) && !locator.contains(Point::new(1.0, 0.0)));
     }

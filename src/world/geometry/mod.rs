@@ -38,12 +38,23 @@ pub enum GeometryError {
     #[error("vertex {index} has a NaN or infinite coordinate: ({x}, {y})")]
     NotFinite { index: usize, x: f64, y: f64 },
     #[error("{shape} needs at least {needed} distinct vertices, got {got}")]
-    TooFewVertices { shape: &'static str, needed: usize, got: usize },
+    TooFewVertices {
+        shape: &'static str,
+        needed: usize,
+        got: usize,
+    },
 }
 
 pub(crate) fn check_finite(points: &[Point]) -> Result<(), GeometryError> {
-    match points.iter().position(|p| !p.x.is_finite() || !p.y.is_finite()) {
-        Some(index) => Err(GeometryError::NotFinite { index, x: points[index].x, y: points[index].y }),
+    match points
+        .iter()
+        .position(|p| !p.x.is_finite() || !p.y.is_finite())
+    {
+        Some(index) => Err(GeometryError::NotFinite {
+            index,
+            x: points[index].x,
+            y: points[index].y,
+        }),
         None => Ok(()),
     }
 }

@@ -20,7 +20,11 @@ impl OrientedBox {
     /// A box around `center`.
     #[inline]
     pub fn new(center: Pose, length: f64, width: f64) -> Self {
-        Self { center, length, width }
+        Self {
+            center,
+            length,
+            width,
+        }
     }
 
     /// Corners in nuPlan's order: front left, rear left, rear right, front right.
@@ -68,8 +72,14 @@ impl OrientedBox {
     }
 
     fn shape(&self) -> (Isometry, Cuboid) {
-        let at = Isometry::new(GlamVector::new(self.center.x, self.center.y), self.center.heading);
-        (at, Cuboid::new(GlamVector::new(self.length / 2.0, self.width / 2.0)))
+        let at = Isometry::new(
+            GlamVector::new(self.center.x, self.center.y),
+            self.center.heading,
+        );
+        (
+            at,
+            Cuboid::new(GlamVector::new(self.length / 2.0, self.width / 2.0)),
+        )
     }
 
     /// Whether two boxes share a point; touching counts.
@@ -85,14 +95,21 @@ impl OrientedBox {
         query::details::intersection_test_cuboid_cuboid(&a_at.inv_mul(&b_at), &a, &b)
     }
 
-    /// Distance between two boxes, meters; 0 when they overlap. Of boxes apart, a corner of one is nearest to the other.
+    /// Distance between two boxes, meters; 0 when they overlap. Of boxes apart, a corner of one is
+    /// nearest to the other.
     pub fn distance(&self, other: &Self) -> f64 {
         if self.overlaps(other) {
             return 0.0;
         }
         let (a, b) = (self.frame(), other.frame());
-        let to_other = a.corners().into_iter().map(|corner| b.distance_squared(corner));
-        let to_self = b.corners().into_iter().map(|corner| a.distance_squared(corner));
+        let to_other = a
+            .corners()
+            .into_iter()
+            .map(|corner| b.distance_squared(corner));
+        let to_self = b
+            .corners()
+            .into_iter()
+            .map(|corner| a.distance_squared(corner));
         to_other.chain(to_self).fold(f64::INFINITY, f64::min).sqrt()
     }
 
@@ -101,7 +118,12 @@ impl OrientedBox {
     pub(super) fn frame(&self) -> BoxFrame {
         let (sin, cos) = self.center.heading.sin_cos();
         let half = (self.length / 2.0, self.width / 2.0);
-        BoxFrame { center: self.center.position(), sin, cos, half }
+        BoxFrame {
+            center: self.center.position(),
+            sin,
+            cos,
+            half,
+        }
     }
 
     /// Whether the segment between two points meets the box; touching counts.
@@ -139,7 +161,10 @@ impl BoxFrame {
     fn corners(&self) -> [Point; 4] {
         let (l, w) = self.half;
         [(l, w), (-l, w), (-l, -w), (l, -w)].map(|(x, y)| {
-            Point::new(self.center.x + self.cos * x - self.sin * y, self.center.y + self.sin * x + self.cos * y)
+            Point::new(
+                self.center.x + self.cos * x - self.sin * y,
+                self.center.y + self.sin * x + self.cos * y,
+            )
         })
     }
 

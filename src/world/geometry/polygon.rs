@@ -25,7 +25,10 @@ impl Polygon {
     ///
     /// # Errors
     /// When a coordinate is not finite or fewer than three distinct vertices remain.
-    pub fn with_hole(mut self, points: impl IntoIterator<Item = Point>) -> Result<Self, GeometryError> {
+    pub fn with_hole(
+        mut self,
+        points: impl IntoIterator<Item = Point>,
+    ) -> Result<Self, GeometryError> {
         self.holes.push(sound_ring(points)?);
         Ok(self)
     }
@@ -33,7 +36,11 @@ impl Polygon {
     /// A ring known to be sound (made from a box).
     pub(super) fn from_convex(ring: Vec<Point>) -> Self {
         let bounds = Bounds::around(&ring);
-        Self { ring, holes: Vec::new(), bounds }
+        Self {
+            ring,
+            holes: Vec::new(),
+            bounds,
+        }
     }
 
     /// The area between two lines that run the same way, left and right.
@@ -41,7 +48,12 @@ impl Polygon {
     /// # Errors
     /// When the two lines leave no area.
     pub fn between(left: &Polyline, right: &Polyline) -> Result<Self, GeometryError> {
-        Self::new(left.vertices().iter().chain(right.vertices().iter().rev()).copied())
+        Self::new(
+            left.vertices()
+                .iter()
+                .chain(right.vertices().iter().rev())
+                .copied(),
+        )
     }
 
     /// The vertices of the outer ring in order; the first is not repeated.
@@ -69,10 +81,12 @@ impl Polygon {
     /// The edges of all rings, the closing ones included.
     #[inline]
     pub fn edges(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
-        self.rings().flat_map(|ring| (0..ring.len()).map(|i| (ring[i], ring[(i + 1) % ring.len()])))
+        self.rings()
+            .flat_map(|ring| (0..ring.len()).map(|i| (ring[i], ring[(i + 1) % ring.len()])))
     }
 
-    /// Whether a point lies inside (even-odd rule); a point exactly on an edge may count either way.
+    /// Whether a point lies inside (even-odd rule); a point exactly on an edge may count either
+    /// way.
     #[inline]
     pub fn contains(&self, point: Point) -> bool {
         self.bounds.contains(point)
@@ -82,12 +96,18 @@ impl Polygon {
 
     /// Distance from a point to the polygon, meters; 0 inside.
     pub fn distance_to(&self, point: Point) -> f64 {
-        if self.contains(point) { 0.0 } else { self.edge_distance(point) }
+        if self.contains(point) {
+            0.0
+        } else {
+            self.edge_distance(point)
+        }
     }
 
     /// Distance from a point to the nearest edge, meters, inside or outside.
     pub fn edge_distance(&self, point: Point) -> f64 {
-        self.edges().map(|(a, b)| segment_distance(point, a, b)).fold(f64::INFINITY, f64::min)
+        self.edges()
+            .map(|(a, b)| segment_distance(point, a, b))
+            .fold(f64::INFINITY, f64::min)
     }
 
     /// Whether a box and the polygon share a point; touching counts.
@@ -100,7 +120,8 @@ impl Polygon {
 
     /// Whether the box lies wholly inside the polygon.
     pub fn holds_box(&self, shape: &OrientedBox) -> bool {
-        shape.corners().iter().all(|&c| self.contains(c)) && !self.rings().flatten().any(|&v| shape.contains(v))
+        shape.corners().iter().all(|&c| self.contains(c))
+            && !self.rings().flatten().any(|&v| shape.contains(v))
     }
 
     /// Distance between a box and the polygon, meters; 0 when they overlap.
@@ -113,10 +134,15 @@ impl Polygon {
         let mut nearest = f64::INFINITY;
         for (from, to) in self.edges() {
             // No point of the edge is nearer than this.
-            let least = (nalgebra::center(&from, &to) - center).norm() - (to - from).norm() / 2.0 - reach;
+            let least =
+                (nalgebra::center(&from, &to) - center).norm() - (to - from).norm() / 2.0 - reach;
             if least <= nearest {
-                let from_corners = corners.iter().map(|&corner| segment_distance(corner, from, to));
-                nearest = from_corners.fold(nearest, f64::min).min(frame.distance_squared(from).sqrt());
+                let from_corners = corners
+                    .iter()
+                    .map(|&corner| segment_distance(corner, from, to));
+                nearest = from_corners
+                    .fold(nearest, f64::min)
+                    .min(frame.distance_squared(from).sqrt());
             }
         }
         nearest
@@ -127,13 +153,18 @@ impl Polygon {
         self.bounds.overlaps(&other.bounds)
             && (self.contains(other.ring[0])
                 || other.contains(self.ring[0])
-                || self.edges().any(|(a, b)| other.edges().any(|(c, d)| segments_cross(a, b, c, d))))
+                || self
+                    .edges()
+                    .any(|(a, b)| other.edges().any(|(c, d)| segments_cross(a, b, c, d))))
     }
 
     /// Whether a line and the polygon share a point.
     pub fn meets_line(&self, line: &Polyline) -> bool {
         line.vertices().iter().any(|&v| self.contains(v))
-            || line.vertices().windows(2).any(|w| self.edges().any(|(a, b)| segments_cross(w[0], w[1], a, b)))
+            || line
+                .vertices()
+                .windows(2)
+                .any(|w| self.edges().any(|(a, b)| segments_cross(w[0], w[1], a, b)))
     }
 
     /// Area, m².
@@ -149,18 +180,29 @@ impl Polygon {
         self.to_geo().intersection(&other.to_geo()).unsigned_area()
     }
 
-    /// The largest piece of the polygon outside another, its holes filled; `None` if nothing is left.
+    /// The largest piece of the polygon outside another, its holes filled; `None` if nothing is
+    /// left.
     #[doc(hidden)]
     pub fn without(&self, other: &Self) -> Option<Self> {
-        let pieces = self.to_geo().difference(&other.to_geo()).into_iter().filter_map(|piece| Self::from_geo(&piece));
+        let pieces = self
+            .to_geo()
+            .difference(&other.to_geo())
+            .into_iter()
+            .filter_map(|piece| Self::from_geo(&piece));
         pieces.max_by(|a, b| a.area().total_cmp(&b.area()))
     }
 
     /// The union of several polygons as simple outlines; holes are filled.
     pub fn union_of(polygons: &[Self]) -> Vec<Self> {
         // Rings that run opposite ways would cut each other out.
-        let all: Vec<geo::Polygon<f64>> = polygons.iter().map(|p| p.to_geo().orient(Direction::Default)).collect();
-        geo::unary_union(&all).into_iter().filter_map(|p| Self::from_geo(&p)).collect()
+        let all: Vec<geo::Polygon<f64>> = polygons
+            .iter()
+            .map(|p| p.to_geo().orient(Direction::Default))
+            .collect();
+        geo::unary_union(&all)
+            .into_iter()
+            .filter_map(|p| Self::from_geo(&p))
+            .collect()
     }
 
     /// Smallest convex polygon around the given points.
@@ -169,18 +211,23 @@ impl Polygon {
     /// When the points span no area.
     pub fn convex_hull(points: &[Point]) -> Result<Self, GeometryError> {
         check_finite(points)?;
-        let cloud: geo::MultiPoint<f64> = points.iter().map(|p| geo::Point::new(p.x, p.y)).collect();
+        let cloud: geo::MultiPoint<f64> =
+            points.iter().map(|p| geo::Point::new(p.x, p.y)).collect();
         let hull = cloud.convex_hull();
         Self::new(hull.exterior().coords().map(|c| Point::new(c.x, c.y)))
     }
 
     /// Center of area.
     pub fn centroid(&self) -> Point {
-        self.to_geo().centroid().map_or(self.ring[0], |c| Point::new(c.x(), c.y()))
+        self.to_geo()
+            .centroid()
+            .map_or(self.ring[0], |c| Point::new(c.x(), c.y()))
     }
 
     fn to_geo(&self) -> geo::Polygon<f64> {
-        let line = |ring: &Vec<Point>| geo::LineString::from(ring.iter().map(|p| (p.x, p.y)).collect::<Vec<_>>());
+        let line = |ring: &Vec<Point>| {
+            geo::LineString::from(ring.iter().map(|p| (p.x, p.y)).collect::<Vec<_>>())
+        };
         geo::Polygon::new(line(&self.ring), self.holes.iter().map(line).collect())
     }
 
@@ -198,7 +245,11 @@ fn sound_ring(points: impl IntoIterator<Item = Point>) -> Result<Vec<Point>, Geo
         ring.pop();
     }
     if ring.len() < 3 {
-        return Err(GeometryError::TooFewVertices { shape: "polygon", needed: 3, got: ring.len() });
+        return Err(GeometryError::TooFewVertices {
+            shape: "polygon",
+            needed: 3,
+            got: ring.len(),
+        });
     }
     Ok(ring)
 }
@@ -209,7 +260,8 @@ fn ring_holds(ring: &[Point], point: Point) -> bool {
     let mut previous = ring[ring.len() - 1];
     for &vertex in ring {
         if (vertex.y > point.y) != (previous.y > point.y) {
-            let x = vertex.x + (point.y - vertex.y) / (previous.y - vertex.y) * (previous.x - vertex.x);
+            let x =
+                vertex.x + (point.y - vertex.y) / (previous.y - vertex.y) * (previous.x - vertex.x);
             if point.x < x {
                 inside = !inside;
             }
@@ -224,7 +276,11 @@ fn ring_holds(ring: &[Point], point: Point) -> bool {
 pub(super) fn segment_distance(point: Point, from: Point, to: Point) -> f64 {
     let along = to - from;
     let squared = along.norm_squared();
-    let share = if squared > 0.0 { ((point - from).dot(&along) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    let share = if squared > 0.0 {
+        ((point - from).dot(&along) / squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
     (point - (from + along * share)).norm()
 }
 
@@ -237,7 +293,11 @@ pub(super) fn segments_cross(a: Point, b: Point, c: Point, d: Point) -> bool {
         return true;
     }
     let on = |p: Point, q: Point, r: Point, turn: f64| {
-        turn == 0.0 && r.x >= p.x.min(q.x) && r.x <= p.x.max(q.x) && r.y >= p.y.min(q.y) && r.y <= p.y.max(q.y)
+        turn == 0.0
+            && r.x >= p.x.min(q.x)
+            && r.x <= p.x.max(q.x)
+            && r.y >= p.y.min(q.y)
+            && r.y <= p.y.max(q.y)
     };
     on(c, d, a, d1) || on(c, d, b, d2) || on(a, b, c, d3) || on(a, b, d, d4)
 }
@@ -249,7 +309,14 @@ mod tests {
     use proptest::prelude::*;
 
     fn ell() -> Polygon {
-        let ring = [(0.0, 0.0), (10.0, 0.0), (10.0, 4.0), (4.0, 4.0), (4.0, 10.0), (0.0, 10.0)];
+        let ring = [
+            (0.0, 0.0),
+            (10.0, 0.0),
+            (10.0, 4.0),
+            (4.0, 4.0),
+            (4.0, 10.0),
+            (0.0, 10.0),
+        ];
         Polygon::new(ring.map(|(x, y)| Point::new(x, y))).unwrap()
     }
 
@@ -265,7 +332,10 @@ mod tests {
     fn a_hole_is_outside() {
         let square = |low: f64, high: f64| [(low, low), (high, low), (high, high), (low, high)];
         let points = |low, high| square(low, high).map(|(x, y)| Point::new(x, y));
-        let ring = Polygon::new(points(0.0, 10.0)).unwrap().with_hole(points(3.0, 7.0)).unwrap();
+        let ring = Polygon::new(points(0.0, 10.0))
+            .unwrap()
+            .with_hole(points(3.0, 7.0))
+            .unwrap();
         assert!(ring.contains(Point::new(1.0, 5.0)) && !ring.contains(Point::new(5.0, 5.0)));
         assert!((ring.distance_to(Point::new(5.0, 4.5)) - 1.5).abs() < 1e-12);
         assert!((ring.area() - 84.0).abs() < 1e-9);

@@ -44,7 +44,11 @@ impl Polyline {
         check_finite(&vertices)?;
         vertices.dedup_by(|b, a| (*b - *a).norm() < SAME_VERTEX);
         if vertices.len() < 2 {
-            return Err(GeometryError::TooFewVertices { shape: "polyline", needed: 2, got: vertices.len() });
+            return Err(GeometryError::TooFewVertices {
+                shape: "polyline",
+                needed: 2,
+                got: vertices.len(),
+            });
         }
         let mut arc_lengths = Vec::with_capacity(vertices.len());
         let mut s = 0.0;
@@ -53,8 +57,16 @@ impl Polyline {
             s += (pair[1] - pair[0]).norm();
             arc_lengths.push(s);
         }
-        let blocks = if vertices.len() > 2 * BLOCK { block_bounds(&vertices) } else { Vec::new() };
-        Ok(Self { vertices, arc_lengths, blocks })
+        let blocks = if vertices.len() > 2 * BLOCK {
+            block_bounds(&vertices)
+        } else {
+            Vec::new()
+        };
+        Ok(Self {
+            vertices,
+            arc_lengths,
+            blocks,
+        })
     }
 
     /// The vertices, in order.
@@ -103,16 +115,23 @@ impl Polyline {
         d.y.atan2(d.x)
     }
 
-    /// Heading of each vertex: towards the next one; the last repeats its predecessor's (nuPlan `discrete_path`).
+    /// Heading of each vertex: towards the next one; the last repeats its predecessor's (nuPlan
+    /// `discrete_path`).
     pub fn vertex_headings(&self) -> Vec<f64> {
-        let mut headings: Vec<f64> = (0..self.vertices.len() - 1).map(|i| self.segment_heading(i)).collect();
+        let mut headings: Vec<f64> = (0..self.vertices.len() - 1)
+            .map(|i| self.segment_heading(i))
+            .collect();
         headings.push(headings[headings.len() - 1]);
         headings
     }
 
     /// The vertices with their headings.
     pub fn vertex_poses(&self) -> Vec<Pose> {
-        self.vertices.iter().zip(self.vertex_headings()).map(|(&p, h)| Pose::at(p, h)).collect()
+        self.vertices
+            .iter()
+            .zip(self.vertex_headings())
+            .map(|(&p, h)| Pose::at(p, h))
+            .collect()
     }
 
     /// The point at arc length `s`, clamped to the line.
@@ -143,7 +162,10 @@ impl Polyline {
         let from = self.segment_heading(segment);
         let to = self.segment_heading((segment + 1).min(self.vertices.len() - 2));
         let share = (s - self.arc_lengths[segment]) / length;
-        Pose::at(self.point_at(s), wrap_angle(from + wrap_angle(to - from) * share))
+        Pose::at(
+            self.point_at(s),
+            wrap_angle(from + wrap_angle(to - from) * share),
+        )
     }
 
     /// The point `lateral` meters to the left of the line at arc length `s`.
@@ -154,7 +176,11 @@ impl Polyline {
 
     /// Nearest point of the line; of several the first.
     pub fn project(&self, point: Point) -> Projection {
-        let Nearest { squared, segment, share } = self.nearest(point);
+        let Nearest {
+            squared,
+            segment,
+            share,
+        } = self.nearest(point);
         let length = self.arc_lengths[segment + 1] - self.arc_lengths[segment];
         let direction = self.segment_direction(segment);
         let foot = self.vertices[segment] + direction * (share * length);
@@ -174,10 +200,15 @@ impl Polyline {
     fn nearest(&self, point: Point) -> Nearest {
         /// Rounding that the distance to bounds is allowed to be off by, as a share.
         const MARGIN: f64 = 1e-9;
-        let mut nearest = Nearest { squared: f64::INFINITY, segment: 0, share: 0.0 };
+        let mut nearest = Nearest {
+            squared: f64::INFINITY,
+            segment: 0,
+            share: 0.0,
+        };
         let last = self.vertices.len() - 1;
         let to_bounds = |block: usize| self.blocks[block].distance_squared(point);
-        let promising = (0..self.blocks.len()).min_by(|&a, &b| to_bounds(a).total_cmp(&to_bounds(b)));
+        let promising =
+            (0..self.blocks.len()).min_by(|&a, &b| to_bounds(a).total_cmp(&to_bounds(b)));
         let Some(promising) = promising else {
             nearest.look(&self.vertices, point, 0..last);
             return nearest;
@@ -192,7 +223,8 @@ impl Polyline {
         nearest
     }
 
-    /// nuPlan's nearest pose: the projected point with the heading towards the point 0.5 m further on.
+    /// nuPlan's nearest pose: the projected point with the heading towards the point 0.5 m further
+    /// on.
     pub fn nearest_pose(&self, point: Point) -> Pose {
         let s = self.project(point).s;
         let at = self.point_at(s);
@@ -212,19 +244,30 @@ impl Polyline {
 
     /// Distance between two lines, meters; 0 when they share a point.
     pub fn distance_to_line(&self, other: &Self) -> f64 {
-        let edges = |line: &Self| line.vertices.windows(2).map(|w| (w[0], w[1])).collect::<Vec<_>>();
+        let edges = |line: &Self| {
+            line.vertices
+                .windows(2)
+                .map(|w| (w[0], w[1]))
+                .collect::<Vec<_>>()
+        };
         let (own, theirs) = (edges(self), edges(other));
-        if own.iter().any(|&(a, b)| theirs.iter().any(|&(c, d)| segments_cross(a, b, c, d))) {
+        if own
+            .iter()
+            .any(|&(a, b)| theirs.iter().any(|&(c, d)| segments_cross(a, b, c, d)))
+        {
             return 0.0;
         }
         let nearest = |from: &Self, to: &Self| {
-            from.vertices.iter().map(|&vertex| to.distance_to(vertex)).fold(f64::INFINITY, f64::min)
+            from.vertices
+                .iter()
+                .map(|&vertex| to.distance_to(vertex))
+                .fold(f64::INFINITY, f64::min)
         };
         nearest(self, other).min(nearest(other, self))
     }
 
-    /// Signed curvature (1/m, positive when turning left) of the circle through three points around `s`, 2 m apart
-    /// where the line is long enough (nuPlan `get_curvature_at_arc_length`).
+    /// Signed curvature (1/m, positive when turning left) of the circle through three points around
+    /// `s`, 2 m apart where the line is long enough (nuPlan `get_curvature_at_arc_length`).
     pub fn curvature_at(&self, s: f64) -> f64 {
         const SPACING: f64 = 2.0;
         let length = self.length();
@@ -246,29 +289,45 @@ impl Polyline {
         if to - from < SAME_VERTEX {
             return None;
         }
-        let inner = self.vertices.iter().zip(&self.arc_lengths).filter(|&(_, &s)| s > from && s < to).map(|(&p, _)| p);
-        let points = std::iter::once(self.point_at(from)).chain(inner).chain(std::iter::once(self.point_at(to)));
+        let inner = self
+            .vertices
+            .iter()
+            .zip(&self.arc_lengths)
+            .filter(|&(_, &s)| s > from && s < to)
+            .map(|(&p, _)| p);
+        let points = std::iter::once(self.point_at(from))
+            .chain(inner)
+            .chain(std::iter::once(self.point_at(to)));
         Self::new(points).ok()
     }
 
     /// The line moved sideways, each vertex along its normal, positive to the left.
     pub fn offset(&self, lateral: f64) -> Self {
-        let moved: Vec<Point> = self.vertex_poses().iter().map(|p| p.to_map(Point::new(0.0, lateral))).collect();
+        let moved: Vec<Point> = self
+            .vertex_poses()
+            .iter()
+            .map(|p| p.to_map(Point::new(0.0, lateral)))
+            .collect();
         Self::new(moved).unwrap_or_else(|_| self.clone())
     }
 
     /// The same line with vertices every `step` meters (the last piece may be shorter).
     pub fn resampled(&self, step: f64) -> Self {
         let count = (self.length() / step).floor() as usize;
-        let points = (0..=count).map(|i| self.point_at(i as f64 * step)).chain(std::iter::once(self.end()));
+        let points = (0..=count)
+            .map(|i| self.point_at(i as f64 * step))
+            .chain(std::iter::once(self.end()));
         Self::new(points).unwrap_or_else(|_| self.clone())
     }
 
-    /// The same line with vertices added so that none is farther than `spacing` meters from the next. All vertices stay.
+    /// The same line with vertices added so that none is farther than `spacing` meters from the
+    /// next. All vertices stay.
     pub fn densified(&self, spacing: f64) -> Self {
-        /// A piece longer than the spacing by this share is not split: maps round coordinates, by nanometers.
+        /// A piece longer than the spacing by this share is not split: maps round coordinates, by
+        /// nanometers.
         const ROUNDING: f64 = 1e-6;
-        let mut vertices = Vec::with_capacity(self.vertices.len() + (self.length() / spacing) as usize);
+        let mut vertices =
+            Vec::with_capacity(self.vertices.len() + (self.length() / spacing) as usize);
         for pair in self.vertices.windows(2) {
             let along = pair[1] - pair[0];
             let pieces = (along.norm() / spacing - ROUNDING).ceil().max(1.0);
@@ -299,8 +358,16 @@ impl Nearest {
             let along = vertices[segment + 1] - from;
             let share = ((point - from).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
             let squared = (point - (from + along * share)).norm_squared();
-            if squared.total_cmp(&self.squared).then(segment.cmp(&self.segment)).is_lt() {
-                *self = Self { squared, segment, share };
+            if squared
+                .total_cmp(&self.squared)
+                .then(segment.cmp(&self.segment))
+                .is_lt()
+            {
+                *self = Self {
+                    squared,
+                    segment,
+                    share,
+                };
             }
         }
     }
@@ -309,7 +376,10 @@ impl Nearest {
 /// Bounds of each run of [`BLOCK`] segments.
 pub(super) fn block_bounds(vertices: &[Point]) -> Vec<Bounds> {
     let last = vertices.len() - 1;
-    (0..last).step_by(BLOCK).map(|first| Bounds::around(&vertices[first..=(first + BLOCK).min(last)])).collect()
+    (0..last)
+        .step_by(BLOCK)
+        .map(|first| Bounds::around(&vertices[first..=(first + BLOCK).min(last)]))
+        .collect()
 }
 
 /// Signed curvature of the circle through three points; 0 when they are (nearly) in line.
@@ -331,7 +401,12 @@ mod tests {
     use proptest::prelude::*;
 
     fn corner() -> Polyline {
-        Polyline::new([Point::new(0.0, 0.0), Point::new(10.0, 0.0), Point::new(10.0, 10.0)]).unwrap()
+        Polyline::new([
+            Point::new(0.0, 0.0),
+            Point::new(10.0, 0.0),
+            Point::new(10.0, 10.0),
+        ])
+        .unwrap()
     }
 
     #[test]
@@ -345,7 +420,10 @@ mod tests {
     #[test]
     fn duplicates_merge_and_too_few_fail() {
         let p = Point::new(1.0, 1.0);
-        assert!(matches!(Polyline::new([p, p]), Err(GeometryError::TooFewVertices { got: 1, .. })));
+        assert!(matches!(
+            Polyline::new([p, p]),
+            Err(GeometryError::TooFewVertices { got: 1, .. })
+        ));
         assert!(matches!(
             Polyline::new([p, Point::new(f64::NAN, 0.0)]),
             Err(GeometryError::NotFinite { index: 1, .. })
@@ -372,11 +450,21 @@ mod tests {
 
     #[test]
     fn a_dense_line_keeps_its_vertices() {
-        let line = corner().joined(&Polyline::new([Point::new(10.0, 10.0), Point::new(10.0, 10.3)]).unwrap());
+        let line = corner()
+            .joined(&Polyline::new([Point::new(10.0, 10.0), Point::new(10.0, 10.3)]).unwrap());
         let dense = line.densified(0.5);
         assert_eq!(dense.vertices().len(), 20 + 20 + 1 + 1);
-        assert!(line.vertices().iter().all(|vertex| dense.vertices().contains(vertex)));
-        assert!(dense.vertices().windows(2).all(|pair| (pair[1] - pair[0]).norm() < 0.5 + 1e-6));
+        assert!(
+            line.vertices()
+                .iter()
+                .all(|vertex| dense.vertices().contains(vertex))
+        );
+        assert!(
+            dense
+                .vertices()
+                .windows(2)
+                .all(|pair| (pair[1] - pair[0]).norm() < 0.5 + 1e-6)
+        );
         assert!((dense.length() - line.length()).abs() < 1e-9);
         assert_eq!(dense.densified(0.5), dense);
     }

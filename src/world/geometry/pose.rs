@@ -2,7 +2,8 @@
 
 use super::{Point, Vector, wrap_angle};
 
-/// Position (meters) and heading (radians, counter-clockwise from the x axis), in the map frame unless said otherwise.
+/// Position (meters) and heading (radians, counter-clockwise from the x axis), in the map frame
+/// unless said otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Pose {
     /// East, meters.
@@ -23,7 +24,11 @@ impl Pose {
     /// A pose at a point.
     #[inline]
     pub fn at(position: Point, heading: f64) -> Self {
-        Self { x: position.x, y: position.y, heading }
+        Self {
+            x: position.x,
+            y: position.y,
+            heading,
+        }
     }
 
     /// The position alone.
@@ -59,7 +64,8 @@ impl Pose {
         Point::new(cos * d.x + sin * d.y, -sin * d.x + cos * d.y)
     }
 
-    /// The pose moved along its own axes: `forward` meters ahead, `left` meters to the left; the heading stays.
+    /// The pose moved along its own axes: `forward` meters ahead, `left` meters to the left; the
+    /// heading stays.
     #[inline]
     pub fn translated(&self, forward: f64, left: f64) -> Self {
         Self::at(self.to_map(Point::new(forward, left)), self.heading)

@@ -3,9 +3,12 @@
 use super::{BACKGROUND, BevView, Rgb};
 use image::RgbImage;
 use planagent_world::geometry::{Point, Polygon, Pose, Vector};
-use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, Transform};
+use tiny_skia::{
+    Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, Transform,
+};
 
-/// Vertices nearer than this to the line past them are left out, pixels: they change no visible coverage.
+/// Vertices nearer than this to the line past them are left out, pixels: they change no visible
+/// coverage.
 const DETAIL_PX: f32 = 0.04;
 /// Lines are followed this far beyond the image, pixels: more than half of any line's width.
 const MARGIN_PX: f32 = 8.0;
@@ -37,7 +40,12 @@ impl Canvas {
         let (xx, xy) = (at_x.0 - at_origin.0, at_y.0 - at_origin.0);
         let (yx, yy) = (at_x.1 - at_origin.1, at_y.1 - at_origin.1);
         let to_pixel = [[xx, xy, at_origin.0], [yx, yy, at_origin.1]];
-        Self { pixmap, view, center, to_pixel }
+        Self {
+            pixmap,
+            view,
+            center,
+            to_pixel,
+        }
     }
 
     pub(super) fn view(&self) -> &BevView {
@@ -56,7 +64,9 @@ impl Canvas {
 
     fn pixel(&self, point: Point) -> Pixel {
         let d = point - self.center.position();
-        let [x, y] = self.to_pixel.map(|[by_x, by_y, offset]| by_x * d.x + by_y * d.y + offset);
+        let [x, y] = self
+            .to_pixel
+            .map(|[by_x, by_y, offset]| by_x * d.x + by_y * d.y + offset);
         (x as f32, y as f32)
     }
 
@@ -92,7 +102,11 @@ impl Canvas {
     }
 
     /// Fills outlines in map coordinates at once; all have the same orientation.
-    pub(super) fn outlines<const N: usize>(&mut self, rings: impl IntoIterator<Item = [Point; N]>, fill: Rgb) {
+    pub(super) fn outlines<const N: usize>(
+        &mut self,
+        rings: impl IntoIterator<Item = [Point; N]>,
+        fill: Rgb,
+    ) {
         let mut builder = PathBuilder::new();
         for ring in rings {
             push_line(&mut builder, &ring.map(|p| self.pixel(p)));
@@ -109,7 +123,12 @@ impl Canvas {
     }
 
     /// Draws lines of a width in pixels; the parts outside the image are left out.
-    pub(super) fn lines<'a>(&mut self, lines: impl IntoIterator<Item = &'a [Point]>, width_px: f64, stroke: Rgb) {
+    pub(super) fn lines<'a>(
+        &mut self,
+        lines: impl IntoIterator<Item = &'a [Point]>,
+        width_px: f64,
+        stroke: Rgb,
+    ) {
         let mut builder = PathBuilder::new();
         for line in lines {
             let line = self.pixels(line);
@@ -126,8 +145,12 @@ impl Canvas {
                 drawing = true;
             }
         }
-        let pen =
-            Stroke { width: width_px as f32, line_cap: LineCap::Butt, line_join: LineJoin::Bevel, ..Stroke::default() };
+        let pen = Stroke {
+            width: width_px as f32,
+            line_cap: LineCap::Butt,
+            line_join: LineJoin::Bevel,
+            ..Stroke::default()
+        };
         if let (Some(pixmap), Some(path)) = (&mut self.pixmap, builder.finish()) {
             pixmap.stroke_path(&path, &paint(stroke), &pen, Transform::identity(), None);
         }
@@ -135,12 +158,21 @@ impl Canvas {
 
     fn may_show(&self, a: Pixel, b: Pixel) -> bool {
         let end = self.view.pixels() as f32 + MARGIN_PX;
-        a.0.max(b.0) >= -MARGIN_PX && a.0.min(b.0) <= end && a.1.max(b.1) >= -MARGIN_PX && a.1.min(b.1) <= end
+        a.0.max(b.0) >= -MARGIN_PX
+            && a.0.min(b.0) <= end
+            && a.1.max(b.1) >= -MARGIN_PX
+            && a.1.min(b.1) <= end
     }
 
     fn fill(&mut self, path: Option<Path>, fill: Rgb) {
         if let (Some(pixmap), Some(path)) = (&mut self.pixmap, path) {
-            pixmap.fill_path(&path, &paint(fill), FillRule::Winding, Transform::identity(), None);
+            pixmap.fill_path(
+                &path,
+                &paint(fill),
+                FillRule::Winding,
+                Transform::identity(),
+                None,
+            );
         }
     }
 
@@ -167,9 +199,13 @@ fn push_line(builder: &mut PathBuilder, line: &[Pixel]) {
     }
 }
 
-/// Distance of a point from the straight line between two others; from the first where they are one, pixels.
+/// Distance of a point from the straight line between two others; from the first where they are
+/// one, pixels.
 fn offset_from(point: Pixel, from: Pixel, to: Pixel) -> f32 {
-    let (along, off) = ((to.0 - from.0, to.1 - from.1), (point.0 - from.0, point.1 - from.1));
+    let (along, off) = (
+        (to.0 - from.0, to.1 - from.1),
+        (point.0 - from.0, point.1 - from.1),
+    );
     let length = along.0.hypot(along.1);
     let ahead = off.0 * along.0 + off.1 * along.1;
     if length <= f32::EPSILON || ahead < 0.0 || ahead > length * length {
@@ -192,7 +228,10 @@ fn color([r, g, b]: Rgb) -> Color {
 }
 
 fn paint(rgb: Rgb) -> Paint<'static> {
-    let mut paint = Paint { anti_alias: true, ..Paint::default() };
+    let mut paint = Paint {
+        anti_alias: true,
+        ..Paint::default()
+    };
     paint.set_color(color(rgb));
     paint
 }

@@ -1,11 +1,13 @@
 //! The BEV map: the paper's eight elements seen from above, ego-centered, the ego's heading up.
 //!
-//! The center of the ego's box lies in the center of the image. Drawn in this order, later over earlier: background, lane
-//! and connector areas, crosswalks, centerlines (on lanes with arrowheads in driving direction, 10 m apart), static
-//! obstacles, vehicles, bicycles, pedestrians, the ego, and last a red arrow for each moving agent, the ego included: from
-//! the center of its box, [`ARROW_SECONDS`] long at its present velocity. Within an element objects are drawn by track
-//! token. Small things are drawn larger than they are, so that they stay visible (see [`MIN_SIZE_PX`], [`MIN_SIZE_SHARE`]);
-//! pedestrians are discs; lines are at least a pixel wide. Neither the route nor the traffic lights are drawn.
+//! The center of the ego's box lies in the center of the image. Drawn in this order, later over
+//! earlier: background, lane and connector areas, crosswalks, centerlines (on lanes with arrowheads
+//! in driving direction, 10 m apart), static obstacles, vehicles, bicycles, pedestrians, the ego,
+//! and last a red arrow for each moving agent, the ego included: from the center of its box,
+//! [`ARROW_SECONDS`] long at its present velocity. Within an element objects are drawn by track
+//! token. Small things are drawn larger than they are, so that they stay visible (see
+//! [`MIN_SIZE_PX`], [`MIN_SIZE_SHARE`]); pedestrians are discs; lines are at least a pixel wide.
+//! Neither the route nor the traffic lights are drawn.
 
 mod canvas;
 mod palette;
@@ -39,7 +41,10 @@ pub enum BevError {
 impl Default for BevView {
     /// The view of the nano model: 64 m in 128 pixels.
     fn default() -> Self {
-        Self { pixels: 128, metres: Self::DEFAULT_METRES }
+        Self {
+            pixels: 128,
+            metres: Self::DEFAULT_METRES,
+        }
     }
 }
 
@@ -86,7 +91,8 @@ impl BevView {
         local.x.abs() <= half && local.y.abs() <= half
     }
 
-    /// Position of a map point in the image around `center`: pixels right of and below its top left corner.
+    /// Position of a map point in the image around `center`: pixels right of and below its top left
+    /// corner.
     pub fn to_pixel(&self, center: Pose, point: Point) -> (f64, f64) {
         let local = center.to_local(point);
         let half = f64::from(self.pixels) / 2.0;

@@ -49,8 +49,9 @@ impl Palette {
 
     /// The elements and their colors in one sentence, for prompts.
     pub fn legend() -> String {
-        let parts =
-            Self::COLORS.iter().map(|(element, color, _)| format!("{} {color}", element.as_str().replace('_', " ")));
+        let parts = Self::COLORS
+            .iter()
+            .map(|(element, color, _)| format!("{} {color}", element.as_str().replace('_', " ")));
         format!("Colours: {}.", parts.collect::<Vec<_>>().join(", "))
     }
 }
@@ -61,9 +62,10 @@ impl BevElement {
             ObjectKind::Vehicle => Self::Vehicles,
             ObjectKind::Bicycle => Self::Bicycles,
             ObjectKind::Pedestrian => Self::Pedestrians,
-            ObjectKind::TrafficCone | ObjectKind::Barrier | ObjectKind::CzoneSign | ObjectKind::GenericObject => {
-                Self::StaticObstacles
-            }
+            ObjectKind::TrafficCone
+            | ObjectKind::Barrier
+            | ObjectKind::CzoneSign
+            | ObjectKind::GenericObject => Self::StaticObstacles,
         }
     }
 }
@@ -85,7 +87,9 @@ mod tests {
         all.extend([BACKGROUND, ARROW]);
         for (i, a) in all.iter().enumerate() {
             for b in &all[i + 1..] {
-                let apart: i32 = (0..3).map(|c| (i32::from(a[c]) - i32::from(b[c])).abs()).sum();
+                let apart: i32 = (0..3)
+                    .map(|c| (i32::from(a[c]) - i32::from(b[c])).abs())
+                    .sum();
                 assert!(apart > 100, "{a:?} and {b:?} are only {apart} apart");
             }
         }

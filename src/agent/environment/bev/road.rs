@@ -18,9 +18,19 @@ const MIN_HEAD_PX: f64 = 4.0;
 
 pub(super) fn draw(canvas: &mut Canvas, map: &LaneMap) {
     let (center, reach) = (canvas.center().position(), canvas.reach());
-    let lanes: Vec<&Lane> = map.lanes_near(center, reach).into_iter().map(|id| &map[id]).collect();
-    canvas.areas(lanes.iter().map(|lane| &lane.polygon), Palette::color(BevElement::Lanes));
-    canvas.areas(map.crosswalks_near(center, reach), Palette::color(BevElement::Crosswalks));
+    let lanes: Vec<&Lane> = map
+        .lanes_near(center, reach)
+        .into_iter()
+        .map(|id| &map[id])
+        .collect();
+    canvas.areas(
+        lanes.iter().map(|lane| &lane.polygon),
+        Palette::color(BevElement::Lanes),
+    );
+    canvas.areas(
+        map.crosswalks_near(center, reach),
+        Palette::color(BevElement::Crosswalks),
+    );
     let width = (LINE_WIDTH_M * canvas.view().scale()).max(MIN_LINE_PX);
     let lines = lanes.iter().map(|lane| lane.centerline.vertices());
     canvas.lines(lines, width, Palette::color(BevElement::Centerlines));
@@ -41,6 +51,9 @@ fn heads(line: &Polyline, size: f64, bounds: Bounds) -> Vec<[Point; 3]> {
     (0..count as usize)
         .map(|i| line.pose_at((i as f64 + 0.5) * spacing))
         .filter(|pose| bounds.contains(pose.position()))
-        .map(|pose| [(0.5, 0.0), (-0.5, 0.5), (-0.5, -0.5)].map(|(x, y)| pose.to_map(Point::new(x * size, y * size))))
+        .map(|pose| {
+            [(0.5, 0.0), (-0.5, 0.5), (-0.5, -0.5)]
+                .map(|(x, y)| pose.to_map(Point::new(x * size, y * size)))
+        })
         .collect()
 }

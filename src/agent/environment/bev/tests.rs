@@ -3,8 +3,8 @@ use crate::environment::sketch::{self, Drawn};
 use planagent_world::{ObjectKind, SignalStatus};
 use std::path::{Path, PathBuf};
 
-/// Channels of a golden pixel may differ by this much: trigonometry differs in the last bit between C libraries, and a
-/// covered pixel share may round the other way.
+/// Channels of a golden pixel may differ by this much: trigonometry differs in the last bit between
+/// C libraries, and a covered pixel share may round the other way.
 const GOLDEN_TOLERANCE: u8 = 3;
 
 pub(super) fn busy_road() -> Drawn {
@@ -28,7 +28,9 @@ fn crossing() -> Drawn {
 }
 
 fn golden(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/bev").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../tests/golden/bev")
+        .join(name)
 }
 
 /// Compares with the golden file, or writes it when `PLANAGENT_UPDATE_GOLDEN` is set.
@@ -38,13 +40,23 @@ fn assert_golden(name: &str, image: &RgbImage) {
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         image.save(&path).unwrap();
     }
-    let expected = image::open(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display())).to_rgb8();
+    let expected = image::open(&path)
+        .unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+        .to_rgb8();
     assert_eq!(expected.dimensions(), image.dimensions());
-    for (at, (got, want)) in
-        image.enumerate_pixels().map(|(x, y, p)| ((x, y), p)).zip(expected.pixels()).map(|((at, p), w)| (at, (p, w)))
+    for (at, (got, want)) in image
+        .enumerate_pixels()
+        .map(|(x, y, p)| ((x, y), p))
+        .zip(expected.pixels())
+        .map(|((at, p), w)| (at, (p, w)))
     {
         let off = (0..3).map(|c| got.0[c].abs_diff(want.0[c])).max().unwrap();
-        assert!(off <= GOLDEN_TOLERANCE, "{name} pixel {at:?}: {:?} instead of {:?}", got.0, want.0);
+        assert!(
+            off <= GOLDEN_TOLERANCE,
+            "{name} pixel {at:?}: {:?} instead of {:?}",
+            got.0,
+            want.0
+        );
     }
 }
 
@@ -57,7 +69,11 @@ fn golden_images() {
     let small = BevView::default();
     let large = BevView::new(336, 64.0).unwrap();
     let round = sketch::roundabout(16.0, 12.0, 5.0).put(ObjectKind::Vehicle, 24.0, -12.0, 0.6, 6.0);
-    for (name, drawn) in [("road", busy_road()), ("crossing", crossing()), ("roundabout", round)] {
+    for (name, drawn) in [
+        ("road", busy_road()),
+        ("crossing", crossing()),
+        ("roundabout", round),
+    ] {
         assert_golden(&format!("{name}_128.png"), &render(&drawn.scene(), &small));
         assert_golden(&format!("{name}_336.png"), &render(&drawn.scene(), &large));
     }
@@ -70,18 +86,35 @@ fn the_same_scene_gives_the_same_bytes_in_any_order_of_objects() {
     let mut drawn = busy_road();
     let first = render(&drawn.scene(), &BevView::default());
     drawn.objects.reverse();
-    assert_eq!(first.as_raw(), render(&drawn.scene(), &BevView::default()).as_raw());
+    assert_eq!(
+        first.as_raw(),
+        render(&drawn.scene(), &BevView::default()).as_raw()
+    );
 }
 
 #[test]
 fn every_element_shows_in_its_colour() {
-    let image = render(&busy_road().put(ObjectKind::Pedestrian, 26.0, 14.0, 0.0, 0.0).scene(), &BevView::default());
+    let image = render(
+        &busy_road()
+            .put(ObjectKind::Pedestrian, 26.0, 14.0, 0.0, 0.0)
+            .scene(),
+        &BevView::default(),
+    );
     for (element, _, color) in Palette::COLORS {
         if element != BevElement::Crosswalks {
-            assert!(pixels_of(&image, color) >= 4, "{element}: {}", pixels_of(&image, color));
+            assert!(
+                pixels_of(&image, color) >= 4,
+                "{element}: {}",
+                pixels_of(&image, color)
+            );
         }
     }
-    assert!(pixels_of(&render(&crossing().scene(), &BevView::default()), Palette::color(BevElement::Crosswalks)) > 100);
+    assert!(
+        pixels_of(
+            &render(&crossing().scene(), &BevView::default()),
+            Palette::color(BevElement::Crosswalks)
+        ) > 100
+    );
 }
 
 #[test]
@@ -91,7 +124,10 @@ fn up_is_ahead_and_left_is_left() {
     let image = render(&drawn.scene(), &view);
     let (x, y) = view.to_pixel(drawn.ego.center(), drawn.objects[0].shape.center.position());
     assert!((x - 44.0).abs() < 1e-9 && (y - 24.0).abs() < 1e-9);
-    assert_eq!(image.get_pixel(44, 24).0, Palette::color(BevElement::Vehicles));
+    assert_eq!(
+        image.get_pixel(44, 24).0,
+        Palette::color(BevElement::Vehicles)
+    );
     assert_eq!(image.get_pixel(64, 64).0, Palette::color(BevElement::Ego));
     assert_eq!(image.get_pixel(2, 64).0, BACKGROUND);
 }
@@ -114,19 +150,19 @@ fn arrows_are_as_long_as_the_speed() {
     assert_eq!(reach(0.4), 0);
     for speed in [2.0, 5.0, 10.0, 20.0] {
         let expected = ARROW_SECONDS * speed * view.scale();
-        assert!((reach(speed) as f64 - expected).abs() <= 4.0, "{speed} m/s: {} px, not {expected}", reach(speed));
+        assert!(
+            (reach(speed) as f64 - expected).abs() <= 4.0,
+            "{speed} m/s: {} px, not {expected}",
+            reach(speed)
+        );
     }
 }
 
 #[test]
 fn small_things_stay_visible() {
-    let drawn = sketch::straight(1, 0, 0, 0.0).put(ObjectKind::Pedestrian, 15.3, 8.1, 0.0, 0.0).put(
-        ObjectKind::TrafficCone,
-        20.2,
-        -9.3,
-        0.3,
-        0.0,
-    );
+    let drawn = sketch::straight(1, 0, 0, 0.0)
+        .put(ObjectKind::Pedestrian, 15.3, 8.1, 0.0, 0.0)
+        .put(ObjectKind::TrafficCone, 20.2, -9.3, 0.3, 0.0);
     let image = render(&drawn.scene(), &BevView::default());
     assert!(pixels_of(&image, Palette::color(BevElement::Pedestrians)) >= 4);
     assert!(pixels_of(&image, Palette::color(BevElement::StaticObstacles)) >= 2);
@@ -135,7 +171,10 @@ fn small_things_stay_visible() {
 #[test]
 fn views_are_checked() {
     assert_eq!(BevView::new(8, 64.0), Err(BevError::Pixels(8)));
-    assert!(matches!(BevView::new(128, f64::NAN), Err(BevError::Metres(_))));
+    assert!(matches!(
+        BevView::new(128, f64::NAN),
+        Err(BevError::Metres(_))
+    ));
     assert!(matches!(BevView::new(128, 0.0), Err(BevError::Metres(_))));
 }
 

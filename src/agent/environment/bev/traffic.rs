@@ -9,10 +9,11 @@ use planagent_world::{SceneView, TrackedObject};
 pub const ARROW_SECONDS: f64 = 0.8;
 /// Slower agents stand still and get no arrow, m/s.
 pub const MOVING_SPEED: f64 = 0.5;
-/// Minimum length and width of a drawn object, pixels: a pedestrian or a cone stays visible beside its arrow.
+/// Minimum length and width of a drawn object, pixels: a pedestrian or a cone stays visible beside
+/// its arrow.
 pub const MIN_SIZE_PX: f64 = 4.0;
-/// Minimum length and width of a drawn object as a share of the image's side: large images go to towers with large
-/// patches.
+/// Minimum length and width of a drawn object as a share of the image's side: large images go to
+/// towers with large patches.
 pub const MIN_SIZE_SHARE: f64 = 1.0 / 56.0;
 /// Width of an arrow's shaft, meters.
 const SHAFT_M: f64 = 0.35;
@@ -24,15 +25,26 @@ const HEAD_SHAFTS: f64 = 3.0;
 const HEAD_SHARE: f64 = 0.6;
 
 /// Drawing order, later over earlier.
-const ORDER: [BevElement; 4] =
-    [BevElement::StaticObstacles, BevElement::Vehicles, BevElement::Bicycles, BevElement::Pedestrians];
+const ORDER: [BevElement; 4] = [
+    BevElement::StaticObstacles,
+    BevElement::Vehicles,
+    BevElement::Bicycles,
+    BevElement::Pedestrians,
+];
 
 pub(super) fn draw(canvas: &mut Canvas, scene: &SceneView<'_>) {
-    let mut objects: Vec<&TrackedObject> = scene.objects.iter().filter(|object| may_show(canvas, object)).collect();
+    let mut objects: Vec<&TrackedObject> = scene
+        .objects
+        .iter()
+        .filter(|object| may_show(canvas, object))
+        .collect();
     objects.sort_by_key(|object| object.token);
     for element in ORDER {
-        let drawn: Vec<&TrackedObject> =
-            objects.iter().copied().filter(|object| BevElement::of(object.kind) == element).collect();
+        let drawn: Vec<&TrackedObject> = objects
+            .iter()
+            .copied()
+            .filter(|object| BevElement::of(object.kind) == element)
+            .collect();
         if element == BevElement::Pedestrians {
             draw_discs(canvas, &drawn);
         } else {
@@ -43,8 +55,14 @@ pub(super) fn draw(canvas: &mut Canvas, scene: &SceneView<'_>) {
     draw_boxes(canvas, &[scene.ego.footprint()], BevElement::Ego);
     let agents = objects.iter().filter(|object| object.kind.is_agent());
     let moving = agents.map(|object| (object.shape.center.position(), object.velocity));
-    let ego = (scene.ego.center().position(), scene.ego.rear_axle.rotate(scene.ego.center_velocity()));
-    for (from, velocity) in moving.chain(std::iter::once(ego)).filter(|(_, v)| v.norm() >= MOVING_SPEED) {
+    let ego = (
+        scene.ego.center().position(),
+        scene.ego.rear_axle.rotate(scene.ego.center_velocity()),
+    );
+    for (from, velocity) in moving
+        .chain(std::iter::once(ego))
+        .filter(|(_, v)| v.norm() >= MOVING_SPEED)
+    {
         draw_arrow(canvas, from, velocity);
     }
 }
@@ -65,13 +83,19 @@ fn draw_discs(canvas: &mut Canvas, pedestrians: &[&TrackedObject]) {
     for pedestrian in pedestrians {
         let shape = pedestrian.shape;
         let diameter = shape.length.max(shape.width).max(least_size(canvas));
-        canvas.disc(shape.center.position(), diameter, Palette::color(BevElement::Pedestrians));
+        canvas.disc(
+            shape.center.position(),
+            diameter,
+            Palette::color(BevElement::Pedestrians),
+        );
     }
 }
 
 fn draw_boxes(canvas: &mut Canvas, boxes: &[OrientedBox], element: BevElement) {
     let least = least_size(canvas);
-    let visible = boxes.iter().map(|b| OrientedBox::new(b.center, b.length.max(least), b.width.max(least)).corners());
+    let visible = boxes
+        .iter()
+        .map(|b| OrientedBox::new(b.center, b.length.max(least), b.width.max(least)).corners());
     canvas.outlines(visible, Palette::color(element));
 }
 

@@ -1,9 +1,10 @@
 //! The facts of a scene in GPT-Driver's prompt (Mao et al. 2023), from a nuPlan planner's input.
 //!
-//! Its user message has four parts: every object with its place now and in 3 s; the motion of the ego in six lines, per
-//! half second; the ego's places in the last two seconds; the mission goal. x points to the right, y ahead, from the ego's
-//! center. An object is left out when it is farther than 20 m sideways or along now or at any half second of the next three,
-//! or behind the ego now and at all of them. Upstream takes the forecast from a perception model; here objects keep their
+//! Its user message has four parts: every object with its place now and in 3 s; the motion of the
+//! ego in six lines, per half second; the ego's places in the last two seconds; the mission goal. x
+//! points to the right, y ahead, from the ego's center. An object is left out when it is farther
+//! than 20 m sideways or along now or at any half second of the next three, or behind the ego now
+//! and at all of them. Upstream takes the forecast from a perception model; here objects keep their
 //! velocity.
 
 use super::{decimal, place};
@@ -35,7 +36,10 @@ pub struct GptDriverText {
 impl GptDriverText {
     /// Describes a scene whose route goes this way at the next intersection.
     pub fn of(scene: &SceneView<'_>, turn: Turn) -> Self {
-        Self { objects: objects(scene), ego: ego(scene, turn) }
+        Self {
+            objects: objects(scene),
+            ego: ego(scene, turn),
+        }
     }
 
     /// Both parts: the whole user message.
@@ -54,12 +58,21 @@ fn objects(scene: &SceneView<'_>) -> String {
     let ego = scene.ego.center();
     let mut text = "Objects, seen and expected:".to_owned();
     for object in scene.objects {
-        let places: Vec<(f64, f64)> = (0..=FORECAST_STEPS).map(|step| seen(&ego, place_after(object, step))).collect();
-        let near = places.iter().all(|(x, y)| x.abs() <= REACH && y.abs() <= REACH);
+        let places: Vec<(f64, f64)> = (0..=FORECAST_STEPS)
+            .map(|step| seen(&ego, place_after(object, step)))
+            .collect();
+        let near = places
+            .iter()
+            .all(|(x, y)| x.abs() <= REACH && y.abs() <= REACH);
         let ahead = places.iter().any(|&(_, y)| y > 0.0);
         if let (true, true, [now, .., later]) = (near, ahead, places.as_slice()) {
             let class = object.kind;
-            let _ = write!(text, "\n- {class} at {}, moving to {}.", place(now.0, now.1), place(later.0, later.1));
+            let _ = write!(
+                text,
+                "\n- {class} at {}, moving to {}.",
+                place(now.0, now.1),
+                place(later.0, later.1)
+            );
         }
     }
     text
@@ -73,13 +86,22 @@ fn place_after(object: &TrackedObject, step: usize) -> Point {
 fn ego(scene: &SceneView<'_>, turn: Turn) -> String {
     let (ego, center) = (scene.ego, scene.ego.center());
     let per_step = |sideways: f64, along: f64| place(sideways * HALF_SECOND, along * HALF_SECOND);
-    let past = |step: usize| scene.history.samples().rev().nth(step * SAMPLES).map(|sample| sample.ego.center());
+    let past = |step: usize| {
+        scene
+            .history
+            .samples()
+            .rev()
+            .nth(step * SAMPLES)
+            .map(|sample| sample.ego.center())
+    };
     let moved = |step: usize| {
         let (from, to) = (past(step + 1)?, past(step)?);
         let (from, to) = (seen(&center, from.position()), seen(&center, to.position()));
         Some((to.0 - from.0, to.1 - from.1))
     };
-    let change = moved(0).zip(moved(1)).map_or((0.0, 0.0), |(last, before)| (last.0 - before.0, last.1 - before.1));
+    let change = moved(0).zip(moved(1)).map_or((0.0, 0.0), |(last, before)| {
+        (last.0 - before.0, last.1 - before.1)
+    });
     let places = (1..=PAST_STEPS).rev().map(|step| match past(step) {
         Some(pose) => {
             let (x, y) = seen(&center, pose.position());
@@ -94,13 +116,25 @@ fn ego(scene: &SceneView<'_>, turn: Turn) -> String {
     };
     [
         "State of the ego vehicle:".to_owned(),
-        format!("- Velocity (vx,vy): {}", per_step(-ego.velocity.y, ego.velocity.x)),
+        format!(
+            "- Velocity (vx,vy): {}",
+            per_step(-ego.velocity.y, ego.velocity.x)
+        ),
         format!("- Yaw rate (w): ({})", decimal(ego.angular_velocity)),
         format!("- Acceleration (ax,ay): {}", place(change.0, change.1)),
-        format!("- Vehicle bus (ax,ay): {}", place(-ego.acceleration.y, ego.acceleration.x)),
-        format!("- Speed along the heading (v): ({})", decimal(ego.speed() * HALF_SECOND)),
+        format!(
+            "- Vehicle bus (ax,ay): {}",
+            place(-ego.acceleration.y, ego.acceleration.x)
+        ),
+        format!(
+            "- Speed along the heading (v): ({})",
+            decimal(ego.speed() * HALF_SECOND)
+        ),
         format!("- Steering (s): ({})", decimal(ego.steering_angle)),
-        format!("Places in the last two seconds: [{}]", places.collect::<Vec<_>>().join(", ")),
+        format!(
+            "Places in the last two seconds: [{}]",
+            places.collect::<Vec<_>>().join(", ")
+        ),
         format!("Goal: {goal}"),
     ]
     .join("\n")
@@ -121,10 +155,29 @@ mod tests {
             .put(ObjectKind::TrafficCone, 19.0, -3.5, 0.0, 0.0);
         let text = GptDriverText::of(&drawn.scene(), Turn::Left);
         let lines: Vec<&str> = text.objects.lines().collect();
-        assert_eq!(lines.len(), 3, "the second leaves the window, the third stays behind: {lines:?}");
-        assert_eq!(lines[1], "- vehicle at (-3.50,8.00), moving to (-3.50,14.00).");
-        assert_eq!(lines[2], "- traffic_cone at (3.50,19.00), moving to (3.50,19.00).");
-        assert!(text.ego.contains("(vx,vy): (0.00,4.50)") && text.ego.ends_with("Goal: LEFT"), "{}", text.ego);
-        assert!(text.ego.contains("[(unknown), (unknown), (unknown), (unknown)]"), "{}", text.ego);
+        assert_eq!(
+            lines.len(),
+            3,
+            "the second leaves the window, the third stays behind: {lines:?}"
+        );
+        assert_eq!(
+            lines[1],
+            "- vehicle at (-3.50,8.00), moving to (-3.50,14.00)."
+        );
+        assert_eq!(
+            lines[2],
+            "- traffic_cone at (3.50,19.00), moving to (3.50,19.00)."
+        );
+        assert!(
+            text.ego.contains("(vx,vy): (0.00,4.50)") && text.ego.ends_with("Goal: LEFT"),
+            "{}",
+            text.ego
+        );
+        assert!(
+            text.ego
+                .contains("[(unknown), (unknown), (unknown), (unknown)]"),
+            "{}",
+            text.ego
+        );
     }
 }

@@ -1,6 +1,6 @@
-//! Scene texts in coordinates, as earlier language-model planners write them: for token counts beside the lane graph's text,
-//! and for LLM-ASSIST's planners. Their facts are published in part; the docs name our choices. All sentences are ours.
-//! Every number has two decimals.
+//! Scene texts in coordinates, as earlier language-model planners write them: for token counts
+//! beside the lane graph's text, and for LLM-ASSIST's planners. Their facts are published in part;
+//! the docs name our choices. All sentences are ours. Every number has two decimals.
 
 mod gpt_driver;
 mod llm_assist;
@@ -24,5 +24,9 @@ fn seen_from(from: &Pose, point: Point) -> String {
 /// Two decimals; zero has no sign.
 fn decimal(value: f64) -> String {
     let text = format!("{value:.2}");
-    if text == "-0.00" { "0.00".to_owned() } else { text }
+    if text == "-0.00" {
+        "0.00".to_owned()
+    } else {
+        text
+    }
 }

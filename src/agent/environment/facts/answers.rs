@@ -39,7 +39,8 @@ choice! {
 }
 
 impl Question {
-    /// Number of questions of the first version, which come first: those of the prompt set `compact`.
+    /// Number of questions of the first version, which come first: those of the prompt set
+    /// `compact`.
     const FIRST: usize = 15;
 
     /// The questions of the first version.
@@ -82,7 +83,8 @@ choice! {
         CurveRight = "curve_right",
         /// The path meets, within the view, an intersection in which connectors cross.
         Intersection = "intersection",
-        /// A round cycle of lanes, shorter than [`super::ROUNDABOUT_LENGTH`], begins ahead within the view.
+        /// A round cycle of lanes, shorter than [`super::ROUNDABOUT_LENGTH`], begins ahead within
+        /// the view.
         Roundabout = "roundabout",
     }
 }

@@ -1,9 +1,10 @@
-//! The true answers to the questions of the first round, from map and objects alone. Training uses them as labels,
-//! evaluation as the truth.
+//! The true answers to the questions of the first round, from map and objects alone. Training uses
+//! them as labels, evaluation as the truth.
 //!
-//! Only what the view of [`VIEW_METRES`] shows counts. The light and the turn of the route, which no image shows, are those
-//! of the scene text. *The path* is the ego's centerline of the [`LaneGraph`] from the ego's box center on, as far as it is
-//! in view. Distances are along the path from the ego's front bumper, in three steps (see [`Ahead`]).
+//! Only what the view of [`VIEW_METRES`] shows counts. The light and the turn of the route, which
+//! no image shows, are those of the scene text. *The path* is the ego's centerline of the
+//! [`LaneGraph`] from the ego's box center on, as far as it is in view. Distances are along the
+//! path from the ego's front bumper, in three steps (see [`Ahead`]).
 
 mod answers;
 mod road;
@@ -11,7 +12,8 @@ mod roundabout;
 mod traffic;
 
 pub use answers::{
-    Ahead, EgoSpeed, LaneCount, LaneIndex, LeadSpeed, Light, Oncoming, Question, SceneType, SideLane, VehicleCount,
+    Ahead, EgoSpeed, LaneCount, LaneIndex, LeadSpeed, Light, Oncoming, Question, SceneType,
+    SideLane, VehicleCount,
 };
 pub use road::{CURVE, ONCOMING_REACH};
 pub use roundabout::{ROUNDABOUT_LENGTH, ROUNDNESS};
@@ -22,7 +24,8 @@ use super::lane_graph::{LaneGraph, Turn};
 use planagent_world::geometry::{OrientedBox, Point, Pose};
 use planagent_world::{SceneView, SignalStatus};
 
-/// Side of the square around the ego's box center, along its heading, in which things count, meters: the default BEV view.
+/// Side of the square around the ego's box center, along its heading, in which things count,
+/// meters: the default BEV view.
 pub const VIEW_METRES: f64 = BevView::DEFAULT_METRES;
 
 /// The true answers for one scene.
@@ -41,12 +44,13 @@ pub struct SceneFacts {
     /// The nearest vehicle or bicycle that moves along the path, or stands on it, and blocks it.
     pub lead_distance: Ahead,
     pub lead_speed: LeadSpeed,
-    /// The nearest pedestrian with its center in the corridor of the path: the ego's width and [`CORRIDOR_MARGIN`] to both
-    /// sides.
+    /// The nearest pedestrian with its center in the corridor of the path: the ego's width and
+    /// [`CORRIDOR_MARGIN`] to both sides.
     pub pedestrian: Ahead,
     /// The nearest static obstacle or stopped vehicle that blocks the path.
     pub blocked: Ahead,
-    /// Whether there is a lane to the left, and an object on it within [`SIDE_GAP`] of the ego's bumpers.
+    /// Whether there is a lane to the left, and an object on it within [`SIDE_GAP`] of the ego's
+    /// bumpers.
     pub left_lane: SideLane,
     /// The same to the right.
     pub right_lane: SideLane,
@@ -61,14 +65,17 @@ pub struct SceneFacts {
     pub crossing_vehicle: Ahead,
     /// The nearest vehicle or bicycle that moves against the path within [`ONCOMING_ASIDE`] of it.
     pub oncoming_vehicle: Ahead,
-    /// The nearest pedestrian who is on the strip that the ego sweeps, or will be within two seconds.
+    /// The nearest pedestrian who is on the strip that the ego sweeps, or will be within two
+    /// seconds.
     pub person_on_path: Ahead,
 }
 
 impl SceneFacts {
     /// The facts of a scene whose lane graph is `graph`.
     pub fn of(scene: &SceneView<'_>, graph: &LaneGraph) -> Self {
-        let view = View { center: scene.ego.center() };
+        let view = View {
+            center: scene.ego.center(),
+        };
         let light = match graph.ego_lane().light.map(|light| light.status) {
             Some(SignalStatus::Green) => Light::Green,
             Some(SignalStatus::Yellow) => Light::Yellow,
@@ -137,7 +144,8 @@ impl View {
 
     /// Whether the center or a corner of a box is in view.
     fn shows(self, shape: &OrientedBox) -> bool {
-        self.holds(shape.center.position()) || shape.corners().iter().any(|&corner| self.holds(corner))
+        self.holds(shape.center.position())
+            || shape.corners().iter().any(|&corner| self.holds(corner))
     }
 }
 

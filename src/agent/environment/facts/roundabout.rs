@@ -7,10 +7,11 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// A longer cycle of lanes is a block of streets, meters.
 pub const ROUNDABOUT_LENGTH: f64 = 250.0;
-/// A cycle must enclose at least this share of the area of a circle of the same length: an ellipse of 3:2 has 0.94, a rounded
-/// block of streets 0.85, two lanes joined by U-turns far less.
+/// A cycle must enclose at least this share of the area of a circle of the same length: an ellipse
+/// of 3:2 has 0.94, a rounded block of streets 0.85, two lanes joined by U-turns far less.
 pub const ROUNDNESS: f64 = 0.9;
-/// Only cycles with a part at most this far behind the ego's center count, meters: the ego's length.
+/// Only cycles with a part at most this far behind the ego's center count, meters: the ego's
+/// length.
 const BEHIND: f64 = 5.0;
 
 /// Whether a roundabout is in view, ahead of the ego or under it.
@@ -25,15 +26,21 @@ pub(super) fn ahead(map: &LaneMap, view: View) -> bool {
         .any(|cycle| is_round(map, &cycle))
 }
 
-/// The shortest path from the end of a lane back to its start, that lane included, if shorter than [`ROUNDABOUT_LENGTH`].
+/// The shortest path from the end of a lane back to its start, that lane included, if shorter than
+/// [`ROUNDABOUT_LENGTH`].
 fn shortest_cycle(map: &LaneMap, lane: LaneId) -> Option<Vec<LaneId>> {
     let length = |id: LaneId| map[id].centerline.length();
-    // Length round so far, and the lane before, for each lane that was reached from the end of `lane`.
+    // Length round so far, and the lane before, for each lane that was reached from the end of
+    // `lane`.
     let mut reached: BTreeMap<LaneId, (f64, LaneId)> = BTreeMap::new();
     let mut queue = VecDeque::from([(lane, length(lane))]);
     while let Some((at, covered)) = queue.pop_front() {
         for &next in &map[at].outgoing {
-            let total = if next == lane { covered } else { covered + length(next) };
+            let total = if next == lane {
+                covered
+            } else {
+                covered + length(next)
+            };
             let better = reached.get(&next).is_none_or(|&(known, _)| total < known);
             if total < ROUNDABOUT_LENGTH && better {
                 reached.insert(next, (total, at));
@@ -54,8 +61,13 @@ fn shortest_cycle(map: &LaneMap, lane: LaneId) -> Option<Vec<LaneId>> {
 }
 
 fn is_round(map: &LaneMap, cycle: &[LaneId]) -> bool {
-    let length: f64 = cycle.iter().map(|&lane| map[lane].centerline.length()).sum();
-    let ring = cycle.iter().flat_map(|&lane| map[lane].centerline.vertices().iter().copied());
+    let length: f64 = cycle
+        .iter()
+        .map(|&lane| map[lane].centerline.length())
+        .sum();
+    let ring = cycle
+        .iter()
+        .flat_map(|&lane| map[lane].centerline.vertices().iter().copied());
     let area = Polygon::new(ring).map_or(0.0, |ring| ring.area());
     4.0 * std::f64::consts::PI * area >= ROUNDNESS * length * length
 }

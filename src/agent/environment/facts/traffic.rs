@@ -32,17 +32,30 @@ pub(super) struct Traffic {
 }
 
 pub(super) fn seen(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> Traffic {
-    let objects: Vec<&TrackedObject> = scene.objects.iter().filter(|object| view.shows(&object.shape)).collect();
+    let objects: Vec<&TrackedObject> = scene
+        .objects
+        .iter()
+        .filter(|object| view.shows(&object.shape))
+        .collect();
     let half_length = PACIFICA.length() / 2.0;
-    let window = Window::new(graph.ego_lane(), half_length, half_length + Ahead::FAR + LONG_VEHICLE);
+    let window = Window::new(
+        graph.ego_lane(),
+        half_length,
+        half_length + Ahead::FAR + LONG_VEHICLE,
+    );
     let ahead: Vec<(&TrackedObject, LaneRelation)> = objects
         .iter()
         .filter_map(|&object| Some((object, window.as_ref()?.project(object)?)))
         .filter(|(_, relation)| relation.offset > 0.0)
         .collect();
     let nearest = |counts: &dyn Fn(&TrackedObject, &LaneRelation) -> bool| {
-        let counted = ahead.iter().filter(|(object, relation)| counts(object, relation)).map(|(_, relation)| relation);
-        counted.min_by(|a, b| a.gap.total_cmp(&b.gap)).filter(|relation| relation.gap <= Ahead::FAR)
+        let counted = ahead
+            .iter()
+            .filter(|(object, relation)| counts(object, relation))
+            .map(|(_, relation)| relation);
+        counted
+            .min_by(|a, b| a.gap.total_cmp(&b.gap))
+            .filter(|relation| relation.gap <= Ahead::FAR)
     };
     let lead = nearest(&|object, relation| {
         let drives = matches!(object.kind, ObjectKind::Vehicle | ObjectKind::Bicycle);
@@ -53,28 +66,48 @@ pub(super) fn seen(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> Traf
         object.kind == ObjectKind::Pedestrian && in_corridor
     });
     let blocked = nearest(&|object, relation| {
-        let stands = !object.kind.is_agent() || (object.kind == ObjectKind::Vehicle && object.speed() < STOPPED);
+        let stands = !object.kind.is_agent()
+            || (object.kind == ObjectKind::Vehicle && object.speed() < STOPPED);
         stands && relation.blocks_path
     });
-    let drives = |object: &TrackedObject| matches!(object.kind, ObjectKind::Vehicle | ObjectKind::Bicycle);
+    let drives =
+        |object: &TrackedObject| matches!(object.kind, ObjectKind::Vehicle | ObjectKind::Bicycle);
     let crossing = nearest(&|object, relation| {
-        let approaches = || window.as_ref().is_some_and(|window| approaches(window, object, relation));
-        drives(object) && relation.heading == Heading::Crossing && (relation.blocks_path || approaches())
+        let approaches = || {
+            window
+                .as_ref()
+                .is_some_and(|window| approaches(window, object, relation))
+        };
+        drives(object)
+            && relation.heading == Heading::Crossing
+            && (relation.blocks_path || approaches())
     });
     let oncoming = nearest(&|object, relation| {
-        drives(object) && relation.heading == Heading::Oncoming && relation.lateral.abs() <= ONCOMING_ASIDE
+        drives(object)
+            && relation.heading == Heading::Oncoming
+            && relation.lateral.abs() <= ONCOMING_ASIDE
     });
-    let person = nearest(&|object, relation| object.kind == ObjectKind::Pedestrian && relation.blocks_path);
-    let vehicles = scene.objects.iter().filter(|object| object.kind == ObjectKind::Vehicle);
+    let person =
+        nearest(&|object, relation| object.kind == ObjectKind::Pedestrian && relation.blocks_path);
+    let vehicles = scene
+        .objects
+        .iter()
+        .filter(|object| object.kind == ObjectKind::Vehicle);
     let side_lane = |name| side_lane(graph, name, &objects);
     Traffic {
         lead_distance: Ahead::of(lead.map(|lead| lead.gap)),
-        lead_speed: lead.map_or(LeadSpeed::None, |lead| LeadSpeed::of(lead.along_speed, graph.ego_speed)),
+        lead_speed: lead.map_or(LeadSpeed::None, |lead| {
+            LeadSpeed::of(lead.along_speed, graph.ego_speed)
+        }),
         pedestrian: Ahead::of(pedestrian.map(|relation| relation.gap)),
         blocked: Ahead::of(blocked.map(|relation| relation.gap)),
         left_lane: side_lane(CenterlineName::LeftLane),
         right_lane: side_lane(CenterlineName::RightLane),
-        vehicle_count: VehicleCount::of(vehicles.filter(|v| view.holds(v.shape.center.position())).count()),
+        vehicle_count: VehicleCount::of(
+            vehicles
+                .filter(|v| view.holds(v.shape.center.position()))
+                .count(),
+        ),
         crossing_vehicle: Ahead::of(crossing.map(|relation| relation.gap)),
         oncoming_vehicle: Ahead::of(oncoming.map(|relation| relation.gap)),
         person_on_path: Ahead::of(person.map(|relation| relation.gap)),
@@ -87,19 +120,29 @@ fn approaches(window: &Window, object: &TrackedObject, relation: &LaneRelation) 
     const SOON: f64 = 0.2;
     let center = object.shape.center;
     let moved = Pose::at(center.position() + object.velocity * SOON, center.heading);
-    let later = window.project(&TrackedObject { shape: object.shape.moved_to(moved), ..*object });
+    let later = window.project(&TrackedObject {
+        shape: object.shape.moved_to(moved),
+        ..*object
+    });
     later.is_some_and(|later| {
-        later.lateral.abs() < relation.lateral.abs() || later.lateral.signum() != relation.lateral.signum()
+        later.lateral.abs() < relation.lateral.abs()
+            || later.lateral.signum() != relation.lateral.signum()
     })
 }
 
 fn side_lane(graph: &LaneGraph, name: CenterlineName, objects: &[&TrackedObject]) -> SideLane {
-    let Some(centerline) = graph.centerline(name) else { return SideLane::None };
+    let Some(centerline) = graph.centerline(name) else {
+        return SideLane::None;
+    };
     let reach = PACIFICA.length() / 2.0 + SIDE_GAP + LONG_VEHICLE;
     let window = Window::new(centerline, reach, reach);
     let occupied = objects
         .iter()
         .filter_map(|object| window.as_ref()?.project(object))
         .any(|relation| (relation.on_lane || relation.blocks_path) && relation.gap < SIDE_GAP);
-    if occupied { SideLane::Occupied } else { SideLane::Free }
+    if occupied {
+        SideLane::Occupied
+    } else {
+        SideLane::Free
+    }
 }

@@ -23,9 +23,10 @@ impl From<ObjectKind> for AgentClass {
             ObjectKind::Vehicle => Self::Vehicle,
             ObjectKind::Bicycle => Self::Bicycle,
             ObjectKind::Pedestrian => Self::Pedestrian,
-            ObjectKind::TrafficCone | ObjectKind::Barrier | ObjectKind::CzoneSign | ObjectKind::GenericObject => {
-                Self::Obstacle
-            }
+            ObjectKind::TrafficCone
+            | ObjectKind::Barrier
+            | ObjectKind::CzoneSign
+            | ObjectKind::GenericObject => Self::Obstacle,
         }
     }
 }
@@ -54,14 +55,19 @@ impl FromStr for AgentName {
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let unknown = || UnknownAgent(text.to_owned());
-        let digits = text.find(|c: char| c.is_ascii_digit()).ok_or_else(unknown)?;
+        let digits = text
+            .find(|c: char| c.is_ascii_digit())
+            .ok_or_else(unknown)?;
         let (class, number) = text.split_at(digits);
         // `007` or `+7` would be a second spelling of `7`.
         if number.starts_with('0') || !number.bytes().all(|b| b.is_ascii_digit()) {
             return Err(unknown());
         }
         let class = class.parse().map_err(|_| unknown())?;
-        Ok(Self { class, number: number.parse().map_err(|_| unknown())? })
+        Ok(Self {
+            class,
+            number: number.parse().map_err(|_| unknown())?,
+        })
     }
 }
 
@@ -110,11 +116,27 @@ mod tests {
 
     #[test]
     fn names_have_one_spelling() {
-        let name = AgentName { class: AgentClass::Pedestrian, number: 12 };
+        let name = AgentName {
+            class: AgentClass::Pedestrian,
+            number: 12,
+        };
         assert_eq!(name.to_string(), "pedestrian12");
         assert_eq!("pedestrian12".parse(), Ok(name));
-        for wrong in ["", "vehicle", "vehicle0", "vehicle01", "vehicle+1", "vehicle1x", "tank1", "1", "vehicle99999"] {
-            assert_eq!(wrong.parse::<AgentName>(), Err(UnknownAgent(wrong.to_owned())));
+        for wrong in [
+            "",
+            "vehicle",
+            "vehicle0",
+            "vehicle01",
+            "vehicle+1",
+            "vehicle1x",
+            "tank1",
+            "1",
+            "vehicle99999",
+        ] {
+            assert_eq!(
+                wrong.parse::<AgentName>(),
+                Err(UnknownAgent(wrong.to_owned()))
+            );
         }
     }
 }

@@ -15,7 +15,8 @@ const MIN_AHEAD: f64 = 100.0;
 const UNKNOWN_LIMIT: f64 = 20.0;
 /// A connector that turns by more than this is a turn, radians (30 degrees).
 const TURN: f64 = std::f64::consts::FRAC_PI_6;
-/// The ego's front may stand this far beyond a connector's start and still wait at its light, meters.
+/// The ego's front may stand this far beyond a connector's start and still wait at its light,
+/// meters.
 const PAST_LINE: f64 = 2.0;
 /// A stop line belongs to the start of its connector when it is at most this far from it, meters.
 const STOP_LINE_REACH: f64 = 15.0;
@@ -35,7 +36,8 @@ choice! {
 }
 
 impl CenterlineName {
-    /// Lane changes to it, positive to the left; 0 for the ego's lane, and for the oncoming one, from which the way leads back.
+    /// Lane changes to it, positive to the left; 0 for the ego's lane, and for the oncoming one,
+    /// from which the way leads back.
     pub fn lane_changes(self) -> i32 {
         match self {
             Self::LeftLane => 1,
@@ -62,7 +64,8 @@ pub struct LightAhead {
     pub connector: LaneId,
     /// What it shows; unknown where the map knows of a light but nothing was seen of it.
     pub status: SignalStatus,
-    /// From the ego's front bumper to the stop line (else the connector's start) along the path, meters; 0 on it.
+    /// From the ego's front bumper to the stop line (else the connector's start) along the path,
+    /// meters; 0 on it.
     pub distance: f64,
 }
 
@@ -70,11 +73,13 @@ pub struct LightAhead {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Centerline {
     pub name: CenterlineName,
-    /// The way: from some meters behind the ego to at least 8 s at the limit and 100 m ahead of it, unless the road ends.
+    /// The way: from some meters behind the ego to at least 8 s at the limit and 100 m ahead of it,
+    /// unless the road ends.
     pub path: LanePath,
     /// Where on the path the ego's box center is (or is beside), meters.
     pub ego_s: f64,
-    /// The speed limit at the ego, m/s: of the lane there, else of the next lane of the path that has one.
+    /// The speed limit at the ego, m/s: of the lane there, else of the next lane of the path that
+    /// has one.
     pub speed_limit: Option<f64>,
     /// The next light within [`LIGHT_REACH`].
     pub light: Option<LightAhead>,
@@ -85,17 +90,37 @@ pub struct Centerline {
 }
 
 impl Centerline {
-    /// The centerline through `lane`, seen from the ego; `behind` meters of it lie behind the ego where the map goes so far.
-    pub(super) fn through(scene: &SceneView<'_>, name: CenterlineName, lane: LaneId, behind: f64) -> Self {
+    /// The centerline through `lane`, seen from the ego; `behind` meters of it lie behind the ego
+    /// where the map goes so far.
+    pub(super) fn through(
+        scene: &SceneView<'_>,
+        name: CenterlineName,
+        lane: LaneId,
+        behind: f64,
+    ) -> Self {
         let (map, ego) = (scene.map, scene.ego.center().position());
         let limit = map[lane].speed_limit.unwrap_or(UNKNOWN_LIMIT);
         let ahead = MIN_AHEAD.max(AHEAD_SECONDS * limit);
         let (path, ego_s) = path_through(map, scene.route, lane, ego, behind, ahead);
-        let ego_place = path.lanes.iter().position(|&l| l == lane).expect("the path leads through its lane");
-        let speed_limit = path.lanes[ego_place..].iter().find_map(|&l| map[l].speed_limit);
+        let ego_place = path
+            .lanes
+            .iter()
+            .position(|&l| l == lane)
+            .expect("the path leads through its lane");
+        let speed_limit = path.lanes[ego_place..]
+            .iter()
+            .find_map(|&l| map[l].speed_limit);
         let light = light_ahead(scene, &path, ego_s);
         let turn = turn_ahead(map, &path, ego_s);
-        Self { name, path, ego_s, speed_limit, light, turn, lead_agent: None }
+        Self {
+            name,
+            path,
+            ego_s,
+            speed_limit,
+            light,
+            turn,
+            lead_agent: None,
+        }
     }
 
     /// Length of the path ahead of the ego's center, meters.
@@ -105,23 +130,40 @@ impl Centerline {
 }
 
 /// The path through a lane, and where on it `point` falls.
-fn path_through(map: &LaneMap, route: &Route, lane: LaneId, point: Point, behind: f64, ahead: f64) -> (LanePath, f64) {
+fn path_through(
+    map: &LaneMap,
+    route: &Route,
+    lane: LaneId,
+    point: Point,
+    behind: f64,
+    ahead: f64,
+) -> (LanePath, f64) {
     let on_lane = map[lane].centerline.project(point).s;
     let onward = LanePath::along(map, route, lane, on_lane + ahead);
     let mut before: Vec<LaneId> = vec![];
     let mut covered = on_lane;
     while covered < behind {
         let first = before.last().copied().unwrap_or(lane);
-        let Some(previous) = predecessor(map, route, first) else { break };
+        let Some(previous) = predecessor(map, route, first) else {
+            break;
+        };
         if before.contains(&previous) || onward.lanes.contains(&previous) {
             break;
         }
         covered += map[previous].centerline.length();
         before.push(previous);
     }
-    let lanes: Vec<LaneId> = before.into_iter().rev().chain(onward.lanes.iter().copied()).collect();
+    let lanes: Vec<LaneId> = before
+        .into_iter()
+        .rev()
+        .chain(onward.lanes.iter().copied())
+        .collect();
     let path = LanePath::of(map, lanes).expect("the path leads through its lane");
-    let place = path.lanes.iter().position(|&l| l == lane).expect("the path leads through its lane");
+    let place = path
+        .lanes
+        .iter()
+        .position(|&l| l == lane)
+        .expect("the path leads through its lane");
     let start = path.starts[place];
     let ego_s = start + on_lane;
     (path, ego_s)
@@ -131,11 +173,12 @@ fn path_through(map: &LaneMap, route: &Route, lane: LaneId, point: Point, behind
 fn predecessor(map: &LaneMap, route: &Route, lane: LaneId) -> Option<LaneId> {
     let off_route = |id: LaneId| !route.contains(map[id].roadblock);
     let turn = |id: LaneId| heading_change(map, id).abs();
-    map[lane]
-        .incoming
-        .iter()
-        .copied()
-        .min_by(|&a, &b| off_route(a).cmp(&off_route(b)).then(turn(a).total_cmp(&turn(b))).then(a.cmp(&b)))
+    map[lane].incoming.iter().copied().min_by(|&a, &b| {
+        off_route(a)
+            .cmp(&off_route(b))
+            .then(turn(a).total_cmp(&turn(b)))
+            .then(a.cmp(&b))
+    })
 }
 
 /// From a lane's start to its end, radians in [−π, π), positive to the left.
@@ -148,7 +191,8 @@ fn front_s(ego_s: f64) -> f64 {
     ego_s + PACIFICA.length() / 2.0
 }
 
-/// The lanes of a path that begin ahead of `from`, up to [`LIGHT_REACH`], with the arc lengths of their starts.
+/// The lanes of a path that begin ahead of `from`, up to [`LIGHT_REACH`], with the arc lengths of
+/// their starts.
 fn lanes_ahead(path: &LanePath, from: f64) -> impl Iterator<Item = (LaneId, f64)> + '_ {
     let starts = path.lanes.iter().copied().zip(path.starts.iter().copied());
     starts.filter(move |&(_, start)| start >= from && start <= from + LIGHT_REACH)
@@ -158,16 +202,28 @@ fn light_ahead(scene: &SceneView<'_>, path: &LanePath, ego_s: f64) -> Option<Lig
     let front = front_s(ego_s);
     lanes_ahead(path, front - PAST_LINE).find_map(|(lane, start)| {
         let recorded = scene.lights.status(lane);
-        let status = recorded.or(scene.map[lane].has_traffic_lights.then_some(SignalStatus::Unknown))?;
+        let status = recorded.or(scene.map[lane]
+            .has_traffic_lights
+            .then_some(SignalStatus::Unknown))?;
         let distance = (stop_s(scene.map, path, lane, start) - front).max(0.0);
-        (distance <= LIGHT_REACH).then_some(LightAhead { connector: lane, status, distance })
+        (distance <= LIGHT_REACH).then_some(LightAhead {
+            connector: lane,
+            status,
+            distance,
+        })
     })
 }
 
 /// Where to stop for a light: the stop line nearest to the start of its connector, else that start.
 fn stop_s(map: &LaneMap, path: &LanePath, connector: LaneId, start: f64) -> f64 {
-    let stop_lines = map[connector].stop_lines.iter().map(|&id| &map[id]).filter(|line| !line.stop_sign);
-    let window = path.centerline.slice(start - STOP_LINE_REACH, start + STOP_LINE_REACH);
+    let stop_lines = map[connector]
+        .stop_lines
+        .iter()
+        .map(|&id| &map[id])
+        .filter(|line| !line.stop_sign);
+    let window = path
+        .centerline
+        .slice(start - STOP_LINE_REACH, start + STOP_LINE_REACH);
     let from = (start - STOP_LINE_REACH).max(0.0);
     window
         .and_then(|window| {
@@ -181,7 +237,10 @@ fn stop_s(map: &LaneMap, path: &LanePath, connector: LaneId, start: f64) -> f64 
 fn turn_ahead(map: &LaneMap, path: &LanePath, ego_s: f64) -> Turn {
     let here = path.lane_at(ego_s);
     let ahead = lanes_ahead(path, ego_s).map(|(lane, _)| lane);
-    let Some(connector) = std::iter::once(here).chain(ahead).find(|&lane| map[lane].is_connector()) else {
+    let Some(connector) = std::iter::once(here)
+        .chain(ahead)
+        .find(|&lane| map[lane].is_connector())
+    else {
         return Turn::Straight;
     };
     let change = heading_change(map, connector);

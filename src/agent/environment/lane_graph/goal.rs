@@ -24,15 +24,21 @@ impl GoalLane {
         Self::from_lane(scene, ego_lane(scene)?)
     }
 
-    /// Seen from a lane. Where that does not lead to the goal's roadblock, the changes are at least those to the nearest lane beside
-    /// that does. `None` where the route has no lane of a goal, or no lane beside leads there within [`GOAL_REACH`].
+    /// Seen from a lane. Where that does not lead to the goal's roadblock, the changes are at least
+    /// those to the nearest lane beside that does. `None` where the route has no lane of a goal, or
+    /// no lane beside leads there within [`GOAL_REACH`].
     pub(super) fn from_lane(scene: &SceneView<'_>, lane: LaneId) -> Option<Self> {
         let (goal_lane, goal) = (scene.route.goal_lane?, scene.route.goal?);
         nearest_first().find_map(|first| {
-            let (beside, _) = scene.map.beside(lane, scene.ego.rear_axle.position(), first)?;
+            let (beside, _) = scene
+                .map
+                .beside(lane, scene.ego.rear_axle.position(), first)?;
             let (entered, distance) = way_to_goal(scene, beside, goal_lane, goal)?;
             let reaches = |&then: &i32| {
-                scene.map.beside(entered, goal.position(), then).is_some_and(|(found, _)| found == goal_lane)
+                scene
+                    .map
+                    .beside(entered, goal.position(), then)
+                    .is_some_and(|(found, _)| found == goal_lane)
             };
             let then = nearest_first().find(reaches)?;
             let changes = match first {
@@ -60,15 +66,26 @@ impl GoalLane {
     }
 }
 
-/// Where the way along a lane enters the goal's roadblock, and the meters from the ego's rear axle to the goal. `None` where it does
-/// not.
-fn way_to_goal(scene: &SceneView<'_>, lane: LaneId, goal_lane: LaneId, goal: Pose) -> Option<(LaneId, f64)> {
+/// Where the way along a lane enters the goal's roadblock, and the meters from the ego's rear axle
+/// to the goal. `None` where it does not.
+fn way_to_goal(
+    scene: &SceneView<'_>,
+    lane: LaneId,
+    goal_lane: LaneId,
+    goal: Pose,
+) -> Option<(LaneId, f64)> {
     let map = scene.map;
-    let from = map[lane].centerline.project(scene.ego.rear_axle.position()).s;
+    let from = map[lane]
+        .centerline
+        .project(scene.ego.rear_axle.position())
+        .s;
     let path = LanePath::along(map, scene.route, lane, from + GOAL_REACH);
     let mut lanes = path.lanes.iter().copied().zip(path.starts.iter().copied());
     let (entered, start) = lanes.find(|&(on, _)| map[on].roadblock == map[goal_lane].roadblock)?;
-    Some((entered, start + map[entered].centerline.project(goal.position()).s - from))
+    Some((
+        entered,
+        start + map[entered].centerline.project(goal.position()).s - from,
+    ))
 }
 
 /// Numbers of changes that are tried.

@@ -42,12 +42,24 @@ pub(in crate::environment) struct Window {
 }
 
 impl Window {
-    /// From `behind` meters behind to `ahead` meters ahead of the ego's center, within the path; `None` without a path there.
-    pub(in crate::environment) fn new(centerline: &Centerline, behind: f64, ahead: f64) -> Option<Self> {
+    /// From `behind` meters behind to `ahead` meters ahead of the ego's center, within the path;
+    /// `None` without a path there.
+    pub(in crate::environment) fn new(
+        centerline: &Centerline,
+        behind: f64,
+        ahead: f64,
+    ) -> Option<Self> {
         let from = (centerline.ego_s - behind).max(0.0);
-        let line = centerline.path.centerline.slice(from, centerline.ego_s + ahead)?;
+        let line = centerline
+            .path
+            .centerline
+            .slice(from, centerline.ego_s + ahead)?;
         let sweep = Corridor::new(line.clone(), PACIFICA.width / 2.0 + SWEEP_MARGIN);
-        Some(Self { line, ego_s: centerline.ego_s - from, sweep })
+        Some(Self {
+            line,
+            ego_s: centerline.ego_s - from,
+            sweep,
+        })
     }
 
     /// The relation of an object; `None` when its box is completely before or after this part.
@@ -61,7 +73,11 @@ impl Window {
             return None;
         }
         let offset = foot.s - self.ego_s;
-        let kerb = if object.kind == ObjectKind::Pedestrian { KERB_MARGIN } else { 0.0 };
+        let kerb = if object.kind == ObjectKind::Pedestrian {
+            KERB_MARGIN
+        } else {
+            0.0
+        };
         let velocity = along_frame(&along, object.velocity);
         Some(LaneRelation {
             offset,
@@ -77,10 +93,17 @@ impl Window {
     fn blocks(&self, object: &TrackedObject) -> bool {
         /// Time between the tested positions, seconds: a pedestrian moves less than its own size.
         const STEP: f64 = 0.25;
-        let steps = if object.kind.is_vulnerable() { (CROSSING_SECONDS / STEP) as u32 } else { 0 };
+        let steps = if object.kind.is_vulnerable() {
+            (CROSSING_SECONDS / STEP) as u32
+        } else {
+            0
+        };
         (0..=steps).any(|i| {
             let moved = object.velocity * (f64::from(i) * STEP);
-            let center = Pose::at(object.shape.center.position() + moved, object.shape.center.heading);
+            let center = Pose::at(
+                object.shape.center.position() + moved,
+                object.shape.center.heading,
+            );
             self.sweep.meets_box(&object.shape.moved_to(center))
         })
     }
@@ -89,12 +112,18 @@ impl Window {
 /// Half the extent of a box along a direction, meters.
 pub(in crate::environment) fn half_extent(shape: &OrientedBox, heading: f64) -> f64 {
     let turn = wrap_angle(shape.center.heading - heading);
-    f64::midpoint(shape.length * turn.cos().abs(), shape.width * turn.sin().abs())
+    f64::midpoint(
+        shape.length * turn.cos().abs(),
+        shape.width * turn.sin().abs(),
+    )
 }
 
 fn along_frame(along: &Pose, velocity: Vector) -> Vector {
     let (sin, cos) = along.heading.sin_cos();
-    Vector::new(cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x)
+    Vector::new(
+        cos * velocity.x + sin * velocity.y,
+        cos * velocity.y - sin * velocity.x,
+    )
 }
 
 fn heading_of(velocity: Vector) -> Heading {

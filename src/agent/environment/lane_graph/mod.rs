@@ -1,19 +1,22 @@
-//! The lane graph: the ego's lane and those beside it as nodes of equal length. It has the agents on these nodes, and
-//! the centerlines that planner code may follow.
+//! The lane graph: the ego's lane and those beside it as nodes of equal length. It has the agents
+//! on these nodes, and the centerlines that planner code may follow.
 //!
-//! **Centerlines.** `ego_lane`, and where there is a lane of the same direction beside the ego, `left_lane` and `right_lane`.
-//! Each is a [`planagent_world::LanePath`] that prefers the route. Where something that stands permanently blocks the ego's lane and
-//! a lane against traffic is beside it, `oncoming_lane` leads past and back. It has no nodes.
+//! **Centerlines.** `ego_lane`, and where there is a lane of the same direction beside the ego,
+//! `left_lane` and `right_lane`. Each is a [`planagent_world::LanePath`] that prefers the route.
+//! Where something that stands permanently blocks the ego's lane and a lane against traffic is
+//! beside it, `oncoming_lane` leads past and back. It has no nodes.
 //!
-//! **Nodes.** All have the same length. They are cut so that a node begins at the ego's rear bumper. The node under the ego
-//! reaches from there one node length ahead; `front` is the next one, `back` the one before. The nodes of the lanes beside
-//! are cut at the same distances from the point beside the ego. A node exists when its middle lies on the centerline, and
-//! does not when the lane beside has merged into the ego's there.
+//! **Nodes.** All have the same length. They are cut so that a node begins at the ego's rear
+//! bumper. The node under the ego reaches from there one node length ahead; `front` is the next
+//! one, `back` the one before. The nodes of the lanes beside are cut at the same distances from the
+//! point beside the ego. A node exists when its middle lies on the centerline, and does not when
+//! the lane beside has merged into the ego's there.
 //!
-//! **Agents.** An agent or obstacle is on a centerline where its box meets the strip that the ego would sweep (its half
-//! width and [`SWEEP_MARGIN`]). Pedestrians and cyclists also count where they will be within [`CROSSING_SECONDS`] at their
-//! present velocity. An agent is also on the line where its center lies within half a lane width of it (pedestrians:
-//! [`KERB_MARGIN`] more). On several, it counts for the ego's lane if it blocks the path there, else for the nearest line.
+//! **Agents.** An agent or obstacle is on a centerline where its box meets the strip that the ego
+//! would sweep (its half width and [`SWEEP_MARGIN`]). Pedestrians and cyclists also count where
+//! they will be within [`CROSSING_SECONDS`] at their present velocity. An agent is also on the line
+//! where its center lies within half a lane width of it (pedestrians: [`KERB_MARGIN`] more). On
+//! several, it counts for the ego's lane if it blocks the path there, else for the nearest line.
 //! Only agents on one of the nine nodes are part of the graph.
 //!
 //! **Goal.** Where the score asks for the lane of a goal, the graph counts the lane changes to it.
@@ -79,7 +82,8 @@ impl NodePlace {
         }
     }
 
-    /// The nodes of a centerline: beside (or under) the ego, ahead, behind. The oncoming lane has none.
+    /// The nodes of a centerline: beside (or under) the ego, ahead, behind. The oncoming lane has
+    /// none.
     pub fn on(centerline: CenterlineName) -> Option<[Self; 3]> {
         match centerline {
             CenterlineName::EgoLane => Some([Self::Ego, Self::Front, Self::Back]),
@@ -91,7 +95,8 @@ impl NodePlace {
 }
 
 choice! {
-    /// How a node is connected with the node under the ego or, for the corners, with the node ahead or behind.
+    /// How a node is connected with the node under the ego or, for the corners, with the node ahead
+    /// or behind.
     pub enum Connection {
         /// The node under the ego itself.
         Itself = "itself",
@@ -144,18 +149,22 @@ pub struct LaneGraph {
     pub ego_speed: f64,
     /// The nodes that exist, in order of [`NodePlace::ALL`]; the first is the ego's.
     pub nodes: Vec<LaneNode>,
-    /// The centerlines of the ego's direction, in order of [`CenterlineName::ALL`]; the first is the ego's.
+    /// The centerlines of the ego's direction, in order of [`CenterlineName::ALL`]; the first is
+    /// the ego's.
     pub centerlines: Vec<Centerline>,
-    /// The agents on the nodes by centerline; on each those ahead, nearest first, then those behind, nearest first.
-    /// Names are numbered in this order.
+    /// The agents on the nodes by centerline; on each those ahead, nearest first, then those
+    /// behind, nearest first. Names are numbered in this order.
     pub agents: Vec<GraphAgent>,
     /// What the speed limit may be where the map has none, m/s.
     pub limit_estimate: f64,
-    /// Where something that stands permanently blocks the ego's lane; arc lengths on its centerline.
+    /// Where something that stands permanently blocks the ego's lane; arc lengths on its
+    /// centerline.
     pub blocked: Option<BlockedStretch>,
-    /// The way past what blocks the ego's lane, where it was asked for and there is one ([`Self::with_oncoming_lane`]).
+    /// The way past what blocks the ego's lane, where it was asked for and there is one
+    /// ([`Self::with_oncoming_lane`]).
     pub oncoming: Option<OncomingLane>,
-    /// The way to the goal's lane, where the route has a goal to reach, or else back to a lane that was left ([`Self::with_way_back`]).
+    /// The way to the goal's lane, where the route has a goal to reach, or else back to a lane that
+    /// was left ([`Self::with_way_back`]).
     pub goal: Option<GoalLane>,
 }
 
@@ -167,44 +176,56 @@ pub struct GraphedScene<'a> {
 }
 
 impl LaneGraph {
-    /// Builds the graph of a scene with nodes of `node_length` meters ([`DEFAULT_NODE_LENGTH`] unless there is a reason).
+    /// Builds the graph of a scene with nodes of `node_length` meters ([`DEFAULT_NODE_LENGTH`]
+    /// unless there is a reason).
     pub fn build(scene: &SceneView<'_>, node_length: f64) -> Result<Self, LaneGraphError> {
         build::build(scene, node_length)
     }
 
-    /// The same with the way past what blocks the ego's lane, where a lane against traffic is beside it. There is none past what may
-    /// be a queue.
+    /// The same with the way past what blocks the ego's lane, where a lane against traffic is
+    /// beside it. There is none past what may be a queue.
     #[must_use]
     pub fn with_oncoming_lane(self, scene: &SceneView<'_>) -> Self {
         let passable = self.blocked.filter(|blocked| !blocked.may_queue);
-        let oncoming = passable.and_then(|blocked| OncomingLane::find(scene, self.ego_lane(), blocked));
+        let oncoming =
+            passable.and_then(|blocked| OncomingLane::find(scene, self.ego_lane(), blocked));
         Self { oncoming, ..self }
     }
 
-    /// The same with the way back to a lane that the ego left, where the route has no lane of a goal.
+    /// The same with the way back to a lane that the ego left, where the route has no lane of a
+    /// goal.
     #[must_use]
     pub fn with_way_back(self, scene: &SceneView<'_>, to: &ReturnLane) -> Self {
         let goal = self.goal.or_else(|| to.way_back(scene, &self));
         Self { goal, ..self }
     }
 
-    /// Whether something blocks the ego's lane, or its lead agent stands. A person or a bicycle that stands is about to move.
+    /// Whether something blocks the ego's lane, or its lead agent stands. A person or a bicycle
+    /// that stands is about to move.
     pub fn is_obstructed(&self) -> bool {
-        let stands = |agent: &GraphAgent| agent.speed < standing::STANDING && !agent.kind.is_vulnerable();
+        let stands =
+            |agent: &GraphAgent| agent.speed < standing::STANDING && !agent.kind.is_vulnerable();
         self.blocked.is_some() || self.lead_agent(CenterlineName::EgoLane).is_some_and(stands)
     }
 
-    /// Where an ego that stays in its lane stops before what blocks it: where it can still leave the lane. `None` where the lane is
-    /// free, or nothing leads past.
+    /// Where an ego that stays in its lane stops before what blocks it: where it can still leave
+    /// the lane. `None` where the lane is free, or nothing leads past.
     pub fn stop_point(&self) -> Option<Point> {
         let leads_past = self.centerlines.len() > 1 || self.oncoming.is_some();
         let blocked = self.blocked.filter(|_| leads_past)?;
-        Some(self.ego_lane().path.centerline.point_at(blocked.from_s - PULL_OUT))
+        Some(
+            self.ego_lane()
+                .path
+                .centerline
+                .point_at(blocked.from_s - PULL_OUT),
+        )
     }
 
     /// The centerlines that a planner code may name.
     pub fn named(&self) -> impl Iterator<Item = &Centerline> {
-        self.centerlines.iter().chain(self.oncoming.as_ref().map(|oncoming| &oncoming.centerline))
+        self.centerlines
+            .iter()
+            .chain(self.oncoming.as_ref().map(|oncoming| &oncoming.centerline))
     }
 
     pub fn node(&self, place: NodePlace) -> Option<&LaneNode> {

@@ -1,5 +1,5 @@
-//! What stands on a lane permanently: a broken-down or crashed car, cones, a barrier. What waits does not stand
-//! permanently.
+//! What stands on a lane permanently: a broken-down or crashed car, cones, a barrier. What waits
+//! does not stand permanently.
 
 use super::{Centerline, PULL_OUT};
 use planagent_world::geometry::{Corridor, Point, wrap_angle};
@@ -8,7 +8,8 @@ use std::collections::BTreeMap;
 
 /// Objects slower than this stand, m/s.
 pub(super) const STANDING: f64 = 0.2;
-/// An object that moved by more than this within the two seconds of history has only just stopped, meters.
+/// An object that moved by more than this within the two seconds of history has only just stopped,
+/// meters.
 const MOVED: f64 = 0.3;
 /// Distance ahead of the ego's center in which a blocked lane matters, meters.
 const REACH: f64 = 60.0;
@@ -22,7 +23,8 @@ const JUNCTION: f64 = 15.0;
 const QUEUE_GAP: f64 = 12.0;
 /// A person this near beside the lane's middle makes a vehicle wait, meters.
 const PERSON_ASIDE: f64 = 4.0;
-/// A vehicle that stands straight in the middle of the lane: maximum angle (10 degrees) and distance from the middle, meters.
+/// A vehicle that stands straight in the middle of the lane: maximum angle (10 degrees) and
+/// distance from the middle, meters.
 const ALIGNED: (f64, f64) = (0.17, 0.6);
 /// Gap between two obstacles that is too short to go back between them, meters.
 const TOO_SHORT: f64 = 30.0;
@@ -32,17 +34,19 @@ const MARGIN: f64 = 0.1;
 const EDGE_STEP: f64 = 0.1;
 const MAX_HALF_WIDTH: f64 = 4.0;
 
-/// The stretch of a lane that is blocked by something that stands permanently. Arc lengths on the lane's centerline,
-/// meters.
+/// The stretch of a lane that is blocked by something that stands permanently. Arc lengths on the
+/// lane's centerline, meters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlockedStretch {
     /// Where the first obstacle begins.
     pub from_s: f64,
     /// Where the last one ends.
     pub to_s: f64,
-    /// How far the obstacles reach to the right and to the left of the middle of the lane, positive to the left, meters.
+    /// How far the obstacles reach to the right and to the left of the middle of the lane, positive
+    /// to the left, meters.
     pub across: (f64, f64),
-    /// Whether vehicles stand in it as in a queue. The reason may be out of sight, so nobody passes them against traffic.
+    /// Whether vehicles stand in it as in a queue. The reason may be out of sight, so nobody passes
+    /// them against traffic.
     pub may_queue: bool,
 }
 
@@ -61,16 +65,22 @@ impl InStrip<'_> {
     }
 }
 
-/// The first stretch of a lane that is blocked ahead of the ego or beside it, with nothing before it that moves or waits.
-/// People and bicycles never block in this sense. Nor does a vehicle that may be waiting, at an intersection or for a
-/// light, a person or the traffic before it. What leaves room for the ego in its lane does not block either.
+/// The first stretch of a lane that is blocked ahead of the ego or beside it, with nothing before
+/// it that moves or waits. People and bicycles never block in this sense. Nor does a vehicle that
+/// may be waiting, at an intersection or for a light, a person or the traffic before it. What
+/// leaves room for the ego in its lane does not block either.
 pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Option<BlockedStretch> {
     let line = &lane.path.centerline;
-    let (from, to) = ((lane.ego_s - BEHIND).max(0.0), (lane.ego_s + REACH).min(line.length()));
+    let (from, to) = (
+        (lane.ego_s - BEHIND).max(0.0),
+        (lane.ego_s + REACH).min(line.length()),
+    );
     let strip = Corridor::new(line.slice(from, to)?, PACIFICA.width / 2.0);
     let footprint = scene.ego.footprint();
-    let met =
-        scene.objects.iter().filter(|object| strip.meets_box(&object.shape) && !object.shape.overlaps(&footprint));
+    let met = scene
+        .objects
+        .iter()
+        .filter(|object| strip.meets_box(&object.shape) && !object.shape.overlaps(&footprint));
     let mut found: Vec<InStrip<'_>> = met.map(|object| in_strip(&lane.path, object)).collect();
     found.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
     let before = first_seen(scene);
@@ -84,52 +94,92 @@ pub(super) fn blocked_stretch(scene: &SceneView<'_>, lane: &Centerline) -> Optio
     }
     // What lies behind the rear bumper of an ego that is back in its lane is passed.
     let is_back = line.project(scene.ego.center().position()).lateral.abs() <= BACK_IN_LANE;
-    let rear = lane.ego_s - if is_back { PACIFICA.length() / 2.0 } else { BEHIND };
-    let follows = |one: &InStrip<'_>| one.to_s <= lane.ego_s - PACIFICA.length() / 2.0 && (one.waits || one.moves());
-    let counts = |one: &&InStrip<'_>| one.to_s > rear && !follows(one) && !leaves_room(scene, &lane.path, one);
+    let rear = lane.ego_s
+        - if is_back {
+            PACIFICA.length() / 2.0
+        } else {
+            BEHIND
+        };
+    let follows = |one: &InStrip<'_>| {
+        one.to_s <= lane.ego_s - PACIFICA.length() / 2.0 && (one.waits || one.moves())
+    };
+    let counts = |one: &&InStrip<'_>| {
+        one.to_s > rear && !follows(one) && !leaves_room(scene, &lane.path, one)
+    };
     let mut ahead = found.iter().filter(counts);
     let first = ahead.next().filter(|one| !one.waits && !one.moves())?;
-    let mut stretch = BlockedStretch { from_s: first.from_s, to_s: first.to_s, across: first.across, may_queue: false };
+    let mut stretch = BlockedStretch {
+        from_s: first.from_s,
+        to_s: first.to_s,
+        across: first.across,
+        may_queue: false,
+    };
     let mut last = first;
     for next in ahead.take_while(|one| !one.waits && !one.moves()) {
         if next.from_s - stretch.to_s > TOO_SHORT {
             break;
         }
         let is_close = next.from_s - last.to_s <= QUEUE_GAP;
-        stretch.may_queue |= is_close && is_aligned(&lane.path, last) && is_aligned(&lane.path, next);
+        stretch.may_queue |=
+            is_close && is_aligned(&lane.path, last) && is_aligned(&lane.path, next);
         last = next;
         stretch.to_s = stretch.to_s.max(next.to_s);
-        stretch.across = (stretch.across.0.min(next.across.0), stretch.across.1.max(next.across.1));
+        stretch.across = (
+            stretch.across.0.min(next.across.0),
+            stretch.across.1.max(next.across.1),
+        );
     }
-    // Before a taper: an ego that stopped between its first cone and the one that closes the lane could not leave the lane.
-    let narrows = |one: &&InStrip<'_>| one.from_s < first.from_s && one.to_s > rear && !one.waits && !one.moves();
+    // Before a taper: an ego that stopped between its first cone and the one that closes the lane
+    // could not leave the lane.
+    let narrows = |one: &&InStrip<'_>| {
+        one.from_s < first.from_s && one.to_s > rear && !one.waits && !one.moves()
+    };
     for one in found.iter().filter(narrows).rev() {
         if stretch.from_s - one.to_s <= PULL_OUT {
             stretch.from_s = stretch.from_s.min(one.from_s);
-            stretch.across = (stretch.across.0.min(one.across.0), stretch.across.1.max(one.across.1));
+            stretch.across = (
+                stretch.across.0.min(one.across.0),
+                stretch.across.1.max(one.across.1),
+            );
         }
     }
     Some(stretch)
 }
 
 fn in_strip<'a>(path: &LanePath, object: &'a TrackedObject) -> InStrip<'a> {
-    let corners = object.shape.corners().map(|corner| path.centerline.project(corner));
+    let corners = object
+        .shape
+        .corners()
+        .map(|corner| path.centerline.project(corner));
     let bounds = |values: [f64; 4]| {
-        (values.into_iter().fold(f64::INFINITY, f64::min), values.into_iter().fold(f64::NEG_INFINITY, f64::max))
+        (
+            values.into_iter().fold(f64::INFINITY, f64::min),
+            values.into_iter().fold(f64::NEG_INFINITY, f64::max),
+        )
     };
     let (from_s, to_s) = bounds(corners.map(|corner| corner.s));
-    InStrip { object, from_s, to_s, across: bounds(corners.map(|corner| corner.lateral)), waits: false }
+    InStrip {
+        object,
+        from_s,
+        to_s,
+        across: bounds(corners.map(|corner| corner.lateral)),
+        waits: false,
+    }
 }
 
 /// Where each object was in the oldest sample of the history.
 fn first_seen(scene: &SceneView<'_>) -> BTreeMap<u32, Point> {
     let oldest = scene.history.samples().next();
     let objects = oldest.into_iter().flat_map(|sample| sample.objects.iter());
-    objects.map(|object| (object.token.0, object.shape.center.position())).collect()
+    objects
+        .map(|object| (object.token.0, object.shape.center.position()))
+        .collect()
 }
 
 fn has_just_stopped(object: &TrackedObject, before: &BTreeMap<u32, Point>) -> bool {
-    before.get(&object.token.0).is_some_and(|from| (object.shape.center.position() - from).norm() > MOVED)
+    before
+        .get(&object.token.0)
+        .is_some_and(|from| (object.shape.center.position() - from).norm() > MOVED)
 }
 
 /// Whether an object that stands may move on soon.
@@ -145,11 +195,17 @@ fn waits(scene: &SceneView<'_>, path: &LanePath, one: &InStrip<'_>, ahead: &[InS
         let is_junction = scene.map[lane].is_connector() || scene.lights.status(lane).is_some();
         is_junction && within(start, JUNCTION)
     });
-    let behind_traffic = ahead.iter().any(|next| next.waits && within(next.from_s, QUEUE_GAP));
-    let for_person = scene.objects.iter().filter(|object| object.kind.is_vulnerable()).any(|person| {
-        let foot = path.centerline.project(person.shape.center.position());
-        foot.lateral.abs() <= PERSON_ASIDE && within(foot.s, QUEUE_GAP)
-    });
+    let behind_traffic = ahead
+        .iter()
+        .any(|next| next.waits && within(next.from_s, QUEUE_GAP));
+    let for_person = scene
+        .objects
+        .iter()
+        .filter(|object| object.kind.is_vulnerable())
+        .any(|person| {
+            let foot = path.centerline.project(person.shape.center.position());
+            foot.lateral.abs() <= PERSON_ASIDE && within(foot.s, QUEUE_GAP)
+        });
     at_junction || behind_traffic || for_person
 }
 
@@ -168,13 +224,17 @@ fn leaves_room(scene: &SceneView<'_>, path: &LanePath, one: &InStrip<'_>) -> boo
     left - one.across.1 >= needed || one.across.0 - right >= needed
 }
 
-/// The edges of the lane at an arc length of its centerline, to the right and to the left, positive to the left, meters.
+/// The edges of the lane at an arc length of its centerline, to the right and to the left, positive
+/// to the left, meters.
 pub(super) fn edges(scene: &SceneView<'_>, path: &LanePath, s: f64) -> (f64, f64) {
     let polygon = &scene.map[path.lane_at(s)].polygon;
     let edge = |side: f64| {
         let steps = 1..=(MAX_HALF_WIDTH / EDGE_STEP) as u32;
         let beyond = |&lateral: &f64| !polygon.contains(path.centerline.frenet_to_map(s, lateral));
-        steps.map(|step| side * f64::from(step) * EDGE_STEP).find(beyond).unwrap_or(side * MAX_HALF_WIDTH)
+        steps
+            .map(|step| side * f64::from(step) * EDGE_STEP)
+            .find(beyond)
+            .unwrap_or(side * MAX_HALF_WIDTH)
     };
     (edge(-1.0), edge(1.0))
 }

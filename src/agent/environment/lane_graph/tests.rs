@@ -18,10 +18,24 @@ fn places(graph: &LaneGraph) -> Vec<&'static str> {
 fn an_unknown_limit_is_estimated_by_lanes_and_traffic() {
     let estimate = |drawn: Drawn| format!("{:.1}", graph(&drawn).limit_estimate);
     let road = |lanes, speed| sketch::straight(lanes, 1, 0, speed);
-    assert_eq!([estimate(road(1, 5.0)), estimate(road(2, 5.0)), estimate(road(4, 5.0))], ["11.2", "13.4", "15.6"]);
+    assert_eq!(
+        [
+            estimate(road(1, 5.0)),
+            estimate(road(2, 5.0)),
+            estimate(road(4, 5.0))
+        ],
+        ["11.2", "13.4", "15.6"]
+    );
     assert_eq!(estimate(road(1, 17.0)), "15.6", "the ego is faster");
-    assert_eq!(estimate(road(1, 5.0).put(Vehicle, 15.0, 0.0, 0.0, 18.0)), "17.9");
-    assert_eq!(estimate(road(1, 5.0).put(Vehicle, 15.0, 3.5, PI, 18.0)), "11.2", "the other direction");
+    assert_eq!(
+        estimate(road(1, 5.0).put(Vehicle, 15.0, 0.0, 0.0, 18.0)),
+        "17.9"
+    );
+    assert_eq!(
+        estimate(road(1, 5.0).put(Vehicle, 15.0, 3.5, PI, 18.0)),
+        "11.2",
+        "the other direction"
+    );
 }
 
 #[test]
@@ -29,31 +43,62 @@ fn a_three_lane_road_has_nine_nodes_of_one_length() {
     let graph = graph(&sketch::straight(3, 2, 1, 9.0));
     assert_eq!(places(&graph), NodePlace::TEXTS);
     for node in &graph.nodes {
-        assert!((node.to_s - node.from_s - DEFAULT_NODE_LENGTH).abs() < 1e-9, "{node:?}");
+        assert!(
+            (node.to_s - node.from_s - DEFAULT_NODE_LENGTH).abs() < 1e-9,
+            "{node:?}"
+        );
     }
-    let connections: Vec<&str> = graph.nodes.iter().map(|node| node.connection.as_str()).collect();
+    let connections: Vec<&str> = graph
+        .nodes
+        .iter()
+        .map(|node| node.connection.as_str())
+        .collect();
     let beside = ["neighbor"; 6];
     assert_eq!(connections[..3], ["itself", "successor", "predecessor"]);
     assert_eq!(connections[3..], beside);
     let names: Vec<&str> = graph.centerlines.iter().map(|c| c.name.as_str()).collect();
     assert_eq!(names, ["ego_lane", "left_lane", "right_lane"]);
-    assert!(graph.centerlines.iter().all(|c| c.ahead() >= 8.0 * 13.4 && c.speed_limit == Some(13.4)));
+    assert!(
+        graph
+            .centerlines
+            .iter()
+            .all(|c| c.ahead() >= 8.0 * 13.4 && c.speed_limit == Some(13.4))
+    );
 }
 
 #[test]
 fn the_outer_lanes_have_a_side_less() {
-    assert_eq!(graph(&sketch::straight(3, 2, 0, 9.0)).centerline(CenterlineName::LeftLane), None);
-    assert_eq!(graph(&sketch::straight(3, 2, 2, 9.0)).centerline(CenterlineName::RightLane), None);
-    assert_eq!(places(&graph(&sketch::straight(1, 2, 0, 9.0))), ["ego", "front", "back"]);
+    assert_eq!(
+        graph(&sketch::straight(3, 2, 0, 9.0)).centerline(CenterlineName::LeftLane),
+        None
+    );
+    assert_eq!(
+        graph(&sketch::straight(3, 2, 2, 9.0)).centerline(CenterlineName::RightLane),
+        None
+    );
+    assert_eq!(
+        places(&graph(&sketch::straight(1, 2, 0, 9.0))),
+        ["ego", "front", "back"]
+    );
 }
 
 #[test]
 fn nodes_that_the_map_does_not_reach_do_not_exist() {
-    // The lane ends where the bend of a quarter circle does, 10 + 31.4 m ahead; a node there needs its middle at 27.4 m.
-    assert_eq!(places(&graph(&sketch::curve(20.0, 10.0, 5.0))), ["ego", "front", "back"]);
-    assert_eq!(places(&graph(&sketch::curve(20.0, -8.0, 5.0))), ["ego", "back"]);
+    // The lane ends where the bend of a quarter circle does, 10 + 31.4 m ahead; a node there needs
+    // its middle at 27.4 m.
+    assert_eq!(
+        places(&graph(&sketch::curve(20.0, 10.0, 5.0))),
+        ["ego", "front", "back"]
+    );
+    assert_eq!(
+        places(&graph(&sketch::curve(20.0, -8.0, 5.0))),
+        ["ego", "back"]
+    );
     // 100 m of road lie before the bend.
-    assert_eq!(places(&graph(&sketch::curve(20.0, 97.0, 5.0))), ["ego", "front"]);
+    assert_eq!(
+        places(&graph(&sketch::curve(20.0, 97.0, 5.0))),
+        ["ego", "front"]
+    );
 }
 
 #[test]
@@ -68,8 +113,11 @@ fn agents_are_named_by_lane_nearest_ahead_first() {
         .put(Vehicle, 60.0, 0.0, 0.0, 8.0)
         .put(Vehicle, 10.0, 7.0, PI, 8.0);
     let graph = graph(&drawn);
-    let named: Vec<(String, u32, &str)> =
-        graph.agents.iter().map(|a| (a.name.to_string(), a.token.0, a.place.as_str())).collect();
+    let named: Vec<(String, u32, &str)> = graph
+        .agents
+        .iter()
+        .map(|a| (a.name.to_string(), a.token.0, a.place.as_str()))
+        .collect();
     let expected = [
         ("vehicle1", 2, "ego"),
         ("vehicle2", 1, "front"),
@@ -78,7 +126,10 @@ fn agents_are_named_by_lane_nearest_ahead_first() {
         ("bicycle1", 4, "front_right"),
         ("obstacle1", 5, "front_right"),
     ];
-    assert_eq!(named, expected.map(|(name, token, place)| (name.to_owned(), token, place)));
+    assert_eq!(
+        named,
+        expected.map(|(name, token, place)| (name.to_owned(), token, place))
+    );
     let lead_agent = |name| graph.lead_agent(name).map(|agent| agent.name.to_string());
     assert_eq!(lead_agent(CenterlineName::EgoLane).unwrap(), "vehicle1");
     assert_eq!(lead_agent(CenterlineName::LeftLane).unwrap(), "vehicle4");
@@ -94,8 +145,14 @@ fn who_reaches_into_the_ego_lane_leads_there() {
     let drawn = sketch::straight(2, 0, 1, 9.0).put(Vehicle, 12.0, 2.2, -0.1, 7.0);
     let graph = graph(&drawn);
     assert_eq!(graph.agents[0].place, NodePlace::Ego);
-    assert_eq!(graph.lead_agent(CenterlineName::EgoLane), Some(&graph.agents[0]));
-    assert_eq!(graph.lead_agent(CenterlineName::LeftLane), Some(&graph.agents[0]));
+    assert_eq!(
+        graph.lead_agent(CenterlineName::EgoLane),
+        Some(&graph.agents[0])
+    );
+    assert_eq!(
+        graph.lead_agent(CenterlineName::LeftLane),
+        Some(&graph.agents[0])
+    );
 }
 
 #[test]
@@ -103,10 +160,21 @@ fn pedestrians_lead_when_they_are_about_to_cross() {
     let lead_agent = |left: f64, turn: f64, speed: f64| {
         let drawn = sketch::straight(1, 0, 0, 5.0).put(Pedestrian, 12.0, left, turn, speed);
         let graph = graph(&drawn);
-        (graph.agents.len(), graph.lead_agent(CenterlineName::EgoLane).is_some())
+        (
+            graph.agents.len(),
+            graph.lead_agent(CenterlineName::EgoLane).is_some(),
+        )
     };
-    assert_eq!(lead_agent(3.0, -FRAC_PI_2, 1.4), (1, true), "walks towards the lane");
-    assert_eq!(lead_agent(3.0, FRAC_PI_2, 1.4), (1, false), "walks away from it");
+    assert_eq!(
+        lead_agent(3.0, -FRAC_PI_2, 1.4),
+        (1, true),
+        "walks towards the lane"
+    );
+    assert_eq!(
+        lead_agent(3.0, FRAC_PI_2, 1.4),
+        (1, false),
+        "walks away from it"
+    );
     assert_eq!(lead_agent(3.0, 0.0, 0.0), (1, false), "waits at the kerb");
     assert_eq!(lead_agent(6.0, 0.0, 0.0), (0, false), "is far from it");
     assert_eq!(lead_agent(0.5, 0.0, 0.0), (1, true), "stands on it");
@@ -115,7 +183,8 @@ fn pedestrians_lead_when_they_are_about_to_cross() {
 #[test]
 fn headings_are_told_apart() {
     let heading = |turn: f64, speed: f64| {
-        graph(&sketch::straight(1, 0, 0, 5.0).put(Vehicle, 14.0, 0.0, turn, speed)).agents[0].heading
+        graph(&sketch::straight(1, 0, 0, 5.0).put(Vehicle, 14.0, 0.0, turn, speed)).agents[0]
+            .heading
     };
     assert_eq!(heading(0.5, 4.0), Heading::Along);
     assert_eq!(heading(FRAC_PI_2, 4.0), Heading::Crossing);
@@ -129,14 +198,22 @@ fn lights_are_found_with_the_distance_to_the_stop_line() {
         let (drawn, _) = sketch::crossing(1, 0, before, 5.0);
         graph(&drawn.all_lights(SignalStatus::Red)).ego_lane().light
     };
-    // The stop line lies one meter before the connector, the front bumper 2.588 m before the ego's center.
+    // The stop line lies one meter before the connector, the front bumper 2.588 m before the ego's
+    // center.
     let found = light(20.0).unwrap();
     assert_eq!(found.status, SignalStatus::Red);
-    assert!((found.distance - (20.0 - 1.0 - 2.588)).abs() < 1e-6, "{}", found.distance);
+    assert!(
+        (found.distance - (20.0 - 1.0 - 2.588)).abs() < 1e-6,
+        "{}",
+        found.distance
+    );
     assert!(light(2.0).unwrap().distance.abs() < 1e-9);
     assert_eq!(light(0.0), None, "already under way");
     assert_eq!(light(70.0), None, "too far");
-    let unseen = graph(&sketch::crossing(1, 0, 20.0, 5.0).0).ego_lane().light.unwrap();
+    let unseen = graph(&sketch::crossing(1, 0, 20.0, 5.0).0)
+        .ego_lane()
+        .light
+        .unwrap();
     assert_eq!(unseen.status, SignalStatus::Unknown);
 }
 
@@ -148,8 +225,14 @@ fn the_route_decides_the_turn_and_lanes_that_leave_it_lie_apart() {
     let graph = graph(&drawn.route_through(&[from, by, to]));
     assert_eq!(graph.ego_lane().turn, Turn::Left);
     assert!(graph.ego_lane().path.lanes.contains(&by));
-    assert_eq!(graph.node(NodePlace::FrontRight).unwrap().connection, Connection::Apart);
-    assert_eq!(graph.node(NodePlace::Right).unwrap().connection, Connection::Neighbor);
+    assert_eq!(
+        graph.node(NodePlace::FrontRight).unwrap().connection,
+        Connection::Apart
+    );
+    assert_eq!(
+        graph.node(NodePlace::Right).unwrap().connection,
+        Connection::Neighbor
+    );
 }
 
 #[test]
@@ -169,12 +252,24 @@ fn on_a_crossing_the_route_decides_the_lane() {
 fn off_the_road_there_is_an_error_and_no_panic() {
     let mut drawn = sketch::straight(1, 0, 0, 5.0).put(Barrier, 5.0, 0.0, 0.0, 0.0);
     drawn.ego.rear_axle.y = 40.0;
-    assert!(matches!(LaneGraph::build(&drawn.scene(), 20.0), Err(LaneGraphError::OffRoad { .. })));
+    assert!(matches!(
+        LaneGraph::build(&drawn.scene(), 20.0),
+        Err(LaneGraphError::OffRoad { .. })
+    ));
     drawn.ego.rear_axle.y = f64::NAN;
-    assert!(matches!(LaneGraph::build(&drawn.scene(), 20.0), Err(LaneGraphError::NotFinite { .. })));
-    assert_eq!(LaneGraph::build(&drawn.scene(), 0.0), Err(LaneGraphError::NodeLength(0.0)));
+    assert!(matches!(
+        LaneGraph::build(&drawn.scene(), 20.0),
+        Err(LaneGraphError::NotFinite { .. })
+    ));
+    assert_eq!(
+        LaneGraph::build(&drawn.scene(), 0.0),
+        Err(LaneGraphError::NodeLength(0.0))
+    );
     drawn.ego.rear_axle.y = 3.5;
-    assert!(LaneGraph::build(&drawn.scene(), 20.0).is_ok(), "just beside the road");
+    assert!(
+        LaneGraph::build(&drawn.scene(), 20.0).is_ok(),
+        "just beside the road"
+    );
 }
 
 proptest! {
@@ -225,32 +320,71 @@ fn with_way(drawn: &Drawn) -> LaneGraph {
 fn the_oncoming_lane_is_named_only_where_it_leads_past_what_stands_for_good() {
     use ObjectKind::{Pedestrian, TrafficCone, Vehicle};
     let road = || sketch::straight(1, 1, 0, 8.0);
-    let is_named = |drawn: Drawn| with_way(&drawn).centerline(CenterlineName::OncomingLane).is_some();
+    let is_named = |drawn: Drawn| {
+        with_way(&drawn)
+            .centerline(CenterlineName::OncomingLane)
+            .is_some()
+    };
     assert!(!is_named(road()), "nothing stands there");
     assert!(is_named(road().put(Vehicle, 25.0, 0.0, 0.0, 0.0)));
     assert!(is_named(road().put(TrafficCone, 25.0, 0.0, 0.0, 0.0)));
-    assert!(!is_named(road().put(Vehicle, 25.0, 0.0, 0.0, 3.0)), "it moves");
-    assert!(!is_named(road().put(Pedestrian, 25.0, 0.0, 0.0, 0.0)), "nobody passes people so");
-    assert!(!is_named(road().put(Vehicle, 25.0, 0.0, 0.0, 0.0).put(Vehicle, 32.0, 0.0, 0.0, 0.0)), "a queue");
-    assert!(!is_named(road().put(Vehicle, 25.0, -2.6, 0.0, 0.0)), "the ego fits past it");
+    assert!(
+        !is_named(road().put(Vehicle, 25.0, 0.0, 0.0, 3.0)),
+        "it moves"
+    );
+    assert!(
+        !is_named(road().put(Pedestrian, 25.0, 0.0, 0.0, 0.0)),
+        "nobody passes people so"
+    );
+    assert!(
+        !is_named(
+            road()
+                .put(Vehicle, 25.0, 0.0, 0.0, 0.0)
+                .put(Vehicle, 32.0, 0.0, 0.0, 0.0)
+        ),
+        "a queue"
+    );
+    assert!(
+        !is_named(road().put(Vehicle, 25.0, -2.6, 0.0, 0.0)),
+        "the ego fits past it"
+    );
     let car = |drawn: Drawn| drawn.put(Vehicle, 25.0, 0.0, 0.0, 0.0);
-    assert!(!is_named(car(sketch::straight(1, 0, 0, 8.0))), "no lane is beside it");
-    assert!(!is_named(car(sketch::straight(2, 1, 1, 8.0))), "the lane beside has the ego's direction");
-    assert_eq!(graph(&car(road())).centerline(CenterlineName::OncomingLane), None, "it was not asked for");
+    assert!(
+        !is_named(car(sketch::straight(1, 0, 0, 8.0))),
+        "no lane is beside it"
+    );
+    assert!(
+        !is_named(car(sketch::straight(2, 1, 1, 8.0))),
+        "the lane beside has the ego's direction"
+    );
+    assert_eq!(
+        graph(&car(road())).centerline(CenterlineName::OncomingLane),
+        None,
+        "it was not asked for"
+    );
 }
 
 #[test]
 fn what_stands_as_in_a_queue_blocks_the_lane_and_is_not_passed_against_traffic() {
     use ObjectKind::Vehicle;
     let pair = |turn: f64| {
-        sketch::straight(1, 1, 0, 8.0).put(Vehicle, 25.0, 0.0, turn, 0.0).put(Vehicle, 32.0, 0.0, turn, 0.0)
+        sketch::straight(1, 1, 0, 8.0)
+            .put(Vehicle, 25.0, 0.0, turn, 0.0)
+            .put(Vehicle, 32.0, 0.0, turn, 0.0)
     };
     let (queue, crash) = (with_way(&pair(0.0)), with_way(&pair(0.6)));
     let may_queue = |graph: &LaneGraph| graph.blocked.map(|blocked| blocked.may_queue);
-    assert_eq!((may_queue(&queue), may_queue(&crash)), (Some(true), Some(false)));
+    assert_eq!(
+        (may_queue(&queue), may_queue(&crash)),
+        (Some(true), Some(false))
+    );
     assert!(queue.oncoming.is_none() && crash.oncoming.is_some());
     let behind_traffic = pair(0.0).put(Vehicle, 40.0, 0.0, 0.0, 3.0);
-    assert_eq!(with_way(&behind_traffic).blocked, None, "the first waits for one that moves");
+    assert_eq!(
+        with_way(&behind_traffic).blocked,
+        None,
+        "the first waits for one that moves"
+    );
 }
 
 #[test]
@@ -260,31 +394,66 @@ fn the_way_over_the_oncoming_lane_leads_past_and_back() {
     let way = graph.oncoming.as_ref().unwrap();
     let line = &way.centerline.path.centerline;
     let left = |x: f64| line.project(Point::new(x, 0.0)).point.y;
-    assert!(left(0.0).abs() < 0.1 && left(60.0).abs() < 0.1, "{} {}", left(0.0), left(60.0));
+    assert!(
+        left(0.0).abs() < 0.1 && left(60.0).abs() < 0.1,
+        "{} {}",
+        left(0.0),
+        left(60.0)
+    );
     // Beside the car, half the ego and half the car and a distance apart.
-    let beside = line.vertices().iter().filter(|p| (22.0..28.0).contains(&p.x)).map(|p| p.y);
-    assert!(beside.into_iter().all(|y| y > 2.4 && y < 3.5), "{:?}", line.vertices());
+    let beside = line
+        .vertices()
+        .iter()
+        .filter(|p| (22.0..28.0).contains(&p.x))
+        .map(|p| p.y);
+    assert!(
+        beside.into_iter().all(|y| y > 2.4 && y < 3.5),
+        "{:?}",
+        line.vertices()
+    );
     assert!((way.border - 1.8).abs() < 0.11 && way.traffic.length() > 60.0);
-    assert_eq!(graph.centerlines.len(), 1, "it is no lane of the ego's direction");
+    assert_eq!(
+        graph.centerlines.len(),
+        1,
+        "it is no lane of the ego's direction"
+    );
 }
 
 #[test]
 fn an_ego_on_the_oncoming_lane_belongs_to_the_lane_that_it_left() {
     let mut drawn = sketch::straight(1, 1, 0, 8.0).put(ObjectKind::Vehicle, 5.0, 0.0, 0.0, 0.0);
-    let (own, route) = (graph(&drawn).nodes[0].lane, graph(&drawn).ego_lane().path.lanes.clone());
+    let (own, route) = (
+        graph(&drawn).nodes[0].lane,
+        graph(&drawn).ego_lane().path.lanes.clone(),
+    );
     drawn = drawn.route_through(&route);
-    drawn.ego = EgoState::from_log(0, drawn.ego.rear_axle.translated(0.0, 3.2), drawn.ego.velocity, Vector::zeros());
+    drawn.ego = EgoState::from_log(
+        0,
+        drawn.ego.rear_axle.translated(0.0, 3.2),
+        drawn.ego.velocity,
+        Vector::zeros(),
+    );
     let graph = with_way(&drawn);
     assert_eq!(graph.nodes[0].lane, own);
-    assert!(graph.oncoming.is_some(), "the ego is still beside what it passes");
+    assert!(
+        graph.oncoming.is_some(),
+        "the ego is still beside what it passes"
+    );
     let followed = drawn.put(ObjectKind::Vehicle, -12.0, -3.2, 0.0, 5.0);
-    assert!(with_way(&followed).oncoming.is_some(), "who follows in the lane that it left does not block it");
+    assert!(
+        with_way(&followed).oncoming.is_some(),
+        "who follows in the lane that it left does not block it"
+    );
 }
 
-/// A road with three lanes and the ego on the middle one, with a goal so many lanes to the left and meters ahead.
+/// A road with three lanes and the ego on the middle one, with a goal so many lanes to the left and
+/// meters ahead.
 fn with_goal(to_the_left: i32, ahead: f64) -> Drawn {
     let mut drawn = sketch::straight(3, 0, 1, 10.0);
-    let goal = drawn.ego.center().translated(ahead, f64::from(to_the_left) * sketch::WIDTH);
+    let goal = drawn
+        .ego
+        .center()
+        .translated(ahead, f64::from(to_the_left) * sketch::WIDTH);
     drawn.route.goal_lane = drawn.map.lanes_at(goal.position()).first().copied();
     drawn.route.goal = Some(PACIFICA.rear_axle_of(goal));
     drawn
@@ -293,17 +462,28 @@ fn with_goal(to_the_left: i32, ahead: f64) -> Drawn {
 #[test]
 fn the_goal_is_counted_in_lane_changes_from_the_ego() {
     let goal = |drawn: Drawn| graph(&drawn).goal;
-    assert_eq!(goal(sketch::straight(3, 0, 1, 10.0)), None, "the route has none");
+    assert_eq!(
+        goal(sketch::straight(3, 0, 1, 10.0)),
+        None,
+        "the route has none"
+    );
     for changes in [-1, 0, 1] {
         let found = goal(with_goal(changes, 80.0)).unwrap();
-        assert!(found.changes == changes && (found.distance - 80.0).abs() < 0.1, "{found:?}");
+        assert!(
+            found.changes == changes && (found.distance - 80.0).abs() < 0.1,
+            "{found:?}"
+        );
     }
     assert_eq!(goal(with_goal(1, -5.0)), None, "it lies behind");
     let mut recorded = with_goal(1, 80.0);
     recorded.route.goal_lane = None;
     assert_eq!(goal(recorded), None, "the end of a recording is no task");
-    let [near, behind] = [0.5, -0.5].map(|ahead| GoalLane::of(&with_goal(-1, ahead).scene()).unwrap());
-    assert!(near.changes == -1 && behind.changes == -1 && behind.distance < 0.0, "{near:?} {behind:?}");
+    let [near, behind] =
+        [0.5, -0.5].map(|ahead| GoalLane::of(&with_goal(-1, ahead).scene()).unwrap());
+    assert!(
+        near.changes == -1 && behind.changes == -1 && behind.distance < 0.0,
+        "{near:?} {behind:?}"
+    );
 }
 
 #[test]
@@ -312,7 +492,10 @@ fn a_goal_beyond_the_ego_s_lane_is_counted_where_the_way_enters_its_roadblock() 
     let (ahead, right) = (&arms.outbound[0], &arms.outbound[3]);
     let mut found = |from: LaneId, to: LaneId, goal: LaneId| {
         let route = [from, drawn.between(from, to), to];
-        drawn.route.roadblocks = route.iter().map(|&lane| drawn.map[lane].roadblock).collect();
+        drawn.route.roadblocks = route
+            .iter()
+            .map(|&lane| drawn.map[lane].roadblock)
+            .collect();
         drawn.route.goal = Some(drawn.map[goal].centerline.pose_at(20.0));
         drawn.route.goal_lane = Some(goal);
         graph(&drawn).goal.unwrap()
@@ -322,21 +505,33 @@ fn a_goal_beyond_the_ego_s_lane_is_counted_where_the_way_enters_its_roadblock() 
     let beside = found(left_lane, ahead[0], ahead[1]);
     let turn = found(right_lane, right[1], right[1]);
     assert_eq!((own.changes, beside.changes), (0, -1));
-    assert!((own.distance - beside.distance).abs() < 1.0 && own.distance > 70.0, "{own:?} {beside:?}");
+    assert!(
+        (own.distance - beside.distance).abs() < 1.0 && own.distance > 70.0,
+        "{own:?} {beside:?}"
+    );
     assert_eq!(turn.changes, -1, "only the lane to the right turns there");
 }
 
 #[test]
 fn a_taper_belongs_to_the_stretch_that_it_blocks() {
     let blocked = |cones: &[(f64, f64)]| {
-        let put = |road: Drawn, &(ahead, left): &(f64, f64)| road.put(TrafficCone, ahead, left, 0.0, 0.0);
-        graph(&cones.iter().fold(sketch::straight(1, 1, 0, 5.0), put)).blocked.map(|blocked| blocked.from_s)
+        let put =
+            |road: Drawn, &(ahead, left): &(f64, f64)| road.put(TrafficCone, ahead, left, 0.0, 0.0);
+        graph(&cones.iter().fold(sketch::straight(1, 1, 0, 5.0), put))
+            .blocked
+            .map(|blocked| blocked.from_s)
     };
     let (far, near, closing) = ((20.0, -1.1), (30.0, -1.1), (36.0, 0.0));
     assert_eq!(blocked(&[near]), None, "there is room beside it");
     let alone = blocked(&[closing]).unwrap();
-    assert!((alone - blocked(&[near, closing]).unwrap() - 6.0).abs() < 1e-9, "the ego stops before the taper");
-    assert!((alone - blocked(&[far, closing]).unwrap()).abs() < 1e-9, "the ego can stop behind it");
+    assert!(
+        (alone - blocked(&[near, closing]).unwrap() - 6.0).abs() < 1e-9,
+        "the ego stops before the taper"
+    );
+    assert!(
+        (alone - blocked(&[far, closing]).unwrap()).abs() < 1e-9,
+        "the ego can stop behind it"
+    );
 }
 
 #[test]
@@ -347,7 +542,10 @@ fn past_what_blocks_it_the_lane_that_the_ego_left_is_the_goal_s() {
     let lane = ReturnLane::of(&left_it).unwrap();
     let at = |ahead: f64, aside: f64| {
         let mut drawn = road();
-        let (rear_axle, velocity) = (drawn.ego.rear_axle.translated(ahead, aside), drawn.ego.velocity);
+        let (rear_axle, velocity) = (
+            drawn.ego.rear_axle.translated(ahead, aside),
+            drawn.ego.velocity,
+        );
         drawn.ego = EgoState::from_log(0, rear_axle, velocity, Vector::zeros());
         let graph = graph(&drawn);
         let is_reached = lane.is_reached(&drawn.scene(), &graph);
@@ -357,9 +555,16 @@ fn past_what_blocks_it_the_lane_that_the_ego_left_is_the_goal_s() {
     assert_eq!(at(25.0, sketch::WIDTH), (None, false), "beside the car");
     let (goal, is_reached) = at(35.0, sketch::WIDTH);
     let goal = goal.unwrap();
-    assert!(goal.changes == -1 && goal.distance > 50.0 && !is_reached, "{goal:?}");
+    assert!(
+        goal.changes == -1 && goal.distance > 50.0 && !is_reached,
+        "{goal:?}"
+    );
     assert_eq!(at(35.0, 0.0), (None, true));
-    assert_eq!(ReturnLane::of(&graph(&sketch::straight(2, 0, 1, 8.0))), None, "nothing blocks the lane");
+    assert_eq!(
+        ReturnLane::of(&graph(&sketch::straight(2, 0, 1, 8.0))),
+        None,
+        "nothing blocks the lane"
+    );
 }
 
 #[test]
@@ -367,9 +572,18 @@ fn a_lane_is_obstructed_by_what_blocks_it_and_by_a_lead_agent_that_stands() {
     let is_obstructed = |drawn: Drawn| graph(&drawn).is_obstructed();
     let road = || sketch::straight(2, 0, 1, 8.0);
     assert!(!is_obstructed(road()));
-    assert!(!is_obstructed(road().put(Vehicle, 25.0, 0.0, 0.0, 4.0)), "it moves");
-    assert!(!is_obstructed(road().put(Bicycle, 25.0, 0.0, 0.0, 0.0)), "it may start");
-    assert!(!is_obstructed(road().put(Vehicle, 25.0, sketch::WIDTH, 0.0, 0.0)), "it stands in the other lane");
+    assert!(
+        !is_obstructed(road().put(Vehicle, 25.0, 0.0, 0.0, 4.0)),
+        "it moves"
+    );
+    assert!(
+        !is_obstructed(road().put(Bicycle, 25.0, 0.0, 0.0, 0.0)),
+        "it may start"
+    );
+    assert!(
+        !is_obstructed(road().put(Vehicle, 25.0, sketch::WIDTH, 0.0, 0.0)),
+        "it stands in the other lane"
+    );
     assert!(is_obstructed(road().put(Vehicle, 25.0, 0.0, 0.0, 0.0)));
     assert!(is_obstructed(road().put(TrafficCone, 25.0, 0.0, 0.0, 0.0)));
 }

@@ -30,13 +30,25 @@ fn write_reduced(reduced: &Description) -> String {
         (None, Some(estimate)) => format!("{ABOUT}{estimate}"),
         (None, None) => NOTHING.to_owned(),
     };
-    let light = reduced.lights[0]
-        .map_or_else(|| format!("none {NOTHING}"), |light| format!("{} {}", light.status, light.distance));
-    let nodes = NodePlace::ALL.iter().map(|&place| format!("{place} {}", node(reduced.node(place))));
-    let oncoming = reduced.oncoming.map(|OncomingDescription { blocked: (from, to), next }| {
-        let next = next.map_or_else(|| format!("{NOTHING} {NOTHING}"), |(gap, speed)| format!("{gap} {speed}"));
-        format!(" {ONCOMING} {from} {to} {next}")
-    });
+    let light = reduced.lights[0].map_or_else(
+        || format!("none {NOTHING}"),
+        |light| format!("{} {}", light.status, light.distance),
+    );
+    let nodes = NodePlace::ALL
+        .iter()
+        .map(|&place| format!("{place} {}", node(reduced.node(place))));
+    let oncoming = reduced.oncoming.map(
+        |OncomingDescription {
+             blocked: (from, to),
+             next,
+         }| {
+            let next = next.map_or_else(
+                || format!("{NOTHING} {NOTHING}"),
+                |(gap, speed)| format!("{gap} {speed}"),
+            );
+            format!(" {ONCOMING} {from} {to} {next}")
+        },
+    );
     let goal = reduced.goal.map(|GoalDescription { changes, distance }| {
         let side = match changes {
             1.. => NodePlace::Left,
@@ -57,10 +69,16 @@ fn write_reduced(reduced: &Description) -> String {
 }
 
 fn node(node: Option<&NodeDescription>) -> String {
-    let Some(node) = node else { return format!("none {NOTHING} {NOTHING}") };
-    let Some(agent) = node.agents.first() else { return format!("free {NOTHING} {NOTHING}") };
+    let Some(node) = node else {
+        return format!("none {NOTHING} {NOTHING}");
+    };
+    let Some(agent) = node.agents.first() else {
+        return format!("free {NOTHING} {NOTHING}");
+    };
     match agent.heading {
         Heading::Along => format!("{} {} {}", agent.name, agent.distance, agent.speed),
-        Heading::Crossing | Heading::Oncoming => format!("{} {} {}", agent.name, agent.distance, agent.heading),
+        Heading::Crossing | Heading::Oncoming => {
+            format!("{} {} {}", agent.name, agent.distance, agent.heading)
+        }
     }
 }

@@ -5,7 +5,8 @@ use crate::environment::lane_graph::{
 };
 use planagent_world::{PACIFICA, SignalStatus};
 
-/// Larger numbers are written as this one: meters and meters per second beyond it make no difference to the next seconds.
+/// Larger numbers are written as this one: meters and meters per second beyond it make no
+/// difference to the next seconds.
 pub const MAX_NUMBER: u8 = 60;
 
 /// A traffic light ahead.
@@ -40,9 +41,11 @@ pub struct NodeDescription {
 /// The way past what blocks the ego's lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OncomingDescription {
-    /// From the ego's front bumper to where the blocked part of its lane begins, and to where it ends, whole meters.
+    /// From the ego's front bumper to where the blocked part of its lane begins, and to where it
+    /// ends, whole meters.
     pub blocked: (u8, u8),
-    /// Distance and speed of the next vehicle or bicycle on the oncoming lane, whole meters and m/s.
+    /// Distance and speed of the next vehicle or bicycle on the oncoming lane, whole meters and
+    /// m/s.
     pub next: Option<(u8, u8)>,
 }
 
@@ -64,11 +67,13 @@ pub struct Description {
     pub limit: Option<u8>,
     /// What the limit may be where it is unknown, whole m/s.
     pub limit_estimate: Option<u8>,
-    /// The next light on the way of each lane, in order of [`CenterlineName::ALL`]; none on a lane without nodes.
+    /// The next light on the way of each lane, in order of [`CenterlineName::ALL`]; none on a lane
+    /// without nodes.
     pub lights: [Option<LightDescription>; 3],
     /// Which way the route goes at the next intersection.
     pub turn: Turn,
-    /// The nodes in order of [`NodePlace::ALL`]; `None` where there is none. The ego's own always exists.
+    /// The nodes in order of [`NodePlace::ALL`]; `None` where there is none. The ego's own always
+    /// exists.
     pub nodes: [Option<NodeDescription>; 9],
     /// How many agents on the nodes are not named; 0 unless reduced.
     pub rest: u8,
@@ -84,30 +89,49 @@ impl Description {
         let lights = std::array::from_fn(|i| {
             let name = CenterlineName::ALL[i];
             let light = graph.centerline(name)?.light?;
-            let has_nodes = graph.nodes.iter().any(|node| node.place.centerline() == name);
-            has_nodes.then(|| LightDescription { status: light.status, distance: whole(light.distance) })
+            let has_nodes = graph
+                .nodes
+                .iter()
+                .any(|node| node.place.centerline() == name);
+            has_nodes.then(|| LightDescription {
+                status: light.status,
+                distance: whole(light.distance),
+            })
         });
         let nodes = std::array::from_fn(|i| {
             let node = graph.node(NodePlace::ALL[i])?;
             let agents = graph.agents_on(node.place).map(describe).collect();
-            Some(NodeDescription { apart: node.connection == Connection::Apart, agents })
+            Some(NodeDescription {
+                apart: node.connection == Connection::Apart,
+                agents,
+            })
         });
         Self {
             speed: whole(graph.ego_speed),
             limit: ego_lane.speed_limit.map(whole),
-            limit_estimate: ego_lane.speed_limit.is_none().then(|| whole(graph.limit_estimate)),
+            limit_estimate: ego_lane
+                .speed_limit
+                .is_none()
+                .then(|| whole(graph.limit_estimate)),
             lights,
             turn: ego_lane.turn,
             nodes,
             rest: 0,
             oncoming: graph.oncoming.as_ref().map(|way| {
                 let front = ego_lane.ego_s + PACIFICA.length() / 2.0;
-                let blocked = (whole(way.blocked.from_s - front), whole(way.blocked.to_s - front));
-                OncomingDescription { blocked, next: way.next.map(|(gap, speed)| (whole(gap), whole(speed))) }
+                let blocked = (
+                    whole(way.blocked.from_s - front),
+                    whole(way.blocked.to_s - front),
+                );
+                OncomingDescription {
+                    blocked,
+                    next: way.next.map(|(gap, speed)| (whole(gap), whole(speed))),
+                }
             }),
-            goal: graph
-                .goal
-                .map(|goal| GoalDescription { changes: goal.changes as i8, distance: goal.distance.round() as u16 }),
+            goal: graph.goal.map(|goal| GoalDescription {
+                changes: goal.changes as i8,
+                distance: goal.distance.round() as u16,
+            }),
         }
     }
 
@@ -127,18 +151,31 @@ impl Description {
             let NodeDescription { apart, agents } = self.nodes[i].as_ref()?;
             let nearest = agents.iter().copied().min_by_key(|agent| agent.distance);
             rest += agents.len() - usize::from(nearest.is_some());
-            Some(NodeDescription { apart: *apart, agents: nearest.into_iter().collect() })
+            Some(NodeDescription {
+                apart: *apart,
+                agents: nearest.into_iter().collect(),
+            })
         });
-        Self { nodes, rest: u8::try_from(rest).unwrap_or(MAX_NUMBER).min(MAX_NUMBER), ..*self }
+        Self {
+            nodes,
+            rest: u8::try_from(rest).unwrap_or(MAX_NUMBER).min(MAX_NUMBER),
+            ..*self
+        }
     }
 
-    /// What the compact text says: the nearest agents, without the speed of one that does not move along the lane. It has
-    /// neither what lies apart nor the lights of the lanes beside.
+    /// What the compact text says: the nearest agents, without the speed of one that does not move
+    /// along the lane. It has neither what lies apart nor the lights of the lanes beside.
     pub fn reduced(&self) -> Self {
-        Self { limit_estimate: None, oncoming: None, goal: None, ..self.reduced_with_estimate() }
+        Self {
+            limit_estimate: None,
+            oncoming: None,
+            goal: None,
+            ..self.reduced_with_estimate()
+        }
     }
 
-    /// What the second compact text says: the same, what an unknown limit may be, and the way to the goal's lane.
+    /// What the second compact text says: the same, what an unknown limit may be, and the way to
+    /// the goal's lane.
     pub fn reduced_with_estimate(&self) -> Self {
         let nearest = self.nearest();
         let nodes = nearest.nodes.map(|node| {
@@ -146,16 +183,33 @@ impl Description {
                 Heading::Along => agent,
                 Heading::Crossing | Heading::Oncoming => AgentDescription { speed: 0, ..agent },
             });
-            Some(NodeDescription { apart: false, agents: agents.collect() })
+            Some(NodeDescription {
+                apart: false,
+                agents: agents.collect(),
+            })
         });
-        let near = |goal: GoalDescription| GoalDescription { distance: goal.distance.min(MAX_NUMBER.into()), ..goal };
+        let near = |goal: GoalDescription| GoalDescription {
+            distance: goal.distance.min(MAX_NUMBER.into()),
+            ..goal
+        };
         let goal = self.goal.map(near);
-        Self { lights: [self.lights[0], None, None], nodes, rest: nearest.rest, goal, ..*self }
+        Self {
+            lights: [self.lights[0], None, None],
+            nodes,
+            rest: nearest.rest,
+            goal,
+            ..*self
+        }
     }
 }
 
 fn describe(agent: &GraphAgent) -> AgentDescription {
-    AgentDescription { name: agent.name, distance: whole(agent.gap), speed: whole(agent.speed), heading: agent.heading }
+    AgentDescription {
+        name: agent.name,
+        distance: whole(agent.gap),
+        speed: whole(agent.speed),
+        heading: agent.heading,
+    }
 }
 
 /// Rounded to a whole number between 0 and [`MAX_NUMBER`].

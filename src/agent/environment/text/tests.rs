@@ -30,7 +30,11 @@ fn road() -> Drawn {
 
 fn crossing() -> Drawn {
     let (drawn, arms) = sketch::crossing(2, 0, 12.0, 7.0);
-    let route = [arms.inbound[0][0], drawn.between(arms.inbound[0][0], arms.outbound[1][0]), arms.outbound[1][0]];
+    let route = [
+        arms.inbound[0][0],
+        drawn.between(arms.inbound[0][0], arms.outbound[1][0]),
+        arms.outbound[1][0],
+    ];
     drawn
         .route_through(&route)
         .all_lights(SignalStatus::Red)
@@ -43,15 +47,21 @@ fn crossing() -> Drawn {
 fn golden_texts() {
     let update = std::env::var_os("PLANAGENT_UPDATE_GOLDEN").is_some();
     let narrow = sketch::straight(1, 1, 0, 0.0);
-    for (name, drawn) in [("road", road()), ("crossing", crossing()), ("narrow", narrow)] {
+    for (name, drawn) in [
+        ("road", road()),
+        ("crossing", crossing()),
+        ("narrow", narrow),
+    ] {
         for &set in TextForm::ALL {
-            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/golden/text/{name}.{set}.txt"));
+            let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+                .join(format!("../../tests/golden/text/{name}.{set}.txt"));
             let text = write(&described(&drawn), set) + "\n";
             if update {
                 std::fs::create_dir_all(path.parent().unwrap()).unwrap();
                 std::fs::write(&path, &text).unwrap();
             }
-            let golden = std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+            let golden = std::fs::read_to_string(&path)
+                .unwrap_or_else(|e| panic!("{}: {e}", path.display()));
             assert_eq!(golden, text, "{}", path.display());
         }
     }
@@ -59,11 +69,25 @@ fn golden_texts() {
 
 #[test]
 fn described_facts_are_parsed_back() {
-    for drawn in [road(), crossing(), sketch::roundabout(16.0, 5.0, 4.0), sketch::curve(30.0, 5.0, 6.0)] {
+    for drawn in [
+        road(),
+        crossing(),
+        sketch::roundabout(16.0, 5.0, 4.0),
+        sketch::curve(30.0, 5.0, 6.0),
+    ] {
         let description = described(&drawn);
-        assert_eq!(parse(&write(&description, TextForm::Paper), TextForm::Paper), Ok(description.clone()));
-        assert_eq!(parse(&write(&description, TextForm::Brief), TextForm::Brief), Ok(description.nearest()));
-        assert_eq!(parse(&write(&description, TextForm::Compact), TextForm::Compact), Ok(description.reduced()));
+        assert_eq!(
+            parse(&write(&description, TextForm::Paper), TextForm::Paper),
+            Ok(description.clone())
+        );
+        assert_eq!(
+            parse(&write(&description, TextForm::Brief), TextForm::Brief),
+            Ok(description.nearest())
+        );
+        assert_eq!(
+            parse(&write(&description, TextForm::Compact), TextForm::Compact),
+            Ok(description.reduced())
+        );
     }
 }
 
@@ -74,40 +98,61 @@ fn all_agents_on_the_nodes_stand_in_the_paper_text_and_the_rest_is_counted_in_th
     let text = write(&Description::of(&graph), TextForm::Paper);
     assert!(graph.agents.len() >= 6);
     for agent in &graph.agents {
-        assert!(text.contains(&agent.name.to_string()), "{} is missing in:\n{text}", agent.name);
+        assert!(
+            text.contains(&agent.name.to_string()),
+            "{} is missing in:\n{text}",
+            agent.name
+        );
     }
     let reduced = Description::of(&graph).reduced();
-    let named: usize = reduced.nodes.iter().flatten().map(|node| node.agents.len()).sum();
+    let named: usize = reduced
+        .nodes
+        .iter()
+        .flatten()
+        .map(|node| node.agents.len())
+        .sum();
     assert_eq!(named + usize::from(reduced.rest), graph.agents.len());
 }
 
 #[test]
 fn the_paper_text_holds_the_lights_of_all_lanes() {
     let description = described(&crossing());
-    let red = |centerline| description.light(centerline).is_some_and(|light| light.status == SignalStatus::Red);
+    let red = |centerline| {
+        description
+            .light(centerline)
+            .is_some_and(|light| light.status == SignalStatus::Red)
+    };
     assert!(red(CenterlineName::EgoLane) && red(CenterlineName::RightLane));
     let text = write(&description, TextForm::Paper);
     assert!(text.contains("right_lane: light red in "), "{text}");
-    assert_eq!(description.reduced().lights, [description.lights[0], None, None]);
+    assert_eq!(
+        description.reduced().lights,
+        [description.lights[0], None, None]
+    );
 }
 
 /// A broken-down car on the only lane, and a car that comes towards it.
 fn blocked() -> Drawn {
-    sketch::straight(1, 1, 0, 8.0).put(ObjectKind::Vehicle, 24.0, 0.0, 0.0, 0.0).put(
-        ObjectKind::Vehicle,
-        48.0,
-        3.5,
-        std::f64::consts::PI,
-        9.0,
-    )
+    sketch::straight(1, 1, 0, 8.0)
+        .put(ObjectKind::Vehicle, 24.0, 0.0, 0.0, 0.0)
+        .put(ObjectKind::Vehicle, 48.0, 3.5, std::f64::consts::PI, 9.0)
 }
 
 #[test]
 fn the_way_over_the_oncoming_lane_stands_in_the_texts_that_may_name_it() {
     let drawn = blocked();
     let graph = LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap();
-    let (plain, way) = (Description::of(&graph), Description::of(&graph.with_oncoming_lane(&drawn.scene())));
-    assert_eq!(way.oncoming, Some(OncomingDescription { blocked: (19, 24), next: Some((43, 9)) }));
+    let (plain, way) = (
+        Description::of(&graph),
+        Description::of(&graph.with_oncoming_lane(&drawn.scene())),
+    );
+    assert_eq!(
+        way.oncoming,
+        Some(OncomingDescription {
+            blocked: (19, 24),
+            next: Some((43, 9))
+        })
+    );
     for &form in TextForm::ALL {
         let (without, with) = (write(&plain, form), write(&way, form));
         let more = with.strip_prefix(&without).unwrap();
@@ -115,7 +160,10 @@ fn the_way_over_the_oncoming_lane_stands_in_the_texts_that_may_name_it() {
             TextForm::Compact => assert_eq!(more, ""),
             TextForm::Compact2 => assert_eq!(more, " oncoming 19 24 43 9"),
             TextForm::Paper | TextForm::Brief => {
-                assert_eq!(more, "\noncoming_lane: past 19 m to 24 m; next vehicle 43 m 9 m/s.");
+                assert_eq!(
+                    more,
+                    "\noncoming_lane: past 19 m to 24 m; next vehicle 43 m 9 m/s."
+                );
             }
         }
         assert_eq!(form.names_oncoming_lane(), !more.is_empty());
@@ -133,16 +181,45 @@ fn the_way_over_the_oncoming_lane_stands_in_the_texts_that_may_name_it() {
 fn the_goal_stands_in_the_texts_that_name_its_lane() {
     let plain = described(&road());
     for (changes, distance, readable, compact) in [
-        (2, 180, " Goal: 2 lanes to the left, in 180 m.", " goal left 2 60"),
+        (
+            2,
+            180,
+            " Goal: 2 lanes to the left, in 180 m.",
+            " goal left 2 60",
+        ),
         (0, 35, " Goal: this lane, in 35 m.", " goal ego 0 35"),
-        (-1, 60, " Goal: 1 lane to the right, in 60 m.", " goal right 1 60"),
+        (
+            -1,
+            60,
+            " Goal: 1 lane to the right, in 60 m.",
+            " goal right 1 60",
+        ),
     ] {
-        let with = Description { goal: Some(GoalDescription { changes, distance }), ..plain.clone() };
-        let first_line = write(&plain, TextForm::Paper).lines().next().unwrap().to_owned();
-        assert_eq!(write(&with, TextForm::Paper).lines().next(), Some(format!("{first_line}{readable}").as_str()));
-        assert_eq!(write(&with, TextForm::Compact), write(&plain, TextForm::Compact));
-        assert_eq!(write(&with, TextForm::Compact2), write(&plain, TextForm::Compact2) + compact);
-        assert_eq!(parse(&write(&with, TextForm::Paper), TextForm::Paper), Ok(with.clone()));
+        let with = Description {
+            goal: Some(GoalDescription { changes, distance }),
+            ..plain.clone()
+        };
+        let first_line = write(&plain, TextForm::Paper)
+            .lines()
+            .next()
+            .unwrap()
+            .to_owned();
+        assert_eq!(
+            write(&with, TextForm::Paper).lines().next(),
+            Some(format!("{first_line}{readable}").as_str())
+        );
+        assert_eq!(
+            write(&with, TextForm::Compact),
+            write(&plain, TextForm::Compact)
+        );
+        assert_eq!(
+            write(&with, TextForm::Compact2),
+            write(&plain, TextForm::Compact2) + compact
+        );
+        assert_eq!(
+            parse(&write(&with, TextForm::Paper), TextForm::Paper),
+            Ok(with.clone())
+        );
     }
 }
 
@@ -155,15 +232,33 @@ fn error_at(text: &str, set: TextForm) -> (usize, usize) {
 fn errors_say_where() {
     let text = write(&described(&road()), TextForm::Paper);
     assert_eq!(error_at("", TextForm::Paper), (1, 1));
-    assert_eq!(error_at(&text.replace("Ego: 9", "Ego: 99"), TextForm::Paper), (1, 6));
-    assert_eq!(error_at(&text.replace("left_lane", "over_lane"), TextForm::Paper), (3, 1));
+    assert_eq!(
+        error_at(&text.replace("Ego: 9", "Ego: 99"), TextForm::Paper),
+        (1, 6)
+    );
+    assert_eq!(
+        error_at(&text.replace("left_lane", "over_lane"), TextForm::Paper),
+        (3, 1)
+    );
     assert_eq!(error_at(&format!("{text} more"), TextForm::Paper).0, 4);
-    let two = text.replace("Ego: 9", "Ego: ?").replace("left_lane: left", "left_lane: lift");
-    let lines: Vec<usize> = parse(&two, TextForm::Paper).unwrap_err().iter().map(|e| e.line).collect();
+    let two = text
+        .replace("Ego: 9", "Ego: ?")
+        .replace("left_lane: left", "left_lane: lift");
+    let lines: Vec<usize> = parse(&two, TextForm::Paper)
+        .unwrap_err()
+        .iter()
+        .map(|e| e.line)
+        .collect();
     assert_eq!(lines, [1, 3]);
     let compact = write(&described(&road()), TextForm::Compact);
-    assert_eq!(error_at(&compact.replace("speed 9", "speed -1"), TextForm::Compact), (1, 7));
-    assert_eq!(error_at(&format!("{compact} 5"), TextForm::Compact), (1, compact.len() + 2));
+    assert_eq!(
+        error_at(&compact.replace("speed 9", "speed -1"), TextForm::Compact),
+        (1, 7)
+    );
+    assert_eq!(
+        error_at(&format!("{compact} 5"), TextForm::Compact),
+        (1, compact.len() + 2)
+    );
 }
 
 fn agents() -> impl Strategy<Value = Vec<AgentDescription>> {
@@ -187,7 +282,8 @@ fn node() -> impl Strategy<Value = NodeDescription> {
 fn description() -> impl Strategy<Value = Description> {
     use SignalStatus::{Green, Red, Unknown, Yellow};
     let status = prop::sample::select(vec![Green, Yellow, Red, Unknown]);
-    let light = (status, 0..=MAX_NUMBER).prop_map(|(status, distance)| LightDescription { status, distance });
+    let light = (status, 0..=MAX_NUMBER)
+        .prop_map(|(status, distance)| LightDescription { status, distance });
     let number = 0..=MAX_NUMBER;
     let lights = prop::array::uniform3(prop::option::of(light));
     let nodes = (node(), prop::collection::vec(prop::option::of(node()), 8));
@@ -198,24 +294,51 @@ fn description() -> impl Strategy<Value = Description> {
     ];
     let blocked = (number.clone(), number.clone());
     let oncoming = (blocked, prop::option::of((number.clone(), number.clone())));
-    let oncoming = prop::option::of(oncoming.prop_map(|(blocked, next)| OncomingDescription { blocked, next }));
-    let goal = (-8..=8i8, 0..=400u16).prop_map(|(changes, distance)| GoalDescription { changes, distance });
+    let oncoming = prop::option::of(
+        oncoming.prop_map(|(blocked, next)| OncomingDescription { blocked, next }),
+    );
+    let goal = (-8..=8i8, 0..=400u16)
+        .prop_map(|(changes, distance)| GoalDescription { changes, distance });
     let goal = prop::option::of(goal);
-    (number.clone(), limit, lights, turn, nodes, number, oncoming, goal).prop_map(
-        |(speed, limit, mut lights, turn, (ego, others), rest, oncoming, goal)| {
-            let mut nodes: [Option<NodeDescription>; 9] = std::array::from_fn(|_| None);
-            // An estimate stands where there is no limit.
-            let (limit, limit_estimate) = limit;
-            nodes[0] = Some(ego);
-            nodes[1..].clone_from_slice(&others);
-            for (light, &centerline) in lights.iter_mut().zip(CenterlineName::ALL) {
-                if NodePlace::on(centerline).iter().flatten().all(|&place| nodes[place as usize].is_none()) {
-                    *light = None;
-                }
-            }
-            Description { speed, limit, limit_estimate, lights, turn, nodes, rest, oncoming, goal }
-        },
+    (
+        number.clone(),
+        limit,
+        lights,
+        turn,
+        nodes,
+        number,
+        oncoming,
+        goal,
     )
+        .prop_map(
+            |(speed, limit, mut lights, turn, (ego, others), rest, oncoming, goal)| {
+                let mut nodes: [Option<NodeDescription>; 9] = std::array::from_fn(|_| None);
+                // An estimate stands where there is no limit.
+                let (limit, limit_estimate) = limit;
+                nodes[0] = Some(ego);
+                nodes[1..].clone_from_slice(&others);
+                for (light, &centerline) in lights.iter_mut().zip(CenterlineName::ALL) {
+                    if NodePlace::on(centerline)
+                        .iter()
+                        .flatten()
+                        .all(|&place| nodes[place as usize].is_none())
+                    {
+                        *light = None;
+                    }
+                }
+                Description {
+                    speed,
+                    limit,
+                    limit_estimate,
+                    lights,
+                    turn,
+                    nodes,
+                    rest,
+                    oncoming,
+                    goal,
+                }
+            },
+        )
 }
 
 proptest! {

@@ -64,34 +64,58 @@ impl ExecAgentsStep {
     }
 }
 
-/// The objects after an answer: those that it names as it says, the others as recorded. Or what is wrong with the answer.
+/// The objects after an answer: those that it names as it says, the others as recorded. Or what is
+/// wrong with the answer.
 pub fn moved(
     answer: &[ExecAgent],
     objects: &[TrackedObject],
     logged: &[TrackedObject],
 ) -> Result<Vec<TrackedObject>, String> {
-    let mut next: BTreeMap<TrackToken, TrackedObject> = logged.iter().map(|object| (object.token, *object)).collect();
+    let mut next: BTreeMap<TrackToken, TrackedObject> = logged
+        .iter()
+        .map(|object| (object.token, *object))
+        .collect();
     let mut named = Vec::with_capacity(answer.len());
     for agent in answer {
         let token = TrackToken(agent.track);
-        let before = objects.iter().find(|object| object.token == token).or_else(|| next.get(&token));
+        let before = objects
+            .iter()
+            .find(|object| object.token == token)
+            .or_else(|| next.get(&token));
         let Some(before) = before else {
             return Err(format!("track {token} is neither in objects nor in logged"));
         };
         if named.contains(&token) {
             return Err(format!("track {token} is named twice"));
         }
-        let ExecAgent { x, y, heading, velocity: [east, north], .. } = *agent;
+        let ExecAgent {
+            x,
+            y,
+            heading,
+            velocity: [east, north],
+            ..
+        } = *agent;
         let within = |value: f64, limit: f64| value.abs() <= limit;
-        let fits = [x, y, heading].into_iter().all(|value| within(value, MAX_COORDINATE))
-            && [east, north].into_iter().all(|value| within(value, MAX_SPEED));
+        let fits = [x, y, heading]
+            .into_iter()
+            .all(|value| within(value, MAX_COORDINATE))
+            && [east, north]
+                .into_iter()
+                .all(|value| within(value, MAX_SPEED));
         if !fits {
             return Err(format!(
                 "the state of track {token} is out of range: {MAX_COORDINATE:e} m and {MAX_SPEED:e} m/s are the limits"
             ));
         }
-        let shape = OrientedBox { center: Pose::new(x, y, heading), ..before.shape };
-        let moved = TrackedObject { shape, velocity: Vector::new(east, north), ..*before };
+        let shape = OrientedBox {
+            center: Pose::new(x, y, heading),
+            ..before.shape
+        };
+        let moved = TrackedObject {
+            shape,
+            velocity: Vector::new(east, north),
+            ..*before
+        };
         named.push(token);
         next.insert(token, moved);
     }
@@ -107,28 +131,53 @@ mod tests {
         TrackedObject {
             token: TrackToken(track),
             kind: ObjectKind::Vehicle,
-            shape: OrientedBox { center: Pose::new(x, 0.0, 0.0), length: 4.0, width: 2.0 },
+            shape: OrientedBox {
+                center: Pose::new(x, 0.0, 0.0),
+                length: 4.0,
+                width: 2.0,
+            },
             velocity: Vector::new(1.0, 0.0),
         }
     }
 
     #[test]
     fn what_an_answer_leaves_out_follows_the_log() {
-        let (now, logged) = ([object(1, 0.0), object(2, 10.0)], [object(1, 0.1), object(3, 30.0)]);
-        let agent = |track, x| ExecAgent { track, x, y: 1.0, heading: 0.5, velocity: [2.0, 0.0] };
-        let places = |objects: &[TrackedObject]| -> Vec<(u32, f64)> {
-            objects.iter().map(|object| (object.token.0, object.shape.center.x)).collect()
+        let (now, logged) = (
+            [object(1, 0.0), object(2, 10.0)],
+            [object(1, 0.1), object(3, 30.0)],
+        );
+        let agent = |track, x| ExecAgent {
+            track,
+            x,
+            y: 1.0,
+            heading: 0.5,
+            velocity: [2.0, 0.0],
         };
-        assert_eq!(places(&moved(&[], &now, &logged).unwrap()), [(1, 0.1), (3, 30.0)]);
+        let places = |objects: &[TrackedObject]| -> Vec<(u32, f64)> {
+            objects
+                .iter()
+                .map(|object| (object.token.0, object.shape.center.x))
+                .collect()
+        };
+        assert_eq!(
+            places(&moved(&[], &now, &logged).unwrap()),
+            [(1, 0.1), (3, 30.0)]
+        );
         let kept = moved(&[agent(2, 10.5), agent(3, 31.0)], &now, &logged).unwrap();
         assert_eq!(places(&kept), [(1, 0.1), (2, 10.5), (3, 31.0)]);
-        assert_eq!((kept[1].shape.length, kept[1].velocity), (4.0, Vector::new(2.0, 0.0)));
+        assert_eq!(
+            (kept[1].shape.length, kept[1].velocity),
+            (4.0, Vector::new(2.0, 0.0))
+        );
         for (answer, problem) in [
             (vec![agent(9, 0.0)], "track 9 is neither"),
             (vec![agent(1, 0.0), agent(1, 0.0)], "named twice"),
             (vec![agent(1, f64::NAN)], "out of range"),
         ] {
-            assert!(moved(&answer, &now, &logged).unwrap_err().contains(problem), "{answer:?}");
+            assert!(
+                moved(&answer, &now, &logged).unwrap_err().contains(problem),
+                "{answer:?}"
+            );
         }
     }
 }

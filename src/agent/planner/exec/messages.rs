@@ -1,12 +1,12 @@
-//! The messages between the program and a planner command: one JSON object a line. `docs/schema/exec_*.schema.json` has their
-//! schema.
+//! The messages between the program and a planner command: one JSON object a line.
+//! `docs/schema/exec_*.schema.json` has their schema.
 
 use super::agents::{ExecAgent, ExecAgentsStep};
 use crate::planner::{PlannerInitialization, PlannerInput};
 use planagent_world::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
 use planagent_world::{
-    EgoState, HistorySample, Lane, LaneMap, MICROS_PER_SECOND, PACIFICA, STEP_S, TrackedObject, TrafficLights,
-    Trajectory, TrajectoryState,
+    EgoState, HistorySample, Lane, LaneMap, MICROS_PER_SECOND, PACIFICA, STEP_S, TrackedObject,
+    TrafficLights, Trajectory, TrajectoryState,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,8 +16,8 @@ const VERSION: u32 = 1;
 /// Longest time that a state of a trajectory may be away from now, seconds.
 const MAX_TIME_S: f64 = 600.0;
 
-/// What the program writes to the command's stdin. Positions are in meters in the map frame (x east, y north), headings in
-/// radians counter-clockwise, speeds in m/s.
+/// What the program writes to the command's stdin. Positions are in meters in the map frame (x
+/// east, y north), headings in radians counter-clockwise, speeds in m/s.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub enum ExecRequest {
@@ -117,7 +117,8 @@ pub struct ExecRoute {
     pub lanes: Vec<u32>,
     /// nuPlan's mission goal (x, y, heading); null where it is not known.
     pub goal: Option<[f64; 3]>,
-    /// The lane that holds the goal, where the score asks for it: in a modified scenario with a goal; else null.
+    /// The lane that holds the goal, where the score asks for it: in a modified scenario with a
+    /// goal; else null.
     pub goal_lane: Option<u32>,
 }
 
@@ -172,7 +173,8 @@ pub struct ExecEgo {
 pub struct ExecObject {
     /// Its track, the same in all steps.
     pub track: u32,
-    /// nuPlan's type: vehicle, pedestrian, bicycle, `traffic_cone`, barrier, `czone_sign` or `generic_object`.
+    /// nuPlan's type: vehicle, pedestrian, bicycle, `traffic_cone`, barrier, `czone_sign` or
+    /// `generic_object`.
     pub kind: String,
     /// East.
     pub x: f64,
@@ -257,7 +259,13 @@ impl ExecInitialization {
             goal: route.goal.map(|Pose { x, y, heading }| [x, y, heading]),
             goal_lane: route.goal_lane.map(|id| id.0),
         };
-        Self { version: VERSION, step_s: STEP_S, vehicle, map: ExecMap::of(map), route }
+        Self {
+            version: VERSION,
+            step_s: STEP_S,
+            vehicle,
+            map: ExecMap::of(map),
+            route,
+        }
     }
 }
 
@@ -302,7 +310,11 @@ impl ExecStep {
     pub(super) fn of(input: &PlannerInput<'_>, first: bool) -> Self {
         let scene = &input.scene;
         let past = scene.history.samples().len().saturating_sub(1);
-        let history = scene.history.samples().take(if first { past } else { 0 }).map(ExecSample::of);
+        let history = scene
+            .history
+            .samples()
+            .take(if first { past } else { 0 })
+            .map(ExecSample::of);
         Self {
             iteration: input.iteration,
             ego: ExecEgo::of(scene.ego),
@@ -315,7 +327,10 @@ impl ExecStep {
 
 impl ExecSample {
     fn of(sample: &HistorySample) -> Self {
-        Self { ego: ExecEgo::of(&sample.ego), objects: sample.objects.iter().map(ExecObject::of).collect() }
+        Self {
+            ego: ExecEgo::of(&sample.ego),
+            objects: sample.objects.iter().map(ExecObject::of).collect(),
+        }
     }
 }
 
@@ -337,9 +352,22 @@ impl ExecEgo {
 
 impl ExecObject {
     pub(super) fn of(object: &TrackedObject) -> Self {
-        let OrientedBox { center: Pose { x, y, heading }, length, width } = object.shape;
+        let OrientedBox {
+            center: Pose { x, y, heading },
+            length,
+            width,
+        } = object.shape;
         let (kind, velocity) = (object.kind.to_string(), vector(object.velocity));
-        Self { track: object.token.0, kind, x, y, heading, length, width, velocity }
+        Self {
+            track: object.token.0,
+            kind,
+            x,
+            y,
+            heading,
+            length,
+            width,
+            velocity,
+        }
     }
 }
 
@@ -347,7 +375,9 @@ impl ExecObject {
 pub(super) fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Trajectory, String> {
     let is_near = |state: &ExecState| state.t.abs() <= MAX_TIME_S;
     if let Some(place) = states.iter().position(|state| !is_near(state)) {
-        return Err(format!("the time of state {place} is not within {MAX_TIME_S} s from now"));
+        return Err(format!(
+            "the time of state {place} is not within {MAX_TIME_S} s from now"
+        ));
     }
     let own = |state: &ExecState| TrajectoryState {
         time_us: ego.time_us + (state.t * MICROS_PER_SECOND).round() as i64,
@@ -356,13 +386,23 @@ pub(super) fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Traject
         acceleration: Vector::new(state.acceleration, 0.0),
         steering_angle: state.steering_angle,
     };
-    let present = states.first().is_some_and(|first| first.t > 0.0).then(|| TrajectoryState::from(ego));
-    Trajectory::new(present.into_iter().chain(states.iter().map(own)).collect()).map_err(|error| error.to_string())
+    let present = states
+        .first()
+        .is_some_and(|first| first.t > 0.0)
+        .then(|| TrajectoryState::from(ego));
+    Trajectory::new(present.into_iter().chain(states.iter().map(own)).collect())
+        .map_err(|error| error.to_string())
 }
 
 /// The lights as messages have them.
 pub(super) fn lights(lights: &TrafficLights) -> Vec<ExecLight> {
-    lights.iter().map(|(lane, status)| ExecLight { lane: lane.0, status: status.to_string() }).collect()
+    lights
+        .iter()
+        .map(|(lane, status)| ExecLight {
+            lane: lane.0,
+            status: status.to_string(),
+        })
+        .collect()
 }
 
 fn ring(polygon: &Polygon) -> Vec<[f64; 2]> {

@@ -1,7 +1,9 @@
-//! Planners that are commands of other programs: `exec:COMMAND` or `NAME=exec:COMMAND` instead of a planner's name.
+//! Planners that are commands of other programs: `exec:COMMAND` or `NAME=exec:COMMAND` instead of a
+//! planner's name.
 //!
-//! The command runs once for each simulation. It reads a JSON object a line on stdin and answers each with one on stdout
-//! ([`ExecRequest`], [`ExecReply`]). A command may also control the other agents of a simulation. A command that ends, is silent or answers wrongly fails its simulation.
+//! The command runs once for each simulation. It reads a JSON object a line on stdin and answers
+//! each with one on stdout ([`ExecRequest`], [`ExecReply`]). A command may also control the other
+//! agents of a simulation. A command that ends, is silent or answers wrongly fails its simulation.
 
 mod agents;
 mod messages;
@@ -13,8 +15,8 @@ pub use messages::{ExecReply, ExecRequest};
 pub use session::{AnswerError, ExecSession};
 
 use super::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
-    PlannerRegistry,
+    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
+    PlannerNeeds, PlannerRegistry,
 };
 use messages::{ExecStep, trajectory};
 use planagent_world::Trajectory;
@@ -67,7 +69,9 @@ fn command_of(word: &str) -> Option<(Option<&str>, &str)> {
         return Some((None, command.trim()));
     }
     // A comma before the name separates planners.
-    let (name, rest) = word.split_once('=').filter(|(name, _)| !name.contains(','))?;
+    let (name, rest) = word
+        .split_once('=')
+        .filter(|(name, _)| !name.contains(','))?;
     let command = rest.strip_prefix(MARK)?;
     Some((Some(name.trim()), command.trim()))
 }
@@ -88,14 +92,22 @@ impl ExecCommand {
         if name.is_empty() || name.len() > MAX_NAME || !name.chars().all(fits) {
             return Err(ExecError::Name(name));
         }
-        Ok(Self { name: PlannerName::new(kept(name)), command: command.to_owned() })
+        Ok(Self {
+            name: PlannerName::new(kept(name)),
+            command: command.to_owned(),
+        })
     }
 
     /// The command as an entry of the registry; an answer to a step may take `timeout`.
     pub fn entry(&self, timeout: Duration) -> PlannerEntry {
         let Self { name, command } = self.clone();
         PlannerEntry::new(name, "a command", PlannerNeeds::Nothing, move |_| {
-            let planner = ExecPlanner { name, command: command.clone(), timeout, session: None };
+            let planner = ExecPlanner {
+                name,
+                command: command.clone(),
+                timeout,
+                session: None,
+            };
             Ok(Box::new(planner))
         })
     }
@@ -116,13 +128,30 @@ impl PlannerRegistry {
 
 /// `exec-` and the name of the script, else of the program.
 fn default_name(command: &str) -> String {
-    let words = || command.split_whitespace().filter(|word| !word.starts_with('-') && !word.contains('='));
+    let words = || {
+        command
+            .split_whitespace()
+            .filter(|word| !word.starts_with('-') && !word.contains('='))
+    };
     let script = words().find(|word| Path::new(word).extension().is_some());
-    let stem = script.or_else(|| words().next()).and_then(|word| Path::new(word).file_stem());
-    let stem = stem.map(|stem| stem.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    let fit = |c: char| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' };
+    let stem = script
+        .or_else(|| words().next())
+        .and_then(|word| Path::new(word).file_stem());
+    let stem = stem
+        .map(|stem| stem.to_string_lossy().to_ascii_lowercase())
+        .unwrap_or_default();
+    let fit = |c: char| {
+        if c.is_ascii_alphanumeric() || c == '_' {
+            c
+        } else {
+            '-'
+        }
+    };
     let name: String = stem.chars().map(fit).collect();
-    format!("exec-{}", name.trim_matches(['-', '\'', '"'])).chars().take(MAX_NAME).collect()
+    format!("exec-{}", name.trim_matches(['-', '\'', '"']))
+        .chars()
+        .take(MAX_NAME)
+        .collect()
 }
 
 /// The text as names hold it. Each is kept once, as long as the process lives; there are few.
@@ -149,20 +178,28 @@ struct ExecPlanner {
 
 impl ExecPlanner {
     fn step(&mut self, input: &PlannerInput<'_>) -> Result<Option<Trajectory>, AnswerError> {
-        let Some((session, stepped)) = &mut self.session else { return Ok(None) };
+        let Some((session, stepped)) = &mut self.session else {
+            return Ok(None);
+        };
         let first = !std::mem::replace(stepped, true);
         let request = ExecRequest::Step(Box::new(ExecStep::of(input, first)));
         match session.ask(&request)? {
-            (ExecReply::Trajectory { states }, _) => {
-                trajectory(&states, input.scene.ego).map(Some).map_err(AnswerError::Trajectory)
-            }
-            (_, answer) => Err(AnswerError::Other { expected: "trajectory", answer }),
+            (ExecReply::Trajectory { states }, _) => trajectory(&states, input.scene.ego)
+                .map(Some)
+                .map_err(AnswerError::Trajectory),
+            (_, answer) => Err(AnswerError::Other {
+                expected: "trajectory",
+                answer,
+            }),
         }
     }
 }
 
 fn failed(source: AnswerError) -> PlannerError {
-    PlannerError::Failed { doing: "planning with a command", source: Box::new(source) }
+    PlannerError::Failed {
+        doing: "planning with a command",
+        source: Box::new(source),
+    }
 }
 
 impl Planner for ExecPlanner {
@@ -170,10 +207,14 @@ impl Planner for ExecPlanner {
         self.name.as_str()
     }
 
-    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+    fn initialize(
+        &mut self,
+        initialization: &PlannerInitialization<'_>,
+    ) -> Result<(), PlannerError> {
         // A command that was asked before keeps nothing: it is ended.
         self.session = None;
-        let session = ExecSession::start(&self.command, self.timeout, initialization).map_err(failed)?;
+        let session =
+            ExecSession::start(&self.command, self.timeout, initialization).map_err(failed)?;
         self.session = Some((session, false));
         Ok(())
     }
@@ -201,12 +242,18 @@ mod tests {
         assert_eq!(name("exec:SEED=1 cargo run --release"), "exec-cargo");
         assert_eq!(name("mine=exec:uv run planner.py"), "mine");
         assert_eq!(ExecCommand::parse("idm"), None);
-        for (word, error) in [("exec:", "no command"), ("My Own=exec:x", "cannot name"), ("=exec:x", "cannot name")] {
+        for (word, error) in [
+            ("exec:", "no command"),
+            ("My Own=exec:x", "cannot name"),
+            ("=exec:x", "cannot name"),
+        ] {
             let found = ExecCommand::parse(word).unwrap().unwrap_err().to_string();
             assert!(found.contains(error), "{found}");
         }
         let taken = ExecCommand::parse("idm=exec:x").unwrap().unwrap();
-        let error = PlannerRegistry::default().with_command(&taken, DEFAULT_EXEC_TIMEOUT).unwrap_err();
+        let error = PlannerRegistry::default()
+            .with_command(&taken, DEFAULT_EXEC_TIMEOUT)
+            .unwrap_err();
         assert_eq!(error, ExecError::Taken("idm".to_owned()));
     }
 
@@ -214,15 +261,29 @@ mod tests {
     #[test]
     fn a_process_that_is_silent_or_ends_is_an_error_in_time() {
         let mut silent = Process::start("sleep 60").unwrap();
-        let error = silent.ask(b"{}".to_vec(), Duration::from_millis(100)).unwrap_err().to_string();
+        let error = silent
+            .ask(b"{}".to_vec(), Duration::from_millis(100))
+            .unwrap_err()
+            .to_string();
         assert_eq!(error, "the command gave no answer within 0.1 s");
         let mut dead = Process::start("echo no module >&2; exit 3").unwrap();
-        let error = dead.ask(b"{}".to_vec(), Duration::from_secs(20)).unwrap_err().to_string();
-        assert!(error.starts_with("the command ended (exit status: 3)"), "{error}");
+        let error = dead
+            .ask(b"{}".to_vec(), Duration::from_secs(20))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.starts_with("the command ended (exit status: 3)"),
+            "{error}"
+        );
         let mut echo = Process::start("cat").unwrap();
         // More than a pipe holds.
         let long = vec![b'x'; 1 << 20];
-        assert_eq!(echo.ask(long.clone(), Duration::from_secs(20)).unwrap().into_bytes(), long);
+        assert_eq!(
+            echo.ask(long.clone(), Duration::from_secs(20))
+                .unwrap()
+                .into_bytes(),
+            long
+        );
     }
 
     #[cfg(unix)]
@@ -233,7 +294,12 @@ mod tests {
         // The process in the background would write the file a second later.
         let command = format!("(sleep 1; echo > {}) & cat", file.display());
         let mut process = Process::start(&command).unwrap();
-        assert_eq!(process.ask(b"here".to_vec(), Duration::from_secs(20)).unwrap(), "here");
+        assert_eq!(
+            process
+                .ask(b"here".to_vec(), Duration::from_secs(20))
+                .unwrap(),
+            "here"
+        );
         drop(process);
         std::thread::sleep(Duration::from_millis(1500));
         assert!(!file.exists());

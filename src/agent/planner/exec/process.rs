@@ -39,7 +39,8 @@ pub enum ProcessError {
 #[derive(Debug)]
 pub(super) struct Process {
     child: Child,
-    /// Lines for stdin. A thread writes them, because a command that reads nothing would block the writer.
+    /// Lines for stdin. A thread writes them, because a command that reads nothing would block the
+    /// writer.
     input: Sender<Vec<u8>>,
     output: Receiver<Result<String, ProcessError>>,
     stderr: Arc<Mutex<VecDeque<String>>>,
@@ -51,11 +52,15 @@ impl Process {
     /// Starts a command of the shell in a process group of its own.
     pub(super) fn start(command: &str) -> Result<Self, ProcessError> {
         let mut shell = shell(command);
-        shell.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        shell
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
         let mut child = shell.spawn().map_err(ProcessError::Start)?;
         let (input, lines) = channel::<Vec<u8>>();
         if let Some(mut stdin) = child.stdin.take() {
-            // The thread ends with the command, or when the sender is dropped; then stdin is closed.
+            // The thread ends with the command, or when the sender is dropped; then stdin is
+            // closed.
             thread::spawn(move || {
                 for line in lines {
                     if stdin.write_all(&line).and_then(|()| stdin.flush()).is_err() {
@@ -77,22 +82,39 @@ impl Process {
                 drop(at_end);
             });
         }
-        Ok(Self { child, input, output, stderr, stderr_end })
+        Ok(Self {
+            child,
+            input,
+            output,
+            stderr,
+            stderr_end,
+        })
     }
 
     /// Writes a line and gives the line that answers it.
-    pub(super) fn ask(&mut self, mut line: Vec<u8>, within: Duration) -> Result<String, ProcessError> {
+    pub(super) fn ask(
+        &mut self,
+        mut line: Vec<u8>,
+        within: Duration,
+    ) -> Result<String, ProcessError> {
         line.push(b'\n');
         // A closed channel means that the command has ended; the answer says so.
         let _ = self.input.send(line);
         match self.output.recv_timeout(within) {
             Ok(line) => line,
-            Err(RecvTimeoutError::Timeout) => Err(ProcessError::Silent { within, stderr: self.last_words() }),
+            Err(RecvTimeoutError::Timeout) => Err(ProcessError::Silent {
+                within,
+                stderr: self.last_words(),
+            }),
             Err(RecvTimeoutError::Disconnected) => {
                 let status = self.status();
-                // What a command writes before its end may still be on its way; a process that it left may keep stderr open.
+                // What a command writes before its end may still be on its way; a process that it
+                // left may keep stderr open.
                 let _ = self.stderr_end.recv_timeout(EXIT_WAIT);
-                Err(ProcessError::Ended { status, stderr: self.last_words() })
+                Err(ProcessError::Ended {
+                    status,
+                    stderr: self.last_words(),
+                })
             }
         }
     }
@@ -115,14 +137,18 @@ impl Process {
         if lines.is_empty() {
             return String::new();
         }
-        format!("; its stderr ends with: {}", lines.iter().cloned().collect::<Vec<_>>().join(" | "))
+        format!(
+            "; its stderr ends with: {}",
+            lines.iter().cloned().collect::<Vec<_>>().join(" | ")
+        )
     }
 }
 
 impl Drop for Process {
     fn drop(&mut self) {
         end_group(&mut self.child);
-        // Takes the exit status, so that no zombie stays. The process is dead, or another user's and not ours to wait for.
+        // Takes the exit status, so that no zombie stays. The process is dead, or another user's
+        // and not ours to wait for.
         let _ = self.child.wait();
     }
 }
@@ -146,7 +172,10 @@ fn shell(command: &str) -> Command {
 #[cfg(unix)]
 fn end_group(child: &mut Child) {
     // The group has the id of its first process, which is not reaped before this.
-    let _ = rustix::process::kill_process_group(rustix::process::Pid::from_child(child), rustix::process::Signal::KILL);
+    let _ = rustix::process::kill_process_group(
+        rustix::process::Pid::from_child(child),
+        rustix::process::Signal::KILL,
+    );
 }
 
 /// Kills the command.
@@ -186,7 +215,11 @@ fn keep_last_lines(pipe: impl Read, kept: &Mutex<VecDeque<String>>) {
         match (&mut reader).take(MAX_LINE).read_until(b'\n', &mut line) {
             Ok(0) | Err(_) => return,
             Ok(_) => {
-                let text: String = String::from_utf8_lossy(&line).trim().chars().take(MAX_STDERR_CHARS).collect();
+                let text: String = String::from_utf8_lossy(&line)
+                    .trim()
+                    .chars()
+                    .take(MAX_STDERR_CHARS)
+                    .collect();
                 let mut lines = kept.lock().unwrap_or_else(PoisonError::into_inner);
                 if !text.is_empty() {
                     lines.push_back(text);

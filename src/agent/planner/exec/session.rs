@@ -20,9 +20,15 @@ pub enum AnswerError {
     #[error("the message to the command cannot be written: {0}")]
     Request(serde_json::Error),
     #[error("the command answered what is no message ({fault}): {answer}")]
-    NoMessage { fault: serde_json::Error, answer: String },
+    NoMessage {
+        fault: serde_json::Error,
+        answer: String,
+    },
     #[error("the command answered with another message than {expected}: {answer}")]
-    Other { expected: &'static str, answer: String },
+    Other {
+        expected: &'static str,
+        answer: String,
+    },
     #[error("the command says: {0}")]
     Command(String),
     #[error("the trajectory of the command cannot be used: {0}")]
@@ -55,7 +61,10 @@ impl ExecSession {
         let request = ExecRequest::Initialize(Box::new(ExecInitialization::of(initialization)));
         match ask(&mut process, &request, timeout.max(START_TIMEOUT))? {
             (ExecReply::Ready {}, _) => Ok(Self { process, timeout }),
-            (_, answer) => Err(AnswerError::Other { expected: "ready", answer }),
+            (_, answer) => Err(AnswerError::Other {
+                expected: "ready",
+                answer,
+            }),
         }
     }
 
@@ -68,13 +77,20 @@ impl ExecSession {
     }
 }
 
-fn ask(process: &mut Process, request: &ExecRequest, within: Duration) -> Result<(ExecReply, String), AnswerError> {
+fn ask(
+    process: &mut Process,
+    request: &ExecRequest,
+    within: Duration,
+) -> Result<(ExecReply, String), AnswerError> {
     let line = serde_json::to_vec(request).map_err(AnswerError::Request)?;
     let answer = process.ask(line, within)?;
     let shown: String = answer.chars().take(MAX_SHOWN).collect();
     match serde_json::from_str(&answer) {
         Ok(ExecReply::Error { message }) => Err(AnswerError::Command(message)),
         Ok(reply) => Ok((reply, shown)),
-        Err(fault) => Err(AnswerError::NoMessage { fault, answer: shown }),
+        Err(fault) => Err(AnswerError::NoMessage {
+            fault,
+            answer: shown,
+        }),
     }
 }

@@ -1,23 +1,28 @@
-//! LLM-ASSIST (Sharan et al. 2024): PDM-Closed is executed until none of its proposals scores enough. Then a language model is
-//! asked for a plan (UNC) or for other parameters of PDM-Closed (PAR).
+//! LLM-ASSIST (Sharan et al. 2024): PDM-Closed is executed until none of its proposals scores
+//! enough. Then a language model is asked for a plan (UNC) or for other parameters of PDM-Closed
+//! (PAR).
 //!
-//! The paper says this much, and that the model may be asked several times. The rest is our reading: prompts and answers are
-//! those of [`crate::reasoning`]. An answer is executed for as long as PlanAgent's plans. Answers are scored as PDM-Closed's
-//! proposals are. One that reaches τ is taken at once. After the last attempt the best answer is taken if it scores more than
-//! PDM-Closed's own best proposal; else PDM-Closed is executed. The emergency brake does not overrule a plan.
+//! The paper says this much, and that the model may be asked several times. The rest is our
+//! reading: prompts and answers are those of [`crate::reasoning`]. An answer is executed for as
+//! long as PlanAgent's plans. Answers are scored as PDM-Closed's proposals are. One that reaches τ
+//! is taken at once. After the last attempt the best answer is taken if it scores more than
+//! PDM-Closed's own best proposal; else PDM-Closed is executed. The emergency brake does not
+//! overrule a plan.
 
 mod waypoints;
 
 use super::attempts::{AttemptLimits, Attempts, Question, Trial};
 use super::clock::Clock;
 use super::record::{Decision, NoPlan, PlanningCall};
-use super::{PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName};
+use super::{
+    PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
+};
 use crate::environment::coordinates::llm_assist_text;
 use crate::environment::text::{self, Description};
 use crate::environment::{LaneGraph, TextForm};
 use crate::reasoning::{
-    AssistParameters, AssistQuestion, AssistReasoning, AssistVariant, Assistance, Feedback, Names, PromptSet,
-    ReasoningError, ReasoningSettings, ReasoningTrace, WAYPOINT_SECONDS,
+    AssistParameters, AssistQuestion, AssistReasoning, AssistVariant, Assistance, Feedback, Names,
+    PromptSet, ReasoningError, ReasoningSettings, ReasoningTrace, WAYPOINT_SECONDS,
 };
 use crate::reflection::Judge;
 use planagent_mllm::{Deadline, Mllm, milliseconds};
@@ -65,24 +70,48 @@ enum Assisted {
 }
 
 impl LlmAssist {
-    /// A planner that asks this model. τ is the gate of the settings, else their λ. A planning call lasts no simulated time.
+    /// A planner that asks this model. τ is the gate of the settings, else their λ. A planning call
+    /// lasts no simulated time.
     pub fn new(
         name: PlannerName,
         variant: AssistVariant,
-        AskedModel { model, prompts, reasoning }: AskedModel,
+        AskedModel {
+            model,
+            prompts,
+            reasoning,
+        }: AskedModel,
         settings: PlanAgentSettings,
     ) -> Self {
         let (memory, clock, calls) = (PdmMemory::default(), Clock::default(), Vec::new());
-        Self { name, variant, model, prompts, reasoning, settings, memory, active: None, clock, calls }
+        Self {
+            name,
+            variant,
+            model,
+            prompts,
+            reasoning,
+            settings,
+            memory,
+            active: None,
+            clock,
+            calls,
+        }
     }
 
     /// τ.
     fn tau(&self) -> f64 {
-        self.settings.agent.gate.unwrap_or(self.settings.reflection.threshold)
+        self.settings
+            .agent
+            .gate
+            .unwrap_or(self.settings.reflection.threshold)
     }
 
     /// One planning call, made where PDM-Closed's best proposal scores less than τ.
-    fn call(&mut self, iteration: usize, scene: &SceneView<'_>, rules: &PdmPlan) -> Result<(), PlannerError> {
+    fn call(
+        &mut self,
+        iteration: usize,
+        scene: &SceneView<'_>,
+        rules: &PdmPlan,
+    ) -> Result<(), PlannerError> {
         let started = Instant::now();
         let at_s = self.clock.elapsed_s(scene.ego.time_us);
         self.clock.set_called();
@@ -91,13 +120,20 @@ impl LlmAssist {
             Err(error) => {
                 let decision = Decision::RuleBased(NoPlan::NoLaneGraph(error.to_string()));
                 let total_ms = milliseconds(started.elapsed());
-                self.calls.push(PlanningCall::without_attempts((iteration, at_s), decision, total_ms));
+                self.calls.push(PlanningCall::without_attempts(
+                    (iteration, at_s),
+                    decision,
+                    total_ms,
+                ));
                 return Ok(());
             }
         };
         let question = self.question(scene, &graph, rules);
         let environment_ms = milliseconds(started.elapsed());
-        let deadline = self.settings.deadline().map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
+        let deadline = self
+            .settings
+            .deadline()
+            .map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
         let attempts = self.ask(iteration, scene, &question, deadline)?;
         let decision = decide(&attempts, rules);
         let (attempts, active) = attempts.into_records(decision.attempt());
@@ -120,13 +156,24 @@ impl LlmAssist {
         Ok(())
     }
 
-    fn question(&self, scene: &SceneView<'_>, graph: &LaneGraph, rules: &PdmPlan) -> AssistQuestion {
+    fn question(
+        &self,
+        scene: &SceneView<'_>,
+        graph: &LaneGraph,
+        rules: &PdmPlan,
+    ) -> AssistQuestion {
         let scene_text = match self.prompts.forms().scene_text {
             TextForm::Paper | TextForm::Brief => llm_assist_text(scene, graph),
-            form @ (TextForm::Compact | TextForm::Compact2) => text::write(&Description::of(graph), form),
+            form @ (TextForm::Compact | TextForm::Compact2) => {
+                text::write(&Description::of(graph), form)
+            }
         };
         let speed_limit = Names::of(graph).speed_limit;
-        AssistQuestion { scene_text, score: rules.scores[rules.best].total, speed_limit }
+        AssistQuestion {
+            scene_text,
+            score: rules.scores[rules.best].total,
+            speed_limit,
+        }
     }
 
     /// Attempts until an answer reaches τ, `max_exec` are made, or the call is interrupted.
@@ -138,15 +185,44 @@ impl LlmAssist {
         deadline: Deadline,
     ) -> Result<Attempts<Assisted>, PlannerError> {
         let tau = self.tau();
-        let Self { variant, model, prompts, reasoning, settings, memory, .. } = self;
-        let (asked, seed) = ((prompts.as_ref(), &*reasoning), settings.call_seed(iteration));
-        let reasoning = AssistReasoning::open(*variant, model.as_ref(), asked, question, seed, deadline)?;
-        let PdmMemory { reference_path: Some(path), collided } = memory else { return Ok(Attempts::NONE) };
+        let Self {
+            variant,
+            model,
+            prompts,
+            reasoning,
+            settings,
+            memory,
+            ..
+        } = self;
+        let (asked, seed) = (
+            (prompts.as_ref(), &*reasoning),
+            settings.call_seed(iteration),
+        );
+        let reasoning =
+            AssistReasoning::open(*variant, model.as_ref(), asked, question, seed, deadline)?;
+        let PdmMemory {
+            reference_path: Some(path),
+            collided,
+        } = memory
+        else {
+            return Ok(Attempts::NONE);
+        };
         let started = Instant::now();
         let judge = Judge::along(scene, path, PROPOSAL_STEPS as f64 * STEP_S, collided)?;
         let observation_ms = milliseconds(started.elapsed());
-        let limits = AttemptLimits { max_exec: settings.reflection.max_exec, threshold: tau, compares: false };
-        let mut asked = AssistCall { reasoning, path, scene, collided, judge, tau };
+        let limits = AttemptLimits {
+            max_exec: settings.reflection.max_exec,
+            threshold: tau,
+            compares: false,
+        };
+        let mut asked = AssistCall {
+            reasoning,
+            path,
+            scene,
+            collided,
+            judge,
+            tau,
+        };
         Attempts::make(&mut asked, limits, observation_ms)
     }
 }
@@ -156,17 +232,27 @@ impl Planner for LlmAssist {
         self.name.as_str()
     }
 
-    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+    fn initialize(
+        &mut self,
+        initialization: &PlannerInitialization<'_>,
+    ) -> Result<(), PlannerError> {
         (self.memory, self.active, self.clock) = (PdmMemory::default(), None, Clock::default());
         self.calls.clear();
-        if initialization.route.lanes(initialization.map).is_empty() { Err(PlannerError::EmptyRoute) } else { Ok(()) }
+        if initialization.route.lanes(initialization.map).is_empty() {
+            Err(PlannerError::EmptyRoute)
+        } else {
+            Ok(())
+        }
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let scene = &input.scene;
         let rules = pdm::plan(&mut self.memory, scene)?;
         self.clock.step(scene.ego.time_us);
-        if self.clock.is_due(self.settings.plan_interval_s.min(WAYPOINT_SECONDS as f64)) {
+        if self
+            .clock
+            .is_due(self.settings.plan_interval_s.min(WAYPOINT_SECONDS as f64))
+        {
             self.active = None;
             if rules.scores[rules.best].total < self.tau() {
                 self.call(input.iteration, scene, &rules)?;
@@ -174,9 +260,13 @@ impl Planner for LlmAssist {
         }
         match (&self.active, &mut self.memory) {
             (Some(Assisted::Plan(trajectory)), _) => Ok(trajectory.clone()),
-            (Some(Assisted::Parameters(parameters)), PdmMemory { reference_path: Some(path), collided }) => {
-                Ok(plan_tuned(path, scene, collided, *parameters)?.trajectory)
-            }
+            (
+                Some(Assisted::Parameters(parameters)),
+                PdmMemory {
+                    reference_path: Some(path),
+                    collided,
+                },
+            ) => Ok(plan_tuned(path, scene, collided, *parameters)?.trajectory),
             _ => Ok(rules.trajectory),
         }
     }
@@ -204,7 +294,10 @@ impl Question for AssistCall<'_> {
     type Answer = Assistance;
     type Plan = Assisted;
 
-    fn ask(&mut self, feedback: Option<&Feedback>) -> Result<Option<ReasoningTrace<Assistance>>, ReasoningError> {
+    fn ask(
+        &mut self,
+        feedback: Option<&Feedback>,
+    ) -> Result<Option<ReasoningTrace<Assistance>>, ReasoningError> {
         self.reasoning.think(feedback).map(Some)
     }
 
@@ -221,27 +314,52 @@ impl Question for AssistCall<'_> {
             Assistance::Parameters(parameters) => {
                 let parameters = tuned(parameters);
                 let mut plan = plan_tuned(self.path, self.scene, self.collided, parameters)?;
-                let (best, states) = (plan.proposals.swap_remove(plan.best), plan.simulated.swap_remove(plan.best));
+                let (best, states) = (
+                    plan.proposals.swap_remove(plan.best),
+                    plan.simulated.swap_remove(plan.best),
+                );
                 (Assisted::Parameters(parameters), best.poses, states)
             }
         };
         let reflection = Some(self.judge.assess(states, self.tau)?);
-        Ok(Some(Trial { plan, path, reflection, threshold: self.tau }))
+        Ok(Some(Trial {
+            plan,
+            path,
+            reflection,
+            threshold: self.tau,
+        }))
     }
 }
 
 fn tuned(parameters: AssistParameters) -> PdmParameters {
-    let AssistParameters { speed_cap, min_gap, headway, accel_max, decel_max, emergency_brake } = parameters;
-    PdmParameters { speed_cap: Some(speed_cap), min_gap, headway, accel_max, decel_max, emergency_brake }
+    let AssistParameters {
+        speed_cap,
+        min_gap,
+        headway,
+        accel_max,
+        decel_max,
+        emergency_brake,
+    } = parameters;
+    PdmParameters {
+        speed_cap: Some(speed_cap),
+        min_gap,
+        headway,
+        accel_max,
+        decel_max,
+        emergency_brake,
+    }
 }
 
-/// The first answer that is accepted, else the best one if it scores more than PDM-Closed's own best proposal, else PDM-Closed.
+/// The first answer that is accepted, else the best one if it scores more than PDM-Closed's own
+/// best proposal, else PDM-Closed.
 fn decide(attempts: &Attempts<Assisted>, rules: &PdmPlan) -> Decision {
     if let Some(index) = attempts.accepted() {
         return Decision::Execute(index);
     }
     match (attempts.best(), &attempts.interruption) {
-        (Some(index), _) if attempts.score(index) > rules.scores[rules.best].total => Decision::Exhausted(index),
+        (Some(index), _) if attempts.score(index) > rules.scores[rules.best].total => {
+            Decision::Exhausted(index)
+        }
         (_, Some(why)) => Decision::RuleBased(NoPlan::Interrupted(why.clone())),
         (Some(_), None) => Decision::RuleBased(NoPlan::Outscored),
         (None, None) => Decision::RuleBased(NoPlan::Unreadable),

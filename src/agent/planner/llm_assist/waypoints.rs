@@ -2,7 +2,9 @@
 
 use crate::reasoning::{WAYPOINT_SECONDS, Waypoints};
 use planagent_world::geometry::{Point, Pose, Vector, wrap_angle};
-use planagent_world::{EgoState, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError, TrajectoryState};
+use planagent_world::{
+    EgoState, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError, TrajectoryState,
+};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Steps of 0.1 s between two waypoints.
@@ -12,15 +14,24 @@ const ALL_STEPS: usize = 80;
 /// Below this speed the heading is kept, m/s.
 const STANDSTILL: f64 = 0.2;
 
-/// From the present state through the waypoints on cubic Hermite splines, whose slopes at inner waypoints are those of
-/// Catmull and Rom; straight ahead after the last one. Waypoints behind the ego are reached in reverse.
+/// From the present state through the waypoints on cubic Hermite splines, whose slopes at inner
+/// waypoints are those of Catmull and Rom; straight ahead after the last one. Waypoints behind the
+/// ego are reached in reverse.
 ///
 /// # Errors
 /// When the state of the ego is not finite.
-pub(super) fn through(ego: &EgoState, waypoints: &Waypoints) -> Result<Trajectory, TrajectoryError> {
+pub(super) fn through(
+    ego: &EgoState,
+    waypoints: &Waypoints,
+) -> Result<Trajectory, TrajectoryError> {
     let from = ego.center();
     let mut knots = vec![Vector::zeros()];
-    knots.extend(waypoints.0.iter().map(|waypoint| Vector::new(waypoint.ahead, waypoint.left)));
+    knots.extend(
+        waypoints
+            .0
+            .iter()
+            .map(|waypoint| Vector::new(waypoint.ahead, waypoint.left)),
+    );
     let slope = |knot: usize| match knot {
         0 => ego.center_velocity(),
         WAYPOINT_SECONDS => knots[knot] - knots[knot - 1],
@@ -33,21 +44,37 @@ pub(super) fn through(ego: &EgoState, waypoints: &Waypoints) -> Result<Trajector
         let knot = (step / STEPS).min(WAYPOINT_SECONDS);
         let (place, velocity) = if knot == WAYPOINT_SECONDS {
             let velocity = slope(knot);
-            (knots[knot] + velocity * ((step - knot * STEPS) as f64 * STEP_S), velocity)
+            (
+                knots[knot] + velocity * ((step - knot * STEPS) as f64 * STEP_S),
+                velocity,
+            )
         } else {
             let share = (step % STEPS) as f64 / STEPS as f64;
-            hermite([knots[knot], knots[knot + 1]], [slope(knot), slope(knot + 1)], share)
+            hermite(
+                [knots[knot], knots[knot + 1]],
+                [slope(knot), slope(knot + 1)],
+                share,
+            )
         };
         let mut along = velocity.norm();
         if along > STANDSTILL {
             let towards = wrap_angle(from.heading + velocity.y.atan2(velocity.x));
             let reverses = wrap_angle(towards - heading).abs() > FRAC_PI_2;
-            heading = if reverses { wrap_angle(towards + PI) } else { towards };
+            heading = if reverses {
+                wrap_angle(towards + PI)
+            } else {
+                towards
+            };
             along = if reverses { -along } else { along };
         }
         let center = Pose::at(from.to_map(Point::from(place)), heading);
         let time_us = ego.time_us + step as i64 * STEP_US;
-        states.push(TrajectoryState::moving(time_us, PACIFICA.rear_axle_of(center), along, (along - speed) / STEP_S));
+        states.push(TrajectoryState::moving(
+            time_us,
+            PACIFICA.rear_axle_of(center),
+            along,
+            (along - speed) / STEP_S,
+        ));
         speed = along;
     }
     Trajectory::new(states)
@@ -60,8 +87,9 @@ fn hermite([start, end]: [Vector; 2], [first, last]: [Vector; 2], u: f64) -> (Ve
         + first * (u3 - 2.0 * u2 + u)
         + end * (3.0 * u2 - 2.0 * u3)
         + last * (u3 - u2);
-    let velocity =
-        (end - start) * (6.0 * u - 6.0 * u2) + first * (3.0 * u2 - 4.0 * u + 1.0) + last * (3.0 * u2 - 2.0 * u);
+    let velocity = (end - start) * (6.0 * u - 6.0 * u2)
+        + first * (3.0 * u2 - 4.0 * u + 1.0)
+        + last * (3.0 * u2 - 2.0 * u);
     (place, velocity)
 }
 
@@ -85,7 +113,10 @@ mod tests {
         for (second, (ahead, left)) in points.into_iter().enumerate() {
             let rear = trajectory.states()[(second + 1) * STEPS].rear_axle;
             let center = rear.translated(PACIFICA.rear_axle_to_center(), 0.0);
-            assert!((center.x - start - ahead).abs() < 1e-9 && (center.y - left).abs() < 1e-9, "{second}: {center:?}");
+            assert!(
+                (center.x - start - ahead).abs() < 1e-9 && (center.y - left).abs() < 1e-9,
+                "{second}: {center:?}"
+            );
         }
         let speeds = trajectory.states().iter().map(|state| state.velocity.x);
         assert!(speeds.into_iter().all(|speed| (5.0..9.0).contains(&speed)));
@@ -94,10 +125,17 @@ mod tests {
     #[test]
     fn a_stop_keeps_the_heading_and_what_lies_behind_is_driven_to_in_reverse() {
         let stop = plan([(5.0, 0.0), (7.0, 0.0), (7.0, 0.0), (7.0, 0.0)]);
-        assert!(stop.states().iter().all(|state| state.rear_axle.heading.abs() < 1e-9));
+        assert!(
+            stop.states()
+                .iter()
+                .all(|state| state.rear_axle.heading.abs() < 1e-9)
+        );
         assert!((stop.states()[80].rear_axle.x - 12.0).abs() < 1e-9);
         let back = plan([(4.0, 0.0), (4.0, 0.0), (2.0, 0.0), (0.0, 0.0)]);
         let last = back.states()[80];
-        assert!(last.velocity.x < -1.9 && last.rear_axle.heading.abs() < 1e-9, "{last:?}");
+        assert!(
+            last.velocity.x < -1.9 && last.rear_axle.heading.abs() < 1e-9,
+            "{last:?}"
+        );
     }
 }

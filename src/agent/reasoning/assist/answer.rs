@@ -12,28 +12,53 @@ use std::fmt;
 /// Length of a plan, seconds; one waypoint per second.
 pub const WAYPOINT_SECONDS: usize = 4;
 /// The function of an answer with waypoints.
-const WAYPOINTS: Signature<'_> =
-    Signature { function: "Follow_Waypoints", parameters: &["x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4"] };
+const WAYPOINTS: Signature<'_> = Signature {
+    function: "Follow_Waypoints",
+    parameters: &["x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4"],
+};
 /// The function of an answer with parameters.
-const PARAMETERS: Signature<'_> =
-    Signature { function: "Tune_PDM", parameters: &["v0", "gap", "headway", "acc", "dec", "brake"] };
+const PARAMETERS: Signature<'_> = Signature {
+    function: "Tune_PDM",
+    parameters: &["v0", "gap", "headway", "acc", "dec", "brake"],
+};
 /// Words of the parameter `brake`.
 const SWITCH: [&str; 2] = ["on", "off"];
 
 /// `x`: a little backwards, forwards as far as four seconds at any speed.
-const AHEAD: Range = Range { min: -20.0, max: 160.0, unit: "m" };
+const AHEAD: Range = Range {
+    min: -20.0,
+    max: 160.0,
+    unit: "m",
+};
 /// `y`: as far as a turn of four seconds.
-const LEFT: Range = Range { min: -60.0, max: 60.0, unit: "m" };
+const LEFT: Range = Range {
+    min: -60.0,
+    max: 60.0,
+    unit: "m",
+};
 /// `v0`: above standstill, which the IDM of the proposals does not allow.
-const SPEED_CAP: Range = Range { min: 1.0, max: 40.0, unit: "m/s" };
-const MIN_GAP: Range = Range { min: 0.1, max: 10.0, unit: "m" };
-const HEADWAY: Range = Range { min: 0.1, max: 5.0, unit: "s" };
+const SPEED_CAP: Range = Range {
+    min: 1.0,
+    max: 40.0,
+    unit: "m/s",
+};
+const MIN_GAP: Range = Range {
+    min: 0.1,
+    max: 10.0,
+    unit: "m",
+};
+const HEADWAY: Range = Range {
+    min: 0.1,
+    max: 5.0,
+    unit: "s",
+};
 
 /// Bound of `y` in the grammar, meters.
 const GRAMMAR_LEFT: i32 = 8;
 /// Step of `y` in the grammar, meters.
 const GRAMMAR_LEFT_STEP: f64 = 0.5;
-/// Values of `gap` and `headway` in the grammar; PDM-Closed's own are among them, as for `acc` and `dec`.
+/// Values of `gap` and `headway` in the grammar; PDM-Closed's own are among them, as for `acc` and
+/// `dec`.
 const GRAMMAR_GAPS: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
 const GRAMMAR_HEADWAYS: [f64; 4] = [0.8, 1.2, 1.5, 2.5];
 
@@ -79,9 +104,20 @@ impl fmt::Display for Assistance {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Waypoints(Waypoints(waypoints)) => {
-                let numbers = waypoints.iter().flat_map(|waypoint| [waypoint.ahead, waypoint.left]);
-                let named = WAYPOINTS.parameters.iter().zip(numbers).map(|(name, number)| format!("{name}={number}"));
-                write!(f, "{}({})", WAYPOINTS.function, named.collect::<Vec<_>>().join(", "))
+                let numbers = waypoints
+                    .iter()
+                    .flat_map(|waypoint| [waypoint.ahead, waypoint.left]);
+                let named = WAYPOINTS
+                    .parameters
+                    .iter()
+                    .zip(numbers)
+                    .map(|(name, number)| format!("{name}={number}"));
+                write!(
+                    f,
+                    "{}({})",
+                    WAYPOINTS.function,
+                    named.collect::<Vec<_>>().join(", ")
+                )
             }
             Self::Parameters(AssistParameters {
                 speed_cap,
@@ -114,13 +150,21 @@ pub(super) fn signature(variant: AssistVariant) -> Signature<'static> {
 pub fn parse_assistance(answer: &str, variant: AssistVariant) -> Parsed<Assistance> {
     let mut call = match Call::find(answer, signature(variant)) {
         Ok(call) => call,
-        Err(error) => return Parsed { answer: None, errors: vec![error] },
+        Err(error) => {
+            return Parsed {
+                answer: None,
+                errors: vec![error],
+            };
+        }
     };
     let answer = match variant {
         AssistVariant::Unconstrained => waypoints(&mut call).map(Assistance::Waypoints),
         AssistVariant::Parameters => parameters(&mut call).map(Assistance::Parameters),
     };
-    Parsed { answer, errors: call.into_errors() }
+    Parsed {
+        answer,
+        errors: call.into_errors(),
+    }
 }
 
 fn waypoints(call: &mut Call<'_>) -> Option<Waypoints> {
@@ -128,7 +172,9 @@ fn waypoints(call: &mut Call<'_>) -> Option<Waypoints> {
     for (waypoint, names) in read.iter_mut().zip(WAYPOINTS.parameters.chunks(2)) {
         let [x, y] = names else { return None };
         let (ahead, left) = (call.number(x, AHEAD), call.number(y, LEFT));
-        *waypoint = ahead.zip(left).map(|(ahead, left)| Waypoint { ahead, left });
+        *waypoint = ahead
+            .zip(left)
+            .map(|(ahead, left)| Waypoint { ahead, left });
     }
     let [a, b, c, d] = read;
     Some(Waypoints([a?, b?, c?, d?]))
@@ -157,9 +203,13 @@ pub(super) fn grammar(variant: AssistVariant, limit: Option<u32>) -> Constraint 
     let offered: Vec<Constraint> = match variant {
         AssistVariant::Unconstrained => {
             let steps = (f64::from(GRAMMAR_LEFT) / GRAMMAR_LEFT_STEP) as i32;
-            let left = any_of((-steps..=steps).map(|step| (f64::from(step) * GRAMMAR_LEFT_STEP).to_string()));
+            let left = any_of(
+                (-steps..=steps).map(|step| (f64::from(step) * GRAMMAR_LEFT_STEP).to_string()),
+            );
             let ahead = |second: u32| any_of((0..=second * limit).map(|metres| metres.to_string()));
-            (1..=WAYPOINT_SECONDS as u32).flat_map(|second| [ahead(second), left.clone()]).collect()
+            (1..=WAYPOINT_SECONDS as u32)
+                .flat_map(|second| [ahead(second), left.clone()])
+                .collect()
         }
         AssistVariant::Parameters => {
             let numbers = |values: [f64; 4]| any_of(values.iter().map(ToString::to_string));
@@ -173,11 +223,22 @@ pub(super) fn grammar(variant: AssistVariant, limit: Option<u32>) -> Constraint 
             ]
         }
     };
-    let Signature { function, parameters } = signature(variant);
-    let named = parameters.iter().zip(offered).enumerate().flat_map(|(i, (name, values))| {
-        let before = if i == 0 { format!("{function}({name}=") } else { format!(", {name}=") };
-        [text(before), values]
-    });
+    let Signature {
+        function,
+        parameters,
+    } = signature(variant);
+    let named = parameters
+        .iter()
+        .zip(offered)
+        .enumerate()
+        .flat_map(|(i, (name, values))| {
+            let before = if i == 0 {
+                format!("{function}({name}=")
+            } else {
+                format!(", {name}=")
+            };
+            [text(before), values]
+        });
     Constraint::Sequence(named.chain([text(")")]).collect())
 }
 
@@ -200,17 +261,40 @@ mod tests {
 
     #[test]
     fn answers_are_read_and_printed() {
-        for (answer, variant) in [(PLAN, AssistVariant::Unconstrained), (TUNED, AssistVariant::Parameters)] {
-            let Parsed { answer: read, errors } = parse_assistance(&format!("Carefully:\n{answer}"), variant);
+        for (answer, variant) in [
+            (PLAN, AssistVariant::Unconstrained),
+            (TUNED, AssistVariant::Parameters),
+        ] {
+            let Parsed {
+                answer: read,
+                errors,
+            } = parse_assistance(&format!("Carefully:\n{answer}"), variant);
             assert_eq!(errors, []);
             assert_eq!(read.map(|read| read.to_string()).as_deref(), Some(answer));
         }
-        let Parsed { answer: read, errors } = parse_assistance(TUNED, AssistVariant::Unconstrained);
-        assert_eq!((read, errors[0].message.as_str()), (None, "no call of Follow_Waypoints"));
-        let Parsed { answer: read, errors } =
-            parse_assistance("Tune_PDM(0, 2, 1.5, 1, 4, maybe)", AssistVariant::Parameters);
+        let Parsed {
+            answer: read,
+            errors,
+        } = parse_assistance(TUNED, AssistVariant::Unconstrained);
+        assert_eq!(
+            (read, errors[0].message.as_str()),
+            (None, "no call of Follow_Waypoints")
+        );
+        let Parsed {
+            answer: read,
+            errors,
+        } = parse_assistance(
+            "Tune_PDM(0, 2, 1.5, 1, 4, maybe)",
+            AssistVariant::Parameters,
+        );
         let messages: Vec<&str> = errors.iter().map(|error| error.message.as_str()).collect();
-        assert_eq!((read, messages), (None, vec!["v0 = 0 is out of range", "brake is none of its words"]));
+        assert_eq!(
+            (read, messages),
+            (
+                None,
+                vec!["v0 = 0 is out of range", "brake is none of its words"]
+            )
+        );
     }
 
     proptest! {

@@ -4,7 +4,9 @@ use super::AssistVariant;
 use super::answer::{Assistance, grammar, parse_assistance};
 use super::prompts::AssistPrompts;
 use crate::reasoning::code_parser::Parsed;
-use crate::reasoning::engine::{Feedback, ReasoningSettings, ReasoningTrace, feedback_text, record};
+use crate::reasoning::engine::{
+    Feedback, ReasoningSettings, ReasoningTrace, feedback_text, record,
+};
 use crate::reasoning::error::ReasoningError;
 use crate::reasoning::prompt_set::PromptSet;
 use crate::reasoning::round::Round;
@@ -38,7 +40,8 @@ pub struct AssistReasoning<'a> {
 }
 
 impl<'a> AssistReasoning<'a> {
-    /// Opens the conversation of a call that must end by `deadline`. There is no image: LLM-ASSIST's models read text alone.
+    /// Opens the conversation of a call that must end by `deadline`. There is no image:
+    /// LLM-ASSIST's models read text alone.
     pub fn open(
         variant: AssistVariant,
         model: &'a dyn Mllm,
@@ -48,18 +51,43 @@ impl<'a> AssistReasoning<'a> {
         deadline: Deadline,
     ) -> Result<Self, ReasoningError> {
         let templates = AssistPrompts::new(variant, prompts)?;
-        let conversation = model.converse(&PromptPrefix { system: templates.system()?, image: None }, seed)?;
+        let conversation = model.converse(
+            &PromptPrefix {
+                system: templates.system()?,
+                image: None,
+            },
+            seed,
+        )?;
         let start = conversation.mark();
-        Ok(Self { variant, conversation, start, templates, prompts, settings, question, deadline, attempts: 0 })
+        Ok(Self {
+            variant,
+            conversation,
+            start,
+            templates,
+            prompts,
+            settings,
+            question,
+            deadline,
+            attempts: 0,
+        })
     }
 
     /// Asks once from the start, with feedback on the last answer.
-    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace<Assistance>, ReasoningError> {
+    pub fn think(
+        &mut self,
+        feedback: Option<&Feedback>,
+    ) -> Result<ReasoningTrace<Assistance>, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;
-        let feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
-        let AssistQuestion { scene_text, score, .. } = self.question;
-        let prompt = self.templates.question(scene_text, *score, feedback.as_deref())?;
+        let feedback = feedback
+            .map(|f| feedback_text(self.prompts, f))
+            .transpose()?;
+        let AssistQuestion {
+            scene_text, score, ..
+        } = self.question;
+        let prompt = self
+            .templates
+            .question(scene_text, *score, feedback.as_deref())?;
         let answer = match self.conversation.ask(&prompt, &self.request()) {
             Ok(answer) => answer,
             Err(error) if error.is_transient() => {
@@ -76,14 +104,39 @@ impl<'a> AssistReasoning<'a> {
         };
         let parsed = parse_assistance(&answer.text, self.variant);
         let rounds = vec![record(Round::Code, prompt, answer)];
-        Ok(ReasoningTrace { rounds, interruption: None, instruction: None, parsed, proposals: Vec::new() })
+        Ok(ReasoningTrace {
+            rounds,
+            interruption: None,
+            instruction: None,
+            parsed,
+            proposals: Vec::new(),
+        })
     }
 
     fn request(&self) -> Request {
-        let ReasoningSettings { generation, rethink_sampling, grammar: constrained, .. } = self.settings;
-        let constraint = if *constrained { grammar(self.variant, self.question.speed_limit) } else { Constraint::Free };
-        let sampling = if self.attempts > 1 { *rethink_sampling } else { generation.sampling };
+        let ReasoningSettings {
+            generation,
+            rethink_sampling,
+            grammar: constrained,
+            ..
+        } = self.settings;
+        let constraint = if *constrained {
+            grammar(self.variant, self.question.speed_limit)
+        } else {
+            Constraint::Free
+        };
+        let sampling = if self.attempts > 1 {
+            *rethink_sampling
+        } else {
+            generation.sampling
+        };
         let max_new_tokens = generation.max_new_tokens.code.max(MIN_TOKENS);
-        Request { constraint, max_new_tokens, sampling, deadline: self.deadline, draft: None }
+        Request {
+            constraint,
+            max_new_tokens,
+            sampling,
+            deadline: self.deadline,
+            draft: None,
+        }
     }
 }

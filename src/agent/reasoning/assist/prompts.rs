@@ -22,16 +22,30 @@ impl<'a> AssistPrompts<'a> {
             AssistVariant::Unconstrained => "llm_assist_unc",
             AssistVariant::Parameters => "llm_assist_par",
         })?;
-        Ok(Self { templates, variant, compact: prompts.forms().scene_text.is_for_small_models() })
+        Ok(Self {
+            templates,
+            variant,
+            compact: prompts.forms().scene_text.is_for_small_models(),
+        })
     }
 
     pub(super) fn system(&self) -> Result<String, PromptError> {
         let signature = signature(self.variant).to_string();
-        self.templates.render("system", variables::assist_system(&signature, self.compact))
+        self.templates
+            .render("system", variables::assist_system(&signature, self.compact))
     }
 
-    /// The question about a scene, with the score of PDM-Closed's best proposal and feedback on the last answer.
-    pub(super) fn question(&self, scene: &str, score: f64, feedback: Option<&str>) -> Result<String, PromptError> {
-        self.templates.render("question", variables::assist_question((scene, score), feedback, self.compact))
+    /// The question about a scene, with the score of PDM-Closed's best proposal and feedback on the
+    /// last answer.
+    pub(super) fn question(
+        &self,
+        scene: &str,
+        score: f64,
+        feedback: Option<&str>,
+    ) -> Result<String, PromptError> {
+        self.templates.render(
+            "question",
+            variables::assist_question((scene, score), feedback, self.compact),
+        )
     }
 }

@@ -17,57 +17,101 @@ struct Row<'a> {
     missing: Option<String>,
 }
 
-/// Checks models; without names, all described ones. Files that are not on this machine are no fault of a model that nobody
-/// named.
-pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
-    let names = if models.is_empty() { registry.names()? } else { models.to_vec() };
+/// Checks models; without names, all described ones. Files that are not on this machine are no
+/// fault of a model that nobody named.
+pub(super) fn run(
+    models: &[String],
+    registry: &ModelRegistry,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    let names = if models.is_empty() {
+        registry.names()?
+    } else {
+        models.to_vec()
+    };
     let mut well = true;
     for model in &names {
         let spec = match registry.find(model) {
             // Who names no model asks about files.
-            Ok(spec) if models.is_empty() && matches!(spec.source, ModelSource::Endpoint(_)) => continue,
+            Ok(spec) if models.is_empty() && matches!(spec.source, ModelSource::Endpoint(_)) => {
+                continue;
+            }
             found => found,
         };
         let checked = spec.and_then(|spec| match registry.place_here(&spec)?.absent() {
             Some(missing) => Err(missing),
             None => registry.check(&spec),
         });
-        let absent = matches!(checked, Err(MllmError::NotInCache { .. } | MllmError::Absent { .. }));
+        let absent = matches!(
+            checked,
+            Err(MllmError::NotInCache { .. } | MllmError::Absent { .. })
+        );
         let row = match checked {
-            Ok(check) => Row { model, check: Some(check), missing: None },
-            Err(error) => Row { model, check: None, missing: Some(reason(&error, model)) },
+            Ok(check) => Row {
+                model,
+                check: Some(check),
+                missing: None,
+            },
+            Err(error) => Row {
+                model,
+                check: None,
+                missing: Some(reason(&error, model)),
+            },
         };
         let is_absent = models.is_empty() && absent;
-        well &= is_absent || row.check.as_ref().is_some_and(|check| check.problems.is_empty());
+        well &= is_absent
+            || row
+                .check
+                .as_ref()
+                .is_some_and(|check| check.problems.is_empty());
         if printer.is_json() {
             printer.json(&row)?;
         } else {
             tell(&row, printer);
         }
     }
-    Ok(if well { Exit::Success } else { Exit::SomeFailed })
+    Ok(if well {
+        Exit::Success
+    } else {
+        Exit::SomeFailed
+    })
 }
 
-/// Why a model cannot be checked or listed. Its files are only looked for on this machine, whatever the settings of the network.
+/// Why a model cannot be checked or listed. Its files are only looked for on this machine, whatever
+/// the settings of the network.
 pub(super) fn reason(error: &MllmError, model: &str) -> String {
     match error {
-        MllmError::NotInCache { .. } => format!("not on this machine; `planagent models fetch {model}` downloads it"),
+        MllmError::NotInCache { .. } => {
+            format!("not on this machine; `planagent models fetch {model}` downloads it")
+        }
         other => other.to_string(),
     }
 }
 
 fn tell(row: &Row<'_>, printer: Printer) {
     let Some(check) = &row.check else {
-        printer.line(format!("{}: {}", row.model, row.missing.as_deref().expect("a row without a check says why")));
+        printer.line(format!(
+            "{}: {}",
+            row.model,
+            row.missing
+                .as_deref()
+                .expect("a row without a check says why")
+        ));
         return;
     };
-    let family = check.architecture.map_or("unknown family", planagent_mllm::Architecture::name);
+    let family = check
+        .architecture
+        .map_or("unknown family", planagent_mllm::Architecture::name);
     let state = match check.problems.len() {
         0 => "can be opened".to_owned(),
         1 => "1 problem".to_owned(),
         count => format!("{count} problems"),
     };
-    printer.line(format!("{}: {family}, {} M parameters, {state}", row.model, check.parameters / 1_000_000));
+    printer.line(format!(
+        "{}: {family}, {} M parameters, {state}",
+        row.model,
+        check.parameters / 1_000_000
+    ));
     if let Some(need) = check.memory {
         printer.line(format!(
             "  memory: about {} (weights {}, cache {}, work {})",

@@ -6,14 +6,23 @@ use planagent_mllm::{ModelRegistry, WeightFormat};
 use std::collections::BTreeSet;
 
 /// The weight formats of the table.
-const FORMATS: [WeightFormat; 4] = [WeightFormat::Q4K, WeightFormat::Q8_0, WeightFormat::F16, WeightFormat::F32];
+const FORMATS: [WeightFormat; 4] = [
+    WeightFormat::Q4K,
+    WeightFormat::Q8_0,
+    WeightFormat::F16,
+    WeightFormat::F32,
+];
 /// The format whose keys and values the table has.
 const USUAL: WeightFormat = WeightFormat::Q4K;
 const GIB: f64 = (1_u64 << 30) as f64;
 
 /// Lists the described models.
 pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyhow::Result<Exit> {
-    let rows: Vec<Row> = registry.names()?.into_iter().map(|name| Row::of(name, registry)).collect();
+    let rows: Vec<Row> = registry
+        .names()?
+        .into_iter()
+        .map(|name| Row::of(name, registry))
+        .collect();
     if csv {
         printer.csv(&rows)?;
         return Ok(Exit::Success);
@@ -24,7 +33,14 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
         }
         return Ok(Exit::Success);
     }
-    printer.line(line("", "model", "size", "license", ["image", "kv"], FORMATS.map(WeightFormat::name)));
+    printer.line(line(
+        "",
+        "model",
+        "size",
+        "license",
+        ["image", "kv"],
+        FORMATS.map(WeightFormat::name),
+    ));
     for row in &rows {
         printer.line(of(row));
     }
@@ -33,11 +49,18 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
         printer.line(format!(
             "{}: {}",
             row.model,
-            row.problem.as_deref().expect("a row without a source has its problem")
+            row.problem
+                .as_deref()
+                .expect("a row without a source has its problem")
         ));
     });
-    let sets = rows.iter().filter_map(|row| Some((row.prompt_set.as_deref()?, row.prompts.as_deref()?)));
-    for (set, place) in sets.filter(|(_, place)| *place != BUILT_IN).collect::<BTreeSet<_>>() {
+    let sets = rows
+        .iter()
+        .filter_map(|row| Some((row.prompt_set.as_deref()?, row.prompts.as_deref()?)));
+    for (set, place) in sets
+        .filter(|(_, place)| *place != BUILT_IN)
+        .collect::<BTreeSet<_>>()
+    {
         printer.line(format!("{set} prompts in {place}"));
     }
     printer.note(
@@ -52,16 +75,34 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
 /// The line of a model.
 fn of(row: &Row) -> String {
     let unknown = || "-".to_owned();
-    let weights = |format: WeightFormat| row.memory.get(format.name()).map(|need| rounded(need.weights as f64 / GIB));
+    let weights = |format: WeightFormat| {
+        row.memory
+            .get(format.name())
+            .map(|need| rounded(need.weights as f64 / GIB))
+    };
     let image = row.image_tokens.map(|tokens| tokens.to_string());
-    let cache = row.memory.get(USUAL.name()).map(|need| rounded(need.cache as f64 / GIB));
+    let cache = row
+        .memory
+        .get(USUAL.name())
+        .map(|need| rounded(need.cache as f64 / GIB));
     // What follows a comma is a remark.
-    let license = row.license.as_deref().and_then(|license| license.split(',').next()).unwrap_or("-");
+    let license = row
+        .license
+        .as_deref()
+        .and_then(|license| license.split(',').next())
+        .unwrap_or("-");
     let [image, cache] = [image, cache].map(|text| text.unwrap_or_else(unknown));
     let here = if row.place.is_some() { "*" } else { "" };
     let memory = FORMATS.map(|format| weights(format).unwrap_or_else(unknown));
     let size = row.size().unwrap_or_else(unknown);
-    line(here, &row.model, &size, license, [&image, &cache], memory.each_ref().map(String::as_str))
+    line(
+        here,
+        &row.model,
+        &size,
+        license,
+        [&image, &cache],
+        memory.each_ref().map(String::as_str),
+    )
 }
 
 /// A line of at most 80 columns, where name and license are not longer than those that ship.
@@ -73,5 +114,7 @@ fn line(
     [image, cache]: [&str; 2],
     [a, b, c, d]: [&str; 4],
 ) -> String {
-    format!("{here:1} {name:<21} {size:>5} {license:<13} {image:>5} {a:>4} {b:>4} {c:>4} {d:>4} {cache:>4}")
+    format!(
+        "{here:1} {name:<21} {size:>5} {license:<13} {image:>5} {a:>4} {b:>4} {c:>4} {d:>4} {cache:>4}"
+    )
 }

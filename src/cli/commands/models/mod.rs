@@ -13,7 +13,11 @@ use crate::{Exit, Printer};
 use planagent_runs::runner::{Config, model_registry};
 
 /// Lists, shows, checks, fetches or quantizes models.
-pub(crate) fn run(command: &ModelsCommand, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(
+    command: &ModelsCommand,
+    config: &Config,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
     let registry = model_registry(config, &listener(printer));
     match command {
         ModelsCommand::List { csv } => list::run(&registry, *csv, printer),

@@ -11,12 +11,26 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// Writes a model as GGUF. The files get their names when they are complete.
-pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
-    if flags.out.extension().is_none_or(|extension| extension != "gguf") {
-        bail!("--out {}: the name must end in .gguf, or the file is not recognized as a model", flags.out.display());
+pub(super) fn run(
+    flags: &QuantizeArguments,
+    registry: &ModelRegistry,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    if flags
+        .out
+        .extension()
+        .is_none_or(|extension| extension != "gguf")
+    {
+        bail!(
+            "--out {}: the name must end in .gguf, or the file is not recognized as a model",
+            flags.out.display()
+        );
     }
     let parts = [GgufPart::Model, GgufPart::Tower];
-    let there = parts.map(|part| part.path(&flags.out)).into_iter().find(|path| path.exists());
+    let there = parts
+        .map(|part| part.path(&flags.out))
+        .into_iter()
+        .find(|path| path.exists());
     if let Some(path) = there.filter(|_| !flags.force) {
         bail!("{} exists; --force overwrites it", path.display());
     }
@@ -24,15 +38,25 @@ pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: 
     for part in parts {
         check_output(&part.path(&flags.out))?;
     }
-    let (report, files) =
-        write(&flags.out, printer, |create, progress| registry.export(&spec, flags.to, create, progress))
-            .with_context(|| format!("cannot write the model '{}' to {}", spec.name, flags.out.display()))?;
+    let (report, files) = write(&flags.out, printer, |create, progress| {
+        registry.export(&spec, flags.to, create, progress)
+    })
+    .with_context(|| {
+        format!(
+            "cannot write the model '{}' to {}",
+            spec.name,
+            flags.out.display()
+        )
+    })?;
     if printer.is_json() {
         let files: Vec<_> = files
             .iter()
-            .map(|(bytes, path)| serde_json::json!({"path": path.to_string_lossy(), "bytes": bytes}))
+            .map(
+                |(bytes, path)| serde_json::json!({"path": path.to_string_lossy(), "bytes": bytes}),
+            )
             .collect();
-        printer.json(&serde_json::json!({"model": flags.source, "files": files, "load": report}))?;
+        printer
+            .json(&serde_json::json!({"model": flags.source, "files": files, "load": report}))?;
     } else {
         report.lines().iter().for_each(|line| printer.line(line));
         for (bytes, path) in &files {
@@ -42,8 +66,8 @@ pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: 
     Ok(Exit::Success)
 }
 
-/// Writes a model's GGUF files with a bar, and gives the report of the tensors and each file with its length. The files get
-/// their names when they are complete; a failure leaves none behind.
+/// Writes a model's GGUF files with a bar, and gives the report of the tensors and each file with
+/// its length. The files get their names when they are complete; a failure leaves none behind.
 pub(crate) fn write(
     out: &Path,
     printer: Printer,
@@ -54,7 +78,10 @@ pub(crate) fn write(
     let mut create = |part: GgufPart| -> io::Result<Box<dyn Write>> {
         let partial = partial(&target(&part.path(out))?);
         written.push((part, partial.clone()));
-        Ok(Box::new(BufWriter::with_capacity(1 << 20, File::create(&partial)?)))
+        Ok(Box::new(BufWriter::with_capacity(
+            1 << 20,
+            File::create(&partial)?,
+        )))
     };
     let exported = export(&mut create, &mut |bytes, total| {
         bar.set_length(total);
@@ -74,7 +101,8 @@ pub(crate) fn write(
     let mut files = Vec::new();
     for (part, partial) in written {
         let path = part.path(out);
-        fs::rename(&partial, target(&path)?).with_context(|| format!("cannot write {}", path.display()))?;
+        fs::rename(&partial, target(&path)?)
+            .with_context(|| format!("cannot write {}", path.display()))?;
         files.push((fs::metadata(&path)?.len(), path));
     }
     Ok((report, files))

@@ -2,7 +2,9 @@
 
 use super::check::reason;
 use planagent_agent::reasoning;
-use planagent_mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec};
+use planagent_mllm::{
+    Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec,
+};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -52,12 +54,23 @@ impl Row {
     pub(super) fn of(name: String, registry: &ModelRegistry) -> Self {
         let spec = match registry.find(&name) {
             Ok(spec) => spec,
-            Err(error) => return Self { model: name, problem: Some(error.to_string()), ..Self::default() },
+            Err(error) => {
+                return Self {
+                    model: name,
+                    problem: Some(error.to_string()),
+                    ..Self::default()
+                };
+            }
         };
         let described = registry.names().is_ok_and(|names| names.contains(&name));
-        let description = registry.description(&name).map(|path| path.display().to_string());
+        let description = registry
+            .description(&name)
+            .map(|path| path.display().to_string());
         let description = description.or_else(|| described.then(|| BUILT_IN.to_owned()));
-        let prompt_set = registry.asking_here(&spec).ok().map(|asking| asking.prompt_set);
+        let prompt_set = registry
+            .asking_here(&spec)
+            .ok()
+            .map(|asking| asking.prompt_set);
         let row = Self {
             family: spec.architecture.map(Architecture::name),
             source: Some(spec.source.to_string()),
@@ -69,11 +82,24 @@ impl Row {
             ..Self::default()
         };
         if matches!(spec.source, ModelSource::Endpoint(_)) {
-            return Self { server: true, ..row };
+            return Self {
+                server: true,
+                ..row
+            };
         }
-        match registry.place_here(&spec).and_then(|place| Ok((place.weight_bytes()?, place))) {
-            Ok((bytes, place)) => Self { place: Some(place.path().to_path_buf()), bytes: Some(bytes), ..row },
-            Err(error) => Self { problem: Some(reason(&error, &row.model)), ..row },
+        match registry
+            .place_here(&spec)
+            .and_then(|place| Ok((place.weight_bytes()?, place)))
+        {
+            Ok((bytes, place)) => Self {
+                place: Some(place.path().to_path_buf()),
+                bytes: Some(bytes),
+                ..row
+            },
+            Err(error) => Self {
+                problem: Some(reason(&error, &row.model)),
+                ..row
+            },
         }
         .outlined(&spec, registry)
     }
@@ -83,27 +109,44 @@ impl Row {
         let outline = match registry.outline(spec) {
             Ok(outline) => outline,
             // A model that is not here has its reason already.
-            Err(error) => return Self { problem: self.problem.or_else(|| Some(error.to_string())), ..self },
+            Err(error) => {
+                return Self {
+                    problem: self.problem.or_else(|| Some(error.to_string())),
+                    ..self
+                };
+            }
         };
-        let ModelOutline { family, parameters, image_size, image_tokens, context, formats, .. } = &outline;
+        let ModelOutline {
+            family,
+            parameters,
+            image_size,
+            image_tokens,
+            context,
+            formats,
+            ..
+        } = &outline;
         Self {
             family: Some(*family),
             parameters: Some(*parameters),
             image_size: Some(*image_size),
             image_tokens: Some(*image_tokens),
             context: Some(*context),
-            memory: formats.iter().map(|format| (format.weight_format.name(), format.memory)).collect(),
+            memory: formats
+                .iter()
+                .map(|format| (format.weight_format.name(), format.memory))
+                .collect(),
             ..self
         }
     }
 
     /// Billions or millions of weights.
     pub(super) fn size(&self) -> Option<String> {
-        self.parameters.map(|parameters| match parameters as f64 / 1e9 {
-            billions @ 9.995.. => format!("{billions:.1}B"),
-            billions @ 0.1.. => format!("{billions:.2}B"),
-            billions => format!("{:.1}M", billions * 1e3),
-        })
+        self.parameters
+            .map(|parameters| match parameters as f64 / 1e9 {
+                billions @ 9.995.. => format!("{billions:.1}B"),
+                billions @ 0.1.. => format!("{billions:.2}B"),
+                billions => format!("{:.1}M", billions * 1e3),
+            })
     }
 }
 
@@ -118,7 +161,8 @@ pub(super) fn rounded(number: f64) -> String {
 
 /// Where the templates of a prompt set are, or why they cannot be used.
 fn prompts(name: &str) -> String {
-    reasoning::PromptSet::open(name).map_or_else(|error| error.to_string(), |set| set.place().to_string())
+    reasoning::PromptSet::open(name)
+        .map_or_else(|error| error.to_string(), |set| set.place().to_string())
 }
 
 #[cfg(test)]
@@ -127,11 +171,21 @@ mod tests {
 
     #[test]
     fn sizes_have_five_characters_and_numbers_four() {
-        let size = |parameters| Row { parameters: Some(parameters), ..Row::default() }.size().unwrap();
+        let size = |parameters| {
+            Row {
+                parameters: Some(parameters),
+                ..Row::default()
+            }
+            .size()
+            .unwrap()
+        };
         assert_eq!(size(4_020_000), "4.0M");
         assert_eq!(size(256_500_000), "0.26B");
         assert_eq!(size(9_999_000_000), "10.0B");
         assert_eq!(size(17_640_000_000), "17.6B");
-        assert_eq!([0.004, 0.26, 9.96, 142.6].map(rounded), ["<0.1", "0.3", "10", "143"]);
+        assert_eq!(
+            [0.004, 0.26, 9.96, 142.6].map(rounded),
+            ["<0.1", "0.3", "10", "143"]
+        );
     }
 }

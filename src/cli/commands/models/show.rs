@@ -22,20 +22,35 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
     fact("family", row.family.map(str::to_owned));
     fact("source", row.source.clone());
     fact("description", row.description.clone());
-    fact("files", row.place.as_ref().map(|place| place.display().to_string()));
+    fact(
+        "files",
+        row.place.as_ref().map(|place| place.display().to_string()),
+    );
     fact("bytes", row.bytes.map(in_bytes));
     fact("problem", row.problem.clone());
     fact("license", row.license.clone());
     fact("weights", row.size());
     let image = row.image_size.zip(row.image_tokens);
-    fact("image", image.map(|(side, tokens)| format!("{side} pixels, {tokens} tokens of the drawn BEV map")));
-    fact("context", row.context.map(|tokens| format!("{tokens} tokens")));
+    fact(
+        "image",
+        image.map(|(side, tokens)| format!("{side} pixels, {tokens} tokens of the drawn BEV map")),
+    );
+    fact(
+        "context",
+        row.context.map(|tokens| format!("{tokens} tokens")),
+    );
     let prompts = row.prompt_set.as_ref().zip(row.prompts.as_ref());
-    fact("prompts", prompts.map(|(set, place)| format!("{set} ({place})")));
+    fact(
+        "prompts",
+        prompts.map(|(set, place)| format!("{set} ({place})")),
+    );
     if !row.memory.is_empty() {
         printer.line("  memory       weights    keys, values       work");
     }
-    let formats = WeightFormat::ALL.iter().rev().filter_map(|format| Some((format, row.memory.get(format.name())?)));
+    let formats = WeightFormat::ALL
+        .iter()
+        .rev()
+        .filter_map(|format| Some((format, row.memory.get(format.name())?)));
     for (format, need) in formats {
         printer.line(format!(
             "    {:<5} {:>12} {:>15} {:>10}",
@@ -45,6 +60,9 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
             in_bytes(need.work)
         ));
     }
-    printer.note(format!("`planagent bench {}` measures the time of a planning call.", row.model));
+    printer.note(format!(
+        "`planagent bench {}` measures the time of a planning call.",
+        row.model
+    ));
     Ok(Exit::Success)
 }

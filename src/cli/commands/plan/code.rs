@@ -5,7 +5,9 @@ use crate::picture::PictureFile;
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_agent::environment::{AgentName, LaneGraph};
-use planagent_agent::planner::{CallSettings, CodeSource, PlanAgentSettings, PlannerInitialization, PlannerName};
+use planagent_agent::planner::{
+    CallSettings, CodeSource, PlanAgentSettings, PlannerInitialization, PlannerName,
+};
 use planagent_agent::reasoning::{ParseError, PlannerCode};
 use planagent_agent::reflection::{LeadPolicy, ReflectionReport};
 use planagent_planners::all_planners;
@@ -39,15 +41,26 @@ pub(super) fn run(
         ..AgentParts::default()
     };
     let mut agent = parts.planner(PlannerName::PLAN_AGENT, scenario)?;
-    agent.initialize(&PlannerInitialization { map: &scenario.map, route: &scenario.route })?;
+    agent.initialize(&PlannerInitialization {
+        map: &scenario.map,
+        route: &scenario.route,
+    })?;
     compute(scenario, iteration, frame, agent.as_mut())?;
     let call = agent.calls().last().context("the planner made no call")?;
-    let Some(attempt) = call.attempts.first() else { bail!("the code cannot be judged: {}", decision_words(call)) };
+    let Some(attempt) = call.attempts.first() else {
+        bail!("the code cannot be judged: {}", decision_words(call))
+    };
     if !attempt.errors.is_empty() {
         bail!("{}", in_words(line, &attempt.errors));
     }
-    let (Some(report), Some(code)) = (&attempt.reflection, attempt.answer.and_then(|answer| answer.code())) else {
-        bail!("the code stands for no plan in this scene: {}", decision_words(call));
+    let (Some(report), Some(code)) = (
+        &attempt.reflection,
+        attempt.answer.and_then(|answer| answer.code()),
+    ) else {
+        bail!(
+            "the code stands for no plan in this scene: {}",
+            decision_words(call)
+        );
     };
     let judgement = Judgement::of(report, report.threshold > config.reflection.threshold);
     let follows = names.followed(code, config.reflection.lead_policy);
@@ -67,9 +80,17 @@ pub(super) fn run(
         };
         printer.json(&record)?;
     } else {
-        printer.line(format!("{} at {:.1} s\n{code}", scenario.id, iteration as f64 * STEP_S));
-        if let Some(agent) = follows.filter(|_| config.reflection.lead_policy == LeadPolicy::Nearest) {
-            printer.line(format!("The plan follows what is nearest on its path, first {agent}, whatever la names."));
+        printer.line(format!(
+            "{} at {:.1} s\n{code}",
+            scenario.id,
+            iteration as f64 * STEP_S
+        ));
+        if let Some(agent) =
+            follows.filter(|_| config.reflection.lead_policy == LeadPolicy::Nearest)
+        {
+            printer.line(format!(
+                "The plan follows what is nearest on its path, first {agent}, whatever la names."
+            ));
         }
         show(&judgement, printer);
     }
@@ -91,7 +112,8 @@ struct Record<'a> {
     rollout: Vec<Value>,
 }
 
-/// The agent's settings for one attempt without a gate, a latency or a deadline: a judge needs none of them.
+/// The agent's settings for one attempt without a gate, a latency or a deadline: a judge needs none
+/// of them.
 fn settings(config: &Config) -> PlanAgentSettings {
     let mut settings = config.agent_settings();
     settings.agent = CallSettings::default();
@@ -129,12 +151,22 @@ impl SceneNames {
 
 /// The errors in a code, each with its column, the place marked below the code.
 fn in_words(line: &str, errors: &[ParseError]) -> String {
-    let column = |byte: usize| line.get(..byte).expect("the span of an error lies within the code").chars().count();
+    let column = |byte: usize| {
+        line.get(..byte)
+            .expect("the span of an error lies within the code")
+            .chars()
+            .count()
+    };
     let one = |error: &ParseError| {
         let (start, end) = (column(error.span.start), column(error.span.end));
         let mark = "^".repeat(end.saturating_sub(start).max(1));
         let space = " ".repeat(start);
-        format!("--code, column {}: {}; {}\n  {line}\n  {space}{mark}", start + 1, error.message, error.hint)
+        format!(
+            "--code, column {}: {}; {}\n  {line}\n  {space}{mark}",
+            start + 1,
+            error.message,
+            error.hint
+        )
     };
     errors.iter().map(one).collect::<Vec<_>>().join("\n")
 }
@@ -148,18 +180,34 @@ fn rollout(report: &ReflectionReport) -> Vec<Value> {
 }
 
 fn verdict(judgement: &Judgement) -> String {
-    format!("{}: {}", if judgement.executed { "Executed" } else { "Refused" }, judgement.reason)
+    format!(
+        "{}: {}",
+        if judgement.executed {
+            "Executed"
+        } else {
+            "Refused"
+        },
+        judgement.reason
+    )
 }
 
 fn show(judgement: &Judgement, printer: Printer) {
     printer.line("");
     for metric in &judgement.metrics {
-        let role = metric.weight.map_or_else(|| "factor".to_owned(), |weight| format!("weight {weight}"));
+        let role = metric
+            .weight
+            .map_or_else(|| "factor".to_owned(), |weight| format!("weight {weight}"));
         let value = fixed(metric.value, 2);
-        printer.line(format!("{:<22} {value:>5}  {role:<9} {}", metric.name, metric.finding));
+        printer.line(format!(
+            "{:<22} {value:>5}  {role:<9} {}",
+            metric.name, metric.finding
+        ));
     }
     let [score, threshold] = [judgement.score, judgement.threshold].map(|value| fixed(value, 2));
-    printer.line(format!("{:<22} {score:>5}  {:<9} {threshold}", "score", "threshold"));
+    printer.line(format!(
+        "{:<22} {score:>5}  {:<9} {threshold}",
+        "score", "threshold"
+    ));
     printer.line(format!("\n{}", verdict(judgement)));
 }
 
@@ -169,7 +217,14 @@ mod tests {
 
     #[test]
     fn an_error_marks_its_characters() {
-        let error = ParseError { span: 3..5, message: "wrong".to_owned(), hint: "write a number".to_owned() };
-        assert_eq!(in_words("ü(ab)", &[error]), "--code, column 3: wrong; write a number\n  ü(ab)\n    ^^");
+        let error = ParseError {
+            span: 3..5,
+            message: "wrong".to_owned(),
+            hint: "write a number".to_owned(),
+        };
+        assert_eq!(
+            in_words("ü(ab)", &[error]),
+            "--code, column 3: wrong; write a number\n  ü(ab)\n    ^^"
+        );
     }
 }

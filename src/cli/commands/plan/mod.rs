@@ -18,14 +18,24 @@ use planagent_world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Traject
 use serde_json::{Value, json};
 
 /// Runs one planning call at a time of the recorded scenario.
-pub(crate) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(crate) fn run(
+    flags: &PlanArguments,
+    config: &Config,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
     let scenario = scenario(flags.scenario.as_deref(), &flags.data)?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
     if let Some(file) = &flags.image {
         check_output(file.path())?;
     }
     if let Some(code) = &flags.code {
-        return code::run(code, (&scenario, iteration, frame), config, flags.image.as_ref(), printer);
+        return code::run(
+            code,
+            (&scenario, iteration, frame),
+            config,
+            flags.image.as_ref(),
+            printer,
+        );
     }
     if let Some(file) = &flags.image {
         check_output(file.beside("model").path())?;
@@ -33,10 +43,17 @@ pub(crate) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> a
     let loaded = load_model(config, &listener(printer))?;
     let parts = loaded.agent_parts(config);
     let mut agent = parts.planner(PlannerName::PLAN_AGENT, &scenario)?;
-    agent.initialize(&PlannerInitialization { map: &scenario.map, route: &scenario.route })?;
+    agent.initialize(&PlannerInitialization {
+        map: &scenario.map,
+        route: &scenario.route,
+    })?;
     let trajectory = compute(&scenario, iteration, frame, agent.as_mut())?;
     // The planner starts at iteration 0; the record has the iteration of the scenario.
-    let mut call = agent.calls().last().context("the planner made no call")?.clone();
+    let mut call = agent
+        .calls()
+        .last()
+        .context("the planner made no call")?
+        .clone();
     (call.iteration, call.at_s) = (iteration, iteration as f64 * STEP_S);
     if let Some(file) = &flags.image {
         file.save(&call_picture(&scenario, frame, &call, &trajectory))?;
@@ -50,7 +67,11 @@ pub(crate) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> a
         show(&scenario, &call, &trajectory, printer);
     }
     let failed = matches!(call.interruption(), Some(Interruption::Model(_)));
-    Ok(if failed { Exit::SomeFailed } else { Exit::Success })
+    Ok(if failed {
+        Exit::SomeFailed
+    } else {
+        Exit::Success
+    })
 }
 
 /// The one scenario that a word names.
@@ -62,7 +83,11 @@ pub(crate) fn scenario(word: Option<&str>, data: &DataArguments) -> anyhow::Resu
     };
     match (sources.pop(), sources.len()) {
         (Some(source), 0) => Ok(source.open()?),
-        (_, more) => bail!("{} names {} scenarios; name one", word.unwrap_or("nothing"), more + 1),
+        (_, more) => bail!(
+            "{} names {} scenarios; name one",
+            word.unwrap_or("nothing"),
+            more + 1
+        ),
     }
 }
 
@@ -70,10 +95,16 @@ pub(crate) fn scenario(word: Option<&str>, data: &DataArguments) -> anyhow::Resu
 pub(crate) fn instant(scenario: &Scenario, at: f64) -> anyhow::Result<(usize, &Frame)> {
     let iteration = (at / STEP_S).round();
     let in_window = (0.0..scenario.iterations() as f64).contains(&iteration);
-    in_window.then_some(iteration as usize).and_then(|i| Some((i, scenario.frame(i)?))).with_context(|| {
-        let end = (scenario.iterations() - 1) as f64 * STEP_S;
-        format!("--at {at} lies outside the window of {}, which is from 0 to {end:.1} s", scenario.id)
-    })
+    in_window
+        .then_some(iteration as usize)
+        .and_then(|i| Some((i, scenario.frame(i)?)))
+        .with_context(|| {
+            let end = (scenario.iterations() - 1) as f64 * STEP_S;
+            format!(
+                "--at {at} lies outside the window of {}, which is from 0 to {end:.1} s",
+                scenario.id
+            )
+        })
 }
 
 /// The trajectory of the planner for the recorded scene of an iteration.
@@ -84,21 +115,32 @@ fn compute(
     agent: &mut dyn Planner,
 ) -> anyhow::Result<Trajectory> {
     let history = history(scenario, iteration);
-    Ok(agent.compute_trajectory(&PlannerInput { iteration: 0, scene: scenario.scene(frame, &history) })?)
+    Ok(agent.compute_trajectory(&PlannerInput {
+        iteration: 0,
+        scene: scenario.scene(frame, &history),
+    })?)
 }
 
 /// The recorded past up to an iteration.
 pub(crate) fn history(scenario: &Scenario, iteration: usize) -> History {
     let mut history = History::default();
     for frame in scenario.frames.iter().take(scenario.start + iteration + 1) {
-        history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });
+        history.push(HistorySample {
+            ego: frame.ego,
+            objects: frame.objects.clone(),
+        });
     }
     history
 }
 
 /// The call's record with the trajectory: seconds from now, x, y, heading (map frame), speed.
-fn with_trajectory(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory) -> anyhow::Result<Value> {
-    let mut record = CallRecord::of(&scenario.id, PlannerName::PLAN_AGENT.as_str(), None, call).to_json()?;
+fn with_trajectory(
+    scenario: &Scenario,
+    call: &PlanningCall,
+    trajectory: &Trajectory,
+) -> anyhow::Result<Value> {
+    let mut record =
+        CallRecord::of(&scenario.id, PlannerName::PLAN_AGENT.as_str(), None, call).to_json()?;
     let start = trajectory.start_us();
     let states = trajectory.states().iter().map(|state| {
         let pose = state.rear_axle;
@@ -114,7 +156,11 @@ fn with_trajectory(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajec
 }
 
 fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, printer: Printer) {
-    printer.line(format!("{} at {:.1} s\n", scenario.id, call.iteration as f64 * STEP_S));
+    printer.line(format!(
+        "{} at {:.1} s\n",
+        scenario.id,
+        call.iteration as f64 * STEP_S
+    ));
     for i in 0..call.attempts.len() {
         printer.line(format!("Attempt {}\n", i + 1));
         printer.line(attempt_markdown(&call.attempts, i));

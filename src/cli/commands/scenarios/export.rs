@@ -24,7 +24,11 @@ pub(super) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Resu
                 let (name, text) = (source.to_string(), error.to_string());
                 // The error of a file begins with its path.
                 let error = anyhow::Error::new(error);
-                if text.contains(&name) { error } else { error.context(format!("cannot open {name}")) }
+                if text.contains(&name) {
+                    error
+                } else {
+                    error.context(format!("cannot open {name}"))
+                }
             })
         })
         .collect::<Result<_, _>>()?;
@@ -33,8 +37,14 @@ pub(super) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Resu
     }
 }
 
-fn nuplan(arguments: &ExportArguments, scenarios: &[Scenario], printer: Printer) -> anyhow::Result<Exit> {
-    let &[x, y] = arguments.origin.as_slice() else { bail!("--origin takes an easting and a northing") };
+fn nuplan(
+    arguments: &ExportArguments,
+    scenarios: &[Scenario],
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    let &[x, y] = arguments.origin.as_slice() else {
+        bail!("--origin takes an easting and a northing")
+    };
     let settings = ExportSettings {
         location: arguments.location.clone(),
         epsg: arguments.epsg,
@@ -44,7 +54,10 @@ fn nuplan(arguments: &ExportArguments, scenarios: &[Scenario], printer: Printer)
     };
     let exported = write_scenarios(scenarios, &arguments.out, &settings)?;
     for log in &exported.logs {
-        printer.named(&log.log, &format!("token {}  map {}", log.token, log.location));
+        printer.named(
+            &log.log,
+            &format!("token {}  map {}", log.token, log.location),
+        );
         if log.changes != ExportChanges::default() {
             printer.note(format!("{}: {}", log.scenario, summary(&log.changes)));
         }
@@ -60,15 +73,33 @@ fn nuplan(arguments: &ExportArguments, scenarios: &[Scenario], printer: Printer)
 /// The changes in words.
 fn summary(changes: &ExportChanges) -> String {
     let counted = [
-        (changes.inserted_connectors, "connectors inserted between lanes"),
+        (
+            changes.inserted_connectors,
+            "connectors inserted between lanes",
+        ),
         (changes.inserted_lanes, "lanes inserted between connectors"),
-        (changes.open_ends_closed, "lanes inserted at open ends of connectors"),
-        (changes.connectors_repeated, "connectors repeated for more lanes"),
+        (
+            changes.open_ends_closed,
+            "lanes inserted at open ends of connectors",
+        ),
+        (
+            changes.connectors_repeated,
+            "connectors repeated for more lanes",
+        ),
         (changes.inserted_stop_lines, "stop lines inserted"),
-        (changes.dropped_future_states, "recorded states after the end dropped"),
-        (changes.appended_roadblocks, "roadblocks appended to the route"),
+        (
+            changes.dropped_future_states,
+            "recorded states after the end dropped",
+        ),
+        (
+            changes.appended_roadblocks,
+            "roadblocks appended to the route",
+        ),
         (changes.neighbors_changed, "neighbor relations changed"),
     ];
-    let some = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
+    let some = counted
+        .iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, what)| format!("{count} {what}"));
     some.collect::<Vec<_>>().join(", ")
 }

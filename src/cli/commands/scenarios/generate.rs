@@ -8,15 +8,22 @@ use serde_json::json;
 
 /// Generates scenarios and prints a line about the expert driver of each.
 pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Result<Exit> {
-    let GenerateArguments { types: names, from, count, traffic } = arguments;
-    let known = |name: &String| types::named(name).ok_or_else(|| GeneratorError::UnknownType(name.clone()));
+    let GenerateArguments {
+        types: names,
+        from,
+        count,
+        traffic,
+    } = arguments;
+    let known =
+        |name: &String| types::named(name).ok_or_else(|| GeneratorError::UnknownType(name.clone()));
     let kinds = if names.is_empty() {
         types::in_suites().collect()
     } else {
         names.iter().map(known).collect::<Result<Vec<_>, _>>()?
     };
-    let last =
-        from.checked_add(count - 1).with_context(|| format!("--from {from} --count {count}: no seed is so large"))?;
+    let last = from
+        .checked_add(count - 1)
+        .with_context(|| format!("--from {from} --count {count}: no seed is so large"))?;
     let mut failed = false;
     for kind in kinds {
         for seed in *from..=last {
@@ -28,10 +35,19 @@ pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Re
                         .zip(scenario.expert().skip(1))
                         .map(|(a, b)| a.rear_axle.distance(&b.rear_axle))
                         .sum();
-                    let objects = scenario.frame(0).expect("a generated scenario has frames").objects.len();
-                    printer.named(&scenario.id, &format!("expert drives {way:6.1} m, {objects:>3} objects"));
+                    let objects = scenario
+                        .frame(0)
+                        .expect("a generated scenario has frames")
+                        .objects
+                        .len();
+                    printer.named(
+                        &scenario.id,
+                        &format!("expert drives {way:6.1} m, {objects:>3} objects"),
+                    );
                     if printer.is_json() {
-                        printer.json(&json!({"id": scenario.id, "expert_m": way, "objects": objects}))?;
+                        printer.json(
+                            &json!({"id": scenario.id, "expert_m": way, "objects": objects}),
+                        )?;
                     }
                 }
                 Err(error) => {
@@ -41,5 +57,9 @@ pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Re
             }
         }
     }
-    Ok(if failed { Exit::SomeFailed } else { Exit::Success })
+    Ok(if failed {
+        Exit::SomeFailed
+    } else {
+        Exit::Success
+    })
 }

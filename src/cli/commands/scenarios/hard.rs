@@ -11,10 +11,12 @@ use std::path::Path;
 
 /// Selects them by the scores of PDM-Closed in the run.
 pub(super) fn run(folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
-    let rows = completed(folder, printer)?
-        .into_iter()
-        .filter(|row| row.planner == PlannerName::PDM_CLOSED.as_str() && row.challenge == Challenge::NonReactive);
-    let scores = rows.filter_map(|row| Some((row.scenario.parse().ok()?, row.score?))).collect();
+    let rows = completed(folder, printer)?.into_iter().filter(|row| {
+        row.planner == PlannerName::PDM_CLOSED.as_str() && row.challenge == Challenge::NonReactive
+    });
+    let scores = rows
+        .filter_map(|row| Some((row.scenario.parse().ok()?, row.score?)))
+        .collect();
     let specs = hard_scenarios(&scores).with_context(|| {
         let (folder, candidates, planner) = (folder.display(), Suite::CANDIDATES.name, PlannerName::PDM_CLOSED);
         format!("in {folder}, which should be a run of `simulate --split {candidates} --planner {planner}`")

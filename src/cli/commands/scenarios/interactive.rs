@@ -23,7 +23,11 @@ pub(super) fn run(arguments: &InteractiveArguments, printer: Printer) -> anyhow:
         };
         let words = draw_generated(seeds, arguments.count)?;
         let is_suite = seeds == Split::Test && arguments.count == SCENARIOS;
-        let list = if is_suite { generated_list(&words) } else { other_list(&words, seeds, arguments.count) };
+        let list = if is_suite {
+            generated_list(&words)
+        } else {
+            other_list(&words, seeds, arguments.count)
+        };
         (words, list)
     };
     printer.line(list.trim_end());

@@ -39,9 +39,14 @@ struct Row {
     recorded: Option<Recorded>,
 }
 
-/// Lists the scenarios of words and splits, or the types of generated scenarios when neither is given.
+/// Lists the scenarios of words and splits, or the types of generated scenarios when neither is
+/// given.
 pub(super) fn run(arguments: &ListArguments, printer: Printer) -> anyhow::Result<Exit> {
-    let ListArguments { sources, split, csv } = arguments;
+    let ListArguments {
+        sources,
+        split,
+        csv,
+    } = arguments;
     let output = Output { printer, csv: *csv };
     let mut rows = Vec::new();
     let complete = if sources.is_empty() && split.splits.is_empty() {
@@ -51,7 +56,12 @@ pub(super) fn run(arguments: &ListArguments, printer: Printer) -> anyhow::Result
         list_types(output, &mut rows)?
     } else {
         let readers = split.data.readers();
-        let mut complete = list_splits(&split.data.modified(&split.splits)?, &readers, output, &mut rows)?;
+        let mut complete = list_splits(
+            &split.data.modified(&split.splits)?,
+            &readers,
+            output,
+            &mut rows,
+        )?;
         for word in &split.data.modified(sources)? {
             for scenario in readers.find(word)? {
                 complete &= list(&scenario, None, output, &mut rows)?;
@@ -65,7 +75,11 @@ pub(super) fn run(arguments: &ListArguments, printer: Printer) -> anyhow::Result
     if *csv {
         printer.csv(&rows)?;
     }
-    Ok(if complete { Exit::Success } else { Exit::SomeFailed })
+    Ok(if complete {
+        Exit::Success
+    } else {
+        Exit::SomeFailed
+    })
 }
 
 fn list_types(output: Output, rows: &mut Vec<Row>) -> anyhow::Result<bool> {
@@ -78,7 +92,12 @@ fn list_types(output: Output, rows: &mut Vec<Row>) -> anyhow::Result<bool> {
 }
 
 /// Whether all scenarios of the splits exist and all their files can be read.
-fn list_splits(names: &[String], readers: &Readers, output: Output, rows: &mut Vec<Row>) -> anyhow::Result<bool> {
+fn list_splits(
+    names: &[String],
+    readers: &Readers,
+    output: Output,
+    rows: &mut Vec<Row>,
+) -> anyhow::Result<bool> {
     let mut complete = true;
     for name in names {
         let found = split(name, readers, &|_, _| {})?;
@@ -97,7 +116,12 @@ fn list_splits(names: &[String], readers: &Readers, output: Output, rows: &mut V
 }
 
 /// Lists a scenario; false when its file cannot be read.
-fn list(scenario: &ScenarioRef, split: Option<&str>, output: Output, rows: &mut Vec<Row>) -> anyhow::Result<bool> {
+fn list(
+    scenario: &ScenarioRef,
+    split: Option<&str>,
+    output: Output,
+    rows: &mut Vec<Row>,
+) -> anyhow::Result<bool> {
     let printer = output.printer;
     let contents = match (scenario.fault(), scenario.contents()) {
         (Some(fault), _) => {
@@ -120,26 +144,68 @@ fn list(scenario: &ScenarioRef, split: Option<&str>, output: Output, rows: &mut 
         source,
     };
     if output.csv {
-        let recorded = contents.map(|Contents { record, steps, tracks, .. }| Recorded { record, steps, tracks });
-        rows.push(Row { about, split: split.map(str::to_owned), recorded });
+        let recorded = contents.map(
+            |Contents {
+                 record,
+                 steps,
+                 tracks,
+                 ..
+             }| Recorded {
+                record,
+                steps,
+                tracks,
+            },
+        );
+        rows.push(Row {
+            about,
+            split: split.map(str::to_owned),
+            recorded,
+        });
         return Ok(true);
     }
-    let Some(Contents { record, steps, iterations, tracks, lanes }) = contents else {
+    let Some(Contents {
+        record,
+        steps,
+        iterations,
+        tracks,
+        lanes,
+    }) = contents
+    else {
         // The name of a generated scenario holds its type.
-        let details = if about.source == about.id { "" } else { &about.scenario_type };
+        let details = if about.source == about.id {
+            ""
+        } else {
+            &about.scenario_type
+        };
         printer.named(&about.source, details);
         if printer.is_json() {
-            printer.json(&Details { about, more: json!({"split": split}) })?;
+            printer.json(&Details {
+                about,
+                more: json!({"split": split}),
+            })?;
         }
         return Ok(true);
     };
     let simulated_s = iterations.saturating_sub(1) as f64 * STEP_S;
-    let counts = format!("{steps:>4} steps  {simulated_s:>5.1} s simulated  {tracks:>4} tracks  {lanes:>4} lanes");
+    let counts = format!(
+        "{steps:>4} steps  {simulated_s:>5.1} s simulated  {tracks:>4} tracks  {lanes:>4} lanes"
+    );
     // Most files and folders have the id in their name.
-    let details = if about.source.contains(&about.id) { counts } else { format!("{counts}  {}", about.id) };
+    let details = if about.source.contains(&about.id) {
+        counts
+    } else {
+        format!("{counts}  {}", about.id)
+    };
     printer.named(&about.source, &details);
     if printer.is_json() {
-        printer.json(&Details { about, more: Recorded { record, steps, tracks } })?;
+        printer.json(&Details {
+            about,
+            more: Recorded {
+                record,
+                steps,
+                tracks,
+            },
+        })?;
     }
     Ok(true)
 }

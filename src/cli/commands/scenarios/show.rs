@@ -24,7 +24,10 @@ pub(super) fn run(arguments: &ShowArguments, printer: Printer) -> anyhow::Result
     let about = About::scenario(&scenario, &arguments.scenario);
     let at_s = iteration as f64 * STEP_S;
     if printer.is_json() {
-        printer.json(&Details { about, more: contents(&scenario, frame, at_s) })?;
+        printer.json(&Details {
+            about,
+            more: contents(&scenario, frame, at_s),
+        })?;
     } else {
         print(&scenario, frame, at_s, printer);
     }
@@ -37,18 +40,31 @@ pub(super) fn run(arguments: &ShowArguments, printer: Printer) -> anyhow::Result
 
 /// Source ids of the route's roadblocks.
 fn route(scenario: &Scenario) -> Vec<i64> {
-    scenario.route.roadblocks.iter().map(|&block| scenario.map[block].source_id).collect()
+    scenario
+        .route
+        .roadblocks
+        .iter()
+        .map(|&block| scenario.map[block].source_id)
+        .collect()
 }
 
 /// Number of lanes that are connectors.
 fn connectors(scenario: &Scenario) -> usize {
-    scenario.map.lanes().iter().filter(|lane| lane.kind == LaneKind::Connector).count()
+    scenario
+        .map
+        .lanes()
+        .iter()
+        .filter(|lane| lane.kind == LaneKind::Connector)
+        .count()
 }
 
 /// Fields of `show` alone.
 fn contents(scenario: &Scenario, frame: &Frame, at_s: f64) -> Value {
     let map = &scenario.map;
-    let lights = frame.lights.iter().map(|(id, status)| json!({"lane": map[id].source_id, "status": status}));
+    let lights = frame
+        .lights
+        .iter()
+        .map(|(id, status)| json!({"lane": map[id].source_id, "status": status}));
     json!({
         "history": scenario.start,
         "map": {
@@ -75,8 +91,19 @@ fn print(scenario: &Scenario, frame: &Frame, at_s: f64, printer: Printer) {
     section("log", vec![scenario.log_name.clone()]);
     let end = (scenario.iterations() - 1) as f64 * STEP_S;
     let iterations = format!("{} iterations", scenario.iterations());
-    section("window", vec![format!("{end:.1} s"), iterations, format!("{} frames of history", scenario.start)]);
-    let lanes = format!("{} lanes, {} of them connectors", map.lanes().len(), connectors(scenario));
+    section(
+        "window",
+        vec![
+            format!("{end:.1} s"),
+            iterations,
+            format!("{} frames of history", scenario.start),
+        ],
+    );
+    let lanes = format!(
+        "{} lanes, {} of them connectors",
+        map.lanes().len(),
+        connectors(scenario)
+    );
     let counts = [
         (map.roadblocks().len(), "roadblocks"),
         (map.intersections().len(), "intersections"),
@@ -86,9 +113,22 @@ fn print(scenario: &Scenario, frame: &Frame, at_s: f64, printer: Printer) {
     section("map", [vec![lanes], counted(&counts)].concat());
     let route = route(scenario);
     let blocks = route.iter().map(ToString::to_string);
-    section("route", [format!("{} roadblocks:", route.len())].into_iter().chain(blocks).collect());
+    section(
+        "route",
+        [format!("{} roadblocks:", route.len())]
+            .into_iter()
+            .chain(blocks)
+            .collect(),
+    );
     let speed = format!("ego {:.1} m/s", frame.ego.speed());
-    section("at", vec![format!("{at_s:.1} s"), speed, format!("{} objects", frame.objects.len())]);
+    section(
+        "at",
+        vec![
+            format!("{at_s:.1} s"),
+            speed,
+            format!("{} objects", frame.objects.len()),
+        ],
+    );
     let lights = |status: SignalStatus| frame.lights.iter().filter(|&(_, s)| s == status).count();
     let counts = [
         (lights(SignalStatus::Green), "green"),
@@ -100,12 +140,18 @@ fn print(scenario: &Scenario, frame: &Frame, at_s: f64, printer: Printer) {
 }
 
 fn counted(counts: &[(usize, &str)]) -> Vec<String> {
-    counts.iter().map(|(count, what)| format!("{count} {what}")).collect()
+    counts
+        .iter()
+        .map(|(count, what)| format!("{count} {what}"))
+        .collect()
 }
 
 /// A BEV picture of the scene.
 fn draw(scenario: &Scenario, frame: &Frame, view: &BevView) -> RgbImage {
     let mut history = History::default();
-    history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });
+    history.push(HistorySample {
+        ego: frame.ego,
+        objects: frame.objects.clone(),
+    });
     bev::render(&scenario.scene(frame, &history), view)
 }

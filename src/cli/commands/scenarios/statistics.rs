@@ -45,7 +45,11 @@ pub(super) fn run(arguments: &StatisticsArguments, printer: Printer) -> anyhow::
     }
     printer.line(realism_table(&comparison, names));
     if printer.is_json() {
-        let SceneComparison { features, classifier, scenes } = &comparison;
+        let SceneComparison {
+            features,
+            classifier,
+            scenes,
+        } = &comparison;
         printer.json(&json!({"a": a, "b": b, "features": features, "classifier": classifier, "scenes": scenes}))?;
     }
     Ok(Exit::Success)
@@ -54,21 +58,35 @@ pub(super) fn run(arguments: &StatisticsArguments, printer: Printer) -> anyhow::
 /// The words of a set; of a long list the first one.
 fn shown(words: &str) -> String {
     match words.split_once(',') {
-        Some((first, rest)) if rest.contains(',') => format!("{first} and {} more", rest.split(',').count()),
+        Some((first, rest)) if rest.contains(',') => {
+            format!("{first} and {} more", rest.split(',').count())
+        }
         _ => words.to_owned(),
     }
 }
 
 fn check_figure(file: &Path) -> anyhow::Result<()> {
-    if file.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("svg")) {
+    if file
+        .extension()
+        .is_none_or(|extension| !extension.eq_ignore_ascii_case("svg"))
+    {
         bail!("--figure {} must end in .svg", file.display());
     }
     Ok(())
 }
 
-/// The scenarios of words separated by commas, each a split or what a reader takes. A path may hold a comma.
-fn scenarios(words: &str, data: &DataArguments, readers: &Readers) -> anyhow::Result<Vec<ScenarioRef>> {
-    let list: Vec<&str> = if path_of(words).exists() { vec![words] } else { words.split(',').map(str::trim).collect() };
+/// The scenarios of words separated by commas, each a split or what a reader takes. A path may hold
+/// a comma.
+fn scenarios(
+    words: &str,
+    data: &DataArguments,
+    readers: &Readers,
+) -> anyhow::Result<Vec<ScenarioRef>> {
+    let list: Vec<&str> = if path_of(words).exists() {
+        vec![words]
+    } else {
+        words.split(',').map(str::trim).collect()
+    };
     let list: Vec<String> = list.into_iter().map(str::to_owned).collect();
     let mut found = Vec::new();
     for word in &data.modified(&list)? {

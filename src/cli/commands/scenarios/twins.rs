@@ -16,11 +16,15 @@ pub(super) fn run(arguments: &TwinArguments, printer: Printer) -> anyhow::Result
     };
     let count = arguments.count.unwrap_or(usual);
     let bar = printer.progress(4 * count as u64, "pairs");
-    let drawn = draw(split, count, arguments.candidates, &|pairs| bar.set_position(pairs as u64))?;
+    let drawn = draw(split, count, arguments.candidates, &|pairs| {
+        bar.set_position(pairs as u64)
+    })?;
     bar.finish_and_clear();
     let mut refused = BTreeMap::<_, usize>::new();
     for ((kind, why, scenario_type), count) in &drawn.refused {
-        printer.detail(format!("{kind}, {scenario_type}: {count} candidates are no pairs: {why}"));
+        printer.detail(format!(
+            "{kind}, {scenario_type}: {count} candidates are no pairs: {why}"
+        ));
         *refused.entry((kind, why)).or_default() += count;
     }
     for ((kind, why), count) in refused {
@@ -28,7 +32,9 @@ pub(super) fn run(arguments: &TwinArguments, printer: Printer) -> anyhow::Result
     }
     printer.line(list_text(split, count, &drawn.pairs).trim_end());
     if printer.is_json() {
-        printer.json(&json!({"pairs": drawn.pairs.iter().map(ToString::to_string).collect::<Vec<_>>()}))?;
+        printer.json(
+            &json!({"pairs": drawn.pairs.iter().map(ToString::to_string).collect::<Vec<_>>()}),
+        )?;
     }
     Ok(Exit::Success)
 }

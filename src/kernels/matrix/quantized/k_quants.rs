@@ -23,7 +23,9 @@ impl Quantized for Q6K {
 
     #[inline(always)]
     fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
-        let Some(lines) = lines.first_chunk::<53>() else { return simd.bytes(&CacheLine::ZERO) };
+        let Some(lines) = lines.first_chunk::<53>() else {
+            return simd.bytes(&CacheLine::ZERO);
+        };
         let (part, run, step) = (step / 32, step / 8 % 4, step % 8);
         let high = simd.bytes(&lines[32 + 8 * part + step]);
         let low = simd.bytes(&lines[16 * part + run % 2 * 8 + step]);
@@ -37,10 +39,18 @@ impl Quantized for Q6K {
 
     #[inline(always)]
     fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        let Some(lines) = lines.first_chunk::<53>() else { return };
+        let Some(lines) = lines.first_chunk::<53>() else {
+            return;
+        };
         let scale = simd.load_half(&lines[52].halves(0));
         for (run, scales) in block.scales.iter_mut().enumerate() {
-            simd.store(simd.mul(scale, simd.load_signed(&lines[48 + run / 4].quarter(run % 4))), scales);
+            simd.store(
+                simd.mul(
+                    scale,
+                    simd.load_signed(&lines[48 + run / 4].quarter(run % 4)),
+                ),
+                scales,
+            );
         }
     }
 }
@@ -64,17 +74,29 @@ impl Quantized for Q5K {
 
     #[inline(always)]
     fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
-        let Some(lines) = lines.first_chunk::<44>() else { return simd.bytes(&CacheLine::ZERO) };
+        let Some(lines) = lines.first_chunk::<44>() else {
+            return simd.bytes(&CacheLine::ZERO);
+        };
         let both = simd.bytes(&lines[step / 16 * 8 + step % 8]);
         let high = simd.bytes(&lines[32 + step % 8]);
-        let four = if (step / 8).is_multiple_of(2) { simd.low(both) } else { simd.high(both) };
+        let four = if (step / 8).is_multiple_of(2) {
+            simd.low(both)
+        } else {
+            simd.high(both)
+        };
         with_fifth_bit(simd, four, high, step / 8)
     }
 
     #[inline(always)]
     fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        let Some(lines) = lines.first_chunk::<44>() else { return };
-        unpack_six_bits(simd, [&lines[40], &lines[41], &lines[42], &lines[43]], block);
+        let Some(lines) = lines.first_chunk::<44>() else {
+            return;
+        };
+        unpack_six_bits(
+            simd,
+            [&lines[40], &lines[41], &lines[42], &lines[43]],
+            block,
+        );
     }
 }
 
@@ -97,15 +119,27 @@ impl Quantized for Q4K {
 
     #[inline(always)]
     fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
-        let Some(lines) = lines.first_chunk::<36>() else { return simd.bytes(&CacheLine::ZERO) };
+        let Some(lines) = lines.first_chunk::<36>() else {
+            return simd.bytes(&CacheLine::ZERO);
+        };
         let both = simd.bytes(&lines[step / 16 * 8 + step % 8]);
-        if (step / 8).is_multiple_of(2) { simd.low(both) } else { simd.high(both) }
+        if (step / 8).is_multiple_of(2) {
+            simd.low(both)
+        } else {
+            simd.high(both)
+        }
     }
 
     #[inline(always)]
     fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        let Some(lines) = lines.first_chunk::<36>() else { return };
-        unpack_six_bits(simd, [&lines[32], &lines[33], &lines[34], &lines[35]], block);
+        let Some(lines) = lines.first_chunk::<36>() else {
+            return;
+        };
+        unpack_six_bits(
+            simd,
+            [&lines[32], &lines[33], &lines[34], &lines[35]],
+            block,
+        );
     }
 }
 
@@ -130,7 +164,9 @@ impl Quantized for Q3K {
     #[inline(always)]
     fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
         let zeros = simd.bytes(&CacheLine::ZERO);
-        let Some(lines) = lines.first_chunk::<28>() else { return zeros };
+        let Some(lines) = lines.first_chunk::<28>() else {
+            return zeros;
+        };
         let (part, run, step) = (step / 32, step / 8, step % 8);
         let low = simd.bytes(&lines[8 * part + step]);
         let two = match run % 4 {
@@ -144,14 +180,17 @@ impl Quantized for Q3K {
 
     #[inline(always)]
     fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        let Some(lines) = lines.first_chunk::<28>() else { return };
+        let Some(lines) = lines.first_chunk::<28>() else {
+            return;
+        };
         let quarter = simd.mul(simd.load_half(&lines[27].halves(0)), simd.floats(0.25));
         for (run, out) in block.scales.iter_mut().enumerate() {
             let four = lines[24 + run % 8 / 4].quarter(run % 4);
             let two = lines[26].quarter(run % 4);
             let mut scales = [0; LANES];
             for lane in 0..LANES {
-                let scale = four[lane] >> (run / 8 * 4) & 15 | (two[lane] >> (run / 4 * 2) & 3) << 4;
+                let scale =
+                    four[lane] >> (run / 8 * 4) & 15 | (two[lane] >> (run / 4 * 2) & 3) << 4;
                 scales[lane] = scale.wrapping_sub(32);
             }
             simd.store(simd.mul(quarter, simd.load_signed(&scales)), out);
@@ -161,12 +200,20 @@ impl Quantized for Q3K {
 
 /// Unpacks d, dmin, and the eight scales and minima of six bits.
 #[inline(always)]
-fn unpack_six_bits<S: Simd>(simd: S, [halves, first, second, third]: [&CacheLine; 4], block: &mut Block) {
+fn unpack_six_bits<S: Simd>(
+    simd: S,
+    [halves, first, second, third]: [&CacheLine; 4],
+    block: &mut Block,
+) {
     let packed = [first, second, third].map(|line| [0, 1, 2, 3].map(|index| line.quarter(index)));
     let (mut scales, mut minima) = ([[0; LANES]; 8], [[0; LANES]; 8]);
     for lane in 0..LANES {
         for run in 0..4 {
-            let [first, second, third] = [packed[0][run][lane], packed[1][run][lane], packed[2][run][lane]];
+            let [first, second, third] = [
+                packed[0][run][lane],
+                packed[1][run][lane],
+                packed[2][run][lane],
+            ];
             scales[run][lane] = first & 63;
             minima[run][lane] = second & 63;
             scales[run + 4][lane] = third & 15 | first >> 6 << 4;
@@ -175,7 +222,10 @@ fn unpack_six_bits<S: Simd>(simd: S, [halves, first, second, third]: [&CacheLine
     }
     let scale = simd.load_half(&halves.halves(0));
     for (out, scales) in block.scales.iter_mut().zip(&scales) {
-        simd.store(simd.mul(scale, simd.to_floats(simd.load_unsigned(scales))), out);
+        simd.store(
+            simd.mul(scale, simd.to_floats(simd.load_unsigned(scales))),
+            out,
+        );
     }
     for (out, minima) in block.minima.iter_mut().zip(minima.as_chunks::<2>().0) {
         for lane in 0..LANES {

@@ -1,7 +1,7 @@
 //! Products of quantized weights: byte products, summed in integers within a scale's range.
 //!
-//! Activations are quantized to eight bits as ggml does it: with one scale a span for k-quants (`block_q8_K`), with one
-//! scale a run for the others (`block_q8_0`, `block_q8_1`).
+//! Activations are quantized to eight bits as ggml does it: with one scale a span for k-quants
+//! (`block_q8_K`), with one scale a run for the others (`block_q8_0`, `block_q8_1`).
 
 mod k_quants;
 mod runs_of_32;
@@ -41,7 +41,8 @@ pub(super) struct Block {
 #[derive(PartialEq, Eq)]
 enum Minima {
     None,
-    /// A whole number, times a scale of the span; it is subtracted. A word of activation sums has two runs.
+    /// A whole number, times a scale of the span; it is subtracted. A word of activation sums has
+    /// two runs.
     Scaled,
     /// A float. A word of activation sums is an f32, with the scale of its activations.
     Floats,
@@ -58,20 +59,24 @@ trait Quantized {
     const LINES: usize;
     /// Numbers that share a scale.
     const RUN: usize;
-    /// Words of activation sums in a span: one for each run, or for two runs with [`Minima::Scaled`].
+    /// Words of activation sums in a span: one for each run, or for two runs with
+    /// [`Minima::Scaled`].
     const SUM_WORDS: usize;
     const MINIMA: Minima;
     /// Activations that share a scale: a run, or the span.
     const SCALED: usize;
 
-    /// Word `index` of the activation sums, from the sums of every [`SUMMED`] activations, and from the bits of their scales.
+    /// Word `index` of the activation sums, from the sums of every [`SUMMED`] activations, and from
+    /// the bits of their scales.
     fn sum_word(sums: &[i32; SPAN / SUMMED], scales: &[i32], index: usize) -> i32;
-    /// The numbers of a step: four of each output, unsigned bytes. `lines` may end early: then zeros.
+    /// The numbers of a step: four of each output, unsigned bytes. `lines` may end early: then
+    /// zeros.
     fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes;
     /// Unpacks scales and minima. `lines` may end early: then zeros.
     fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block);
 
-    /// The value that the sum of a run without minima starts from; `word` is its word of activation sums.
+    /// The value that the sum of a run without minima starts from; `word` is its word of activation
+    /// sums.
     #[inline(always)]
     fn start<S: Simd>(simd: S, word: i32) -> S::Ints {
         simd.ints(word)
@@ -106,9 +111,13 @@ impl<Q: Quantized> Format for Q {
         let (packed, rest) = words.split_at_mut(STEPS);
         let (sum_words, scales) = rest.split_at_mut(Q::SUM_WORDS);
         let mut numbers = [0; SPAN];
-        let parts = numbers.chunks_exact_mut(Q::SCALED).zip(values.chunks_exact(Q::SCALED));
+        let parts = numbers
+            .chunks_exact_mut(Q::SCALED)
+            .zip(values.chunks_exact(Q::SCALED));
         for (scale, (numbers, values)) in scales.iter_mut().zip(parts) {
-            *scale = quantize_activations(values, numbers).to_bits().cast_signed();
+            *scale = quantize_activations(values, numbers)
+                .to_bits()
+                .cast_signed();
         }
         let mut sums = [0; SPAN / SUMMED];
         for (sum, numbers) in sums.iter_mut().zip(numbers.as_chunks::<SUMMED>().0) {
@@ -139,7 +148,14 @@ impl<Q: Quantized> Format for Q {
         sums: &mut [TileSums; ROWS],
     ) {
         let runs = inputs.div_ceil(Q::RUN);
-        add_products::<Q, S, Unpacked<'_>, ROWS>(simd, blocks, &Unpacked(blocks), words, runs, sums);
+        add_products::<Q, S, Unpacked<'_>, ROWS>(
+            simd,
+            blocks,
+            &Unpacked(blocks),
+            words,
+            runs,
+            sums,
+        );
     }
 
     #[inline(always)]
@@ -157,12 +173,20 @@ impl<Q: Quantized> Format for Q {
             Q::unpack_scales(simd, lines, block);
         }
         let numbers = Packed { tiles, ahead };
-        add_products::<Q, S, Packed<'_>, 1>(simd, blocks, &numbers, words, SPAN / Q::RUN, std::array::from_mut(sums));
+        add_products::<Q, S, Packed<'_>, 1>(
+            simd,
+            blocks,
+            &numbers,
+            words,
+            SPAN / Q::RUN,
+            std::array::from_mut(sums),
+        );
     }
 }
 
-/// Where the numbers of a span come from. A trait and not closures. A closure that is not inlined is compiled without the vector
-/// instructions of its caller, which made decoding five times slower. For the same reason vectors are never mapped as arrays.
+/// Where the numbers of a span come from. A trait and not closures. A closure that is not inlined
+/// is compiled without the vector instructions of its caller, which made decoding five times
+/// slower. For the same reason vectors are never mapped as arrays.
 trait Numbers<Q: Quantized> {
     /// Called before each run of numbers that share a scale.
     fn begin<S: Simd>(&self, simd: S, run: usize);
@@ -245,7 +269,8 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
             *scale = simd.load(&block.scales[run]);
         }
         for (row, (span, products)) in spans.iter_mut().zip(products).enumerate() {
-            for ((span, product), weight_scale) in span.iter_mut().zip(products).zip(weight_scales) {
+            for ((span, product), weight_scale) in span.iter_mut().zip(products).zip(weight_scales)
+            {
                 let product = simd.to_floats(product);
                 *span = if Q::SCALED == Q::RUN {
                     let scale = simd.floats(float(scales[run][row]));
@@ -292,7 +317,11 @@ fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
         }
     }
     for (row, (sums, span)) in sums.iter_mut().zip(spans).enumerate() {
-        let scale = simd.floats(if Q::SCALED == SPAN { float(scales[0][row]) } else { 1.0 });
+        let scale = simd.floats(if Q::SCALED == SPAN {
+            float(scales[0][row])
+        } else {
+            1.0
+        });
         for (sum, span) in sums.iter_mut().zip(span) {
             simd.store(simd.mul_add(span, scale, simd.load(sum)), sum);
         }
@@ -305,8 +334,8 @@ fn float(word: i32) -> f32 {
     f32::from_bits(word.cast_unsigned())
 }
 
-/// Rounds activations to multiples of a scale and returns the scale. Their number is a multiple of sixteen. A NaN or an
-/// infinity makes the scale NaN, so that the result shows it.
+/// Rounds activations to multiples of a scale and returns the scale. Their number is a multiple of
+/// sixteen. A NaN or an infinity makes the scale NaN, so that the result shows it.
 #[inline(always)]
 fn quantize_activations(values: &[f32], numbers: &mut [i8]) -> f32 {
     // The bits of magnitudes are in the order of the magnitudes, with infinity and NaN on top.
@@ -320,9 +349,22 @@ fn quantize_activations(values: &[f32], numbers: &mut [i8]) -> f32 {
         }
     }
     let largest = largest.into_iter().fold(0, u32::max);
-    let scale = if largest < INFINITY { f32::from_bits(largest) / MAX_MAGNITUDE } else { f32::NAN };
-    let inverse = if largest > 0 { MAX_MAGNITUDE / f32::from_bits(largest) } else { 0.0 };
-    for (numbers, values) in numbers.as_chunks_mut::<LANES>().0.iter_mut().zip(values.as_chunks::<LANES>().0) {
+    let scale = if largest < INFINITY {
+        f32::from_bits(largest) / MAX_MAGNITUDE
+    } else {
+        f32::NAN
+    };
+    let inverse = if largest > 0 {
+        MAX_MAGNITUDE / f32::from_bits(largest)
+    } else {
+        0.0
+    };
+    for (numbers, values) in numbers
+        .as_chunks_mut::<LANES>()
+        .0
+        .iter_mut()
+        .zip(values.as_chunks::<LANES>().0)
+    {
         for (number, value) in numbers.iter_mut().zip(values) {
             *number = (value * inverse + ROUNDING).to_bits() as i8;
         }

@@ -23,14 +23,21 @@ impl Quantized for Q8_0 {
 
     #[inline(always)]
     fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
-        simd.bytes(lines.get(step / 16 * 17 + step % 16).unwrap_or(&CacheLine::ZERO))
+        simd.bytes(
+            lines
+                .get(step / 16 * 17 + step % 16)
+                .unwrap_or(&CacheLine::ZERO),
+        )
     }
 
     #[inline(always)]
     fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
         for run in 0..8 {
             let scales = lines.get(run / 2 * 17 + 16).unwrap_or(&CacheLine::ZERO);
-            simd.store(simd.load_half(&scales.halves(run % 2)), &mut block.scales[run]);
+            simd.store(
+                simd.load_half(&scales.halves(run % 2)),
+                &mut block.scales[run],
+            );
         }
     }
 
@@ -45,8 +52,8 @@ impl Quantized for Q8_0 {
     }
 }
 
-/// Four or five bits a number, `FIFTH` of them in a line of their own. w = scale · (number − half of their range), or, with a
-/// `MINIMUM`, w = scale · number + minimum.
+/// Four or five bits a number, `FIFTH` of them in a line of their own. w = scale · (number − half
+/// of their range), or, with a `MINIMUM`, w = scale · number + minimum.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::matrix) struct FewBits<const FIFTH: usize, const MINIMUM: bool>;
 
@@ -64,7 +71,9 @@ impl<const FIFTH: usize, const MINIMUM: bool> FewBits<FIFTH, MINIMUM> {
     /// Line `index` of a run's group; zeros behind the end.
     #[inline(always)]
     fn line(lines: &[CacheLine], run: usize, index: usize) -> &CacheLine {
-        lines.get(run / Self::GROUP * Self::GROUP_LINES + index).unwrap_or(&CacheLine::ZERO)
+        lines
+            .get(run / Self::GROUP * Self::GROUP_LINES + index)
+            .unwrap_or(&CacheLine::ZERO)
     }
 }
 
@@ -72,13 +81,21 @@ impl<const FIFTH: usize, const MINIMUM: bool> Quantized for FewBits<FIFTH, MINIM
     const LINES: usize = 8 / Self::GROUP * Self::GROUP_LINES;
     const RUN: usize = 32;
     const SUM_WORDS: usize = 8;
-    const MINIMA: Minima = if MINIMUM { Minima::Floats } else { Minima::None };
+    const MINIMA: Minima = if MINIMUM {
+        Minima::Floats
+    } else {
+        Minima::None
+    };
     const SCALED: usize = 32;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], scales: &[i32], index: usize) -> i32 {
         let sum = run_sum(sums, index);
-        if MINIMUM { (sum as f32 * float(scales[index])).to_bits().cast_signed() } else { -(8 << FIFTH) * sum }
+        if MINIMUM {
+            (sum as f32 * float(scales[index])).to_bits().cast_signed()
+        } else {
+            -(8 << FIFTH) * sum
+        }
     }
 
     /// The low halves of 16 bytes hold the first numbers of a run, the high halves the others.
@@ -87,20 +104,35 @@ impl<const FIFTH: usize, const MINIMUM: bool> Quantized for FewBits<FIFTH, MINIM
         let (run, step) = (step / 8, step % 8);
         let place = run % Self::GROUP;
         let both = simd.bytes(Self::line(lines, run, 4 * place + step % 4));
-        let four = if step < 4 { simd.low(both) } else { simd.high(both) };
+        let four = if step < 4 {
+            simd.low(both)
+        } else {
+            simd.high(both)
+        };
         if FIFTH == 0 {
             return four;
         }
-        with_fifth_bit(simd, four, simd.bytes(Self::line(lines, run, 4 * Self::GROUP + place)), step)
+        with_fifth_bit(
+            simd,
+            four,
+            simd.bytes(Self::line(lines, run, 4 * Self::GROUP + place)),
+            step,
+        )
     }
 
     #[inline(always)]
     fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
         for run in 0..8 {
             let halves = Self::line(lines, run, Self::GROUP_LINES - 1);
-            simd.store(simd.load_half(&halves.halves(run % Self::GROUP)), &mut block.scales[run]);
+            simd.store(
+                simd.load_half(&halves.halves(run % Self::GROUP)),
+                &mut block.scales[run],
+            );
             if MINIMUM {
-                simd.store(simd.load_half(&halves.halves(1)), &mut block.float_minima[run]);
+                simd.store(
+                    simd.load_half(&halves.halves(1)),
+                    &mut block.float_minima[run],
+                );
             }
         }
     }

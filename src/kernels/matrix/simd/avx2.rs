@@ -1,6 +1,12 @@
 //! AVX2 with FMA and F16C: Intel since Haswell, AMD since Zen. A vector takes two registers.
-#![allow(unsafe_code, reason = "vector instructions; an `Avx2` value exists only where the CPU has them")]
-#![allow(clippy::wildcard_imports, reason = "the names of intrinsics say where they are from")]
+#![allow(
+    unsafe_code,
+    reason = "vector instructions; an `Avx2` value exists only where the CPU has them"
+)]
+#![allow(
+    clippy::wildcard_imports,
+    reason = "the names of intrinsics say where they are from"
+)]
 
 use std::arch::x86_64::*;
 
@@ -14,8 +20,9 @@ pub(in crate::matrix) struct Avx2(());
 impl Avx2 {
     #[inline]
     pub(in crate::matrix) fn detect() -> Option<Self> {
-        let all =
-            is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") && is_x86_feature_detected!("f16c");
+        let all = is_x86_feature_detected!("avx2")
+            && is_x86_feature_detected!("fma")
+            && is_x86_feature_detected!("f16c");
         all.then_some(Self(()))
     }
 }
@@ -31,7 +38,12 @@ fn both<A: Copy, B>(a: [A; 2], function: impl Fn(A) -> B) -> [B; 2] {
 
 /// Applies a function to both registers of three vectors.
 #[inline(always)]
-fn both_of_three<A: Copy>(a: [A; 2], b: [A; 2], c: [A; 2], function: impl Fn(A, A, A) -> A) -> [A; 2] {
+fn both_of_three<A: Copy>(
+    a: [A; 2],
+    b: [A; 2],
+    c: [A; 2],
+    function: impl Fn(A, A, A) -> A,
+) -> [A; 2] {
     [function(a[0], b[0], c[0]), function(a[1], b[1], c[1])]
 }
 
@@ -41,8 +53,8 @@ fn halves<T>(values: &[T; LANES]) -> [*const T; 2] {
     [values.as_ptr(), values[LANES / 2..].as_ptr()]
 }
 
-// SAFETY of all blocks below: `self` exists, so the CPU has the instructions. Loads and stores take references to arrays
-// of twice the operand's size; cache lines have the operand's alignment.
+// SAFETY of all blocks below: `self` exists, so the CPU has the instructions. Loads and stores take
+// references to arrays of twice the operand's size; cache lines have the operand's alignment.
 impl Simd for Avx2 {
     type Ints = Ints;
     type Floats = Floats;
@@ -73,8 +85,8 @@ impl Simd for Avx2 {
             _mm256_add_epi32(sum, _mm256_madd_epi16(pairs, _mm256_set1_epi16(1)))
         });
         biased_start(_sum: i32) -> Ints = [_mm256_setzero_si256(); 2];
-        // Two products of an unsigned byte above 127 and a signed byte can overflow 16 bits, so the activation takes the
-        // weight's sign.
+        // Two products of an unsigned byte above 127 and a signed byte can overflow 16 bits, so the
+        // activation takes the weight's sign.
         dot_biased(sum: Ints, weights: Ints, activations: i32) -> Ints =
             both_of_three(sum, weights, weights, |sum, weights, _| {
                 let signed = _mm256_xor_si256(weights, _mm256_set1_epi8(i8::MIN));
@@ -145,7 +157,10 @@ impl Simd for Avx2 {
                 7 => _mm256_srli_epi16::<3>(high),
                 _ => _mm256_srli_epi16::<4>(high),
             };
-            _mm256_or_si256(low, _mm256_and_si256(shifted, _mm256_set1_epi8(MASK.cast_signed())))
+            _mm256_or_si256(
+                low,
+                _mm256_and_si256(shifted, _mm256_set1_epi8(MASK.cast_signed())),
+            )
         })
     }
 }

@@ -1,6 +1,12 @@
 //! AVX-512 with VNNI: Intel since Ice Lake, AMD since Zen 4.
-#![allow(unsafe_code, reason = "vector instructions; an `Avx512` value exists only where the CPU has them")]
-#![allow(clippy::wildcard_imports, reason = "the names of intrinsics say where they are from")]
+#![allow(
+    unsafe_code,
+    reason = "vector instructions; an `Avx512` value exists only where the CPU has them"
+)]
+#![allow(
+    clippy::wildcard_imports,
+    reason = "the names of intrinsics say where they are from"
+)]
 
 use std::arch::x86_64::*;
 
@@ -21,8 +27,8 @@ impl Avx512 {
     }
 }
 
-// SAFETY of all blocks below: `self` exists, so the CPU has the instructions. Loads and stores take references to arrays
-// of the operand's size; cache lines have the operand's alignment.
+// SAFETY of all blocks below: `self` exists, so the CPU has the instructions. Loads and stores take
+// references to arrays of the operand's size; cache lines have the operand's alignment.
 impl Simd for Avx512 {
     type Ints = __m512i;
     type Floats = __m512;
@@ -73,7 +79,11 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn with_high_bits<const FROM: u32, const MASK: u8>(self, low: __m512i, high: __m512i) -> __m512i {
+    fn with_high_bits<const FROM: u32, const MASK: u8>(
+        self,
+        low: __m512i,
+        high: __m512i,
+    ) -> __m512i {
         // SAFETY: as above.
         unsafe {
             let shifted = match FROM {
@@ -87,7 +97,10 @@ impl Simd for Avx512 {
                 7 => _mm512_srli_epi16::<3>(high),
                 _ => _mm512_srli_epi16::<4>(high),
             };
-            _mm512_or_si512(low, _mm512_and_si512(shifted, _mm512_set1_epi8(MASK.cast_signed())))
+            _mm512_or_si512(
+                low,
+                _mm512_and_si512(shifted, _mm512_set1_epi8(MASK.cast_signed())),
+            )
         }
     }
 

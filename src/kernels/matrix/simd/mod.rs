@@ -1,9 +1,11 @@
 //! Vectors of sixteen lanes in each instruction set that the kernels are compiled for.
 //!
-//! A kernel is generic over [`Simd`]. [`Instructions::run`] picks the instruction set at run time. x86-64 and Arm have vector
-//! code of their own; other processors run [`portable`], which the compiler vectorizes as far as it can.
+//! A kernel is generic over [`Simd`]. [`Instructions::run`] picks the instruction set at run time.
+//! x86-64 and Arm have vector code of their own; other processors run [`portable`], which the
+//! compiler vectorizes as far as it can.
 
-/// Writes methods of [`Simd`] that are one expression of intrinsics. The CPU has them where `self` exists.
+/// Writes methods of [`Simd`] that are one expression of intrinsics. The CPU has them where `self`
+/// exists.
 #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
 macro_rules! operations {
     ($($name:ident($($argument:ident: $type:ty),*) $(-> $result:ty)? = $value:expr;)*) => {$(
@@ -25,10 +27,11 @@ mod portable;
 
 use super::line::{CacheLine, LANES};
 
-/// Operations on sixteen lanes. A value of an implementing type exists only where the CPU has the instructions.
+/// Operations on sixteen lanes. A value of an implementing type exists only where the CPU has the
+/// instructions.
 ///
-/// Byte products: each lane holds four unsigned bytes of its output's weights. The activations are four signed bytes in an
-/// `i32`, the same for all lanes.
+/// Byte products: each lane holds four unsigned bytes of its output's weights. The activations are
+/// four signed bytes in an `i32`, the same for all lanes.
 pub trait Simd: Copy + Send + Sync {
     /// 16 lanes of i32, or 32 of i16.
     type Ints: Copy;
@@ -43,8 +46,9 @@ pub trait Simd: Copy + Send + Sync {
     /// Runs a kernel in a function that enables the instructions.
     fn run<K: Kernel>(self, kernel: K);
 
-    /// Starts to load a line into the second-level cache. Past it, an Intel Xeon reads half as fast; into the first level too, Zen 4 reads a
-    /// quarter slower in `q4_k`. An address that does not exist is ignored.
+    /// Starts to load a line into the second-level cache. Past it, an Intel Xeon reads half as
+    /// fast; into the first level too, Zen 4 reads a quarter slower in `q4_k`. An address that does
+    /// not exist is ignored.
     fn prefetch(self, line: *const CacheLine);
     /// Loads a line.
     fn bytes(self, line: &CacheLine) -> Self::Bytes;
@@ -54,19 +58,25 @@ pub trait Simd: Copy + Send + Sync {
     fn low(self, bytes: Self::Bytes) -> Self::Bytes;
     /// The high four bits of each byte.
     fn high(self, bytes: Self::Bytes) -> Self::Bytes;
-    /// Adds bits to numbers: those of `high`, moved so that bit FROM comes to bit 4, as far as MASK has them. FROM is at most 8; MASK
-    /// names only bits that come from the same byte.
-    fn with_high_bits<const FROM: u32, const MASK: u8>(self, low: Self::Bytes, high: Self::Bytes) -> Self::Bytes;
+    /// Adds bits to numbers: those of `high`, moved so that bit FROM comes to bit 4, as far as MASK
+    /// has them. FROM is at most 8; MASK names only bits that come from the same byte.
+    fn with_high_bits<const FROM: u32, const MASK: u8>(
+        self,
+        low: Self::Bytes,
+        high: Self::Bytes,
+    ) -> Self::Bytes;
 
     /// The same number in every lane.
     fn ints(self, value: i32) -> Self::Ints;
     /// sum + Σ weight · activation over the four bytes of each lane, for weights below 128.
     fn dot(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints;
-    /// The value that a sum by [`Self::dot_biased`] starts from; `sum` is the sum of all its activations.
+    /// The value that a sum by [`Self::dot_biased`] starts from; `sum` is the sum of all its
+    /// activations.
     fn biased_start(self, sum: i32) -> Self::Ints;
     /// sum + Σ (weight − 128) · activation over the four bytes of each lane.
     fn dot_biased(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints;
-    /// sum + Σ weight · activation over the two i16 of each lane; the activations are two i16 in an `i32`.
+    /// sum + Σ weight · activation over the two i16 of each lane; the activations are two i16 in an
+    /// `i32`.
     fn dot_pairs(self, sum: Self::Ints, weights: Self::Ints, activations: i32) -> Self::Ints;
     /// Loads 16 integers.
     fn load_ints(self, values: &[i32; LANES]) -> Self::Ints;
@@ -116,12 +126,21 @@ pub trait Simd: Copy + Send + Sync {
 
     /// eˣ for x ≤ 0, to two units in the last place; e⁻⁸⁷ for every x below -87.
     ///
-    /// eˣ = 2ⁿ eʳ with n = round(x / ln 2) and eʳ by its Taylor series. ln 2 has two parts, so that products of the first
-    /// part with n are exact (W. Cody, W. Waite, "Software Manual for the Elementary Functions", 1980).
+    /// eˣ = 2ⁿ eʳ with n = round(x / ln 2) and eʳ by its Taylor series. ln 2 has two parts, so that
+    /// products of the first part with n are exact (W. Cody, W. Waite, "Software Manual for the
+    /// Elementary Functions", 1980).
     #[inline(always)]
     fn exp(self, x: Self::Floats) -> Self::Floats {
         const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
-        const SERIES: [f32; 7] = [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0];
+        const SERIES: [f32; 7] = [
+            1.0 / 720.0,
+            1.0 / 120.0,
+            1.0 / 24.0,
+            1.0 / 6.0,
+            0.5,
+            1.0,
+            1.0,
+        ];
         // In this order, NaN stays NaN.
         let x = self.max(self.floats(-87.0), x);
         let n = self.round(self.mul(x, self.floats(std::f32::consts::LOG2_E)));
@@ -141,7 +160,9 @@ fn fold(mut lanes: [f32; LANES], operation: impl Fn(f32, f32) -> f32) -> f32 {
     let mut half = LANES / 2;
     while half > 0 {
         let (low, high) = lanes.split_at_mut(half);
-        low.iter_mut().zip(high).for_each(|(low, high)| *low = operation(*low, *high));
+        low.iter_mut()
+            .zip(high)
+            .for_each(|(low, high)| *low = operation(*low, *high));
         half /= 2;
     }
     lanes[0]
@@ -173,7 +194,10 @@ impl Instructions {
     /// Those that this CPU has, fastest first.
     pub(crate) fn available() -> impl Iterator<Item = Self> {
         #[cfg(target_arch = "x86_64")]
-        let vectors = [avx512::Avx512::detect().map(|_| Self::Avx512), avx2::Avx2::detect().map(|_| Self::Avx2)];
+        let vectors = [
+            avx512::Avx512::detect().map(|_| Self::Avx512),
+            avx2::Avx2::detect().map(|_| Self::Avx2),
+        ];
         #[cfg(target_arch = "aarch64")]
         let vectors = [neon::Neon::detect().map(|_| Self::Neon)];
         #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]

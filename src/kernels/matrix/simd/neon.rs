@@ -1,6 +1,13 @@
-//! NEON with dot products (`sdot`): Arm since v8.4, and most cores since Cortex-A76. A vector takes four registers.
-#![allow(unsafe_code, reason = "vector instructions; a `Neon` value exists only where the CPU has them")]
-#![allow(clippy::wildcard_imports, reason = "the names of intrinsics say where they are from")]
+//! NEON with dot products (`sdot`): Arm since v8.4, and most cores since Cortex-A76. A vector takes
+//! four registers.
+#![allow(
+    unsafe_code,
+    reason = "vector instructions; a `Neon` value exists only where the CPU has them"
+)]
+#![allow(
+    clippy::wildcard_imports,
+    reason = "the names of intrinsics say where they are from"
+)]
 
 use std::arch::aarch64::*;
 use std::arch::{asm, is_aarch64_feature_detected};
@@ -27,13 +34,23 @@ type Bytes = [uint8x16_t; 4];
 /// Applies a function to the registers of vectors.
 #[inline(always)]
 fn each<A: Copy, B>(a: [A; 4], function: impl Fn(A) -> B) -> [B; 4] {
-    [function(a[0]), function(a[1]), function(a[2]), function(a[3])]
+    [
+        function(a[0]),
+        function(a[1]),
+        function(a[2]),
+        function(a[3]),
+    ]
 }
 
 /// Applies a function to the registers of two vectors.
 #[inline(always)]
 fn each_of_two<A: Copy, B: Copy, C>(a: [A; 4], b: [B; 4], function: impl Fn(A, B) -> C) -> [C; 4] {
-    [function(a[0], b[0]), function(a[1], b[1]), function(a[2], b[2]), function(a[3], b[3])]
+    [
+        function(a[0], b[0]),
+        function(a[1], b[1]),
+        function(a[2], b[2]),
+        function(a[3], b[3]),
+    ]
 }
 
 /// Applies a function to the registers of three vectors of floats.
@@ -44,22 +61,38 @@ fn each_of_three(
     c: Floats,
     function: impl Fn(float32x4_t, float32x4_t, float32x4_t) -> float32x4_t,
 ) -> Floats {
-    [function(a[0], b[0], c[0]), function(a[1], b[1], c[1]), function(a[2], b[2], c[2]), function(a[3], b[3], c[3])]
+    [
+        function(a[0], b[0], c[0]),
+        function(a[1], b[1], c[1]),
+        function(a[2], b[2], c[2]),
+        function(a[3], b[3], c[3]),
+    ]
 }
 
 /// Where the numbers of each register begin.
 #[inline(always)]
 fn quarters<T>(values: &[T; LANES]) -> [*const T; 4] {
-    [values.as_ptr(), values[4..].as_ptr(), values[8..].as_ptr(), values[12..].as_ptr()]
+    [
+        values.as_ptr(),
+        values[4..].as_ptr(),
+        values[8..].as_ptr(),
+        values[12..].as_ptr(),
+    ]
 }
 
 /// Where the bytes of each register begin.
 #[inline(always)]
 fn registers(line: &CacheLine) -> [*const u8; 4] {
-    [line.0.as_ptr(), line.0[16..].as_ptr(), line.0[32..].as_ptr(), line.0[48..].as_ptr()]
+    [
+        line.0.as_ptr(),
+        line.0[16..].as_ptr(),
+        line.0[32..].as_ptr(),
+        line.0[48..].as_ptr(),
+    ]
 }
 
-/// sum + Σ weight · activation over the four signed bytes of each lane. The intrinsic is not stable yet.
+/// sum + Σ weight · activation over the four signed bytes of each lane. The intrinsic is not stable
+/// yet.
 ///
 /// # Safety
 /// The CPU has the dot products.
@@ -107,7 +140,12 @@ unsafe fn widen_signed(bytes: int8x16_t) -> Ints {
     // SAFETY: as the caller promises.
     unsafe {
         let (low, high) = (vmovl_s8(vget_low_s8(bytes)), vmovl_high_s8(bytes));
-        [vmovl_s16(vget_low_s16(low)), vmovl_high_s16(low), vmovl_s16(vget_low_s16(high)), vmovl_high_s16(high)]
+        [
+            vmovl_s16(vget_low_s16(low)),
+            vmovl_high_s16(low),
+            vmovl_s16(vget_low_s16(high)),
+            vmovl_high_s16(high),
+        ]
     }
 }
 
@@ -120,14 +158,18 @@ unsafe fn widen_unsigned(bytes: uint8x16_t) -> Ints {
     // SAFETY: as the caller promises.
     unsafe {
         let (low, high) = (vmovl_u8(vget_low_u8(bytes)), vmovl_high_u8(bytes));
-        let wide =
-            [vmovl_u16(vget_low_u16(low)), vmovl_high_u16(low), vmovl_u16(vget_low_u16(high)), vmovl_high_u16(high)];
+        let wide = [
+            vmovl_u16(vget_low_u16(low)),
+            vmovl_high_u16(low),
+            vmovl_u16(vget_low_u16(high)),
+            vmovl_high_u16(high),
+        ];
         each(wide, |values| vreinterpretq_s32_u32(values))
     }
 }
 
-// SAFETY of all blocks below: `self` exists, so the CPU has the instructions. Loads and stores take references to arrays of
-// four times the operand's size.
+// SAFETY of all blocks below: `self` exists, so the CPU has the instructions. Loads and stores take
+// references to arrays of four times the operand's size.
 impl Simd for Neon {
     type Ints = Ints;
     type Floats = Floats;
@@ -186,7 +228,9 @@ impl Simd for Neon {
     #[inline(always)]
     fn prefetch(self, line: *const CacheLine) {
         // SAFETY: a prefetch changes nothing.
-        unsafe { asm!("prfm pldl1keep, [{}]", in(reg) line, options(readonly, nostack, preserves_flags)) };
+        unsafe {
+            asm!("prfm pldl1keep, [{}]", in(reg) line, options(readonly, nostack, preserves_flags))
+        };
     }
 
     #[inline(always)]

@@ -11,7 +11,9 @@ pub(in crate::matrix) struct Portable;
 /// The four signed bytes of packed activations.
 #[inline]
 fn activations(packed: i32) -> [i32; 4] {
-    packed.to_le_bytes().map(|byte| i32::from(byte.cast_signed()))
+    packed
+        .to_le_bytes()
+        .map(|byte| i32::from(byte.cast_signed()))
 }
 
 #[inline]
@@ -61,7 +63,11 @@ impl Simd for Portable {
     }
 
     #[inline]
-    fn with_high_bits<const FROM: u32, const MASK: u8>(self, low: [u8; 64], high: [u8; 64]) -> [u8; 64] {
+    fn with_high_bits<const FROM: u32, const MASK: u8>(
+        self,
+        low: [u8; 64],
+        high: [u8; 64],
+    ) -> [u8; 64] {
         let mut both = low;
         for (both, high) in both.iter_mut().zip(high) {
             *both |= (u16::from(high) << 4 >> FROM) as u8 & MASK;

@@ -15,7 +15,8 @@ const AGENTS: usize = 10;
 const BRANCHES: usize = 30;
 const STEPS: usize = 80;
 const COLUMNS: usize = 6;
-/// A sample counts when a candidate ends this near to the driver after either stage, meters (`data_process.py`).
+/// A sample counts when a candidate ends this near to the driver after either stage, meters
+/// (`data_process.py`).
 const NEAR: [f32; 2] = [1.5, 4.0];
 
 /// Features of GameFormer, the ego's poses and those of its ten nearest agents (80, 3).
@@ -25,7 +26,8 @@ pub(super) fn gameformer(moment: &Moment<'_>) -> Option<Columns> {
     actors(moment, &features)?.with_tensor("route", &route)
 }
 
-/// Features of DTPP with the trajectories of both stages, the nearest to the driver first. `None` where none ends near the driver.
+/// Features of DTPP with the trajectories of both stages, the nearest to the driver first. `None`
+/// where none ends near the driver.
 pub(super) fn dtpp(moment: &Moment<'_>) -> Option<Columns> {
     let scene = &moment.scene;
     let (paths, limit) = paths(scene);
@@ -34,7 +36,11 @@ pub(super) fn dtpp(moment: &Moment<'_>) -> Option<Columns> {
     let mut second = Vec::new();
     for begun in &first {
         let later = second_stage(&paths, begun.last()?, limit as f32).ok()?;
-        second.extend(later.into_iter().map(|steps| [begun.clone(), steps].concat()));
+        second.extend(
+            later
+                .into_iter()
+                .map(|steps| [begun.clone(), steps].concat()),
+        );
     }
     let future = futures::tenths(moment);
     let (first, one) = sorted(first, &future)?;
@@ -44,17 +50,21 @@ pub(super) fn dtpp(moment: &Moment<'_>) -> Option<Columns> {
     }
     let features = ActorFeatures::of(scene, DTPP_RADIUS);
     let columns = actors(moment, &features)?;
-    Some(columns.with("first", &[BRANCHES, STEPS, COLUMNS], tree(&first)).with(
-        "second",
-        &[BRANCHES, STEPS, COLUMNS],
-        tree(&second),
-    ))
+    Some(
+        columns
+            .with("first", &[BRANCHES, STEPS, COLUMNS], tree(&first))
+            .with("second", &[BRANCHES, STEPS, COLUMNS], tree(&second)),
+    )
 }
 
 fn actors(moment: &Moment<'_>, features: &ActorFeatures) -> Option<Columns> {
     let inputs = features.inputs().ok()?;
-    let mut futures: Vec<f32> =
-        features.tokens.iter().take(AGENTS).flat_map(|&token| futures::of_agent(moment, token)).collect();
+    let mut futures: Vec<f32> = features
+        .tokens
+        .iter()
+        .take(AGENTS)
+        .flat_map(|&token| futures::of_agent(moment, token))
+        .collect();
     futures.resize(AGENTS * STEPS * 3, 0.0);
     Columns::default()
         .with("target", &[STEPS, 3], futures::tenths(moment))
@@ -80,7 +90,11 @@ fn sorted(mut trajectories: Vec<Vec<Step>>, future: &[f32]) -> Option<(Vec<Vec<S
         let &[x, y, ..] = steps.last()?;
         Some((x - driver.first()?).hypot(y - driver.get(1)?))
     };
-    trajectories.sort_by(|a, b| distance(a).unwrap_or(f32::INFINITY).total_cmp(&distance(b).unwrap_or(f32::INFINITY)));
+    trajectories.sort_by(|a, b| {
+        distance(a)
+            .unwrap_or(f32::INFINITY)
+            .total_cmp(&distance(b).unwrap_or(f32::INFINITY))
+    });
     let least = distance(trajectories.first()?)?;
     Some((trajectories, least))
 }
@@ -88,7 +102,10 @@ fn sorted(mut trajectories: Vec<Vec<Step>>, future: &[f32]) -> Option<(Vec<Vec<S
 /// The first branches as the network reads them.
 fn tree(branches: &[Vec<Step>]) -> Vec<f32> {
     let mut values = vec![0f32; BRANCHES * STEPS * COLUMNS];
-    for (branch, place) in branches.iter().zip(values.chunks_exact_mut(STEPS * COLUMNS)) {
+    for (branch, place) in branches
+        .iter()
+        .zip(values.chunks_exact_mut(STEPS * COLUMNS))
+    {
         for (step, row) in branch.iter().zip(place.chunks_exact_mut(COLUMNS)) {
             row.copy_from_slice(step);
         }

@@ -1,5 +1,5 @@
-//! Samples for imitation: the features of a logged scene by a learned planner's own feature builder, and the logged driver's
-//! next eight seconds.
+//! Samples for imitation: the features of a logged scene by a learned planner's own feature
+//! builder, and the logged driver's next eight seconds.
 
 mod futures;
 mod gameformer;
@@ -53,8 +53,15 @@ pub enum ImitationPlanner {
 
 impl ImitationPlanner {
     /// All, in the order of the registry.
-    pub const ALL: [Self; 7] =
-        [Self::PdmOpen, Self::PlanTf, Self::UrbanDriver, Self::RasterModel, Self::GcPgp, Self::GameFormer, Self::Dtpp];
+    pub const ALL: [Self; 7] = [
+        Self::PdmOpen,
+        Self::PlanTf,
+        Self::UrbanDriver,
+        Self::RasterModel,
+        Self::GcPgp,
+        Self::GameFormer,
+        Self::Dtpp,
+    ];
 
     /// Name of the planner.
     pub fn name(self) -> &'static str {
@@ -121,8 +128,8 @@ struct Meta {
     planagent: &'static str,
 }
 
-/// Writes shards until there are `samples` samples, or the listed scenarios end. Complete shards of an earlier run stay. Gives the
-/// number of samples; `on_samples` gets that of each shard.
+/// Writes shards until there are `samples` samples, or the listed scenarios end. Complete shards of
+/// an earlier run stay. Gives the number of samples; `on_samples` gets that of each shard.
 pub fn write_samples(
     folder: &Path,
     planner: ImitationPlanner,
@@ -132,10 +139,19 @@ pub fn write_samples(
 ) -> Result<usize, ImitationError> {
     let (name, seed, listed) = match source {
         ImitationSource::Generated { split, seed } => (split.as_str(), seed, Vec::new()),
-        ImitationSource::Listed(listed) => ("listed", 0, listed.iter().map(ToString::to_string).collect()),
+        ImitationSource::Listed(listed) => (
+            "listed",
+            0,
+            listed.iter().map(ToString::to_string).collect(),
+        ),
     };
-    let meta =
-        Meta { format: FORMAT, planner: planner.name(), seed, scenarios: listed, planagent: env!("CARGO_PKG_VERSION") };
+    let meta = Meta {
+        format: FORMAT,
+        planner: planner.name(),
+        seed,
+        scenarios: listed,
+        planagent: env!("CARGO_PKG_VERSION"),
+    };
     super::shard::open_folder(folder, &meta)?;
     let (mut count, mut number) = (0, 0);
     while count < samples {
@@ -143,7 +159,9 @@ pub fn write_samples(
         let made = if let Some(present) = tensors::samples_in(&path) {
             present
         } else {
-            let Some(scenarios) = source.shard(number)? else { break };
+            let Some(scenarios) = source.shard(number)? else {
+                break;
+            };
             write_shard(&path, planner, &scenarios)?
         };
         on_samples(made);
@@ -157,14 +175,20 @@ impl ImitationSource<'_> {
     /// The scenarios of a shard; `None` behind the last one.
     fn shard(self, number: usize) -> Result<Option<Vec<ScenarioRef>>, ImitationError> {
         match self {
-            Self::Listed(listed) => Ok(listed.chunks(SCENARIOS_PER_SHARD).nth(number).map(<[ScenarioRef]>::to_vec)),
+            Self::Listed(listed) => Ok(listed
+                .chunks(SCENARIOS_PER_SHARD)
+                .nth(number)
+                .map(<[ScenarioRef]>::to_vec)),
             Self::Generated { split, seed } => {
                 let Range { start, end } = split.seeds();
                 let first = start.saturating_add(seed.saturating_mul(SCENARIOS_PER_SEED));
                 let from = first.saturating_add((number * SCENARIOS_PER_SHARD) as u64);
                 let to = from.saturating_add(SCENARIOS_PER_SHARD as u64);
                 if to > first.saturating_add(SCENARIOS_PER_SEED).min(end) {
-                    return Err(ImitationError::NoScenarioLeft { split: split.as_str(), seed });
+                    return Err(ImitationError::NoScenarioLeft {
+                        split: split.as_str(),
+                        seed,
+                    });
                 }
                 let spec = |seed: u64| Spec::new(MIX[seed as usize % MIX.len()], seed);
                 Ok(Some((from..to).map(|seed| spec(seed).into()).collect()))
@@ -173,11 +197,22 @@ impl ImitationSource<'_> {
     }
 }
 
-fn write_shard(path: &Path, planner: ImitationPlanner, scenarios: &[ScenarioRef]) -> Result<usize, ImitationError> {
+fn write_shard(
+    path: &Path,
+    planner: ImitationPlanner,
+    scenarios: &[ScenarioRef],
+) -> Result<usize, ImitationError> {
     // A scenario whose draws the generator discards, or that cannot be opened, gives no sample.
-    let of_scenario = |source: &ScenarioRef| source.open().map_or_else(|_| Vec::new(), |log| samples(planner, &log));
+    let of_scenario = |source: &ScenarioRef| {
+        source
+            .open()
+            .map_or_else(|_| Vec::new(), |log| samples(planner, &log))
+    };
     let samples: Vec<Columns> = scenarios.par_iter().flat_map_iter(of_scenario).collect();
-    let written = |source| ShardError::Write { path: path.to_owned(), source };
+    let written = |source| ShardError::Write {
+        path: path.to_owned(),
+        source,
+    };
     let unfinished = path.with_extension("unfinished");
     fs::write(&unfinished, tensors::serialized(&samples)?).map_err(written)?;
     fs::rename(&unfinished, path).map_err(written)?;
@@ -186,16 +221,29 @@ fn write_shard(path: &Path, planner: ImitationPlanner, scenarios: &[ScenarioRef]
 
 /// A sample a second, while the log has eight more.
 fn samples(planner: ImitationPlanner, log: &Scenario) -> Vec<Columns> {
-    let egos: Vec<EgoState> = log.frames.iter().map(|frame| &frame.ego).chain(&log.future).copied().collect();
+    let egos: Vec<EgoState> = log
+        .frames
+        .iter()
+        .map(|frame| &frame.ego)
+        .chain(&log.future)
+        .copied()
+        .collect();
     let moments = (log.start..log.frames.len()).step_by(STRIDE);
     let sample = |now: usize| {
         let mut history = History::default();
         for frame in &log.frames[(now + 1).saturating_sub(HISTORY_SAMPLES)..=now] {
-            history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });
+            history.push(HistorySample {
+                ego: frame.ego,
+                objects: frame.objects.clone(),
+            });
         }
         let future = egos.get(now + 1..=now + HORIZON)?;
         let frames = &log.frames[now + 1..log.frames.len().min(now + 1 + HORIZON)];
-        planner.sample(&Moment { scene: log.scene(&log.frames[now], &history), future, frames })
+        planner.sample(&Moment {
+            scene: log.scene(&log.frames[now], &history),
+            future,
+            frames,
+        })
     };
     moments.filter_map(sample).collect()
 }
@@ -210,15 +258,32 @@ mod tests {
         let source = |split, seed| ImitationSource::Generated { split, seed };
         let words = |source: ImitationSource<'_>, number| {
             let shard = source.shard(number).unwrap().unwrap();
-            (shard[0].to_string(), shard[SCENARIOS_PER_SHARD - 1].to_string())
+            (
+                shard[0].to_string(),
+                shard[SCENARIOS_PER_SHARD - 1].to_string(),
+            )
         };
         let last = SCENARIOS_PER_SEED as usize / SCENARIOS_PER_SHARD - 1;
         assert!(words(source(Split::Train, 0), 0).0.ends_with("/10000000"));
-        assert!(words(source(Split::Train, 99), last).1.ends_with("/19999999"));
-        assert!(words(source(Split::Validation, 1), 0).0.ends_with("/20100000"));
+        assert!(
+            words(source(Split::Train, 99), last)
+                .1
+                .ends_with("/19999999")
+        );
+        assert!(
+            words(source(Split::Validation, 1), 0)
+                .0
+                .ends_with("/20100000")
+        );
         for (seed, number) in [(0, last + 1), (100, 0), (u64::MAX, 0)] {
-            let error = source(Split::Train, seed).shard(number).unwrap_err().to_string();
-            assert!(error.contains(&format!("no more scenarios for seed {seed}")), "{error}");
+            let error = source(Split::Train, seed)
+                .shard(number)
+                .unwrap_err()
+                .to_string();
+            assert!(
+                error.contains(&format!("no more scenarios for seed {seed}")),
+                "{error}"
+            );
         }
     }
 
@@ -230,7 +295,9 @@ mod tests {
             // DTPP's have a candidate near the driver.
             let all = log.iterations().div_ceil(STRIDE);
             assert!(
-                samples.len() == all || (planner == ImitationPlanner::Dtpp && (all / 2..=all).contains(&samples.len()))
+                samples.len() == all
+                    || (planner == ImitationPlanner::Dtpp
+                        && (all / 2..=all).contains(&samples.len()))
             );
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("a.safetensors");

@@ -7,7 +7,12 @@ use planagent_learned::raster_model::{Raster, SIDE};
 /// The raster and the target (16, 3).
 pub(super) fn sample(moment: &Moment<'_>) -> Columns {
     let raster = Raster::of(&moment.scene);
-    let pixels: Vec<u8> = raster.channels.iter().flatten().map(|&value| (2.0 * value) as u8).collect();
+    let pixels: Vec<u8> = raster
+        .channels
+        .iter()
+        .flatten()
+        .map(|&value| (2.0 * value) as u8)
+        .collect();
     let target = futures::half_seconds(moment);
     Columns::default()
         .with_small("raster", &[raster.channels.len(), SIDE, SIDE], pixels)

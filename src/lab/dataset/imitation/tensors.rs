@@ -30,13 +30,30 @@ pub(super) struct Columns(BTreeMap<&'static str, Column>);
 impl Columns {
     /// With one more column of f32; the number of rows follows from that of numbers.
     pub(super) fn with(mut self, name: &'static str, row: &[usize], numbers: Vec<f32>) -> Self {
-        self.0.insert(name, Column { row: row.to_vec(), numbers: Numbers::F32(numbers) });
+        self.0.insert(
+            name,
+            Column {
+                row: row.to_vec(),
+                numbers: Numbers::F32(numbers),
+            },
+        );
         self
     }
 
     /// The same of small integers and flags.
-    pub(super) fn with_small(mut self, name: &'static str, row: &[usize], numbers: Vec<u8>) -> Self {
-        self.0.insert(name, Column { row: row.to_vec(), numbers: Numbers::U8(numbers) });
+    pub(super) fn with_small(
+        mut self,
+        name: &'static str,
+        row: &[usize],
+        numbers: Vec<u8>,
+    ) -> Self {
+        self.0.insert(
+            name,
+            Column {
+                row: row.to_vec(),
+                numbers: Numbers::U8(numbers),
+            },
+        );
         self
     }
 }
@@ -46,10 +63,20 @@ pub(super) fn serialized(samples: &[Columns]) -> Result<Vec<u8>, SafeTensorError
     let mut joined: BTreeMap<&str, (Dtype, &[usize], Vec<u8>)> = BTreeMap::new();
     for (name, Column { row, numbers }) in samples.iter().flat_map(|sample| &sample.0) {
         let (dtype, bytes): (Dtype, Vec<u8>) = match numbers {
-            Numbers::F32(values) => (Dtype::F32, values.iter().flat_map(|value| value.to_le_bytes()).collect()),
+            Numbers::F32(values) => (
+                Dtype::F32,
+                values
+                    .iter()
+                    .flat_map(|value| value.to_le_bytes())
+                    .collect(),
+            ),
             Numbers::U8(values) => (Dtype::U8, values.clone()),
         };
-        joined.entry(*name).or_insert_with(|| (dtype, row, Vec::new())).2.extend(bytes);
+        joined
+            .entry(*name)
+            .or_insert_with(|| (dtype, row, Vec::new()))
+            .2
+            .extend(bytes);
     }
     let views = joined.iter().map(|(name, (dtype, row, bytes))| {
         let size = if *dtype == Dtype::F32 { 4 } else { 1 };
@@ -65,5 +92,6 @@ pub(super) fn samples_in(path: &Path) -> Option<usize> {
     let bytes = fs::read(path).ok()?;
     let file = SafeTensors::deserialize(&bytes).ok()?;
     // A shard whose scenarios were all discarded holds nothing.
-    file.tensor(COUNTED).map_or(Some(0), |target| target.shape().first().copied())
+    file.tensor(COUNTED)
+        .map_or(Some(0), |target| target.shape().first().copied())
 }

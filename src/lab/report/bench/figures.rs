@@ -80,16 +80,24 @@ impl BenchFigures {
                 _ => None,
             })
             .collect();
-        let mut figures = Self { models: Vec::new(), comparisons: Vec::new(), failed: Vec::new() };
+        let mut figures = Self {
+            models: Vec::new(),
+            comparisons: Vec::new(),
+            failed: Vec::new(),
+        };
         for row in rows {
             match row {
                 Row::Model(about) => {
                     figures.models.push(ModelFigures::of(about, &iterations));
                     if about.engine == EngineName::PlanAgent {
-                        figures.comparisons.extend(comparisons(&about.model, &iterations));
+                        figures
+                            .comparisons
+                            .extend(comparisons(&about.model, &iterations));
                     }
                 }
-                Row::Failed(row) => figures.failed.push((row.model.clone(), row.problem.clone())),
+                Row::Failed(row) => figures
+                    .failed
+                    .push((row.model.clone(), row.problem.clone())),
                 Row::Iteration(_) => {}
             }
         }
@@ -135,7 +143,11 @@ fn comparisons(model: &str, iterations: &[&IterationRow]) -> Vec<Comparison> {
     let mut workloads: Vec<&str> = Vec::new();
     // llama.cpp makes no calls with drafts.
     let shared = |row: &&&IterationRow| !row.workload.starts_with(DRAFTED_CALL);
-    for row in iterations.iter().filter(|row| row.model == model).filter(shared) {
+    for row in iterations
+        .iter()
+        .filter(|row| row.model == model)
+        .filter(shared)
+    {
         if !workloads.contains(&row.workload.as_str()) {
             workloads.push(&row.workload);
         }
@@ -145,10 +157,14 @@ fn comparisons(model: &str, iterations: &[&IterationRow]) -> Vec<Comparison> {
         let of = |engine| {
             iterations
                 .iter()
-                .filter(move |row| row.model == model && row.workload == workload && row.engine == engine)
+                .filter(move |row| {
+                    row.model == model && row.workload == workload && row.engine == engine
+                })
                 .copied()
         };
-        let pairs: Vec<_> = of(EngineName::PlanAgent).zip(of(EngineName::LlamaCpp)).collect();
+        let pairs: Vec<_> = of(EngineName::PlanAgent)
+            .zip(of(EngineName::LlamaCpp))
+            .collect();
         for (what, unit, read) in compared(workload) {
             all.extend(Comparison::of(model, what, unit, read, &pairs));
         }
@@ -159,8 +175,12 @@ fn comparisons(model: &str, iterations: &[&IterationRow]) -> Vec<Comparison> {
 fn compared(workload: &str) -> Vec<Compared> {
     match workload.strip_prefix("depth-") {
         Some(depth) => vec![
-            (format!("prefill {depth}"), TOKENS_PER_S, |row| row.prefill().rate()),
-            (format!("decode at {depth}"), TOKENS_PER_S, |row| row.decode().rate()),
+            (format!("prefill {depth}"), TOKENS_PER_S, |row| {
+                row.prefill().rate()
+            }),
+            (format!("decode at {depth}"), TOKENS_PER_S, |row| {
+                row.decode().rate()
+            }),
         ],
         None => vec![
             ("image encode".to_owned(), MS, IterationRow::image_encode_ms),
@@ -178,9 +198,17 @@ impl Comparison {
         read: fn(&IterationRow) -> Option<f64>,
         pairs: &[(&IterationRow, &IterationRow)],
     ) -> Option<Self> {
-        let values: Vec<(f64, f64)> =
-            pairs.iter().filter_map(|(ours, theirs)| Some((read(ours)?, read(theirs)?))).collect();
-        let faster = |&(ours, theirs): &(f64, f64)| if unit == MS { theirs / ours } else { ours / theirs };
+        let values: Vec<(f64, f64)> = pairs
+            .iter()
+            .filter_map(|(ours, theirs)| Some((read(ours)?, read(theirs)?)))
+            .collect();
+        let faster = |&(ours, theirs): &(f64, f64)| {
+            if unit == MS {
+                theirs / ours
+            } else {
+                ours / theirs
+            }
+        };
         Some(Self {
             model: model.to_owned(),
             what,
@@ -205,15 +233,35 @@ mod tests {
             workload: CALL.into(),
             iteration,
             warm_up: iteration == 0,
-            steps: vec![TimedStep { step: Step::Compute, time: StepTime { ms, ..StepTime::default() } }],
+            steps: vec![TimedStep {
+                step: Step::Compute,
+                time: StepTime {
+                    ms,
+                    ..StepTime::default()
+                },
+            }],
         })
     }
 
     #[test]
     fn the_middle_of_an_even_number_is_a_mean() {
         let spread = Spread::of(vec![3.0, 1.0, 2.0, 10.0]).unwrap();
-        assert_eq!(spread, Spread { median: 2.5, min: 1.0, max: 10.0 });
-        assert_eq!(Spread::of(vec![7.0]), Some(Spread { median: 7.0, min: 7.0, max: 7.0 }));
+        assert_eq!(
+            spread,
+            Spread {
+                median: 2.5,
+                min: 1.0,
+                max: 10.0
+            }
+        );
+        assert_eq!(
+            Spread::of(vec![7.0]),
+            Some(Spread {
+                median: 7.0,
+                min: 7.0,
+                max: 7.0
+            })
+        );
         assert_eq!(Spread::of(vec![]), None);
     }
 
@@ -223,7 +271,10 @@ mod tests {
             .into_iter()
             .enumerate()
             .flat_map(|(i, (ours, theirs))| {
-                [call(EngineName::PlanAgent, i, ours), call(EngineName::LlamaCpp, i, theirs)]
+                [
+                    call(EngineName::PlanAgent, i, ours),
+                    call(EngineName::LlamaCpp, i, theirs),
+                ]
             })
             .collect();
         let iterations: Vec<&IterationRow> = rows
@@ -236,6 +287,13 @@ mod tests {
         let found = comparisons("m", &iterations);
         assert_eq!(found.len(), 1, "{found:?}");
         assert_eq!((found[0].ours, found[0].theirs), (10.0, 30.0));
-        assert_eq!(found[0].ratio, Spread { median: 2.0, min: 1.5, max: 3.0 });
+        assert_eq!(
+            found[0].ratio,
+            Spread {
+                median: 2.0,
+                min: 1.5,
+                max: 3.0
+            }
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! The folder of a benchmark: `metadata.json`, `rows.jsonl`, and at the end `figures.json` and `table.md`.
+//! The folder of a benchmark: `metadata.json`, `rows.jsonl`, and at the end `figures.json` and
+//! `table.md`.
 
 use crate::bench::Row;
 use planagent_runs::report::atomic;
@@ -32,8 +33,8 @@ pub struct BenchMetadata {
     pub settings: serde_json::Map<String, serde_json::Value>,
 }
 
-/// The folder of a benchmark. All rows of a model are written together. The folder exists from the first model on that could be
-/// measured, so a benchmark that fails leaves none.
+/// The folder of a benchmark. All rows of a model are written together. The folder exists from the
+/// first model on that could be measured, so a benchmark that fails leaves none.
 #[derive(Debug)]
 pub struct BenchFolder {
     path: PathBuf,
@@ -48,10 +49,19 @@ impl BenchFolder {
     /// When the folder is not empty or cannot be written.
     pub fn create(path: &Path, metadata: &BenchMetadata) -> Result<Self, ReportError> {
         check_writable(path)?;
-        if path.exists() && fs::read_dir(path).map_err(ReportError::read(path))?.next().is_some() {
+        if path.exists()
+            && fs::read_dir(path)
+                .map_err(ReportError::read(path))?
+                .next()
+                .is_some()
+        {
             return Err(ReportError::at(path)(ReportFault::NotEmpty));
         }
-        Ok(Self { path: path.to_owned(), metadata: metadata.clone(), rows: Vec::new() })
+        Ok(Self {
+            path: path.to_owned(),
+            metadata: metadata.clone(),
+            rows: Vec::new(),
+        })
     }
 
     /// Opens the folder of a benchmark to resume it; `now` has the current settings.
@@ -65,7 +75,10 @@ impl BenchFolder {
             .iter()
             .filter(|(key, value)| then.settings.get(*key) != Some(value))
             .map(|(key, value)| {
-                let before = then.settings.get(key).map_or_else(|| "none".to_owned(), ToString::to_string);
+                let before = then
+                    .settings
+                    .get(key)
+                    .map_or_else(|| "none".to_owned(), ToString::to_string);
                 format!("{key}: was {before}, is {value}")
             })
             .collect();
@@ -74,14 +87,28 @@ impl BenchFolder {
         }
         let file = path.join(ROWS);
         // Failed models run again.
-        let rows = if file.is_file() { Self::read(path)? } else { Vec::new() };
-        let rows: Vec<Row> = rows.into_iter().filter(|row| !matches!(row, Row::Failed(_))).collect();
-        Ok(Self { path: path.to_owned(), metadata: then, rows })
+        let rows = if file.is_file() {
+            Self::read(path)?
+        } else {
+            Vec::new()
+        };
+        let rows: Vec<Row> = rows
+            .into_iter()
+            .filter(|row| !matches!(row, Row::Failed(_)))
+            .collect();
+        Ok(Self {
+            path: path.to_owned(),
+            metadata: then,
+            rows,
+        })
     }
 
     pub fn read(path: &Path) -> Result<Vec<Row>, ReportError> {
         let file = path.join(ROWS);
-        parse_rows(&file, &fs::read_to_string(&file).map_err(ReportError::read(&file))?)
+        parse_rows(
+            &file,
+            &fs::read_to_string(&file).map_err(ReportError::read(&file))?,
+        )
     }
 
     pub fn path(&self) -> &Path {
@@ -141,5 +168,8 @@ fn read_json(path: &Path) -> Result<BenchMetadata, ReportError> {
 }
 
 fn parse_rows(path: &Path, text: &str) -> Result<Vec<Row>, ReportError> {
-    serde_json::Deserializer::from_str(text).into_iter().collect::<Result<_, _>>().map_err(ReportError::at(path))
+    serde_json::Deserializer::from_str(text)
+        .into_iter()
+        .collect::<Result<_, _>>()
+        .map_err(ReportError::at(path))
 }

@@ -1,4 +1,5 @@
-//! Scores here over reported ones: a panel for each benchmark and challenge, a point for each planner.
+//! Scores here over reported ones: a panel for each benchmark and challenge, a point for each
+//! planner.
 
 use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
@@ -18,7 +19,12 @@ pub(super) fn draw(results: &StudyResults) -> Option<String> {
     let panels: Vec<(&str, &Agreement)> = results
         .suites
         .iter()
-        .flat_map(|suite| suite.agreement.iter().map(move |agreement| (suite.name.as_str(), agreement)))
+        .flat_map(|suite| {
+            suite
+                .agreement
+                .iter()
+                .map(move |agreement| (suite.name.as_str(), agreement))
+        })
         .collect();
     if panels.is_empty() {
         return None;
@@ -30,18 +36,35 @@ pub(super) fn draw(results: &StudyResults) -> Option<String> {
     for (place, (suite, agreement)) in panels.iter().enumerate() {
         let left = LEFT + (width + GAP) * (place % 2) as f64;
         let top = TOP + (HEIGHT + BELOW) * (place / 2) as f64;
-        let tau = agreement.kendall.map_or_else(String::new, |kendall| format!(", tau {:.2}", kendall.tau));
+        let tau = agreement
+            .kendall
+            .map_or_else(String::new, |kendall| format!(", tau {:.2}", kendall.tau));
         let suites = format!("{suite} and {}", agreement.benchmark.name());
         picture.text([left, top - 28.0], Anchor::Start, "", &suites);
-        picture.text([left, top - 12.0], Anchor::Start, "", &format!("{}{tau}", panel(agreement.challenge)));
-        let across = Scale::of(agreement.planners.iter().map(|one| one.reported), [left, left + width]);
-        let upward = Scale::of(agreement.planners.iter().map(|one| one.score), [top + HEIGHT, top]);
+        picture.text(
+            [left, top - 12.0],
+            Anchor::Start,
+            "",
+            &format!("{}{tau}", panel(agreement.challenge)),
+        );
+        let across = Scale::of(
+            agreement.planners.iter().map(|one| one.reported),
+            [left, left + width],
+        );
+        let upward = Scale::of(
+            agreement.planners.iter().map(|one| one.score),
+            [top + HEIGHT, top],
+        );
         picture.columns(across, top, top + HEIGHT);
         picture.rows(upward, left, left + width);
         for one in &agreement.planners {
             let (x, y) = (across.at(one.reported), upward.at(one.score));
             picture.point([x, y], color(0), false);
-            let (anchor, x) = if x > left + width / 2.0 { (Anchor::End, x - 8.0) } else { (Anchor::Start, x + 8.0) };
+            let (anchor, x) = if x > left + width / 2.0 {
+                (Anchor::End, x - 8.0)
+            } else {
+                (Anchor::Start, x + 8.0)
+            };
             picture.text([x, y + 4.0], anchor, "faint", &one.name);
         }
     }

@@ -15,7 +15,10 @@ const BAR: f64 = 9.0;
 const BETWEEN: f64 = 8.0;
 
 pub(super) fn draw(results: &StudyResults, suite: &SuiteResults) -> String {
-    let kinds = suite.variants.first().map_or(&[][..], |variant| &variant.scenario_types);
+    let kinds = suite
+        .variants
+        .first()
+        .map_or(&[][..], |variant| &variant.scenario_types);
     let group = BAR * suite.variants.len() as f64 + BETWEEN;
     let bottom = TOP + group * kinds.len() as f64;
     let mut picture = Picture::new(WIDTH);
@@ -35,8 +38,13 @@ pub(super) fn draw(results: &StudyResults, suite: &SuiteResults) -> String {
         for (place, kind) in kinds.iter().enumerate() {
             for (series, variant) in suite.variants.iter().enumerate() {
                 let y = TOP + group * place as f64 + BAR * series as f64;
-                if let Some(score) = score(&variant.scenario_types, &kind.scenario_type, challenge) {
-                    picture.bar([left, y], [scale.at(score) - left, BAR - 1.0], color(series));
+                if let Some(score) = score(&variant.scenario_types, &kind.scenario_type, challenge)
+                {
+                    picture.bar(
+                        [left, y],
+                        [scale.at(score) - left, BAR - 1.0],
+                        color(series),
+                    );
                 }
             }
         }
@@ -52,5 +60,8 @@ pub(super) fn draw(results: &StudyResults, suite: &SuiteResults) -> String {
 
 fn score(kinds: &[TypeResults], name: &str, challenge: Challenge) -> Option<f64> {
     let kind = kinds.iter().find(|kind| kind.scenario_type == name)?;
-    kind.challenges.iter().find(|result| result.challenge == challenge)?.score
+    kind.challenges
+        .iter()
+        .find(|result| result.challenge == challenge)?
+        .score
 }

@@ -1,4 +1,5 @@
-//! Differences to the reference with their intervals, a row for each variant; the paper's differences are hollow points.
+//! Differences to the reference with their intervals, a row for each variant; the paper's
+//! differences are hollow points.
 
 use super::panel;
 use super::svg::{Anchor, Picture, Scale, color};
@@ -14,15 +15,30 @@ const TOP: f64 = 70.0;
 const ROW: f64 = 26.0;
 
 pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) -> String {
-    let shown: Vec<_> = suite.variants.iter().enumerate().filter(|(place, _)| *place != study.reference).collect();
+    let shown: Vec<_> = suite
+        .variants
+        .iter()
+        .enumerate()
+        .filter(|(place, _)| *place != study.reference)
+        .collect();
     let bottom = TOP + ROW * shown.len() as f64;
     let mut picture = Picture::new(WIDTH);
-    let title = format!("{}: score minus that of {}, {} scenes", suite.name, results.reference, suite.scenes);
+    let title = format!(
+        "{}: score minus that of {}, {} scenes",
+        suite.name, results.reference, suite.scenes
+    );
     picture.text([12.0, 24.0], Anchor::Start, "head", &title);
     for (place, (_, variant)) in shown.iter().enumerate() {
         let y = TOP + ROW * (place as f64 + 0.5) + 4.0;
-        let reason = variant.not_simulated.map_or_else(String::new, |why| format!(" ({why})"));
-        picture.text([NAMES - 12.0, y], Anchor::End, "", &format!("{}{reason}", variant.name));
+        let reason = variant
+            .not_simulated
+            .map_or_else(String::new, |why| format!(" ({why})"));
+        picture.text(
+            [NAMES - 12.0, y],
+            Anchor::End,
+            "",
+            &format!("{}{reason}", variant.name),
+        );
     }
     let panels = suite.challenges();
     let panel_width = (WIDTH - NAMES) / panels.len() as f64 - GAP;
@@ -30,11 +46,21 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) 
         let left = NAMES + (panel_width + GAP) * column as f64;
         let own: Vec<Option<&ChallengeResults>> = shown
             .iter()
-            .map(|(_, variant)| variant.challenges.iter().find(|result| result.challenge == challenge))
+            .map(|(_, variant)| {
+                variant
+                    .challenges
+                    .iter()
+                    .find(|result| result.challenge == challenge)
+            })
             .collect();
         let ends = own.iter().flatten().flat_map(|result| {
-            let interval = result.difference.map(|difference| [difference.low, difference.high]);
-            interval.into_iter().flatten().chain(result.paper_difference)
+            let interval = result
+                .difference
+                .map(|difference| [difference.low, difference.high]);
+            interval
+                .into_iter()
+                .flatten()
+                .chain(result.paper_difference)
         });
         let scale = Scale::of(ends.chain([0.0]), [left, left + panel_width]);
         picture.text([left, TOP - 18.0], Anchor::Start, "", panel(challenge));
@@ -43,7 +69,14 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) 
             let Some(result) = result else { continue };
             let y = TOP + ROW * (place as f64 + 0.5);
             if let Some(difference) = result.difference {
-                picture.line(&[[scale.at(difference.low), y], [scale.at(difference.high), y]], color(0), false);
+                picture.line(
+                    &[
+                        [scale.at(difference.low), y],
+                        [scale.at(difference.high), y],
+                    ],
+                    color(0),
+                    false,
+                );
                 picture.point([scale.at(difference.mean), y], color(0), false);
             }
             if let Some(paper) = result.paper_difference {
@@ -53,9 +86,16 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) 
     }
     let legend = bottom + 44.0;
     picture.point([NAMES, legend - 4.0], color(0), false);
-    picture.text([NAMES + 12.0, legend], Anchor::Start, "faint", "here, with its 95 % interval");
-    let of_paper =
-        shown.iter().flat_map(|(_, variant)| &variant.challenges).any(|result| result.paper_difference.is_some());
+    picture.text(
+        [NAMES + 12.0, legend],
+        Anchor::Start,
+        "faint",
+        "here, with its 95 % interval",
+    );
+    let of_paper = shown
+        .iter()
+        .flat_map(|(_, variant)| &variant.challenges)
+        .any(|result| result.paper_difference.is_some());
     if let Some(benchmark) = suite.benchmark.filter(|_| of_paper) {
         picture.point([NAMES + 220.0, legend - 4.0], color(1), true);
         let text = format!("the paper, nuPlan {}", benchmark.name());

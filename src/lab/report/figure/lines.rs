@@ -21,7 +21,12 @@ struct Curve {
     points: Vec<[f64; 2]>,
 }
 
-pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults, axis: &str) -> String {
+pub(super) fn draw(
+    study: &Study,
+    results: &StudyResults,
+    suite: &SuiteResults,
+    axis: &str,
+) -> String {
     let curves = curves(study, suite);
     let all = || curves.iter().flat_map(|curve| &curve.points);
     let across = Scale::of(all().map(|point| point[0]), [LEFT, RIGHT]);
@@ -31,14 +36,26 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults, 
     picture.text([12.0, 24.0], Anchor::Start, "head", &title);
     picture.rows(up, LEFT, RIGHT);
     picture.columns(across, BOTTOM, BOTTOM + 4.0);
-    picture.text([f64::midpoint(LEFT, RIGHT), BOTTOM + 38.0], Anchor::Middle, "", axis);
+    picture.text(
+        [f64::midpoint(LEFT, RIGHT), BOTTOM + 38.0],
+        Anchor::Middle,
+        "",
+        axis,
+    );
     for (place, curve) in curves.iter().enumerate() {
-        let points: Vec<[f64; 2]> = curve.points.iter().map(|[x, y]| [across.at(*x), up.at(*y)]).collect();
+        let points: Vec<[f64; 2]> = curve
+            .points
+            .iter()
+            .map(|[x, y]| [across.at(*x), up.at(*y)])
+            .collect();
         picture.line(&points, curve.color, curve.paper);
         for point in points {
             picture.point(point, curve.color, curve.paper);
         }
-        let [x, y] = [LEFT + 280.0 * (place % 2) as f64, BOTTOM + 64.0 + 20.0 * (place / 2) as f64];
+        let [x, y] = [
+            LEFT + 280.0 * (place % 2) as f64,
+            BOTTOM + 64.0 + 20.0 * (place / 2) as f64,
+        ];
         picture.point([x, y - 4.0], curve.color, curve.paper);
         picture.text([x + 12.0, y], Anchor::Start, "faint", &curve.name);
     }
@@ -51,12 +68,18 @@ fn curves(study: &Study, suite: &SuiteResults) -> Vec<Curve> {
     for (series, challenge) in Challenge::CLOSED_LOOP.into_iter().enumerate() {
         for paper in [false, true] {
             let value = |place: usize| {
-                let result =
-                    suite.variants.get(place)?.challenges.iter().find(|result| result.challenge == challenge)?;
+                let result = suite
+                    .variants
+                    .get(place)?
+                    .challenges
+                    .iter()
+                    .find(|result| result.challenge == challenge)?;
                 if paper { result.paper } else { result.score }
             };
             let variants = study.variants.iter().enumerate();
-            let points: Vec<[f64; 2]> = variants.filter_map(|(place, v)| Some([v.x?, value(place)?])).collect();
+            let points: Vec<[f64; 2]> = variants
+                .filter_map(|(place, v)| Some([v.x?, value(place)?]))
+                .collect();
             if points.is_empty() {
                 continue;
             }
@@ -65,7 +88,12 @@ fn curves(study: &Study, suite: &SuiteResults) -> Vec<Curve> {
                 _ => String::new(),
             };
             let name = format!("{}{source}", panel(challenge));
-            curves.push(Curve { name, color: color(series), paper, points });
+            curves.push(Curve {
+                name,
+                color: color(series),
+                paper,
+                points,
+            });
         }
     }
     curves

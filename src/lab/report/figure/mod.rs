@@ -32,6 +32,11 @@ pub(super) fn figures(study: &Study, results: &StudyResults) -> Vec<(String, Str
         Figure::Lines(axis) => lines::draw(study, results, suite, axis),
         Figure::Bars => bars::draw(results, suite),
     };
-    let of_suites = results.suites.iter().map(|suite| (format!("{}.svg", suite.name), draw(suite)));
-    of_suites.chain(agreement::draw(results).map(|text| (AGREEMENT.to_owned(), text))).collect()
+    let of_suites = results
+        .suites
+        .iter()
+        .map(|suite| (format!("{}.svg", suite.name), draw(suite)));
+    of_suites
+        .chain(agreement::draw(results).map(|text| (AGREEMENT.to_owned(), text)))
+        .collect()
 }

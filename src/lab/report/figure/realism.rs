@@ -21,7 +21,12 @@ pub fn realism_figure(comparison: &SceneComparison, names: [&str; 2]) -> String 
     for (series, (name, scenes)) in names.iter().zip(&comparison.scenes).enumerate() {
         let [x, y] = [12.0, 46.0 + 18.0 * series as f64];
         picture.line(&[[x, y - 4.0], [x + 24.0, y - 4.0]], color(series), false);
-        picture.text([x + 32.0, y], Anchor::Start, "faint", &format!("{name}, {} scenes", scenes.len()));
+        picture.text(
+            [x + 32.0, y],
+            Anchor::Start,
+            "faint",
+            &format!("{name}, {} scenes", scenes.len()),
+        );
     }
     for (place, one) in comparison.features.iter().enumerate() {
         let y = TOP + ROW * (place as f64 + 0.5);
@@ -30,14 +35,27 @@ pub fn realism_figure(comparison: &SceneComparison, names: [&str; 2]) -> String 
             unit => format!("{}, {unit}", one.feature.name),
         };
         picture.text([NAMES, y + 4.0], Anchor::End, "", &name);
-        let ends = || [one.a, one.b].into_iter().flatten().flat_map(|set| [set.percentiles[0], set.percentiles[4]]);
-        let (low, high) = (ends().fold(f64::INFINITY, f64::min), ends().fold(f64::NEG_INFINITY, f64::max));
+        let ends = || {
+            [one.a, one.b]
+                .into_iter()
+                .flatten()
+                .flat_map(|set| [set.percentiles[0], set.percentiles[4]])
+        };
+        let (low, high) = (
+            ends().fold(f64::INFINITY, f64::min),
+            ends().fold(f64::NEG_INFINITY, f64::max),
+        );
         if !low.is_finite() {
             continue;
         }
         let scale = Scale::of(ends(), [LEFT, RIGHT]);
         let decimals = usize::from(high.abs().max(low.abs()) < 20.0);
-        picture.text([LEFT - 8.0, y + 4.0], Anchor::End, "faint", &fixed(scale.low(), decimals.max(scale.decimals())));
+        picture.text(
+            [LEFT - 8.0, y + 4.0],
+            Anchor::End,
+            "faint",
+            &fixed(scale.low(), decimals.max(scale.decimals())),
+        );
         picture.text(
             [RIGHT + 8.0, y + 4.0],
             Anchor::Start,
@@ -46,7 +64,13 @@ pub fn realism_figure(comparison: &SceneComparison, names: [&str; 2]) -> String 
         );
         for (series, set) in [one.a, one.b].into_iter().enumerate() {
             if let Some(set) = set {
-                row(&mut picture, scale, y + 9.0 * series as f64 - 4.5, &set, color(series));
+                row(
+                    &mut picture,
+                    scale,
+                    y + 9.0 * series as f64 - 4.5,
+                    &set,
+                    color(series),
+                );
             }
         }
     }

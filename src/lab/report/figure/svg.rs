@@ -3,7 +3,8 @@
 use planagent_runs::report::escaped;
 use std::fmt::Write as _;
 
-/// Colors of the series: blue, orange, green, purple of Okabe and Ito's palette, which color-blind readers can tell apart.
+/// Colors of the series: blue, orange, green, purple of Okabe and Ito's palette, which color-blind
+/// readers can tell apart.
 const SERIES: [&str; 4] = ["#0072b2", "#d98200", "#009e73", "#b0558d"];
 
 /// Colors of text, lines and background, in light and dark.
@@ -37,12 +38,18 @@ pub(super) struct Scale {
 
 /// The color of a series.
 pub(super) fn color(series: usize) -> &'static str {
-    SERIES.get(series % SERIES.len()).copied().unwrap_or(SERIES[0])
+    SERIES
+        .get(series % SERIES.len())
+        .copied()
+        .unwrap_or(SERIES[0])
 }
 
 impl Picture {
     pub(super) fn new(width: f64) -> Self {
-        Self { width, body: String::new() }
+        Self {
+            width,
+            body: String::new(),
+        }
     }
 
     /// The file with this height.
@@ -74,7 +81,9 @@ impl Picture {
 
     /// A line of a class (`rule` or `axis`).
     pub(super) fn rule(&mut self, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2], class: &str) {
-        self.add(&format!("<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" class=\"{class}\"/>"));
+        self.add(&format!(
+            "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" class=\"{class}\"/>"
+        ));
     }
 
     /// A line through points in a color; `dashed` for the paper.
@@ -84,7 +93,11 @@ impl Picture {
             // Writing to a string cannot fail.
             let _ = write!(path, "{x:.1},{y:.1} ");
         }
-        let dash = if dashed { " stroke-dasharray=\"4 4\"" } else { "" };
+        let dash = if dashed {
+            " stroke-dasharray=\"4 4\""
+        } else {
+            ""
+        };
         let points = path.trim_end();
         self.add(&format!("<polyline points=\"{points}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"2\"{dash}/>"));
     }
@@ -107,7 +120,11 @@ impl Picture {
     pub(super) fn columns(&mut self, scale: Scale, top: f64, bottom: f64) {
         for (value, label) in scale.ticks() {
             let x = scale.at(value);
-            self.rule([x, top], [x, bottom], if value == 0.0 { "axis" } else { "rule" });
+            self.rule(
+                [x, top],
+                [x, bottom],
+                if value == 0.0 { "axis" } else { "rule" },
+            );
             self.text([x, bottom + 16.0], Anchor::Middle, "faint", &label);
         }
     }
@@ -123,7 +140,8 @@ impl Picture {
 }
 
 impl Scale {
-    /// A scale from pixel to pixel that shows all values, with about five ticks; both ends are ticks.
+    /// A scale from pixel to pixel that shows all values, with about five ticks; both ends are
+    /// ticks.
     pub(super) fn of(values: impl IntoIterator<Item = f64>, pixels: [f64; 2]) -> Self {
         let mut ends = [f64::INFINITY, f64::NEG_INFINITY];
         for value in values.into_iter().filter(|value| value.is_finite()) {
@@ -134,10 +152,20 @@ impl Scale {
         }
         let rough = ((ends[1] - ends[0]) / 5.0).max(1e-3);
         let decade = 10f64.powf(rough.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0].map(|times| times * decade).into_iter().find(|step| *step >= rough * 0.999);
+        let step = [1.0, 2.0, 5.0, 10.0]
+            .map(|times| times * decade)
+            .into_iter()
+            .find(|step| *step >= rough * 0.999);
         let step = step.unwrap_or(10.0 * decade);
-        let (low, high) = ((ends[0] / step).floor() * step, (ends[1] / step).ceil() * step);
-        Self { values: [low, if high > low { high } else { low + step }], pixels, step }
+        let (low, high) = (
+            (ends[0] / step).floor() * step,
+            (ends[1] / step).ceil() * step,
+        );
+        Self {
+            values: [low, if high > low { high } else { low + step }],
+            pixels,
+            step,
+        }
     }
 
     /// The value at the first pixel.
@@ -162,7 +190,11 @@ impl Scale {
     }
 
     fn ticks(&self) -> impl Iterator<Item = (f64, String)> {
-        let Self { values: [low, high], step, .. } = *self;
+        let Self {
+            values: [low, high],
+            step,
+            ..
+        } = *self;
         let decimals = self.decimals();
         let count = ((high - low) / step).round() as usize;
         (0..=count).map(move |i| {
@@ -183,7 +215,10 @@ mod tests {
         let ticks: Vec<String> = scale.ticks().map(|(_, label)| label).collect();
         assert_eq!(ticks, ["-5", "0", "5", "10"]);
         assert!((scale.at(-5.0) - 100.0).abs() < 1e-9 && (scale.at(10.0) - 200.0).abs() < 1e-9);
-        let small: Vec<String> = Scale::of([0.1, 0.4], [0.0, 1.0]).ticks().map(|(_, label)| label).collect();
+        let small: Vec<String> = Scale::of([0.1, 0.4], [0.0, 1.0])
+            .ticks()
+            .map(|(_, label)| label)
+            .collect();
         assert_eq!(small, ["0.1", "0.2", "0.3", "0.4"]);
         for values in [vec![], vec![2.0], vec![f64::NAN]] {
             let scale = Scale::of(values, [0.0, 10.0]);

@@ -28,12 +28,20 @@ pub struct RankedPlanner {
     pub reported: f64,
 }
 
-/// The agreement with each benchmark that a suite stands for, in both challenges; none where no planner has a reported score.
-pub(super) fn agreements(study: &Study, suite: &SuiteSimulations, bootstrap: Bootstrap) -> Vec<Agreement> {
+/// The agreement with each benchmark that a suite stands for, in both challenges; none where no
+/// planner has a reported score.
+pub(super) fn agreements(
+    study: &Study,
+    suite: &SuiteSimulations,
+    bootstrap: Bootstrap,
+) -> Vec<Agreement> {
     let benchmarks = reported_benchmarks(&suite.name).iter();
-    let cases = benchmarks.flat_map(|&benchmark| Challenge::CLOSED_LOOP.map(|challenge| (benchmark, challenge)));
+    let cases = benchmarks
+        .flat_map(|&benchmark| Challenge::CLOSED_LOOP.map(|challenge| (benchmark, challenge)));
     let found = cases.map(|case| agreement(study, suite, case, bootstrap));
-    found.filter(|agreement| !agreement.planners.is_empty()).collect()
+    found
+        .filter(|agreement| !agreement.planners.is_empty())
+        .collect()
 }
 
 fn agreement(
@@ -44,21 +52,52 @@ fn agreement(
 ) -> Agreement {
     let both = |(variant, simulations): (&Variant, &VariantSimulations)| {
         let reported = variant.reported.score(benchmark, challenge)?;
-        let own = simulations.rows().iter().filter(|row| row.challenge == challenge);
-        let scores: BTreeMap<String, f64> = own.filter_map(|row| Some((row.source.clone(), row.score?))).collect();
+        let own = simulations
+            .rows()
+            .iter()
+            .filter(|row| row.challenge == challenge);
+        let scores: BTreeMap<String, f64> = own
+            .filter_map(|row| Some((row.source.clone(), row.score?)))
+            .collect();
         (!scores.is_empty()).then(|| (study.name_of(variant), scores, reported))
     };
-    let planners: Vec<_> = study.variants.iter().zip(&suite.variants).filter_map(both).collect();
-    let all = |source: &&String| planners.iter().all(|(_, scores, _)| scores.contains_key(*source));
-    let sources: Vec<&String> =
-        planners.first().map_or(Vec::new(), |(_, scores, _)| scores.keys().filter(all).collect());
-    let of_sources = |scores: &BTreeMap<String, f64>| sources.iter().filter_map(|s| scores.get(*s).copied()).collect();
-    let scores: Vec<Vec<f64>> = planners.iter().map(|(_, scores, _)| of_sources(scores)).collect();
-    let reported: Vec<f64> = planners.iter().map(|&(.., reported)| reported).collect();
-    let ranked = planners.iter().zip(&scores).filter(|_| !sources.is_empty()).map(|((name, _, reported), scores)| {
-        let score = 100.0 * scores.iter().sum::<f64>() / scores.len() as f64;
-        RankedPlanner { name: name.clone(), score, reported: *reported }
+    let planners: Vec<_> = study
+        .variants
+        .iter()
+        .zip(&suite.variants)
+        .filter_map(both)
+        .collect();
+    let all = |source: &&String| {
+        planners
+            .iter()
+            .all(|(_, scores, _)| scores.contains_key(*source))
+    };
+    let sources: Vec<&String> = planners.first().map_or(Vec::new(), |(_, scores, _)| {
+        scores.keys().filter(all).collect()
     });
+    let of_sources = |scores: &BTreeMap<String, f64>| {
+        sources
+            .iter()
+            .filter_map(|s| scores.get(*s).copied())
+            .collect()
+    };
+    let scores: Vec<Vec<f64>> = planners
+        .iter()
+        .map(|(_, scores, _)| of_sources(scores))
+        .collect();
+    let reported: Vec<f64> = planners.iter().map(|&(.., reported)| reported).collect();
+    let ranked = planners
+        .iter()
+        .zip(&scores)
+        .filter(|_| !sources.is_empty())
+        .map(|((name, _, reported), scores)| {
+            let score = 100.0 * scores.iter().sum::<f64>() / scores.len() as f64;
+            RankedPlanner {
+                name: name.clone(),
+                score,
+                reported: *reported,
+            }
+        });
     Agreement {
         benchmark,
         challenge,

@@ -1,4 +1,5 @@
-//! The folder of an experiment's results: `results.json`, `results.md` and figures. Each time it is written from the runs.
+//! The folder of an experiment's results: `results.json`, `results.md` and figures. Each time it is
+//! written from the runs.
 
 use super::results::StudyResults;
 use crate::report::figure::figures;
@@ -25,18 +26,31 @@ impl StudyFolder {
     }
 
     /// Writes the results of a study and the `command` that reproduces them.
-    pub fn write(&self, study: &Study, results: &StudyResults, command: &str) -> Result<(), ReportError> {
+    pub fn write(
+        &self,
+        study: &Study,
+        results: &StudyResults,
+        command: &str,
+    ) -> Result<(), ReportError> {
         let mut files = figures(study, results);
         let names: Vec<String> = files.iter().map(|(name, _)| name.clone()).collect();
-        files.push(("results.md".to_owned(), study_markdown(study, results, command, &names)));
+        files.push((
+            "results.md".to_owned(),
+            study_markdown(study, results, command, &names),
+        ));
         let json = json_value(results).and_then(|value| serde_json::to_string_pretty(&value));
-        files.push(("results.json".to_owned(), json.map_err(ReportError::at(&self.path))? + "\n"));
+        files.push((
+            "results.json".to_owned(),
+            json.map_err(ReportError::at(&self.path))? + "\n",
+        ));
         self.write_files(&files)
     }
 
     /// Writes files of these names, each completely or not at all.
     pub fn write_files(&self, files: &[(impl AsRef<Path>, String)]) -> Result<(), ReportError> {
         atomic::folder(&self.path)?;
-        files.iter().try_for_each(|(name, text)| atomic::write(&self.path.join(name), text.as_bytes()))
+        files
+            .iter()
+            .try_for_each(|(name, text)| atomic::write(&self.path.join(name), text.as_bytes()))
     }
 }

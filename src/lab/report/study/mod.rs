@@ -1,4 +1,5 @@
-//! Results of an experiment: scores and paired differences with intervals, as Markdown, JSON and figures.
+//! Results of an experiment: scores and paired differences with intervals, as Markdown, JSON and
+//! figures.
 
 mod agreement;
 mod folder;
@@ -11,6 +12,6 @@ pub use agreement::Agreement;
 pub use folder::StudyFolder;
 pub use recordings::{CallShares, RecordingResults, RecordingScores};
 pub use results::{
-    ChallengeResults, ModelCost, Outcome, StudyResults, SuiteResults, SuiteSimulations, TypeResults, VariantResults,
-    VariantSimulations,
+    ChallengeResults, ModelCost, Outcome, StudyResults, SuiteResults, SuiteSimulations,
+    TypeResults, VariantResults, VariantSimulations,
 };

@@ -32,10 +32,18 @@ pub struct CallShares {
 impl CallShares {
     pub(super) fn of(rows: &[SimulationRow]) -> Self {
         let sum = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum();
-        let collides = |row: &&SimulationRow| row.metric(COLLISIONS).is_some_and(|score| score < 1.0);
-        let at_fault = |challenge| rows.iter().filter(|row| row.challenge == challenge).filter(collides).count();
+        let collides =
+            |row: &&SimulationRow| row.metric(COLLISIONS).is_some_and(|score| score < 1.0);
+        let at_fault = |challenge| {
+            rows.iter()
+                .filter(|row| row.challenge == challenge)
+                .filter(collides)
+                .count()
+        };
         Self {
-            at_fault: Challenge::CLOSED_LOOP.map(|challenge| (challenge, at_fault(challenge))).to_vec(),
+            at_fault: Challenge::CLOSED_LOOP
+                .map(|challenge| (challenge, at_fault(challenge)))
+                .to_vec(),
             planning_calls: sum(|row| row.planning_calls),
             off_route: sum(|row| row.off_route_calls),
             off_area: sum(|row| row.off_area_calls),
@@ -62,27 +70,52 @@ pub struct RecordingScores {
     pub challenge: Challenge,
     /// Mean score of each variant over the start times, in the study's order.
     pub scores: Vec<Option<f64>>,
-    /// Where the first variant loses most against the reference: nuPlan's metric. None for a loss below one point.
+    /// Where the first variant loses most against the reference: nuPlan's metric. None for a loss
+    /// below one point.
     pub loss: Option<String>,
 }
 
 /// Each recording, by name.
-pub(super) fn recordings(variants: &[VariantSimulations], reference: usize) -> Vec<RecordingResults> {
+pub(super) fn recordings(
+    variants: &[VariantSimulations],
+    reference: usize,
+) -> Vec<RecordingResults> {
     let rows: Vec<&[SimulationRow]> = variants.iter().map(VariantSimulations::rows).collect();
     let mut names: Vec<String> = distinct(rows.iter().flat_map(|rows| rows.iter()).map(name));
     names.sort();
     let recordings = names.into_iter().map(|recording| {
-        let starts = distinct(rows.iter().flat_map(|rows| of(rows, &recording, None)).map(|row| &row.source)).len();
+        let starts = distinct(
+            rows.iter()
+                .flat_map(|rows| of(rows, &recording, None))
+                .map(|row| &row.source),
+        )
+        .len();
         let challenges = Challenge::CLOSED_LOOP.map(|challenge| {
-            let own: Vec<Vec<&SimulationRow>> =
-                rows.iter().map(|rows| of(rows, &recording, Some(challenge)).collect()).collect();
+            let own: Vec<Vec<&SimulationRow>> = rows
+                .iter()
+                .map(|rows| of(rows, &recording, Some(challenge)).collect())
+                .collect();
             let scores: Vec<Option<f64>> = own.iter().map(|rows| mean(rows)).collect();
             let at = |place: usize| scores.get(place).copied().flatten();
-            let loses = at(0).zip(at(reference)).is_some_and(|(first, other)| first < other - LOSS);
-            let loss = own.first().zip(own.get(reference)).filter(|_| loses).and_then(|(a, b)| largest_loss(a, b));
-            RecordingScores { challenge, scores, loss }
+            let loses = at(0)
+                .zip(at(reference))
+                .is_some_and(|(first, other)| first < other - LOSS);
+            let loss = own
+                .first()
+                .zip(own.get(reference))
+                .filter(|_| loses)
+                .and_then(|(a, b)| largest_loss(a, b));
+            RecordingScores {
+                challenge,
+                scores,
+                loss,
+            }
         });
-        RecordingResults { recording, starts, challenges: challenges.to_vec() }
+        RecordingResults {
+            recording,
+            starts,
+            challenges: challenges.to_vec(),
+        }
     });
     recordings.collect()
 }
@@ -96,22 +129,38 @@ fn of<'a>(
     recording: &'a str,
     challenge: Option<Challenge>,
 ) -> impl Iterator<Item = &'a SimulationRow> {
-    let own = rows.iter().filter(move |row| without_start(&row.scenario) == recording);
+    let own = rows
+        .iter()
+        .filter(move |row| without_start(&row.scenario) == recording);
     own.filter(move |row| challenge.is_none_or(|challenge| row.challenge == challenge))
 }
 
 fn mean(rows: &[&SimulationRow]) -> Option<f64> {
-    let scores: Vec<f64> = rows.iter().filter_map(|row| Some(row.score? * 100.0)).collect();
+    let scores: Vec<f64> = rows
+        .iter()
+        .filter_map(|row| Some(row.score? * 100.0))
+        .collect();
     (!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64)
 }
 
 /// The metric whose mean over the start times falls most.
 fn largest_loss(first: &[&SimulationRow], other: &[&SimulationRow]) -> Option<String> {
-    let metrics = distinct(other.iter().flat_map(|row| &row.metrics).map(|metric| metric.name.clone()));
+    let metrics = distinct(
+        other
+            .iter()
+            .flat_map(|row| &row.metrics)
+            .map(|metric| metric.name.clone()),
+    );
     let mean = |rows: &[&SimulationRow], metric: &str| {
         let scores: Vec<f64> = rows.iter().filter_map(|row| row.metric(metric)).collect();
         (!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64)
     };
-    let losses = metrics.into_iter().filter_map(|metric| Some((mean(other, &metric)? - mean(first, &metric)?, metric)));
-    losses.rev().max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(loss, _)| *loss > 0.0).map(|(_, metric)| metric)
+    let losses = metrics
+        .into_iter()
+        .filter_map(|metric| Some((mean(other, &metric)? - mean(first, &metric)?, metric)));
+    losses
+        .rev()
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|(loss, _)| *loss > 0.0)
+        .map(|(_, metric)| metric)
 }

@@ -1,4 +1,5 @@
-//! `results.json` of an experiment. Scores and differences are nuPlan's scores x 100, as in the paper.
+//! `results.json` of an experiment. Scores and differences are nuPlan's scores x 100, as in the
+//! paper.
 
 use super::agreement::{Agreement, agreements};
 use super::recordings::{CallShares, RecordingResults, recordings};
@@ -83,14 +84,24 @@ pub struct SuiteResults {
 }
 
 impl SuiteResults {
-    /// The challenges of its tables: those with simulations. Where nothing was simulated, all: the tables say why.
+    /// The challenges of its tables: those with simulations. Where nothing was simulated, all: the
+    /// tables say why.
     pub fn challenges(&self) -> Vec<Challenge> {
         let results = || self.variants.iter().flat_map(|variant| &variant.challenges);
         let is_simulated = |challenge: &Challenge| {
-            results().any(|result| result.challenge == *challenge && result.simulations + result.failed > 0)
+            results().any(|result| {
+                result.challenge == *challenge && result.simulations + result.failed > 0
+            })
         };
-        let simulated: Vec<Challenge> = Challenge::CLOSED_LOOP.into_iter().filter(is_simulated).collect();
-        if simulated.is_empty() { Challenge::CLOSED_LOOP.to_vec() } else { simulated }
+        let simulated: Vec<Challenge> = Challenge::CLOSED_LOOP
+            .into_iter()
+            .filter(is_simulated)
+            .collect();
+        if simulated.is_empty() {
+            Challenge::CLOSED_LOOP.to_vec()
+        } else {
+            simulated
+        }
     }
 }
 
@@ -168,8 +179,15 @@ impl StudyResults {
         bench: &[ModelFigures],
     ) -> Self {
         let bootstrap = Bootstrap::default();
-        let reference = study.variants.get(study.reference).expect("a study checks its reference");
-        let source = ResultSource { study, bootstrap, bench };
+        let reference = study
+            .variants
+            .get(study.reference)
+            .expect("a study checks its reference");
+        let source = ResultSource {
+            study,
+            bootstrap,
+            bench,
+        };
         Self {
             planagent: env!("CARGO_PKG_VERSION"),
             experiment: study.name.clone(),
@@ -194,11 +212,18 @@ struct ResultSource<'a> {
 impl ResultSource<'_> {
     fn suite(&self, suite: &SuiteSimulations) -> SuiteResults {
         let benchmark = benchmark(&suite.name);
-        let reference = suite.variants.get(self.study.reference).map_or(&[][..], VariantSimulations::rows);
+        let reference = suite
+            .variants
+            .get(self.study.reference)
+            .map_or(&[][..], VariantSimulations::rows);
         let variants = self.study.variants.iter().zip(&suite.variants).enumerate();
         let of_recordings = self.study.rows == Rows::Recordings;
         SuiteResults {
-            recordings: if of_recordings { recordings(&suite.variants, self.study.reference) } else { Vec::new() },
+            recordings: if of_recordings {
+                recordings(&suite.variants, self.study.reference)
+            } else {
+                Vec::new()
+            },
             name: suite.name.clone(),
             agreement: agreements(self.study, suite, self.bootstrap),
             benchmark,
@@ -231,7 +256,9 @@ impl ResultSource<'_> {
                 .into_iter()
                 .map(|kind| TypeResults {
                     scenario_type: kind.clone(),
-                    challenges: self.challenges(variant, rows, against, None, |row| row.scenario_type == *kind),
+                    challenges: self.challenges(variant, rows, against, None, |row| {
+                        row.scenario_type == *kind
+                    }),
                 })
                 .collect(),
         };
@@ -248,7 +275,10 @@ impl ResultSource<'_> {
             calls_per_simulation: (calls > 0 || self.study.columns.contains(&Column::Calls))
                 .then(|| calls as f64 / completed.count() as f64),
             calls: (self.study.rows == Rows::Recordings).then(|| CallShares::of(rows)),
-            model: self.study.measures_models().then(|| self.cost(variant, simulations)),
+            model: self
+                .study
+                .measures_models()
+                .then(|| self.cost(variant, simulations)),
         }
     }
 
@@ -260,27 +290,43 @@ impl ResultSource<'_> {
         benchmark: Option<Benchmark>,
         counts: impl Fn(&SimulationRow) -> bool + Copy,
     ) -> Vec<ChallengeResults> {
-        let published = |variant: &Variant, challenge| variant.published.score(benchmark?, challenge);
+        let published =
+            |variant: &Variant, challenge| variant.published.score(benchmark?, challenge);
         let reference = self.study.variants.get(self.study.reference);
         Challenge::CLOSED_LOOP
             .into_iter()
             .map(|challenge| {
                 let own = |row: &&SimulationRow| row.challenge == challenge && counts(row);
                 let of = |rows: &[SimulationRow]| -> BTreeMap<String, f64> {
-                    let scored = rows.iter().filter(own).filter_map(|row| Some((row.source.clone(), row.score?)));
-                    scored.map(|(source, score)| (source, score * 100.0)).collect()
+                    let scored = rows
+                        .iter()
+                        .filter(own)
+                        .filter_map(|row| Some((row.source.clone(), row.score?)));
+                    scored
+                        .map(|(source, score)| (source, score * 100.0))
+                        .collect()
                 };
                 let scores = of(rows);
                 let others = against.map(of);
-                let differences: Vec<(&str, f64)> =
-                    others.iter().flatten().filter_map(|(s, o)| Some((s.as_str(), scores.get(s)? - o))).collect();
+                let differences: Vec<(&str, f64)> = others
+                    .iter()
+                    .flatten()
+                    .filter_map(|(s, o)| Some((s.as_str(), scores.get(s)? - o)))
+                    .collect();
                 let paper = published(variant, challenge);
-                let reference = against.and(reference).and_then(|reference| published(reference, challenge));
+                let reference = against
+                    .and(reference)
+                    .and_then(|reference| published(reference, challenge));
                 ChallengeResults {
                     challenge,
-                    score: (!scores.is_empty()).then(|| scores.values().sum::<f64>() / scores.len() as f64),
+                    score: (!scores.is_empty())
+                        .then(|| scores.values().sum::<f64>() / scores.len() as f64),
                     simulations: scores.len(),
-                    failed: rows.iter().filter(own).filter(|row| row.score.is_none()).count(),
+                    failed: rows
+                        .iter()
+                        .filter(own)
+                        .filter(|row| row.score.is_none())
+                        .count(),
                     difference: self.bootstrap.clustered(&clusters(&differences)),
                     paper,
                     paper_difference: paper.zip(reference).map(|(own, other)| own - other),
@@ -291,12 +337,24 @@ impl ResultSource<'_> {
 
     /// The time is that of the planning calls, or of a bench for a model that was not simulated.
     fn cost(&self, variant: &Variant, simulations: &VariantSimulations) -> ModelCost {
-        let benched = self.bench.iter().find(|model| variant.labels.first() == Some(&model.about.model));
-        let calls = simulations.rows().iter().flat_map(|row| &row.time.calls).map(|call| call.total).collect();
+        let benched = self
+            .bench
+            .iter()
+            .find(|model| variant.labels.first() == Some(&model.about.model));
+        let calls = simulations
+            .rows()
+            .iter()
+            .flat_map(|row| &row.time.calls)
+            .map(|call| call.total)
+            .collect();
         let simulated = Quantiles::of(calls).map(|quantiles| quantiles.p50);
-        let from_bench = benched.and_then(|model| model.call_ms).map(|quantiles| quantiles.p50);
+        let from_bench = benched
+            .and_then(|model| model.call_ms)
+            .map(|quantiles| quantiles.p50);
         ModelCost {
-            parameters: simulations.parameters.or_else(|| benched.map(|model| model.about.loaded.parameters)),
+            parameters: simulations
+                .parameters
+                .or_else(|| benched.map(|model| model.about.loaded.parameters)),
             call_ms: simulated.or(from_bench),
             benched: simulated.is_none() && from_bench.is_some(),
             paper: variant.published.model.clone(),
@@ -304,8 +362,8 @@ impl ResultSource<'_> {
     }
 }
 
-/// Differences by source in the clusters that the bootstrap draws: those of one recording together, whatever its start and its
-/// modification.
+/// Differences by source in the clusters that the bootstrap draws: those of one recording together,
+/// whatever its start and its modification.
 fn clusters(differences: &[(&str, f64)]) -> Vec<Vec<f64>> {
     let mut clusters: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for &(source, difference) in differences {

@@ -10,34 +10,67 @@ use planagent_runs::report::{MetricScore, SimulationRow};
 
 /// A simulation of a scene; without a score it failed.
 fn simulation(scene: usize, challenge: Challenge, score: Option<f64>) -> SimulationRow {
-    let kind = if scene.is_multiple_of(2) { "changing_lane" } else { "stopping_with_lead" };
-    SimulationRow::example(kind, scene, PlannerName::PLAN_AGENT.as_str(), challenge, score)
+    let kind = if scene.is_multiple_of(2) {
+        "changing_lane"
+    } else {
+        "stopping_with_lead"
+    };
+    SimulationRow::example(
+        kind,
+        scene,
+        PlannerName::PLAN_AGENT.as_str(),
+        challenge,
+        score,
+    )
 }
 
 /// Simulations of four scenes in both challenges with these scores.
 fn simulated(scores: [Option<f64>; 4]) -> VariantSimulations {
-    let of = |challenge| scores.into_iter().enumerate().map(move |(scene, score)| simulation(scene, challenge, score));
+    let of = |challenge| {
+        scores
+            .into_iter()
+            .enumerate()
+            .map(move |(scene, score)| simulation(scene, challenge, score))
+    };
     let rows = Challenge::CLOSED_LOOP.into_iter().flat_map(of).collect();
     VariantSimulations {
-        outcome: Outcome::Simulated { run: "../runs/a".to_owned(), rows },
+        outcome: Outcome::Simulated {
+            run: "../runs/a".to_owned(),
+            rows,
+        },
         parameters: Some(4_018_752),
     }
 }
 
 fn suite(name: &str, variants: Vec<VariantSimulations>) -> SuiteSimulations {
-    SuiteSimulations { name: name.to_owned(), scenes: 4, blake3: "0".to_owned(), variants }
+    SuiteSimulations {
+        name: name.to_owned(),
+        scenes: 4,
+        blake3: "0".to_owned(),
+        variants,
+    }
 }
 
-const NOT_SIMULATED: VariantSimulations =
-    VariantSimulations { outcome: Outcome::NotSimulated("no weights"), parameters: None };
+const NOT_SIMULATED: VariantSimulations = VariantSimulations {
+    outcome: Outcome::NotSimulated("no weights"),
+    parameters: None,
+};
 
 #[test]
 fn differences_are_paired_and_failed_simulations_do_not_count() {
     let study = find("interval").unwrap();
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     let other = simulated([Some(0.9), None, Some(0.75), Some(1.0)]);
-    let results =
-        StudyResults::new(&study, &[suite("generated-test14-hard", vec![other, full.clone(), full])], None, 3, &[]);
+    let results = StudyResults::new(
+        &study,
+        &[suite(
+            "generated-test14-hard",
+            vec![other, full.clone(), full],
+        )],
+        None,
+        3,
+        &[],
+    );
     let variants = &results.suites[0].variants;
     let first = &variants[0].challenges[0];
     assert_eq!((first.simulations, first.failed), (3, 1));
@@ -45,12 +78,27 @@ fn differences_are_paired_and_failed_simulations_do_not_count() {
     let difference = first.difference.unwrap();
     assert_eq!(difference.pairs, 3);
     assert!(
-        difference.mean.abs() < 1e-9 && (difference.low + 10.0).abs() < 1e-9 && (difference.high - 10.0).abs() < 1e-9
+        difference.mean.abs() < 1e-9
+            && (difference.low + 10.0).abs() < 1e-9
+            && (difference.high - 10.0).abs() < 1e-9
     );
     assert!((first.paper_difference.unwrap() - (71.85 - 72.51)).abs() < 1e-9);
-    assert_eq!((variants[1].challenges[0].difference, variants[1].challenges[0].paper), (None, Some(72.51)));
+    assert_eq!(
+        (
+            variants[1].challenges[0].difference,
+            variants[1].challenges[0].paper
+        ),
+        (None, Some(72.51))
+    );
     assert!(variants[2].challenges[1].difference.unwrap().mean.abs() < 1e-12);
-    assert_eq!((results.reference.as_str(), variants[0].calls_per_simulation, results.seed), ("2 s", Some(8.0), 3));
+    assert_eq!(
+        (
+            results.reference.as_str(),
+            variants[0].calls_per_simulation,
+            results.seed
+        ),
+        ("2 s", Some(8.0), 3)
+    );
 }
 
 #[test]
@@ -58,10 +106,24 @@ fn the_tables_read_well_in_80_columns() {
     let study = find("reasoning").unwrap();
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     let worse = simulated([Some(0.0), Some(0.5), Some(0.25), Some(0.9)]);
-    let variants = vec![worse.clone(), simulated([Some(1.0), None, Some(0.75), Some(0.95)]), worse, full];
-    let results = StudyResults::new(&study, &[suite("generated-test14-hard", variants)], Some(Quick::DEFAULT), 0, &[]);
+    let variants = vec![
+        worse.clone(),
+        simulated([Some(1.0), None, Some(0.75), Some(0.95)]),
+        worse,
+        full,
+    ];
+    let results = StudyResults::new(
+        &study,
+        &[suite("generated-test14-hard", variants)],
+        Some(Quick::DEFAULT),
+        0,
+        &[],
+    );
     let table = study_table(&study, &results);
-    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
+    assert!(
+        table.lines().all(|line| line.chars().count() <= 80),
+        "{table}"
+    );
     insta::assert_snapshot!(table, @r#"
     Rounds of the model, and whether its plans are scored
 
@@ -98,39 +160,84 @@ fn a_challenge_that_was_not_simulated_has_no_table_and_an_empty_label_no_name() 
         rows.retain(|row| row.challenge == Challenge::Reactive);
     }
     let variants = vec![reactive; study.variants.len()];
-    let results = StudyResults::new(&study, &[suite("interactive-generated", variants)], None, 0, &[]);
-    let names: Vec<&str> = results.suites[0].variants.iter().map(|variant| variant.name.as_str()).collect();
+    let results = StudyResults::new(
+        &study,
+        &[suite("interactive-generated", variants)],
+        None,
+        0,
+        &[],
+    );
+    let names: Vec<&str> = results.suites[0]
+        .variants
+        .iter()
+        .map(|variant| variant.name.as_str())
+        .collect();
     assert_eq!(
         names[1..4],
-        ["planner: plan-agent, BEV: another scene's", "planner: plan-agent, BEV: none", "planner: pdm-closed"]
+        [
+            "planner: plan-agent, BEV: another scene's",
+            "planner: plan-agent, BEV: none",
+            "planner: pdm-closed"
+        ]
     );
     let table = study_table(&study, &results);
     let one_panel = figures(&study, &results);
-    assert!(one_panel[0].1.contains("R: reactive agents") && !one_panel[0].1.contains("NR:"), "{}", one_panel[0].1);
     assert!(
-        table.contains("interactive-generated, reactive agents") && !table.contains("non-reactive agents:"),
+        one_panel[0].1.contains("R: reactive agents") && !one_panel[0].1.contains("NR:"),
+        "{}",
+        one_panel[0].1
+    );
+    assert!(
+        table.contains("interactive-generated, reactive agents")
+            && !table.contains("non-reactive agents:"),
         "{table}"
     );
     let text = study_markdown(&study, &results, "planagent experiment interactive", &[]);
-    assert!(text.contains("| planner | BEV | R | diff | 95 % interval |"), "{text}");
+    assert!(
+        text.contains("| planner | BEV | R | diff | 95 % interval |"),
+        "{text}"
+    );
 }
 
 #[test]
 fn modified_scenes_of_one_recording_are_drawn_together() {
     let study = find("interactive").unwrap();
     let variant = |scores: [f64; 3]| {
-        let sources =
-            ["a.tfrecord~jaywalking_pedestrian", "a.tfrecord~low_traffic_density", "b.tfrecord~avoid_crashed_cars"];
-        let rows =
-            sources.into_iter().zip(scores).map(|(source, score)| recorded(source, "plan-agent", score)).collect();
-        VariantSimulations { outcome: Outcome::Simulated { run: "../runs/a".to_owned(), rows }, parameters: None }
+        let sources = [
+            "a.tfrecord~jaywalking_pedestrian",
+            "a.tfrecord~low_traffic_density",
+            "b.tfrecord~avoid_crashed_cars",
+        ];
+        let rows = sources
+            .into_iter()
+            .zip(scores)
+            .map(|(source, score)| recorded(source, "plan-agent", score))
+            .collect();
+        VariantSimulations {
+            outcome: Outcome::Simulated {
+                run: "../runs/a".to_owned(),
+                rows,
+            },
+            parameters: None,
+        }
     };
     let mut variants = vec![variant([1.0; 3]); study.variants.len()];
     variants[1] = variant([0.5, 0.5, 1.0]);
-    let results = StudyResults::new(&study, &[suite("interactive-recorded", variants)], None, 0, &[]);
-    let difference = results.suites[0].variants[1].challenges[0].difference.unwrap();
+    let results = StudyResults::new(
+        &study,
+        &[suite("interactive-recorded", variants)],
+        None,
+        0,
+        &[],
+    );
+    let difference = results.suites[0].variants[1].challenges[0]
+        .difference
+        .unwrap();
     // A draw may have either recording twice.
-    assert_eq!((difference.low, difference.high, difference.pairs), (-50.0, 0.0, 3));
+    assert_eq!(
+        (difference.low, difference.high, difference.pairs),
+        (-50.0, 0.0, 3)
+    );
 }
 
 #[test]
@@ -139,10 +246,24 @@ fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
     let study = find("mllm").unwrap();
     let mut variants = vec![full.clone(), full.clone()];
     variants.resize(study.variants.len(), NOT_SIMULATED);
-    let mllm = StudyResults::new(&study, &[suite("generated-test14-hard", variants)], None, 0, &[]);
+    let mllm = StudyResults::new(
+        &study,
+        &[suite("generated-test14-hard", variants)],
+        None,
+        0,
+        &[],
+    );
     let table = study_table(&study, &mllm);
-    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
-    let of = |name: &str| -> Vec<&str> { table.lines().filter(|line| line.starts_with(name)).collect() };
+    assert!(
+        table.lines().all(|line| line.chars().count() <= 80),
+        "{table}"
+    );
+    let of = |name: &str| -> Vec<&str> {
+        table
+            .lines()
+            .filter(|line| line.starts_with(name))
+            .collect()
+    };
     let words: Vec<&str> = of("llava-1.5-7b")[0].split_whitespace().collect();
     assert_eq!(words, ["llava-1.5-7b", "no", "weights", "-", "-", "67.73"]);
     let costs: Vec<&str> = of("nano")[2].split_whitespace().collect();
@@ -150,14 +271,19 @@ fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
 
     let study = find("scenario-types").unwrap();
     let better = simulated([Some(1.0), Some(1.0), Some(1.0), Some(1.0)]);
-    let types = StudyResults::new(&study, &[suite("generated-test14-hard", vec![full, better])], None, 0, &[]);
+    let types = StudyResults::new(
+        &study,
+        &[suite("generated-test14-hard", vec![full, better])],
+        None,
+        0,
+        &[],
+    );
     let table = study_table(&study, &types);
     assert!(table.contains("\nchanging_lane\n"), "{table}");
-    assert!(
-        table
-            .lines()
-            .any(|line| line.split_whitespace().eq(["2", "87.50", "100.00", "+12.50", "0.00", "to", "+25.00"]))
-    );
+    assert!(table.lines().any(|line| {
+        line.split_whitespace()
+            .eq(["2", "87.50", "100.00", "+12.50", "0.00", "to", "+25.00"])
+    }));
 }
 
 #[test]
@@ -165,18 +291,33 @@ fn markdown_has_both_challenges_and_the_paper_and_every_study_has_a_figure() {
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     for study in crate::study::all().unwrap() {
         let variants = vec![full.clone(); study.variants.len()];
-        let results = StudyResults::new(&study, &[suite("generated-test14-hard", variants)], None, 0, &[]);
+        let results = StudyResults::new(
+            &study,
+            &[suite("generated-test14-hard", variants)],
+            None,
+            0,
+            &[],
+        );
         let drawn = figures(&study, &results);
         assert!(
             drawn.iter().all(|(name, svg)| {
-                ["generated-test14-hard.svg", "agreement.svg"].contains(&name.as_str()) && !svg.contains("NaN")
+                ["generated-test14-hard.svg", "agreement.svg"].contains(&name.as_str())
+                    && !svg.contains("NaN")
             }),
             "{}",
             study.name
         );
-        let reported = study.variants.iter().any(|variant| variant.reported != Reported::default());
+        let reported = study
+            .variants
+            .iter()
+            .any(|variant| variant.reported != Reported::default());
         assert_eq!(drawn.len(), 1 + usize::from(reported), "{}", study.name);
-        let text = study_markdown(&study, &results, "planagent experiment", &["generated-test14-hard.svg".to_owned()]);
+        let text = study_markdown(
+            &study,
+            &results,
+            "planagent experiment",
+            &["generated-test14-hard.svg".to_owned()],
+        );
         assert!(text.contains("(generated-test14-hard.svg)"), "{text}");
         let head = text.lines().find(|line| line.starts_with("| ")).unwrap();
         if study.figure == Figure::Differences {
@@ -193,8 +334,17 @@ fn markdown_has_both_challenges_and_the_paper_and_every_study_has_a_figure() {
 /// A simulation of a recording from a start, with this score and a metric of the same value.
 fn recorded(start: &str, planner: &str, score: f64) -> SimulationRow {
     let row = SimulationRow::example("unknown", 0, planner, Challenge::NonReactive, Some(score));
-    let metrics = vec![MetricScore { name: "ego_is_comfortable".to_owned(), score: Some(score) }];
-    SimulationRow { source: start.to_owned(), scenario: start.to_owned(), metrics, off_route_calls: 2, ..row }
+    let metrics = vec![MetricScore {
+        name: "ego_is_comfortable".to_owned(),
+        score: Some(score),
+    }];
+    SimulationRow {
+        source: start.to_owned(),
+        scenario: start.to_owned(),
+        metrics,
+        off_route_calls: 2,
+        ..row
+    }
 }
 
 #[test]
@@ -204,7 +354,11 @@ fn recordings_are_drawn_together_and_have_a_row_each() {
     let variant = |planner: &str, scores: [f64; 5]| VariantSimulations {
         outcome: Outcome::Simulated {
             run: "../runs/a".to_owned(),
-            rows: starts.iter().zip(scores).map(|(start, score)| recorded(start, planner, score)).collect(),
+            rows: starts
+                .iter()
+                .zip(scores)
+                .map(|(start, score)| recorded(start, planner, score))
+                .collect(),
         },
         parameters: None,
     };
@@ -216,21 +370,51 @@ fn recordings_are_drawn_together_and_have_a_row_each() {
         variant("oracle-code", full),
     ];
     let results = StudyResults::new(&study, &[suite("recorded", variants)], None, 0, &[]);
-    let [suite] = &results.suites[..] else { panic!("{results:?}") };
+    let [suite] = &results.suites[..] else {
+        panic!("{results:?}")
+    };
     let difference = suite.variants[0].challenges[0].difference.unwrap();
     // Of two recordings without a difference and with -50, a draw may have either one twice.
-    assert_eq!((difference.mean, difference.low, difference.high, difference.pairs), (-30.0, -50.0, 0.0, 5));
-    let [a, b] = &suite.recordings[..] else { panic!("{:?}", suite.recordings) };
-    assert_eq!((a.recording.as_str(), a.starts, &a.challenges[0].loss), ("a", 2, &None));
-    assert_eq!((b.recording.as_str(), b.starts, b.challenges[0].scores[0]), ("b", 3, Some(50.0)));
+    assert_eq!(
+        (
+            difference.mean,
+            difference.low,
+            difference.high,
+            difference.pairs
+        ),
+        (-30.0, -50.0, 0.0, 5)
+    );
+    let [a, b] = &suite.recordings[..] else {
+        panic!("{:?}", suite.recordings)
+    };
+    assert_eq!(
+        (a.recording.as_str(), a.starts, &a.challenges[0].loss),
+        ("a", 2, &None)
+    );
+    assert_eq!(
+        (b.recording.as_str(), b.starts, b.challenges[0].scores[0]),
+        ("b", 3, Some(50.0))
+    );
     assert_eq!(b.challenges[0].loss.as_deref(), Some("ego_is_comfortable"));
     let calls = suite.variants[0].calls.as_ref().unwrap();
-    assert_eq!((calls.planning_calls, calls.off_route, calls.off_area), (40, 10, 0));
+    assert_eq!(
+        (calls.planning_calls, calls.off_route, calls.off_area),
+        (40, 10, 0)
+    );
     let text = study_markdown(&study, &results, "planagent experiment recorded", &[]);
-    assert!(text.contains("| plan-agent | 0 | 0 | 40 | 25.0 % | 0.0 % |"), "{text}");
-    assert!(text.contains("bootstrap over recordings") && text.contains("| b | 3 | 50.00 | 100.00 |"), "{text}");
+    assert!(
+        text.contains("| plan-agent | 0 | 0 | 40 | 25.0 % | 0.0 % |"),
+        "{text}"
+    );
+    assert!(
+        text.contains("bootstrap over recordings") && text.contains("| b | 3 | 50.00 | 100.00 |"),
+        "{text}"
+    );
     let table = study_table(&study, &results);
-    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
+    assert!(
+        table.lines().all(|line| line.chars().count() <= 80),
+        "{table}"
+    );
 }
 
 #[test]
@@ -245,21 +429,47 @@ fn orders_are_compared_with_reported_ones_where_planners_were_simulated() {
     variants.resize(study.variants.len(), NOT_SIMULATED);
     let results = StudyResults::new(&study, &[suite("generated-test14", variants)], None, 0, &[]);
     let found = &results.suites[0].agreement;
-    let cases: Vec<(&str, usize, f64)> =
-        found.iter().map(|a| (a.benchmark.name(), a.planners.len(), a.kendall.unwrap().tau)).collect();
-    // Reported: log-replay, pdm-closed, idm without reactive agents; pdm-closed before log-replay with them.
+    let cases: Vec<(&str, usize, f64)> = found
+        .iter()
+        .map(|a| (a.benchmark.name(), a.planners.len(), a.kendall.unwrap().tau))
+        .collect();
+    // Reported: log-replay, pdm-closed, idm without reactive agents; pdm-closed before log-replay
+    // with them.
     let reactive = 1.0 / 3.0;
-    let expected = [("Test14-random", 1.0), ("Test14-random", reactive), ("Val14", 1.0), ("Val14", reactive)];
+    let expected = [
+        ("Test14-random", 1.0),
+        ("Test14-random", reactive),
+        ("Val14", 1.0),
+        ("Val14", reactive),
+    ];
     assert_eq!(cases.len(), expected.len());
     for ((name, planners, tau), (benchmark, expected)) in cases.into_iter().zip(expected) {
         assert_eq!((name, planners), (benchmark, 3));
         assert!((tau - expected).abs() < 1e-12, "{benchmark}: {tau}");
     }
-    assert_eq!(found[0].kendall.unwrap().scenes, 3, "only scenes that all have a score of");
-    let text = study_markdown(&study, &results, "planagent experiment main", &["agreement.svg".to_owned()]);
-    assert!(text.contains("## Reported scores") && text.contains("(agreement.svg)"), "{text}");
+    assert_eq!(
+        found[0].kendall.unwrap().scenes,
+        3,
+        "only scenes that all have a score of"
+    );
+    let text = study_markdown(
+        &study,
+        &results,
+        "planagent experiment main",
+        &["agreement.svg".to_owned()],
+    );
+    assert!(
+        text.contains("## Reported scores") && text.contains("(agreement.svg)"),
+        "{text}"
+    );
     assert!(text.contains("Test14-random in PlanTF's README"), "{text}");
     let table = study_table(&study, &results);
-    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
-    assert!(table.contains("no checkpoint") || table.contains("no weights"), "{table}");
+    assert!(
+        table.lines().all(|line| line.chars().count() <= 80),
+        "{table}"
+    );
+    assert!(
+        table.contains("no checkpoint") || table.contains("no weights"),
+        "{table}"
+    );
 }

@@ -15,64 +15,115 @@ struct Column {
     cell: fn(&ModelFigures) -> String,
 }
 
-const fn column(header: &'static str, meaning: &'static str, cell: fn(&ModelFigures) -> String) -> Column {
-    Column { header, meaning, cell }
+const fn column(
+    header: &'static str,
+    meaning: &'static str,
+    cell: fn(&ModelFigures) -> String,
+) -> Column {
+    Column {
+        header,
+        meaning,
+        cell,
+    }
 }
 
 /// What was loaded.
 const LOADED: [Column; 6] = [
     column("params", "weights", |m| weights(m.about.loaded.parameters)),
-    column("weights", "how most are held", |m| m.about.loaded.weight_format.clone()),
-    column("image", "its tokens", |m| m.about.loaded.image_tokens.to_string()),
-    column("prompt", "text tokens of a call", |m| m.about.prompt_tokens.to_string()),
+    column("weights", "how most are held", |m| {
+        m.about.loaded.weight_format.clone()
+    }),
+    column("image", "its tokens", |m| {
+        m.about.loaded.image_tokens.to_string()
+    }),
+    column("prompt", "text tokens of a call", |m| {
+        m.about.prompt_tokens.to_string()
+    }),
     column("load", "s", |m| format!("{:.1}", m.about.loaded.load_s)),
-    column("peak", "maximum memory", |m| or_dash(m.about.peak_memory, memory)),
+    column("peak", "maximum memory", |m| {
+        or_dash(m.about.peak_memory, memory)
+    }),
 ];
 /// What it costs. Both together are too wide for a terminal.
 const COST: [Column; 7] = [
-    column("encode", "image, ms", |m| or_dash(m.image_encode_ms, three_digits)),
-    column("prefill", "tok/s", |m| or_dash(m.prefill_tokens_per_s, three_digits)),
-    column("first", "time to first token, ms", |m| or_dash(m.first_token_ms, three_digits)),
-    column("decode", "tok/s", |m| or_dash(m.decode_tokens_per_s, three_digits)),
-    column("p50", "planning call, ms", |m| or_dash(m.call_ms, |call| three_digits(call.p50))),
-    column("p95", "planning call, ms", |m| or_dash(m.call_ms, |call| three_digits(call.p95))),
+    column("encode", "image, ms", |m| {
+        or_dash(m.image_encode_ms, three_digits)
+    }),
+    column("prefill", "tok/s", |m| {
+        or_dash(m.prefill_tokens_per_s, three_digits)
+    }),
+    column("first", "time to first token, ms", |m| {
+        or_dash(m.first_token_ms, three_digits)
+    }),
+    column("decode", "tok/s", |m| {
+        or_dash(m.decode_tokens_per_s, three_digits)
+    }),
+    column("p50", "planning call, ms", |m| {
+        or_dash(m.call_ms, |call| three_digits(call.p50))
+    }),
+    column("p95", "planning call, ms", |m| {
+        or_dash(m.call_ms, |call| three_digits(call.p95))
+    }),
     column("calls", "number of planning calls", |m| m.calls.to_string()),
 ];
 
 /// What it costs with drafts.
 const DRAFTED_COST: [Column; 4] = [
-    column("0", "planning call, ms, without drafts", |m| or_dash(m.call_ms, |call| three_digits(call.p50))),
-    column("0.25", "with drafts of four tokens, of which a quarter is accepted", |m| drafted_call(m, 0.25)),
+    column("0", "planning call, ms, without drafts", |m| {
+        or_dash(m.call_ms, |call| three_digits(call.p50))
+    }),
+    column(
+        "0.25",
+        "with drafts of four tokens, of which a quarter is accepted",
+        |m| drafted_call(m, 0.25),
+    ),
     column("0.5", "half of them", |m| drafted_call(m, 0.5)),
     column("0.75", "three quarters", |m| drafted_call(m, 0.75)),
 ];
 
 /// The planning call at an acceptance.
 fn drafted_call(model: &ModelFigures, acceptance: f64) -> String {
-    let call = model.drafted_calls.iter().find(|call| (call.acceptance - acceptance).abs() < f64::EPSILON);
+    let call = model
+        .drafted_calls
+        .iter()
+        .find(|call| (call.acceptance - acceptance).abs() < f64::EPSILON);
     or_dash(call, |call| three_digits(call.ms))
 }
 
 fn has_drafts(figures: &BenchFigures) -> bool {
-    figures.models.iter().any(|model| !model.drafted_calls.is_empty())
+    figures
+        .models
+        .iter()
+        .any(|model| !model.drafted_calls.is_empty())
 }
 
 /// The tables for a terminal.
 pub fn bench_table(figures: &BenchFigures) -> String {
     let mut parts = Vec::new();
     if !figures.models.is_empty() {
-        parts.extend([&LOADED[..], &COST].map(|columns| models(figures, columns, |c| c.header.to_owned()).terminal()));
-        let meanings = LOADED.iter().chain(&COST).map(|column| format!("{} = {}", column.header, column.meaning));
+        parts.extend(
+            [&LOADED[..], &COST]
+                .map(|columns| models(figures, columns, |c| c.header.to_owned()).terminal()),
+        );
+        let meanings = LOADED
+            .iter()
+            .chain(&COST)
+            .map(|column| format!("{} = {}", column.header, column.meaning));
         parts.push(fill(meanings, COLUMNS).join("\n"));
     }
     if has_drafts(figures) {
         parts.push(models(figures, &DRAFTED_COST, |c| c.header.to_owned()).terminal());
-        let meanings = DRAFTED_COST.iter().map(|column| format!("{} = {}", column.header, column.meaning));
+        let meanings = DRAFTED_COST
+            .iter()
+            .map(|column| format!("{} = {}", column.header, column.meaning));
         parts.push(fill(meanings, COLUMNS).join("\n"));
     }
     if !figures.comparisons.is_empty() {
         parts.push(comparisons(figures).terminal());
-        parts.push(format!("ratio = speed of planagent / speed of llama.cpp  {}", other_engine(figures)));
+        parts.push(format!(
+            "ratio = speed of planagent / speed of llama.cpp  {}",
+            other_engine(figures)
+        ));
     }
     parts.extend(failed(figures));
     parts.join("\n\n")
@@ -84,17 +135,24 @@ pub fn bench_markdown(figures: &BenchFigures, command: &str, machine: &str) -> S
     // Writing to a string cannot fail.
     if !figures.models.is_empty() {
         let all = LOADED.iter().chain(&COST);
-        let table = models(figures, all, |column| format!("{} ({})", column.header, column.meaning));
+        let table = models(figures, all, |column| {
+            format!("{} ({})", column.header, column.meaning)
+        });
         let _ = write!(text, "\n{}", table.markdown());
     }
     if has_drafts(figures) {
-        let table = models(figures, &DRAFTED_COST, |column| format!("{} ({})", column.header, column.meaning));
+        let table = models(figures, &DRAFTED_COST, |column| {
+            format!("{} ({})", column.header, column.meaning)
+        });
         let _ = write!(text, "\n{}", table.markdown());
     }
     if !figures.comparisons.is_empty() {
         let other = other_engine(figures);
         let table = comparisons(figures).markdown();
-        let _ = write!(text, "\nRatio: speed of planagent / speed of llama.cpp. {other}.\n\n{table}");
+        let _ = write!(
+            text,
+            "\nRatio: speed of planagent / speed of llama.cpp. {other}.\n\n{table}"
+        );
     }
     for line in failed(figures) {
         let _ = writeln!(text, "\n{line}");
@@ -114,10 +172,16 @@ fn models<'a>(
             EngineName::PlanAgent => model.about.model.clone(),
             EngineName::LlamaCpp => format!("- {}", EngineName::LlamaCpp),
         };
-        std::iter::once(name).chain(columns.iter().map(|column| (column.cell)(model))).collect()
+        std::iter::once(name)
+            .chain(columns.iter().map(|column| (column.cell)(model)))
+            .collect()
     });
     let headers = columns.iter().map(|column| header(column));
-    Table::new(std::iter::once("model".to_owned()).chain(headers), 1, rows.collect::<Vec<_>>())
+    Table::new(
+        std::iter::once("model".to_owned()).chain(headers),
+        1,
+        rows.collect::<Vec<_>>(),
+    )
 }
 
 fn comparisons(figures: &BenchFigures) -> Table {
@@ -125,23 +189,52 @@ fn comparisons(figures: &BenchFigures) -> Table {
         let [ours, theirs] = [row.ours, row.theirs].map(three_digits);
         let range = format!("{:.2} to {:.2}", row.ratio.min, row.ratio.max);
         let ratio = format!("{:.2}", row.ratio.median);
-        vec![row.model.clone(), row.what.clone(), row.unit.to_owned(), ours, theirs, ratio, range]
+        vec![
+            row.model.clone(),
+            row.what.clone(),
+            row.unit.to_owned(),
+            ours,
+            theirs,
+            ratio,
+            range,
+        ]
     };
-    let headers = ["model", "what", "unit", "planagent", "llama.cpp", "ratio", "range"];
+    let headers = [
+        "model",
+        "what",
+        "unit",
+        "planagent",
+        "llama.cpp",
+        "ratio",
+        "range",
+    ];
     Table::new(headers, 3, figures.comparisons.iter().map(row))
 }
 
 fn failed(figures: &BenchFigures) -> impl Iterator<Item = String> {
-    figures.failed.iter().map(|(model, problem)| format!("{model} failed: {problem}"))
+    figures
+        .failed
+        .iter()
+        .map(|(model, problem)| format!("{model} failed: {problem}"))
 }
 
 fn other_engine(figures: &BenchFigures) -> String {
-    let other = figures.models.iter().find(|model| model.about.engine == EngineName::LlamaCpp);
+    let other = figures
+        .models
+        .iter()
+        .find(|model| model.about.engine == EngineName::LlamaCpp);
     let version = or_dash(other, |model| model.about.loaded.version.clone());
-    format!("{} = that of llama-cpp-python {version}", EngineName::LlamaCpp)
+    format!(
+        "{} = that of llama-cpp-python {version}",
+        EngineName::LlamaCpp
+    )
 }
 
 fn memory(bytes: u64) -> String {
     let bytes = bytes as f64;
-    if bytes < GIBI { format!("{:.0} MiB", bytes / MEBI) } else { format!("{:.2} GiB", bytes / GIBI) }
+    if bytes < GIBI {
+        format!("{:.0} MiB", bytes / MEBI)
+    } else {
+        format!("{:.2} GiB", bytes / GIBI)
+    }
 }

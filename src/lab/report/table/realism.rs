@@ -5,19 +5,28 @@ use planagent_runs::report::fixed;
 use planagent_runs::report::table::terminal::wrapped;
 use planagent_runs::report::table::{Table, or_dash, signed};
 
-/// Mean and standard deviation of each feature in both sets, and what tells them apart. `names` are those of the sets.
+/// Mean and standard deviation of each feature in both sets, and what tells them apart. `names` are
+/// those of the sets.
 pub fn realism_table(comparison: &SceneComparison, names: [&str; 2]) -> String {
     let [a, b] = &comparison.scenes;
     let counts = [a.len(), b.len()];
     let heads = ["A", "B"].iter().zip(names).zip(counts);
-    let heads: Vec<String> = heads.map(|((side, name), count)| format!("{side} = {name}, {count} scenes")).collect();
+    let heads: Vec<String> = heads
+        .map(|((side, name), count)| format!("{side} = {name}, {count} scenes"))
+        .collect();
     let rows = comparison.features.iter().map(|one| {
         let name = match one.feature.unit {
             "" => one.feature.name.to_owned(),
             unit => format!("{}, {unit}", one.feature.name),
         };
         let [a, b] = cells([one.a, one.b]);
-        vec![name, a, b, or_dash(one.difference, signed), or_dash(one.coefficient, signed)]
+        vec![
+            name,
+            a,
+            b,
+            or_dash(one.difference, signed),
+            or_dash(one.coefficient, signed),
+        ]
     });
     let table = Table::new(["feature", "A", "B", "A - B", "weight"], 1, rows).terminal();
     [heads.join("\n"), table, notes(comparison)].join("\n\n")
@@ -25,13 +34,24 @@ pub fn realism_table(comparison: &SceneComparison, names: [&str; 2]) -> String {
 
 /// Mean and standard deviation, with equal decimals on both sides.
 fn cells(sets: [Option<Distribution>; 2]) -> [String; 2] {
-    let sizes = sets.iter().flatten().map(|set| set.mean.abs().max(set.deviation));
+    let sizes = sets
+        .iter()
+        .flatten()
+        .map(|set| set.mean.abs().max(set.deviation));
     let decimals = match sizes.fold(0.0, f64::max) {
         size if size >= 20.0 => 0,
         size if size >= 2.0 => 1,
         _ => 2,
     };
-    sets.map(|set| or_dash(set, |set| format!("{} ({})", fixed(set.mean, decimals), fixed(set.deviation, decimals))))
+    sets.map(|set| {
+        or_dash(set, |set| {
+            format!(
+                "{} ({})",
+                fixed(set.mean, decimals),
+                fixed(set.deviation, decimals)
+            )
+        })
+    })
 }
 
 fn notes(comparison: &SceneComparison) -> String {
@@ -53,5 +73,7 @@ fn notes(comparison: &SceneComparison) -> String {
          Classifier: logistic regression, {FOLDS}-fold cross-validation; weight: its coefficient by standard deviation, positive \
          for A. The interval is a bootstrap over recordings."
     );
-    [wrapped(&told), wrapped(&meaning)].map(|lines| lines.join("\n")).join("\n\n")
+    [wrapped(&told), wrapped(&meaning)]
+        .map(|lines| lines.join("\n"))
+        .join("\n\n")
 }

@@ -10,16 +10,24 @@ use planagent_runs::report::table::{Table, or_dash, short, signed};
 pub(super) fn reported(study: &Study) -> Option<Table> {
     let mut headers = study.labels.clone();
     for benchmark in Reported::BENCHMARKS {
-        headers.extend(Challenge::CLOSED_LOOP.map(|challenge| format!("{} {}", benchmark.name(), short(challenge))));
+        headers.extend(
+            Challenge::CLOSED_LOOP
+                .map(|challenge| format!("{} {}", benchmark.name(), short(challenge))),
+        );
     }
-    let known = study.variants.iter().filter(|variant| variant.reported != Reported::default());
+    let known = study
+        .variants
+        .iter()
+        .filter(|variant| variant.reported != Reported::default());
     let rows: Vec<Vec<String>> = known
         .map(|variant| {
             let mut cells = variant.labels.clone();
             for benchmark in Reported::BENCHMARKS {
                 let score = |challenge| variant.reported.score(benchmark, challenge);
-                cells
-                    .extend(Challenge::CLOSED_LOOP.map(|challenge| or_dash(score(challenge), |score| fixed(score, 2))));
+                cells.extend(
+                    Challenge::CLOSED_LOOP
+                        .map(|challenge| or_dash(score(challenge), |score| fixed(score, 2))),
+                );
             }
             cells
         })
@@ -29,7 +37,15 @@ pub(super) fn reported(study: &Study) -> Option<Table> {
 
 /// Kendall's tau of each suite, benchmark and challenge; none without any.
 pub(super) fn agreement(results: &StudyResults) -> Option<Table> {
-    let headers = ["suite", "benchmark", "agents", "scenes", "tau", "95 % interval"].map(str::to_owned);
+    let headers = [
+        "suite",
+        "benchmark",
+        "agents",
+        "scenes",
+        "tau",
+        "95 % interval",
+    ]
+    .map(str::to_owned);
     let of_suite = |suite: &SuiteResults| -> Vec<Vec<String>> {
         suite
             .agreement
@@ -42,7 +58,9 @@ pub(super) fn agreement(results: &StudyResults) -> Option<Table> {
                     suite.name.clone(),
                     found.benchmark.name().to_owned(),
                     short(found.challenge).to_owned(),
-                    found.kendall.map_or_else(|| "-".to_owned(), |kendall| kendall.scenes.to_string()),
+                    found
+                        .kendall
+                        .map_or_else(|| "-".to_owned(), |kendall| kendall.scenes.to_string()),
                     or_dash(found.kendall, |kendall| signed(kendall.tau)),
                     or_dash(found.kendall, interval),
                 ]

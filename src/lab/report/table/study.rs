@@ -17,7 +17,12 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
     for suite in &results.suites {
         let challenges = suite.challenges();
         for &challenge in &challenges {
-            let heading = format!("{}, {}: {} scenes", suite.name, agents(challenge), suite.scenes);
+            let heading = format!(
+                "{}, {}: {} scenes",
+                suite.name,
+                agents(challenge),
+                suite.scenes
+            );
             let table = scores(study, suite, &[challenge], Width::Narrow);
             let table = match study.rows {
                 Rows::Variants | Rows::Recordings => table.terminal(),
@@ -30,30 +35,56 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
             parts.push(recordings::calls(study, suite).terminal_below_names());
             parts.extend(challenges.into_iter().map(|challenge| {
                 let table = recordings::recordings(suite, &[challenge]).terminal_below_names();
-                format!("{}, {}: each recording\n{table}", suite.name, agents(challenge))
+                format!(
+                    "{}, {}: each recording\n{table}",
+                    suite.name,
+                    agents(challenge)
+                )
             }));
         }
     }
     // In a terminal the table of reported scores would be too wide; it stands in results.md.
     parts.extend(reported::agreement(results).map(|table| table.terminal()));
-    parts.push(notes(study, results).iter().flat_map(|note| wrapped(note)).collect::<Vec<_>>().join("\n"));
+    parts.push(
+        notes(study, results)
+            .iter()
+            .flat_map(|note| wrapped(note))
+            .collect::<Vec<_>>()
+            .join("\n"),
+    );
     parts.join("\n\n")
 }
 
-/// The same as Markdown, all challenges in one table, with the `command` and the `figures` of the folder.
-pub fn study_markdown(study: &Study, results: &StudyResults, command: &str, figures: &[String]) -> String {
+/// The same as Markdown, all challenges in one table, with the `command` and the `figures` of the
+/// folder.
+pub fn study_markdown(
+    study: &Study,
+    results: &StudyResults,
+    command: &str,
+    figures: &[String],
+) -> String {
     let mut text = format!("# {}\n\n```console\n$ {command}\n```\n", results.title);
     for suite in &results.suites {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "\n## {}: {} scenes", suite.name, suite.scenes);
         let challenges = suite.challenges();
         let table = scores(study, suite, &challenges, Width::Wide);
-        let of_recordings = (study.rows == Rows::Recordings)
-            .then(|| [recordings::calls(study, suite), recordings::recordings(suite, &Challenge::CLOSED_LOOP)]);
-        for table in std::iter::once(table).chain(costs(study, suite)).chain(of_recordings.into_iter().flatten()) {
+        let of_recordings = (study.rows == Rows::Recordings).then(|| {
+            [
+                recordings::calls(study, suite),
+                recordings::recordings(suite, &Challenge::CLOSED_LOOP),
+            ]
+        });
+        for table in std::iter::once(table)
+            .chain(costs(study, suite))
+            .chain(of_recordings.into_iter().flatten())
+        {
             let _ = write!(text, "\n{}", table.markdown());
         }
-        for figure in figures.iter().filter(|name| **name == format!("{}.svg", suite.name)) {
+        for figure in figures
+            .iter()
+            .filter(|name| **name == format!("{}.svg", suite.name))
+        {
             let _ = writeln!(text, "\n![{} on {}]({figure})", results.title, suite.name);
         }
     }
@@ -96,44 +127,98 @@ fn variants(study: &Study, suite: &SuiteResults, challenges: &[Challenge], width
         headers.extend([short(challenge), "diff", "95 % interval"].map(str::to_owned));
         match width {
             Width::Narrow if paper => headers.push("paper".to_owned()),
-            Width::Wide if paper => headers.extend([format!("paper {}", short(challenge)), "paper diff".to_owned()]),
+            Width::Wide if paper => headers.extend([
+                format!("paper {}", short(challenge)),
+                "paper diff".to_owned(),
+            ]),
             _ => {}
         }
     }
-    let rows = rows_of(study, suite).enumerate().map(|(place, (variant, results))| {
-        let mut cells = variant.labels.clone();
-        for result in results.challenges.iter().filter(|result| challenges.contains(&result.challenge)) {
-            cells.push(results.not_simulated.map_or_else(|| number(result.score), str::to_owned));
-            cells.extend(difference(result.difference, place == study.reference));
-            cells.extend(paper.then(|| number(result.paper)));
-            cells.extend((paper && width == Width::Wide).then(|| or_dash(result.paper_difference, signed)));
-        }
-        cells
-    });
+    let rows = rows_of(study, suite)
+        .enumerate()
+        .map(|(place, (variant, results))| {
+            let mut cells = variant.labels.clone();
+            for result in results
+                .challenges
+                .iter()
+                .filter(|result| challenges.contains(&result.challenge))
+            {
+                cells.push(
+                    results
+                        .not_simulated
+                        .map_or_else(|| number(result.score), str::to_owned),
+                );
+                cells.extend(difference(result.difference, place == study.reference));
+                cells.extend(paper.then(|| number(result.paper)));
+                cells.extend(
+                    (paper && width == Width::Wide)
+                        .then(|| or_dash(result.paper_difference, signed)),
+                );
+            }
+            cells
+        });
     Table::new(headers, study.labels.len(), rows)
 }
 
-/// A row for each scenario type: the scores of all variants, and the difference of the last to the first.
+/// A row for each scenario type: the scores of all variants, and the difference of the last to the
+/// first.
 fn scenario_types(suite: &SuiteResults, challenges: &[Challenge], width: Width) -> Table {
     let names = suite.variants.iter().map(|variant| variant.name.clone());
     let mut headers = vec!["type".to_owned(), "n".to_owned()];
     for &challenge in challenges {
-        let named = |name: String| if width == Width::Wide { format!("{name} {}", short(challenge)) } else { name };
-        headers.extend(names.clone().map(named).chain(["diff", "95 % interval"].map(str::to_owned)));
-    }
-    let kinds = suite.variants.first().map_or(&[][..], |variant| &variant.scenario_types);
-    let rows = kinds.iter().map(|kind| {
-        let of_kind = |variant: &VariantResults, challenge: Challenge| -> Option<ChallengeResults> {
-            let own = variant.scenario_types.iter().find(|own| own.scenario_type == kind.scenario_type)?;
-            own.challenges.iter().find(|result| result.challenge == challenge).cloned()
+        let named = |name: String| {
+            if width == Width::Wide {
+                format!("{name} {}", short(challenge))
+            } else {
+                name
+            }
         };
-        let shown = kind.challenges.iter().find(|result| challenges.contains(&result.challenge));
+        headers.extend(
+            names
+                .clone()
+                .map(named)
+                .chain(["diff", "95 % interval"].map(str::to_owned)),
+        );
+    }
+    let kinds = suite
+        .variants
+        .first()
+        .map_or(&[][..], |variant| &variant.scenario_types);
+    let rows = kinds.iter().map(|kind| {
+        let of_kind =
+            |variant: &VariantResults, challenge: Challenge| -> Option<ChallengeResults> {
+                let own = variant
+                    .scenario_types
+                    .iter()
+                    .find(|own| own.scenario_type == kind.scenario_type)?;
+                own.challenges
+                    .iter()
+                    .find(|result| result.challenge == challenge)
+                    .cloned()
+            };
+        let shown = kind
+            .challenges
+            .iter()
+            .find(|result| challenges.contains(&result.challenge));
         let scenes = shown.map_or(0, |result| result.simulations + result.failed);
         let mut cells = vec![kind.scenario_type.clone(), scenes.to_string()];
         for &challenge in challenges {
-            let results: Vec<_> = suite.variants.iter().map(|variant| of_kind(variant, challenge)).collect();
-            cells.extend(results.iter().map(|result| number(result.as_ref().and_then(|result| result.score))));
-            cells.extend(difference(results.last().and_then(|result| result.as_ref()?.difference), false));
+            let results: Vec<_> = suite
+                .variants
+                .iter()
+                .map(|variant| of_kind(variant, challenge))
+                .collect();
+            cells.extend(
+                results
+                    .iter()
+                    .map(|result| number(result.as_ref().and_then(|result| result.score))),
+            );
+            cells.extend(difference(
+                results
+                    .last()
+                    .and_then(|result| result.as_ref()?.difference),
+                false,
+            ));
         }
         cells
     });
@@ -157,10 +242,15 @@ fn costs(study: &Study, suite: &SuiteResults) -> Option<Table> {
         let paper = model.and_then(|model| model.paper.as_ref());
         for column in &study.columns {
             match column {
-                Column::Calls => cells.push(or_dash(results.calls_per_simulation, |calls| fixed(calls, 1))),
+                Column::Calls => cells.push(or_dash(results.calls_per_simulation, |calls| {
+                    fixed(calls, 1)
+                })),
                 Column::Parameters => cells.extend([
                     or_dash(model.and_then(|model| model.parameters), weights),
-                    or_dash(paper.and_then(|paper| paper.parameters.clone()), |parameters| parameters),
+                    or_dash(
+                        paper.and_then(|paper| paper.parameters.clone()),
+                        |parameters| parameters,
+                    ),
                 ]),
                 Column::CallTime => cells.extend([
                     or_dash(model.and_then(|model| model.call_ms), three_digits),
@@ -173,19 +263,29 @@ fn costs(study: &Study, suite: &SuiteResults) -> Option<Table> {
     (!study.columns.is_empty()).then(|| Table::new(headers, study.labels.len(), rows))
 }
 
-fn rows_of<'a>(study: &'a Study, suite: &'a SuiteResults) -> impl Iterator<Item = (&'a Variant, &'a VariantResults)> {
+fn rows_of<'a>(
+    study: &'a Study,
+    suite: &'a SuiteResults,
+) -> impl Iterator<Item = (&'a Variant, &'a VariantResults)> {
     study.variants.iter().zip(&suite.variants)
 }
 
 fn has_paper(suite: &SuiteResults) -> bool {
-    suite.variants.iter().flat_map(|variant| &variant.challenges).any(|result| result.paper.is_some())
+    suite
+        .variants
+        .iter()
+        .flat_map(|variant| &variant.challenges)
+        .any(|result| result.paper.is_some())
 }
 
 /// The explanations below the tables.
 fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
     let mut notes = Vec::new();
     if let Some(quick) = results.quick {
-        notes.push(format!("Quick: only the first {} scenes of each type; intervals are wide.", quick.per_type));
+        notes.push(format!(
+            "Quick: only the first {} scenes of each type; intervals are wide.",
+            quick.per_type
+        ));
     }
     let bootstrap = results.bootstrap;
     notes.push(format!(
@@ -205,11 +305,19 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
             ));
         }
     }
-    if results.suites.iter().any(|suite| !suite.agreement.is_empty()) {
+    if results
+        .suites
+        .iter()
+        .any(|suite| !suite.agreement.is_empty())
+    {
         notes.push(reported::NOTE.to_owned());
     }
-    let variants =
-        || results.suites.iter().flat_map(|suite| suite.variants.iter().map(move |variant| (suite, variant)));
+    let variants = || {
+        results
+            .suites
+            .iter()
+            .flat_map(|suite| suite.variants.iter().map(move |variant| (suite, variant)))
+    };
     if variants().any(|(_, variant)| variant.model.as_ref().is_some_and(|model| model.benched)) {
         notes.push("Times of models that were not simulated are from a bench.".to_owned());
     }
@@ -218,7 +326,9 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
         let failed: usize = variant.challenges.iter().map(|result| result.failed).sum();
         if failed > 0 {
             let (name, suite) = (&variant.name, &suite.name);
-            notes.push(format!("{failed} simulations of {name} on {suite} failed and do not count."));
+            notes.push(format!(
+                "{failed} simulations of {name} on {suite} failed and do not count."
+            ));
         }
     }
     notes
@@ -235,9 +345,14 @@ fn agents(challenge: Challenge) -> &'static str {
 
 /// The difference and its interval.
 fn difference(difference: Option<PairedDifference>, is_reference: bool) -> [String; 2] {
-    let interval = |difference: PairedDifference| format!("{} to {}", signed(difference.low), signed(difference.high));
+    let interval = |difference: PairedDifference| {
+        format!("{} to {}", signed(difference.low), signed(difference.high))
+    };
     let missing = if is_reference { "reference" } else { "-" };
-    [or_dash(difference, |d| signed(d.mean)), difference.map_or_else(|| missing.to_owned(), interval)]
+    [
+        or_dash(difference, |d| signed(d.mean)),
+        difference.map_or_else(|| missing.to_owned(), interval),
+    ]
 }
 
 fn number(value: Option<f64>) -> String {

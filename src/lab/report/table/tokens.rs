@@ -8,29 +8,50 @@ use std::fmt::Write as _;
 /// The table for a terminal.
 pub fn token_table(table: &TokenTable) -> String {
     let model = table.model.as_deref().unwrap_or("model");
-    counts(table, ["description", "cl100k", "p95", model, "p95", "paper"], 1).terminal()
+    counts(
+        table,
+        ["description", "cl100k", "p95", model, "p95", "paper"],
+        1,
+    )
+    .terminal()
 }
 
 /// The same as Markdown, with the definitions of the descriptions.
 pub fn token_markdown(table: &TokenTable) -> String {
     let model = table.model.as_deref().unwrap_or("model");
     let [mean, p95] = ["mean", "p95"].map(|what| format!("{model} {what}"));
-    let headers = ["description", "cl100k mean", "cl100k p95", &mean, &p95, "paper, on nuPlan"];
+    let headers = [
+        "description",
+        "cl100k mean",
+        "cl100k p95",
+        &mean,
+        &p95,
+        "paper, on nuPlan",
+    ];
     let mut text = counts(table, headers, 2).markdown();
-    let agents =
-        table.agents.map_or_else(String::new, |mean| format!(", {mean:.1} agents on the nine nodes on average"));
+    let agents = table.agents.map_or_else(String::new, |mean| {
+        format!(", {mean:.1} agents on the nine nodes on average")
+    });
     // Writing to a string cannot fail.
-    let _ = writeln!(text, "\n{} states{agents}. The counts are of:\n", table.states);
+    let _ = writeln!(
+        text,
+        "\n{} states{agents}. The counts are of:\n",
+        table.states
+    );
     for row in &table.rows {
         let _ = writeln!(text, "- {}: {}.", row.text.name(), row.definition);
     }
     text
 }
 
-/// A row for each description: mean and 95th percentile by each tokenizer, and the paper's mean on nuPlan.
+/// A row for each description: mean and 95th percentile by each tokenizer, and the paper's mean on
+/// nuPlan.
 fn counts(table: &TokenTable, headers: [&str; 6], decimals: usize) -> Table {
     let cells = |mean: Option<TokenMean>| {
-        [or_dash(mean, |mean| fixed(mean.mean, decimals)), or_dash(mean, |mean| mean.p95.to_string())]
+        [
+            or_dash(mean, |mean| fixed(mean.mean, decimals)),
+            or_dash(mean, |mean| mean.p95.to_string()),
+        ]
     };
     let rows = table.rows.iter().map(|row| {
         let paper = or_dash(row.published, |published| fixed(published, 2));
@@ -51,7 +72,10 @@ mod tests {
     #[test]
     fn missing_counts_are_dashes() {
         let text = token_markdown(&TokenTable::new(&[], None));
-        assert!(text.contains("| GPT-Driver, whole user message | - | - | - | - | 448.66 |"), "{text}");
+        assert!(
+            text.contains("| GPT-Driver, whole user message | - | - | - | - | 448.66 |"),
+            "{text}"
+        );
         assert!(text.contains("| model mean | model p95 |"), "{text}");
     }
 }

@@ -7,7 +7,9 @@ use std::fmt::Write as _;
 
 /// The table for a terminal.
 pub fn twin_table(results: &TwinResults) -> String {
-    format!("{}\n{}", rows(results).terminal(), notes(results)).trim_end().to_owned()
+    format!("{}\n{}", rows(results).terminal(), notes(results))
+        .trim_end()
+        .to_owned()
 }
 
 /// The same as Markdown.
@@ -16,11 +18,25 @@ pub fn twin_markdown(results: &TwinResults) -> String {
 }
 
 fn rows(results: &TwinResults) -> Table {
-    let headers = ["kind", "pairs", "both right %", "95 %", "one right %", "none %", "same code %", "coin %"];
+    let headers = [
+        "kind",
+        "pairs",
+        "both right %",
+        "95 %",
+        "one right %",
+        "none %",
+        "same code %",
+        "coin %",
+    ];
     let rows = results.rows.iter().map(|row| {
         let [low, high] = row.both_interval.map(|bound| fixed(bound, 1));
         let shares = [row.one, row.none, row.same, row.coin].map(|share| fixed(share, 1));
-        let first = [row.kind.clone(), row.pairs.to_string(), fixed(row.both, 1), format!("{low}-{high}")];
+        let first = [
+            row.kind.clone(),
+            row.pairs.to_string(),
+            fixed(row.both, 1),
+            format!("{low}-{high}"),
+        ];
         first.into_iter().chain(shares).collect()
     });
     Table::new(headers, 1, rows)

@@ -1,11 +1,13 @@
-//! The lines of a response: server-sent events as servers really write them, or a body in one piece.
+//! The lines of a response: server-sent events as servers really write them, or a body in one
+//! piece.
 
 use std::io::BufRead;
 
 use super::MAX_BYTES;
 use crate::EndpointFailure;
 
-/// Fields of server-sent events; the empty one begins a comment. `error` is that of older servers of llama.cpp.
+/// Fields of server-sent events; the empty one begins a comment. `error` is that of older servers
+/// of llama.cpp.
 const FIELDS: [&str; 6] = ["data", "event", "id", "retry", "error", ""];
 
 /// What a response has next.
@@ -41,7 +43,15 @@ pub(super) struct Events<R> {
 impl<R: BufRead> Events<R> {
     pub(super) fn new(body: R) -> Self {
         let (data, lines) = (String::new(), String::new());
-        Self { body, read: 0, streams: false, is_error: false, data, lines, next: None }
+        Self {
+            body,
+            read: 0,
+            streams: false,
+            is_error: false,
+            data,
+            lines,
+            next: None,
+        }
     }
 
     /// The next event.
@@ -77,8 +87,9 @@ impl<R: BufRead> Events<R> {
         match field(line) {
             Some(("data", "[DONE]")) => return Some(Line::Done),
             Some(("data", data)) if !data.is_empty() => {
-                // Some servers put no blank line between events, so a complete value is an event. Only the first line is tried:
-                // trying all that came so far, line by line, would let a server keep this process busy.
+                // Some servers put no blank line between events, so a complete value is an event.
+                // Only the first line is tried: trying all that came so far, line by line, would
+                // let a server keep this process busy.
                 if self.data.is_empty() && !is_open(data) {
                     return Some(self.event(data.to_owned()));
                 }
@@ -97,7 +108,9 @@ impl<R: BufRead> Events<R> {
                 return event;
             }
             // JSON without a field, as in lines of JSON.
-            None if line.trim_start().starts_with('{') => return Some(Line::Event(line.trim().to_owned())),
+            None if line.trim_start().starts_with('{') => {
+                return Some(Line::Event(line.trim().to_owned()));
+            }
             // Comments keep the connection open; other fields carry no text.
             _ => {}
         }
@@ -105,7 +118,11 @@ impl<R: BufRead> Events<R> {
     }
 
     fn event(&self, data: String) -> Line {
-        if self.is_error { Line::Error(data) } else { Line::Event(data) }
+        if self.is_error {
+            Line::Error(data)
+        } else {
+            Line::Event(data)
+        }
     }
 
     /// The rest of a body that is no stream.
@@ -124,8 +141,13 @@ impl<R: BufRead> Events<R> {
         if self.next.is_none() && !self.fill()? {
             return Ok(None);
         }
-        let rest = self.next.and_then(|next| self.lines.get(next..)).unwrap_or_default();
-        let (line, more) = rest.split_once('\r').map_or((rest, false), |(line, _)| (line, true));
+        let rest = self
+            .next
+            .and_then(|next| self.lines.get(next..))
+            .unwrap_or_default();
+        let (line, more) = rest
+            .split_once('\r')
+            .map_or((rest, false), |(line, _)| (line, true));
         let line = line.to_owned();
         self.next = self.next.filter(|_| more).map(|next| next + line.len() + 1);
         Ok(Some(line))
@@ -134,7 +156,10 @@ impl<R: BufRead> Events<R> {
     /// Reads up to the next line feed; `false` at the end of the bytes.
     fn fill(&mut self) -> Result<bool, EndpointFailure> {
         let mut bytes = Vec::new();
-        let length = self.body.read_until(b'\n', &mut bytes).map_err(|error| incomplete(&error))?;
+        let length = self
+            .body
+            .read_until(b'\n', &mut bytes)
+            .map_err(|error| incomplete(&error))?;
         let first = self.read == 0;
         self.read += length as u64;
         if self.read > MAX_BYTES {
@@ -142,9 +167,14 @@ impl<R: BufRead> Events<R> {
         }
         let text = String::from_utf8_lossy(&bytes);
         // A byte order mark is no part of a stream, and none of JSON.
-        let text = text.strip_prefix('\u{feff}').filter(|_| first).unwrap_or(&text);
+        let text = text
+            .strip_prefix('\u{feff}')
+            .filter(|_| first)
+            .unwrap_or(&text);
         let text = text.strip_suffix('\n').unwrap_or(text);
-        text.strip_suffix('\r').unwrap_or(text).clone_into(&mut self.lines);
+        text.strip_suffix('\r')
+            .unwrap_or(text)
+            .clone_into(&mut self.lines);
         self.next = Some(0).filter(|_| length > 0);
         Ok(length > 0)
     }
@@ -163,7 +193,9 @@ fn field(line: &str) -> Option<(&str, &str)> {
 
 fn incomplete(error: &std::io::Error) -> EndpointFailure {
     let timed_out = |error: &(dyn std::error::Error + Send + Sync + 'static)| {
-        error.downcast_ref::<reqwest::Error>().is_some_and(reqwest::Error::is_timeout)
+        error
+            .downcast_ref::<reqwest::Error>()
+            .is_some_and(reqwest::Error::is_timeout)
     };
     match error.get_ref() {
         // The caller sets the limit.
@@ -179,7 +211,8 @@ mod tests {
     /// All that a body has, up to its end.
     fn lines(body: &str) -> Vec<Line> {
         let mut events = Events::new(body.as_bytes());
-        std::iter::from_fn(|| Some(events.next().unwrap()).filter(|line| *line != Line::End)).collect()
+        std::iter::from_fn(|| Some(events.next().unwrap()).filter(|line| *line != Line::End))
+            .collect()
     }
 
     fn event(data: &str) -> Line {
@@ -190,20 +223,50 @@ mod tests {
     fn events_are_found_however_a_server_writes_them() {
         let two = [event(r#"{"a":1}"#), event(r#"{"b":2}"#), Line::Done];
         for (what, body) in [
-            ("as the standard says", "data: {\"a\":1}\n\ndata: {\"b\":2}\n\ndata: [DONE]\n\n"),
-            ("without spaces", "data:{\"a\":1}\n\ndata:{\"b\":2}\n\ndata:[DONE]\n\n"),
-            ("carriage returns too", "data: {\"a\":1}\r\n\r\ndata: {\"b\":2}\r\n\r\ndata: [DONE]\r\n\r\n"),
-            ("carriage returns alone", "data: {\"a\":1}\r\rdata: {\"b\":2}\r\rdata: [DONE]\r\r"),
+            (
+                "as the standard says",
+                "data: {\"a\":1}\n\ndata: {\"b\":2}\n\ndata: [DONE]\n\n",
+            ),
+            (
+                "without spaces",
+                "data:{\"a\":1}\n\ndata:{\"b\":2}\n\ndata:[DONE]\n\n",
+            ),
+            (
+                "carriage returns too",
+                "data: {\"a\":1}\r\n\r\ndata: {\"b\":2}\r\n\r\ndata: [DONE]\r\n\r\n",
+            ),
+            (
+                "carriage returns alone",
+                "data: {\"a\":1}\r\rdata: {\"b\":2}\r\rdata: [DONE]\r\r",
+            ),
             (
                 "comments and fields",
                 ": ping\n\nevent: x\nid: 7\nretry: 3\ndata: {\"a\":1}\n\n:\n\ndata: {\"b\":2}\n\ndata: [DONE]\n",
             ),
-            ("no blank lines", "data: {\"a\":1}\ndata: {\"b\":2}\ndata: [DONE]\n"),
-            ("an event of several lines", "data: {\ndata: \"a\":1}\n\ndata: {\"b\":2}\n\ndata: [DONE]\n\n"),
-            ("blank lines first", "\n\r\n\ndata: {\"a\":1}\n\ndata: {\"b\":2}\n\ndata: [DONE]"),
-            ("a byte order mark", "\u{feff}data: {\"a\":1}\n\ndata: {\"b\":2}\n\ndata: [DONE]\n\n"),
-            ("empty data", "data:\n\ndata: {\"a\":1}\n\ndata: \n\ndata: {\"b\":2}\n\ndata: [DONE]\n\n"),
-            ("JSON without a field", "data: {\"a\":1}\n\n{\"b\":2}\n\ndata: [DONE]\n\n"),
+            (
+                "no blank lines",
+                "data: {\"a\":1}\ndata: {\"b\":2}\ndata: [DONE]\n",
+            ),
+            (
+                "an event of several lines",
+                "data: {\ndata: \"a\":1}\n\ndata: {\"b\":2}\n\ndata: [DONE]\n\n",
+            ),
+            (
+                "blank lines first",
+                "\n\r\n\ndata: {\"a\":1}\n\ndata: {\"b\":2}\n\ndata: [DONE]",
+            ),
+            (
+                "a byte order mark",
+                "\u{feff}data: {\"a\":1}\n\ndata: {\"b\":2}\n\ndata: [DONE]\n\n",
+            ),
+            (
+                "empty data",
+                "data:\n\ndata: {\"a\":1}\n\ndata: \n\ndata: {\"b\":2}\n\ndata: [DONE]\n\n",
+            ),
+            (
+                "JSON without a field",
+                "data: {\"a\":1}\n\n{\"b\":2}\n\ndata: [DONE]\n\n",
+            ),
         ] {
             let joined = lines(body).into_iter().map(|line| match line {
                 Line::Event(data) => Line::Event(data.replace('\n', "")),
@@ -221,8 +284,14 @@ mod tests {
             lines("data: {\"a\":1}\n\nevent: error\ndata: {\"b\":2}\n\n"),
             [event("{\"a\":1}"), error("{\"b\":2}")]
         );
-        assert_eq!(lines("error: {\"message\":\"x\"}\n\n"), [error("{\"message\":\"x\"}")]);
-        assert_eq!(lines("event: error\n\ndata: {\"a\":1}\n\n"), [event("{\"a\":1}")]);
+        assert_eq!(
+            lines("error: {\"message\":\"x\"}\n\n"),
+            [error("{\"message\":\"x\"}")]
+        );
+        assert_eq!(
+            lines("event: error\n\ndata: {\"a\":1}\n\n"),
+            [event("{\"a\":1}")]
+        );
         assert_eq!(lines("data: broken\n\n"), [event("broken")]);
         for whole in ["{\n\"a\": 1\n}", "<html>\nx", "no JSON", "[1]", "datum: 3"] {
             assert_eq!(lines(whole), [Line::Whole(whole.to_owned())]);

@@ -5,10 +5,18 @@ use serde_json::Value;
 use crate::{EndpointFailure, FinishReason};
 
 /// Words for the limit of tokens that the request set.
-const LENGTH: [&str; 6] = ["length", "max_tokens", "max_length", "max_new_tokens", "max_output_tokens", "token_limit"];
+const LENGTH: [&str; 6] = [
+    "length",
+    "max_tokens",
+    "max_length",
+    "max_new_tokens",
+    "max_output_tokens",
+    "token_limit",
+];
 /// Words for the model's own limit: Mistral, gateways in front of Anthropic.
 const CONTEXT: [&str; 2] = ["model_length", "model_context_window_exceeded"];
-/// Words for an answer that a filter holds back: `OpenAI` and Azure, Gemini, Zhipu, Cohere, Anthropic.
+/// Words for an answer that a filter holds back: `OpenAI` and Azure, Gemini, Zhipu, Cohere,
+/// Anthropic.
 const FILTERED: [&str; 9] = [
     "content_filter",
     "safety",
@@ -22,9 +30,17 @@ const FILTERED: [&str; 9] = [
 ];
 /// Words for a call of a tool in place of an answer.
 const TOOLS: [&str; 4] = ["tool_calls", "tool_call", "tool_use", "function_call"];
-/// Words for an answer that the server did not complete: `OpenRouter`, `SGLang` and vLLM, Zhipu, `DeepSeek`.
-const BROKEN: [&str; 7] =
-    ["error", "abort", "aborted", "cancelled", "canceled", "network_error", "insufficient_system_resource"];
+/// Words for an answer that the server did not complete: `OpenRouter`, `SGLang` and vLLM, Zhipu,
+/// `DeepSeek`.
+const BROKEN: [&str; 7] = [
+    "error",
+    "abort",
+    "aborted",
+    "cancelled",
+    "canceled",
+    "network_error",
+    "insufficient_system_resource",
+];
 
 /// How an answer ended.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,11 +56,20 @@ pub(super) enum Ending {
 impl Ending {
     /// The ending that a choice names; `None` before the end.
     ///
-    /// A word that is not known means the end: servers invent words for it (`eos`, `eos_token`, `stop_sequence`, `end_turn`).
+    /// A word that is not known means the end: servers invent words for it (`eos`, `eos_token`,
+    /// `stop_sequence`, `end_turn`).
     pub(super) fn of(choice: &Value) -> Option<Self> {
         // The first GPT-4V had an object; others name only the reason to stop.
-        let named = [choice.get("finish_reason"), choice.pointer("/finish_details/type"), choice.get("stop_reason")];
-        named.into_iter().flatten().find_map(word).map(|word| Self::named(&word))
+        let named = [
+            choice.get("finish_reason"),
+            choice.pointer("/finish_details/type"),
+            choice.get("stop_reason"),
+        ];
+        named
+            .into_iter()
+            .flatten()
+            .find_map(word)
+            .map(|word| Self::named(&word))
     }
 
     fn named(word: &str) -> Self {
@@ -65,22 +90,30 @@ impl Ending {
         }
     }
 
-    /// The reason of a complete answer, or the failure in a sentence of its own. `shown` shortens words of the server.
-    pub(super) fn reason(&self, shown: &dyn Fn(&str) -> String) -> Result<FinishReason, EndpointFailure> {
+    /// The reason of a complete answer, or the failure in a sentence of its own. `shown` shortens
+    /// words of the server.
+    pub(super) fn reason(
+        &self,
+        shown: &dyn Fn(&str) -> String,
+    ) -> Result<FinishReason, EndpointFailure> {
         let named = |word: &str| format!("finish_reason '{}'", shown(word));
         match self {
             Self::Answer(reason) => Ok(*reason),
             Self::Withheld(word) => {
-                let sentence = format!("a filter of the server held the answer back ({})", named(word));
+                let sentence = format!(
+                    "a filter of the server held the answer back ({})",
+                    named(word)
+                );
                 Err(EndpointFailure::Withheld(sentence))
             }
             Self::Tools(word) => Err(EndpointFailure::NoAnswer(format!(
                 "the model called a tool ({}), though the request offers none; switch tools off in the server",
                 named(word)
             ))),
-            Self::Broken(word) => {
-                Err(EndpointFailure::Closed(format!("the server broke the answer off ({})", named(word))))
-            }
+            Self::Broken(word) => Err(EndpointFailure::Closed(format!(
+                "the server broke the answer off ({})",
+                named(word)
+            ))),
         }
     }
 }
@@ -91,7 +124,10 @@ fn word(reason: &Value) -> Option<String> {
         Value::String(word) if word.is_empty() || word == "null" => None,
         Value::String(word) => Some(word.clone()),
         Value::Number(number) => Some(number.to_string()),
-        Value::Object(fields) => fields.get("type").and_then(Value::as_str).map(ToOwned::to_owned),
+        Value::Object(fields) => fields
+            .get("type")
+            .and_then(Value::as_str)
+            .map(ToOwned::to_owned),
         _ => None,
     }
 }
@@ -127,17 +163,33 @@ mod tests {
     #[test]
     fn an_end_is_found_under_other_names_and_not_before_it() {
         for (choice, expected) in [
-            (json!({"finish_details": {"type": "max_tokens"}}), Some(FinishReason::Length)),
-            (json!({"finish_reason": null, "finish_details": {"type": "stop"}}), Some(FinishReason::EndOfSequence)),
-            (json!({"stop_reason": "end_turn"}), Some(FinishReason::EndOfSequence)),
-            (json!({"finish_reason": "length", "stop_reason": "</s>"}), Some(FinishReason::Length)),
+            (
+                json!({"finish_details": {"type": "max_tokens"}}),
+                Some(FinishReason::Length),
+            ),
+            (
+                json!({"finish_reason": null, "finish_details": {"type": "stop"}}),
+                Some(FinishReason::EndOfSequence),
+            ),
+            (
+                json!({"stop_reason": "end_turn"}),
+                Some(FinishReason::EndOfSequence),
+            ),
+            (
+                json!({"finish_reason": "length", "stop_reason": "</s>"}),
+                Some(FinishReason::Length),
+            ),
             (json!({"finish_reason": null, "stop_reason": null}), None),
             (json!({"finish_reason": ""}), None),
             (json!({"finish_reason": "null"}), None),
             (json!({"finish_reason": false}), None),
             (json!({}), None),
         ] {
-            assert_eq!(Ending::of(&choice), expected.map(Ending::Answer), "{choice}");
+            assert_eq!(
+                Ending::of(&choice),
+                expected.map(Ending::Answer),
+                "{choice}"
+            );
         }
     }
 
@@ -148,13 +200,27 @@ mod tests {
             ending.reason(&str::to_owned).unwrap_err()
         };
         for word in ["content_filter", "SAFETY", "sensitive", "refusal"] {
-            assert!(matches!(failure(word), EndpointFailure::Withheld(text) if text.contains(word)), "{word}");
+            assert!(
+                matches!(failure(word), EndpointFailure::Withheld(text) if text.contains(word)),
+                "{word}"
+            );
         }
         for word in ["tool_calls", "function_call", "tool_use"] {
-            assert!(matches!(failure(word), EndpointFailure::NoAnswer(text) if text.contains(word)), "{word}");
+            assert!(
+                matches!(failure(word), EndpointFailure::NoAnswer(text) if text.contains(word)),
+                "{word}"
+            );
         }
-        for word in ["error", "abort", "network_error", "insufficient_system_resource"] {
-            assert!(matches!(failure(word), EndpointFailure::Closed(text) if text.contains(word)), "{word}");
+        for word in [
+            "error",
+            "abort",
+            "network_error",
+            "insufficient_system_resource",
+        ] {
+            assert!(
+                matches!(failure(word), EndpointFailure::Closed(text) if text.contains(word)),
+                "{word}"
+            );
         }
     }
 }

@@ -31,7 +31,8 @@ pub(super) struct Gathered {
 }
 
 impl Gathered {
-    /// Whether the answer has all its text. What follows can add counts, and nothing can take the answer away.
+    /// Whether the answer has all its text. What follows can add counts, and nothing can take the
+    /// answer away.
     pub(super) fn is_complete(&self) -> bool {
         matches!(self.ending, Some(Ending::Answer(_))) && !self.content.is_empty()
     }
@@ -41,22 +42,37 @@ impl Gathered {
     }
 
     /// Adds the data of an event.
-    pub(super) fn add_event(&mut self, event: &str, listen: &mut Listen<'_>) -> Result<(), EndpointFailure> {
-        let value: Value = serde_json::from_str(event).map_err(|error| no_json(event, &error, listen))?;
+    pub(super) fn add_event(
+        &mut self,
+        event: &str,
+        listen: &mut Listen<'_>,
+    ) -> Result<(), EndpointFailure> {
+        let value: Value =
+            serde_json::from_str(event).map_err(|error| no_json(event, &error, listen))?;
         self.add(&value, listen)
     }
 
     /// Adds an event of the type `error`.
     pub(super) fn add_error(&self, text: &str, listen: &Listen<'_>) -> Result<(), EndpointFailure> {
         let error = serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.to_owned()));
-        let reply = if error.get("error").is_some() { error } else { serde_json::json!({ "error": error }) };
+        let reply = if error.get("error").is_some() {
+            error
+        } else {
+            serde_json::json!({ "error": error })
+        };
         Trouble::in_reply(&reply).map_or(Ok(()), |trouble| Err(self.broken_by(trouble, listen)))
     }
 
     /// The answer of a body in one piece, or of lines of JSON.
-    pub(super) fn of_whole(mut self, text: &str, mut listen: Listen<'_>) -> Result<Reply, EndpointFailure> {
+    pub(super) fn of_whole(
+        mut self,
+        text: &str,
+        mut listen: Listen<'_>,
+    ) -> Result<Reply, EndpointFailure> {
         for value in Deserializer::from_str(text).into_iter::<Value>() {
-            match value.map_err(|error| no_json(text, &error, &listen)).and_then(|value| self.add(&value, &mut listen))
+            match value
+                .map_err(|error| no_json(text, &error, &listen))
+                .and_then(|value| self.add(&value, &mut listen))
             {
                 Err(_) if self.is_complete() => break,
                 added => added?,
@@ -67,7 +83,9 @@ impl Gathered {
             return self.complete(true, &mut listen);
         }
         let shown = shortened(&(listen.hide)(text));
-        Err(EndpointFailure::InvalidReply(format!("no finished choice in '{shown}'")))
+        Err(EndpointFailure::InvalidReply(format!(
+            "no finished choice in '{shown}'"
+        )))
     }
 
     fn add(&mut self, part: &Value, listen: &mut Listen<'_>) -> Result<(), EndpointFailure> {
@@ -76,20 +94,29 @@ impl Gathered {
         }
         if !part.is_object() {
             let shown = shortened(&(listen.hide)(&part.to_string()));
-            return Err(EndpointFailure::InvalidReply(format!("expected an object, found '{shown}'")));
+            return Err(EndpointFailure::InvalidReply(format!(
+                "expected an object, found '{shown}'"
+            )));
         }
         if let Some(tokens) = counts(part) {
             self.tokens = tokens;
         }
-        let Some(choice) = part.pointer("/choices/0") else { return Ok(()) };
-        let said =
-            Said::of(choice).map_err(|problem| EndpointFailure::InvalidReply(shortened(&(listen.hide)(&problem))))?;
-        self.chosen |= ["delta", "message", "text"].iter().any(|name| choice.get(name).is_some());
+        let Some(choice) = part.pointer("/choices/0") else {
+            return Ok(());
+        };
+        let said = Said::of(choice).map_err(|problem| {
+            EndpointFailure::InvalidReply(shortened(&(listen.hide)(&problem)))
+        })?;
+        self.chosen |= ["delta", "message", "text"]
+            .iter()
+            .any(|name| choice.get(name).is_some());
         if !said.text.is_empty() || !said.reasoning.is_empty() {
             self.first_text.get_or_insert_with(Instant::now);
         }
         // A whole message at the end of a stream repeats its pieces.
-        let repeats = choice.get("delta").is_none() && !self.content.is_empty() && said.text.starts_with(&self.content);
+        let repeats = choice.get("delta").is_none()
+            && !self.content.is_empty()
+            && said.text.starts_with(&self.content);
         if repeats {
             self.content.clear();
         }
@@ -108,20 +135,33 @@ impl Gathered {
     }
 
     /// The answer at the end of the bytes; `marked` says that the server marked this end.
-    pub(super) fn complete(self, marked: bool, listen: &mut Listen<'_>) -> Result<Reply, EndpointFailure> {
+    pub(super) fn complete(
+        self,
+        marked: bool,
+        listen: &mut Listen<'_>,
+    ) -> Result<Reply, EndpointFailure> {
         let hide = listen.hide;
         let shown = |text: &str| shortened(&hide(text));
         if !self.refusal.trim().is_empty() {
-            return Err(EndpointFailure::Withheld(format!("the model refuses: {}", shown(self.refusal.trim()))));
+            return Err(EndpointFailure::Withheld(format!(
+                "the model refuses: {}",
+                shown(self.refusal.trim())
+            )));
         }
         let finish = match &self.ending {
             Some(ending) => ending.reason(&shown)?,
             // Some servers name no reason.
             None if marked && self.has_text() => FinishReason::EndOfSequence,
-            None => return Err(EndpointFailure::Closed("the stream ended before the answer".into())),
+            None => {
+                return Err(EndpointFailure::Closed(
+                    "the stream ended before the answer".into(),
+                ));
+            }
         };
         let (text, reasoned) = match answer(&self.content) {
-            Found::Answer(text) if listen.whole => (after_end(text), text.len() < self.content.len()),
+            Found::Answer(text) if listen.whole => {
+                (after_end(text), text.len() < self.content.len())
+            }
             Found::Answer(text) => (text, text.len() < self.content.len()),
             Found::Thinking => ("", true),
             Found::Undecided => (self.content.as_str(), false),
@@ -132,17 +172,30 @@ impl Gathered {
         // Only the whole answer: an event may end within the key.
         let content = hide(text);
         // What may have been the beginning of a mark was not passed on yet.
-        let rest = if listen.whole { Some(content.as_str()) } else { text.get(self.told..) };
+        let rest = if listen.whole {
+            Some(content.as_str())
+        } else {
+            text.get(self.told..)
+        };
         if let Some(rest) = rest.filter(|rest| !rest.is_empty()) {
             (listen.on_text)(rest);
         }
-        Ok(Reply { content, finish, tokens: self.tokens, first_text: self.first_text })
+        Ok(Reply {
+            content,
+            finish,
+            tokens: self.tokens,
+            first_text: self.first_text,
+        })
     }
 
     /// The failure of a server: a refusal at the beginning, and a broken answer after it.
     fn broken_by(&self, trouble: Trouble, listen: &Listen<'_>) -> EndpointFailure {
         let failure = trouble.failure(listen.hide);
-        if self.has_text() { EndpointFailure::Closed(failure.to_string()) } else { failure }
+        if self.has_text() {
+            EndpointFailure::Closed(failure.to_string())
+        } else {
+            failure
+        }
     }
 }
 

@@ -2,13 +2,24 @@
 
 use serde_json::Value;
 
-/// Members with the reasoning of a model: vLLM, `SGLang`, llama.cpp's server and LM Studio; Ollama and `OpenRouter`; others.
-const REASONING: [&str; 4] = ["reasoning_content", "reasoning", "thinking", "reasoning_details"];
+/// Members with the reasoning of a model: vLLM, `SGLang`, llama.cpp's server and LM Studio; Ollama
+/// and `OpenRouter`; others.
+const REASONING: [&str; 4] = [
+    "reasoning_content",
+    "reasoning",
+    "thinking",
+    "reasoning_details",
+];
 /// Types of parts with text of the answer.
 const TEXT_PARTS: [&str; 2] = ["text", "output_text"];
 /// Types of parts with reasoning: Mistral, `OpenRouter`, others.
-const REASONING_PARTS: [&str; 5] =
-    ["thinking", "reasoning", "reasoning_content", "reasoning.text", "reasoning.summary"];
+const REASONING_PARTS: [&str; 5] = [
+    "thinking",
+    "reasoning",
+    "reasoning_content",
+    "reasoning.text",
+    "reasoning.summary",
+];
 
 /// What a choice says: a whole message, or a piece of a streamed one.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -25,12 +36,18 @@ impl Said {
     /// When its content has a form that is nobody's; the text names it.
     pub(super) fn of(choice: &Value) -> Result<Self, String> {
         let mut said = Self::default();
-        let message = [choice.get("delta"), choice.get("message")].into_iter().flatten().find(|part| part.is_object());
+        let message = [choice.get("delta"), choice.get("message")]
+            .into_iter()
+            .flatten()
+            .find(|part| part.is_object());
         if let Some(message) = message {
             said.add(message.get("content").unwrap_or(&Value::Null))?;
             if said.reasoning.is_empty() {
                 let fields = REASONING.iter().filter_map(|name| message.get(name));
-                said.reasoning = fields.map(reasoning_of).find(|text| !text.is_empty()).unwrap_or_default();
+                said.reasoning = fields
+                    .map(reasoning_of)
+                    .find(|text| !text.is_empty())
+                    .unwrap_or_default();
             }
             if let Some(refusal) = message.get("refusal").and_then(Value::as_str) {
                 said.refusal.push_str(refusal);
@@ -52,7 +69,9 @@ impl Said {
             Value::String(text) => self.text.push_str(text),
             Value::Array(parts) => parts.iter().for_each(|part| self.add_part(part)),
             Value::Object(_) => self.add_part(content),
-            Value::Bool(_) | Value::Number(_) => return Err(format!("content is {content}, and no text")),
+            Value::Bool(_) | Value::Number(_) => {
+                return Err(format!("content is {content}, and no text"));
+            }
         }
         Ok(())
     }
@@ -65,27 +84,39 @@ impl Said {
         }
         let kind = part.get("type").and_then(Value::as_str).unwrap_or("text");
         if TEXT_PARTS.contains(&kind) {
-            self.text.push_str(part.get("text").map(text_of).unwrap_or_default());
+            self.text
+                .push_str(part.get("text").map(text_of).unwrap_or_default());
         } else if REASONING_PARTS.contains(&kind) {
             self.reasoning.push_str(&reasoning_of(part));
         } else if kind == "refusal" {
-            self.refusal.push_str(part.get("refusal").map(text_of).unwrap_or_default());
+            self.refusal
+                .push_str(part.get("refusal").map(text_of).unwrap_or_default());
         }
     }
 }
 
 /// A text, or the value of a text in an object.
 fn text_of(text: &Value) -> &str {
-    text.as_str().or_else(|| text.get("value").and_then(Value::as_str)).unwrap_or_default()
+    text.as_str()
+        .or_else(|| text.get("value").and_then(Value::as_str))
+        .unwrap_or_default()
 }
 
-/// Reasoning, which may be a text, a part or a list of parts. JSON is parsed to a limited depth, so this ends.
+/// Reasoning, which may be a text, a part or a list of parts. JSON is parsed to a limited depth, so
+/// this ends.
 fn reasoning_of(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),
         Value::Array(parts) => parts.iter().map(reasoning_of).collect(),
         Value::Object(part) => {
-            let names = ["thinking", "reasoning", "reasoning_content", "text", "content", "summary"];
+            let names = [
+                "thinking",
+                "reasoning",
+                "reasoning_content",
+                "text",
+                "content",
+                "summary",
+            ];
             names
                 .iter()
                 .filter_map(|name| part.get(*name))
@@ -107,27 +138,52 @@ mod tests {
         for (what, choice) in [
             ("a text", json!({"message": {"content": "keep left"}})),
             ("a piece", json!({"delta": {"content": "keep left"}})),
-            ("both, as some proxies send", json!({"delta": {"content": "keep left"}, "message": null})),
-            ("a piece before the whole", json!({"delta": {"content": "keep left"}, "message": {"content": "so far"}})),
+            (
+                "both, as some proxies send",
+                json!({"delta": {"content": "keep left"}, "message": null}),
+            ),
+            (
+                "a piece before the whole",
+                json!({"delta": {"content": "keep left"}, "message": {"content": "so far"}}),
+            ),
             (
                 "parts",
                 json!({"message": {"content": [{"type": "text", "text": "keep "}, {"type": "text", "text": "left"}]}}),
             ),
-            ("a single part", json!({"message": {"content": {"type": "text", "text": "keep left"}}})),
+            (
+                "a single part",
+                json!({"message": {"content": {"type": "text", "text": "keep left"}}}),
+            ),
             (
                 "parts of the newer interface",
                 json!({"message": {"content": [{"type": "output_text", "text": "keep left"}]}}),
             ),
-            ("parts without a type", json!({"message": {"content": [{"text": "keep "}, {"text": {"value": "left"}}]}})),
-            ("texts in a list", json!({"message": {"content": ["keep ", "left"]}})),
+            (
+                "parts without a type",
+                json!({"message": {"content": [{"text": "keep "}, {"text": {"value": "left"}}]}}),
+            ),
+            (
+                "texts in a list",
+                json!({"message": {"content": ["keep ", "left"]}}),
+            ),
             (
                 "with a reference",
                 json!({"message": {"content": [{"type": "text", "text": "keep left"}, {"type": "reference", "reference_ids": [1]}]}}),
             ),
             ("older completions", json!({"text": "keep left"})),
-            ("older completions with a null message", json!({"text": "keep left", "message": {"content": null}})),
+            (
+                "older completions with a null message",
+                json!({"text": "keep left", "message": {"content": null}}),
+            ),
         ] {
-            assert_eq!(Said::of(&choice), Ok(Said { text: "keep left".into(), ..Said::default() }), "{what}");
+            assert_eq!(
+                Said::of(&choice),
+                Ok(Said {
+                    text: "keep left".into(),
+                    ..Said::default()
+                }),
+                "{what}"
+            );
         }
     }
 
@@ -136,28 +192,59 @@ mod tests {
         for (what, message) in [
             ("vLLM", json!({"content": null, "reasoning_content": "Hm."})),
             ("Ollama", json!({"content": "", "reasoning": "Hm."})),
-            ("both names", json!({"reasoning": "Hm.", "reasoning_content": "Hm."})),
-            ("the other is empty", json!({"reasoning_content": "", "reasoning": "Hm."})),
-            ("OpenRouter", json!({"reasoning_details": [{"type": "reasoning.text", "text": "Hm."}]})),
+            (
+                "both names",
+                json!({"reasoning": "Hm.", "reasoning_content": "Hm."}),
+            ),
+            (
+                "the other is empty",
+                json!({"reasoning_content": "", "reasoning": "Hm."}),
+            ),
+            (
+                "OpenRouter",
+                json!({"reasoning_details": [{"type": "reasoning.text", "text": "Hm."}]}),
+            ),
             ("thinking", json!({"thinking": "Hm."})),
             ("an object", json!({"thinking": {"content": "Hm."}})),
-            ("Mistral", json!({"content": [{"type": "thinking", "thinking": [{"type": "text", "text": "Hm."}]}]})),
-            ("a plain part", json!({"content": [{"type": "reasoning", "text": "Hm."}]})),
+            (
+                "Mistral",
+                json!({"content": [{"type": "thinking", "thinking": [{"type": "text", "text": "Hm."}]}]}),
+            ),
+            (
+                "a plain part",
+                json!({"content": [{"type": "reasoning", "text": "Hm."}]}),
+            ),
         ] {
             let said = Said::of(&json!({"message": message}));
-            assert_eq!(said, Ok(Said { reasoning: "Hm.".into(), ..Said::default() }), "{what}");
+            assert_eq!(
+                said,
+                Ok(Said {
+                    reasoning: "Hm.".into(),
+                    ..Said::default()
+                }),
+                "{what}"
+            );
         }
     }
 
     #[test]
     fn nothing_and_refusals_are_told_from_nonsense() {
-        for choice in
-            [json!({}), json!({"delta": {"role": "assistant"}}), json!({"message": {"content": []}}), json!(3)]
-        {
+        for choice in [
+            json!({}),
+            json!({"delta": {"role": "assistant"}}),
+            json!({"message": {"content": []}}),
+            json!(3),
+        ] {
             assert_eq!(Said::of(&choice), Ok(Said::default()), "{choice}");
         }
-        for message in [json!({"refusal": "No."}), json!({"content": [{"type": "refusal", "refusal": "No."}]})] {
-            assert_eq!(Said::of(&json!({"message": message})).unwrap().refusal, "No.");
+        for message in [
+            json!({"refusal": "No."}),
+            json!({"content": [{"type": "refusal", "refusal": "No."}]}),
+        ] {
+            assert_eq!(
+                Said::of(&json!({"message": message})).unwrap().refusal,
+                "No."
+            );
         }
         for content in [json!(3), json!(true)] {
             let problem = Said::of(&json!({"message": {"content": content}})).unwrap_err();

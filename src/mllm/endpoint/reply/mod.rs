@@ -1,4 +1,5 @@
-//! The response: a chat completion in one piece or as a stream of server-sent events, of limited size.
+//! The response: a chat completion in one piece or as a stream of server-sent events, of limited
+//! size.
 
 mod events;
 mod finish;
@@ -14,7 +15,8 @@ use crate::{EndpointFailure, FinishReason, TokenCounts};
 use events::{Events, Line};
 use gathered::Gathered;
 
-/// Maximum bytes of a response. The longest sensible one, with a stream event for each token, takes a tenth of it.
+/// Maximum bytes of a response. The longest sensible one, with a stream event for each token, takes
+/// a tenth of it.
 pub(super) const MAX_BYTES: u64 = 4 << 20;
 /// Maximum characters of a server's text in a message.
 const MAX_SHOWN: usize = 300;
@@ -40,8 +42,8 @@ pub(super) struct Reply {
     pub(super) first_text: Option<Instant>,
 }
 
-/// Reads a chat completion. Its bytes say whether it is a stream: servers answer in one piece though a stream was asked for,
-/// and label streams as anything.
+/// Reads a chat completion. Its bytes say whether it is a stream: servers answer in one piece
+/// though a stream was asked for, and label streams as anything.
 ///
 /// # Errors
 /// When there is no complete answer. One that is complete is kept, whatever follows it.
@@ -70,7 +72,11 @@ pub(super) fn read(body: impl Read, mut listen: Listen<'_>) -> Result<Reply, End
 
 /// The beginning of a text, which must not have the key in it.
 pub(super) fn shortened(text: &str) -> String {
-    match text.char_indices().nth(MAX_SHOWN).and_then(|(end, _)| text.get(..end)) {
+    match text
+        .char_indices()
+        .nth(MAX_SHOWN)
+        .and_then(|(end, _)| text.get(..end))
+    {
         None => text.to_string(),
         Some(beginning) => format!("{beginning}..."),
     }

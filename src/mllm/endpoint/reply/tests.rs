@@ -2,8 +2,19 @@
 
 use super::*;
 
-fn read_as(body: &str, whole: bool, on_text: &mut dyn FnMut(&str)) -> Result<Reply, EndpointFailure> {
-    read(body.as_bytes(), Listen { hide: &str::to_owned, whole, on_text })
+fn read_as(
+    body: &str,
+    whole: bool,
+    on_text: &mut dyn FnMut(&str),
+) -> Result<Reply, EndpointFailure> {
+    read(
+        body.as_bytes(),
+        Listen {
+            hide: &str::to_owned,
+            whole,
+            on_text,
+        },
+    )
 }
 
 fn reply(body: &str) -> Result<Reply, EndpointFailure> {
@@ -12,7 +23,10 @@ fn reply(body: &str) -> Result<Reply, EndpointFailure> {
 
 /// A stream of these data.
 fn stream(events: &[&str]) -> String {
-    events.iter().flat_map(|event| ["data: ", event, "\n\n"]).collect()
+    events
+        .iter()
+        .flat_map(|event| ["data: ", event, "\n\n"])
+        .collect()
 }
 
 #[test]
@@ -21,8 +35,19 @@ fn a_whole_completion_is_read() {
         "finish_reason": "length"}], "usage": {"prompt_tokens": 12, "completion_tokens": 3, "total_tokens": 15,
         "prompt_tokens_details": {"cached_tokens": 8}}}"#;
     let reply = reply(body).unwrap();
-    assert_eq!((reply.content.as_str(), reply.finish), ("keep", FinishReason::Length));
-    assert_eq!(reply.tokens, TokenCounts { text: 4, cached: 8, sampled: 3, ..TokenCounts::default() });
+    assert_eq!(
+        (reply.content.as_str(), reply.finish),
+        ("keep", FinishReason::Length)
+    );
+    assert_eq!(
+        reply.tokens,
+        TokenCounts {
+            text: 4,
+            cached: 8,
+            sampled: 3,
+            ..TokenCounts::default()
+        }
+    );
     assert_eq!(reply.first_text, None);
 }
 
@@ -34,7 +59,10 @@ fn a_stream_is_gathered_over_comments_and_empty_choices() {
         data: {\"choices\":[{\"delta\":{},\"finish_reason\":\"stop\"}]}\n\n\
         data: {\"choices\":[],\"usage\":{\"prompt_tokens\":5,\"completion_tokens\":2}}\n\ndata: [DONE]\n\n";
     let reply = reply(body).unwrap();
-    assert_eq!((reply.content.as_str(), reply.finish), ("keep", FinishReason::EndOfSequence));
+    assert_eq!(
+        (reply.content.as_str(), reply.finish),
+        ("keep", FinishReason::EndOfSequence)
+    );
     assert_eq!((reply.tokens.text, reply.tokens.sampled), (5, 2));
     assert!(reply.first_text.is_some());
 }
@@ -104,19 +132,30 @@ fn a_complete_answer_is_kept_when_the_connection_breaks_after_it() {
     }
     let events = [r#"{"choices": [{"delta": {"content": "keep"}, "finish_reason": "stop"}]}"#];
     let before_break = |body: String| {
-        let listen = Listen { hide: &str::to_owned, whole: false, on_text: &mut |_| () };
+        let listen = Listen {
+            hide: &str::to_owned,
+            whole: false,
+            on_text: &mut |_| (),
+        };
         read(body.as_bytes().chain(Broken), listen)
     };
     assert_eq!(before_break(stream(&events)).unwrap().content, "keep");
-    let broken = before_break(stream(&[r#"{"choices": [{"delta": {"content": "ke"}}]}"#])).unwrap_err();
+    let broken =
+        before_break(stream(&[r#"{"choices": [{"delta": {"content": "ke"}}]}"#])).unwrap_err();
     assert!(matches!(broken, EndpointFailure::Closed(text) if text.contains("reset")));
 }
 
 #[test]
 fn pieces_are_passed_on_without_reasoning() {
     let pieces = |texts: &[&str], whole| {
-        let event = |text: &&str| serde_json::json!({"choices": [{"delta": {"content": text}}]}).to_string();
-        let events: Vec<String> = texts.iter().map(event).chain(["[DONE]".to_owned()]).collect();
+        let event = |text: &&str| {
+            serde_json::json!({"choices": [{"delta": {"content": text}}]}).to_string()
+        };
+        let events: Vec<String> = texts
+            .iter()
+            .map(event)
+            .chain(["[DONE]".to_owned()])
+            .collect();
         let body = stream(&events.iter().map(String::as_str).collect::<Vec<_>>());
         let mut told = Vec::new();
         let reply = read_as(&body, whole, &mut |text| told.push(text.to_owned())).unwrap();
@@ -125,11 +164,17 @@ fn pieces_are_passed_on_without_reasoning() {
     };
     assert_eq!(pieces(&["ke", "ep"], false), ["ke", "ep"]);
     assert_eq!(pieces(&["ke", "ep"], true), ["keep"]);
-    assert_eq!(pieces(&["<th", "ink>Hm", ".</think>", "\n\nke", "ep"], false), ["ke", "ep"]);
+    assert_eq!(
+        pieces(&["<th", "ink>Hm", ".</think>", "\n\nke", "ep"], false),
+        ["ke", "ep"]
+    );
     assert_eq!(pieces(&["<", "b>"], false), ["<b>"]);
     assert_eq!(pieces(&["<"], false), ["<"]);
     assert_eq!(pieces(&["Hm.", "</think>", "keep"], true), ["keep"]);
-    assert_eq!(pieces(&["Hm.", "</think>", "keep"], false), ["Hm.", "</think>", "keep"]);
+    assert_eq!(
+        pieces(&["Hm.", "</think>", "keep"], false),
+        ["Hm.", "</think>", "keep"]
+    );
 }
 
 #[test]
@@ -151,7 +196,11 @@ fn an_answer_that_is_all_reasoning_says_what_to_do() {
         );
     }
     let empty = r#"{"choices": [{"message": {"content": ""}, "finish_reason": "stop"}]}"#;
-    assert_eq!(reply(empty).unwrap().content, "", "an answer without text and without reasoning is one");
+    assert_eq!(
+        reply(empty).unwrap().content,
+        "",
+        "an answer without text and without reasoning is one"
+    );
 }
 
 #[test]
@@ -169,30 +218,57 @@ fn nonsense_and_broken_answers_are_told_apart() {
         "data: 3\n\n",
     ] {
         let failure = reply(invalid).unwrap_err();
-        assert!(matches!(failure, EndpointFailure::InvalidReply(_)), "{invalid}: {failure:?}");
+        assert!(
+            matches!(failure, EndpointFailure::InvalidReply(_)),
+            "{invalid}: {failure:?}"
+        );
     }
     let refusal = r#"{"choices":[{"message":{"refusal":"I cannot"},"finish_reason":"stop"}]}"#;
-    assert!(matches!(reply(refusal), Err(EndpointFailure::Withheld(text)) if text.contains("I cannot")));
+    assert!(
+        matches!(reply(refusal), Err(EndpointFailure::Withheld(text)) if text.contains("I cannot"))
+    );
     let begun = r#"{"choices":[{"delta":{"content":"ke"}}]}"#;
     let role = r#"{"choices":[{"delta":{"role":"assistant"}}]}"#;
     for cut in [
         stream(&[begun]),
         stream(&[role, "[DONE]"]),
         stream(&[begun, r#"{"error":{"message":"no memory"}}"#]),
-        stream(&[begun, r#"{"choices":[{"delta":{},"finish_reason":"error"}]}"#]),
+        stream(&[
+            begun,
+            r#"{"choices":[{"delta":{},"finish_reason":"error"}]}"#,
+        ]),
         format!("{}event: error\ndata: no memory\n\n", stream(&[begun])),
-        format!("{}error: {{\"message\":\"no memory\"}}\n\n", stream(&[begun])),
+        format!(
+            "{}error: {{\"message\":\"no memory\"}}\n\n",
+            stream(&[begun])
+        ),
     ] {
-        assert!(matches!(reply(&cut), Err(EndpointFailure::Closed(_))), "{cut}");
+        assert!(
+            matches!(reply(&cut), Err(EndpointFailure::Closed(_))),
+            "{cut}"
+        );
     }
     let refused = stream(&[role, r#"{"error":{"message":"no","code":400}}"#]);
-    assert_eq!(reply(&refused), Err(EndpointFailure::Refused { status: 400, message: "no".into() }));
+    assert_eq!(
+        reply(&refused),
+        Err(EndpointFailure::Refused {
+            status: 400,
+            message: "no".into()
+        })
+    );
 }
 
 #[test]
 fn an_endless_answer_is_not_read_to_its_end() {
     for byte in [b' ', b'\n', b'x', b'\r'] {
-        let listen = Listen { hide: &str::to_owned, whole: false, on_text: &mut |_| () };
-        assert_eq!(read(std::io::repeat(byte), listen), Err(EndpointFailure::TooLong(MAX_BYTES)));
+        let listen = Listen {
+            hide: &str::to_owned,
+            whole: false,
+            on_text: &mut |_| (),
+        };
+        assert_eq!(
+            read(std::io::repeat(byte), listen),
+            Err(EndpointFailure::TooLong(MAX_BYTES))
+        );
     }
 }

@@ -1,8 +1,13 @@
 //! Reasoning inside the content, between marks: what a server sends that does not take it out.
 
-/// Marks around reasoning at the beginning of a content: Qwen, `DeepSeek` and others; variants; Mistral; Kimi.
-const MARKS: [(&str, &str); 4] =
-    [("<think>", "</think>"), ("<thinking>", "</thinking>"), ("[THINK]", "[/THINK]"), ("◁think▷", "◁/think▷")];
+/// Marks around reasoning at the beginning of a content: Qwen, `DeepSeek` and others; variants;
+/// Mistral; Kimi.
+const MARKS: [(&str, &str); 4] = [
+    ("<think>", "</think>"),
+    ("<thinking>", "</thinking>"),
+    ("[THINK]", "[/THINK]"),
+    ("◁think▷", "◁/think▷"),
+];
 
 /// The answer in a content.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,16 +24,25 @@ pub(super) fn answer(content: &str) -> Found<'_> {
     let text = content.trim_start();
     for (begin, end) in MARKS {
         if let Some(rest) = text.strip_prefix(begin) {
-            return rest.split_once(end).map_or(Found::Thinking, |(_, answer)| Found::Answer(answer.trim_start()));
+            return rest.split_once(end).map_or(Found::Thinking, |(_, answer)| {
+                Found::Answer(answer.trim_start())
+            });
         }
     }
-    if MARKS.iter().any(|(begin, _)| begin.starts_with(text)) { Found::Undecided } else { Found::Answer(content) }
+    if MARKS.iter().any(|(begin, _)| begin.starts_with(text)) {
+        Found::Undecided
+    } else {
+        Found::Answer(content)
+    }
 }
 
-/// The answer in a whole content, whose first mark the chat template may have written into the prompt.
+/// The answer in a whole content, whose first mark the chat template may have written into the
+/// prompt.
 pub(super) fn after_end(content: &str) -> &str {
     let ends = MARKS.iter().filter_map(|(_, end)| content.split_once(end));
-    ends.map(|(_, answer)| answer.trim_start()).find(|answer| !answer.is_empty()).unwrap_or(content)
+    ends.map(|(_, answer)| answer.trim_start())
+        .find(|answer| !answer.is_empty())
+        .unwrap_or(content)
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! Token counts, under the names of several servers. A count that is absent or odd is zero: it must never cost the answer.
+//! Token counts, under the names of several servers. A count that is absent or odd is zero: it must
+//! never cost the answer.
 
 use serde_json::Value;
 
@@ -7,11 +8,21 @@ use crate::TokenCounts;
 /// The counts of a completion or an event; `None` where it has none.
 pub(super) fn counts(part: &Value) -> Option<TokenCounts> {
     let of_choice = || part.pointer("/choices/0/usage");
-    let places = [part.get("usage"), of_choice(), part.pointer("/x_groq/usage")];
-    let usage = places.into_iter().flatten().find(|usage| usage.as_object().is_some_and(|fields| !fields.is_empty()));
+    let places = [
+        part.get("usage"),
+        of_choice(),
+        part.pointer("/x_groq/usage"),
+    ];
+    let usage = places
+        .into_iter()
+        .flatten()
+        .find(|usage| usage.as_object().is_some_and(|fields| !fields.is_empty()));
     match usage {
         Some(usage) => Some(named(usage)),
-        None => part.get("timings").filter(|timings| timings.is_object()).map(timed),
+        None => part
+            .get("timings")
+            .filter(|timings| timings.is_object())
+            .map(timed),
     }
 }
 
@@ -19,13 +30,23 @@ fn named(usage: &Value) -> TokenCounts {
     let prompt = first(usage, &["/prompt_tokens", "/input_tokens"]);
     let cached = first(
         usage,
-        &["/prompt_tokens_details/cached_tokens", "/input_tokens_details/cached_tokens", "/prompt_cache_hit_tokens"],
+        &[
+            "/prompt_tokens_details/cached_tokens",
+            "/input_tokens_details/cached_tokens",
+            "/prompt_cache_hit_tokens",
+        ],
     );
     let sampled = first(usage, &["/completion_tokens", "/output_tokens"]);
-    TokenCounts { text: prompt.saturating_sub(cached), cached: cached.min(prompt), sampled, ..TokenCounts::default() }
+    TokenCounts {
+        text: prompt.saturating_sub(cached),
+        cached: cached.min(prompt),
+        sampled,
+        ..TokenCounts::default()
+    }
 }
 
-/// The counts of llama.cpp's server beside an answer without `usage`. Its prompt has no cached tokens in it.
+/// The counts of llama.cpp's server beside an answer without `usage`. Its prompt has no cached
+/// tokens in it.
 fn timed(timings: &Value) -> TokenCounts {
     TokenCounts {
         text: first(timings, &["/prompt_n"]),
@@ -37,14 +58,28 @@ fn timed(timings: &Value) -> TokenCounts {
 
 /// The first of these counts that is there and above zero.
 fn first(fields: &Value, places: &[&str]) -> usize {
-    places.iter().filter_map(|place| fields.pointer(place)).map(count).find(|count| *count > 0).unwrap_or(0)
+    places
+        .iter()
+        .filter_map(|place| fields.pointer(place))
+        .map(count)
+        .find(|count| *count > 0)
+        .unwrap_or(0)
 }
 
-#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count beyond 2^53 is no count")]
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a count beyond 2^53 is no count"
+)]
 fn count(value: &Value) -> usize {
     let whole = value.as_u64().and_then(|count| usize::try_from(count).ok());
     whole
-        .or_else(|| value.as_f64().filter(|count| (0.0..9e15).contains(count)).map(|count| count as usize))
+        .or_else(|| {
+            value
+                .as_f64()
+                .filter(|count| (0.0..9e15).contains(count))
+                .map(|count| count as usize)
+        })
         .unwrap_or(0)
 }
 
@@ -82,7 +117,11 @@ mod tests {
                 json!({"x_groq": {"usage": {"prompt_tokens": 4, "completion_tokens": 3}}}),
                 Some((4, 0, 3)),
             ),
-            ("llama-server without usage", json!({"timings": {"prompt_n": 4, "cache_n": 8, "predicted_n": 3}}), full),
+            (
+                "llama-server without usage",
+                json!({"timings": {"prompt_n": 4, "cache_n": 8, "predicted_n": 3}}),
+                full,
+            ),
             (
                 "vLLM: details are null",
                 json!({"usage": {"prompt_tokens": 4, "completion_tokens": null, "prompt_tokens_details": null}}),
@@ -98,7 +137,11 @@ mod tests {
                 json!({"usage": {"prompt_tokens": 4, "prompt_cache_hit_tokens": 9}}),
                 Some((0, 4, 0)),
             ),
-            ("nonsense", json!({"usage": {"prompt_tokens": "many", "completion_tokens": -3}}), Some((0, 0, 0))),
+            (
+                "nonsense",
+                json!({"usage": {"prompt_tokens": "many", "completion_tokens": -3}}),
+                Some((0, 0, 0)),
+            ),
             ("empty", json!({"usage": {}}), None),
             ("null", json!({"usage": null}), None),
             ("no object", json!({"usage": 3}), None),

@@ -9,8 +9,18 @@ use crate::EndpointFailure;
 use crate::endpoint::reply::{Hide, MAX_BYTES, shortened};
 
 /// Members with the words of a failure, in the order in which they are looked for.
-const WORDS: [&str; 10] =
-    ["message", "msg", "error", "detail", "errors", "description", "error_description", "title", "reason", "status"];
+const WORDS: [&str; 10] = [
+    "message",
+    "msg",
+    "error",
+    "detail",
+    "errors",
+    "description",
+    "error_description",
+    "title",
+    "reason",
+    "status",
+];
 /// How deep the words may lie.
 const MAX_DEPTH: usize = 5;
 /// Most failures that are named of a list.
@@ -32,8 +42,9 @@ const PASSING: [&str; 14] = [
     "resource_exhausted",
     "timeout",
 ];
-/// Words of failures that no retry mends, though their status is 429 or 5xx: quotas of `OpenAI`; llama.cpp's server without a
-/// vision part, with a grammar or a template that it cannot use, with a prompt that is too long.
+/// Words of failures that no retry mends, though their status is 429 or 5xx: quotas of `OpenAI`;
+/// llama.cpp's server without a vision part, with a grammar or a template that it cannot use, with
+/// a prompt that is too long.
 const LASTING: [&str; 8] = [
     "insufficient_quota",
     "exceeded your current quota",
@@ -57,19 +68,31 @@ pub(super) struct Trouble {
 }
 
 impl Trouble {
-    /// The failure in a reply with status 200, if it is one. A complete answer is none, whatever stands beside it.
+    /// The failure in a reply with status 200, if it is one. A complete answer is none, whatever
+    /// stands beside it.
     pub(super) fn in_reply(reply: &Value) -> Option<Self> {
         // Gemini sends a list.
-        let reply = reply.as_array().and_then(|list| list.first()).unwrap_or(reply);
+        let reply = reply
+            .as_array()
+            .and_then(|list| list.first())
+            .unwrap_or(reply);
         let choice = reply.pointer("/choices/0");
-        let error = reply.get("error").or_else(|| choice.and_then(|choice| choice.get("error"))).filter(|e| is_said(e));
+        let error = reply
+            .get("error")
+            .or_else(|| choice.and_then(|choice| choice.get("error")))
+            .filter(|e| is_said(e));
         if let Some(error) = error {
             return Some(Self::of(StatusCode::OK.as_u16(), error, reply));
         }
-        let kind = ["object", "type"].iter().any(|name| reply.get(name).and_then(Value::as_str) == Some("error"));
+        let kind = ["object", "type"]
+            .iter()
+            .any(|name| reply.get(name).and_then(Value::as_str) == Some("error"));
         let names = ["detail", "errors", "message"];
         let told = choice.is_none()
-            && names.iter().filter_map(|name| reply.get(name)).any(|told| is_said(told) && !told.is_object());
+            && names
+                .iter()
+                .filter_map(|name| reply.get(name))
+                .any(|told| is_said(told) && !told.is_object());
         (kind || told).then(|| Self::of(StatusCode::OK.as_u16(), reply, reply))
     }
 
@@ -81,16 +104,30 @@ impl Trouble {
         let text = String::from_utf8_lossy(&bytes);
         match serde_json::from_str::<Value>(&text) {
             Ok(value) if is_said(&value) => {
-                let whole =
-                    value.as_array().and_then(|list| list.first()).filter(|first| first.is_object()).unwrap_or(&value);
-                let error = whole.get("error").filter(|error| error.is_object()).unwrap_or(whole);
+                let whole = value
+                    .as_array()
+                    .and_then(|list| list.first())
+                    .filter(|first| first.is_object())
+                    .unwrap_or(&value);
+                let error = whole
+                    .get("error")
+                    .filter(|error| error.is_object())
+                    .unwrap_or(whole);
                 Self::of(status.as_u16(), error, whole)
             }
             _ => {
                 let text = in_words(text.trim());
-                let message =
-                    if text.is_empty() { status.canonical_reason().unwrap_or("no reason").to_owned() } else { text };
-                Self { lasting: lasts(&message), message, status: status.as_u16(), passing: false }
+                let message = if text.is_empty() {
+                    status.canonical_reason().unwrap_or("no reason").to_owned()
+                } else {
+                    text
+                };
+                Self {
+                    lasting: lasts(&message),
+                    message,
+                    status: status.as_u16(),
+                    passing: false,
+                }
             }
         }
     }
@@ -98,22 +135,40 @@ impl Trouble {
     fn of(status: u16, error: &Value, whole: &Value) -> Self {
         let message = message(error, 0).unwrap_or_else(|| error.to_string());
         let names = ["code", "type", "status"];
-        let mut kinds = [error, whole].into_iter().flat_map(|part| names.iter().filter_map(|name| part.get(name)));
+        let mut kinds = [error, whole]
+            .into_iter()
+            .flat_map(|part| names.iter().filter_map(|name| part.get(name)));
         let lasting = lasts(&message) || kinds.clone().filter_map(Value::as_str).any(lasts);
-        let passes =
-            |kind: &Value| kind.as_str().is_some_and(|kind| PASSING.contains(&kind.to_ascii_lowercase().as_str()));
+        let passes = |kind: &Value| {
+            kind.as_str()
+                .is_some_and(|kind| PASSING.contains(&kind.to_ascii_lowercase().as_str()))
+        };
         let passing = status == 200 && kinds.clone().any(passes);
         let code = kinds.find_map(number).filter(|_| status == 200);
-        Self { message, status: code.unwrap_or(status), passing, lasting }
+        Self {
+            message,
+            status: code.unwrap_or(status),
+            passing,
+            lasting,
+        }
     }
 
     /// The failure, whose text has neither the API key nor more than is read at a glance.
     pub(super) fn failure(self, hide: Hide<'_>) -> EndpointFailure {
-        let Self { message, status, passing, lasting } = self;
+        let Self {
+            message,
+            status,
+            passing,
+            lasting,
+        } = self;
         let loads = loads(status, &message);
         let message = shortened(&hide(message.trim()));
         if loads {
-            EndpointFailure::Loading { status, message, waited: std::time::Duration::ZERO }
+            EndpointFailure::Loading {
+                status,
+                message,
+                waited: std::time::Duration::ZERO,
+            }
         } else if !lasting && (passing || passes(status)) {
             EndpointFailure::Unavailable { status, message }
         } else {
@@ -122,16 +177,24 @@ impl Trouble {
     }
 }
 
-/// Whether the same request may succeed after this status: a time limit, a lock, a limit of requests, a fault of the server. A
-/// server that does not implement something will not do so later.
+/// Whether the same request may succeed after this status: a time limit, a lock, a limit of
+/// requests, a fault of the server. A server that does not implement something will not do so
+/// later.
 fn passes(status: u16) -> bool {
     matches!(status, 408 | 409 | 425 | 429 | 500 | 502..=504 | 506..=599)
 }
 
-/// Whether a server says that it loads its model. One that failed to load it says so too, and will not be ready later.
+/// Whether a server says that it loads its model. One that failed to load it says so too, and will
+/// not be ready later.
 fn loads(status: u16, message: &str) -> bool {
     let plain = message.to_ascii_lowercase();
-    let loading = ["loading model", "model is loading", "currently loading", "still loading", "loading the model"];
+    let loading = [
+        "loading model",
+        "model is loading",
+        "currently loading",
+        "still loading",
+        "loading the model",
+    ];
     let failed = ["error", "fail", "unable", "cannot"];
     status == 503
         && loading.iter().any(|words| plain.contains(words))
@@ -145,11 +208,16 @@ fn lasts(text: &str) -> bool {
 
 /// A status in a member: a number, or its digits.
 fn number(code: &Value) -> Option<u16> {
-    let number = code.as_u64().or_else(|| code.as_str().and_then(|digits| digits.parse().ok()))?;
-    u16::try_from(number).ok().filter(|code| (400..600).contains(code))
+    let number = code
+        .as_u64()
+        .or_else(|| code.as_str().and_then(|digits| digits.parse().ok()))?;
+    u16::try_from(number)
+        .ok()
+        .filter(|code| (400..600).contains(code))
 }
 
-/// Whether a member says anything: servers write null, false, an empty text or an empty object for no error.
+/// Whether a member says anything: servers write null, false, an empty text or an empty object for
+/// no error.
 fn is_said(value: &Value) -> bool {
     match value {
         Value::Null | Value::Bool(_) => false,
@@ -166,16 +234,24 @@ fn message(error: &Value, depth: usize) -> Option<String> {
         _ if depth > MAX_DEPTH => None,
         Value::String(text) if !text.trim().is_empty() => Some(text.clone()),
         Value::Array(errors) => {
-            let told: Vec<String> =
-                errors.iter().filter_map(|error| message(error, depth + 1)).take(MAX_LISTED).collect();
+            let told: Vec<String> = errors
+                .iter()
+                .filter_map(|error| message(error, depth + 1))
+                .take(MAX_LISTED)
+                .collect();
             (!told.is_empty()).then(|| told.join("; "))
         }
         Value::Object(fields) => {
-            let words =
-                WORDS.iter().filter_map(|name| fields.get(*name)).find_map(|words| message(words, depth + 1))?;
+            let words = WORDS
+                .iter()
+                .filter_map(|name| fields.get(*name))
+                .find_map(|words| message(words, depth + 1))?;
             // FastAPI names the place of a wrong field.
             let place = fields.get("loc").and_then(Value::as_array).map(|place| {
-                let parts = place.iter().map(|part| part.as_str().map_or_else(|| part.to_string(), ToOwned::to_owned));
+                let parts = place.iter().map(|part| {
+                    part.as_str()
+                        .map_or_else(|| part.to_string(), ToOwned::to_owned)
+                });
                 parts.collect::<Vec<_>>().join(".")
             });
             Some(place.map_or(words.clone(), |place| format!("{place}: {words}")))
@@ -190,7 +266,9 @@ pub(super) fn in_words(text: &str) -> String {
     let title = plain.find("<title>").zip(plain.find("</title>"));
     // Lower case of ASCII letters moves no byte.
     match title.and_then(|(from, to)| text.get(from + "<title>".len()..to)) {
-        Some(title) if plain.trim_start().starts_with('<') => format!("a web page, '{}'", title.trim()),
+        Some(title) if plain.trim_start().starts_with('<') => {
+            format!("a web page, '{}'", title.trim())
+        }
         _ => text.to_owned(),
     }
 }

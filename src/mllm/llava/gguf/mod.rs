@@ -10,7 +10,9 @@ use serde_json::json;
 use super::config::{IMAGE_TOKEN_BEYOND, LlavaConfig};
 use crate::MllmError;
 use crate::checkpoint::ModelFiles;
-use crate::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS, unswapped};
+use crate::gguf::names::{
+    DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS, unswapped,
+};
 use crate::gguf::{Entries, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, tokenizer};
 use crate::vision::{PixelScale, read_processor};
 
@@ -22,8 +24,14 @@ const NAMES: Names = Names {
         OUTPUT,
         ROTARY,
         ("v.class_embd", "vision_tower.embeddings.class_embedding"),
-        ("v.patch_embd.weight", "vision_tower.embeddings.patch_embedding.weight"),
-        ("v.position_embd.weight", "vision_tower.embeddings.position_embedding.weight"),
+        (
+            "v.patch_embd.weight",
+            "vision_tower.embeddings.patch_embedding.weight",
+        ),
+        (
+            "v.position_embd.weight",
+            "vision_tower.embeddings.position_embedding.weight",
+        ),
         ("v.pre_ln.weight", "vision_tower.pre_layrnorm.weight"),
         ("v.pre_ln.bias", "vision_tower.pre_layrnorm.bias"),
         ("mm.0.weight", "multi_modal_projector.linear_1.weight"),
@@ -61,17 +69,24 @@ impl GgufLayout for LlavaGguf {
         notes: &mut Vec<String>,
     ) -> Result<BTreeMap<String, String>, MllmError> {
         let text = llama::text_config(decoder)?;
-        let vocabulary =
-            text["vocab_size"].as_u64().expect("the configuration of a decoder says its vocabulary") as usize;
+        let vocabulary = text["vocab_size"]
+            .as_u64()
+            .expect("the configuration of a decoder says its vocabulary")
+            as usize;
         let (mut config, note) = tower::config(tower, self.model_type)?;
         notes.extend(note);
         config["tie_word_embeddings"] = text["tie_word_embeddings"].clone();
         config["text_config"] = text;
         let mut files = BTreeMap::new();
         let mut tokenizer = tokenizer::files(decoder, vocabulary, &mut files)?;
-        let image = tokenizer::image_token(&mut tokenizer)
-            .map_err(|problem| MllmError::Tokenizer { path: tokenizer::place(decoder), problem: problem.into() })?;
-        let mut put = |name: &str, value: &serde_json::Value| files.insert(name.to_string(), value.to_string());
+        let image =
+            tokenizer::image_token(&mut tokenizer).map_err(|problem| MllmError::Tokenizer {
+                path: tokenizer::place(decoder),
+                problem: problem.into(),
+            })?;
+        let mut put = |name: &str, value: &serde_json::Value| {
+            files.insert(name.to_string(), value.to_string())
+        };
         if image == vocabulary as u64 {
             config[IMAGE_TOKEN_BEYOND] = json!(true);
         } else {
@@ -79,7 +94,10 @@ impl GgufLayout for LlavaGguf {
         }
         put(TOKENIZER, &tokenizer);
         put("config.json", &config);
-        put("preprocessor_config.json", &tower::preprocessor(tower, self.image_processor)?);
+        put(
+            "preprocessor_config.json",
+            &tower::preprocessor(tower, self.image_processor)?,
+        );
         if !decoder.path.with_file_name(TEMPLATE).is_file() {
             let template = template::of(decoder, notes)?;
             files.insert(TEMPLATE.to_string(), template.to_string());
@@ -89,17 +107,24 @@ impl GgufLayout for LlavaGguf {
 
     fn canonical_name(&self, file: &Header, name: &str) -> Result<Option<String>, MllmError> {
         let hidden = tower::hidden(file)?;
-        Ok(NAMES.to_canonical(name).map(|canonical| unswapped(file, canonical, hidden)))
+        Ok(NAMES
+            .to_canonical(name)
+            .map(|canonical| unswapped(file, canonical, hidden)))
     }
 
     fn gguf_name(&self, canonical: &str) -> Option<String> {
         NAMES.in_gguf(canonical)
     }
 
-    fn metadata(&self, files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
+    fn metadata(
+        &self,
+        files: &ModelFiles,
+    ) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
         let (config, pinpoints) = (self.config)(files)?;
         let scale = read_processor(files, |_, object| PixelScale::read(object))?;
-        let Some(scale) = scale.mean_and_deviation() else { return Ok(Err("pixels that are not normalized")) };
+        let Some(scale) = scale.mean_and_deviation() else {
+            return Ok(Err("pixels that are not normalized"));
+        };
         let decoder = llama::metadata(&config.text);
         let tower = tower::metadata(&config, pinpoints, scale);
         Ok(decoder.and_then(|decoder| Ok([decoder, tower?])))

@@ -30,10 +30,17 @@ pub(super) fn of<'a>(decoder: &'a Header, notes: &mut Vec<String>) -> Result<&'a
     if let Some(template) = decoder.text("tokenizer.chat_template")? {
         return Ok(template);
     }
-    let file = decoder.path.file_stem().unwrap_or_default().to_string_lossy();
+    let file = decoder
+        .path
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy();
     let name = decoder.text("general.name")?.unwrap_or(&file);
-    let (template, called) =
-        if name.to_lowercase().contains("mistral") { (MISTRAL, "Mistral") } else { (VICUNA, "Vicuna") };
+    let (template, called) = if name.to_lowercase().contains("mistral") {
+        (MISTRAL, "Mistral")
+    } else {
+        (VICUNA, "Vicuna")
+    };
     notes.push(format!(
         "the file has no chat template; it gets that of {called}, by the model's name '{name}' (a {TEMPLATE} beside \
          the file replaces it)"

@@ -1,4 +1,5 @@
-//! The vision tower's configuration and preprocessor in the metadata of a `clip` GGUF file, in both directions.
+//! The vision tower's configuration and preprocessor in the metadata of a `clip` GGUF file, in both
+//! directions.
 
 use serde_json::{Value, json};
 
@@ -30,20 +31,25 @@ pub(super) fn hidden(header: &Header) -> Result<Option<usize>, MllmError> {
     header.count("clip.vision.embedding_length")
 }
 
-/// The keys of `config.json` that describe tower and projector, and a note if the file leaves one open.
-pub(super) fn config(header: &Header, model_type: &str) -> Result<(Value, Option<String>), MllmError> {
+/// The keys of `config.json` that describe tower and projector, and a note if the file leaves one
+/// open.
+pub(super) fn config(
+    header: &Header,
+    model_type: &str,
+) -> Result<(Value, Option<String>), MllmError> {
     let layers = header.required_count("clip.vision.block_count")?;
     let act = match (header.flag("clip.use_gelu")?, header.flag("clip.use_silu")?) {
         (Some(true), _) => "gelu",
         (_, Some(true)) => "silu",
         _ => "quick_gelu",
     };
-    let (features, note) = if let Some(features) = header.list::<i64>(FEATURE_LAYER, "a list of integers")? {
-        (json!(features), None)
-    } else {
-        let (layer, note) = default_feature_layer(layers);
-        (json!(layer), Some(note))
-    };
+    let (features, note) =
+        if let Some(features) = header.list::<i64>(FEATURE_LAYER, "a list of integers")? {
+            (json!(features), None)
+        } else {
+            let (layer, note) = default_feature_layer(layers);
+            (json!(layer), Some(note))
+        };
     let mut config = json!({
         "model_type": model_type,
         "projector_hidden_act": "gelu",
@@ -67,10 +73,15 @@ pub(super) fn config(header: &Header, model_type: &str) -> Result<(Value, Option
     Ok((config, note))
 }
 
-/// The feature layer of a file without [`FEATURE_LAYER`]: the last but one of the tower in training. llama.cpp's converter
-/// drops the last layer, and CLIP's towers have even numbers of layers. So a tower with an odd number is used whole.
+/// The feature layer of a file without [`FEATURE_LAYER`]: the last but one of the tower in
+/// training. llama.cpp's converter drops the last layer, and CLIP's towers have even numbers of
+/// layers. So a tower with an odd number is used whole.
 fn default_feature_layer(layers: usize) -> (usize, String) {
-    let layer = if layers.is_multiple_of(2) { layers - 1 } else { layers };
+    let layer = if layers.is_multiple_of(2) {
+        layers - 1
+    } else {
+        layers
+    };
     let note = format!(
         "the vision tower's file does not say which layer's output is used ({FEATURE_LAYER}); of its {layers} layers, the \
          output of layer {layer} is taken for the last but one of the whole tower, as LLaVA was trained"
@@ -79,10 +90,15 @@ fn default_feature_layer(layers: usize) -> (usize, String) {
 }
 
 fn pinpoints(header: &Header) -> Result<Option<Value>, MllmError> {
-    let Some(flat) = header.list::<i64>(PINPOINTS, "a list of integers")? else { return Ok(None) };
+    let Some(flat) = header.list::<i64>(PINPOINTS, "a list of integers")? else {
+        return Ok(None);
+    };
     let (pairs, rest) = flat.as_chunks::<2>();
     if !rest.is_empty() || pairs.is_empty() {
-        return Err(header.error(PINPOINTS, format!("{} numbers are no pairs of height and width", flat.len())));
+        return Err(header.error(
+            PINPOINTS,
+            format!("{} numbers are no pairs of height and width", flat.len()),
+        ));
     }
     Ok(Some(json!(pairs)))
 }
@@ -97,7 +113,9 @@ pub(super) fn preprocessor(header: &Header, image_processor: &str) -> Result<Val
         "resample": 3,
     });
     for key in ["image_mean", "image_std"] {
-        if let Some(values) = header.list::<f64>(&format!("clip.vision.{key}"), "a list of numbers")? {
+        if let Some(values) =
+            header.list::<f64>(&format!("clip.vision.{key}"), "a list of numbers")?
+        {
             preprocessor[key] = json!(values);
         }
     }
@@ -107,7 +125,8 @@ pub(super) fn preprocessor(header: &Header, image_processor: &str) -> Result<Val
     Ok(preprocessor)
 }
 
-/// The metadata that [`config`] and [`preprocessor`] read; `scale` is mean and deviation of the pixel values.
+/// The metadata that [`config`] and [`preprocessor`] read; `scale` is mean and deviation of the
+/// pixel values.
 ///
 /// # Errors
 /// The part that llama.cpp has no key for.
@@ -127,13 +146,19 @@ pub(super) fn metadata(
         ("clip.has_llava_projector", json!(true)),
         ("clip.projector_type", json!("mlp")),
         ("clip.vision.embedding_length", json!(vision.hidden)),
-        ("clip.vision.feed_forward_length", json!(vision.intermediate)),
+        (
+            "clip.vision.feed_forward_length",
+            json!(vision.intermediate),
+        ),
         ("clip.vision.block_count", json!(vision.layers)),
         ("clip.vision.attention.head_count", json!(vision.heads)),
         ("clip.vision.image_size", json!(vision.image_size)),
         ("clip.vision.patch_size", json!(vision.patch_size)),
         ("clip.vision.projection_dim", json!(config.text.hidden)),
-        ("clip.vision.attention.layer_norm_epsilon", json!(vision.layer_norm_eps)),
+        (
+            "clip.vision.attention.layer_norm_epsilon",
+            json!(vision.layer_norm_eps),
+        ),
         ("clip.vision.image_mean", json!(mean)),
         ("clip.vision.image_std", json!(deviation)),
         (FEATURE_LAYER, json!(config.feature_layers)),
@@ -142,13 +167,18 @@ pub(super) fn metadata(
         Activation::QuickGelu => metadata.push(("clip.use_gelu", json!(false))),
         Activation::Gelu => metadata.push(("clip.use_gelu", json!(true))),
         Activation::Silu => metadata.push(("clip.use_silu", json!(true))),
-        Activation::GeluTanh | Activation::Relu => return Err("the activation of the vision tower"),
+        Activation::GeluTanh | Activation::Relu => {
+            return Err("the activation of the vision tower");
+        }
     }
     if let Some(pinpoints) = pinpoints {
         metadata.push((PINPOINTS, json!(pinpoints.concat())));
         metadata.push(("clip.vision.mm_patch_merge_type", json!("spatial_unpad")));
     }
-    Ok(metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect())
+    Ok(metadata
+        .into_iter()
+        .map(|(key, value)| (key.to_string(), value))
+        .collect())
 }
 
 #[cfg(test)]

@@ -11,8 +11,8 @@ use super::{FetchListener, FetchProgress, HubAccess, HubFiles, split_id};
 use crate::MllmError;
 
 impl HubAccess {
-    /// The folder with the files of a repository. Missing files are downloaded, if this is allowed; an interrupted file starts
-    /// from its beginning.
+    /// The folder with the files of a repository. Missing files are downloaded, if this is allowed;
+    /// an interrupted file starts from its beginning.
     pub(in crate::registry) fn fetch(
         &self,
         id: &str,
@@ -20,8 +20,13 @@ impl HubAccess {
         files: &HubFiles,
         listener: Option<std::sync::Arc<FetchListener>>,
     ) -> Result<PathBuf, MllmError> {
-        let failed = |problem: String| MllmError::Hub { id: id.to_string(), revision: revision.to_string(), problem };
-        let (owner, name) = split_id(id).ok_or_else(|| failed("a hub id has the form organization/name".into()))?;
+        let failed = |problem: String| MllmError::Hub {
+            id: id.to_string(),
+            revision: revision.to_string(),
+            problem,
+        };
+        let (owner, name) =
+            split_id(id).ok_or_else(|| failed("a hub id has the form organization/name".into()))?;
         let mut builder = hf_hub::HFClient::builder();
         if let Some(cache) = &self.cache {
             builder = builder.cache_dir(cache.clone());
@@ -33,7 +38,12 @@ impl HubAccess {
         let cache = client.cache_dir().to_path_buf();
         let client = HFClientSync::from_inner(client).map_err(|error| failed(error.to_string()))?;
         let repository = client.model(owner, name);
-        let progress = listener.map(|listener| Progress::new(Told { listener, state: Mutex::default() }));
+        let progress = listener.map(|listener| {
+            Progress::new(Told {
+                listener,
+                state: Mutex::default(),
+            })
+        });
         let snapshot = |local_only: bool| {
             repository
                 .snapshot_download()
@@ -51,7 +61,11 @@ impl HubAccess {
                     None => return Ok(folder),
                     Some(file) => file,
                 },
-                Err(_) => files.required.first().cloned().expect("every choice of files requires one"),
+                Err(_) => files
+                    .required
+                    .first()
+                    .cloned()
+                    .expect("every choice of files requires one"),
             };
             if self.offline {
                 return Err(MllmError::NotInCache {
@@ -86,19 +100,28 @@ struct DownloadState {
 
 impl ProgressHandler for Told {
     fn on_progress(&self, event: &ProgressEvent) {
-        let ProgressEvent::Download(event) = event else { return };
+        let ProgressEvent::Download(event) = event else {
+            return;
+        };
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         match event {
             DownloadEvent::Start { total_bytes, .. } => state.total = state.total.max(*total_bytes),
             DownloadEvent::Progress { files } => {
                 for file in files {
-                    state.files.insert(file.filename.clone(), file.bytes_completed);
+                    state
+                        .files
+                        .insert(file.filename.clone(), file.bytes_completed);
                 }
             }
-            DownloadEvent::AggregateProgress { bytes_completed, .. } => state.pieces = *bytes_completed,
+            DownloadEvent::AggregateProgress {
+                bytes_completed, ..
+            } => state.pieces = *bytes_completed,
             DownloadEvent::Complete => {}
         }
         let arrived = state.files.values().sum::<u64>().max(state.pieces);
-        (self.listener)(FetchProgress { bytes: arrived.min(state.total), total: state.total });
+        (self.listener)(FetchProgress {
+            bytes: arrived.min(state.total),
+            total: state.total,
+        });
     }
 }

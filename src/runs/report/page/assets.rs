@@ -46,7 +46,12 @@ pub(super) fn size() -> usize {
 /// The page; `data` is markup.
 pub(super) fn page(title: &str, data: &str) -> String {
     let (title, style, script) = (escaped(title), STYLES.concat(), SCRIPTS.concat());
-    let parts = [("{{title}}", title.as_str()), ("{{style}}", &style), ("{{data}}", data), ("{{script}}", &script)];
+    let parts = [
+        ("{{title}}", title.as_str()),
+        ("{{style}}", &style),
+        ("{{data}}", data),
+        ("{{script}}", &script),
+    ];
     // Placeholders are looked for in the markup alone: a title or the data may have the same words.
     let (mut page, mut rest) = (String::new(), MARKUP);
     for (place, text) in parts {
@@ -66,21 +71,33 @@ mod tests {
     #[test]
     fn the_page_requests_nothing_else() {
         let page = page("runs & <more>", "<script id=\"x\">{{script}}</script>");
-        assert!(page.contains("<title>runs &amp; &lt;more&gt;</title>") && page.contains("id=\"x\">{{script}}<"));
+        assert!(
+            page.contains("<title>runs &amp; &lt;more&gt;</title>")
+                && page.contains("id=\"x\">{{script}}<")
+        );
         assert!(!page.contains("{{style}}") && !page.contains("{{data}}"));
         // The namespace of SVG is a name that no browser requests.
         let page = page.replace("http://www.w3.org/2000/svg", "");
         for word in ["http:", "https:", "@import", "url(", "src=\"", "eval("] {
             assert!(!page.contains(word), "the page has {word}");
         }
-        assert_eq!(SCRIPTS.iter().filter(|script| script.contains("</script")).count(), 0);
+        assert_eq!(
+            SCRIPTS
+                .iter()
+                .filter(|script| script.contains("</script"))
+                .count(),
+            0
+        );
     }
 
     #[test]
     fn a_title_may_look_like_a_placeholder() {
         for title in ["{{data}}", "{{style}} {{script}} {{title}}"] {
             let page = page(title, "<i>the data</i>");
-            assert!(page.contains(&format!("<title>{title}</title>")) && page.matches("<i>the data</i>").count() == 1);
+            assert!(
+                page.contains(&format!("<title>{title}</title>"))
+                    && page.matches("<i>the data</i>").count() == 1
+            );
             assert!(page.contains(SCRIPTS[0]) && page.contains(STYLES[0]));
         }
     }
@@ -88,7 +105,11 @@ mod tests {
     #[test]
     fn files_of_the_page_stay_readable() {
         for file in SCRIPTS.iter().chain(&STYLES) {
-            assert!(file.lines().count() < 400, "{}", file.lines().next().unwrap_or_default());
+            assert!(
+                file.lines().count() < 400,
+                "{}",
+                file.lines().next().unwrap_or_default()
+            );
         }
     }
 }

@@ -109,7 +109,8 @@ struct OfRun<T> {
     value: T,
 }
 
-/// The statistics: a column each, with a row for each simulation in the order of [`Index::simulations`].
+/// The statistics: a column each, with a row for each simulation in the order of
+/// [`Index::simulations`].
 #[derive(Debug, Serialize)]
 pub(super) struct Statistics {
     columns: Vec<Column>,
@@ -126,25 +127,38 @@ struct Column {
 
 impl Index {
     /// The index of runs, without the elements of the replays.
-    pub(super) fn of(runs: &[RunSimulations], parts: &[SimulationParts], wanted: impl Fn(&str) -> bool) -> Self {
-        let rows = runs.iter().enumerate().flat_map(|(run, of_run)| of_run.rows.iter().map(move |row| (run, row)));
-        let absent =
-            |row: &SimulationRow, parts: &SimulationParts| match (parts.sketch.is_some(), wanted(&row.scenario)) {
-                (false, _) => Some(Absent::Run),
-                (true, false) => Some(Absent::Scenario),
-                (true, true) => None,
-            };
-        let mut sketched = BTreeSet::new();
-        let entry = |((run, row), part): ((usize, &SimulationRow), &SimulationParts)| SimulationEntry {
-            run,
-            number: row.number,
-            summary: ScenarioSummary::from(row),
-            replay: None,
-            map: None,
-            images: None,
-            absent: absent(row, part),
-            sketch: part.sketch.clone().filter(|_| sketched.insert(row.scenario.clone())),
+    pub(super) fn of(
+        runs: &[RunSimulations],
+        parts: &[SimulationParts],
+        wanted: impl Fn(&str) -> bool,
+    ) -> Self {
+        let rows = runs
+            .iter()
+            .enumerate()
+            .flat_map(|(run, of_run)| of_run.rows.iter().map(move |row| (run, row)));
+        let absent = |row: &SimulationRow, parts: &SimulationParts| match (
+            parts.sketch.is_some(),
+            wanted(&row.scenario),
+        ) {
+            (false, _) => Some(Absent::Run),
+            (true, false) => Some(Absent::Scenario),
+            (true, true) => None,
         };
+        let mut sketched = BTreeSet::new();
+        let entry =
+            |((run, row), part): ((usize, &SimulationRow), &SimulationParts)| SimulationEntry {
+                run,
+                number: row.number,
+                summary: ScenarioSummary::from(row),
+                replay: None,
+                map: None,
+                images: None,
+                absent: absent(row, part),
+                sketch: part
+                    .sketch
+                    .clone()
+                    .filter(|_| sketched.insert(row.scenario.clone())),
+            };
         Self {
             vehicle: Vehicle {
                 length: PACIFICA.length(),
@@ -164,7 +178,9 @@ impl Index {
 /// The values of each run.
 fn of_runs<T>(runs: &[RunSimulations], values: fn(&[SimulationRow]) -> Vec<T>) -> Vec<OfRun<T>> {
     let of_run = |(run, simulations): (usize, &RunSimulations)| {
-        values(&simulations.rows).into_iter().map(move |value| OfRun { run, value })
+        values(&simulations.rows)
+            .into_iter()
+            .map(move |value| OfRun { run, value })
     };
     runs.iter().enumerate().flat_map(of_run).collect()
 }
@@ -181,7 +197,9 @@ impl RunEntry {
             thresholds: Thresholds {
                 keep_lane: run.setting("reflection.threshold"),
                 lane_change: run.setting("reflection.lane_change_threshold"),
-                assist: run.setting("agent.gate").or_else(|| run.setting("reflection.threshold")),
+                assist: run
+                    .setting("agent.gate")
+                    .or_else(|| run.setting("reflection.threshold")),
             },
             monitoring: run.is_on("reflection.monitoring"),
             after_max_exec: run.word("reflection.after_max_exec").map(str::to_owned),
@@ -196,15 +214,24 @@ fn metrics() -> Vec<MetricEntry> {
         name: metric.name,
         label: metric.label,
         list,
-        weight: if let Role::Weight(weight) = metric.role { Some(weight) } else { None },
+        weight: if let Role::Weight(weight) = metric.role {
+            Some(weight)
+        } else {
+            None
+        },
     };
     let of = |list: MetricList| list.scored().map(move |metric| entry(list, metric));
-    of(MetricList::ClosedLoop).chain(of(MetricList::OpenLoop)).collect()
+    of(MetricList::ClosedLoop)
+        .chain(of(MetricList::OpenLoop))
+        .collect()
 }
 
 fn timings(rows: &[SimulationRow]) -> Vec<PlannerTiming> {
     let planners = distinct(rows.iter().map(|row| row.planner.as_str()));
-    planners.into_iter().map(|planner| PlannerTiming::of(planner, rows)).collect()
+    planners
+        .into_iter()
+        .map(|planner| PlannerTiming::of(planner, rows))
+        .collect()
 }
 
 /// The statistics of simulations.
@@ -231,5 +258,8 @@ pub(super) fn statistics(parts: &[SimulationParts]) -> Statistics {
         }
         row
     };
-    Statistics { rows: parts.iter().map(row).collect(), columns }
+    Statistics {
+        rows: parts.iter().map(row).collect(),
+        columns,
+    }
 }

@@ -1,5 +1,5 @@
-//! The page of runs that may still be running. A simulation is read once, when its folder is complete; the page asks for replays
-//! one by one.
+//! The page of runs that may still be running. A simulation is read once, when its folder is
+//! complete; the page asks for replays one by one.
 
 use super::assets;
 use super::index::{self, Index, Statistics};
@@ -27,7 +27,8 @@ const MARK: &str = "<script type=\"text/plain\" id=\"live\"></script>\n";
 #[derive(Debug)]
 pub struct LivePage {
     runs: Vec<LiveRun>,
-    /// Serial number of the next simulation that is read. A simulation that runs again gets another one.
+    /// Serial number of the next simulation that is read. A simulation that runs again gets another
+    /// one.
     next: usize,
     /// Time when the page was opened, milliseconds since 1970: versions of two pages differ.
     opened: u128,
@@ -68,7 +69,8 @@ struct Known {
 
 /// Time of the last change and size of a file; none if it does not exist.
 type FileStamp = Option<(SystemTime, u64)>;
-/// The stamps of record, metrics and replay: they change if the simulation runs again, or if a copy of its folder goes on.
+/// The stamps of record, metrics and replay: they change if the simulation runs again, or if a copy
+/// of its folder goes on.
 type FolderStamp = [FileStamp; 3];
 
 /// A simulation folder that is new or has changed.
@@ -95,9 +97,18 @@ impl LivePage {
     ///
     /// # Errors
     /// When a folder holds no run, or one of another format version.
-    pub fn open(folders: &[PathBuf], on_simulation: &(dyn Fn(usize, usize) + Sync)) -> Result<Self, ReportError> {
-        let runs = folders.iter().zip(names(folders)?).map(|(path, name)| LiveRun::open(path, name));
-        let opened = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_millis();
+    pub fn open(
+        folders: &[PathBuf],
+        on_simulation: &(dyn Fn(usize, usize) + Sync),
+    ) -> Result<Self, ReportError> {
+        let runs = folders
+            .iter()
+            .zip(names(folders)?)
+            .map(|(path, name)| LiveRun::open(path, name));
+        let opened = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .unwrap_or_default()
+            .as_millis();
         let mut page = Self {
             runs: runs.collect::<Result<_, _>>()?,
             next: 0,
@@ -133,7 +144,10 @@ impl LivePage {
     }
 
     /// Reads new simulations and forgets those that are gone; returns whether there are any.
-    fn update(&mut self, on_simulation: &(dyn Fn(usize, usize) + Sync)) -> Result<bool, ReportError> {
+    fn update(
+        &mut self,
+        on_simulation: &(dyn Fn(usize, usize) + Sync),
+    ) -> Result<bool, ReportError> {
         let (mut changed, mut unread) = (false, Vec::new());
         for (place, run) in self.runs.iter_mut().enumerate() {
             changed |= run.update_manifest()?;
@@ -148,9 +162,26 @@ impl LivePage {
                 content
             })
             .collect();
-        for (Unread { run, number, folder, stamp }, content) in unread.into_iter().zip(contents) {
+        for (
+            Unread {
+                run,
+                number,
+                folder,
+                stamp,
+            },
+            content,
+        ) in unread.into_iter().zip(contents)
+        {
             if let Some(run) = self.runs.get_mut(run) {
-                run.known.insert(number, Known { folder, stamp, serial: self.next, content });
+                run.known.insert(
+                    number,
+                    Known {
+                        folder,
+                        stamp,
+                        serial: self.next,
+                        content,
+                    },
+                );
                 self.next += 1;
             }
         }
@@ -161,9 +192,16 @@ impl LivePage {
     fn renew(&mut self) -> Result<(), ReportError> {
         self.changes += 1;
         let runs: Vec<RunSimulations> = self.runs.iter().map(LiveRun::simulations).collect();
-        let readable = || self.runs.iter().flat_map(|run| run.known.values()).filter(|known| known.content.is_ok());
-        let parts: Vec<SimulationParts> =
-            readable().filter_map(|known| known.content.as_ref().ok()).map(|(_, parts)| parts.clone()).collect();
+        let readable = || {
+            self.runs
+                .iter()
+                .flat_map(|run| run.known.values())
+                .filter(|known| known.content.is_ok())
+        };
+        let parts: Vec<SimulationParts> = readable()
+            .filter_map(|known| known.content.as_ref().ok())
+            .map(|(_, parts)| parts.clone())
+            .collect();
         let mut index = Index::of(&runs, &parts, |_| true);
         let mut with_replay = BTreeMap::new();
         for (entry, known) in index.simulations.iter_mut().zip(readable()) {
@@ -180,9 +218,14 @@ impl LivePage {
             version: &version,
             index: &index,
             statistics: index::statistics(&parts),
-            unreadable: errors.filter_map(|known| Some(known.content.as_ref().err()?.as_str())).collect(),
+            unreadable: errors
+                .filter_map(|known| Some(known.content.as_ref().err()?.as_str()))
+                .collect(),
         };
-        let place = self.runs.first().map_or(Path::new(MANIFEST), |run| &run.path);
+        let place = self
+            .runs
+            .first()
+            .map_or(Path::new(MANIFEST), |run| &run.path);
         let packed = packed_json(place, &live)?;
         self.state = Arc::new(LiveState {
             version,
@@ -211,20 +254,26 @@ impl LiveState {
         (self.simulations, self.planned)
     }
 
-    /// A part of a replay as gzip of JSON: `simulation-N`, `map-N` or `images-N`, with the numbers of the index. None if there
-    /// is no such part.
+    /// A part of a replay as gzip of JSON: `simulation-N`, `map-N` or `images-N`, with the numbers
+    /// of the index. None if there is no such part.
     ///
     /// # Errors
     /// When its files cannot be read.
     pub fn part(&self, name: &str) -> Result<Option<Vec<u8>>, ReportError> {
-        let Some((part, number)) = name.split_once('-') else { return Ok(None) };
+        let Some((part, number)) = name.split_once('-') else {
+            return Ok(None);
+        };
         let part = match part {
             "simulation" => ReplayPart::Simulation,
             "map" => ReplayPart::Map,
             "images" => ReplayPart::Images,
             _ => return Ok(None),
         };
-        let Some(folder) = number.parse().ok().and_then(|serial: usize| self.folders.get(&serial)) else {
+        let Some(folder) = number
+            .parse()
+            .ok()
+            .and_then(|serial: usize| self.folders.get(&serial))
+        else {
             return Ok(None);
         };
         part.read(folder)
@@ -235,7 +284,13 @@ impl LiveRun {
     fn open(path: &Path, name: String) -> Result<Self, ReportError> {
         let manifest_stamp = stamp(&path.join(MANIFEST));
         let manifest = RunFolder::manifest(path)?;
-        Ok(Self { path: path.to_owned(), name, manifest, manifest_stamp, known: BTreeMap::new() })
+        Ok(Self {
+            path: path.to_owned(),
+            name,
+            manifest,
+            manifest_stamp,
+            known: BTreeMap::new(),
+        })
     }
 
     /// Reads the manifest if it has changed: another run may take the place of this one.
@@ -249,17 +304,31 @@ impl LiveRun {
         Ok(true)
     }
 
-    /// Forgets simulations whose folders are gone, and lists those that are not known as they are now. Returns whether some are
-    /// gone.
+    /// Forgets simulations whose folders are gone, and lists those that are not known as they are
+    /// now. Returns whether some are gone.
     fn list(&mut self, place: usize, unread: &mut Vec<Unread>) -> Result<bool, ReportError> {
         // A run that has just started has no such folder yet.
-        let found = if self.path.join(SIMULATIONS).is_dir() { folders(&self.path)? } else { BTreeMap::new() };
+        let found = if self.path.join(SIMULATIONS).is_dir() {
+            folders(&self.path)?
+        } else {
+            BTreeMap::new()
+        };
         let before = self.known.len();
-        self.known.retain(|number, known| found.get(number) == Some(&known.folder));
+        self.known
+            .retain(|number, known| found.get(number) == Some(&known.folder));
         for (number, folder) in found {
             let now = [RECORD, METRICS, REPLAY].map(|name| stamp(&folder.join(name)));
-            if self.known.get(&number).is_none_or(|known| known.stamp != now) {
-                unread.push(Unread { run: place, number, folder, stamp: now });
+            if self
+                .known
+                .get(&number)
+                .is_none_or(|known| known.stamp != now)
+            {
+                unread.push(Unread {
+                    run: place,
+                    number,
+                    folder,
+                    stamp: now,
+                });
             }
         }
         Ok(self.known.len() < before)
@@ -267,13 +336,18 @@ impl LiveRun {
 
     /// The run with the simulations that could be read.
     fn simulations(&self) -> RunSimulations {
-        let readable =
-            || self.known.iter().filter_map(|(number, known)| Some((number, known, known.content.as_ref().ok()?)));
+        let readable = || {
+            self.known
+                .iter()
+                .filter_map(|(number, known)| Some((number, known, known.content.as_ref().ok()?)))
+        };
         RunSimulations {
             name: self.name.clone(),
             manifest: self.manifest.clone(),
             rows: readable().map(|(_, _, (row, _))| row.clone()).collect(),
-            folders: readable().map(|(number, known, _)| (*number, known.folder.clone())).collect(),
+            folders: readable()
+                .map(|(number, known, _)| (*number, known.folder.clone()))
+                .collect(),
         }
     }
 }
@@ -284,7 +358,10 @@ fn read(number: usize, folder: &Path) -> Result<(SimulationRow, SimulationParts)
     let row: SimulationRow = read_toml(&path)?;
     if row.number != number {
         let (found, expected) = (row.identity(), format!("simulation {number}"));
-        return Err(ReportError::at(&path)(ReportFault::WrongRecord { found, expected }));
+        return Err(ReportError::at(&path)(ReportFault::WrongRecord {
+            found,
+            expected,
+        }));
     }
     let parts = SimulationParts::read(folder, &row, false)?;
     Ok((row, parts))

@@ -1,7 +1,7 @@
 //! The page of runs: one HTML file with nuBoard's three views, Overview, Histograms and Scenarios.
 //!
-//! The page opens from the disk and makes no network request. It holds tables and replays as compressed JSON, which the scripts
-//! in `assets/` draw.
+//! The page opens from the disk and makes no network request. It holds tables and replays as
+//! compressed JSON, which the scripts in `assets/` draw.
 
 mod assets;
 mod comparison;
@@ -27,7 +27,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 pub use super::layout::PAGE;
 pub use live::{LivePage, LiveState};
 
-/// Default maximum size of a page, bytes: a browser opens it at once, and most mail servers accept it.
+/// Default maximum size of a page, bytes: a browser opens it at once, and most mail servers accept
+/// it.
 pub const DEFAULT_MAX_BYTES: usize = 15_000_000;
 /// Bytes that the element numbers of one simulation add to the packed index.
 const NUMBERS_BYTES: usize = 8;
@@ -35,15 +36,20 @@ const NUMBERS_BYTES: usize = 8;
 /// Settings of a page.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PageSettings {
-    /// Maximum size, bytes. Scenarios whose replays do not fit have no replay, and the page says so.
+    /// Maximum size, bytes. Scenarios whose replays do not fit have no replay, and the page says
+    /// so.
     pub max_bytes: usize,
-    /// Only replays of scenarios with this in their name; tables and histograms include all simulations.
+    /// Only replays of scenarios with this in their name; tables and histograms include all
+    /// simulations.
     pub scenario: Option<String>,
 }
 
 impl Default for PageSettings {
     fn default() -> Self {
-        Self { max_bytes: DEFAULT_MAX_BYTES, scenario: None }
+        Self {
+            max_bytes: DEFAULT_MAX_BYTES,
+            scenario: None,
+        }
     }
 }
 
@@ -63,7 +69,8 @@ pub struct PageContents {
     pub damaged: Vec<PathBuf>,
 }
 
-/// Writes a page of one or more runs to `out`. Calls `on_simulation(done, all)` after it has read a simulation.
+/// Writes a page of one or more runs to `out`. Calls `on_simulation(done, all)` after it has read a
+/// simulation.
 pub fn write(
     folders: &[PathBuf],
     out: &Path,
@@ -71,23 +78,39 @@ pub fn write(
     on_simulation: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<PageContents, ReportError> {
     let (runs, damaged) = RunSimulations::read_all(folders)?;
-    let wanted = |scenario: &str| settings.scenario.as_ref().is_none_or(|part| scenario.contains(part.as_str()));
-    let scenarios = || runs.iter().flat_map(|run| &run.rows).map(|row| row.scenario.as_str());
+    let wanted = |scenario: &str| {
+        settings
+            .scenario
+            .as_ref()
+            .is_none_or(|part| scenario.contains(part.as_str()))
+    };
+    let scenarios = || {
+        runs.iter()
+            .flat_map(|run| &run.rows)
+            .map(|row| row.scenario.as_str())
+    };
     if let Some(part) = &settings.scenario
         && !scenarios().any(wanted)
     {
         let place = folders.first().map_or(out, PathBuf::as_path);
         let known: BTreeSet<&str> = scenarios().collect();
         let known = known.into_iter().map(str::to_owned).collect();
-        return Err(ReportError::at(place)(ReportFault::NoScenario { part: part.clone(), known }));
+        return Err(ReportError::at(place)(ReportFault::NoScenario {
+            part: part.clone(),
+            known,
+        }));
     }
     let done = AtomicUsize::new(0);
-    let simulations: Vec<_> = runs.iter().flat_map(|run| run.rows.iter().map(move |row| (run, row))).collect();
+    let simulations: Vec<_> = runs
+        .iter()
+        .flat_map(|run| run.rows.iter().map(move |row| (run, row)))
+        .collect();
     let all = simulations.len();
     let parts: Vec<SimulationParts> = simulations
         .par_iter()
         .map(|(run, row)| {
-            let parts = SimulationParts::read(&run.folders[&row.number], row, wanted(&row.scenario))?;
+            let parts =
+                SimulationParts::read(&run.folders[&row.number], row, wanted(&row.scenario))?;
             on_simulation(done.fetch_add(1, Ordering::Relaxed) + 1, all);
             Ok(parts)
         })
@@ -97,7 +120,11 @@ pub fn write(
     let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
     let page = assets::page(&format!("PlanAgent: {}", names.join(", ")), &data);
     atomic::write(out, page.as_bytes())?;
-    let without_replay = index.simulations.iter().filter(|simulation| simulation.absent == Some(Absent::Run)).count();
+    let without_replay = index
+        .simulations
+        .iter()
+        .filter(|simulation| simulation.absent == Some(Absent::Run))
+        .count();
     Ok(PageContents {
         page: out.to_owned(),
         bytes: page.len(),
@@ -109,15 +136,32 @@ pub fn write(
 }
 
 /// The data elements of the page; sets the element numbers in the index.
-fn data(out: &Path, index: &mut Index, parts: &[SimulationParts], max_bytes: usize) -> Result<String, ReportError> {
-    let statistics = element("statistics", &text_of(&packed_json(out, &index::statistics(parts))?));
+fn data(
+    out: &Path,
+    index: &mut Index,
+    parts: &[SimulationParts],
+    max_bytes: usize,
+) -> Result<String, ReportError> {
+    let statistics = element(
+        "statistics",
+        &text_of(&packed_json(out, &index::statistics(parts))?),
+    );
     let numberless = text_of(&packed_json(out, index)?);
     let taken = assets::size() + statistics.len() + numberless.len() + NUMBERS_BYTES * parts.len();
-    let mut elements = Elements { text: statistics, left: max_bytes.saturating_sub(taken) };
+    let mut elements = Elements {
+        text: statistics,
+        left: max_bytes.saturating_sub(taken),
+    };
     add_replays(index, parts, &mut elements);
     add_images(index, parts, &mut elements);
-    index.replays = index.simulations.iter().filter(|simulation| simulation.replay.is_some()).count();
-    elements.text.push_str(&element("index", &text_of(&packed_json(out, index)?)));
+    index.replays = index
+        .simulations
+        .iter()
+        .filter(|simulation| simulation.replay.is_some())
+        .count();
+    elements
+        .text
+        .push_str(&element("index", &text_of(&packed_json(out, index)?)));
     Ok(elements.text)
 }
 
@@ -144,14 +188,19 @@ fn add_replays(index: &mut Index, parts: &[SimulationParts], elements: &mut Elem
     let mut first: BTreeMap<&str, usize> = BTreeMap::new();
     let mut scenarios: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (i, simulation) in index.simulations.iter().enumerate() {
-        scenarios.entry(*first.entry(&simulation.summary.id).or_insert(i)).or_default().push(i);
+        scenarios
+            .entry(*first.entry(&simulation.summary.id).or_insert(i))
+            .or_default()
+            .push(i);
     }
     let mut maps: BTreeMap<&str, usize> = BTreeMap::new();
     for simulations in scenarios.into_values() {
         let (mut added, mut known) = (String::new(), maps.clone());
         let mut places = Vec::new();
         for i in simulations.iter().copied() {
-            let Some(replay) = &parts[i].replay else { continue };
+            let Some(replay) = &parts[i].replay else {
+                continue;
+            };
             let next = known.len();
             let map = *known.entry(&replay.map).or_insert(next);
             if map == next {
@@ -177,7 +226,10 @@ fn add_replays(index: &mut Index, parts: &[SimulationParts], elements: &mut Elem
 /// Adds the model's images to the replays of the page.
 fn add_images(index: &mut Index, parts: &[SimulationParts], elements: &mut Elements) {
     for (i, (simulation, part)) in index.simulations.iter_mut().zip(parts).enumerate() {
-        let images = part.replay.as_ref().and_then(|replay| replay.images.as_ref());
+        let images = part
+            .replay
+            .as_ref()
+            .and_then(|replay| replay.images.as_ref());
         if let Some(images) = images.filter(|_| simulation.replay.is_some())
             && elements.add(&element(&format!("images-{i}"), images))
         {

@@ -1,4 +1,5 @@
-//! The parts of one simulation: statistics for the histograms and, packed, the replay with calls and time series.
+//! The parts of one simulation: statistics for the histograms and, packed, the replay with calls
+//! and time series.
 
 use super::{packed_json, text_of};
 use crate::report::call_record::{CallRecord, calls_in};
@@ -72,9 +73,17 @@ struct Series<'a> {
 
 impl SimulationParts {
     /// Reads the folder of a simulation, with its replay if `wants_replay`.
-    pub(super) fn read(folder: &Path, row: &SimulationRow, wants_replay: bool) -> Result<Self, ReportError> {
+    pub(super) fn read(
+        folder: &Path,
+        row: &SimulationRow,
+        wants_replay: bool,
+    ) -> Result<Self, ReportError> {
         if row.error.is_some() {
-            return Ok(Self { statistics: Vec::new(), replay: None, sketch: None });
+            return Ok(Self {
+                statistics: Vec::new(),
+                replay: None,
+                sketch: None,
+            });
         }
         let metrics = simulation_folder::metrics(folder)?;
         let replay = Replay::read(folder)?;
@@ -85,34 +94,62 @@ impl SimulationParts {
         };
         let of_metric = |metric: MetricResult| {
             let (name, category) = (metric.name, metric.category.as_str());
-            metric.statistics.into_iter().map(move |statistic| (name.clone(), category, statistic))
+            metric
+                .statistics
+                .into_iter()
+                .map(move |statistic| (name.clone(), category, statistic))
         };
-        Ok(Self { statistics: metrics.into_iter().flat_map(of_metric).collect(), replay, sketch })
+        Ok(Self {
+            statistics: metrics.into_iter().flat_map(of_metric).collect(),
+            replay,
+            sketch,
+        })
     }
 }
 
 impl ReplayPart {
-    /// The part of the replay in the folder of a simulation, as gzip of JSON; none if the run has no replay.
+    /// The part of the replay in the folder of a simulation, as gzip of JSON; none if the run has
+    /// no replay.
     pub(super) fn read(self, folder: &Path) -> Result<Option<Vec<u8>>, ReportError> {
         if self == Self::Images {
             return packed_json(folder, &images(folder, &calls_in(folder)?)?).map(Some);
         }
-        let Some(mut replay) = Replay::read(folder)? else { return Ok(None) };
+        let Some(mut replay) = Replay::read(folder)? else {
+            return Ok(None);
+        };
         let map = replay.take_map();
         if self == Self::Map {
             return packed_json(folder, &map).map(Some);
         }
-        simulation(folder, &replay, &calls_in(folder)?, &simulation_folder::metrics(folder)?).map(Some)
+        simulation(
+            folder,
+            &replay,
+            &calls_in(folder)?,
+            &simulation_folder::metrics(folder)?,
+        )
+        .map(Some)
     }
 }
 
-fn packed(folder: &Path, mut replay: Replay, metrics: &[MetricResult]) -> Result<PackedReplay, ReportError> {
+fn packed(
+    folder: &Path,
+    mut replay: Replay,
+    metrics: &[MetricResult],
+) -> Result<PackedReplay, ReportError> {
     let map = text_of(&packed_json(folder, &replay.take_map())?);
     let calls = calls_in(folder)?;
     let images = images(folder, &calls)?;
     let simulation = text_of(&simulation(folder, &replay, &calls, metrics)?);
-    let images = if images.is_empty() { None } else { Some(text_of(&packed_json(folder, &images)?)) };
-    Ok(PackedReplay { simulation, map, images })
+    let images = if images.is_empty() {
+        None
+    } else {
+        Some(text_of(&packed_json(folder, &images)?))
+    };
+    Ok(PackedReplay {
+        simulation,
+        map,
+        images,
+    })
 }
 
 /// [`ReplayPart::Simulation`] of a replay without its map.
@@ -124,17 +161,30 @@ fn simulation(
 ) -> Result<Vec<u8>, ReportError> {
     let series = metrics.iter().filter_map(Series::of).collect();
     let key = CompactParts::seen_in(calls).tables();
-    packed_json(folder, &SimulationReplay { replay, calls, series, key })
+    packed_json(
+        folder,
+        &SimulationReplay {
+            replay,
+            calls,
+            series,
+            key,
+        },
+    )
 }
 
 impl<'a> Series<'a> {
     fn of(metric: &'a MetricResult) -> Option<Self> {
         let series = metric.time_series.as_ref()?;
-        let (low, high) = planagent_score::metrics::metric(&metric.name).map_or((None, None), |spec| spec.bounds);
+        let (low, high) =
+            planagent_score::metrics::metric(&metric.name).map_or((None, None), |spec| spec.bounds);
         Some(Self {
             metric: &metric.name,
             unit: &series.unit,
-            values: series.values.iter().map(|&value| four_digits(value)).collect(),
+            values: series
+                .values
+                .iter()
+                .map(|&value| four_digits(value))
+                .collect(),
             frames: series.selected_frames.as_deref(),
             low,
             high,
@@ -144,7 +194,11 @@ impl<'a> Series<'a> {
 
 /// A number with four digits, more than a chart shows; none if it is not finite.
 pub(super) fn four_digits(value: f64) -> Option<f64> {
-    if value.is_finite() { format!("{value:.3e}").parse().ok() } else { None }
+    if value.is_finite() {
+        format!("{value:.3e}").parse().ok()
+    } else {
+        None
+    }
 }
 
 /// The images of the calls as base64, by iteration.

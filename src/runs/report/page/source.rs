@@ -23,12 +23,19 @@ impl RunSimulations {
     /// Reads the folders of runs; gives the folders of damaged simulations beside them.
     pub(super) fn read_all(paths: &[PathBuf]) -> Result<(Vec<Self>, Vec<PathBuf>), ReportError> {
         let mut all_damaged = Vec::new();
-        let runs = paths.iter().zip(names(paths)?).map(|(path, name)| Self::read(path, name, &mut all_damaged));
+        let runs = paths
+            .iter()
+            .zip(names(paths)?)
+            .map(|(path, name)| Self::read(path, name, &mut all_damaged));
         let runs = runs.collect::<Result<_, _>>()?;
         Ok((runs, all_damaged))
     }
 
-    fn read(path: &Path, name: String, all_damaged: &mut Vec<PathBuf>) -> Result<Self, ReportError> {
+    fn read(
+        path: &Path,
+        name: String,
+        all_damaged: &mut Vec<PathBuf>,
+    ) -> Result<Self, ReportError> {
         let manifest = RunFolder::manifest(path)?;
         let CompletedSimulations { mut rows, damaged } = RunFolder::read_completed(path)?;
         all_damaged.extend(damaged);
@@ -38,13 +45,20 @@ impl RunSimulations {
         if rows.is_empty() {
             return Err(ReportError::at(path)(ReportFault::NoSimulations));
         }
-        Ok(Self { name, manifest, rows, folders })
+        Ok(Self {
+            name,
+            manifest,
+            rows,
+            folders,
+        })
     }
 
     /// A number of the configuration, by its dotted key.
     pub(super) fn setting(&self, key: &str) -> Option<f64> {
         let value = self.value(key)?;
-        value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64))
+        value
+            .as_float()
+            .or_else(|| value.as_integer().map(|whole| whole as f64))
     }
 
     /// A word of the configuration, by its dotted key.
@@ -54,14 +68,19 @@ impl RunSimulations {
 
     /// Whether a switch of the configuration is on, by its dotted key.
     pub(super) fn is_on(&self, key: &str) -> bool {
-        self.value(key).and_then(toml::Value::as_bool).unwrap_or(false)
+        self.value(key)
+            .and_then(toml::Value::as_bool)
+            .unwrap_or(false)
     }
 
     fn value(&self, key: &str) -> Option<&toml::Value> {
         let (table, name) = match key.rsplit_once('.') {
-            Some((above, name)) => {
-                (above.split('.').try_fold(&self.manifest.config, |t, part| t.get(part)?.as_table())?, name)
-            }
+            Some((above, name)) => (
+                above
+                    .split('.')
+                    .try_fold(&self.manifest.config, |t, part| t.get(part)?.as_table())?,
+                name,
+            ),
             None => (&self.manifest.config, key),
         };
         table.get(name)
@@ -77,8 +96,12 @@ impl RunSimulations {
 pub(super) fn names(paths: &[PathBuf]) -> Result<Vec<String>, ReportError> {
     let absolute = |path: &PathBuf| std::path::absolute(path).map_err(ReportError::read(path));
     let paths: Vec<PathBuf> = paths.iter().map(absolute).collect::<Result<_, _>>()?;
-    let own =
-        |path: &Path| path.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
+    let own = |path: &Path| {
+        path.file_name().map_or_else(
+            || "run".to_owned(),
+            |name| name.to_string_lossy().into_owned(),
+        )
+    };
     let names: Vec<String> = paths.iter().map(|path| own(path)).collect();
     let name = |path: &PathBuf| {
         let name = own(path);

@@ -4,32 +4,54 @@ use super::table::{Column, Columns, TableWriter};
 use crate::report::{ReportError, SimulationRow, Spread};
 use std::path::Path;
 
-/// Writes the table with the columns of the devkit's `save_runner_reports`. Times are in seconds, `start_time` and `end_time`
-/// since 1970.
-pub(in crate::report) fn write_runner_report(path: &Path, rows: &[&SimulationRow]) -> Result<(), ReportError> {
+/// Writes the table with the columns of the devkit's `save_runner_reports`. Times are in seconds,
+/// `start_time` and `end_time` since 1970.
+pub(in crate::report) fn write_runner_report(
+    path: &Path,
+    rows: &[&SimulationRow],
+) -> Result<(), ReportError> {
     TableWriter::begin(path, columns(rows))?.finish()
 }
 
 fn columns(rows: &[&SimulationRow]) -> Columns {
     let text = |of: fn(&SimulationRow) -> &str| Column::text(rows.iter().map(|row| of(row)));
-    let float = |of: fn(&SimulationRow) -> Option<f64>| Column::Float(rows.iter().map(|row| of(row)).collect());
+    let float = |of: fn(&SimulationRow) -> Option<f64>| {
+        Column::Float(rows.iter().map(|row| of(row)).collect())
+    };
     let all = [
-        ("succeeded", Column::Boolean(rows.iter().map(|row| Some(row.error.is_none())).collect())),
-        ("error_message", Column::Text(rows.iter().map(|row| row.error.clone()).collect())),
+        (
+            "succeeded",
+            Column::Boolean(rows.iter().map(|row| Some(row.error.is_none())).collect()),
+        ),
+        (
+            "error_message",
+            Column::Text(rows.iter().map(|row| row.error.clone()).collect()),
+        ),
         ("start_time", float(|row| Some(row.time.started_s))),
         ("end_time", float(|row| Some(row.time.ended_s))),
         ("scenario_name", text(|row| &row.scenario)),
         ("planner_name", text(|row| &row.planner)),
         ("log_name", text(|row| &row.log_name)),
-        ("compute_trajectory_runtimes_mean", float(|row| mean(&row.time.planner_s))),
+        (
+            "compute_trajectory_runtimes_mean",
+            float(|row| mean(&row.time.planner_s)),
+        ),
         (
             "compute_trajectory_runtimes_median",
             float(|row| Spread::of(row.time.planner_s.clone()).map(|spread| spread.median)),
         ),
-        ("compute_trajectory_runtimes_std", float(|row| deviation(&row.time.planner_s))),
-        ("duration", float(|row| Some(row.time.ended_s - row.time.started_s))),
+        (
+            "compute_trajectory_runtimes_std",
+            float(|row| deviation(&row.time.planner_s)),
+        ),
+        (
+            "duration",
+            float(|row| Some(row.time.ended_s - row.time.started_s)),
+        ),
     ];
-    all.into_iter().map(|(name, column)| (name.to_owned(), column)).collect()
+    all.into_iter()
+        .map(|(name, column)| (name.to_owned(), column))
+        .collect()
 }
 
 fn mean(values: &[f64]) -> Option<f64> {
@@ -39,7 +61,14 @@ fn mean(values: &[f64]) -> Option<f64> {
 /// The standard deviation of the population, as in numpy.
 fn deviation(values: &[f64]) -> Option<f64> {
     let mean = mean(values)?;
-    Some((values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt())
+    Some(
+        (values
+            .iter()
+            .map(|value| (value - mean).powi(2))
+            .sum::<f64>()
+            / values.len() as f64)
+            .sqrt(),
+    )
 }
 
 #[cfg(test)]

@@ -4,8 +4,8 @@ use crate::report::ReportError;
 use crate::report::atomic;
 use arrow_array::types::{Float64Type, Int64Type};
 use arrow_array::{
-    ArrayRef, ArrowPrimitiveType, BooleanArray, Float64Array, Int64Array, ListArray, NullArray, RecordBatch,
-    StringArray,
+    ArrayRef, ArrowPrimitiveType, BooleanArray, Float64Array, Int64Array, ListArray, NullArray,
+    RecordBatch, StringArray,
 };
 use arrow_schema::{Field, Schema};
 use parquet::arrow::ArrowWriter;
@@ -25,7 +25,8 @@ pub(super) enum Column {
     Boolean(Vec<Option<bool>>),
     Floats(Vec<Option<Vec<f64>>>),
     Integers(Vec<Option<Vec<i64>>>),
-    /// So many nulls, as pandas writes a column of `None`. It reads other nulls as NaN, which nuBoard takes for scores.
+    /// So many nulls, as pandas writes a column of `None`. It reads other nulls as NaN, which
+    /// nuBoard takes for scores.
     Nulls(usize),
 }
 
@@ -37,7 +38,11 @@ impl Column {
 
     /// A column of numbers, or of nulls if it has no number.
     pub(super) fn numbers(values: Vec<Option<f64>>) -> Self {
-        if values.iter().all(Option::is_none) { Self::Nulls(values.len()) } else { Self::Float(values) }
+        if values.iter().all(Option::is_none) {
+            Self::Nulls(values.len())
+        } else {
+            Self::Float(values)
+        }
     }
 
     fn array(self) -> ArrayRef {
@@ -54,15 +59,17 @@ impl Column {
 }
 
 fn lists<T: ArrowPrimitiveType>(values: Vec<Option<Vec<T::Native>>>) -> ArrayRef {
-    let rows = values.into_iter().map(|list| list.map(|list| list.into_iter().map(Some)));
+    let rows = values
+        .into_iter()
+        .map(|list| list.map(|list| list.into_iter().map(Some)));
     Arc::new(ListArray::from_iter_primitive::<T, _, _>(rows))
 }
 
 /// Columns of the same length, in their order.
 pub(super) type Columns = Vec<(String, Column)>;
 
-/// A Parquet file that grows batch by batch; it gets its name when it is complete. The columns of the first batch are
-/// those of the file.
+/// A Parquet file that grows batch by batch; it gets its name when it is complete. The columns of
+/// the first batch are those of the file.
 pub(super) struct TableWriter {
     path: PathBuf,
     schema: Arc<Schema>,
@@ -74,15 +81,22 @@ impl TableWriter {
     pub(super) fn begin(path: &Path, first: Columns) -> Result<Self, ReportError> {
         let (names, arrays): (Vec<String>, Vec<ArrayRef>) = arrays(first).unzip();
         let fields = names.into_iter().zip(&arrays);
-        let fields: Vec<Field> =
-            fields.map(|(name, array)| Field::new(name, array.data_type().clone(), true)).collect();
+        let fields: Vec<Field> = fields
+            .map(|(name, array)| Field::new(name, array.data_type().clone(), true))
+            .collect();
         let schema = Arc::new(Schema::new(fields));
         let temporary = atomic::unfinished(path);
         let file = File::create(&temporary).map_err(ReportError::write(&temporary))?;
-        let properties = WriterProperties::builder().set_compression(Compression::SNAPPY).build();
-        let writer =
-            ArrowWriter::try_new(file, Arc::clone(&schema), Some(properties)).map_err(ReportError::at(path))?;
-        let mut table = Self { path: path.to_owned(), schema, writer };
+        let properties = WriterProperties::builder()
+            .set_compression(Compression::SNAPPY)
+            .build();
+        let writer = ArrowWriter::try_new(file, Arc::clone(&schema), Some(properties))
+            .map_err(ReportError::at(path))?;
+        let mut table = Self {
+            path: path.to_owned(),
+            schema,
+            writer,
+        };
         table.write(arrays)?;
         Ok(table)
     }
@@ -92,7 +106,8 @@ impl TableWriter {
     }
 
     fn write(&mut self, arrays: Vec<ArrayRef>) -> Result<(), ReportError> {
-        let batch = RecordBatch::try_new(Arc::clone(&self.schema), arrays).map_err(ParquetError::from);
+        let batch =
+            RecordBatch::try_new(Arc::clone(&self.schema), arrays).map_err(ParquetError::from);
         let written = batch.and_then(|batch| {
             self.writer.write(&batch)?;
             self.writer.flush()
@@ -102,10 +117,13 @@ impl TableWriter {
 
     pub(super) fn finish(self) -> Result<(), ReportError> {
         self.writer.close().map_err(ReportError::at(&self.path))?;
-        fs::rename(atomic::unfinished(&self.path), &self.path).map_err(ReportError::write(&self.path))
+        fs::rename(atomic::unfinished(&self.path), &self.path)
+            .map_err(ReportError::write(&self.path))
     }
 }
 
 fn arrays(columns: Columns) -> impl Iterator<Item = (String, ArrayRef)> {
-    columns.into_iter().map(|(name, column)| (name, column.array()))
+    columns
+        .into_iter()
+        .map(|(name, column)| (name, column.array()))
 }

@@ -4,8 +4,8 @@ use super::colors::Rgb;
 use super::lettering::Lettering;
 use image::RgbImage;
 use tiny_skia::{
-    Color, FillRule, FilterQuality, LineCap, LineJoin, Paint, Path, PathBuilder, Pattern, Pixmap, Rect, SpreadMode,
-    Stroke, StrokeDash, Transform,
+    Color, FillRule, FilterQuality, LineCap, LineJoin, Paint, Path, PathBuilder, Pattern, Pixmap,
+    Rect, SpreadMode, Stroke, StrokeDash, Transform,
 };
 
 /// Right of and below the top left corner, pixels.
@@ -26,12 +26,20 @@ pub(super) struct Pen {
 impl Pen {
     /// A solid opaque stroke; the width in pixels.
     pub(super) fn solid(color: Rgb, width: f32) -> Self {
-        Self { color, width, dash: None, opacity: 1.0 }
+        Self {
+            color,
+            width,
+            dash: None,
+            opacity: 1.0,
+        }
     }
 
     /// A dashed one; lengths in pixels.
     pub(super) fn dashed(color: Rgb, width: f32, dash: [f32; 2]) -> Self {
-        Self { dash: Some(dash), ..Self::solid(color, width) }
+        Self {
+            dash: Some(dash),
+            ..Self::solid(color, width)
+        }
     }
 }
 
@@ -50,26 +58,48 @@ impl Canvas {
         if let Some(pixmap) = &mut pixmap {
             pixmap.fill(opaque(ground));
         }
-        Self { pixmap, size, ground }
+        Self {
+            pixmap,
+            size,
+            ground,
+        }
     }
 
     /// Fills rings by the even-odd rule.
     pub(super) fn rings(&mut self, rings: &[Vec<Pixel>], fill: Rgb) {
-        self.fill(outline(rings.iter().map(Vec::as_slice), true), FillRule::EvenOdd, &paint(fill, 1.0));
+        self.fill(
+            outline(rings.iter().map(Vec::as_slice), true),
+            FillRule::EvenOdd,
+            &paint(fill, 1.0),
+        );
     }
 
     /// Fills the union of polygons, so that no seam shows between neighbors.
     pub(super) fn areas(&mut self, polygons: &[Vec<Pixel>], fill: Rgb) {
-        let oriented: Vec<Vec<Pixel>> = polygons.iter().map(|ring| counterclockwise(ring)).collect();
-        self.fill(outline(oriented.iter().map(Vec::as_slice), true), FillRule::Winding, &paint(fill, 1.0));
+        let oriented: Vec<Vec<Pixel>> =
+            polygons.iter().map(|ring| counterclockwise(ring)).collect();
+        self.fill(
+            outline(oriented.iter().map(Vec::as_slice), true),
+            FillRule::Winding,
+            &paint(fill, 1.0),
+        );
     }
 
     /// Fills a polygon with stripes: `period` in pixels, at an angle in radians.
-    pub(super) fn stripes(&mut self, ring: &[Pixel], fill: Rgb, period: f32, angle: f32, origin: Pixel) {
+    pub(super) fn stripes(
+        &mut self,
+        ring: &[Pixel],
+        fill: Rgb,
+        period: f32,
+        angle: f32,
+        origin: Pixel,
+    ) {
         const TILE: u32 = 16;
         const FILLED: f32 = 9.0;
-        let (Some(mut tile), Some(bar)) = (Pixmap::new(TILE, TILE), Rect::from_xywh(0.0, 0.0, TILE as f32, FILLED))
-        else {
+        let (Some(mut tile), Some(bar)) = (
+            Pixmap::new(TILE, TILE),
+            Rect::from_xywh(0.0, 0.0, TILE as f32, FILLED),
+        ) else {
             return;
         };
         tile.fill_rect(bar, &paint(fill, 1.0), Transform::identity(), None);
@@ -77,25 +107,55 @@ impl Canvas {
         let place = Transform::from_translate(origin.0, origin.1)
             .pre_concat(Transform::from_rotate(angle.to_degrees()))
             .pre_scale(scale, scale);
-        let shader = Pattern::new(tile.as_ref(), SpreadMode::Repeat, FilterQuality::Bilinear, 1.0, place);
-        let striped = Paint { shader, anti_alias: true, ..Paint::default() };
-        self.fill(outline([ring].into_iter(), true), FillRule::Winding, &striped);
+        let shader = Pattern::new(
+            tile.as_ref(),
+            SpreadMode::Repeat,
+            FilterQuality::Bilinear,
+            1.0,
+            place,
+        );
+        let striped = Paint {
+            shader,
+            anti_alias: true,
+            ..Paint::default()
+        };
+        self.fill(
+            outline([ring].into_iter(), true),
+            FillRule::Winding,
+            &striped,
+        );
     }
 
     /// Fills a circle.
     pub(super) fn disc(&mut self, (x, y): Pixel, radius: f32, fill: Rgb) {
-        self.fill(PathBuilder::from_circle(x, y, radius), FillRule::Winding, &paint(fill, 1.0));
+        self.fill(
+            PathBuilder::from_circle(x, y, radius),
+            FillRule::Winding,
+            &paint(fill, 1.0),
+        );
     }
 
-    /// Fills a rectangle of a width and a height around a center, turned by an angle; with an opacity.
-    pub(super) fn rectangle(&mut self, (x, y): Pixel, (width, height): Pixel, angle: f32, fill: Rgb, opacity: f32) {
+    /// Fills a rectangle of a width and a height around a center, turned by an angle; with an
+    /// opacity.
+    pub(super) fn rectangle(
+        &mut self,
+        (x, y): Pixel,
+        (width, height): Pixel,
+        angle: f32,
+        fill: Rgb,
+        opacity: f32,
+    ) {
         let (sin, cos) = angle.sin_cos();
         let corner = |(right, down): Pixel| {
             let (right, down) = (right * width / 2.0, down * height / 2.0);
             (x + cos * right - sin * down, y + sin * right + cos * down)
         };
         let ring = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(corner);
-        self.fill(outline([&ring[..]].into_iter(), true), FillRule::Winding, &paint(fill, opacity));
+        self.fill(
+            outline([&ring[..]].into_iter(), true),
+            FillRule::Winding,
+            &paint(fill, opacity),
+        );
     }
 
     /// Draws lines.
@@ -104,11 +164,19 @@ impl Canvas {
             width: pen.width,
             line_cap: LineCap::Butt,
             line_join: LineJoin::Round,
-            dash: pen.dash.and_then(|dash| StrokeDash::new(dash.to_vec(), 0.0)),
+            dash: pen
+                .dash
+                .and_then(|dash| StrokeDash::new(dash.to_vec(), 0.0)),
             ..Stroke::default()
         };
         if let (Some(pixmap), Some(path)) = (&mut self.pixmap, outline(lines, false)) {
-            pixmap.stroke_path(&path, &paint(pen.color, pen.opacity), &stroke, Transform::identity(), None);
+            pixmap.stroke_path(
+                &path,
+                &paint(pen.color, pen.opacity),
+                &stroke,
+                Transform::identity(),
+                None,
+            );
         }
     }
 
@@ -119,14 +187,35 @@ impl Canvas {
 
     /// Writes a text whose baseline starts at a pixel.
     pub(super) fn text(&mut self, text: &str, at: Pixel, letters: Lettering, color: Rgb) {
-        self.fill(letters.outline(text, at), FillRule::Winding, &paint(color, 1.0));
+        self.fill(
+            letters.outline(text, at),
+            FillRule::Winding,
+            &paint(color, 1.0),
+        );
     }
 
     /// Writes a text with a halo, so that it is legible on the scene.
-    pub(super) fn label(&mut self, text: &str, at: Pixel, letters: Lettering, color: Rgb, halo: Rgb) {
-        let stroke = Stroke { width: letters.size / 4.0, line_join: LineJoin::Round, ..Stroke::default() };
+    pub(super) fn label(
+        &mut self,
+        text: &str,
+        at: Pixel,
+        letters: Lettering,
+        color: Rgb,
+        halo: Rgb,
+    ) {
+        let stroke = Stroke {
+            width: letters.size / 4.0,
+            line_join: LineJoin::Round,
+            ..Stroke::default()
+        };
         if let (Some(pixmap), Some(path)) = (&mut self.pixmap, letters.outline(text, at)) {
-            pixmap.stroke_path(&path, &paint(halo, 1.0), &stroke, Transform::identity(), None);
+            pixmap.stroke_path(
+                &path,
+                &paint(halo, 1.0),
+                &stroke,
+                Transform::identity(),
+                None,
+            );
         }
         self.text(text, at, letters, color);
     }
@@ -169,7 +258,11 @@ fn outline<'a>(lines: impl Iterator<Item = &'a [Pixel]>, closed: bool) -> Option
 /// A ring in one sense of rotation, so that overlaps add up under the winding rule.
 fn counterclockwise(ring: &[Pixel]) -> Vec<Pixel> {
     let next = ring.iter().cycle().skip(1);
-    let area: f32 = ring.iter().zip(next).map(|(a, b)| a.0 * b.1 - b.0 * a.1).sum();
+    let area: f32 = ring
+        .iter()
+        .zip(next)
+        .map(|(a, b)| a.0 * b.1 - b.0 * a.1)
+        .sum();
     let mut ring = ring.to_vec();
     if area < 0.0 {
         ring.reverse();
@@ -182,7 +275,10 @@ fn opaque([r, g, b]: Rgb) -> Color {
 }
 
 fn paint([r, g, b]: Rgb, opacity: f32) -> Paint<'static> {
-    let mut paint = Paint { anti_alias: true, ..Paint::default() };
+    let mut paint = Paint {
+        anti_alias: true,
+        ..Paint::default()
+    };
     paint.set_color_rgba8(r, g, b, (255.0 * opacity).round() as u8);
     paint
 }

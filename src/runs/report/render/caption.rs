@@ -22,7 +22,13 @@ impl Caption {
     }
 
     /// Draws it with its upper left corner at a pixel.
-    pub(super) fn draw(&self, canvas: &mut Canvas, (left, top): (f32, f32), letters: Lettering, width: f32) {
+    pub(super) fn draw(
+        &self,
+        canvas: &mut Canvas,
+        (left, top): (f32, f32),
+        letters: Lettering,
+        width: f32,
+    ) {
         for (i, (line, style, color)) in self.lines(letters, width).into_iter().enumerate() {
             let baseline = top + i as f32 * letters.line() + letters.size;
             canvas.text(&line, (left, baseline), style, color);
@@ -31,12 +37,21 @@ impl Caption {
 
     fn lines(&self, letters: Lettering, width: f32) -> Vec<(String, Lettering, [u8; 3])> {
         let bold = Lettering::bold(letters.size);
-        let head = [(&self.title, bold, COLORS.ink), (&self.now, letters, COLORS.ink)];
-        let plan = self.plan.iter().map(|text| (text, letters, COLORS.ink_soft));
+        let head = [
+            (&self.title, bold, COLORS.ink),
+            (&self.now, letters, COLORS.ink),
+        ];
+        let plan = self
+            .plan
+            .iter()
+            .map(|text| (text, letters, COLORS.ink_soft));
         head.into_iter()
             .chain(plan)
             .flat_map(|(text, style, color)| {
-                style.wrapped(text, width).into_iter().map(move |line| (line, style, color))
+                style
+                    .wrapped(text, width)
+                    .into_iter()
+                    .map(move |line| (line, style, color))
             })
             .collect()
     }

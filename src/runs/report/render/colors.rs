@@ -38,9 +38,34 @@ pub(super) struct Colors {
 impl Colors {
     /// All of them.
     pub(super) fn all(&self) -> [Rgb; 22] {
-        let Self { paper, panel, ink, ink_soft, line, line_strong, ground, drivable, road, route, centerline, .. } =
-            *self;
-        let Self { crosswalk, stop, ego, vehicle, bicycle, pedestrian, fixed, tried, red, amber, green, .. } = *self;
+        let Self {
+            paper,
+            panel,
+            ink,
+            ink_soft,
+            line,
+            line_strong,
+            ground,
+            drivable,
+            road,
+            route,
+            centerline,
+            ..
+        } = *self;
+        let Self {
+            crosswalk,
+            stop,
+            ego,
+            vehicle,
+            bicycle,
+            pedestrian,
+            fixed,
+            tried,
+            red,
+            amber,
+            green,
+            ..
+        } = *self;
         [
             paper,
             panel,
@@ -70,7 +95,10 @@ impl Colors {
 
 /// The colors of the light theme.
 pub(super) static COLORS: LazyLock<Colors> = LazyLock::new(|| {
-    let theme = STYLE.split('}').next().expect("a split gives one part at least");
+    let theme = STYLE
+        .split('}')
+        .next()
+        .expect("a split gives one part at least");
     let color = |name: &str| color(theme, name).expect("the style sheet has every color");
     Colors {
         paper: color("paper"),
@@ -111,7 +139,17 @@ mod tests {
 
     #[test]
     fn every_color_is_in_the_style_sheet() {
-        let Colors { paper, panel, ink, ego, fixed, ground, road, route, .. } = &*COLORS;
+        let Colors {
+            paper,
+            panel,
+            ink,
+            ego,
+            fixed,
+            ground,
+            road,
+            route,
+            ..
+        } = &*COLORS;
         assert_eq!((*panel, *paper != [0; 3]), ([255; 3], true));
         // No color of the light theme is black, so a missing one shows.
         let text = format!("{:?}", *COLORS);

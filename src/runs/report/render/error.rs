@@ -22,16 +22,24 @@ pub enum RenderError {
     #[error(
         "'{wanted}' is in the names of {} scenarios; name one of them:\n  {}", scenarios.len(), listed(scenarios)
     )]
-    SeveralScenarios { wanted: String, scenarios: Vec<String> },
+    SeveralScenarios {
+        wanted: String,
+        scenarios: Vec<String>,
+    },
     #[error("{wanted} names {} simulations; name one by its number, or add --planner and --challenge:\n  {}", simulations.len(), simulations.join("\n  "))]
-    SeveralSimulations { wanted: String, simulations: Vec<String> },
+    SeveralSimulations {
+        wanted: String,
+        simulations: Vec<String>,
+    },
     #[error("{0} has no replay: it failed, or an older version ran it")]
     NoReplay(String),
     #[error(transparent)]
     View(#[from] BevError),
     #[error("{at_s} s is outside the simulation, which lasts {end_s:.1} s")]
     Outside { at_s: f64, end_s: f64 },
-    #[error("cannot start ffmpeg, which writes MP4 files ({0}); install it, or write a GIF with --gif")]
+    #[error(
+        "cannot start ffmpeg, which writes MP4 files ({0}); install it, or write a GIF with --gif"
+    )]
     NoFfmpeg(io::Error),
     #[error("{}: cannot write: {fault}", place.display())]
     Output { place: PathBuf, fault: OutputFault },
@@ -42,7 +50,11 @@ const MAX_CANDIDATES: usize = 5;
 
 /// The first names, a line each.
 fn listed(names: &[String]) -> String {
-    let mut lines: Vec<&str> = names.iter().take(MAX_CANDIDATES).map(String::as_str).collect();
+    let mut lines: Vec<&str> = names
+        .iter()
+        .take(MAX_CANDIDATES)
+        .map(String::as_str)
+        .collect();
     lines.extend((names.len() > MAX_CANDIDATES).then_some("…"));
     lines.join("\n  ")
 }
@@ -66,6 +78,9 @@ impl RenderError {
     /// For `map_err`: `place` cannot be written.
     pub fn output<F: Into<OutputFault>>(place: &Path) -> impl Fn(F) -> Self {
         let place = place.to_owned();
-        move |fault| Self::Output { place: place.clone(), fault: fault.into() }
+        move |fault| Self::Output {
+            place: place.clone(),
+            fault: fault.into(),
+        }
     }
 }

@@ -21,11 +21,17 @@ const BATCH: usize = 16;
 const REST: Duration = Duration::from_millis(1500);
 
 /// Writes a GIF that repeats forever. A frame holds only the pixels that change.
-pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
+pub fn write_gif(
+    film: &Film,
+    frames_per_s: NonZeroU32,
+    path: &Path,
+    on_frame: &dyn Fn(),
+) -> Result<(), RenderError> {
     let failed = RenderError::output(path);
     let iterations = iterations(film, frames_per_s);
     let (width, height) = film.frame(0).dimensions();
-    let side = |side| u16::try_from(side).map_err(|_| RenderError::output(path)(OutputFault::TooLarge));
+    let side =
+        |side| u16::try_from(side).map_err(|_| RenderError::output(path)(OutputFault::TooLarge));
     let (width, height) = (side(width)?, side(height)?);
     let mut bytes = Vec::new();
     {
@@ -35,7 +41,11 @@ pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &
         for batch in iterations.chunks(BATCH) {
             for (drawn, iteration) in drawn(film, batch).into_iter().zip(batch) {
                 let is_last = iterations.last() == Some(iteration);
-                let shown = if is_last { REST } else { Duration::from_secs(1) / frames_per_s.get() };
+                let shown = if is_last {
+                    REST
+                } else {
+                    Duration::from_secs(1) / frames_per_s.get()
+                };
                 let mut frame = palette::frame(last.as_ref(), &drawn, (width, height));
                 frame.delay = u16::try_from(shown.as_millis() / 10).unwrap_or(u16::MAX);
                 encoder.write_frame(&frame).map_err(&failed)?;
@@ -48,21 +58,56 @@ pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &
 }
 
 /// Writes an MP4 (H.264) through ffmpeg.
-pub fn write_mp4(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
+pub fn write_mp4(
+    film: &Film,
+    frames_per_s: NonZeroU32,
+    path: &Path,
+    on_frame: &dyn Fn(),
+) -> Result<(), RenderError> {
     let iterations = iterations(film, frames_per_s);
     let (width, height) = film.frame(0).dimensions();
     let size = format!("{width}x{height}");
     let rate = frames_per_s.to_string();
     let mut command = Command::new("ffmpeg");
-    command.args(["-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &size, "-r", &rate]);
-    command.args(["-i", "-", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"]);
-    command.arg(path).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+    command.args([
+        "-loglevel",
+        "error",
+        "-y",
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        &size,
+        "-r",
+        &rate,
+    ]);
+    command.args([
+        "-i",
+        "-",
+        "-c:v",
+        "libx264",
+        "-pix_fmt",
+        "yuv420p",
+        "-movflags",
+        "+faststart",
+        "-f",
+        "mp4",
+    ]);
+    command
+        .arg(path)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
     let mut ffmpeg = command.spawn().map_err(RenderError::NoFfmpeg)?;
     let mut input = ffmpeg.stdin.take();
     'film: for batch in iterations.chunks(BATCH) {
         for frame in drawn(film, batch) {
             // If ffmpeg ends early, its error output says why.
-            if input.as_mut().is_none_or(|input| input.write_all(frame.as_raw()).is_err()) {
+            if input
+                .as_mut()
+                .is_none_or(|input| input.write_all(frame.as_raw()).is_err())
+            {
                 break 'film;
             }
             on_frame();
@@ -78,7 +123,9 @@ pub fn write_mp4(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &
     if ended.success() {
         return Ok(());
     }
-    Err(RenderError::output(path)(OutputFault::Ffmpeg(message.trim().to_owned())))
+    Err(RenderError::output(path)(OutputFault::Ffmpeg(
+        message.trim().to_owned(),
+    )))
 }
 
 /// The iterations of the frames, with the last iteration.
@@ -87,11 +134,17 @@ fn iterations(film: &Film, frames_per_s: NonZeroU32) -> Vec<usize> {
     let a_frame = 1.0 / (f64::from(frames_per_s.get()) * STEP_S);
     let count = (last as f64 / a_frame).ceil() as usize;
     let at = |k: usize| (k as f64 * a_frame).round() as usize;
-    let mut iterations: Vec<usize> = (0..count).map(at).filter(|&iteration| iteration < last).collect();
+    let mut iterations: Vec<usize> = (0..count)
+        .map(at)
+        .filter(|&iteration| iteration < last)
+        .collect();
     iterations.push(last);
     iterations
 }
 
 fn drawn(film: &Film, iterations: &[usize]) -> Vec<RgbImage> {
-    iterations.par_iter().map(|&iteration| film.frame(iteration)).collect()
+    iterations
+        .par_iter()
+        .map(|&iteration| film.frame(iteration))
+        .collect()
 }

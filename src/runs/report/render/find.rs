@@ -27,8 +27,15 @@ impl SimulationChoice {
         // The error for a folder without a run is clearer than that for a missing simulation.
         RunFolder::manifest(run)?;
         let mut rows = named(&RunFolder::read_completed(run)?.rows, &self.simulation, run)?;
-        rows.retain(|row| self.planner.as_ref().is_none_or(|planner| row.planner == *planner));
-        rows.retain(|row| self.challenge.is_none_or(|challenge| row.challenge == challenge));
+        rows.retain(|row| {
+            self.planner
+                .as_ref()
+                .is_none_or(|planner| row.planner == *planner)
+        });
+        rows.retain(|row| {
+            self.challenge
+                .is_none_or(|challenge| row.challenge == challenge)
+        });
         let folder = |row: &SimulationRow| Ok::<_, RenderError>(folders(run)?.remove(&row.number));
         match rows.as_slice() {
             [row] => match folder(row)? {
@@ -38,18 +45,26 @@ impl SimulationChoice {
             [] => Err(no_simulation(&self.simulation, run, &rows)),
             several => Err(RenderError::SeveralSimulations {
                 wanted: self.simulation.clone(),
-                simulations: several.iter().take(MAX_LISTED).map(|r| format!("{}  {}", r.number, words(r))).collect(),
+                simulations: several
+                    .iter()
+                    .take(MAX_LISTED)
+                    .map(|r| format!("{}  {}", r.number, words(r)))
+                    .collect(),
             }),
         }
     }
 }
 
-/// The simulations that a word names, of those of the run in a folder: by number, by the name of their scenario, or by a
-/// part of that name which no other scenario has.
+/// The simulations that a word names, of those of the run in a folder: by number, by the name of
+/// their scenario, or by a part of that name which no other scenario has.
 ///
 /// # Errors
 /// When no scenario has the word in its name, or several have.
-pub fn named(rows: &[SimulationRow], word: &str, run: &Path) -> Result<Vec<SimulationRow>, RenderError> {
+pub fn named(
+    rows: &[SimulationRow],
+    word: &str,
+    run: &Path,
+) -> Result<Vec<SimulationRow>, RenderError> {
     let number = word.parse::<usize>().ok();
     let end = format!("/{word}");
     let by_number = |row: &SimulationRow| number == Some(row.number);
@@ -63,7 +78,10 @@ pub fn named(rows: &[SimulationRow], word: &str, run: &Path) -> Result<Vec<Simul
     let scenarios: BTreeSet<&str> = meant.iter().map(|row| row.scenario.as_str()).collect();
     if scenarios.len() > 1 {
         let scenarios = scenarios.into_iter().map(str::to_owned).collect();
-        return Err(RenderError::SeveralScenarios { wanted: word.to_owned(), scenarios });
+        return Err(RenderError::SeveralScenarios {
+            wanted: word.to_owned(),
+            scenarios,
+        });
     }
     Ok(meant)
 }
@@ -71,10 +89,19 @@ pub fn named(rows: &[SimulationRow], word: &str, run: &Path) -> Result<Vec<Simul
 fn no_simulation(word: &str, run: &Path, rows: &[SimulationRow]) -> RenderError {
     let known: BTreeSet<&str> = rows.iter().map(|row| row.scenario.as_str()).collect();
     let known = known.into_iter().map(str::to_owned).collect();
-    RenderError::NoSimulation { run: run.to_owned(), wanted: word.to_owned(), known }
+    RenderError::NoSimulation {
+        run: run.to_owned(),
+        wanted: word.to_owned(),
+        known,
+    }
 }
 
 /// Scenario, planner and challenge of a simulation.
 pub fn words(row: &SimulationRow) -> String {
-    format!("{} by {}, {}", row.scenario, row.planner, row.challenge.short_name())
+    format!(
+        "{} by {}, {}",
+        row.scenario,
+        row.planner,
+        row.challenge.short_name()
+    )
 }

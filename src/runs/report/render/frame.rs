@@ -61,7 +61,14 @@ impl Film {
         let calls = calls_in(&folder)?;
         let layout = Layout::of(look);
         let legend = Legend::new(&[], layout.letters, layout.width());
-        let mut film = Self { row, simulation, calls, look, legend, caption: 0.0 };
+        let mut film = Self {
+            row,
+            simulation,
+            calls,
+            look,
+            legend,
+            caption: 0.0,
+        };
         film.measure();
         Ok(film)
     }
@@ -70,12 +77,21 @@ impl Film {
     fn measure(&mut self) {
         let layout = Layout::of(self.look);
         let moments = || self.simulation.moments().iter().enumerate();
-        let mut entries: Vec<Entry> = moments().flat_map(|(i, moment)| Entry::of(&self.scene(i, moment))).collect();
+        let mut entries: Vec<Entry> = moments()
+            .flat_map(|(i, moment)| Entry::of(&self.scene(i, moment)))
+            .collect();
         entries.sort_unstable();
         entries.dedup();
-        let captions = moments().map(|(i, moment)| self.caption(i, moment).height(layout.letters, layout.width()));
+        let captions = moments().map(|(i, moment)| {
+            self.caption(i, moment)
+                .height(layout.letters, layout.width())
+        });
         let caption = captions.fold(0.0, f32::max);
-        let shown = if self.look.pixels < MIN_LEGEND_PX { &[][..] } else { &entries };
+        let shown = if self.look.pixels < MIN_LEGEND_PX {
+            &[][..]
+        } else {
+            &entries
+        };
         (self.legend, self.caption) = (Legend::new(shown, layout.letters, layout.width()), caption);
     }
 
@@ -92,7 +108,9 @@ impl Film {
         if !(0.0..=end_s + 1e-9).contains(&at_s) {
             return Err(RenderError::Outside { at_s, end_s });
         }
-        Ok(moments.partition_point(|moment| moment.at_s <= at_s + 1e-9).saturating_sub(1))
+        Ok(moments
+            .partition_point(|moment| moment.at_s <= at_s + 1e-9)
+            .saturating_sub(1))
     }
 
     /// Draws an iteration with legend and caption; later ones than the last are the last.
@@ -103,11 +121,20 @@ impl Film {
     fn drawn(&self, iteration: usize, with_legend: bool) -> RgbImage {
         let moments = self.simulation.moments();
         let iteration = iteration.min(moments.len().saturating_sub(1));
-        let Some(moment) = moments.get(iteration) else { return RgbImage::new(self.look.pixels, self.look.pixels) };
+        let Some(moment) = moments.get(iteration) else {
+            return RgbImage::new(self.look.pixels, self.look.pixels);
+        };
         let layout = Layout::of(self.look);
         let caption = self.caption(iteration, moment);
         let legend = with_legend.then_some(&self.legend);
-        picture(&self.scene(iteration, moment), self.look, legend, &caption, self.caption, layout)
+        picture(
+            &self.scene(iteration, moment),
+            self.look,
+            legend,
+            &caption,
+            self.caption,
+            layout,
+        )
     }
 
     /// Frames at equal intervals over the whole simulation in one picture, with one legend below.
@@ -115,17 +142,30 @@ impl Film {
         let (across, down) = SHEET;
         let count = across * down;
         let last = self.iterations().saturating_sub(1);
-        let frames: Vec<RgbImage> =
-            (0..count).map(|k| self.drawn(last * k as usize / (count as usize - 1), false)).collect();
+        let frames: Vec<RgbImage> = (0..count)
+            .map(|k| self.drawn(last * k as usize / (count as usize - 1), false))
+            .collect();
         let (width, height) = frames.first().map_or((0, 0), RgbImage::dimensions);
         let layout = Layout::of(self.look);
         let gap = layout.margin.round() as u32;
         let wide = across * (width + gap) - gap;
-        let legend = Legend::new(&self.legend.entries(), layout.letters, wide as f32 - 2.0 * layout.margin);
-        let below = legend.height() + if legend.height() > 0.0 { 2.0 * layout.margin } else { 0.0 };
+        let legend = Legend::new(
+            &self.legend.entries(),
+            layout.letters,
+            wide as f32 - 2.0 * layout.margin,
+        );
+        let below = legend.height()
+            + if legend.height() > 0.0 {
+                2.0 * layout.margin
+            } else {
+                0.0
+            };
         let frames_high = down * (height + gap) - gap;
         let mut canvas = Canvas::new((wide, frames_high + below.ceil() as u32), COLORS.panel);
-        legend.draw(&mut canvas, (layout.margin, frames_high as f32 + layout.margin));
+        legend.draw(
+            &mut canvas,
+            (layout.margin, frames_high as f32 + layout.margin),
+        );
         let mut sheet = canvas.into_image();
         for (k, frame) in frames.iter().enumerate() {
             let (column, line) = (k as u32 % across, k as u32 / across);
@@ -137,7 +177,10 @@ impl Film {
 
     fn scene<'a>(&'a self, iteration: usize, moment: &'a Moment) -> DrawnScene<'a> {
         let moments = self.simulation.moments().iter();
-        let trail: Vec<Point> = moments.take(iteration + 1).map(|moment| moment.ego.rear_axle.position()).collect();
+        let trail: Vec<Point> = moments
+            .take(iteration + 1)
+            .map(|moment| moment.ego.rear_axle.position())
+            .collect();
         let mut refused = Vec::new();
         if let Some((call, attempts)) = self.simulation.call_at(iteration) {
             let record = self.calls.get(call);
@@ -147,7 +190,10 @@ impl Film {
                 _ => None,
             });
             let score = |i: usize| Some(record?.attempts.get(i)?.reflection.as_ref()?.score);
-            let others = attempts.iter().enumerate().filter(|(i, path)| Some(*i) != accepted && !path.is_empty());
+            let others = attempts
+                .iter()
+                .enumerate()
+                .filter(|(i, path)| Some(*i) != accepted && !path.is_empty());
             refused.extend(others.map(|(i, path)| (path.clone(), score(i))));
         }
         DrawnScene {
@@ -163,12 +209,25 @@ impl Film {
 
     fn caption(&self, iteration: usize, moment: &Moment) -> Caption {
         let row = &self.row;
-        let score = row.score.map_or_else(|| "-".to_owned(), |score| fixed(100.0 * score, 2));
+        let score = row
+            .score
+            .map_or_else(|| "-".to_owned(), |score| fixed(100.0 * score, 2));
         let speed = moment.ego.velocity.x.abs();
-        let call = self.simulation.call_at(iteration).and_then(|(call, _)| self.calls.get(call));
+        let call = self
+            .simulation
+            .call_at(iteration)
+            .and_then(|(call, _)| self.calls.get(call));
         Caption {
-            title: format!("{}, {}, {}", row.scenario, row.planner, row.challenge.short_name()),
-            now: format!("{:.1} s, {speed:.1} m/s, score of the simulation {score}", moment.at_s),
+            title: format!(
+                "{}, {}, {}",
+                row.scenario,
+                row.planner,
+                row.challenge.short_name()
+            ),
+            now: format!(
+                "{:.1} s, {speed:.1} m/s, score of the simulation {score}",
+                moment.at_s
+            ),
             plan: call.map(plan_words).unwrap_or_default(),
         }
     }
@@ -190,7 +249,11 @@ impl Layout {
     pub(super) fn of(look: Look) -> Self {
         let side = look.pixels as f32;
         let letters = Lettering::regular((LETTERS * side).clamp(LETTERS_PX.0, LETTERS_PX.1));
-        Self { side, margin: (MARGIN * side).max(4.0), letters }
+        Self {
+            side,
+            margin: (MARGIN * side).max(4.0),
+            letters,
+        }
     }
 
     /// Width of the text, pixels.
@@ -199,7 +262,8 @@ impl Layout {
     }
 }
 
-/// A scene with its legend and its caption of a given height. Both sides are even, as H.264 requires.
+/// A scene with its legend and its caption of a given height. Both sides are even, as H.264
+/// requires.
 pub(super) fn picture(
     scene: &DrawnScene<'_>,
     look: Look,
@@ -222,7 +286,12 @@ pub(super) fn picture(
         legend.draw(&mut page, (layout.margin, top));
         top += legend.height() + layout.margin;
     }
-    caption.draw(&mut page, (layout.margin, top), layout.letters, layout.width());
+    caption.draw(
+        &mut page,
+        (layout.margin, top),
+        layout.letters,
+        layout.width(),
+    );
     let mut image = page.into_image();
     // The scene fits by construction.
     let _ = image.copy_from(&drawing.into_image(), 0, 0);
@@ -231,7 +300,9 @@ pub(super) fn picture(
 
 /// The decision of a call, and the code of the plan that becomes active with it.
 fn plan_words(call: &CallRecord) -> Vec<String> {
-    let code =
-        call.accepted().and_then(|(_, attempt)| attempt.code.as_ref()).map(|code| LineRecord::text(code).to_owned());
+    let code = call
+        .accepted()
+        .and_then(|(_, attempt)| attempt.code.as_ref())
+        .map(|code| LineRecord::text(code).to_owned());
     std::iter::once(recorded_words(call)).chain(code).collect()
 }

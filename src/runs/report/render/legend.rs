@@ -36,9 +36,19 @@ pub(super) enum Entry {
 impl Entry {
     /// What a scene shows.
     pub(super) fn of(scene: &DrawnScene<'_>) -> Vec<Self> {
-        let kind = |kinds: &[ObjectKind]| scene.objects.iter().any(|object| kinds.contains(&object.kind));
+        let kind = |kinds: &[ObjectKind]| {
+            scene
+                .objects
+                .iter()
+                .any(|object| kinds.contains(&object.kind))
+        };
         let light = |status| scene.lights.iter().any(|(_, shown)| *shown == status);
-        let fixed = [ObjectKind::TrafficCone, ObjectKind::Barrier, ObjectKind::CzoneSign, ObjectKind::GenericObject];
+        let fixed = [
+            ObjectKind::TrafficCone,
+            ObjectKind::Barrier,
+            ObjectKind::CzoneSign,
+            ObjectKind::GenericObject,
+        ];
         let map = scene.map;
         let shown = [
             (Self::Ego, true),
@@ -59,7 +69,11 @@ impl Entry {
             (Self::Yellow, light(SignalStatus::Yellow)),
             (Self::Green, light(SignalStatus::Green)),
         ];
-        shown.into_iter().filter(|(_, shown)| *shown).map(|(entry, _)| entry).collect()
+        shown
+            .into_iter()
+            .filter(|(_, shown)| *shown)
+            .map(|(entry, _)| entry)
+            .collect()
     }
 
     /// The words of the page's legend.
@@ -97,7 +111,11 @@ impl Entry {
             Self::Pedestrian => canvas.disc(center, height / 2.0, colors.pedestrian),
             Self::Fixed => canvas.rectangle(center, (height, height), 0.0, colors.fixed, 1.0),
             Self::Trail => line(Pen::solid(colors.ego, height / 6.0)),
-            Self::Refused => line(Pen::dashed(colors.tried, height / 2.4, [height / 2.0, height / 3.5])),
+            Self::Refused => line(Pen::dashed(
+                colors.tried,
+                height / 2.4,
+                [height / 2.0, height / 3.5],
+            )),
             Self::Plan => {
                 line(Pen::solid(colors.ego, height / 3.5));
                 canvas.disc((x + 0.7 * width, y), height / 3.2, colors.ego);
@@ -116,12 +134,20 @@ impl Entry {
             Self::Crosswalk => {
                 area(canvas, center, (width, height), colors.road);
                 for share in [0.2, 0.5, 0.8] {
-                    canvas.rectangle((x + share * width, y), (0.16 * width, height), 0.0, colors.crosswalk, 1.0);
+                    canvas.rectangle(
+                        (x + share * width, y),
+                        (0.16 * width, height),
+                        0.0,
+                        colors.crosswalk,
+                        1.0,
+                    );
                 }
             }
             Self::StopLine => area(canvas, center, (width, height / 3.0), colors.stop),
             Self::Red => canvas.rectangle(center, (width, 0.6 * height), 0.0, colors.red, 1.0),
-            Self::Yellow => canvas.rectangle(center, (width, 0.35 * height), 0.0, colors.amber, 1.0),
+            Self::Yellow => {
+                canvas.rectangle(center, (width, 0.35 * height), 0.0, colors.amber, 1.0)
+            }
             Self::Green => canvas.rectangle(center, (width, 0.35 * height), 0.0, colors.green, 1.0),
         }
     }
@@ -167,7 +193,11 @@ impl Legend {
 
     /// Its entries, in order.
     pub(super) fn entries(&self) -> Vec<Entry> {
-        self.rows.iter().flatten().map(|(entry, _)| *entry).collect()
+        self.rows
+            .iter()
+            .flatten()
+            .map(|(entry, _)| *entry)
+            .collect()
     }
 
     /// Its height, pixels.
@@ -181,7 +211,11 @@ impl Legend {
         for (i, row) in self.rows.iter().enumerate() {
             let baseline = top + i as f32 * self.letters.line() + em;
             for (entry, x) in row {
-                entry.swatch(canvas, (left + x, baseline - 0.36 * em), (SWATCH_EM.0 * em, SWATCH_EM.1 * em));
+                entry.swatch(
+                    canvas,
+                    (left + x, baseline - 0.36 * em),
+                    (SWATCH_EM.0 * em, SWATCH_EM.1 * em),
+                );
                 let words = (left + x + (SWATCH_EM.0 + GAP_EM) * em, baseline);
                 canvas.text(entry.words(), words, self.letters, COLORS.ink_soft);
             }
@@ -195,12 +229,27 @@ mod tests {
 
     #[test]
     fn a_legend_has_all_entries_in_rows_that_fit() {
-        let entries = [Entry::Ego, Entry::Plan, Entry::Refused, Entry::Route, Entry::Red, Entry::Green];
+        let entries = [
+            Entry::Ego,
+            Entry::Plan,
+            Entry::Refused,
+            Entry::Route,
+            Entry::Red,
+            Entry::Green,
+        ];
         let letters = Lettering::regular(12.0);
         let wide = Legend::new(&entries, letters, 2000.0);
         let narrow = Legend::new(&entries, letters, 240.0);
-        assert_eq!((wide.rows.len(), narrow.rows.concat().len()), (1, entries.len()));
+        assert_eq!(
+            (wide.rows.len(), narrow.rows.concat().len()),
+            (1, entries.len())
+        );
         assert!(narrow.rows.len() > 2 && narrow.height() > wide.height());
-        assert!(narrow.rows.iter().all(|row| row.first().is_some_and(|(_, x)| *x == 0.0)));
+        assert!(
+            narrow
+                .rows
+                .iter()
+                .all(|row| row.first().is_some_and(|(_, x)| *x == 0.0))
+        );
     }
 }

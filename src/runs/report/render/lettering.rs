@@ -5,8 +5,10 @@ use tiny_skia::{Path, PathBuilder, Transform};
 use ttf_parser::{Face, OutlineBuilder};
 
 /// The typefaces. Both files are part of the program.
-static REGULAR: LazyLock<Option<Face<'static>>> = LazyLock::new(|| Face::parse(dejavu::sans::regular(), 0).ok());
-static BOLD: LazyLock<Option<Face<'static>>> = LazyLock::new(|| Face::parse(dejavu::sans::bold(), 0).ok());
+static REGULAR: LazyLock<Option<Face<'static>>> =
+    LazyLock::new(|| Face::parse(dejavu::sans::regular(), 0).ok());
+static BOLD: LazyLock<Option<Face<'static>>> =
+    LazyLock::new(|| Face::parse(dejavu::sans::bold(), 0).ok());
 
 /// A size and weight of type.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,7 +51,8 @@ impl Lettering {
                 let scale = self.scale(face);
                 let placed = std::mem::replace(&mut pen.0, PathBuilder::new()).finish();
                 // Outlines are in font units, y up.
-                let placed = placed.and_then(|p| p.transform(Transform::from_row(scale, 0.0, 0.0, -scale, x, y)));
+                let placed = placed
+                    .and_then(|p| p.transform(Transform::from_row(scale, 0.0, 0.0, -scale, x, y)));
                 if let Some(path) = placed {
                     whole.push_path(&path);
                 }
@@ -59,12 +62,17 @@ impl Lettering {
         whole.finish()
     }
 
-    /// The text in lines of at most `width` pixels, broken between words, and inside a word only where it is wider than a line.
+    /// The text in lines of at most `width` pixels, broken between words, and inside a word only
+    /// where it is wider than a line.
     pub(super) fn wrapped(self, text: &str, width: f32) -> Vec<String> {
         let mut lines: Vec<String> = Vec::new();
         let mut line = String::new();
         for word in text.split_whitespace() {
-            let longer = if line.is_empty() { word.to_owned() } else { format!("{line} {word}") };
+            let longer = if line.is_empty() {
+                word.to_owned()
+            } else {
+                format!("{line} {word}")
+            };
             if self.width(&longer) <= width {
                 line = longer;
                 continue;
@@ -73,7 +81,9 @@ impl Lettering {
                 lines.push(std::mem::take(&mut line));
             }
             for letter in word.chars() {
-                if !line.is_empty() && self.width(&line) + self.width(letter.encode_utf8(&mut [0; 4])) > width {
+                if !line.is_empty()
+                    && self.width(&line) + self.width(letter.encode_utf8(&mut [0; 4])) > width
+                {
                     lines.push(std::mem::take(&mut line));
                 }
                 line.push(letter);
@@ -86,7 +96,11 @@ impl Lettering {
     }
 
     fn face(self) -> Option<&'static Face<'static>> {
-        if self.bold { BOLD.as_ref() } else { REGULAR.as_ref() }
+        if self.bold {
+            BOLD.as_ref()
+        } else {
+            REGULAR.as_ref()
+        }
     }
 
     fn scale(self, face: &Face<'_>) -> f32 {
@@ -94,7 +108,10 @@ impl Lettering {
     }
 
     fn advance(self, face: &Face<'_>, letter: char) -> f32 {
-        let units = face.glyph_index(letter).and_then(|glyph| face.glyph_hor_advance(glyph)).unwrap_or(0);
+        let units = face
+            .glyph_index(letter)
+            .and_then(|glyph| face.glyph_hor_advance(glyph))
+            .unwrap_or(0);
         f32::from(units) * self.scale(face)
     }
 }
@@ -131,10 +148,14 @@ mod tests {
     #[test]
     fn text_breaks_between_words_and_keeps_all_of_them() {
         let letters = Lettering::regular(12.0);
-        let text = "Generate_IDM_Planner(c=ego_lane, la=bicycle1, v0=16, acc=1.5, dec=3) and more words";
+        let text =
+            "Generate_IDM_Planner(c=ego_lane, la=bicycle1, v0=16, acc=1.5, dec=3) and more words";
         let lines = letters.wrapped(text, 200.0);
         assert!(lines.len() > 2, "{lines:?}");
-        assert!(lines.iter().all(|line| letters.width(line) <= 200.0), "{lines:?}");
+        assert!(
+            lines.iter().all(|line| letters.width(line) <= 200.0),
+            "{lines:?}"
+        );
         let bare = |text: &str| text.replace(' ', "");
         assert_eq!(bare(&lines.concat()), bare(text));
         let long = letters.wrapped(&"x".repeat(100), 120.0);
@@ -144,9 +165,19 @@ mod tests {
     #[test]
     fn letters_have_outlines_and_bold_ones_are_wider() {
         let (regular, bold) = (Lettering::regular(20.0), Lettering::bold(20.0));
-        assert!(bold.width("Planner") > regular.width("Planner") && regular.width("Planner") > 40.0);
+        assert!(
+            bold.width("Planner") > regular.width("Planner") && regular.width("Planner") > 40.0
+        );
         let bounds = regular.outline("H", (10.0, 50.0)).unwrap().bounds();
-        assert!(bounds.left() > 10.0 && bounds.bottom() <= 50.1 && bounds.top() > 30.0 && bounds.top() < 40.0);
-        assert!(regular.outline("≥ λ", (0.0, 20.0)).is_some() && regular.outline(" ", (0.0, 20.0)).is_none());
+        assert!(
+            bounds.left() > 10.0
+                && bounds.bottom() <= 50.1
+                && bounds.top() > 30.0
+                && bounds.top() < 40.0
+        );
+        assert!(
+            regular.outline("≥ λ", (0.0, 20.0)).is_some()
+                && regular.outline(" ", (0.0, 20.0)).is_none()
+        );
     }
 }

@@ -1,5 +1,5 @@
-//! A simulation as a picture or a film, drawn as the page draws it: the scene with lights, plans and a scale, a legend, and a
-//! caption. One planning call as a picture.
+//! A simulation as a picture or a film, drawn as the page draws it: the scene with lights, plans
+//! and a scale, a legend, and a caption. One planning call as a picture.
 
 mod call;
 mod canvas;

@@ -53,13 +53,20 @@ pub(super) struct View {
 impl View {
     /// The view of a side in pixels and in meters.
     pub(super) fn new(ego: &EgoState, side: u32, meters: f64) -> Self {
-        Self { center: ego.center(), side, scale: f64::from(side) / meters }
+        Self {
+            center: ego.center(),
+            side,
+            scale: f64::from(side) / meters,
+        }
     }
 
     pub(super) fn pixel(&self, point: Point) -> Pixel {
         let local = self.center.to_local(point);
         let side = f64::from(self.side);
-        ((side / 2.0 - local.y * self.scale) as f32, (side * EGO_AT - local.x * self.scale) as f32)
+        (
+            (side / 2.0 - local.y * self.scale) as f32,
+            (side * EGO_AT - local.x * self.scale) as f32,
+        )
     }
 
     fn pixels(&self, points: &[Point]) -> Vec<Pixel> {
@@ -71,12 +78,19 @@ impl View {
         let far = self.side as f32;
         let is_near = |line: &Vec<Pixel>| {
             let side = |axis: fn(&Pixel) -> f32| {
-                let (low, high) = line.iter().map(axis).fold((f32::MAX, f32::MIN), |(l, h), v| (l.min(v), h.max(v)));
+                let (low, high) = line
+                    .iter()
+                    .map(axis)
+                    .fold((f32::MAX, f32::MIN), |(l, h), v| (l.min(v), h.max(v)));
                 low < far && high > 0.0
             };
             side(|pixel| pixel.0) && side(|pixel| pixel.1)
         };
-        lines.iter().map(|line| self.pixels(line)).filter(is_near).collect()
+        lines
+            .iter()
+            .map(|line| self.pixels(line))
+            .filter(is_near)
+            .collect()
     }
 
     fn meters(&self, meters: f64) -> f32 {
@@ -122,16 +136,26 @@ fn ground(canvas: &mut Canvas, map: &DrawnMap, view: &View) {
     canvas.areas(&view.all(&map.route), colors.route);
     let pen = Pen::solid(colors.centerline, view.meters(CENTERLINE_M).max(0.6));
     canvas.lines(view.all(&map.centerlines).iter().map(Vec::as_slice), pen);
-    let faint = Pen { opacity: 0.45, ..pen };
+    let faint = Pen {
+        opacity: 0.45,
+        ..pen
+    };
     canvas.lines(view.all(&map.connectors).iter().map(Vec::as_slice), faint);
     let (origin, angle) = (view.pixel(Point::origin()), view.angle(0.0));
     for crosswalk in view.all(&map.crosswalks) {
-        canvas.stripes(&crosswalk, colors.crosswalk, view.meters(STRIPE_M), angle, origin);
+        canvas.stripes(
+            &crosswalk,
+            colors.crosswalk,
+            view.meters(STRIPE_M),
+            angle,
+            origin,
+        );
     }
     canvas.areas(&view.all(&map.stop_lines), colors.stop);
 }
 
-/// A bar across the start of each connector with a light; red bars are wider, for color-blind readers.
+/// A bar across the start of each connector with a light; red bars are wider, for color-blind
+/// readers.
 fn lights(canvas: &mut Canvas, lights: &[([Point; 2], SignalStatus)], view: &View) {
     for ([start, next], status) in lights {
         let (color, width) = match status {
@@ -143,7 +167,11 @@ fn lights(canvas: &mut Canvas, lights: &[([Point; 2], SignalStatus)], view: &Vie
         let along = next - start;
         let heading = along.y.atan2(along.x);
         let pose = Pose::at(*start, heading);
-        let bar = [pose.translated(0.0, LIGHT_M), pose.translated(0.0, -LIGHT_M)].map(|end| view.pixel(end.position()));
+        let bar = [
+            pose.translated(0.0, LIGHT_M),
+            pose.translated(0.0, -LIGHT_M),
+        ]
+        .map(|end| view.pixel(end.position()));
         canvas.line(&bar, Pen::solid(color, view.meters(width)));
     }
 }
@@ -151,10 +179,16 @@ fn lights(canvas: &mut Canvas, lights: &[([Point; 2], SignalStatus)], view: &Vie
 /// The trail, the refused plans, and the active plan with a dot each second.
 fn paths(canvas: &mut Canvas, scene: &DrawnScene<'_>, view: &View) {
     let (colors, zoom) = (&*COLORS, view.zoom());
-    canvas.line(&view.pixels(&scene.trail), Pen::solid(colors.ego, 1.6 * zoom));
+    canvas.line(
+        &view.pixels(&scene.trail),
+        Pen::solid(colors.ego, 1.6 * zoom),
+    );
     for (path, _) in &scene.refused {
         let dash = [view.meters(1.2), view.meters(0.8)];
-        canvas.line(&view.pixels(path), Pen::dashed(colors.tried, 5.0 * zoom, dash));
+        canvas.line(
+            &view.pixels(path),
+            Pen::dashed(colors.tried, 5.0 * zoom, dash),
+        );
     }
     let plan = view.pixels(scene.plan);
     canvas.line(&plan, Pen::solid(colors.ego, 3.0 * zoom));
@@ -169,16 +203,28 @@ fn agent(canvas: &mut Canvas, object: &TrackedObject, view: &View) {
     match object.kind {
         ObjectKind::Pedestrian => {
             let diameter = shape.length.max(shape.width).max(PEDESTRIAN_M);
-            canvas.disc(view.pixel(shape.center.position()), view.meters(diameter / 2.0), colors.pedestrian);
+            canvas.disc(
+                view.pixel(shape.center.position()),
+                view.meters(diameter / 2.0),
+                colors.pedestrian,
+            );
         }
         ObjectKind::Vehicle => vehicle(canvas, shape, colors.vehicle, true, view),
         ObjectKind::Bicycle => vehicle(canvas, shape, colors.bicycle, true, view),
-        ObjectKind::TrafficCone | ObjectKind::Barrier | ObjectKind::CzoneSign | ObjectKind::GenericObject => {
+        ObjectKind::TrafficCone
+        | ObjectKind::Barrier
+        | ObjectKind::CzoneSign
+        | ObjectKind::GenericObject => {
             vehicle(canvas, shape, colors.fixed, false, view);
         }
     }
     let heading = object.velocity.y.atan2(object.velocity.x);
-    arrow(canvas, Pose::at(shape.center.position(), heading), object.speed(), view);
+    arrow(
+        canvas,
+        Pose::at(shape.center.position(), heading),
+        object.speed(),
+        view,
+    );
 }
 
 /// A box, with a mark at its front.
@@ -189,7 +235,13 @@ fn vehicle(canvas: &mut Canvas, shape: &OrientedBox, color: Rgb, front: bool, vi
     if front {
         let ahead = shape.center.translated(0.26 * shape.length, 0.0);
         let mark = (0.12 * size.0, 0.72 * size.1);
-        canvas.rectangle(view.pixel(ahead.position()), mark, angle, COLORS.panel, 0.75);
+        canvas.rectangle(
+            view.pixel(ahead.position()),
+            mark,
+            angle,
+            COLORS.panel,
+            0.75,
+        );
     }
 }
 
@@ -204,18 +256,34 @@ fn arrow(canvas: &mut Canvas, pose: Pose, speed: f64, view: &View) {
     let tip = at(length, 0.0);
     let pen = Pen::solid(COLORS.ink, 1.2 * view.zoom());
     canvas.line(&[at(0.0, 0.0), tip], pen);
-    canvas.line(&[at(length - head, 0.6 * head), tip, at(length - head, -0.6 * head)], pen);
+    canvas.line(
+        &[
+            at(length - head, 0.6 * head),
+            tip,
+            at(length - head, -0.6 * head),
+        ],
+        pen,
+    );
 }
 
 /// The scale: a round number of meters.
 fn scale(canvas: &mut Canvas, view: &View) {
     let zoom = view.zoom();
-    let meters = [2.0, 5.0, 10.0, 20.0, 50.0].into_iter().find(|&m| view.meters(m) >= 60.0 * zoom).unwrap_or(100.0);
+    let meters = [2.0, 5.0, 10.0, 20.0, 50.0]
+        .into_iter()
+        .find(|&m| view.meters(m) >= 60.0 * zoom)
+        .unwrap_or(100.0);
     let (x, y) = (14.0 * zoom, view.side as f32 - 14.0 * zoom);
     let end = x + view.meters(meters);
     let tick = 4.0 * zoom;
     let bar = [(x, y - tick), (x, y), (end, y), (end, y - tick)];
     canvas.line(&bar, Pen::solid(COLORS.ink_soft, 1.5 * zoom));
     let letters = Lettering::regular(12.0 * zoom);
-    canvas.label(&format!("{meters} m"), (x + 6.0 * zoom, y - 6.0 * zoom), letters, COLORS.ink_soft, COLORS.ground);
+    canvas.label(
+        &format!("{meters} m"),
+        (x + 6.0 * zoom, y - 6.0 * zoom),
+        letters,
+        COLORS.ink_soft,
+        COLORS.ground,
+    );
 }

@@ -1,5 +1,5 @@
-//! Sequences of numbers as whole multiples of a unit. Each number is stored as its difference from the previous one, which is
-//! short as text and compresses well.
+//! Sequences of numbers as whole multiples of a unit. Each number is stored as its difference from
+//! the previous one, which is short as text and compresses well.
 
 use planagent_world::geometry::Point;
 use serde::{Deserialize, Serialize};
@@ -43,12 +43,18 @@ impl Points {
     /// The points, rounded.
     pub(super) fn of(points: &[Point]) -> Self {
         let along = |axis: fn(&Point) -> f64| Deltas::of(points.iter().map(axis), LENGTH);
-        Self { x: along(|p| p.x), y: along(|p| p.y) }
+        Self {
+            x: along(|p| p.x),
+            y: along(|p| p.y),
+        }
     }
 
     /// The points.
     pub(super) fn points(&self) -> impl Iterator<Item = Point> + '_ {
-        self.x.values(LENGTH).zip(self.y.values(LENGTH)).map(|(x, y)| Point::new(x, y))
+        self.x
+            .values(LENGTH)
+            .zip(self.y.values(LENGTH))
+            .map(|(x, y)| Point::new(x, y))
     }
 }
 
@@ -60,9 +66,18 @@ mod tests {
     fn numbers_come_back_rounded_and_errors_do_not_add_up() {
         let values: Vec<f64> = (0..1000).map(|i| f64::from(i) * 0.0333 - 7.0).collect();
         let deltas = Deltas::of(values.iter().copied(), 0.01);
-        assert!(deltas.values(0.01).zip(&values).all(|(got, want)| (got - want).abs() <= 0.005 + 1e-9));
-        assert_eq!(serde_json::to_string(&Deltas::of([1.0, 1.5, 1.25], 0.01)).unwrap(), "[100,50,-25]");
-        let wild: Deltas = serde_json::from_str("[9223372036854775807,9223372036854775807]").unwrap();
+        assert!(
+            deltas
+                .values(0.01)
+                .zip(&values)
+                .all(|(got, want)| (got - want).abs() <= 0.005 + 1e-9)
+        );
+        assert_eq!(
+            serde_json::to_string(&Deltas::of([1.0, 1.5, 1.25], 0.01)).unwrap(),
+            "[100,50,-25]"
+        );
+        let wild: Deltas =
+            serde_json::from_str("[9223372036854775807,9223372036854775807]").unwrap();
         assert_eq!(wild.values(1.0).count(), 2);
     }
 }

@@ -34,25 +34,53 @@ impl ReplayMap {
     /// The part of a map with a route within `bounds`.
     pub(super) fn of(map: &LaneMap, route: &Route, bounds: &Bounds) -> Self {
         let near = |polygon: &&Polygon| polygon.bounds().overlaps(bounds);
-        let lanes = map.lanes().iter().filter(|lane| near(&&lane.polygon)).map(|lane| ReplayLane {
-            id: lane.id,
-            kind: lane.kind,
-            on_route: route.contains(lane.roadblock),
-            centerline: Points::of(&simplified(lane.centerline.vertices(), DETAIL_M)),
-            ring: ring(lane.polygon.ring()),
-        });
+        let lanes = map
+            .lanes()
+            .iter()
+            .filter(|lane| near(&&lane.polygon))
+            .map(|lane| ReplayLane {
+                id: lane.id,
+                kind: lane.kind,
+                on_route: route.contains(lane.roadblock),
+                centerline: Points::of(&simplified(lane.centerline.vertices(), DETAIL_M)),
+                ring: ring(lane.polygon.ring()),
+            });
         // A source without road polygons has the roadblocks instead, which the lanes show already.
-        let blocks: Vec<&Polygon> = map.roadblocks().iter().flat_map(|block| &block.areas).collect();
-        let roads = map.road_segments().iter().filter(|road| !blocks.contains(road));
-        let drivable = roads.chain(map.intersections()).chain(map.generic_drivable()).chain(map.carparks());
+        let blocks: Vec<&Polygon> = map
+            .roadblocks()
+            .iter()
+            .flat_map(|block| &block.areas)
+            .collect();
+        let roads = map
+            .road_segments()
+            .iter()
+            .filter(|road| !blocks.contains(road));
+        let drivable = roads
+            .chain(map.intersections())
+            .chain(map.generic_drivable())
+            .chain(map.carparks());
         let rings = |polygon: &Polygon| {
-            std::iter::once(polygon.ring()).chain(polygon.holes().iter().map(Vec::as_slice)).map(ring).collect()
+            std::iter::once(polygon.ring())
+                .chain(polygon.holes().iter().map(Vec::as_slice))
+                .map(ring)
+                .collect()
         };
         Self {
             lanes: lanes.collect(),
             drivable: drivable.filter(near).map(rings).collect(),
-            crosswalks: map.crosswalks().iter().filter(near).map(|area| ring(area.ring())).collect(),
-            stop_lines: map.stop_lines().iter().map(|l| &l.polygon).filter(near).map(|a| ring(a.ring())).collect(),
+            crosswalks: map
+                .crosswalks()
+                .iter()
+                .filter(near)
+                .map(|area| ring(area.ring()))
+                .collect(),
+            stop_lines: map
+                .stop_lines()
+                .iter()
+                .map(|l| &l.polygon)
+                .filter(near)
+                .map(|a| ring(a.ring()))
+                .collect(),
         }
     }
 
@@ -104,7 +132,11 @@ impl From<&ReplayMap> for DrawnMap {
     fn from(map: &ReplayMap) -> Self {
         let points = |ring: &Points| -> Vec<Point> { ring.points().collect() };
         let mut drawn = Self {
-            drivable: map.drivable.iter().map(|rings| rings.iter().map(points).collect()).collect(),
+            drivable: map
+                .drivable
+                .iter()
+                .map(|rings| rings.iter().map(points).collect())
+                .collect(),
             crosswalks: map.crosswalks.iter().map(points).collect(),
             stop_lines: map.stop_lines.iter().map(points).collect(),
             ..Self::default()

@@ -1,8 +1,9 @@
-//! `replay.json.gz`: everything that the page and the renders need to show a simulation without its source.
+//! `replay.json.gz`: everything that the page and the renders need to show a simulation without its
+//! source.
 //!
-//! It holds the ego, the agents, the lights, the map nearby, the active plan of each iteration, and the roll-outs of Reflection.
-//! Lengths are whole centimeters, angles milliradians, speeds cm/s, all delta-coded (see [`deltas`]), in the map frame. Equal
-//! simulations give equal bytes.
+//! It holds the ego, the agents, the lights, the map nearby, the active plan of each iteration, and
+//! the roll-outs of Reflection. Lengths are whole centimeters, angles milliradians, speeds cm/s,
+//! all delta-coded (see [`deltas`]), in the map frame. Equal simulations give equal bytes.
 
 mod deltas;
 mod map;
@@ -31,7 +32,8 @@ use track::{AgentTrack, EgoTrack, LightTrack};
 
 /// The format that this program reads and writes.
 const FORMAT: u32 = 2;
-/// Maximum size of a replay once unpacked, bytes: far more than any simulation needs, and less than memory.
+/// Maximum size of a replay once unpacked, bytes: far more than any simulation needs, and less than
+/// memory.
 const MAX_BYTES: u64 = 256 << 20;
 /// Time between the points of plans and roll-outs, microseconds.
 const PLAN_STEP_US: i64 = 500_000;
@@ -66,7 +68,8 @@ pub(super) struct Replay {
 struct CallTrack {
     /// The iteration of the call.
     iteration: usize,
-    /// The roll-out of each attempt, in the form of [`Replay::plans`]; none for an attempt without reflection.
+    /// The roll-out of each attempt, in the form of [`Replay::plans`]; none for an attempt without
+    /// reflection.
     attempts: Vec<Option<Points>>,
 }
 
@@ -86,12 +89,17 @@ impl Replay {
         }
         let file = File::open(&path).map_err(ReportError::read(&path))?;
         let mut text = String::new();
-        GzDecoder::new(file).take(MAX_BYTES).read_to_string(&mut text).map_err(ReportError::read(&path))?;
+        GzDecoder::new(file)
+            .take(MAX_BYTES)
+            .read_to_string(&mut text)
+            .map_err(ReportError::read(&path))?;
         let replay: Self = serde_json::from_str(&text).map_err(ReportError::at(&path))?;
         if replay.format == FORMAT {
             Ok(Some(replay))
         } else {
-            Err(ReportError::at(&path)(ReportFault::ReplayFormat(replay.format)))
+            Err(ReportError::at(&path)(ReportFault::ReplayFormat(
+                replay.format,
+            )))
         }
     }
 

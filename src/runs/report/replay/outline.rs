@@ -5,7 +5,8 @@ use super::deltas::Points;
 use planagent_world::geometry::{Point, simplified};
 use serde::Serialize;
 
-/// Simplification removes points that are nearer than this to the remaining path, meters: less than a pixel of a thumbnail.
+/// Simplification removes points that are nearer than this to the remaining path, meters: less than
+/// a pixel of a thumbnail.
 const DETAIL_M: f64 = 0.5;
 
 /// The recorded ego's path.
@@ -24,7 +25,10 @@ impl Replay {
     /// The sketch of the recorded ego.
     pub(in crate::report) fn sketch(&self) -> Sketch {
         let points: Vec<Point> = self.expert.points().collect();
-        let meters: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+        let meters: f64 = points
+            .windows(2)
+            .map(|pair| (pair[1] - pair[0]).norm())
+            .sum();
         Sketch {
             path: Points::of(&simplified(&points, DETAIL_M)),
             meters: meters.round() as u32,

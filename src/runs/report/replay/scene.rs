@@ -34,13 +34,22 @@ pub(in crate::report) struct Moment {
 impl ReplayedSimulation {
     /// The scenes of a replay.
     pub(in crate::report) fn new(replay: &Replay) -> Self {
-        let plans = replay.plans.iter().map(|plan| plan.points().collect()).chain(std::iter::repeat(Vec::new()));
+        let plans = replay
+            .plans
+            .iter()
+            .map(|plan| plan.points().collect())
+            .chain(std::iter::repeat(Vec::new()));
         let mut moments: Vec<Moment> = replay
             .ego
             .states()
             .zip(replay.times_ms.values(1e-3))
             .zip(plans)
-            .map(|((ego, at_s), plan)| Moment { at_s, ego, plan, objects: Vec::new() })
+            .map(|((ego, at_s), plan)| Moment {
+                at_s,
+                ego,
+                plan,
+                objects: Vec::new(),
+            })
             .collect();
         for (i, object) in replay.agents.iter().flat_map(AgentTrack::objects) {
             if let Some(moment) = moments.get_mut(i) {
@@ -48,13 +57,20 @@ impl ReplayedSimulation {
             }
         }
         let attempts = |tracks: &[Option<Points>]| {
-            tracks.iter().map(|track| track.iter().flat_map(Points::points).collect()).collect()
+            tracks
+                .iter()
+                .map(|track| track.iter().flat_map(Points::points).collect())
+                .collect()
         };
         let map = DrawnMap::from(&replay.map);
         let light = |light: &LightTrack| Some((map.start_of(light.lane())?, light.clone()));
         Self {
             moments,
-            calls: replay.calls.iter().map(|call| (call.iteration, attempts(&call.attempts))).collect(),
+            calls: replay
+                .calls
+                .iter()
+                .map(|call| (call.iteration, attempts(&call.attempts)))
+                .collect(),
             lights: replay.lights.iter().filter_map(light).collect(),
             map,
         }
@@ -70,15 +86,25 @@ impl ReplayedSimulation {
         &self.moments
     }
 
-    /// The lights at an iteration: the first segment of each connector with a light, and its status.
+    /// The lights at an iteration: the first segment of each connector with a light, and its
+    /// status.
     pub(in crate::report) fn lights_at(&self, iteration: usize) -> Vec<([Point; 2], SignalStatus)> {
-        self.lights.iter().filter_map(|(start, light)| Some((*start, light.at(iteration)?))).collect()
+        self.lights
+            .iter()
+            .filter_map(|(start, light)| Some((*start, light.at(iteration)?)))
+            .collect()
     }
 
     /// The last planning call up to an iteration: its number and the roll-outs of its attempts.
     pub(in crate::report) fn call_at(&self, iteration: usize) -> Option<(usize, &[Vec<Point>])> {
-        let count = self.calls.iter().take_while(|(at, _)| *at <= iteration).count();
+        let count = self
+            .calls
+            .iter()
+            .take_while(|(at, _)| *at <= iteration)
+            .count();
         let call = count.checked_sub(1)?;
-        self.calls.get(call).map(|(_, attempts)| (call, attempts.as_slice()))
+        self.calls
+            .get(call)
+            .map(|(_, attempts)| (call, attempts.as_slice()))
     }
 }

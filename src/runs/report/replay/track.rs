@@ -2,7 +2,9 @@
 
 use super::deltas::{Deltas, LENGTH};
 use planagent_world::geometry::{OrientedBox, Pose, Vector, unwrap_angles};
-use planagent_world::{EgoState, HistorySample, LaneId, ObjectKind, SignalStatus, TrackToken, TrackedObject};
+use planagent_world::{
+    EgoState, HistorySample, LaneId, ObjectKind, SignalStatus, TrackToken, TrackedObject,
+};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -33,7 +35,9 @@ impl Poses {
 
     fn poses(&self) -> impl Iterator<Item = Pose> + '_ {
         let places = self.x.values(LENGTH).zip(self.y.values(LENGTH));
-        places.zip(self.heading.values(ANGLE)).map(|((x, y), heading)| Pose::new(x, y, heading))
+        places
+            .zip(self.heading.values(ANGLE))
+            .map(|((x, y), heading)| Pose::new(x, y, heading))
     }
 }
 
@@ -54,7 +58,9 @@ impl EgoTrack {
     /// The ego of these samples.
     pub(super) fn of(samples: &[HistorySample]) -> Self {
         let poses: Vec<Pose> = samples.iter().map(|sample| sample.ego.rear_axle).collect();
-        let along = |of: fn(&EgoState) -> f64| Deltas::of(samples.iter().map(|sample| of(&sample.ego)), RATE);
+        let along = |of: fn(&EgoState) -> f64| {
+            Deltas::of(samples.iter().map(|sample| of(&sample.ego)), RATE)
+        };
         Self {
             poses: Poses::of(&poses),
             speed: along(|ego| ego.velocity.x),
@@ -65,17 +71,24 @@ impl EgoTrack {
 
     /// The states; steering and lateral motion are not stored.
     pub(super) fn states(&self) -> impl Iterator<Item = EgoState> + '_ {
-        let rates = self.speed.values(RATE).zip(self.acceleration.values(RATE)).zip(self.yaw_rate.values(RATE));
-        self.poses.poses().zip(rates).map(|(rear_axle, ((speed, acceleration), yaw_rate))| EgoState {
-            time_us: 0,
-            rear_axle,
-            velocity: Vector::new(speed, 0.0),
-            acceleration: Vector::new(acceleration, 0.0),
-            steering_angle: 0.0,
-            steering_rate: 0.0,
-            angular_velocity: yaw_rate,
-            angular_acceleration: 0.0,
-        })
+        let rates = self
+            .speed
+            .values(RATE)
+            .zip(self.acceleration.values(RATE))
+            .zip(self.yaw_rate.values(RATE));
+        self.poses
+            .poses()
+            .zip(rates)
+            .map(|(rear_axle, ((speed, acceleration), yaw_rate))| EgoState {
+                time_us: 0,
+                rear_axle,
+                velocity: Vector::new(speed, 0.0),
+                acceleration: Vector::new(acceleration, 0.0),
+                steering_angle: 0.0,
+                steering_rate: 0.0,
+                angular_velocity: yaw_rate,
+                angular_acceleration: 0.0,
+            })
     }
 }
 
@@ -118,10 +131,15 @@ impl AgentTrack {
         ended.extend(open.into_values());
         let near = |from: usize, seen: &[TrackedObject]| {
             let egos = samples.iter().skip(from).map(|sample| sample.ego.rear_axle);
-            seen.iter().zip(egos).any(|(object, ego)| object.shape.center.distance(&ego) <= reach)
+            seen.iter()
+                .zip(egos)
+                .any(|(object, ego)| object.shape.center.distance(&ego) <= reach)
         };
-        let mut tracks: Vec<Self> =
-            ended.into_iter().filter(|(from, seen)| near(*from, seen)).filter_map(|(f, s)| Self::of(f, &s)).collect();
+        let mut tracks: Vec<Self> = ended
+            .into_iter()
+            .filter(|(from, seen)| near(*from, seen))
+            .filter_map(|(f, s)| Self::of(f, &s))
+            .collect();
         tracks.sort_by_key(|track| (track.token, track.from));
         tracks
     }
@@ -146,15 +164,25 @@ impl AgentTrack {
     pub(super) fn objects(&self) -> impl Iterator<Item = (usize, TrackedObject)> + '_ {
         let velocities = self.vx.values(VELOCITY).zip(self.vy.values(VELOCITY));
         let (length, width) = (self.length as f64 * LENGTH, self.width as f64 * LENGTH);
-        self.poses.poses().zip(velocities).enumerate().map(move |(i, (pose, (vx, vy)))| {
-            let shape = OrientedBox::new(pose, length, width);
-            let object = TrackedObject { token: self.token, kind: self.kind, shape, velocity: Vector::new(vx, vy) };
-            (self.from + i, object)
-        })
+        self.poses
+            .poses()
+            .zip(velocities)
+            .enumerate()
+            .map(move |(i, (pose, (vx, vy)))| {
+                let shape = OrientedBox::new(pose, length, width);
+                let object = TrackedObject {
+                    token: self.token,
+                    kind: self.kind,
+                    shape,
+                    velocity: Vector::new(vx, vy),
+                };
+                (self.from + i, object)
+            })
     }
 }
 
-/// The light of a connector: the samples of its changes, and its new status; none where no light is recorded.
+/// The light of a connector: the samples of its changes, and its new status; none where no light is
+/// recorded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct LightTrack {
     lane: LaneId,
@@ -172,7 +200,10 @@ impl LightTrack {
             let mut changes: Vec<(usize, Option<SignalStatus>)> = Vec::new();
             for i in 0..samples {
                 let now = status(i, lane);
-                if changes.last().map_or(now.is_some(), |(_, last)| *last != now) {
+                if changes
+                    .last()
+                    .map_or(now.is_some(), |(_, last)| *last != now)
+                {
                     changes.push((i, now));
                 }
             }
@@ -188,7 +219,11 @@ impl LightTrack {
 
     /// The status at a sample; none where no light is recorded.
     pub(super) fn at(&self, sample: usize) -> Option<SignalStatus> {
-        self.changes.iter().take_while(|(from, _)| *from <= sample).last().and_then(|(_, status)| *status)
+        self.changes
+            .iter()
+            .take_while(|(from, _)| *from <= sample)
+            .last()
+            .and_then(|(_, status)| *status)
     }
 }
 
@@ -212,37 +247,79 @@ mod tests {
 
     fn car(token: u32, x: f64) -> TrackedObject {
         let shape = OrientedBox::new(Pose::new(x, 3.5, 3.1), 4.5, 1.9);
-        TrackedObject { token: TrackToken(token), kind: ObjectKind::Vehicle, shape, velocity: Vector::new(1.0, 0.0) }
+        TrackedObject {
+            token: TrackToken(token),
+            kind: ObjectKind::Vehicle,
+            shape,
+            velocity: Vector::new(1.0, 0.0),
+        }
     }
 
     #[test]
     fn objects_keep_their_places_and_gaps() {
-        let seen: [&[TrackedObject]; 4] =
-            [&[car(1, 10.0), car(7, 500.0)], &[car(1, 11.0), car(2, 20.0)], &[car(2, 21.0)], &[car(1, 13.0)]];
+        let seen: [&[TrackedObject]; 4] = [
+            &[car(1, 10.0), car(7, 500.0)],
+            &[car(1, 11.0), car(2, 20.0)],
+            &[car(2, 21.0)],
+            &[car(1, 13.0)],
+        ];
         let samples: Vec<HistorySample> = seen
             .iter()
             .enumerate()
-            .map(|(i, objects)| HistorySample { ego: ego(i as f64), objects: Arc::from(*objects) })
+            .map(|(i, objects)| HistorySample {
+                ego: ego(i as f64),
+                objects: Arc::from(*objects),
+            })
             .collect();
         let tracks = AgentTrack::all(&samples, 100.0);
-        let spans: Vec<(u32, usize, usize)> = tracks.iter().map(|t| (t.token.0, t.from, t.objects().count())).collect();
+        let spans: Vec<(u32, usize, usize)> = tracks
+            .iter()
+            .map(|t| (t.token.0, t.from, t.objects().count()))
+            .collect();
         assert_eq!(spans, [(1, 0, 2), (1, 3, 1), (2, 1, 2)]);
         let (sample, object) = tracks[2].objects().nth(1).unwrap();
         assert_eq!(sample, 2);
-        assert!((object.shape.center.x - 21.0).abs() < 1e-9 && (object.shape.length - 4.5).abs() < 1e-9);
+        assert!(
+            (object.shape.center.x - 21.0).abs() < 1e-9 && (object.shape.length - 4.5).abs() < 1e-9
+        );
         let states: Vec<EgoState> = EgoTrack::of(&samples).states().collect();
         assert!(states.len() == 4 && (states[3].rear_axle.x - 3.0).abs() < 1e-9);
     }
 
     #[test]
     fn a_light_is_stored_when_it_changes() {
-        let shown = [None, Some(SignalStatus::Red), Some(SignalStatus::Red), Some(SignalStatus::Green), None];
-        let lights = LightTrack::all([LaneId(3), LaneId(4)].into_iter(), shown.len(), |i, lane| {
-            if lane == LaneId(3) { shown[i] } else { None }
-        });
-        let changes = vec![(1, Some(SignalStatus::Red)), (3, Some(SignalStatus::Green)), (4, None)];
-        assert_eq!(lights, [LightTrack { lane: LaneId(3), changes }]);
-        let [light] = lights.as_slice() else { panic!("{lights:?}") };
-        assert_eq!((0..shown.len()).map(|i| light.at(i)).collect::<Vec<_>>(), shown);
+        let shown = [
+            None,
+            Some(SignalStatus::Red),
+            Some(SignalStatus::Red),
+            Some(SignalStatus::Green),
+            None,
+        ];
+        let lights = LightTrack::all(
+            [LaneId(3), LaneId(4)].into_iter(),
+            shown.len(),
+            |i, lane| {
+                if lane == LaneId(3) { shown[i] } else { None }
+            },
+        );
+        let changes = vec![
+            (1, Some(SignalStatus::Red)),
+            (3, Some(SignalStatus::Green)),
+            (4, None),
+        ];
+        assert_eq!(
+            lights,
+            [LightTrack {
+                lane: LaneId(3),
+                changes
+            }]
+        );
+        let [light] = lights.as_slice() else {
+            panic!("{lights:?}")
+        };
+        assert_eq!(
+            (0..shown.len()).map(|i| light.at(i)).collect::<Vec<_>>(),
+            shown
+        );
     }
 }

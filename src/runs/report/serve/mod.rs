@@ -1,8 +1,8 @@
 //! A small HTTP server for the page of runs that may still be running.
 //!
-//! It listens on 127.0.0.1 only, and answers only browsers that ask for this machine by name. It is read-only: its answers are the
-//! page, and the data that the page asks for by number. No request names a file. Each connection has a thread and a time limit,
-//! so a slow client delays nobody.
+//! It listens on 127.0.0.1 only, and answers only browsers that ask for this machine by name. It is
+//! read-only: its answers are the page, and the data that the page asks for by number. No request
+//! names a file. Each connection has a thread and a time limit, so a slow client delays nobody.
 
 mod request;
 mod response;
@@ -22,15 +22,17 @@ use std::time::{Duration, Instant};
 const MAX_CONNECTIONS: usize = 64;
 /// Minimum time between two looks at the folders of the runs.
 const REFRESH: Duration = Duration::from_millis(500);
-/// Between two looks at the folders passes at least this multiple of the time that the last one took, so that a page of
-/// many simulations takes no cores from those that run.
+/// Between two looks at the folders passes at least this multiple of the time that the last one
+/// took, so that a page of many simulations takes no cores from those that run.
 const REST: u32 = 20;
 /// Time after a failed accept, for example without free file descriptors.
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// Why the server cannot start.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot listen on {address}: {cause}; choose another port with --port, or 0 for any free one")]
+#[error(
+    "cannot listen on {address}: {cause}; choose another port with --port, or 0 for any free one"
+)]
 pub struct ServeError {
     /// The address.
     pub address: SocketAddr,
@@ -88,15 +90,25 @@ impl Server {
         let failed = |cause| ServeError { address, cause };
         let listener = TcpListener::bind(address).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
-        let seen = Seen { state: page.state(), problem: None };
+        let seen = Seen {
+            state: page.state(),
+            problem: None,
+        };
         let shared = Arc::new(Shared {
             html: page.html().into_bytes(),
-            page: Mutex::new(Followed { page, next: Instant::now() }),
+            page: Mutex::new(Followed {
+                page,
+                next: Instant::now(),
+            }),
             state: Mutex::new(seen),
             connections: AtomicUsize::new(0),
             stopped: AtomicBool::new(false),
         });
-        Ok(Self { listener, address, shared })
+        Ok(Self {
+            listener,
+            address,
+            shared,
+        })
     }
 
     /// Where it listens.
@@ -106,7 +118,10 @@ impl Server {
 
     /// What stops it.
     pub fn stopper(&self) -> Stopper {
-        Stopper { address: self.address, shared: Arc::clone(&self.shared) }
+        Stopper {
+            address: self.address,
+            shared: Arc::clone(&self.shared),
+        }
     }
 
     /// Answers until it is stopped.
@@ -131,7 +146,13 @@ impl Server {
                     Ok(request) => (shared.answer(&request), request.wants_body()),
                     Err(refusal) => (refusal, true),
                 },
-                None => (Response::words(Status::Unavailable, "too many connections at a time; ask again later"), true),
+                None => (
+                    Response::words(
+                        Status::Unavailable,
+                        "too many connections at a time; ask again later",
+                    ),
+                    true,
+                ),
             };
             // A client that has gone needs no answer.
             let _ = response.0.write(&stream, response.1);
@@ -181,7 +202,10 @@ impl Shared {
                 Response::data(Content::Plain(version.to_string().into_bytes()))
             }
             "/data/index" => Response::data(Content::Packed(self.seen().state.index().to_vec())),
-            path => match path.strip_prefix("/data/").map(|name| self.seen().state.part(name)) {
+            path => match path
+                .strip_prefix("/data/")
+                .map(|name| self.seen().state.part(name))
+            {
                 Some(Ok(Some(part))) => Response::data(Content::Packed(part)),
                 Some(Ok(None)) | None => Response::words(Status::NotFound, "there is no such page"),
                 Some(Err(error)) => Response::words(Status::Failed, &error.to_string()),
@@ -189,7 +213,8 @@ impl Shared {
         }
     }
 
-    /// The present data. Looks at the folders unless that was just done, or another connection is doing it.
+    /// The present data. Looks at the folders unless that was just done, or another connection is
+    /// doing it.
     fn look(&self) -> Seen {
         let mut followed = match self.page.try_lock() {
             Ok(followed) => followed,
@@ -202,7 +227,12 @@ impl Shared {
             followed.next = Instant::now() + REFRESH.max(begun.elapsed() * REST);
             let mut seen = self.seen();
             match refreshed {
-                Ok(state) => *seen = Seen { state, problem: None },
+                Ok(state) => {
+                    *seen = Seen {
+                        state,
+                        problem: None,
+                    }
+                }
                 Err(error) => seen.problem = Some(error.to_string()),
             }
         }

@@ -1,4 +1,5 @@
-//! The head of a request: read with a time limit, and refused unless it asks this machine for a page.
+//! The head of a request: read with a time limit, and refused unless it asks this machine for a
+//! page.
 
 use super::response::{Response, Status};
 use std::io::Read;
@@ -10,7 +11,8 @@ const MAX_TIME: Duration = Duration::from_secs(5);
 /// Maximum size of a head, bytes. Those of browsers have about 1 KB.
 const MAX_BYTES: usize = 16 * 1024;
 const MAX_HEADERS: usize = 64;
-/// The names of this machine. A page of another name that leads here by DNS (DNS rebinding) has its own name as host.
+/// The names of this machine. A page of another name that leads here by DNS (DNS rebinding) has its
+/// own name as host.
 const OWN_NAMES: [&str; 2] = ["127.0.0.1", "localhost"];
 
 /// A request that may be answered.
@@ -27,13 +29,22 @@ impl Request {
         let begun = Instant::now();
         loop {
             let left = MAX_TIME.saturating_sub(begun.elapsed());
-            let waits = if left.is_zero() { None } else { stream.set_read_timeout(Some(left)).ok() };
+            let waits = if left.is_zero() {
+                None
+            } else {
+                stream.set_read_timeout(Some(left)).ok()
+            };
             let mut more = [0; 2048];
             match waits.and_then(|()| {
                 let mut stream = stream;
                 stream.read(&mut more).ok()
             }) {
-                None => return Err(Response::words(Status::Timeout, "the request did not arrive in time")),
+                None => {
+                    return Err(Response::words(
+                        Status::Timeout,
+                        "the request did not arrive in time",
+                    ));
+                }
                 Some(0) => return Err(Response::words(Status::Bad, "the request is not complete")),
                 Some(count) => head.extend(more.iter().take(count)),
             }
@@ -41,7 +52,10 @@ impl Request {
                 return Ok(request);
             }
             if head.len() > MAX_BYTES {
-                return Err(Response::words(Status::TooLarge, "the head of the request is too large"));
+                return Err(Response::words(
+                    Status::TooLarge,
+                    "the head of the request is too large",
+                ));
             }
         }
     }
@@ -56,22 +70,36 @@ impl Request {
             Ok(httparse::Status::Complete(_)) => {}
             Err(error) => return Err(bad(&format!("no HTTP request: {error}"))),
         }
-        let mut hosts = request.headers.iter().filter(|header| header.name.eq_ignore_ascii_case("host"));
-        let (Some(host), None) = (hosts.next(), hosts.next()) else { return Err(bad("the request needs one host")) };
+        let mut hosts = request
+            .headers
+            .iter()
+            .filter(|header| header.name.eq_ignore_ascii_case("host"));
+        let (Some(host), None) = (hosts.next(), hosts.next()) else {
+            return Err(bad("the request needs one host"));
+        };
         if !std::str::from_utf8(host.value).is_ok_and(is_own) {
             let words = format!("this server answers only as {}", OWN_NAMES.join(" or "));
             return Err(Response::words(Status::OtherHost, &words));
         }
         let method = request.method.expect("a complete request has a method");
         if !["GET", "HEAD"].contains(&method) {
-            return Err(Response::words(Status::OtherMethod, "this server is read-only: GET and HEAD"));
+            return Err(Response::words(
+                Status::OtherMethod,
+                "this server is read-only: GET and HEAD",
+            ));
         }
         let target = request.path.expect("a complete request has a target");
-        let path = target.split(['?', '#']).next().expect("a split gives one part at least");
+        let path = target
+            .split(['?', '#'])
+            .next()
+            .expect("a split gives one part at least");
         if !path.starts_with('/') {
             return Err(bad("the path of the request must start with /"));
         }
-        Ok(Some(Self { path: path.to_owned(), is_head: method == "HEAD" }))
+        Ok(Some(Self {
+            path: path.to_owned(),
+            is_head: method == "HEAD",
+        }))
     }
 
     /// The path, without what comes after a question mark.
@@ -96,7 +124,9 @@ mod tests {
     use super::*;
 
     fn status(head: &str) -> Option<Status> {
-        Request::parse(head.as_bytes()).err().map(|refusal| refusal.status())
+        Request::parse(head.as_bytes())
+            .err()
+            .map(|refusal| refusal.status())
     }
 
     #[test]
@@ -104,13 +134,25 @@ mod tests {
         for host in ["127.0.0.1:4747", "localhost", "LOCALHOST:80"] {
             assert!(is_own(host), "{host}");
         }
-        for host in
-            ["", "evil.example", "127.0.0.1.evil.example", "localhost:", "localhost:a", "[::1]:80", "127.0.0.1:80:80"]
-        {
+        for host in [
+            "",
+            "evil.example",
+            "127.0.0.1.evil.example",
+            "localhost:",
+            "localhost:a",
+            "[::1]:80",
+            "127.0.0.1:80:80",
+        ] {
             assert!(!is_own(host), "{host}");
         }
-        assert_eq!(status("GET / HTTP/1.1\r\nHost: evil.example:4747\r\n\r\n"), Some(Status::OtherHost));
-        assert_eq!(status("GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n"), Some(Status::Bad));
+        assert_eq!(
+            status("GET / HTTP/1.1\r\nHost: evil.example:4747\r\n\r\n"),
+            Some(Status::OtherHost)
+        );
+        assert_eq!(
+            status("GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n"),
+            Some(Status::Bad)
+        );
         assert_eq!(status("GET / HTTP/1.0\r\n\r\n"), Some(Status::Bad));
     }
 
@@ -118,12 +160,28 @@ mod tests {
     fn a_request_is_read_when_its_head_is_complete() {
         let whole = "HEAD /data/index?x=1 HTTP/1.1\r\nAccept: */*\r\nhost: 127.0.0.1:4747\r\n\r\n";
         for length in 0..whole.len() {
-            assert_eq!(Request::parse(&whole.as_bytes()[..length]).unwrap(), None, "{length}");
+            assert_eq!(
+                Request::parse(&whole.as_bytes()[..length]).unwrap(),
+                None,
+                "{length}"
+            );
         }
         let request = Request::parse(whole.as_bytes()).unwrap().unwrap();
-        assert_eq!((request.path(), request.wants_body()), ("/data/index", false));
-        assert_eq!(status("POST / HTTP/1.1\r\nHost: localhost\r\n\r\n"), Some(Status::OtherMethod));
-        assert_eq!(status("GET http://localhost/ HTTP/1.1\r\nHost: localhost\r\n\r\n"), Some(Status::Bad));
-        assert_eq!(status("\u{16}\u{3}\u{1} nonsense\r\n\r\n"), Some(Status::Bad));
+        assert_eq!(
+            (request.path(), request.wants_body()),
+            ("/data/index", false)
+        );
+        assert_eq!(
+            status("POST / HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+            Some(Status::OtherMethod)
+        );
+        assert_eq!(
+            status("GET http://localhost/ HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+            Some(Status::Bad)
+        );
+        assert_eq!(
+            status("\u{16}\u{3}\u{1} nonsense\r\n\r\n"),
+            Some(Status::Bad)
+        );
     }
 }

@@ -8,11 +8,12 @@ use std::time::{Duration, Instant};
 const MAX_TIME: Duration = Duration::from_secs(30);
 /// Bytes that are handed to the system at a time.
 const CHUNK: usize = 64 * 1024;
-/// Time and bytes for which a refused request is read on: a connection that closes with unread bytes loses its answer.
+/// Time and bytes for which a refused request is read on: a connection that closes with unread
+/// bytes loses its answer.
 const DRAIN: Duration = Duration::from_millis(300);
 const MAX_DRAINED: usize = 256 * 1024;
-/// What the page may do: run its own scripts and styles, draw pictures of its own data, ask this server. No other site may frame
-/// it.
+/// What the page may do: run its own scripts and styles, draw pictures of its own data, ask this
+/// server. No other site may frame it.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; connect-src \
                       'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
@@ -66,18 +67,30 @@ pub(super) struct Response {
 impl Response {
     /// The page.
     pub(super) fn page(html: &[u8]) -> Self {
-        Self { status: Status::Found, kind: "text/html; charset=utf-8", content: Content::Plain(html.to_vec()) }
+        Self {
+            status: Status::Found,
+            kind: "text/html; charset=utf-8",
+            content: Content::Plain(html.to_vec()),
+        }
     }
 
     /// JSON.
     pub(super) fn data(content: Content) -> Self {
-        Self { status: Status::Found, kind: "application/json", content }
+        Self {
+            status: Status::Found,
+            kind: "application/json",
+            content,
+        }
     }
 
     /// A sentence for people.
     pub(super) fn words(status: Status, words: &str) -> Self {
         let content = Content::Plain(format!("{words}\n").into_bytes());
-        Self { status, kind: "text/plain; charset=utf-8", content }
+        Self {
+            status,
+            kind: "text/plain; charset=utf-8",
+            content,
+        }
     }
 
     #[cfg(test)]
@@ -91,7 +104,11 @@ impl Response {
             Content::Plain(bytes) => (bytes, ""),
             Content::Packed(bytes) => (bytes, "Content-Encoding: gzip\r\n"),
         };
-        let allow = if self.status == Status::OtherMethod { "Allow: GET, HEAD\r\n" } else { "" };
+        let allow = if self.status == Status::OtherMethod {
+            "Allow: GET, HEAD\r\n"
+        } else {
+            ""
+        };
         let head = format!(
             "HTTP/1.1 {}\r\nContent-Type: {}\r\nContent-Length: {}\r\n{encoding}{allow}Cache-Control: no-store\r\n\
              X-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\nCross-Origin-Resource-Policy: same-origin\r\n\
@@ -127,7 +144,9 @@ fn send(mut stream: &TcpStream, bytes: &[u8], end: Instant) -> io::Result<()> {
             if count == 0 {
                 return Err(ErrorKind::WriteZero.into());
             }
-            left = left.get(count..).expect("a write takes no more than it is given");
+            left = left
+                .get(count..)
+                .expect("a write takes no more than it is given");
         }
     }
     Ok(())

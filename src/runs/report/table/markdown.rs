@@ -13,6 +13,8 @@ impl Table {
         let lines = [&self.headers, &rules].into_iter().chain(&self.rows);
         let cell = |cell: &String| cell.replace('|', "\\|");
         let line = |cells: &Vec<String>| cells.iter().map(cell).collect::<Vec<_>>().join(" | ");
-        lines.flat_map(|cells| ["| ".to_owned(), line(cells), " |\n".to_owned()]).collect()
+        lines
+            .flat_map(|cells| ["| ".to_owned(), line(cells), " |\n".to_owned()])
+            .collect()
     }
 }

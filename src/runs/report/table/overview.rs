@@ -6,29 +6,64 @@ use crate::report::timing::PlannerTiming;
 use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::distinct;
 
-/// A row for each planner: its mean scores, the mean time of a step, the median time of a planning call, its simulations.
+/// A row for each planner: its mean scores, the mean time of a step, the median time of a planning
+/// call, its simulations.
 ///
 /// There is no median of a step: most steps of a planner with a model do not call it.
 pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
     let challenges = distinct(summary.aggregates.iter().map(|row| row.challenge));
-    let call = timings.iter().any(|timing| timing.planning_call_ms.is_some()).then_some("ms/call p50");
+    let call = timings
+        .iter()
+        .any(|timing| timing.planning_call_ms.is_some())
+        .then_some("ms/call p50");
     let scores = challenges.iter().map(|&challenge| short(challenge));
-    let headers = ["planner"].into_iter().chain(scores).chain(["ms/step"]).chain(call).chain(["simulations", "failed"]);
+    let headers = ["planner"]
+        .into_iter()
+        .chain(scores)
+        .chain(["ms/step"])
+        .chain(call)
+        .chain(["simulations", "failed"]);
     let planners = distinct(summary.aggregates.iter().map(|row| row.planner.as_str()));
     let timing = |planner: &str| timings.iter().find(|timing| timing.planner == planner);
-    let steps: Vec<_> = planners.iter().map(|planner| timing(planner)?.mean_iteration_ms).collect();
-    let calls: Vec<_> = planners.iter().map(|planner| Some(timing(planner)?.planning_call_ms?.p50)).collect();
+    let steps: Vec<_> = planners
+        .iter()
+        .map(|planner| timing(planner)?.mean_iteration_ms)
+        .collect();
+    let calls: Vec<_> = planners
+        .iter()
+        .map(|planner| Some(timing(planner)?.planning_call_ms?.p50))
+        .collect();
     let times = measurements(&steps).into_iter().zip(measurements(&calls));
-    let rows = planners.into_iter().zip(times).map(|(planner, (step, call_time))| {
-        let own = || summary.aggregates.iter().filter(|row| row.planner == planner);
-        let score = |challenge| own().find(|row| row.challenge == challenge).and_then(|row| row.score);
-        let call = call.map(|_| call_time);
-        let simulations: usize = own().map(|row| row.scenarios + row.failed).sum();
-        let failed: usize = own().map(|row| row.failed).sum();
-        let scores = challenges.iter().map(|&challenge| or_dash(score(challenge), percent));
-        let counts = [simulations, failed].map(|count| count.to_string());
-        [planner.to_owned()].into_iter().chain(scores).chain([step]).chain(call).chain(counts).collect()
-    });
+    let rows = planners
+        .into_iter()
+        .zip(times)
+        .map(|(planner, (step, call_time))| {
+            let own = || {
+                summary
+                    .aggregates
+                    .iter()
+                    .filter(|row| row.planner == planner)
+            };
+            let score = |challenge| {
+                own()
+                    .find(|row| row.challenge == challenge)
+                    .and_then(|row| row.score)
+            };
+            let call = call.map(|_| call_time);
+            let simulations: usize = own().map(|row| row.scenarios + row.failed).sum();
+            let failed: usize = own().map(|row| row.failed).sum();
+            let scores = challenges
+                .iter()
+                .map(|&challenge| or_dash(score(challenge), percent));
+            let counts = [simulations, failed].map(|count| count.to_string());
+            [planner.to_owned()]
+                .into_iter()
+                .chain(scores)
+                .chain([step])
+                .chain(call)
+                .chain(counts)
+                .collect()
+        });
     Table::new(headers, 1, rows).terminal()
 }
 
@@ -37,7 +72,8 @@ const COUNT: usize = 4;
 const SCORE: usize = 6;
 const GAP: usize = 2;
 
-/// The scores of the planners by scenario type; planners that the width does not hold follow in tables below.
+/// The scores of the planners by scenario type; planners that the width does not hold follow in
+/// tables below.
 pub(super) fn scenario_types(summary: &Summary, width: u16) -> String {
     let rows = &summary.scenario_types;
     let types = distinct(rows.iter().filter_map(|row| row.scenario_type.as_deref()));
@@ -46,29 +82,66 @@ pub(super) fn scenario_types(summary: &Summary, width: u16) -> String {
     }
     let challenges = distinct(rows.iter().map(|row| row.challenge));
     let planners = distinct(rows.iter().map(|row| row.planner.as_str()));
-    let name = planners.iter().map(|name| name.chars().count()).max().unwrap_or(0).max(SCORE) + GAP;
+    let name = planners
+        .iter()
+        .map(|name| name.chars().count())
+        .max()
+        .unwrap_or(0)
+        .max(SCORE)
+        + GAP;
     let group = name + (challenges.len() - 1) * (SCORE + GAP);
     let beside = (usize::from(width).saturating_sub(COUNT + GAP) / group).max(1);
-    let tables = planners.chunks(beside).map(|planners| type_table(rows, &types, planners, &challenges));
-    tables.map(Table::terminal_below_names).collect::<Vec<_>>().join("\n\n")
+    let tables = planners
+        .chunks(beside)
+        .map(|planners| type_table(rows, &types, planners, &challenges));
+    tables
+        .map(Table::terminal_below_names)
+        .collect::<Vec<_>>()
+        .join("\n\n")
 }
 
-fn type_table(rows: &[Aggregate], types: &[&str], planners: &[&str], challenges: &[Challenge]) -> Table {
-    let columns: Vec<(&str, Challenge)> =
-        planners.iter().flat_map(|&planner| challenges.iter().map(move |&challenge| (planner, challenge))).collect();
+fn type_table(
+    rows: &[Aggregate],
+    types: &[&str],
+    planners: &[&str],
+    challenges: &[Challenge],
+) -> Table {
+    let columns: Vec<(&str, Challenge)> = planners
+        .iter()
+        .flat_map(|&planner| {
+            challenges
+                .iter()
+                .map(move |&challenge| (planner, challenge))
+        })
+        .collect();
     let header = |&(planner, challenge): &(&str, Challenge)| {
-        let planner = if challenges.first() == Some(&challenge) { planner } else { "" };
+        let planner = if challenges.first() == Some(&challenge) {
+            planner
+        } else {
+            ""
+        };
         format!("{planner}\n{}", short(challenge))
     };
-    let headers = ["type".to_owned(), format!("\n{:>COUNT$}", "n")].into_iter().chain(columns.iter().map(header));
+    let headers = ["type".to_owned(), format!("\n{:>COUNT$}", "n")]
+        .into_iter()
+        .chain(columns.iter().map(header));
     let cells = types.iter().map(|&name| {
-        let own = || rows.iter().filter(|row| row.scenario_type.as_deref() == Some(name));
-        let count = own().map(|row| row.scenarios + row.failed).max().unwrap_or(0);
+        let own = || {
+            rows.iter()
+                .filter(|row| row.scenario_type.as_deref() == Some(name))
+        };
+        let count = own()
+            .map(|row| row.scenarios + row.failed)
+            .max()
+            .unwrap_or(0);
         let scores = columns.iter().map(|&(planner, challenge)| {
             let row = own().find(|row| row.planner == planner && row.challenge == challenge);
             or_dash(row.and_then(|row| row.score), percent)
         });
-        [name.to_owned(), count.to_string()].into_iter().chain(scores).collect()
+        [name.to_owned(), count.to_string()]
+            .into_iter()
+            .chain(scores)
+            .collect()
     });
     Table::new(headers, 1, cells)
 }
@@ -81,7 +154,12 @@ mod tests {
 
     const CHALLENGES: [Challenge; 2] = Challenge::CLOSED_LOOP;
 
-    fn row(planner: &str, challenge: Challenge, scenario_type: Option<&str>, score: Option<f64>) -> Aggregate {
+    fn row(
+        planner: &str,
+        challenge: Challenge,
+        scenario_type: Option<&str>,
+        score: Option<f64>,
+    ) -> Aggregate {
         let failed = usize::from(score.is_none());
         Aggregate {
             planner: planner.to_owned(),
@@ -99,9 +177,15 @@ mod tests {
         for planner in planners {
             for (i, challenge) in CHALLENGES.into_iter().enumerate() {
                 let score = Some(0.9 - i as f64 / 10.0);
-                summary.aggregates.push(row(planner, challenge, None, score));
-                summary.scenario_types.push(row(planner, challenge, Some("changing_lane"), None));
-                summary.scenario_types.push(row(planner, challenge, Some(longest), Some(1.0)));
+                summary
+                    .aggregates
+                    .push(row(planner, challenge, None, score));
+                summary
+                    .scenario_types
+                    .push(row(planner, challenge, Some("changing_lane"), None));
+                summary
+                    .scenario_types
+                    .push(row(planner, challenge, Some(longest), Some(1.0)));
             }
         }
         summary
@@ -116,17 +200,54 @@ mod tests {
         let idm = timing("idm", 0.25, None);
         let text = planners(&summary(&["idm", "pdm-closed"]), slice::from_ref(&idm));
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "simulations", "failed"]);
-        assert_eq!(words(lines[1]), ["idm", "90.00", "80.00", "0.25", "20", "0"]);
-        assert_eq!(words(lines[2]), ["pdm-closed", "90.00", "80.00", "-", "20", "0"]);
+        assert_eq!(
+            words(lines[0]),
+            ["planner", "NR", "R", "ms/step", "simulations", "failed"]
+        );
+        assert_eq!(
+            words(lines[1]),
+            ["idm", "90.00", "80.00", "0.25", "20", "0"]
+        );
+        assert_eq!(
+            words(lines[2]),
+            ["pdm-closed", "90.00", "80.00", "-", "20", "0"]
+        );
 
-        let agent = timing("plan-agent", 2.341, Some(Quantiles { p50: 34.12, p95: 90.0 }));
+        let agent = timing(
+            "plan-agent",
+            2.341,
+            Some(Quantiles {
+                p50: 34.12,
+                p95: 90.0,
+            }),
+        );
         let text = planners(&summary(&["plan-agent", "idm"]), &[agent, idm]);
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "ms/call", "p50", "simulations", "failed"]);
-        assert_eq!(words(lines[1]), ["plan-agent", "90.00", "80.00", "2.34", "34", "20", "0"]);
-        assert_eq!(words(lines[2]), ["idm", "90.00", "80.00", "0.25", "-", "20", "0"]);
-        assert!(lines.iter().all(|line| line.chars().count() <= 80), "{text}");
+        assert_eq!(
+            words(lines[0]),
+            [
+                "planner",
+                "NR",
+                "R",
+                "ms/step",
+                "ms/call",
+                "p50",
+                "simulations",
+                "failed"
+            ]
+        );
+        assert_eq!(
+            words(lines[1]),
+            ["plan-agent", "90.00", "80.00", "2.34", "34", "20", "0"]
+        );
+        assert_eq!(
+            words(lines[2]),
+            ["idm", "90.00", "80.00", "0.25", "-", "20", "0"]
+        );
+        assert!(
+            lines.iter().all(|line| line.chars().count() <= 80),
+            "{text}"
+        );
     }
 
     fn timing(planner: &str, mean_ms: f64, call: Option<Quantiles>) -> PlannerTiming {
@@ -134,7 +255,10 @@ mod tests {
             planner: planner.to_owned(),
             iterations: 298,
             mean_iteration_ms: Some(mean_ms),
-            iteration_ms: Some(Quantiles { p50: mean_ms / 2.0, p95: mean_ms * 2.0 }),
+            iteration_ms: Some(Quantiles {
+                p50: mean_ms / 2.0,
+                p95: mean_ms * 2.0,
+            }),
             planning_calls: call.map_or(0, |_| 16),
             planning_call_ms: call,
         }
@@ -143,16 +267,39 @@ mod tests {
     #[test]
     fn types_fit_the_width_and_further_planners_follow_below() {
         console::set_colors_enabled(false);
-        let six = ["plan-agent", "log-replay", "idm", "simple", "pdm-closed", "a-planner-of-the-future"];
+        let six = [
+            "plan-agent",
+            "log-replay",
+            "idm",
+            "simple",
+            "pdm-closed",
+            "a-planner-of-the-future",
+        ];
         let text = scenario_types(&summary(&six), 80);
-        assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
+        assert!(
+            text.lines().all(|line| line.chars().count() <= 80),
+            "{text}"
+        );
         let blocks: Vec<&str> = text.split("\n\n").collect();
         assert_eq!(blocks.len(), 3, "{text}");
         let lines: Vec<&str> = blocks[0].lines().collect();
-        assert_eq!((lines[0], words(lines[1])), ("type", vec!["plan-agent", "log-replay"]));
+        assert_eq!(
+            (lines[0], words(lines[1])),
+            ("type", vec!["plan-agent", "log-replay"])
+        );
         assert_eq!(words(lines[2]), ["n", "NR", "R", "NR", "R"]);
-        assert_eq!((lines[3], words(lines[4])), ("changing_lane", vec!["10", "-", "-", "-", "-"]));
-        assert_eq!(words(lines[6]), ["10", "100.00", "100.00", "100.00", "100.00"]);
-        assert_eq!(scenario_types(&Summary::new(0, None, &[], &[]), 80), "", "one type is all there is");
+        assert_eq!(
+            (lines[3], words(lines[4])),
+            ("changing_lane", vec!["10", "-", "-", "-", "-"])
+        );
+        assert_eq!(
+            words(lines[6]),
+            ["10", "100.00", "100.00", "100.00", "100.00"]
+        );
+        assert_eq!(
+            scenario_types(&Summary::new(0, None, &[], &[]), 80),
+            "",
+            "one type is all there is"
+        );
     }
 }

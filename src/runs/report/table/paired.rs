@@ -8,10 +8,17 @@ use crate::report::paired::{ComparedScene, ComparedScores, PlannerPair, RunCompa
 /// Scenes in each of the lists of the largest changes.
 const MAX_SCENES: usize = 5;
 
-/// The scores, if asked for by scenario type, the scenes with the largest changes, and what the columns mean. `first` and
-/// `second` are names of the runs.
-pub fn comparison_table(comparison: &RunComparison, [first, second]: [&str; 2], by_type: bool) -> String {
-    let mut parts = vec![format!("A = {first}\nB = {second}"), scores(&comparison.scores)];
+/// The scores, if asked for by scenario type, the scenes with the largest changes, and what the
+/// columns mean. `first` and `second` are names of the runs.
+pub fn comparison_table(
+    comparison: &RunComparison,
+    [first, second]: [&str; 2],
+    by_type: bool,
+) -> String {
+    let mut parts = vec![
+        format!("A = {first}\nB = {second}"),
+        scores(&comparison.scores),
+    ];
     if by_type {
         parts.push(types(&comparison.scenario_types));
     }
@@ -30,7 +37,10 @@ const SCORES: [&str; 4] = ["A", "B", "B - A", "95 % interval"];
 fn scores(all: &[ComparedScores]) -> String {
     let rows = all.iter().map(|one| {
         let name = [planners(&one.planners), short(one.challenge).to_owned()];
-        name.into_iter().chain([one.difference.pairs.to_string()]).chain(cells(one)).collect()
+        name.into_iter()
+            .chain([one.difference.pairs.to_string()])
+            .chain(cells(one))
+            .collect()
     });
     Table::new(["planner", "", "scenes"].into_iter().chain(SCORES), 2, rows).terminal()
 }
@@ -38,30 +48,58 @@ fn scores(all: &[ComparedScores]) -> String {
 fn types(all: &[ComparedScores]) -> String {
     let rows = all.iter().map(|one| {
         let kind = one.scenario_type.clone().unwrap_or_default();
-        let name = [kind, format!(" {}", planners(&one.planners)), short(one.challenge).to_owned()];
-        name.into_iter().chain([one.difference.pairs.to_string()]).chain(cells(one)).collect()
+        let name = [
+            kind,
+            format!(" {}", planners(&one.planners)),
+            short(one.challenge).to_owned(),
+        ];
+        name.into_iter()
+            .chain([one.difference.pairs.to_string()])
+            .chain(cells(one))
+            .collect()
     });
-    Table::new(["type", " planner", "", "scenes"].into_iter().chain(SCORES), 3, rows).terminal_below_names()
+    Table::new(
+        ["type", " planner", "", "scenes"].into_iter().chain(SCORES),
+        3,
+        rows,
+    )
+    .terminal_below_names()
 }
 
 fn cells(one: &ComparedScores) -> [String; 4] {
     let difference = one.difference;
     let interval = format!("{} to {}", signed(difference.low), signed(difference.high));
-    [fixed(one.first, 2), fixed(one.second, 2), signed(difference.mean), interval]
+    [
+        fixed(one.first, 2),
+        fixed(one.second, 2),
+        signed(difference.mean),
+        interval,
+    ]
 }
 
 fn changes(scenes: &[&ComparedScene]) -> String {
     let rows = scenes.iter().map(|scene| {
-        let name =
-            [scene.scenario.clone(), format!(" {}", planners(&scene.planners)), short(scene.challenge).to_owned()];
-        let scores = [fixed(scene.first, 2), fixed(scene.second, 2), signed(scene.difference())];
+        let name = [
+            scene.scenario.clone(),
+            format!(" {}", planners(&scene.planners)),
+            short(scene.challenge).to_owned(),
+        ];
+        let scores = [
+            fixed(scene.first, 2),
+            fixed(scene.second, 2),
+            signed(scene.difference()),
+        ];
         name.into_iter().chain(scores).collect()
     });
     Table::new(["scenario", " planner", "", "A", "B", "B - A"], 3, rows).terminal_below_names()
 }
 
 fn planners(pair: &PlannerPair) -> String {
-    if pair.first == pair.second { pair.first.clone() } else { format!("{} / {}", pair.first, pair.second) }
+    if pair.first == pair.second {
+        pair.first.clone()
+    } else {
+        format!("{} / {}", pair.first, pair.second)
+    }
 }
 
 /// What the columns mean, and what else differs.
@@ -82,7 +120,12 @@ fn notes(comparison: &RunComparison) -> String {
     }
     if !comparison.differences.is_empty() {
         text.push("B differs from A in:".to_owned());
-        text.extend(comparison.differences.iter().map(|line| format!("  {line}")));
+        text.extend(
+            comparison
+                .differences
+                .iter()
+                .map(|line| format!("  {line}")),
+        );
     }
     text.join("\n")
 }

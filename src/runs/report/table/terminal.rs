@@ -13,10 +13,18 @@ impl Table {
         self.lines().join("\n")
     }
 
-    /// The table with the first cell of each row on a line of its own, once for equal neighbors: long names take no width.
+    /// The table with the first cell of each row on a line of its own, once for equal neighbors:
+    /// long names take no width.
     pub fn terminal_below_names(mut self) -> String {
-        let header_lines = self.headers.iter().map(|header| header.split('\n').count()).max().unwrap_or(1);
-        let rows = std::iter::once(&mut self.headers).chain(&mut self.rows).filter(|row| !row.is_empty());
+        let header_lines = self
+            .headers
+            .iter()
+            .map(|header| header.split('\n').count())
+            .max()
+            .unwrap_or(1);
+        let rows = std::iter::once(&mut self.headers)
+            .chain(&mut self.rows)
+            .filter(|row| !row.is_empty());
         let mut names: Vec<String> = rows.map(|row| row.remove(0)).collect();
         self.alignment.remove(0);
         // The further lines of the header belong to its name.
@@ -24,7 +32,8 @@ impl Table {
         names.splice(0..0, vec![header; header_lines - 1]);
         let mut last = None;
         let named = names.iter().zip(self.lines()).flat_map(|(name, line)| {
-            let heading = (last.replace(name) != Some(name)).then(|| style(name).bold().to_string());
+            let heading =
+                (last.replace(name) != Some(name)).then(|| style(name).bold().to_string());
             heading.into_iter().chain([line])
         });
         named.collect::<Vec<_>>().join("\n")
@@ -41,11 +50,15 @@ impl Table {
                 column.set_cell_alignment(CellAlignment::Right);
             }
         }
-        table.lines().map(|line| line.trim_end().to_owned()).collect()
+        table
+            .lines()
+            .map(|line| line.trim_end().to_owned())
+            .collect()
     }
 }
 
-/// Words in lines of at most `width` columns, with two spaces between words. A longer word has a line of its own.
+/// Words in lines of at most `width` columns, with two spaces between words. A longer word has a
+/// line of its own.
 pub fn fill(words: impl IntoIterator<Item = String>, width: usize) -> Vec<String> {
     joined(words, "  ", width)
 }
@@ -59,7 +72,9 @@ fn joined(words: impl IntoIterator<Item = String>, gap: &str, width: usize) -> V
     let mut lines: Vec<String> = Vec::new();
     for word in words {
         match lines.last_mut() {
-            Some(line) if measure_text_width(line) + gap.len() + measure_text_width(&word) <= width => {
+            Some(line)
+                if measure_text_width(line) + gap.len() + measure_text_width(&word) <= width =>
+            {
                 line.push_str(gap);
                 line.push_str(&word);
             }

@@ -1,4 +1,5 @@
-//! Joints between two roads, and crossings with their connectors, stop lines, crosswalks and traffic lights.
+//! Joints between two roads, and crossings with their connectors, stop lines, crosswalks and
+//! traffic lights.
 
 use super::line::connection;
 use super::network::{Network, Passage, RoadIndex};
@@ -78,7 +79,8 @@ impl Network {
         }
     }
 
-    /// Distances from an arm's line to the right and left edge of its pavement, facing away from the junction.
+    /// Distances from an arm's line to the right and left edge of its pavement, facing away from
+    /// the junction.
     pub(super) fn edges(&self, arm: Arm) -> [f64; 2] {
         let road = &self.roads[arm.road];
         match arm.end {
@@ -90,26 +92,54 @@ impl Network {
     /// Lanes that enter the junction at an arm, leftmost first.
     pub(crate) fn arriving(&self, arm: Arm) -> &[LaneId] {
         let road = &self.roads[arm.road];
-        if arm.end == End::Finish { &road.forward } else { &road.backward }
+        if arm.end == End::Finish {
+            &road.forward
+        } else {
+            &road.backward
+        }
     }
 
     /// Lanes that leave the junction at an arm, leftmost first.
     pub(crate) fn leaving(&self, arm: Arm) -> &[LaneId] {
         let road = &self.roads[arm.road];
-        if arm.end == End::Finish { &road.backward } else { &road.forward }
+        if arm.end == End::Finish {
+            &road.backward
+        } else {
+            &road.forward
+        }
     }
 
-    /// Joins two roads end to start, lane by lane, over a short paved piece (nuPlan: a pass-through intersection).
-    pub(crate) fn join(&mut self, before: RoadIndex, after: RoadIndex) -> Result<(), GeometryError> {
-        let arms =
-            [Arm { road: before, end: End::Finish, minor: false }, Arm { road: after, end: End::Start, minor: false }];
+    /// Joins two roads end to start, lane by lane, over a short paved piece (nuPlan: a pass-through
+    /// intersection).
+    pub(crate) fn join(
+        &mut self,
+        before: RoadIndex,
+        after: RoadIndex,
+    ) -> Result<(), GeometryError> {
+        let arms = [
+            Arm {
+                road: before,
+                end: End::Finish,
+                minor: false,
+            },
+            Arm {
+                road: after,
+                end: End::Start,
+                minor: false,
+            },
+        ];
         let junction = self.open_junction(&arms)?;
         for (from, to) in [(arms[0], arms[1]), (arms[1], arms[0])] {
             let (arriving, leaving) = (self.arriving(from).to_vec(), self.leaving(to).to_vec());
             let mut previous = None;
             for (&a, &b) in arriving.iter().zip(&leaving) {
                 let line = connection(self.end_of(a), self.start_of(b));
-                let passage = Passage { junction, rank: 9, stop_sign: false, conflicts: Vec::new() };
+                let passage = Passage {
+                    junction,
+                    rank: 9,
+                    stop_sign: false,
+                    conflicts: Vec::new(),
+                };
                 let connector = self.connect(a, b, &line, passage)?;
                 if let Some(left) = previous.replace(connector) {
                     self.adjoin(left, connector);
@@ -132,7 +162,8 @@ impl Network {
         self.touching.len() - 1
     }
 
-    /// The pavement between the mouths, with rounded curbs. The arms are in counter-clockwise order.
+    /// The pavement between the mouths, with rounded curbs. The arms are in counter-clockwise
+    /// order.
     fn junction_area(&self, arms: &[Arm]) -> Result<Polygon, GeometryError> {
         /// Overlap with each arm against gaps at the seam, meters.
         const SEAM: f64 = 0.05;
@@ -153,7 +184,12 @@ impl Network {
     }
 
     /// Adds a crossing of three or four arms, which are in counter-clockwise order.
-    pub(crate) fn cross(&mut self, arms: &[Arm], control: Control, crosswalks: &[bool]) -> Result<(), GeometryError> {
+    pub(crate) fn cross(
+        &mut self,
+        arms: &[Arm],
+        control: Control,
+        crosswalks: &[bool],
+    ) -> Result<(), GeometryError> {
         let junction = self.open_junction(arms)?;
         let mut movements = Vec::new();
         for (from_arm, &from) in arms.iter().enumerate() {
@@ -161,17 +197,42 @@ impl Network {
                 let line = connection(self.end_of(a), self.start_of(b));
                 let rank = rank(control, from.minor, turn);
                 let stop_sign = control == Control::StopSigns && from.minor;
-                let connector =
-                    self.connect(a, b, &line, Passage { junction, rank, stop_sign, conflicts: Vec::new() })?;
-                let beside = movements.last().copied().filter(|&(m, to, lane): &(Movement, usize, LaneId)| {
-                    m.turn == Turn::Straight && m.from_arm == from_arm && to == to_arm && lane != b
-                });
+                let connector = self.connect(
+                    a,
+                    b,
+                    &line,
+                    Passage {
+                        junction,
+                        rank,
+                        stop_sign,
+                        conflicts: Vec::new(),
+                    },
+                )?;
+                let beside = movements.last().copied().filter(
+                    |&(m, to, lane): &(Movement, usize, LaneId)| {
+                        m.turn == Turn::Straight
+                            && m.from_arm == from_arm
+                            && to == to_arm
+                            && lane != b
+                    },
+                );
                 if let (Turn::Straight, Some((left, _, _))) = (turn, beside) {
                     self.adjoin(left.connector, connector);
                 }
-                movements.push((Movement { from_arm, minor: from.minor, turn, connector }, to_arm, b));
+                movements.push((
+                    Movement {
+                        from_arm,
+                        minor: from.minor,
+                        turn,
+                        connector,
+                    },
+                    to_arm,
+                    b,
+                ));
             }
-            if matches!(control, Control::Signals { .. }) || (control == Control::StopSigns && from.minor) {
+            if matches!(control, Control::Signals { .. })
+                || (control == Control::StopSigns && from.minor)
+            {
                 for lane in self.arriving(from).to_vec() {
                     self.add_stop_line(lane, control == Control::StopSigns)?;
                 }
@@ -183,7 +244,9 @@ impl Network {
         }
         for (&arm, _) in arms.iter().zip(crosswalks).filter(|(_, wanted)| **wanted) {
             let ([right, left], mouth) = (self.edges(arm), self.mouth(arm));
-            self.parts.crosswalks.push(crossing_band(mouth, right, left)?);
+            self.parts
+                .crosswalks
+                .push(crossing_band(mouth, right, left)?);
         }
         Ok(())
     }
@@ -202,7 +265,8 @@ impl Network {
         exits.sort_unstable();
         let leads = |turn: Turn| exits.iter().any(|&(t, _)| t == turn);
         let count = arriving.len();
-        // From three lanes on, the left one only turns; from four on, the right one too. Both need an exit on that side.
+        // From three lanes on, the left one only turns; from four on, the right one too. Both need
+        // an exit on that side.
         let left_only = usize::from(count >= 3 && leads(Turn::Left));
         let right_only = usize::from(count >= 4 && leads(Turn::Right));
         let mut pairs = Vec::new();
@@ -213,7 +277,12 @@ impl Network {
                 Turn::Left => pairs.push((arriving[0], leaving[0], turn, to)),
                 Turn::Right => pairs.push((arriving[count - 1], leaving[last], turn, to)),
                 Turn::Straight => {
-                    for (i, &lane) in arriving.iter().enumerate().take(count - right_only).skip(left_only) {
+                    for (i, &lane) in arriving
+                        .iter()
+                        .enumerate()
+                        .take(count - right_only)
+                        .skip(left_only)
+                    {
                         if i <= last {
                             pairs.push((lane, leaving[i], turn, to));
                         }
@@ -224,7 +293,9 @@ impl Network {
         // A lane without a connector takes the straight exit, or else the rightmost.
         for (i, &lane) in arriving.iter().enumerate() {
             if pairs.iter().all(|p| p.0 != lane)
-                && let Some(&(turn, to)) = exits.iter().max_by_key(|&&(turn, _)| (turn == Turn::Straight, turn))
+                && let Some(&(turn, to)) = exits
+                    .iter()
+                    .max_by_key(|&&(turn, _)| (turn == Turn::Straight, turn))
             {
                 let leaving = self.leaving(arms[to]);
                 pairs.push((lane, leaving[i.min(leaving.len() - 1)], turn, to));
@@ -240,22 +311,34 @@ pub(super) fn crossing_band(mouth: Pose, right: f64, left: f64) -> Result<Polygo
     const NEAR: f64 = 1.5;
     const FAR: f64 = 4.5;
     let corner = |forward: f64, side: f64| mouth.to_map(Point::new(forward, side));
-    Polygon::new([corner(-NEAR, left), corner(-FAR, left), corner(-FAR, -right), corner(-NEAR, -right)])
+    Polygon::new([
+        corner(-NEAR, left),
+        corner(-FAR, left),
+        corner(-FAR, -right),
+        corner(-NEAR, -right),
+    ])
 }
 
-/// The rounded curb between two arms' edges, without its two ends; empty if the edges are nearly parallel. Both poses face
-/// away from the junction.
+/// The rounded curb between two arms' edges, without its two ends; empty if the edges are nearly
+/// parallel. Both poses face away from the junction.
 pub(super) fn curb(from: Pose, to: Pose) -> Vec<Point> {
     const SAMPLES: usize = 8;
-    let Some(corner) = curb_corner(from, to) else { return Vec::new() };
+    let Some(corner) = curb_corner(from, to) else {
+        return Vec::new();
+    };
     let (a, b) = (from.position().coords, to.position().coords);
     (1..SAMPLES)
         .map(|k| k as f64 / SAMPLES as f64)
-        .map(|t| Point::from(a * (1.0 - t).powi(2) + corner.coords * (2.0 * t * (1.0 - t)) + b * t.powi(2)))
+        .map(|t| {
+            Point::from(
+                a * (1.0 - t).powi(2) + corner.coords * (2.0 * t * (1.0 - t)) + b * t.powi(2),
+            )
+        })
         .collect()
 }
 
-/// Intersection of two curb lines inside the junction, or `None` if they are nearly parallel. Both poses face away from it.
+/// Intersection of two curb lines inside the junction, or `None` if they are nearly parallel. Both
+/// poses face away from it.
 fn curb_corner(a: Pose, b: Pose) -> Option<Point> {
     let (u, w) = (a.direction(), b.direction());
     let cross = u.perp(&w);
@@ -288,8 +371,14 @@ fn signal_plan(movements: &[Movement], protected_left: bool) -> SignalPlan {
     let mut phases = Vec::new();
     for minor in [false, true] {
         let of = |left: bool| -> Vec<LaneId> {
-            let wanted = |m: &&Movement| m.minor == minor && (!protected_left || (m.turn == Turn::Left) == left);
-            movements.iter().filter(wanted).map(|m| m.connector).collect()
+            let wanted = |m: &&Movement| {
+                m.minor == minor && (!protected_left || (m.turn == Turn::Left) == left)
+            };
+            movements
+                .iter()
+                .filter(wanted)
+                .map(|m| m.connector)
+                .collect()
         };
         if protected_left && !of(true).is_empty() {
             phases.push((of(true), LEFT));

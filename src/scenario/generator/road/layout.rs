@@ -31,9 +31,11 @@ pub struct RoadStyle {
 impl RoadStyle {
     /// Distance from the line to the farther edge of the pavement, meters.
     fn reach(&self) -> f64 {
-        let right =
-            self.own as f64 * self.lane_width + ExtraWidths::before(self.extra, true, self.own) + self.shoulder[0];
-        let left = self.oncoming as f64 * self.lane_width + ExtraWidths::before(self.extra, false, self.oncoming);
+        let right = self.own as f64 * self.lane_width
+            + ExtraWidths::before(self.extra, true, self.own)
+            + self.shoulder[0];
+        let left = self.oncoming as f64 * self.lane_width
+            + ExtraWidths::before(self.extra, false, self.oncoming);
         right.max(left + self.shoulder[1])
     }
 }
@@ -51,7 +53,11 @@ pub(crate) struct Course {
 
 impl Course {
     pub(crate) fn straight(length: f64) -> Self {
-        Self { length, curvature: 0.0, lead: 0.0 }
+        Self {
+            length,
+            curvature: 0.0,
+            lead: 0.0,
+        }
     }
 
     fn line(&self, start: Pose) -> Vec<Pose> {
@@ -60,7 +66,15 @@ impl Course {
         }
         let room = (self.length - self.lead - 5.0).max(0.0);
         let bent = room.min(MAX_TURN / self.curvature.abs() + 18.0);
-        trace(start, &bend(self.lead, bent, self.curvature, self.length - self.lead - bent))
+        trace(
+            start,
+            &bend(
+                self.lead,
+                bent,
+                self.curvature,
+                self.length - self.lead - bent,
+            ),
+        )
     }
 }
 
@@ -113,7 +127,11 @@ pub struct Layout {
 
 impl Layout {
     /// A route with its first road.
-    pub(crate) fn begin(start: Pose, style: &RoadStyle, course: Course) -> Result<Self, GeometryError> {
+    pub(crate) fn begin(
+        start: Pose,
+        style: &RoadStyle,
+        course: Course,
+    ) -> Result<Self, GeometryError> {
         let mut layout = Self::default();
         layout.extend(start, style, course)?;
         Ok(layout)
@@ -128,13 +146,23 @@ impl Layout {
         self.route[self.route.len() - 1]
     }
 
-    fn extend(&mut self, start: Pose, style: &RoadStyle, course: Course) -> Result<RoadIndex, GeometryError> {
+    fn extend(
+        &mut self,
+        start: Pose,
+        style: &RoadStyle,
+        course: Course,
+    ) -> Result<RoadIndex, GeometryError> {
         let road = self.add(start, style, course)?;
         self.route.push(road);
         Ok(road)
     }
 
-    fn add(&mut self, start: Pose, style: &RoadStyle, course: Course) -> Result<RoadIndex, GeometryError> {
+    fn add(
+        &mut self,
+        start: Pose,
+        style: &RoadStyle,
+        course: Course,
+    ) -> Result<RoadIndex, GeometryError> {
         self.network.add_road(RoadPlan {
             line: course.line(start),
             forward: style.own,
@@ -159,9 +187,15 @@ impl Layout {
         self.network.join(before, after)?;
         if crosswalk {
             let road = &self.network.roads[before];
-            let corner = |along: f64, lateral: f64| end.to_map(Point::new(gap / 2.0 + along, lateral));
+            let corner =
+                |along: f64, lateral: f64| end.to_map(Point::new(gap / 2.0 + along, lateral));
             let (left, right) = (road.left_edge(), -road.right_edge());
-            let area = [corner(1.5, left), corner(-1.5, left), corner(-1.5, right), corner(1.5, right)];
+            let area = [
+                corner(1.5, left),
+                corner(-1.5, left),
+                corner(-1.5, right),
+                corner(1.5, right),
+            ];
             self.network.parts.crosswalks.push(Polygon::new(area)?);
         }
         Ok(())
@@ -176,17 +210,40 @@ impl Layout {
         rng: &mut SeededRng,
     ) -> Result<(), GeometryError> {
         let (before, end) = (self.last(), self.end());
-        let walks = if plan.crosswalks.iter().any(|&c| c) { 5.0 } else { 0.0 };
+        let walks = if plan.crosswalks.iter().any(|&c| c) {
+            5.0
+        } else {
+            0.0
+        };
         let slack = plan.skew.abs() * 12.0;
         let radius = style.reach().max(plan.side.reach()) + walks + plan.corner + slack;
         let center = end.translated(radius, 0.0);
         // Counter-clockwise from the approach: right, ahead, left.
         let exits = [
-            (Turn::Right, plan.arms[2], end.heading - FRAC_PI_2 + plan.skew, plan.crosswalks[2]),
-            (Turn::Straight, plan.arms[1], end.heading, plan.crosswalks[1]),
-            (Turn::Left, plan.arms[0], end.heading + FRAC_PI_2 + plan.skew, plan.crosswalks[0]),
+            (
+                Turn::Right,
+                plan.arms[2],
+                end.heading - FRAC_PI_2 + plan.skew,
+                plan.crosswalks[2],
+            ),
+            (
+                Turn::Straight,
+                plan.arms[1],
+                end.heading,
+                plan.crosswalks[1],
+            ),
+            (
+                Turn::Left,
+                plan.arms[0],
+                end.heading + FRAC_PI_2 + plan.skew,
+                plan.crosswalks[0],
+            ),
         ];
-        let mut arms = vec![Arm { road: before, end: End::Finish, minor: plan.from_minor }];
+        let mut arms = vec![Arm {
+            road: before,
+            end: End::Finish,
+            minor: plan.from_minor,
+        }];
         let mut crosswalks = vec![plan.crosswalks[3]];
         for (turn, wanted, heading, crosswalk) in exits {
             if !wanted {
@@ -198,11 +255,27 @@ impl Layout {
             let road = if turn == plan.turn {
                 self.extend(start, style, course)?
             } else {
-                let curvature = if rng.bool(0.4) { rng.sign() * rng.uniform(0.002, 0.008) } else { 0.0 };
+                let curvature = if rng.bool(0.4) {
+                    rng.sign() * rng.uniform(0.002, 0.008)
+                } else {
+                    0.0
+                };
                 let length = plan.arm_length * rng.uniform(0.85, 1.15);
-                self.add(start, style, Course { length, curvature, lead: 30.0 })?
+                self.add(
+                    start,
+                    style,
+                    Course {
+                        length,
+                        curvature,
+                        lead: 30.0,
+                    },
+                )?
             };
-            arms.push(Arm { road, end: End::Start, minor: plan.from_minor == ahead });
+            arms.push(Arm {
+                road,
+                end: End::Start,
+                minor: plan.from_minor == ahead,
+            });
             crosswalks.push(crosswalk);
         }
         self.network.cross(&arms, plan.control, &crosswalks)
@@ -230,7 +303,11 @@ impl Layout {
             speed_limit: SPEED_LIMIT,
             half_opening,
         };
-        let mut arms = vec![Arm { road: before, end: End::Finish, minor: true }];
+        let mut arms = vec![Arm {
+            road: before,
+            end: End::Finish,
+            minor: true,
+        }];
         let mut exit_road = None;
         for i in 0..plan.arms - 1 {
             let heading = end.heading + PI + 2.0 * PI * (i + 1) as f64 / plan.arms as f64;
@@ -242,7 +319,11 @@ impl Layout {
             } else {
                 self.add(start, &plan.side, Course::straight(plan.arm_length))?
             };
-            arms.push(Arm { road, end: End::Start, minor: true });
+            arms.push(Arm {
+                road,
+                end: End::Start,
+                minor: true,
+            });
         }
         let around = self.network.circle(&ring, &arms)?;
         self.route.extend(around.iter().take(plan.exit + 1));
@@ -252,13 +333,17 @@ impl Layout {
         Ok(())
     }
 
-    /// Adds a bay of `depth` meters at the right curb of the last road, `length` meters long from arc length `from` on. The road
-    /// must be straight there.
+    /// Adds a bay of `depth` meters at the right curb of the last road, `length` meters long from
+    /// arc length `from` on. The road must be straight there.
     pub(crate) fn bay(&mut self, depth: f64, from: f64, length: f64) -> Result<(), GeometryError> {
         let road = &self.network.roads[self.last()];
         let edge = road.right_edge();
         let start = road.plan.line[0].translated(from, 0.0);
-        let area = band(&[start, start.translated(length, 0.0)], -edge, -edge - depth)?;
+        let area = band(
+            &[start, start.translated(length, 0.0)],
+            -edge,
+            -edge - depth,
+        )?;
         self.network.parts.carparks.push(area);
         Ok(())
     }

@@ -13,7 +13,8 @@ const INTEGRATION_STEP: f64 = 0.25;
 /// Length over which the curvature of a road builds up, meters.
 const RAMP: f64 = 18.0;
 
-/// A piece of a line with linear curvature: a clothoid, or an arc or straight line if both ends are equal.
+/// A piece of a line with linear curvature: a clothoid, or an arc or straight line if both ends are
+/// equal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Piece {
     /// Meters.
@@ -25,7 +26,11 @@ pub(crate) struct Piece {
 }
 
 pub(crate) fn straight(length: f64) -> Vec<Piece> {
-    vec![Piece { length, from: 0.0, to: 0.0 }]
+    vec![Piece {
+        length,
+        from: 0.0,
+        to: 0.0,
+    }]
 }
 
 /// A bend between two straight pieces, with clothoid ramps; straight if there is no room for it.
@@ -40,7 +45,11 @@ pub(crate) fn bend(lead: f64, length: f64, curvature: f64, tail: f64) -> Vec<Pie
         (RAMP, curvature, 0.0),
         (tail, 0.0, 0.0),
     ];
-    parts.into_iter().filter(|p| p.0 > 0.0).map(|(length, from, to)| Piece { length, from, to }).collect()
+    parts
+        .into_iter()
+        .filter(|p| p.0 > 0.0)
+        .map(|(length, from, to)| Piece { length, from, to })
+        .collect()
 }
 
 /// Samples of the line from `start` through the pieces, with exact tangents.
@@ -54,14 +63,23 @@ pub(crate) fn trace(start: Pose, pieces: &[Piece]) -> Vec<Pose> {
         for i in 0..steps {
             let share = (i as f64 + 0.5) / steps as f64;
             let turn = (piece.from + (piece.to - piece.from) * share) * step;
-            let spacing = if turned + turn == 0.0 { SAMPLE_SPACING } else { BEND_SPACING };
-            if since > 0.0 && (since + step > spacing + 1e-9 || (turned + turn).abs() > TURN_PER_SAMPLE) {
+            let spacing = if turned + turn == 0.0 {
+                SAMPLE_SPACING
+            } else {
+                BEND_SPACING
+            };
+            if since > 0.0
+                && (since + step > spacing + 1e-9 || (turned + turn).abs() > TURN_PER_SAMPLE)
+            {
                 line.push(pose);
                 (since, turned) = (0.0, 0.0);
             }
             let middle = pose.heading + turn / 2.0;
-            pose =
-                Pose::new(pose.x + step * middle.cos(), pose.y + step * middle.sin(), wrap_angle(pose.heading + turn));
+            pose = Pose::new(
+                pose.x + step * middle.cos(),
+                pose.y + step * middle.sin(),
+                wrap_angle(pose.heading + turn),
+            );
             since += step;
             turned += turn;
         }
@@ -74,7 +92,9 @@ pub(crate) fn trace(start: Pose, pieces: &[Piece]) -> Vec<Pose> {
 
 /// The line moved sideways by `lateral` meters (positive to the left), exact at every sample.
 pub(crate) fn shifted(line: &[Pose], lateral: f64) -> Vec<Point> {
-    line.iter().map(|pose| pose.to_map(Point::new(0.0, lateral))).collect()
+    line.iter()
+        .map(|pose| pose.to_map(Point::new(0.0, lateral)))
+        .collect()
 }
 
 /// The arc from `start` with this radius (positive: to the left) through `angle` radians.
@@ -84,13 +104,17 @@ pub(crate) fn arc(start: Pose, radius: f64, angle: f64) -> Vec<Pose> {
     (0..=count)
         .map(|i| {
             let heading = start.heading + angle * radius.signum() * i as f64 / count as f64;
-            Pose::at(Pose::at(center, heading).to_map(Point::new(0.0, -radius)), wrap_angle(heading))
+            Pose::at(
+                Pose::at(center, heading).to_map(Point::new(0.0, -radius)),
+                wrap_angle(heading),
+            )
         })
         .collect()
 }
 
-/// A smooth line between two poses without curvature at its ends: a quintic Bézier curve. Its inner control points lie on the
-/// two tangents, at two and four fifths of the distance to their intersection.
+/// A smooth line between two poses without curvature at its ends: a quintic Bézier curve. Its inner
+/// control points lie on the two tangents, at two and four fifths of the distance to their
+/// intersection.
 pub(crate) fn connection(from: Pose, to: Pose) -> Vec<Pose> {
     /// Share of the leg between neighboring control points.
     const SHARE: f64 = 0.4;
@@ -103,8 +127,11 @@ pub(crate) fn connection(from: Pose, to: Pose) -> Vec<Pose> {
         (chord.norm() / 2.0, chord.norm() / 2.0)
     };
     // Tangents that do not meet ahead of both ends give an S-shaped line over half the chord each.
-    let (leg_in, leg_out) =
-        if leg_in > 0.5 && leg_out > 0.5 { (leg_in, leg_out) } else { (chord.norm() / 2.0, chord.norm() / 2.0) };
+    let (leg_in, leg_out) = if leg_in > 0.5 && leg_out > 0.5 {
+        (leg_in, leg_out)
+    } else {
+        (chord.norm() / 2.0, chord.norm() / 2.0)
+    };
     let (a, b) = (SHARE * leg_in, SHARE * leg_out);
     let control = [
         from.position(),
@@ -116,7 +143,10 @@ pub(crate) fn connection(from: Pose, to: Pose) -> Vec<Pose> {
     ];
     let turn = wrap_angle(to.heading - from.heading).abs();
     // The maximum curvature, in the middle, is about twice the mean.
-    let count = ((2.0 * turn / TURN_PER_SAMPLE).max(chord.norm() / 2.0).ceil() as usize).clamp(4, 160);
+    let count = ((2.0 * turn / TURN_PER_SAMPLE)
+        .max(chord.norm() / 2.0)
+        .ceil() as usize)
+        .clamp(4, 160);
     (0..=count)
         .map(|i| {
             let t = i as f64 / count as f64;
@@ -144,9 +174,23 @@ fn quintic(control: &[Point; 6], t: f64) -> (Point, nalgebra::Vector2<f64>) {
         5.0 * t.powi(4) * r,
         t.powi(5),
     ];
-    let slope = [r.powi(4), 4.0 * t * r.powi(3), 6.0 * t.powi(2) * r.powi(2), 4.0 * t.powi(3) * r, t.powi(4)];
-    let point = control.iter().zip(position).map(|(c, k)| c.coords * k).sum::<nalgebra::Vector2<f64>>();
-    let tangent = control.windows(2).zip(slope).map(|(w, k)| (w[1] - w[0]) * (5.0 * k)).sum();
+    let slope = [
+        r.powi(4),
+        4.0 * t * r.powi(3),
+        6.0 * t.powi(2) * r.powi(2),
+        4.0 * t.powi(3) * r,
+        t.powi(4),
+    ];
+    let point = control
+        .iter()
+        .zip(position)
+        .map(|(c, k)| c.coords * k)
+        .sum::<nalgebra::Vector2<f64>>();
+    let tangent = control
+        .windows(2)
+        .zip(slope)
+        .map(|(w, k)| (w[1] - w[0]) * (5.0 * k))
+        .sum();
     (Point::from(point), tangent)
 }
 
@@ -173,7 +217,10 @@ mod tests {
         let line = connection(Pose::default(), Pose::new(12.0, 12.0, FRAC_PI_2));
         assert!(line[0].distance(&Pose::default()) < 1e-12);
         assert!(line[line.len() - 1].distance(&Pose::new(12.0, 12.0, 0.0)) < 1e-9);
-        assert!(line.windows(2).all(|w| wrap_angle(w[1].heading - w[0].heading).abs() < 0.05));
+        assert!(
+            line.windows(2)
+                .all(|w| wrap_angle(w[1].heading - w[0].heading).abs() < 0.05)
+        );
         let across = connection(Pose::default(), Pose::new(20.0, 3.0, 0.0));
         assert!(across.iter().all(|p| p.y > -1e-9 && p.y < 3.0 + 1e-9));
     }

@@ -3,9 +3,12 @@
 use super::line::shifted;
 use super::signal::SignalPlan;
 use planagent_world::geometry::{GeometryError, Point, Polygon, Polyline, Pose};
-use planagent_world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId};
+use planagent_world::{
+    Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId,
+};
 
-/// How much wider the lanes of a road are than its lane width, meters: along the line and against it, leftmost first.
+/// How much wider the lanes of a road are than its lane width, meters: along the line and against
+/// it, leftmost first.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ExtraWidths(pub(crate) [[f64; MAX_LANES]; 2]);
 
@@ -15,7 +18,12 @@ pub(crate) const MAX_LANES: usize = 4;
 impl ExtraWidths {
     /// Of a lane by its index.
     fn of(extra: Option<Self>, along: bool, lane: usize) -> f64 {
-        extra.map_or(0.0, |Self(widths)| widths[usize::from(!along)].get(lane).copied().unwrap_or(0.0))
+        extra.map_or(0.0, |Self(widths)| {
+            widths[usize::from(!along)]
+                .get(lane)
+                .copied()
+                .unwrap_or(0.0)
+        })
     }
 
     /// Sum over the first `lanes` lanes.
@@ -24,7 +32,8 @@ impl ExtraWidths {
     }
 }
 
-/// Parameters of a road. Lanes in the direction of the line lie to its right, oncoming ones to its left.
+/// Parameters of a road. Lanes in the direction of the line lie to its right, oncoming ones to its
+/// left.
 #[derive(Debug, Clone)]
 pub(crate) struct RoadPlan {
     /// Line between the two directions, with exact tangents.
@@ -39,19 +48,22 @@ pub(crate) struct RoadPlan {
     pub(crate) extra: Option<ExtraWidths>,
     /// m/s.
     pub(crate) speed_limit: f64,
-    /// Paved width beside the outermost lanes (curb margin, bicycle strip or parking strip), right and left of the line, meters.
+    /// Paved width beside the outermost lanes (curb margin, bicycle strip or parking strip), right
+    /// and left of the line, meters.
     pub(crate) shoulder: [f64; 2],
 }
 
 impl RoadPlan {
-    /// Distance from the line to the left edge of a lane, counted from the line; for the number of lanes to the last edge.
+    /// Distance from the line to the left edge of a lane, counted from the line; for the number of
+    /// lanes to the last edge.
     fn edge(&self, along: bool, lane: usize) -> f64 {
         lane as f64 * self.lane_width + ExtraWidths::before(self.extra, along, lane)
     }
 
     /// Distance from the line to the middle of a lane.
     fn middle(&self, along: bool, lane: usize) -> f64 {
-        let extra = ExtraWidths::before(self.extra, along, lane) + ExtraWidths::of(self.extra, along, lane) / 2.0;
+        let extra = ExtraWidths::before(self.extra, along, lane)
+            + ExtraWidths::of(self.extra, along, lane) / 2.0;
         (lane as f64 + 0.5) * self.lane_width + extra
     }
 
@@ -132,34 +144,67 @@ impl Network {
         let forward = self.add_side(&plan, plan.forward, true)?;
         let backward = self.add_side(&plan, plan.backward, false)?;
         let (right, left) = (plan.reach(true), plan.reach(false));
-        let strips = [(-right, -right - plan.shoulder[0]), (left + plan.shoulder[1], left)];
+        let strips = [
+            (-right, -right - plan.shoulder[0]),
+            (left + plan.shoulder[1], left),
+        ];
         for (upper, lower) in strips {
-            self.parts.generic_drivable.push(band(&plan.line, upper, lower)?);
+            self.parts
+                .generic_drivable
+                .push(band(&plan.line, upper, lower)?);
         }
-        let outline = band(&plan.line, left + plan.shoulder[1], -right - plan.shoulder[0])?;
-        self.roads.push(Road { plan, forward, backward, outline });
+        let outline = band(
+            &plan.line,
+            left + plan.shoulder[1],
+            -right - plan.shoulder[0],
+        )?;
+        self.roads.push(Road {
+            plan,
+            forward,
+            backward,
+            outline,
+        });
         Ok(self.roads.len() - 1)
     }
 
     /// Adds the lanes of one direction with their roadblock, leftmost for their drivers first.
-    fn add_side(&mut self, plan: &RoadPlan, count: usize, along: bool) -> Result<Vec<LaneId>, GeometryError> {
+    fn add_side(
+        &mut self,
+        plan: &RoadPlan,
+        count: usize,
+        along: bool,
+    ) -> Result<Vec<LaneId>, GeometryError> {
         if count == 0 {
             return Ok(Vec::new());
         }
         let side = if along { -1.0 } else { 1.0 };
         let edge = |lanes: usize| -> Vec<Point> {
             let line = shifted(&plan.line, side * plan.edge(along, lanes));
-            if along { line } else { line.into_iter().rev().collect() }
+            if along {
+                line
+            } else {
+                line.into_iter().rev().collect()
+            }
         };
         let block = RoadblockId(self.parts.roadblocks.len() as u32);
         let first = self.parts.lanes.len() as u32;
         let mut lanes = Vec::with_capacity(count);
         for i in 0..count {
             let center = shifted(&plan.line, side * plan.middle(along, i));
-            let center = if along { center } else { center.into_iter().rev().collect() };
+            let center = if along {
+                center
+            } else {
+                center.into_iter().rev().collect()
+            };
             let centerline = Polyline::new(center)?;
             let length = centerline.length();
-            let beside = |j: usize| vec![Neighbor { lane: LaneId(first + j as u32), from_s: 0.0, to_s: length }];
+            let beside = |j: usize| {
+                vec![Neighbor {
+                    lane: LaneId(first + j as u32),
+                    from_s: 0.0,
+                    to_s: length,
+                }]
+            };
             let id = LaneId(first + i as u32);
             lanes.push(id);
             self.parts.lanes.push(Lane {
@@ -170,7 +215,11 @@ impl Network {
                 incoming: Vec::new(),
                 outgoing: Vec::new(),
                 left: if i > 0 { beside(i - 1) } else { Vec::new() },
-                right: if i + 1 < count { beside(i + 1) } else { Vec::new() },
+                right: if i + 1 < count {
+                    beside(i + 1)
+                } else {
+                    Vec::new()
+                },
                 roadblock: block,
                 speed_limit: Some(plan.speed_limit),
                 has_traffic_lights: false,
@@ -193,12 +242,19 @@ impl Network {
 
     /// Width of a lane of a road, meters.
     pub(crate) fn width_of(&self, lane: LaneId) -> f64 {
-        let owner = self.roads.iter().find(|road| road.forward.contains(&lane) || road.backward.contains(&lane));
+        let owner = self
+            .roads
+            .iter()
+            .find(|road| road.forward.contains(&lane) || road.backward.contains(&lane));
         owner.map_or(3.5, |road| {
             let along = road.forward.iter().position(|&one| one == lane);
             let against = road.backward.iter().position(|&one| one == lane);
             road.plan.lane_width
-                + ExtraWidths::of(road.plan.extra, along.is_some(), along.or(against).expect("the owner has the lane"))
+                + ExtraWidths::of(
+                    road.plan.extra,
+                    along.is_some(),
+                    along.or(against).expect("the owner has the lane"),
+                )
         })
     }
 
@@ -214,13 +270,18 @@ impl Network {
         let last = (line.len() - 1) as f64;
         let edge = |side: f64| -> Vec<Point> {
             let half = |i: usize| w0 + (w1 - w0) * i as f64 / last;
-            line.iter().enumerate().map(|(i, pose)| pose.to_map(Point::new(0.0, side * half(i)))).collect()
+            line.iter()
+                .enumerate()
+                .map(|(i, pose)| pose.to_map(Point::new(0.0, side * half(i))))
+                .collect()
         };
         let polygon = ring(edge(1.0), edge(-1.0))?;
         let id = LaneId(self.parts.lanes.len() as u32);
         let block = self.connector_block(from, to);
         self.parts.roadblocks[block.index()].lanes.push(id);
-        self.parts.roadblocks[block.index()].areas.push(polygon.clone());
+        self.parts.roadblocks[block.index()]
+            .areas
+            .push(polygon.clone());
         self.parts.lanes[from.index()].outgoing.push(id);
         self.parts.lanes[to.index()].incoming.push(id);
         self.parts.lanes.push(Lane {
@@ -244,9 +305,14 @@ impl Network {
 
     /// The roadblock connector between the roadblocks of two lanes.
     fn connector_block(&mut self, from: LaneId, to: LaneId) -> RoadblockId {
-        let (before, after) = (self.parts.lanes[from.index()].roadblock, self.parts.lanes[to.index()].roadblock);
+        let (before, after) = (
+            self.parts.lanes[from.index()].roadblock,
+            self.parts.lanes[to.index()].roadblock,
+        );
         let known = self.parts.roadblocks.iter().find(|b| {
-            b.kind == LaneKind::Connector && b.incoming.first() == Some(&before) && b.outgoing.first() == Some(&after)
+            b.kind == LaneKind::Connector
+                && b.incoming.first() == Some(&before)
+                && b.outgoing.first() == Some(&after)
         });
         if let Some(block) = known {
             return block.id;
@@ -268,14 +334,27 @@ impl Network {
 
     /// Makes two connectors neighbors that join neighboring lanes side by side.
     pub(crate) fn adjoin(&mut self, left: LaneId, right: LaneId) {
-        let length = |network: &Self, lane: LaneId| network.parts.lanes[lane.index()].centerline.length();
+        let length =
+            |network: &Self, lane: LaneId| network.parts.lanes[lane.index()].centerline.length();
         let (of_left, of_right) = (length(self, left), length(self, right));
-        self.parts.lanes[left.index()].right.push(Neighbor { lane: right, from_s: 0.0, to_s: of_left });
-        self.parts.lanes[right.index()].left.push(Neighbor { lane: left, from_s: 0.0, to_s: of_right });
+        self.parts.lanes[left.index()].right.push(Neighbor {
+            lane: right,
+            from_s: 0.0,
+            to_s: of_left,
+        });
+        self.parts.lanes[right.index()].left.push(Neighbor {
+            lane: left,
+            from_s: 0.0,
+            to_s: of_right,
+        });
     }
 
     /// Puts a stop line across the first meter of the connectors that leave `lane`.
-    pub(crate) fn add_stop_line(&mut self, lane: LaneId, stop_sign: bool) -> Result<(), GeometryError> {
+    pub(crate) fn add_stop_line(
+        &mut self,
+        lane: LaneId,
+        stop_sign: bool,
+    ) -> Result<(), GeometryError> {
         /// Distances of the line's two edges from the end of the lane, meters.
         const PAINTED: [f64; 2] = [0.2, 0.7];
         let half = self.width_of(lane) / 2.0;
@@ -294,7 +373,11 @@ impl Network {
             connector.stop_lines.push(id);
             connector.has_traffic_lights |= !stop_sign;
         }
-        self.parts.stop_lines.push(StopLine { polygon, lanes, stop_sign });
+        self.parts.stop_lines.push(StopLine {
+            polygon,
+            lanes,
+            stop_sign,
+        });
         Ok(())
     }
 
@@ -316,10 +399,18 @@ impl Network {
         for road in &self.roads {
             let line = &road.plan.line;
             if road.forward.contains(&lane) {
-                return if at_start { line[0].heading } else { line[line.len() - 1].heading };
+                return if at_start {
+                    line[0].heading
+                } else {
+                    line[line.len() - 1].heading
+                };
             }
             if road.backward.contains(&lane) {
-                let pose = if at_start { line[line.len() - 1] } else { line[0] };
+                let pose = if at_start {
+                    line[line.len() - 1]
+                } else {
+                    line[0]
+                };
                 return turned(pose.heading + std::f64::consts::PI);
             }
         }
@@ -333,7 +424,8 @@ pub(crate) fn band(line: &[Pose], left: f64, right: f64) -> Result<Polygon, Geom
     ring(shifted(line, left), shifted(line, right))
 }
 
-/// The area between a left and a right edge in the same direction: along the right edge, back along the left.
+/// The area between a left and a right edge in the same direction: along the right edge, back along
+/// the left.
 fn ring(left: Vec<Point>, right: Vec<Point>) -> Result<Polygon, GeometryError> {
     Polygon::new(right.into_iter().chain(left.into_iter().rev()))
 }

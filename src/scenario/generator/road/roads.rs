@@ -47,27 +47,47 @@ impl Roads {
     pub(crate) fn new(layout: Layout, name: String) -> Result<Self, RoadsError> {
         let Layout { mut network, route } = layout;
         network.find_conflicts();
-        check_overlaps(&network.roads, &network.parts.intersections, &network.touching)?;
+        check_overlaps(
+            &network.roads,
+            &network.parts.intersections,
+            &network.touching,
+        )?;
         let mut facts = vec![None; network.parts.lanes.len()];
         for road in &network.roads {
             let shoulder = road.plan.shoulder;
             for &lane in &road.forward {
-                facts[lane.index()] = Some(RoadFacts { lane_width: network.width_of(lane), shoulder });
+                facts[lane.index()] = Some(RoadFacts {
+                    lane_width: network.width_of(lane),
+                    shoulder,
+                });
             }
             let shoulder = [shoulder[1], shoulder[0]];
             for &lane in &road.backward {
-                facts[lane.index()] = Some(RoadFacts { lane_width: network.width_of(lane), shoulder });
+                facts[lane.index()] = Some(RoadFacts {
+                    lane_width: network.width_of(lane),
+                    shoulder,
+                });
             }
         }
-        let route_lanes = route.iter().map(|&road| network.roads[road].forward.clone()).collect();
+        let route_lanes = route
+            .iter()
+            .map(|&road| network.roads[road].forward.clone())
+            .collect();
         network.parts.name = name;
-        // As in nuPlan's maps, an id is unique over all layers: roadblocks count from the number of lanes on.
+        // As in nuPlan's maps, an id is unique over all layers: roadblocks count from the number of
+        // lanes on.
         let lanes = network.parts.lanes.len() as i64;
         for block in &mut network.parts.roadblocks {
             block.source_id += lanes;
         }
         let map = Arc::new(LaneMap::new(network.parts.with_roadblocks_as_road())?);
-        Ok(Self { map, passages: network.passages, signals: network.signals, route_lanes, facts })
+        Ok(Self {
+            map,
+            passages: network.passages,
+            signals: network.signals,
+            route_lanes,
+            facts,
+        })
     }
 
     /// The traffic lights at `time` seconds.
@@ -85,33 +105,46 @@ impl Roads {
         let mut route = vec![block(&self.route_lanes[0])];
         for pair in self.route_lanes.windows(2) {
             let (before, after) = (block(&pair[0]), block(&pair[1]));
-            let between = self.map[before].outgoing.iter().find(|&&b| self.map[b].outgoing.contains(&after));
+            let between = self.map[before]
+                .outgoing
+                .iter()
+                .find(|&&b| self.map[b].outgoing.contains(&after));
             route.extend(between);
             route.push(after);
         }
         route
     }
 
-    /// The chain of lanes along the route from `lane`, a lane of its road number `place`, as far as lanes connect.
+    /// The chain of lanes along the route from `lane`, a lane of its road number `place`, as far as
+    /// lanes connect.
     pub(crate) fn chain_on_route(&self, place: usize, lane: LaneId) -> Vec<LaneId> {
         let mut chain = vec![lane];
         for next in place + 1..self.route_lanes.len() {
             let last = chain[chain.len() - 1];
-            let Some((connector, after)) = self.onward(last, next) else { break };
+            let Some((connector, after)) = self.onward(last, next) else {
+                break;
+            };
             chain.extend([connector, after]);
         }
         chain
     }
 
-    /// The connector from a lane to the road number `next` of the route, and the lane behind it: the one with the largest
-    /// [reach](Self::reach).
+    /// The connector from a lane to the road number `next` of the route, and the lane behind it:
+    /// the one with the largest [reach](Self::reach).
     fn onward(&self, lane: LaneId, next: usize) -> Option<(LaneId, LaneId)> {
         self.map[lane]
             .outgoing
             .iter()
-            .flat_map(|&connector| self.map[connector].outgoing.iter().map(move |&after| (connector, after)))
+            .flat_map(|&connector| {
+                self.map[connector]
+                    .outgoing
+                    .iter()
+                    .map(move |&after| (connector, after))
+            })
             .filter(|(_, after)| self.route_lanes[next].contains(after))
-            .max_by_key(|&(connector, after)| (self.reach(next, after), std::cmp::Reverse(connector)))
+            .max_by_key(|&(connector, after)| {
+                (self.reach(next, after), std::cmp::Reverse(connector))
+            })
     }
 
     /// Number of the last road of the route that can be reached from a lane without a lane change.
@@ -119,9 +152,15 @@ impl Roads {
         if place + 1 >= self.route_lanes.len() {
             return place;
         }
-        let onward = self.map[lane].outgoing.iter().flat_map(|&c| self.map[c].outgoing.iter());
+        let onward = self.map[lane]
+            .outgoing
+            .iter()
+            .flat_map(|&c| self.map[c].outgoing.iter());
         let further = onward.filter(|after| self.route_lanes[place + 1].contains(after));
-        further.map(|&after| self.reach(place + 1, after)).max().unwrap_or(place)
+        further
+            .map(|&after| self.reach(place + 1, after))
+            .max()
+            .unwrap_or(place)
     }
 
     /// The straightest chain of lanes from `lane` to the end of the roads.
@@ -129,10 +168,15 @@ impl Roads {
         let mut chain = vec![lane];
         let bend = |&lane: &LaneId| {
             let line = &self.map[lane].centerline;
-            planagent_world::geometry::wrap_angle(line.heading_at(line.length()) - line.heading_at(0.0)).abs()
+            planagent_world::geometry::wrap_angle(
+                line.heading_at(line.length()) - line.heading_at(0.0),
+            )
+            .abs()
         };
-        while let Some(&next) =
-            self.map[chain[chain.len() - 1]].outgoing.iter().min_by(|a, b| bend(a).total_cmp(&bend(b)))
+        while let Some(&next) = self.map[chain[chain.len() - 1]]
+            .outgoing
+            .iter()
+            .min_by(|a, b| bend(a).total_cmp(&bend(b)))
         {
             if chain.contains(&next) {
                 break;
@@ -144,7 +188,11 @@ impl Roads {
 
     /// All lanes of roads, without connectors.
     pub(crate) fn road_lanes(&self) -> impl Iterator<Item = LaneId> + '_ {
-        self.map.lanes().iter().filter(|lane| lane.kind == LaneKind::Lane).map(|lane| lane.id)
+        self.map
+            .lanes()
+            .iter()
+            .filter(|lane| lane.kind == LaneKind::Lane)
+            .map(|lane| lane.id)
     }
 }
 
@@ -156,7 +204,11 @@ fn check_overlaps(
 ) -> Result<(), RoadsError> {
     let index = SpatialIndex::new(roads.iter().map(|road| road.outline.bounds()));
     for (i, road) in roads.iter().enumerate() {
-        for j in index.within(&road.outline.bounds()).into_iter().filter(|&j| j > i) {
+        for j in index
+            .within(&road.outline.bounds())
+            .into_iter()
+            .filter(|&j| j > i)
+        {
             if road.outline.overlaps(&roads[j].outline) {
                 return Err(RoadsError::Overlap(i, j));
             }
@@ -168,7 +220,10 @@ fn check_overlaps(
                 return Err(RoadsError::RunsInto(i, n));
             }
         }
-        if let Some(other) = junctions[..n].iter().position(|other| other.overlaps(junction)) {
+        if let Some(other) = junctions[..n]
+            .iter()
+            .position(|other| other.overlaps(junction))
+        {
             return Err(RoadsError::JunctionsOverlap(other, n));
         }
     }

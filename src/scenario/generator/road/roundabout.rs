@@ -1,4 +1,5 @@
-//! Roundabouts: a ring of short one-way roads, and at each arm a junction with entries, exits and the ring.
+//! Roundabouts: a ring of short one-way roads, and at each arm a junction with entries, exits and
+//! the ring.
 
 use super::junction::{Arm, curb};
 use super::line::{arc, connection};
@@ -30,10 +31,14 @@ const RANK_ON_RING: u8 = 2;
 const RANK_ENTRY: u8 = 1;
 
 impl Ring {
-    /// Pose on the inner line at an angle from the center, in the counter-clockwise driving direction.
+    /// Pose on the inner line at an angle from the center, in the counter-clockwise driving
+    /// direction.
     fn inner(&self, angle: f64) -> Pose {
         let radial = Pose::at(self.center, angle);
-        Pose::at(radial.to_map(Point::new(self.island, 0.0)), wrap_angle(angle + FRAC_PI_2))
+        Pose::at(
+            radial.to_map(Point::new(self.island, 0.0)),
+            wrap_angle(angle + FRAC_PI_2),
+        )
     }
 
     /// Radius of the outer edge of the circulating lanes, meters.
@@ -43,9 +48,13 @@ impl Ring {
 }
 
 impl Network {
-    /// Adds a roundabout between arms in counter-clockwise order. Gives the roads of the ring, the n-th from the n-th arm to
-    /// the next.
-    pub(crate) fn circle(&mut self, ring: &Ring, arms: &[Arm]) -> Result<Vec<RoadIndex>, GeometryError> {
+    /// Adds a roundabout between arms in counter-clockwise order. Gives the roads of the ring, the
+    /// n-th from the n-th arm to the next.
+    pub(crate) fn circle(
+        &mut self,
+        ring: &Ring,
+        arms: &[Arm],
+    ) -> Result<Vec<RoadIndex>, GeometryError> {
         let angles: Vec<f64> = arms
             .iter()
             .map(|&arm| {
@@ -72,16 +81,33 @@ impl Network {
             let (before, after) = (around[(i + arms.len() - 1) % arms.len()], around[i]);
             let area = self.ring_arm_area(ring, arm, angle)?;
             let junction = self.add_junction(area, vec![arm.road, before, after]);
-            let passage = |rank| Passage { junction, rank, stop_sign: false, conflicts: Vec::new() };
-            let (from, to) = (self.roads[before].forward.clone(), self.roads[after].forward.clone());
+            let passage = |rank| Passage {
+                junction,
+                rank,
+                stop_sign: false,
+                conflicts: Vec::new(),
+            };
+            let (from, to) = (
+                self.roads[before].forward.clone(),
+                self.roads[after].forward.clone(),
+            );
             let (arriving, leaving) = (self.arriving(arm).to_vec(), self.leaving(arm).to_vec());
             for (&a, &b) in from.iter().zip(&to) {
                 let start = self.end_of(a);
                 let radius = (start.position() - ring.center).norm();
-                self.connect(a, b, &arc(start, radius, 2.0 * ring.half_opening), passage(RANK_ON_RING))?;
+                self.connect(
+                    a,
+                    b,
+                    &arc(start, radius, 2.0 * ring.half_opening),
+                    passage(RANK_ON_RING),
+                )?;
             }
-            let exits = side_by_side(&from, &leaving).into_iter().map(|pair| (pair, RANK_ON_RING));
-            let entries = side_by_side(&arriving, &to).into_iter().map(|pair| (pair, RANK_ENTRY));
+            let exits = side_by_side(&from, &leaving)
+                .into_iter()
+                .map(|pair| (pair, RANK_ON_RING));
+            let entries = side_by_side(&arriving, &to)
+                .into_iter()
+                .map(|pair| (pair, RANK_ENTRY));
             for ((a, b), rank) in exits.chain(entries) {
                 let line = connection(self.end_of(a), self.start_of(b));
                 self.connect(a, b, &line, passage(rank))?;
@@ -90,7 +116,8 @@ impl Network {
         Ok(around)
     }
 
-    /// Pavement where an arm meets the ring: the strip of the ring and the funnel to the arm's mouth.
+    /// Pavement where an arm meets the ring: the strip of the ring and the funnel to the arm's
+    /// mouth.
     fn ring_arm_area(&self, ring: &Ring, arm: Arm, angle: f64) -> Result<Polygon, GeometryError> {
         /// Overlap with the ring's roads and the arm against gaps at the seam, meters.
         const SEAM: f64 = 0.05;
@@ -98,7 +125,8 @@ impl Network {
         let outer = ring.outer() + APRON[0];
         let (first, last) = (ring.inner(angle - reach), ring.inner(angle + reach));
         let offset = ring.island - outer;
-        // Both edges face away from the junction: back along the ring before the arm, forward along it after the arm.
+        // Both edges face away from the junction: back along the ring before the arm, forward along
+        // it after the arm.
         let before = first.translated(0.0, offset);
         let before = Pose::new(before.x, before.y, wrap_angle(before.heading + PI));
         let after = last.translated(0.0, offset);
@@ -117,12 +145,17 @@ impl Network {
     }
 }
 
-/// Pairs of lanes of two roads, outermost with outermost. The wider road's inner lanes share the last partner.
+/// Pairs of lanes of two roads, outermost with outermost. The wider road's inner lanes share the
+/// last partner.
 fn side_by_side(from: &[LaneId], to: &[LaneId]) -> Vec<(LaneId, LaneId)> {
     if from.is_empty() || to.is_empty() {
         return Vec::new();
     }
     let count = from.len().max(to.len());
-    let right_aligned = |list: &[LaneId], k: usize| list[(list.len() + k).saturating_sub(count).min(list.len() - 1)];
-    (0..count).map(|k| (right_aligned(from, k), right_aligned(to, k))).collect()
+    let right_aligned = |list: &[LaneId], k: usize| {
+        list[(list.len() + k).saturating_sub(count).min(list.len() - 1)]
+    };
+    (0..count)
+        .map(|k| (right_aligned(from, k), right_aligned(to, k)))
+        .collect()
 }

@@ -7,7 +7,8 @@ pub(crate) const YELLOW: f64 = 3.0;
 /// Duration of red for all between two phases, seconds.
 const ALL_RED: f64 = 1.5;
 
-/// Traffic lights of a junction: each connector is green in one window of the cycle, then yellow, else red.
+/// Traffic lights of a junction: each connector is green in one window of the cycle, then yellow,
+/// else red.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct SignalPlan {
     /// Connector, start and end of green in the cycle, seconds.
@@ -22,7 +23,8 @@ impl SignalPlan {
         let mut plan = Self::default();
         for (connectors, green) in phases {
             let (from, to) = (plan.cycle, plan.cycle + green);
-            plan.windows.extend(connectors.iter().map(|&connector| (connector, from, to)));
+            plan.windows
+                .extend(connectors.iter().map(|&connector| (connector, from, to)));
             plan.cycle = to + YELLOW + ALL_RED;
         }
         plan

@@ -33,11 +33,22 @@ pub struct TrafficBuilder<'a, 'd> {
     tokens: u32,
 }
 
-/// Sets the traffic lights and picks the ego's lane: its chain of lanes, and its index on the first road.
-pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, rng: &mut SeededRng) -> (Vec<LaneId>, usize) {
+/// Sets the traffic lights and picks the ego's lane: its chain of lanes, and its index on the first
+/// road.
+pub(crate) fn prepare(
+    roads: &mut Roads,
+    setting: &Setting,
+    rng: &mut SeededRng,
+) -> (Vec<LaneId>, usize) {
     let first = &roads.route_lanes[0];
-    let best = first.iter().map(|&lane| roads.reach(0, lane)).max().expect("a road has one lane at least");
-    let good: Vec<usize> = (0..first.len()).filter(|&i| roads.reach(0, first[i]) == best).collect();
+    let best = first
+        .iter()
+        .map(|&lane| roads.reach(0, lane))
+        .max()
+        .expect("a road has one lane at least");
+    let good: Vec<usize> = (0..first.len())
+        .filter(|&i| roads.reach(0, first[i]) == best)
+        .collect();
     let place = match setting.lane {
         LanePick::OnRoute => rng.situation(|rng| rng.choose(&good)),
         LanePick::Rightmost => good[good.len() - 1],
@@ -49,12 +60,18 @@ pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, rng: &mut SeededRng)
         let own = chain.iter().copied().find(|lane| governed.contains(lane));
         let is_first = own.is_some_and(|own| {
             let before = chain.iter().take_while(|&&lane| lane != own);
-            !before.into_iter().any(|lane| roads.map[*lane].has_traffic_lights)
+            !before
+                .into_iter()
+                .any(|lane| roads.map[*lane].has_traffic_lights)
         });
         let connector = own.unwrap_or(governed[0]);
         match setting.light {
-            LightTiming::GreenFrom(time) if is_first => roads.signals[n].start_green_at(connector, rng.value_of(time)),
-            LightTiming::GreenUntil(time) if is_first => roads.signals[n].end_green_at(connector, rng.value_of(time)),
+            LightTiming::GreenFrom(time) if is_first => {
+                roads.signals[n].start_green_at(connector, rng.value_of(time))
+            }
+            LightTiming::GreenUntil(time) if is_first => {
+                roads.signals[n].end_green_at(connector, rng.value_of(time))
+            }
             _ => roads.signals[n].start_green_at(connector, rng.uniform(0.0, 40.0)),
         }
     }
@@ -90,8 +107,20 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
         let track = Arc::new(Track::along(roads, chain)?);
         let speed = setting.start_speed * track.allowed_at(setting.start_s) * EXPERT.speed_factor;
         let ego = Mover::ego(track, setting.start_s, speed, EXPERT);
-        let traffic = Traffic { roads, movers: vec![ego], walkers: Vec::new(), fixtures: Vec::new(), time: -LEAD_IN };
-        Some(Self { rng, traffic, ego_lane, task: setting.task, tokens: 0 })
+        let traffic = Traffic {
+            roads,
+            movers: vec![ego],
+            walkers: Vec::new(),
+            fixtures: Vec::new(),
+            time: -LEAD_IN,
+        };
+        Some(Self {
+            rng,
+            traffic,
+            ego_lane,
+            task: setting.task,
+            tokens: 0,
+        })
     }
 
     pub(crate) fn roads(&self) -> &'a Roads {
@@ -104,11 +133,19 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
 
     /// A car with a probability of 85 %, else a long vehicle; a draw of the situation.
     pub fn mostly_a_car(&mut self) -> VehicleKind {
-        if self.rng.situation(|rng| rng.bool(0.85)) { VehicleKind::Car } else { VehicleKind::Long }
+        if self.rng.situation(|rng| rng.bool(0.85)) {
+            VehicleKind::Car
+        } else {
+            VehicleKind::Long
+        }
     }
 
     pub(crate) fn car_or_long(&mut self, long: f64) -> VehicleKind {
-        if self.rng.bool(long) { VehicleKind::Long } else { VehicleKind::Car }
+        if self.rng.bool(long) {
+            VehicleKind::Long
+        } else {
+            VehicleKind::Car
+        }
     }
 
     /// Speed of the ego when the traffic starts, m/s.
@@ -118,8 +155,17 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
 
     /// The crosswalk that covers this part of the ego's track.
     pub(crate) fn crosswalk_at(&self, span: [f64; 2]) -> Option<Polygon> {
-        let at = self.ego().track.pose_at(f64::midpoint(span[0], span[1])).position();
-        self.roads().map.crosswalks().iter().find(|walk| walk.contains(at)).cloned()
+        let at = self
+            .ego()
+            .track
+            .pose_at(f64::midpoint(span[0], span[1]))
+            .position();
+        self.roads()
+            .map
+            .crosswalks()
+            .iter()
+            .find(|walk| walk.contains(at))
+            .cloned()
     }
 
     fn token(&mut self) -> TrackToken {
@@ -139,8 +185,8 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
         }
     }
 
-    /// Puts a vehicle on a chain of lanes with its center at `s` meters. Gives its index among the movers, or `None` if the
-    /// place is taken.
+    /// Puts a vehicle on a chain of lanes with its center at `s` meters. Gives its index among the
+    /// movers, or `None` if the place is taken.
     pub(crate) fn put(
         &mut self,
         kind: VehicleKind,
@@ -166,10 +212,17 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
         if s < length / 2.0 + 1.0 || s + length / 2.0 + 3.0 > track.length() {
             return None;
         }
-        let sideways = self.rng.is_wide().then(|| wide::sideways(self.rng, kind, width, self.lane_width_at(&track, s)));
+        let sideways = self
+            .rng
+            .is_wide()
+            .then(|| wide::sideways(self.rng, kind, width, self.lane_width_at(&track, s)));
         let mover = Mover {
             token: TrackToken(0),
-            kind: if kind == VehicleKind::Bicycle { ObjectKind::Bicycle } else { ObjectKind::Vehicle },
+            kind: if kind == VehicleKind::Bicycle {
+                ObjectKind::Bicycle
+            } else {
+                ObjectKind::Vehicle
+            },
             length,
             width,
             front: length / 2.0,
@@ -194,7 +247,8 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
         Some(self.traffic.movers.len() - 1)
     }
 
-    /// Puts a vehicle on the ego's track with a gap of `gap` meters between the bumpers. Gives its index among the movers.
+    /// Puts a vehicle on the ego's track with a gap of `gap` meters between the bumpers. Gives its
+    /// index among the movers.
     pub fn put_ahead(&mut self, kind: VehicleKind, gap: f64, speed: f64) -> Option<usize> {
         let (track, front) = (self.ego().track.clone(), self.ego().front_s());
         // The length is not known yet; this leaves room for half a vehicle.
@@ -204,20 +258,41 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
 
     /// True if a box with these margins on every side touches nothing.
     fn is_free(&self, shape: &OrientedBox, along: f64, across: f64) -> bool {
-        let grown = OrientedBox::new(shape.center, shape.length + 2.0 * along, shape.width + 2.0 * across);
+        let grown = OrientedBox::new(
+            shape.center,
+            shape.length + 2.0 * along,
+            shape.width + 2.0 * across,
+        );
         let movers = self.traffic.movers.iter().map(Mover::shape);
-        movers.chain(self.traffic.fixtures.iter().map(|f| f.shape)).all(|other| !other.overlaps(&grown))
-            && self.traffic.walkers.iter().all(|walker| !walker.shape().overlaps(&grown))
+        movers
+            .chain(self.traffic.fixtures.iter().map(|f| f.shape))
+            .all(|other| !other.overlaps(&grown))
+            && self
+                .traffic
+                .walkers
+                .iter()
+                .all(|walker| !walker.shape().overlaps(&grown))
     }
 
     /// Puts a static object; true if there was room.
-    pub(crate) fn put_fixture(&mut self, kind: ObjectKind, center: Pose, length: f64, width: f64) -> bool {
+    pub(crate) fn put_fixture(
+        &mut self,
+        kind: ObjectKind,
+        center: Pose,
+        length: f64,
+        width: f64,
+    ) -> bool {
         let shape = OrientedBox::new(center, length, width);
         let free = self.is_free(&shape, 0.3, 0.1);
         if free {
             let token = self.token();
             let velocity = planagent_world::geometry::Vector::zeros();
-            self.traffic.fixtures.push(TrackedObject { token, kind, shape, velocity });
+            self.traffic.fixtures.push(TrackedObject {
+                token,
+                kind,
+                shape,
+                velocity,
+            });
         }
         free
     }
@@ -247,15 +322,25 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
 
     /// As [`Self::fill_lanes_to`] with a density that the situation draws within bounds.
     pub fn fill_lanes(&mut self, density: [f64; 2], clear: [f64; 2]) {
-        let density = self.rng.situation(|rng| rng.uniform(density[0], density[1]));
+        let density = self
+            .rng
+            .situation(|rng| rng.uniform(density[0], density[1]));
         self.fill_lanes_to(density, clear);
     }
 
-    /// Fills all lanes with vehicles, on average `density` per hundred meters of lane. In the ego's lane, none is nearer than
-    /// `clear` meters ahead and behind.
+    /// Fills all lanes with vehicles, on average `density` per hundred meters of lane. In the ego's
+    /// lane, none is nearer than `clear` meters ahead and behind.
     pub(crate) fn fill_lanes_to(&mut self, density: f64, clear: [f64; 2]) {
-        let max_movers = if self.rng.is_wide() { wide::MAX_MOVERS } else { 34 };
-        let density = if self.rng.is_wide() { wide::density(self.rng, density) } else { density };
+        let max_movers = if self.rng.is_wide() {
+            wide::MAX_MOVERS
+        } else {
+            34
+        };
+        let density = if self.rng.is_wide() {
+            wide::density(self.rng, density)
+        } else {
+            density
+        };
         if self.rng.is_wide() {
             self.queue_at_lines();
         }
@@ -265,14 +350,18 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
             let length = self.roads().map[lane].centerline.length();
             let mut s = self.rng.uniform(4.0, 30.0 + 40.0 / density.max(0.2));
             while s < length - 4.0 && self.traffic.movers.len() < max_movers {
-                let spacing = 9.0 + self.rng.uniform(0.2, 1.8) * (100.0 / density.max(0.05) - 9.0).max(0.0);
+                let spacing =
+                    9.0 + self.rng.uniform(0.2, 1.8) * (100.0 / density.max(0.05) - 9.0).max(0.0);
                 let at = self.roads().map[lane].centerline.point_at(s);
                 let (along, lateral) = ego.track.project(at, ego.s - 80.0, ego.s + 120.0);
                 let near = (at - ego.track.pose_at(along).position()).norm();
                 let in_own_lane = lateral.abs() < 2.0 && near < 3.0;
                 let ahead = along - ego.s;
                 if !(in_own_lane && ahead > -clear[1] && ahead < clear[0]) {
-                    let kind = if self.rng.bool(if self.rng.is_wide() { wide::LONG } else { 0.1 }) {
+                    let kind = if self
+                        .rng
+                        .bool(if self.rng.is_wide() { wide::LONG } else { 0.1 })
+                    {
                         VehicleKind::Long
                     } else {
                         VehicleKind::Car
@@ -292,17 +381,25 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
 
     /// Puts a vehicle with a speed that suits the road ahead of it.
     fn put_settled(&mut self, kind: VehicleKind, chain: Vec<LaneId>, s: f64) {
-        let Some(track) = Track::along(self.roads(), chain).map(Arc::new) else { return };
+        let Some(track) = Track::along(self.roads(), chain).map(Arc::new) else {
+            return;
+        };
         let lights = self.traffic.lights();
         let allowed = track.allowed_at(s) * self.rng.uniform(0.7, 1.0);
         let roads = self.roads();
-        let halt = track.spans.iter().filter(|span| span.connector && span.from > s).find(|span| {
-            let passage = roads.passages[span.lane.index()].as_ref();
-            match lights.status(span.lane) {
-                Some(status) => status != SignalStatus::Green,
-                None => passage.is_some_and(|p| p.stop_sign || p.conflicts.iter().any(|c| c.yields)),
-            }
-        });
+        let halt = track
+            .spans
+            .iter()
+            .filter(|span| span.connector && span.from > s)
+            .find(|span| {
+                let passage = roads.passages[span.lane.index()].as_ref();
+                match lights.status(span.lane) {
+                    Some(status) => status != SignalStatus::Green,
+                    None => {
+                        passage.is_some_and(|p| p.stop_sign || p.conflicts.iter().any(|c| c.yields))
+                    }
+                }
+            });
         let room = halt.map_or(f64::INFINITY, |span| (span.from - s - 6.0).max(0.0));
         let speed = allowed.min((2.0 * 1.4 * room).sqrt());
         self.put_on(kind, track, s, speed, 0.0);
@@ -317,10 +414,15 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
                 let me = &self.traffic.movers[i];
                 let mut speed = me.speed;
                 for body in bodies.iter().filter(|body| body.mover != Some(i)) {
-                    let (s, lateral) = me.track.project(body.shape.center.position(), me.s, me.s + 70.0);
+                    let (s, lateral) =
+                        me.track
+                            .project(body.shape.center.position(), me.s, me.s + 70.0);
                     let place = me.track.pose_at(s);
                     let near = (place.position() - body.shape.center.position()).norm();
-                    if s <= me.s + 0.5 || lateral.abs() > f64::midpoint(me.width, body.shape.width) || near > 3.0 {
+                    if s <= me.s + 0.5
+                        || lateral.abs() > f64::midpoint(me.width, body.shape.width)
+                        || near > 3.0
+                    {
                         continue;
                     }
                     let gap = (s - body.shape.length / 2.0 - me.front_s() - 2.0).max(0.0);

@@ -21,7 +21,9 @@ impl TrafficBuilder<'_, '_> {
         roads
             .road_lanes()
             .filter(at_curb)
-            .filter_map(|lane| roads.facts[lane.index()].map(|f| (lane, f.lane_width, f.shoulder[0])))
+            .filter_map(|lane| {
+                roads.facts[lane.index()].map(|f| (lane, f.lane_width, f.shoulder[0]))
+            })
             .collect()
     }
 
@@ -31,7 +33,11 @@ impl TrafficBuilder<'_, '_> {
             self.add_wide_clutter();
             return;
         }
-        let (parked, cyclists, strollers) = (self.rng.uniform(0.2, 0.8), self.rng.bool(0.5), self.rng.range(0, 4));
+        let (parked, cyclists, strollers) = (
+            self.rng.uniform(0.2, 0.8),
+            self.rng.bool(0.5),
+            self.rng.range(0, 4),
+        );
         for (lane, lane_width, strip) in self.curb_lanes() {
             if strip >= PARKING {
                 self.park_along(lane, lane_width / 2.0 + strip / 2.0 + 0.1, parked);
@@ -62,7 +68,11 @@ impl TrafficBuilder<'_, '_> {
     /// Parks cars in a row beside a lane, `offset` meters to the right of its centerline.
     pub(super) fn park_along(&mut self, lane: LaneId, offset: f64, share: f64) {
         let line = self.roads().map[lane].centerline.clone();
-        let max_parked = if self.rng.is_wide() { wide::MAX_PARKED } else { 40 };
+        let max_parked = if self.rng.is_wide() {
+            wide::MAX_PARKED
+        } else {
+            40
+        };
         let mut s = 9.0;
         while s < line.length() - 9.0 && self.traffic.fixtures.len() < max_parked {
             if self.rng.bool(share) {
@@ -81,7 +91,10 @@ impl TrafficBuilder<'_, '_> {
     /// Adds a cyclist along a lane, `lateral` meters to the left of its centerline.
     pub(super) fn cycle_along(&mut self, lane: LaneId, lateral: f64) {
         let length = self.roads().map[lane].centerline.length();
-        let (s, pace) = (self.rng.uniform(3.0, (length - 6.0).max(4.0)), self.rng.uniform(3.0, 6.0));
+        let (s, pace) = (
+            self.rng.uniform(3.0, (length - 6.0).max(4.0)),
+            self.rng.uniform(3.0, 6.0),
+        );
         let chain = self.roads().straight_chain(lane);
         if let Some(i) = self.put(VehicleKind::Bicycle, chain, s, pace, lateral) {
             self.traffic.movers[i].speed_cap = pace;
@@ -98,40 +111,66 @@ impl TrafficBuilder<'_, '_> {
         }
         let offset = lane_width / 2.0 + strip + self.rng.uniform(1.0, 2.2);
         let s = self.rng.uniform(5.0, line.length() - 40.0);
-        let (a, b) = (line.frenet_to_map(s, -offset), line.frenet_to_map(s + 32.0, -offset));
+        let (a, b) = (
+            line.frenet_to_map(s, -offset),
+            line.frenet_to_map(s + 32.0, -offset),
+        );
         let (from, to) = if self.rng.bool(0.5) { (a, b) } else { (b, a) };
         let pace = self.rng.uniform(0.9, 1.6);
-        self.put_walker(Walker { pace, departure: Departure::At(-10.0), crosses: false, ..walker(from, to) });
+        self.put_walker(Walker {
+            pace,
+            departure: Departure::At(-10.0),
+            crosses: false,
+            ..walker(from, to)
+        });
     }
 
     /// Adds a pedestrian who waits at a crosswalk.
     pub(crate) fn wait_at(&mut self, walk: &Polygon, departure: Departure, other_way: bool) {
         let (a, b) = ends(walk);
         let (from, to) = if other_way { (b, a) } else { (a, b) };
-        let aside = Pose::at(from, 0.0).translated(self.rng.uniform(-0.6, 0.6), self.rng.uniform(-0.6, 0.6));
+        let aside = Pose::at(from, 0.0)
+            .translated(self.rng.uniform(-0.6, 0.6), self.rng.uniform(-0.6, 0.6));
         let pace = self.rng.uniform(1.0, 1.7);
-        self.put_walker(Walker { pace, departure, crosses: true, ..walker(aside.position(), to) });
+        self.put_walker(Walker {
+            pace,
+            departure,
+            crosses: true,
+            ..walker(aside.position(), to)
+        });
     }
 
-    /// Adds a pedestrian who crosses the road away from any crosswalk, where no object blocks the path.
+    /// Adds a pedestrian who crosses the road away from any crosswalk, where no object blocks the
+    /// path.
     pub(crate) fn add_jaywalker(&mut self) {
         const REACH: f64 = 14.0;
         const TRIES: usize = 5;
         for _ in 0..TRIES {
-            let (s, side) = (self.ego().s + self.rng.uniform(50.0, 110.0), self.rng.sign());
+            let (s, side) = (
+                self.ego().s + self.rng.uniform(50.0, 110.0),
+                self.rng.sign(),
+            );
             let early = self.rng.uniform(8.0, 12.0);
             let pose = self.ego().track.pose_at(s);
-            let (from, to) = (pose.to_map(Point::new(0.0, side * REACH)), pose.to_map(Point::new(1.0, -side * REACH)));
+            let (from, to) = (
+                pose.to_map(Point::new(0.0, side * REACH)),
+                pose.to_map(Point::new(1.0, -side * REACH)),
+            );
             let blocked = self.traffic.fixtures.iter().any(|fixture| {
                 let shape = fixture.shape;
-                OrientedBox::new(shape.center, shape.length + 1.2, shape.width + 1.2).meets_segment(from, to)
+                OrientedBox::new(shape.center, shape.length + 1.2, shape.width + 1.2)
+                    .meets_segment(from, to)
             });
             if blocked || self.ego().track.span_at(s).connector {
                 continue;
             }
             let arrives = (s - self.ego().s) / self.ego().speed.max(3.0) - LEAD_IN;
             let pace = self.rng.uniform(1.2, 1.9);
-            self.put_walker(Walker { pace, departure: Departure::At(arrives - early), ..walker(from, to) });
+            self.put_walker(Walker {
+                pace,
+                departure: Departure::At(arrives - early),
+                ..walker(from, to)
+            });
             return;
         }
     }
@@ -140,7 +179,8 @@ impl TrafficBuilder<'_, '_> {
     pub(crate) fn fill_bay(&mut self) {
         let bays = self.roads().map.carparks().to_vec();
         for bay in &bays {
-            // The outline runs along the right edge of the road first, then back along the left one.
+            // The outline runs along the right edge of the road first, then back along the left
+            // one.
             let ring = bay.ring();
             let (left, right) = ((ring[3], ring[2]), (ring[0], ring[1]));
             let heading = (left.1 - left.0).y.atan2((left.1 - left.0).x);
@@ -154,11 +194,21 @@ impl TrafficBuilder<'_, '_> {
                     self.put_fixture(ObjectKind::Vehicle, start.translated(s, 0.0), long, wide);
                 }
                 if self.rng.bool(0.35) {
-                    let at = start.translated(s + 2.0, -depth / 2.0 - self.rng.uniform(0.6, 1.6)).position();
+                    let at = start
+                        .translated(s + 2.0, -depth / 2.0 - self.rng.uniform(0.6, 1.6))
+                        .position();
                     let ahead = start.translated(s + 9.0, -depth / 2.0 - 1.2).position();
                     let walks = self.rng.bool(0.3);
-                    let departure = if walks { Departure::At(self.rng.uniform(-3.0, 8.0)) } else { Departure::Never };
-                    self.put_walker(Walker { departure, crosses: false, ..walker(at, ahead) });
+                    let departure = if walks {
+                        Departure::At(self.rng.uniform(-3.0, 8.0))
+                    } else {
+                        Departure::Never
+                    };
+                    self.put_walker(Walker {
+                        departure,
+                        crosses: false,
+                        ..walker(at, ahead)
+                    });
                 }
                 s += 7.0;
             }
@@ -177,8 +227,17 @@ impl TrafficBuilder<'_, '_> {
         let offset = -(lane_width / 2.0 + strip.min(1.0) * 0.6);
         for k in 0..5 {
             let s = start + 5.0 * f64::from(k);
-            let kind = if k == 0 { ObjectKind::CzoneSign } else { ObjectKind::TrafficCone };
-            self.put_fixture(kind, Pose::at(line.frenet_to_map(s, offset), line.heading_at(s)), 0.4, 0.4);
+            let kind = if k == 0 {
+                ObjectKind::CzoneSign
+            } else {
+                ObjectKind::TrafficCone
+            };
+            self.put_fixture(
+                kind,
+                Pose::at(line.frenet_to_map(s, offset), line.heading_at(s)),
+                0.4,
+                0.4,
+            );
         }
     }
 
@@ -197,7 +256,12 @@ impl TrafficBuilder<'_, '_> {
         self.put_fixture(ObjectKind::Barrier, across, 0.7 * width, 0.5);
         let mut along = 6.0;
         while along < length {
-            self.put_fixture(ObjectKind::TrafficCone, at(s + along, 0.32 * width), 0.35, 0.35);
+            self.put_fixture(
+                ObjectKind::TrafficCone,
+                at(s + along, 0.32 * width),
+                0.35,
+                0.35,
+            );
             along += 6.0;
         }
         self.put_fixture(ObjectKind::CzoneSign, at(s - 14.0, -0.42 * width), 0.5, 0.5);
@@ -224,7 +288,10 @@ fn ends(walk: &Polygon) -> (Point, Point) {
     /// Distance from the curb, meters.
     const BACK: f64 = 1.1;
     let ring = walk.ring();
-    let (a, b) = (nalgebra::center(&ring[0], &ring[1]), nalgebra::center(&ring[2], &ring[3]));
+    let (a, b) = (
+        nalgebra::center(&ring[0], &ring[1]),
+        nalgebra::center(&ring[2], &ring[3]),
+    );
     let along = (b - a).normalize() * BACK;
     (a - along, b + along)
 }

@@ -7,19 +7,33 @@ use crate::generator::road::{Control, Turn};
 use planagent_world::geometry::GeometryError;
 
 /// A route over a crossing with this turn. `signals` is the probability of traffic lights.
-pub(crate) fn turn(rng: &mut SeededRng, turn: Turn, signals: f64) -> Result<Setting, GeometryError> {
+pub(crate) fn turn(
+    rng: &mut SeededRng,
+    turn: Turn,
+    signals: f64,
+) -> Result<Setting, GeometryError> {
     let style = setting::style(rng, [1, 3], [1, 3], &LIMITS[..4]);
     let mut plan = setting::crossing(rng, &style, turn);
     if rng.bool(signals) {
-        plan.control = Control::Signals { protected_left: rng.bool(0.4) };
+        plan.control = Control::Signals {
+            protected_left: rng.bool(0.4),
+        };
         plan.from_minor = false;
     } else if matches!(plan.control, Control::Signals { .. }) {
-        plan.control = if rng.bool(0.6) { Control::StopSigns } else { Control::Priority };
+        plan.control = if rng.bool(0.6) {
+            Control::StopSigns
+        } else {
+            Control::Priority
+        };
         plan.from_minor = style.own == 1 && rng.bool(0.5);
     }
     // The ego waits at the line or rolls up to it.
     let waiting = rng.bool(0.45);
-    let before = if waiting { rng.uniform(6.0, 14.0) } else { rng.uniform(45.0, 85.0) };
+    let before = if waiting {
+        rng.uniform(6.0, 14.0)
+    } else {
+        rng.uniform(45.0, 85.0)
+    };
     let speed = if waiting { 0.0 } else { rng.uniform(0.6, 0.95) };
     let (layout, start) = setting::town(rng, &style, &plan, before)?;
     let mut setting = Setting::new(layout, start - 4.1, speed);

@@ -1,6 +1,8 @@
-//! What the scenario types share: roads, the ego's place on them, and the agents and objects around it.
+//! What the scenario types share: roads, the ego's place on them, and the agents and objects around
+//! it.
 //!
-//! * `setting`: roads, start of the ego, its traffic light; `builder`: vehicles, objects and pedestrians on the roads;
+//! * `setting`: roads, start of the ego, its traffic light; `builder`: vehicles, objects and
+//!   pedestrians on the roads;
 //! * `clutter`: parked cars, cyclists, pedestrians, cones; `obstacles`: what blocks the ego's lane;
 //! * `crossing`, `stream`: what several types have in common.
 

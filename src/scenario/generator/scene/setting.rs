@@ -56,20 +56,41 @@ pub struct Setting {
 }
 
 impl Setting {
-    /// The ego starts at `start_s` meters of the first road with `start_speed` of the allowed speed.
+    /// The ego starts at `start_s` meters of the first road with `start_speed` of the allowed
+    /// speed.
     pub fn new(layout: Layout, start_s: f64, start_speed: f64) -> Self {
-        let task = ExpertTask { change: None, overtakes: false };
-        Self { layout, start_s, start_speed, lane: LanePick::OnRoute, light: LightTiming::Any, task }
+        let task = ExpertTask {
+            change: None,
+            overtakes: false,
+        };
+        Self {
+            layout,
+            start_s,
+            start_speed,
+            lane: LanePick::OnRoute,
+            light: LightTiming::Any,
+            task,
+        }
     }
 }
 
 /// A random start pose.
 pub(crate) fn anywhere(rng: &mut SeededRng) -> Pose {
-    Pose::new(rng.uniform(-40.0, 40.0), rng.uniform(-40.0, 40.0), rng.uniform(-PI, PI))
+    Pose::new(
+        rng.uniform(-40.0, 40.0),
+        rng.uniform(-40.0, 40.0),
+        rng.uniform(-PI, PI),
+    )
 }
 
-/// A random cross-section: numbers of lanes in both directions within bounds, and one of the limits.
-pub fn style(rng: &mut SeededRng, own: [usize; 2], oncoming: [usize; 2], limits: &[f64]) -> RoadStyle {
+/// A random cross-section: numbers of lanes in both directions within bounds, and one of the
+/// limits.
+pub fn style(
+    rng: &mut SeededRng,
+    own: [usize; 2],
+    oncoming: [usize; 2],
+    limits: &[f64],
+) -> RoadStyle {
     if rng.is_wide() {
         return wide::style(rng, own, oncoming, limits);
     }
@@ -84,7 +105,10 @@ pub fn style(rng: &mut SeededRng, own: [usize; 2], oncoming: [usize; 2], limits:
             rng.uniform(2.5, 2.8)
         }
     };
-    let (own, oncoming) = (rng.range(own[0], own[1]), rng.range(oncoming[0], oncoming[1]));
+    let (own, oncoming) = (
+        rng.range(own[0], own[1]),
+        rng.range(oncoming[0], oncoming[1]),
+    );
     let left = if oncoming == 0 { 0.6 } else { shoulder(rng) };
     RoadStyle {
         own,
@@ -107,17 +131,30 @@ pub(crate) fn max_curvature(style: &RoadStyle, share: f64) -> f64 {
 }
 
 /// A straight course, or with the probability `bendiness` a gentle bend.
-pub(crate) fn course(rng: &mut SeededRng, length: f64, style: &RoadStyle, bendiness: f64) -> Course {
+pub(crate) fn course(
+    rng: &mut SeededRng,
+    length: f64,
+    style: &RoadStyle,
+    bendiness: f64,
+) -> Course {
     if rng.bool(bendiness) {
         let curvature = rng.sign() * rng.uniform(0.3, 0.95) * max_curvature(style, 1.0).min(0.02);
-        Course { length, curvature, lead: rng.uniform(0.0, 0.3) * length }
+        Course {
+            length,
+            curvature,
+            lead: rng.uniform(0.0, 0.3) * length,
+        }
     } else {
         Course::straight(length)
     }
 }
 
 /// A road, long enough for the scenario.
-pub fn corridor(rng: &mut SeededRng, style: &RoadStyle, bendiness: f64) -> Result<Layout, GeometryError> {
+pub fn corridor(
+    rng: &mut SeededRng,
+    style: &RoadStyle,
+    bendiness: f64,
+) -> Result<Layout, GeometryError> {
     let start = anywhere(rng);
     let total = BEHIND + 25.0 + needed_ahead(style);
     let first = rng.uniform(130.0, 240.0).min(total);
@@ -169,7 +206,9 @@ pub(crate) fn crossing(rng: &mut SeededRng, style: &RoadStyle, turn: Turn) -> Cr
     }
     let kind = rng.unit();
     let control = if kind < 0.6 {
-        Control::Signals { protected_left: rng.bool(0.4) }
+        Control::Signals {
+            protected_left: rng.bool(0.4),
+        }
     } else if kind < 0.85 {
         Control::StopSigns
     } else {
@@ -189,7 +228,11 @@ pub(crate) fn crossing(rng: &mut SeededRng, style: &RoadStyle, turn: Turn) -> Cr
         crosswalks,
         side,
         from_minor,
-        skew: if rng.bool(0.4) { rng.uniform(-0.22, 0.22) } else { 0.0 },
+        skew: if rng.bool(0.4) {
+            rng.uniform(-0.22, 0.22)
+        } else {
+            0.0
+        },
         corner: rng.uniform(4.5, 9.0),
         arm_length: rng.uniform(75.0, 120.0),
     }
@@ -206,7 +249,11 @@ pub(crate) fn town(
     let approach = BEHIND + before + rng.uniform(0.0, 25.0);
     let course_in = course(rng, approach, style, 0.25);
     let mut layout = Layout::begin(start, style, course_in)?;
-    let onward = if plan.turn == Turn::Straight { *style } else { plan.side };
+    let onward = if plan.turn == Turn::Straight {
+        *style
+    } else {
+        plan.side
+    };
     let need = needed_ahead(&onward) - before;
     let piece = rng.uniform(120.0, 190.0).min(need.max(60.0));
     let next = course(rng, piece, &onward, 0.3);
@@ -216,7 +263,11 @@ pub(crate) fn town(
 }
 
 /// A road to a roundabout and on behind it. The ego starts `before` meters ahead of the roundabout.
-pub(crate) fn roundabout(rng: &mut SeededRng, style: &RoadStyle, before: f64) -> Result<(Layout, f64), GeometryError> {
+pub(crate) fn roundabout(
+    rng: &mut SeededRng,
+    style: &RoadStyle,
+    before: f64,
+) -> Result<(Layout, f64), GeometryError> {
     let start = anywhere(rng);
     let approach = BEHIND + before + rng.uniform(0.0, 25.0);
     let mut layout = Layout::begin(start, style, Course::straight(approach))?;

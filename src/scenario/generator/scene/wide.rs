@@ -1,7 +1,8 @@
-//! Wider ranges of draws, for scenarios whose name says `wide`: what recordings show and the first ranges do not.
+//! Wider ranges of draws, for scenarios whose name says `wide`: what recordings show and the first
+//! ranges do not.
 //!
-//! The values are ours, chosen so that `planagent scenarios statistics` tells generated scenes from the validation recordings
-//! of Waymo and Argoverse 2 less often.
+//! The values are ours, chosen so that `planagent scenarios statistics` tells generated scenes from
+//! the validation recordings of Waymo and Argoverse 2 less often.
 
 use super::builder::{TrafficBuilder, VehicleKind};
 use crate::generator::rng::SeededRng;
@@ -24,7 +25,12 @@ const MAX_EXTRA: f64 = 1.6;
 pub(super) const LONG: f64 = 0.03;
 
 /// A cross-section with lanes of different widths, more parking and lower limits.
-pub(super) fn style(rng: &mut SeededRng, own: [usize; 2], oncoming: [usize; 2], limits: &[f64]) -> RoadStyle {
+pub(super) fn style(
+    rng: &mut SeededRng,
+    own: [usize; 2],
+    oncoming: [usize; 2],
+    limits: &[f64],
+) -> RoadStyle {
     let shoulder = |rng: &mut SeededRng| {
         let kind = rng.unit();
         if kind < PARKING {
@@ -41,7 +47,10 @@ pub(super) fn style(rng: &mut SeededRng, own: [usize; 2], oncoming: [usize; 2], 
     for width in widths.iter_mut().flatten() {
         *width = extra(rng);
     }
-    let (own, oncoming) = (rng.range(own[0], own[1]), rng.range(oncoming[0], oncoming[1]));
+    let (own, oncoming) = (
+        rng.range(own[0], own[1]),
+        rng.range(oncoming[0], oncoming[1]),
+    );
     let left = if oncoming == 0 { 0.6 } else { shoulder(rng) };
     RoadStyle {
         own,
@@ -68,14 +77,23 @@ pub(super) fn density(rng: &mut SeededRng, density: f64) -> f64 {
 }
 
 /// Where a driver keeps in its lane, meters to the left of its middle, and how it sways.
-pub(super) fn sideways(rng: &mut SeededRng, kind: VehicleKind, width: f64, lane_width: f64) -> (f64, Option<Sway>) {
+pub(super) fn sideways(
+    rng: &mut SeededRng,
+    kind: VehicleKind,
+    width: f64,
+    lane_width: f64,
+) -> (f64, Option<Sway>) {
     if kind == VehicleKind::Bicycle {
         return (0.0, None);
     }
     let amplitude = rng.uniform(0.05, 0.3);
     let room = ((lane_width - width) / 2.0 - amplitude - 0.1).clamp(0.0, 0.8);
     let aside = rng.sign() * room * rng.unit().sqrt();
-    let sway = Sway { amplitude, frequency: 2.0 * PI / rng.uniform(22.0, 45.0), phase: rng.uniform(0.0, 2.0 * PI) };
+    let sway = Sway {
+        amplitude,
+        frequency: 2.0 * PI / rng.uniform(22.0, 45.0),
+        phase: rng.uniform(0.0, 2.0 * PI),
+    };
     (aside, Some(sway))
 }
 
@@ -89,7 +107,12 @@ pub(crate) fn as_recorded(map: &LaneMap, rng: &mut SeededRng) -> Result<LaneMap,
         let before = lane.centerline.length();
         lane.centerline = lane.centerline.resampled(spacing);
         let whole = lane.centerline.length();
-        for neighbor in lane.left.iter_mut().chain(&mut lane.right).filter(|neighbor| neighbor.to_s >= before) {
+        for neighbor in lane
+            .left
+            .iter_mut()
+            .chain(&mut lane.right)
+            .filter(|neighbor| neighbor.to_s >= before)
+        {
             neighbor.to_s = whole;
         }
     }
@@ -106,18 +129,30 @@ impl TrafficBuilder<'_, '_> {
                 self.park_along(lane, lane_width / 2.0 + strip / 2.0 + 0.1, parked);
             }
             if cyclists && self.rng.bool(0.5) {
-                let beside = if (1.3..2.3).contains(&strip) { lane_width / 2.0 + 0.75 } else { lane_width / 2.0 - 0.5 };
+                let beside = if (1.3..2.3).contains(&strip) {
+                    lane_width / 2.0 + 0.75
+                } else {
+                    lane_width / 2.0 - 0.5
+                };
                 self.cycle_along(lane, -beside);
             }
         }
-        let group = if self.rng.bool(0.2) { self.rng.range(4, 14) } else { 0 };
+        let group = if self.rng.bool(0.2) {
+            self.rng.range(4, 14)
+        } else {
+            0
+        };
         for _ in 0..self.rng.range(0, 4) + group {
             self.stroll();
         }
         for walk in self.roads().map.crosswalks().to_vec() {
             if self.rng.bool(0.3) {
                 let leaves = self.rng.uniform(-3.0, 12.0);
-                let departure = if self.rng.bool(0.6) { Departure::WhenClear(leaves) } else { Departure::Never };
+                let departure = if self.rng.bool(0.6) {
+                    Departure::WhenClear(leaves)
+                } else {
+                    Departure::Never
+                };
                 let other_way = self.rng.bool(0.5);
                 self.wait_at(&walk, departure, other_way);
             }
@@ -127,22 +162,36 @@ impl TrafficBuilder<'_, '_> {
         }
     }
 
-    /// Lets vehicles wait in line where a light is red or a sign says stop, but not in the ego's lane.
+    /// Lets vehicles wait in line where a light is red or a sign says stop, but not in the ego's
+    /// lane.
     pub(super) fn queue_at_lines(&mut self) {
         let lights = self.traffic.lights();
         let own = self.ego().track.clone();
-        let lanes: Vec<_> =
-            self.roads().road_lanes().filter(|lane| own.spans.iter().all(|span| span.lane != *lane)).collect();
+        let lanes: Vec<_> = self
+            .roads()
+            .road_lanes()
+            .filter(|lane| own.spans.iter().all(|span| span.lane != *lane))
+            .collect();
         for lane in lanes {
             let onward = self.roads().map[lane].outgoing.clone();
-            let red =
-                onward.iter().any(|&next| lights.status(next).is_some_and(|status| status != SignalStatus::Green));
-            let sign =
-                onward.iter().any(|next| self.roads().passages[next.index()].as_ref().is_some_and(|p| p.stop_sign));
+            let red = onward.iter().any(|&next| {
+                lights
+                    .status(next)
+                    .is_some_and(|status| status != SignalStatus::Green)
+            });
+            let sign = onward.iter().any(|next| {
+                self.roads().passages[next.index()]
+                    .as_ref()
+                    .is_some_and(|p| p.stop_sign)
+            });
             if !(red && self.rng.bool(0.85) || sign && self.rng.bool(0.5)) {
                 continue;
             }
-            let count = if red { self.rng.range(1, 6) } else { self.rng.range(1, 2) };
+            let count = if red {
+                self.rng.range(1, 6)
+            } else {
+                self.rng.range(1, 2)
+            };
             let mut s = self.roads().map[lane].centerline.length() - self.rng.uniform(3.5, 5.0);
             for _ in 0..count {
                 if s < 5.0 || self.traffic.movers.len() >= MAX_MOVERS {

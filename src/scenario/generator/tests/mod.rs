@@ -21,7 +21,10 @@ static CORPUS: LazyLock<Vec<Generated>> = LazyLock::new(|| {
     let specs: Vec<Spec> = types::in_suites()
         .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)))
         .collect();
-    specs.par_iter().map(|spec| generate_with_record(spec).unwrap_or_else(|error| panic!("{error}"))).collect()
+    specs
+        .par_iter()
+        .map(|spec| generate_with_record(spec).unwrap_or_else(|error| panic!("{error}")))
+        .collect()
 });
 
 /// One scenario of each type.

@@ -52,7 +52,8 @@ impl DriverProfile {
     }
 }
 
-/// A lateral movement along the track: a quintic from an offset and slope to another offset, without curvature at its ends.
+/// A lateral movement along the track: a quintic from an offset and slope to another offset,
+/// without curvature at its ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Shift {
     /// Start, meters along the track.
@@ -68,7 +69,13 @@ pub(crate) struct Shift {
 
 impl Shift {
     pub(crate) fn constant(lateral: f64) -> Self {
-        Self { from_s: 0.0, to_s: 0.0, from_d: lateral, to_d: lateral, from_slope: 0.0 }
+        Self {
+            from_s: 0.0,
+            to_s: 0.0,
+            from_d: lateral,
+            to_d: lateral,
+            from_slope: 0.0,
+        }
     }
 
     /// Offset at `s` and its slope.
@@ -88,7 +95,10 @@ impl Shift {
         let lead_in = t - 6.0 * t.powi(3) + 8.0 * t.powi(4) - 3.0 * t.powi(5);
         let lead_in_slope = 1.0 - 18.0 * t * t + 32.0 * t.powi(3) - 15.0 * t.powi(4);
         let offset = self.from_d + by * share + self.from_slope * length * lead_in;
-        (offset, by * slope / length + self.from_slope * lead_in_slope)
+        (
+            offset,
+            by * slope / length + self.from_slope * lead_in_slope,
+        )
     }
 }
 
@@ -107,7 +117,10 @@ impl Sway {
     /// Offset to the left at `s`, and its slope.
     fn at(&self, s: f64) -> (f64, f64) {
         let angle = self.frequency * s + self.phase;
-        (self.amplitude * angle.sin(), self.amplitude * self.frequency * angle.cos())
+        (
+            self.amplitude * angle.sin(),
+            self.amplitude * self.frequency * angle.cos(),
+        )
     }
 }
 
@@ -128,7 +141,8 @@ impl Act {
     }
 }
 
-/// A vehicle or cyclist with its driver. The reference point is the center of its box, for the ego the rear axle.
+/// A vehicle or cyclist with its driver. The reference point is the center of its box, for the ego
+/// the rear axle.
 #[derive(Debug, Clone)]
 pub(crate) struct Mover {
     /// The ego's is not used.
@@ -189,7 +203,11 @@ impl Mover {
         }
         let along = 1.0 - self.track.curvature_at(self.s) * lateral;
         let moved = base.translated(0.0, lateral);
-        Pose::new(moved.x, moved.y, wrap_angle(base.heading + slope.atan2(along)))
+        Pose::new(
+            moved.x,
+            moved.y,
+            wrap_angle(base.heading + slope.atan2(along)),
+        )
     }
 
     /// Heading of the path at arc length `s` of the track, radians, not wrapped.
@@ -198,7 +216,8 @@ impl Mover {
         self.track.pose_at(s).heading + slope.atan2(1.0 - self.track.curvature_at(s) * lateral)
     }
 
-    /// Curvature of the path at arc length `s` of the track, 1/m, from the headings before and after.
+    /// Curvature of the path at arc length `s` of the track, 1/m, from the headings before and
+    /// after.
     pub(crate) fn path_curvature(&self, s: f64) -> f64 {
         const SPAN: f64 = 1.2;
         wrap_angle(self.heading_at(s + SPAN) - self.heading_at(s - SPAN)) / (2.0 * SPAN)
@@ -230,9 +249,14 @@ impl Mover {
     pub(crate) fn advance(&mut self, wanted: f64) {
         let rise = self.profile.jerk * STEP_S;
         // Emergency braking may build up faster.
-        let fall = if wanted < -self.profile.decel - 0.5 { 3.0 * rise } else { 1.2 * rise };
-        self.accel =
-            wanted.clamp(self.accel - fall, self.accel + rise).clamp(-self.profile.max_braking, self.profile.accel);
+        let fall = if wanted < -self.profile.decel - 0.5 {
+            3.0 * rise
+        } else {
+            1.2 * rise
+        };
+        self.accel = wanted
+            .clamp(self.accel - fall, self.accel + rise)
+            .clamp(-self.profile.max_braking, self.profile.accel);
         let speed = (self.speed + self.accel * STEP_S).max(0.0);
         let driven = f64::midpoint(self.speed, speed) * STEP_S;
         if speed == 0.0 {
@@ -246,13 +270,20 @@ impl Mover {
         self.gone |= self.front_s() + 1.0 > self.track.length();
     }
 
-    /// Moves to another track, from which it is `lateral` meters away at `s`, within `length` meters. Its pose does not jump.
+    /// Moves to another track, from which it is `lateral` meters away at `s`, within `length`
+    /// meters. Its pose does not jump.
     pub(crate) fn change_track(&mut self, track: Arc<Track>, s: f64, lateral: f64, length: f64) {
         let turned = wrap_angle(self.pose().heading - track.pose_at(s).heading);
         let from_slope = turned.tan() * (1.0 - track.curvature_at(s) * lateral);
         self.track = track;
         self.s = s;
-        self.shift = Shift { from_s: s, to_s: s + length, from_d: lateral, to_d: 0.0, from_slope };
+        self.shift = Shift {
+            from_s: s,
+            to_s: s + length,
+            from_d: lateral,
+            to_d: 0.0,
+            from_slope,
+        };
         self.served = None;
         self.stop_s = None;
     }

@@ -16,7 +16,8 @@ const CROSSING_ACCELERATION: f64 = 1.4;
 /// A driver who would have to brake harder than this continues through yellow, m/s².
 const YELLOW_DECELERATION: f64 = 2.2;
 
-/// Connectors that movers are about to use: for each lane, the movers and the arc length on their track at which it begins.
+/// Connectors that movers are about to use: for each lane, the movers and the arc length on their
+/// track at which it begins.
 #[derive(Debug, Clone)]
 pub(crate) struct Claims {
     by_lane: Vec<Vec<(usize, f64)>>,
@@ -25,7 +26,12 @@ pub(crate) struct Claims {
 impl Claims {
     pub(crate) fn new(traffic: &Traffic<'_>) -> Self {
         let mut by_lane = vec![Vec::new(); traffic.roads.passages.len()];
-        for (i, mover) in traffic.movers.iter().enumerate().filter(|(_, mover)| !mover.gone) {
+        for (i, mover) in traffic
+            .movers
+            .iter()
+            .enumerate()
+            .filter(|(_, mover)| !mover.gone)
+        {
             for span in mover.track.spans.iter().filter(|span| span.connector) {
                 if span.from < mover.front_s() + NOTICED && span.to > mover.rear_s() {
                     by_lane[span.lane.index()].push((i, span.from));
@@ -37,13 +43,25 @@ impl Claims {
 }
 
 impl Traffic<'_> {
-    /// Arc length at which the front of mover `i` must stop now for lights, signs or the right of way of others.
-    pub(super) fn place_to_stop(&self, i: usize, claims: &Claims, lights: &TrafficLights) -> Option<f64> {
+    /// Arc length at which the front of mover `i` must stop now for lights, signs or the right of
+    /// way of others.
+    pub(super) fn place_to_stop(
+        &self,
+        i: usize,
+        claims: &Claims,
+        lights: &TrafficLights,
+    ) -> Option<f64> {
         let me = &self.movers[i];
         let lookahead = me.lookahead();
-        let upcoming = me.track.spans.iter().filter(|span| span.connector && span.to > me.s);
+        let upcoming = me
+            .track
+            .spans
+            .iter()
+            .filter(|span| span.connector && span.to > me.s);
         for span in upcoming.take_while(|span| span.from < me.front_s() + lookahead) {
-            let Some(passage) = self.roads.passages[span.lane.index()].as_ref() else { continue };
+            let Some(passage) = self.roads.passages[span.lane.index()].as_ref() else {
+                continue;
+            };
             let before = me.front_s() <= span.from + 0.5;
             if before {
                 if must_stop_at_light(me, span.from, lights.status(span.lane)) {
@@ -84,9 +102,16 @@ impl Traffic<'_> {
             me.front_s() < start + conflict.own[0]
                 && claims.by_lane[conflict.other.index()]
                     .iter()
-                    .any(|&(j, begins)| j != i && self.must_yield_to(me, start, conflict, j, begins, lights))
+                    .any(|&(j, begins)| {
+                        j != i && self.must_yield_to(me, start, conflict, j, begins, lights)
+                    })
         };
-        passage.conflicts.iter().filter(yields).min_by(|a, b| a.own[0].total_cmp(&b.own[0])).copied()
+        passage
+            .conflicts
+            .iter()
+            .filter(yields)
+            .min_by(|a, b| a.own[0].total_cmp(&b.own[0]))
+            .copied()
     }
 
     /// True if a driver must yield to mover `j`, whose connector begins at `begins` on its track.
@@ -105,14 +130,18 @@ impl Traffic<'_> {
             return false;
         }
         if other.front_s() >= enters {
-            // The other vehicle is inside. Where paths merge, car following takes over once it is ahead.
+            // The other vehicle is inside. Where paths merge, car following takes over once it is
+            // ahead.
             return true;
         }
         if !conflict.yields {
             return false;
         }
         let waits = other.front_s() < begins + 0.5
-            && matches!(lights.status(conflict.other), Some(SignalStatus::Red | SignalStatus::Yellow));
+            && matches!(
+                lights.status(conflict.other),
+                Some(SignalStatus::Red | SignalStatus::Yellow)
+            );
         if waits {
             return false;
         }
@@ -121,7 +150,10 @@ impl Traffic<'_> {
             (to_enter / 3.0 + 1.2, to_enter / 3.0 + 4.0)
         } else {
             let speed = other.speed.max(2.0);
-            (to_enter / speed, (leaves + other.length - other.front_s()) / speed)
+            (
+                to_enter / speed,
+                (leaves + other.length - other.front_s()) / speed,
+            )
         };
         let mine_in = travel_time(start + conflict.own[0] - me.front_s(), me.speed);
         let mine_out = travel_time(start + conflict.own[1] + me.length - me.front_s(), me.speed);
@@ -133,9 +165,17 @@ impl Traffic<'_> {
     pub(super) fn note_stops(&mut self) {
         /// Maximum distance to the line for a stop to count, meters.
         const AT_LINE: f64 = 3.0;
-        for mover in self.movers.iter_mut().filter(|mover| !mover.gone && mover.speed < 0.2) {
+        for mover in self
+            .movers
+            .iter_mut()
+            .filter(|mover| !mover.gone && mover.speed < 0.2)
+        {
             let (front, s) = (mover.front_s(), mover.s);
-            let next = mover.track.spans.iter().find(|span| span.connector && span.from > s);
+            let next = mover
+                .track
+                .spans
+                .iter()
+                .find(|span| span.connector && span.from > s);
             if let Some(span) = next.filter(|span| span.from - front < AT_LINE) {
                 mover.served = Some(span.lane);
             }
@@ -166,7 +206,8 @@ fn travel_time(distance: f64, speed: f64) -> f64 {
     let rising = (top - speed) / CROSSING_ACCELERATION;
     let covered = f64::midpoint(speed, top) * rising;
     if covered >= distance {
-        ((speed * speed + 2.0 * CROSSING_ACCELERATION * distance).sqrt() - speed) / CROSSING_ACCELERATION
+        ((speed * speed + 2.0 * CROSSING_ACCELERATION * distance).sqrt() - speed)
+            / CROSSING_ACCELERATION
     } else {
         rising + (distance - covered) / top
     }

@@ -38,10 +38,22 @@ impl Traffic<'_> {
 
     /// Movers in order, then static objects, as they are now.
     pub(crate) fn bodies(&self) -> Vec<Body> {
-        let body = |shape: OrientedBox, speed, mover| Body { shape, direction: shape.center.direction(), speed, mover };
-        let movers = self.movers.iter().enumerate().filter(|(_, mover)| !mover.gone);
+        let body = |shape: OrientedBox, speed, mover| Body {
+            shape,
+            direction: shape.center.direction(),
+            speed,
+            mover,
+        };
+        let movers = self
+            .movers
+            .iter()
+            .enumerate()
+            .filter(|(_, mover)| !mover.gone);
         let movers = movers.map(|(i, mover)| body(mover.shape(), mover.speed, Some(i)));
-        let fixtures = self.fixtures.iter().map(|object| body(object.shape, 0.0, None));
+        let fixtures = self
+            .fixtures
+            .iter()
+            .map(|object| body(object.shape, 0.0, None));
         movers.chain(fixtures).collect()
     }
 
@@ -49,20 +61,26 @@ impl Traffic<'_> {
     pub(crate) fn objects(&self, reach: f64) -> Vec<TrackedObject> {
         let ego = self.movers[0].shape().center.position();
         let near = |object: &TrackedObject| (object.shape.center.position() - ego).norm() <= reach;
-        let movers = self.movers[1..].iter().filter(|mover| !mover.gone).map(|mover| TrackedObject {
-            token: mover.token,
-            kind: mover.kind,
-            shape: mover.shape(),
-            velocity: mover.velocity(),
-        });
+        let movers = self.movers[1..]
+            .iter()
+            .filter(|mover| !mover.gone)
+            .map(|mover| TrackedObject {
+                token: mover.token,
+                kind: mover.kind,
+                shape: mover.shape(),
+                velocity: mover.velocity(),
+            });
         let walkers = self.walkers.iter().map(|walker| TrackedObject {
             token: walker.token,
             kind: ObjectKind::Pedestrian,
             shape: walker.shape(),
             velocity: walker.velocity(),
         });
-        let mut seen: Vec<TrackedObject> =
-            movers.chain(walkers).chain(self.fixtures.iter().copied()).filter(near).collect();
+        let mut seen: Vec<TrackedObject> = movers
+            .chain(walkers)
+            .chain(self.fixtures.iter().copied())
+            .filter(near)
+            .collect();
         seen.sort_by_key(|object| object.token);
         seen
     }

@@ -15,9 +15,19 @@ impl Traffic<'_> {
         self.follow_command(command, &bodies);
         let claims = Claims::new(self);
         let wanted: Vec<f64> = (0..self.movers.len())
-            .map(|i| if self.movers[i].gone { 0.0 } else { self.wanted_acceleration(i, &bodies, &claims, &lights) })
+            .map(|i| {
+                if self.movers[i].gone {
+                    0.0
+                } else {
+                    self.wanted_acceleration(i, &bodies, &claims, &lights)
+                }
+            })
             .collect();
-        let clear: Vec<bool> = self.walkers.iter().map(|walker| leaves_room(walker, &bodies)).collect();
+        let clear: Vec<bool> = self
+            .walkers
+            .iter()
+            .map(|walker| leaves_room(walker, &bodies))
+            .collect();
         for (mover, &acceleration) in self.movers.iter_mut().zip(&wanted) {
             if !mover.gone {
                 mover.advance(acceleration);
@@ -31,7 +41,8 @@ impl Traffic<'_> {
     }
 }
 
-/// True if a pedestrian may step onto the road: every vehicle near is far in time, stands or has passed.
+/// True if a pedestrian may step onto the road: every vehicle near is far in time, stands or has
+/// passed.
 fn leaves_room(walker: &Walker, bodies: &[Body]) -> bool {
     /// Minimum time to the arrival of a vehicle, seconds.
     const TIME_GAP: f64 = 4.5;

@@ -63,12 +63,23 @@ impl Track {
             .lanes
             .iter()
             .zip(path.starts.iter().copied().zip(ends))
-            .map(|(&lane, (from, to))| Span { lane, from, to, connector: map[lane].is_connector() })
+            .map(|(&lane, (from, to))| Span {
+                lane,
+                from,
+                to,
+                connector: map[lane].is_connector(),
+            })
             .collect();
         let limit = |span: &Span| {
             map[span.lane].speed_limit.unwrap_or_else(|| {
-                let around = map[span.lane].incoming.iter().chain(&map[span.lane].outgoing);
-                around.filter_map(|&lane| map[lane].speed_limit).fold(f64::INFINITY, f64::min).min(UNLIMITED + 20.0)
+                let around = map[span.lane]
+                    .incoming
+                    .iter()
+                    .chain(&map[span.lane].outgoing);
+                around
+                    .filter_map(|&lane| map[lane].speed_limit)
+                    .fold(f64::INFINITY, f64::min)
+                    .min(UNLIMITED + 20.0)
             })
         };
         let mut allowed = Vec::with_capacity(poses.len());
@@ -82,7 +93,15 @@ impl Track {
             let onward: f64 = allowed[i + 1];
             allowed[i] = allowed[i].min((onward * onward + 2.0 * ANTICIPATION * SPACING).sqrt());
         }
-        let mut track = Self { poses, directions, curvature, allowed, spans, crosswalks: Vec::new(), length };
+        let mut track = Self {
+            poses,
+            directions,
+            curvature,
+            allowed,
+            spans,
+            crosswalks: Vec::new(),
+            length,
+        };
         track.crosswalks = track.find_crosswalks(roads);
         Some(track)
     }
@@ -91,11 +110,15 @@ impl Track {
         let mut found: Vec<[f64; 2]> = Vec::new();
         for walk in roads.map.crosswalks() {
             let bounds = walk.bounds();
-            let on = |pose: &Pose| bounds.contains(pose.position()) && walk.contains(pose.position());
+            let on =
+                |pose: &Pose| bounds.contains(pose.position()) && walk.contains(pose.position());
             let first = self.poses.iter().position(on);
             let last = self.poses.iter().rposition(on);
             if let (Some(first), Some(last)) = (first, last) {
-                found.push([(first as f64 - 0.5) * SPACING, (last as f64 + 0.5) * SPACING]);
+                found.push([
+                    (first as f64 - 0.5) * SPACING,
+                    (last as f64 + 0.5) * SPACING,
+                ]);
             }
         }
         found.sort_by(|a, b| a[0].total_cmp(&b[0]));
@@ -118,7 +141,11 @@ impl Track {
     pub(crate) fn pose_at(&self, s: f64) -> Pose {
         let (i, share) = self.place(s);
         let (a, b) = (self.poses[i], self.poses[i + 1]);
-        Pose::new(a.x + (b.x - a.x) * share, a.y + (b.y - a.y) * share, a.heading + (b.heading - a.heading) * share)
+        Pose::new(
+            a.x + (b.x - a.x) * share,
+            a.y + (b.y - a.y) * share,
+            a.heading + (b.heading - a.heading) * share,
+        )
     }
 
     /// Curvature at arc length `s`, 1/m.
@@ -133,7 +160,8 @@ impl Track {
         self.allowed[i] + (self.allowed[i + 1] - self.allowed[i]) * share
     }
 
-    /// Arc length and signed distance of the point of the track nearest to `point`, searched between two arc lengths.
+    /// Arc length and signed distance of the point of the track nearest to `point`, searched
+    /// between two arc lengths.
     pub(crate) fn project(&self, point: Point, from: f64, to: f64) -> (f64, f64) {
         const STRIDE: usize = 4;
         let last = self.poses.len() - 1;
@@ -161,7 +189,8 @@ impl Track {
         (best as f64 * SPACING + along.dot(&d), along.perp(&d))
     }
 
-    /// As [`Self::project`] over the whole track, consistent with [`Self::pose_at`] to less than a millimeter.
+    /// As [`Self::project`] over the whole track, consistent with [`Self::pose_at`] to less than a
+    /// millimeter.
     pub(crate) fn project_exactly(&self, point: Point) -> (f64, f64) {
         const STEPS: usize = 4;
         let (mut s, mut lateral) = self.project(point, 0.0, self.length);
@@ -179,7 +208,10 @@ impl Track {
     }
 
     pub(crate) fn span_at(&self, s: f64) -> Span {
-        let place = self.spans.partition_point(|span| span.to <= s).min(self.spans.len() - 1);
+        let place = self
+            .spans
+            .partition_point(|span| span.to <= s)
+            .min(self.spans.len() - 1);
         self.spans[place]
     }
 }
@@ -187,9 +219,13 @@ impl Track {
 /// Even samples of a line, with the headings of the chords between neighbors.
 fn sample(line: &Polyline) -> Vec<Pose> {
     let count = (line.length() / SPACING).floor().max(1.0) as usize;
-    let points: Vec<Point> = (0..=count).map(|i| line.point_at(i as f64 * SPACING)).collect();
-    let chords: Vec<f64> =
-        (0..=count).map(|i| points[(i + 1).min(count)] - points[i.saturating_sub(1)]).map(|d| d.y.atan2(d.x)).collect();
+    let points: Vec<Point> = (0..=count)
+        .map(|i| line.point_at(i as f64 * SPACING))
+        .collect();
+    let chords: Vec<f64> = (0..=count)
+        .map(|i| points[(i + 1).min(count)] - points[i.saturating_sub(1)])
+        .map(|d| d.y.atan2(d.x))
+        .collect();
     let chords = unwrap_angles(&chords);
     // Lines have corners at their vertices. Drivers steer along a smoothed heading.
     let headings = (0..=count).map(|i| {
@@ -197,5 +233,9 @@ fn sample(line: &Polyline) -> Vec<Pose> {
         let reach = SMOOTHED.min(i).min(count - i);
         chords[i - reach..=i + reach].iter().sum::<f64>() / (2 * reach + 1) as f64
     });
-    points.into_iter().zip(headings).map(|(point, heading)| Pose::at(point, heading)).collect()
+    points
+        .into_iter()
+        .zip(headings)
+        .map(|(point, heading)| Pose::at(point, heading))
+        .collect()
 }

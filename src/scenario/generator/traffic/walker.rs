@@ -46,12 +46,20 @@ impl Walker {
 
     /// m/s.
     pub(crate) fn velocity(&self) -> Vector {
-        if self.moving { self.stride() } else { Vector::zeros() }
+        if self.moving {
+            self.stride()
+        } else {
+            Vector::zeros()
+        }
     }
 
     pub(crate) fn shape(&self) -> OrientedBox {
         let d = self.direction();
-        OrientedBox::new(Pose::at(self.position(), d.y.atan2(d.x)), self.size, self.size)
+        OrientedBox::new(
+            Pose::at(self.position(), d.y.atan2(d.x)),
+            self.size,
+            self.size,
+        )
     }
 
     /// Velocity while it walks, m/s.
@@ -59,8 +67,9 @@ impl Walker {
         self.direction() * self.pace
     }
 
-    /// Seconds until the pedestrian starts to cross, 0 while crossing, `None` if drivers need not react. Drivers foresee the
-    /// start shortly before; pedestrians who wait for a gap do not count.
+    /// Seconds until the pedestrian starts to cross, 0 while crossing, `None` if drivers need not
+    /// react. Drivers foresee the start shortly before; pedestrians who wait for a gap do not
+    /// count.
     pub(crate) fn crosses_in(&self, time: f64) -> Option<f64> {
         /// Time before the start at which drivers foresee it, seconds.
         const FORESEEN: f64 = 2.5;

@@ -32,7 +32,10 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
         if builder.rng.situation(|rng| rng.bool(0.35)) {
             // It stops for a while, as at a bus stop.
             let at = builder.rng.uniform(1.0, 6.0);
-            let again = Act::Limit { at: at + builder.rng.uniform(4.0, 8.0), speed: lead_speed.max(4.0) };
+            let again = Act::Limit {
+                at: at + builder.rng.uniform(4.0, 8.0),
+                speed: lead_speed.max(4.0),
+            };
             builder.traffic.movers[lead].script = vec![again, Act::Limit { at, speed: 0.05 }];
         }
     }

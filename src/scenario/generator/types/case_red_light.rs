@@ -1,4 +1,5 @@
-//! Second qualitative case of the paper: a light turns red when the ego can just no longer stop at PDM-Closed's rate.
+//! Second qualitative case of the paper: a light turns red when the ego can just no longer stop at
+//! PDM-Closed's rate.
 
 use crate::generator::prelude::*;
 
@@ -14,16 +15,20 @@ pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {
 
 /// Speed limit, m/s (30 mph).
 const LIMIT: f64 = 13.4;
-/// When the light turns yellow, seconds from iteration 0. Planning calls every two seconds see it a second later.
+/// When the light turns yellow, seconds from iteration 0. Planning calls every two seconds see it a
+/// second later.
 const YELLOW_AT: f64 = 1.0;
-/// Distance from the ego's front to the crossing when the light turns red, at the speed until then, meters. PDM-Closed's
-/// strongest braking (3 m/s²) needs more from the limit. A planner that brakes for yellow has twice the distance.
+/// Distance from the ego's front to the crossing when the light turns red, at the speed until then,
+/// meters. PDM-Closed's strongest braking (3 m/s²) needs more from the limit. A planner that brakes
+/// for yellow has twice the distance.
 const LEFT_AT_RED: [f64; 2] = [29.5, 31.0];
 
 fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
     let style = setting::style(rng, [2, 3], [2, 2], &[LIMIT]);
     let mut plan = setting::crossing(rng, &style, Turn::Straight);
-    plan.control = Control::Signals { protected_left: false };
+    plan.control = Control::Signals {
+        protected_left: false,
+    };
     plan.from_minor = false;
     plan.crosswalks = [true; 4];
     let driven = EXPERT.speed_factor * LIMIT * (LEAD_IN + YELLOW_AT + YELLOW);
@@ -37,7 +42,13 @@ fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
 
 /// People wait at the crosswalk behind the stop line, and no vehicle drives ahead of the ego.
 fn populate(builder: &mut TrafficBuilder<'_, '_>) {
-    let first = builder.ego().track.crosswalks.iter().find(|walk| walk[0] > builder.ego().s).copied();
+    let first = builder
+        .ego()
+        .track
+        .crosswalks
+        .iter()
+        .find(|walk| walk[0] > builder.ego().s)
+        .copied();
     if let Some(walk) = first.and_then(|span| builder.crosswalk_at(span)) {
         for moment in [8.0, 9.0] {
             let other_way = builder.rng.bool(0.5);

@@ -1,4 +1,5 @@
-//! The ego changes lanes: its own is closed, slow or leads off the route, or the expert changes for no reason.
+//! The ego changes lanes: its own is closed, slow or leads off the route, or the expert changes for
+//! no reason.
 
 use crate::generator::prelude::*;
 
@@ -16,9 +17,15 @@ fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
     let style = setting::style(rng, [2, 4], [0, 3], &LIMITS[..5]);
     if style.own >= 3 && style.oncoming > 0 && rng.bool(0.35) {
         // The ego must reach the lane that turns.
-        let turn = if rng.bool(0.6) { Turn::Left } else { Turn::Right };
+        let turn = if rng.bool(0.6) {
+            Turn::Left
+        } else {
+            Turn::Right
+        };
         let mut plan = setting::crossing(rng, &style, turn);
-        plan.control = Control::Signals { protected_left: rng.bool(0.4) };
+        plan.control = Control::Signals {
+            protected_left: rng.bool(0.4),
+        };
         plan.from_minor = false;
         let before = style.speed_limit * rng.uniform(8.0, 10.0);
         let (layout, start) = setting::town(rng, &style, &plan, before)?;
@@ -29,7 +36,11 @@ fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
     }
     let bendiness = rng.uniform(0.0, 0.5);
     let layout = setting::corridor(rng, &style, bendiness)?;
-    let mut setting = Setting::new(layout, BEHIND + rng.uniform(0.0, 20.0), rng.uniform(0.6, 0.95));
+    let mut setting = Setting::new(
+        layout,
+        BEHIND + rng.uniform(0.0, 20.0),
+        rng.uniform(0.6, 0.95),
+    );
     setting.task.overtakes = true;
     Ok(setting)
 }
@@ -47,7 +58,11 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
         double_park(builder, ahead, 0.0);
     } else if cause == 3 {
         let lead_speed = speed * builder.rng.uniform(0.25, 0.5);
-        let kind = if builder.rng.situation(|rng| rng.bool(0.6)) { VehicleKind::Car } else { VehicleKind::Long };
+        let kind = if builder.rng.situation(|rng| rng.bool(0.6)) {
+            VehicleKind::Car
+        } else {
+            VehicleKind::Long
+        };
         if let Some(lead) = builder.put_ahead(kind, ahead * 0.7, lead_speed) {
             builder.traffic.movers[lead].speed_cap = lead_speed.max(1.5);
         }

@@ -28,7 +28,10 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
         if builder.rng.situation(|rng| rng.bool(0.5)) {
             // The lead changes its speed once: to half of it at least, to 1.4 times at most.
             let (at, share) = (builder.rng.uniform(1.0, 8.0), builder.rng.uniform(0.5, 1.4));
-            builder.traffic.movers[lead].script = vec![Act::Limit { at, speed: (lead_speed * share).max(3.0) }];
+            builder.traffic.movers[lead].script = vec![Act::Limit {
+                at,
+                speed: (lead_speed * share).max(3.0),
+            }];
         }
     }
     builder.fill_lanes([0.3, 1.8], [gap + 22.0, 14.0]);

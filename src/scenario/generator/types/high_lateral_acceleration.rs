@@ -19,7 +19,21 @@ fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
     let lead = BEHIND + rng.uniform(45.0, 90.0);
     // The ego reaches the bend within the first seconds.
     let length = lead + rng.uniform(70.0, 120.0);
-    let mut layout = Layout::begin(start, &style, Course { length, curvature, lead })?;
-    setting::extend(&mut layout, rng, &style, setting::needed_ahead(&style) - (length - BEHIND), 0.6)?;
+    let mut layout = Layout::begin(
+        start,
+        &style,
+        Course {
+            length,
+            curvature,
+            lead,
+        },
+    )?;
+    setting::extend(
+        &mut layout,
+        rng,
+        &style,
+        setting::needed_ahead(&style) - (length - BEHIND),
+        0.6,
+    )?;
     Ok(Setting::new(layout, BEHIND, rng.uniform(0.7, 1.0)))
 }

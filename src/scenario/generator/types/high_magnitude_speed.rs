@@ -16,7 +16,11 @@ fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
     let style = setting::style(rng, [1, 4], [0, 3], &LIMITS[2..]);
     let bendiness = rng.uniform(0.0, 0.6);
     let layout = setting::corridor(rng, &style, bendiness)?;
-    let mut setting = Setting::new(layout, BEHIND + rng.uniform(0.0, 20.0), rng.uniform(0.8, 1.0));
+    let mut setting = Setting::new(
+        layout,
+        BEHIND + rng.uniform(0.0, 20.0),
+        rng.uniform(0.8, 1.0),
+    );
     setting.task.overtakes = rng.bool(0.5);
     Ok(setting)
 }

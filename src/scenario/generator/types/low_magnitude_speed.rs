@@ -25,7 +25,11 @@ fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
 fn populate(builder: &mut TrafficBuilder<'_, '_>) {
     let creep = builder.rng.uniform(0.4, 1.8);
     let dissolves = builder.rng.uniform(4.0, 13.0);
-    for (place, lane) in builder.roads().route_lanes[0].clone().into_iter().enumerate() {
+    for (place, lane) in builder.roads().route_lanes[0]
+        .clone()
+        .into_iter()
+        .enumerate()
+    {
         let mut s = builder.ego().s - builder.rng.uniform(18.0, 45.0);
         let end = builder.ego().s + builder.rng.uniform(30.0, 70.0);
         while s < end {
@@ -34,7 +38,10 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
                 let kind = builder.car_or_long(0.1);
                 if let Some(i) = builder.put(kind, chain, s, creep, 0.0) {
                     builder.traffic.movers[i].speed_cap = creep;
-                    builder.traffic.movers[i].script = vec![Act::Limit { at: dissolves, speed: f64::INFINITY }];
+                    builder.traffic.movers[i].script = vec![Act::Limit {
+                        at: dissolves,
+                        speed: f64::INFINITY,
+                    }];
                 }
             }
             s += builder.rng.uniform(8.0, 13.0);

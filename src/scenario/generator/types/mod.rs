@@ -47,12 +47,16 @@ pub const ALL: &[ScenarioType] = &[
 
 /// The types of the suite `generated`: all but the cases of the paper.
 pub fn in_suites() -> impl Iterator<Item = ScenarioType> {
-    ALL.iter().copied().filter(|kind| kind.group() != TypeGroup::Case)
+    ALL.iter()
+        .copied()
+        .filter(|kind| kind.group() != TypeGroup::Case)
 }
 
 /// The fourteen types of nuPlan's benchmarks (Val14, Test14).
 pub fn nuplan14() -> impl Iterator<Item = ScenarioType> {
-    ALL.iter().copied().filter(|kind| kind.group() == TypeGroup::Nuplan14)
+    ALL.iter()
+        .copied()
+        .filter(|kind| kind.group() == TypeGroup::Nuplan14)
 }
 
 /// The type of this name.

@@ -14,7 +14,11 @@ pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {
 
 fn populate(builder: &mut TrafficBuilder<'_, '_>) {
     let speed = builder.ego().speed;
-    for (place, lane) in builder.roads().route_lanes[0].clone().into_iter().enumerate() {
+    for (place, lane) in builder.roads().route_lanes[0]
+        .clone()
+        .into_iter()
+        .enumerate()
+    {
         let mut s = builder.ego().s - builder.rng.uniform(14.0, 34.0);
         let end = builder.ego().s + 50.0;
         while s < end {
@@ -24,7 +28,8 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
                 let kind = builder.car_or_long(0.08);
                 let own_speed = speed * builder.rng.uniform(0.9, 1.0);
                 if let Some(i) = builder.put(kind, chain, s, own_speed, 0.0) {
-                    builder.traffic.movers[i].speed_cap = (speed * builder.rng.uniform(0.92, 1.02)).max(3.0);
+                    builder.traffic.movers[i].speed_cap =
+                        (speed * builder.rng.uniform(0.92, 1.02)).max(3.0);
                 }
             }
             s += 7.5 + speed * builder.rng.uniform(0.5, 1.1);

@@ -20,13 +20,20 @@ fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
 
 /// A queue in all lanes of the ego's first road, from the stop line to some way behind the ego.
 fn populate(builder: &mut TrafficBuilder<'_, '_>) {
-    for (place, lane) in builder.roads().route_lanes[0].clone().into_iter().enumerate() {
+    for (place, lane) in builder.roads().route_lanes[0]
+        .clone()
+        .into_iter()
+        .enumerate()
+    {
         let length = builder.roads().map[lane].centerline.length();
         let mut s = length - builder.rng.uniform(3.5, 5.0);
         let back = builder.ego().s - builder.rng.uniform(8.0, 40.0);
         while s > back {
-            let chain =
-                if place == builder.ego_lane { builder.roads().chain_on_route(0, lane) } else { builder.wander(lane) };
+            let chain = if place == builder.ego_lane {
+                builder.roads().chain_on_route(0, lane)
+            } else {
+                builder.wander(lane)
+            };
             let kind = builder.car_or_long(0.08);
             if builder.rng.bool(0.95) {
                 builder.put(kind, chain, s, 0.0, 0.0);

@@ -31,7 +31,13 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
         let at = builder.rng.uniform(-0.5, 3.5);
         let mut script = vec![Act::Limit { at, speed: 0.05 }];
         if builder.rng.situation(|rng| rng.bool(0.6)) {
-            script.insert(0, Act::Limit { at: at + builder.rng.uniform(6.0, 10.0), speed: speed.max(5.0) });
+            script.insert(
+                0,
+                Act::Limit {
+                    at: at + builder.rng.uniform(6.0, 10.0),
+                    speed: speed.max(5.0),
+                },
+            );
         }
         // At a light it stops without a script.
         if builder.roads().signals.is_empty() || builder.rng.situation(|rng| rng.bool(0.3)) {

@@ -18,9 +18,19 @@ fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
     let start = setting::anywhere(rng);
     let before = rng.uniform(15.0, 50.0);
     let bay = rng.uniform(45.0, 80.0);
-    let mut layout = Layout::begin(start, &style, Course::straight(BEHIND + before + bay + 15.0))?;
+    let mut layout = Layout::begin(
+        start,
+        &style,
+        Course::straight(BEHIND + before + bay + 15.0),
+    )?;
     layout.bay(rng.uniform(2.5, 3.0), BEHIND + before, bay)?;
-    setting::extend(&mut layout, rng, &style, setting::needed_ahead(&style) - before - bay, 0.3)?;
+    setting::extend(
+        &mut layout,
+        rng,
+        &style,
+        setting::needed_ahead(&style) - before - bay,
+        0.3,
+    )?;
     let mut setting = Setting::new(layout, BEHIND, rng.uniform(0.4, 0.9));
     if rng.bool(0.7) {
         setting.lane = LanePick::Rightmost;
@@ -33,7 +43,8 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
     builder.fill_bay();
     if builder.rng.situation(|rng| rng.bool(0.55)) {
         let ahead = builder.rng.situation(|rng| rng.uniform(45.0, 95.0));
-        // On a single lane the vehicle stands so far to the side that the ego can pass within the lane.
+        // On a single lane the vehicle stands so far to the side that the ego can pass within the
+        // lane.
         if lanes == 1 {
             let aside = builder.rng.uniform(1.7, 2.4);
             double_park(builder, ahead, aside);

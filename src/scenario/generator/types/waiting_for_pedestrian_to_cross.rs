@@ -37,19 +37,35 @@ fn setting(rng: &mut SeededRng) -> Result<Setting, GeometryError> {
     let mut layout = Layout::begin(start, &style, first)?;
     let next = Course::straight(rng.uniform(120.0, 180.0));
     layout.joint(rng.uniform(8.0, 12.0), true, &style, next)?;
-    setting::extend(&mut layout, rng, &style, setting::needed_ahead(&style) - before - next.length, 0.3)?;
+    setting::extend(
+        &mut layout,
+        rng,
+        &style,
+        setting::needed_ahead(&style) - before - next.length,
+        0.3,
+    )?;
     Ok(Setting::new(layout, BEHIND, rng.uniform(0.5, 0.95)))
 }
 
 fn populate(builder: &mut TrafficBuilder<'_, '_>) {
     let speed = builder.ego().speed;
-    let first = builder.ego().track.crosswalks.iter().find(|walk| walk[0] > builder.ego().s + 15.0).copied();
+    let first = builder
+        .ego()
+        .track
+        .crosswalks
+        .iter()
+        .find(|walk| walk[0] > builder.ego().s + 15.0)
+        .copied();
     if let Some(span) = first {
         let arrives = (span[0] - builder.ego().front_s()) / speed.max(3.0) - LEAD_IN;
         if let Some(walk) = builder.crosswalk_at(span) {
             for k in 0..builder.rng.situation(|rng| rng.range(1, 4)) {
                 // The first pedestrian is on the way when the ego comes near.
-                let early = if k == 0 { builder.rng.uniform(2.0, 4.5) } else { builder.rng.uniform(-2.0, 5.0) };
+                let early = if k == 0 {
+                    builder.rng.uniform(2.0, 4.5)
+                } else {
+                    builder.rng.uniform(-2.0, 5.0)
+                };
                 let other_way = builder.rng.bool(0.5);
                 builder.wait_at(&walk, Departure::At(arrives - early), other_way);
             }

@@ -66,14 +66,30 @@ impl Change for Cones {
     }
 
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
-        let [ahead, from, to, taper, length, spacing] =
-            [self.ahead_m, self.from_left_m, self.to_left_m, self.taper_m, self.length_m, self.spacing_m]
-                .map(|number| number.draw(&mut draft.draws));
+        let [ahead, from, to, taper, length, spacing] = [
+            self.ahead_m,
+            self.from_left_m,
+            self.to_left_m,
+            self.taper_m,
+            self.length_m,
+            self.spacing_m,
+        ]
+        .map(|number| number.draw(&mut draft.draws));
         let mut along = 0.0;
         while along <= taper + length {
-            let left = if along < taper { from + (to - from) * along / taper } else { to };
-            let place = draft.lanes.place(&draft.scenario.map, ahead + along, self.lane)?;
-            draft.stand(ObjectKind::TrafficCone, place.pose.translated(0.0, left), SIZE);
+            let left = if along < taper {
+                from + (to - from) * along / taper
+            } else {
+                to
+            };
+            let place = draft
+                .lanes
+                .place(&draft.scenario.map, ahead + along, self.lane)?;
+            draft.stand(
+                ObjectKind::TrafficCone,
+                place.pose.translated(0.0, left),
+                SIZE,
+            );
             along += spacing;
         }
         Ok(())

@@ -53,10 +53,18 @@ impl Change for Crash {
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
         let mut ahead = self.ahead_m.draw(&mut draft.draws);
         for _ in 0..self.cars.draw_whole(&mut draft.draws) {
-            let [left, turn, length, width] =
-                [self.left_m, self.heading_deg, length(), width()].map(|number| number.draw(&mut draft.draws));
-            let side = if draft.draws.whole(0, 1) == 0 { -1.0 } else { 1.0 };
-            let mut center = draft.lanes.place(&draft.scenario.map, ahead, self.lane)?.pose.translated(0.0, left);
+            let [left, turn, length, width] = [self.left_m, self.heading_deg, length(), width()]
+                .map(|number| number.draw(&mut draft.draws));
+            let side = if draft.draws.whole(0, 1) == 0 {
+                -1.0
+            } else {
+                1.0
+            };
+            let mut center = draft
+                .lanes
+                .place(&draft.scenario.map, ahead, self.lane)?
+                .pose
+                .translated(0.0, left);
             center.heading += side * turn.to_radians();
             draft.stand(ObjectKind::Vehicle, center, (length, width));
             ahead += SPACING * length;

@@ -7,7 +7,8 @@ use crate::modified::number::Number;
 use planagent_world::ObjectKind;
 use serde::Deserialize;
 
-/// A vehicle beside the road that drives across it and stops there. It follows no lane and yields to nobody.
+/// A vehicle beside the road that drives across it and stops there. It follows no lane and yields
+/// to nobody.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(in crate::modified) struct CrossingVehicle {
@@ -41,11 +42,19 @@ impl Change for CrossingVehicle {
 
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
         let [ahead_m, from_left_m, to_left_m, speed] =
-            [self.ahead_m, self.from_left_m, self.to_left_m, self.speed].map(|number| number.draw(&mut draft.draws));
+            [self.ahead_m, self.from_left_m, self.to_left_m, self.speed]
+                .map(|number| number.draw(&mut draft.draws));
         // The speed is drawn in any case, so that one that waits changes no other draw.
         let speed = if self.waits { 0.0 } else { speed };
         let lane = self.lane;
-        let way = CrossingWay { ahead_m, lane, from_left_m, to_left_m, speed, trigger_m: AT_ONCE };
+        let way = CrossingWay {
+            ahead_m,
+            lane,
+            from_left_m,
+            to_left_m,
+            speed,
+            trigger_m: AT_ONCE,
+        };
         draft.cross(ObjectKind::Vehicle, SIZE, way)
     }
 }

@@ -17,13 +17,25 @@ pub(in crate::modified) struct Drivers {
 }
 
 /// The behavior of a word.
-pub(in crate::modified) fn behavior(field: &'static str, word: &str) -> Result<DriverBehavior, Fault> {
-    word.parse().map_err(|()| Fault::new(field, format!("{word:?} is none of default, assertive, cautious, mixed")))
+pub(in crate::modified) fn behavior(
+    field: &'static str,
+    word: &str,
+) -> Result<DriverBehavior, Fault> {
+    word.parse().map_err(|()| {
+        Fault::new(
+            field,
+            format!("{word:?} is none of default, assertive, cautious, mixed"),
+        )
+    })
 }
 
 impl Change for Drivers {
     fn check(&self) -> Result<(), Fault> {
-        self.behavior.as_deref().map(|word| behavior("behavior", word)).transpose().map(|_| ())
+        self.behavior
+            .as_deref()
+            .map(|word| behavior("behavior", word))
+            .transpose()
+            .map(|_| ())
     }
 
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {

@@ -40,10 +40,22 @@ impl Change for CrossingPerson {
     }
 
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
-        let [ahead_m, from_left_m, to_left_m, trigger_m, speed] =
-            [self.ahead_m, self.from_left_m, self.to_left_m, self.trigger_m, self.speed]
-                .map(|number| number.draw(&mut draft.draws));
-        let way = CrossingWay { ahead_m, lane: self.lane, from_left_m, to_left_m, speed, trigger_m };
+        let [ahead_m, from_left_m, to_left_m, trigger_m, speed] = [
+            self.ahead_m,
+            self.from_left_m,
+            self.to_left_m,
+            self.trigger_m,
+            self.speed,
+        ]
+        .map(|number| number.draw(&mut draft.draws));
+        let way = CrossingWay {
+            ahead_m,
+            lane: self.lane,
+            from_left_m,
+            to_left_m,
+            speed,
+            trigger_m,
+        };
         draft.cross(ObjectKind::Pedestrian, WALKER_SIZE, way)
     }
 }

@@ -1,5 +1,5 @@
-//! The kinds of changes, a file each. A new one is its file and one line of the table below, which is also the order in which
-//! changes apply.
+//! The kinds of changes, a file each. A new one is its file and one line of the table below, which
+//! is also the order in which changes apply.
 
 mod cones;
 mod crash;

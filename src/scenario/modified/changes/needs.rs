@@ -25,30 +25,54 @@ pub(in crate::modified) struct Needs {
 
 impl Change for Needs {
     fn check(&self) -> Result<(), Fault> {
-        let orders = [("own_lanes", self.own_lanes), ("oncoming_lanes", self.oncoming_lanes)];
-        match orders.into_iter().find(|(_, bounds)| bounds.is_some_and(|[low, high]| low > high)) {
-            Some((field, _)) => Err(Fault::new(field, "expected [FROM, TO], the lower number first")),
+        let orders = [
+            ("own_lanes", self.own_lanes),
+            ("oncoming_lanes", self.oncoming_lanes),
+        ];
+        match orders
+            .into_iter()
+            .find(|(_, bounds)| bounds.is_some_and(|[low, high]| low > high))
+        {
+            Some((field, _)) => Err(Fault::new(
+                field,
+                "expected [FROM, TO], the lower number first",
+            )),
             None => Ok(()),
         }
     }
 
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
         let map = &draft.scenario.map;
-        let fits = |bounds: Option<[usize; 2]>, count: usize| bounds.is_none_or(|[l, h]| (l..=h).contains(&count));
+        let fits = |bounds: Option<[usize; 2]>, count: usize| {
+            bounds.is_none_or(|[l, h]| (l..=h).contains(&count))
+        };
         let own = draft.lanes.own_direction(map, self.ahead_m)?.len();
         if !fits(self.own_lanes, own) {
             return Err(Fault::new("own_lanes", format!("the road has {own}")));
         }
         let oncoming = draft.lanes.oncoming(map, self.ahead_m)?.len();
         if !fits(self.oncoming_lanes, oncoming) {
-            return Err(Fault::new("oncoming_lanes", format!("the road has {oncoming}")));
+            return Err(Fault::new(
+                "oncoming_lanes",
+                format!("the road has {oncoming}"),
+            ));
         }
         let driven = draft.driven_m();
         if driven < self.driven_m {
-            return Err(Fault::new("driven_m", format!("the recorded driver gets {driven:.1} m far")));
+            return Err(Fault::new(
+                "driven_m",
+                format!("the recorded driver gets {driven:.1} m far"),
+            ));
         }
-        if let Some(road) = draft.lanes.to_intersection(map).filter(|&road| road < self.road_m) {
-            return Err(Fault::new("road_m", format!("an intersection begins {road:.1} m ahead of the ego")));
+        if let Some(road) = draft
+            .lanes
+            .to_intersection(map)
+            .filter(|&road| road < self.road_m)
+        {
+            return Err(Fault::new(
+                "road_m",
+                format!("an intersection begins {road:.1} m ahead of the ego"),
+            ));
         }
         Ok(())
     }

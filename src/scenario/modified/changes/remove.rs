@@ -26,7 +26,10 @@ pub(in crate::modified) struct Remove {
 impl Change for Remove {
     fn check(&self) -> Result<(), Fault> {
         if !(self.vehicles || self.people || self.bicycles || self.things) {
-            return Err(Fault::new("vehicles", "nothing is removed; set vehicles, people, bicycles or things to true"));
+            return Err(Fault::new(
+                "vehicles",
+                "nothing is removed; set vehicles, people, bicycles or things to true",
+            ));
         }
         match self.within_m {
             Some(reach) if !(reach.is_finite() && reach > 0.0) => {
@@ -45,13 +48,25 @@ impl Change for Remove {
                 ObjectKind::Bicycle => self.bicycles,
                 _ => self.things,
             };
-            of_class && self.within_m.is_none_or(|reach| object.shape.center.distance(&ego) <= reach)
+            of_class
+                && self
+                    .within_m
+                    .is_none_or(|reach| object.shape.center.distance(&ego) <= reach)
         };
         // A track with a place counts where it is at the start.
         let start = draft.scenario.start;
-        let frames = if self.within_m.is_some() { start..start + 1 } else { 0..draft.scenario.frames.len() };
-        let objects = draft.scenario.frames[frames].iter().flat_map(|frame| frame.objects.iter());
-        let tokens: Vec<_> = objects.filter(is_meant).map(|object| object.token).collect();
+        let frames = if self.within_m.is_some() {
+            start..start + 1
+        } else {
+            0..draft.scenario.frames.len()
+        };
+        let objects = draft.scenario.frames[frames]
+            .iter()
+            .flat_map(|frame| frame.objects.iter());
+        let tokens: Vec<_> = objects
+            .filter(is_meant)
+            .map(|object| object.token)
+            .collect();
         draft.removed.extend(tokens);
         Ok(())
     }

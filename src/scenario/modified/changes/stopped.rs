@@ -49,9 +49,14 @@ impl Change for Stopped {
     }
 
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
-        let [ahead, left, heading, length, width] =
-            [self.ahead_m, self.left_m, self.heading_deg, self.length_m, self.width_m]
-                .map(|n| n.draw(&mut draft.draws));
+        let [ahead, left, heading, length, width] = [
+            self.ahead_m,
+            self.left_m,
+            self.heading_deg,
+            self.length_m,
+            self.width_m,
+        ]
+        .map(|n| n.draw(&mut draft.draws));
         let place = draft.lanes.place(&draft.scenario.map, ahead, self.lane)?;
         let mut center = place.pose.translated(0.0, left);
         center.heading += heading.to_radians();

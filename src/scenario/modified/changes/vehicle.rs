@@ -32,14 +32,22 @@ impl Change for Vehicle {
         self.speed.check("speed", 0.0..=40.0)?;
         self.length_m.check("length_m", 0.5..=20.0)?;
         self.width_m.check("width_m", 0.3..=4.0)?;
-        self.driver.as_deref().map(|word| behavior("driver", word)).transpose().map(|_| ())
+        self.driver
+            .as_deref()
+            .map(|word| behavior("driver", word))
+            .transpose()
+            .map(|_| ())
     }
 
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
-        let [ahead, speed, length, width] =
-            [self.ahead_m, self.speed, self.length_m, self.width_m].map(|number| number.draw(&mut draft.draws));
+        let [ahead, speed, length, width] = [self.ahead_m, self.speed, self.length_m, self.width_m]
+            .map(|number| number.draw(&mut draft.draws));
         let place = draft.lanes.place(&draft.scenario.map, ahead, self.lane)?;
-        let driver = self.driver.as_deref().map(|word| behavior("driver", word)).transpose()?;
+        let driver = self
+            .driver
+            .as_deref()
+            .map(|word| behavior("driver", word))
+            .transpose()?;
         draft.drive(place.pose, (length, width), speed, driver);
         Ok(())
     }

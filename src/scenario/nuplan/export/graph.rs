@@ -1,17 +1,19 @@
 //! The lane graph with nuPlan's relations.
 //!
-//! In nuPlan a lane connector leads from exactly one lane to exactly one lane, and lanes are joined by connectors only. Maps
-//! of recordings need not keep these rules. What breaks them is rewritten without changing the drivable geometry:
+//! In nuPlan a lane connector leads from exactly one lane to exactly one lane, and lanes are joined
+//! by connectors only. Maps of recordings need not keep these rules. What breaks them is rewritten
+//! without changing the drivable geometry:
 //!
-//! * between directly successive lanes a connector is inserted: the last [`STITCH`] meters of the first lane, cut off its
-//!   centerline, or the straight line over a gap;
+//! * between directly successive lanes a connector is inserted: the last [`STITCH`] meters of the
+//!   first lane, cut off its centerline, or the straight line over a gap;
 //! * between successive connectors a lane is inserted, cut off in the same way;
 //! * at an open end of a connector a lane of [`OPEN_END`] meters is inserted;
 //! * a connector that joins several lanes is written once for each pair.
 //!
 //! Inserted lanes have areas clear of all other lanes (`overlap`).
 //!
-//! Maps that keep the rules (all generated ones) pass unchanged. [`ExportChanges`] counts the changes.
+//! Maps that keep the rules (all generated ones) pass unchanged. [`ExportChanges`] counts the
+//! changes.
 
 use super::ExportChanges;
 use super::ids::{FreeIds, feature_ids};
@@ -131,7 +133,11 @@ struct GraphBuilder<'m> {
 impl<'m> GraphBuilder<'m> {
     fn new(map: &'m LaneMap) -> Self {
         let lane_fids = feature_ids(map.lanes().iter().map(|lane| (lane.kind, lane.source_id)));
-        let block_fids = feature_ids(map.roadblocks().iter().map(|block| (block.kind, block.source_id)));
+        let block_fids = feature_ids(
+            map.roadblocks()
+                .iter()
+                .map(|block| (block.kind, block.source_id)),
+        );
         Self {
             map,
             free: FreeIds::after(&lane_fids),
@@ -140,14 +146,25 @@ impl<'m> GraphBuilder<'m> {
             ends: BTreeMap::new(),
             group_of_lane: BTreeMap::new(),
             group_connectors: BTreeMap::new(),
-            graph: Graph { block_fids, ..Graph::default() },
+            graph: Graph {
+                block_fids,
+                ..Graph::default()
+            },
         }
     }
 
     fn fit(mut self) -> Result<Graph, GeometryError> {
-        for block in self.map.roadblocks().iter().filter(|block| block.kind == planagent_world::LaneKind::Lane) {
+        for block in self
+            .map
+            .roadblocks()
+            .iter()
+            .filter(|block| block.kind == planagent_world::LaneKind::Lane)
+        {
             let fid = self.graph.block_fids[block.id.index()];
-            self.graph.groups.push(GroupRow { fid, areas: block.areas.clone() });
+            self.graph.groups.push(GroupRow {
+                fid,
+                areas: block.areas.clone(),
+            });
         }
         for lane in self.map.lanes().iter().filter(|lane| !lane.is_connector()) {
             self.add_lane(lane);
@@ -175,25 +192,49 @@ impl<'m> GraphBuilder<'m> {
             !next.is_connector() && touch(lane, next)
         });
         let whole = &lane.centerline;
-        let cut = stitched.then(|| whole.slice(0.0, whole.length() - stitch(lane))).flatten();
+        let cut = stitched
+            .then(|| whole.slice(0.0, whole.length() - stitch(lane)))
+            .flatten();
         let fid = self.lane_fids[lane.id.index()];
         let group = self.graph.block_fids[lane.roadblock.index()];
         self.ends.insert(End::Lane(lane.id), fid);
         self.group_of_lane.insert(fid, group);
         let centerline = cut.unwrap_or_else(|| whole.clone());
-        self.graph.lanes.push(LaneRow { fid, centerline, polygon: lane.polygon.clone(), group, source: Some(lane.id) });
+        self.graph.lanes.push(LaneRow {
+            fid,
+            centerline,
+            polygon: lane.polygon.clone(),
+            group,
+            source: Some(lane.id),
+        });
     }
 
     /// Inserts connectors from a lane to its direct successors.
     fn join_directly(&mut self, lane: &Lane) -> Result<(), GeometryError> {
-        for &next in lane.outgoing.iter().filter(|&&next| !self.map[next].is_connector()) {
+        for &next in lane
+            .outgoing
+            .iter()
+            .filter(|&&next| !self.map[next].is_connector())
+        {
             let centerline = joint(lane, &self.map[next])?;
             let fid = self.free.take();
-            let (exit_lane, entry_lane) = (self.lane_fids[lane.id.index()], self.lane_fids[next.index()]);
+            let (exit_lane, entry_lane) = (
+                self.lane_fids[lane.id.index()],
+                self.lane_fids[next.index()],
+            );
             let polygon = strip(&centerline)?;
-            let group = self.group_connector(None, exit_lane, entry_lane, std::slice::from_ref(&polygon));
+            let group =
+                self.group_connector(None, exit_lane, entry_lane, std::slice::from_ref(&polygon));
             self.graph.changes.inserted_connectors += 1;
-            let row = ConnectorRow { fid, centerline, polygon, exit_lane, entry_lane, group, source: None };
+            let row = ConnectorRow {
+                fid,
+                centerline,
+                polygon,
+                exit_lane,
+                entry_lane,
+                group,
+                source: None,
+            };
             self.graph.connectors.push(row);
         }
         Ok(())
@@ -201,9 +242,23 @@ impl<'m> GraphBuilder<'m> {
 
     /// Adds a connector of the map, once for each pair of lanes that it joins.
     fn add_connector(&mut self, lane: &Lane) -> Result<(), GeometryError> {
-        let end = |id: LaneId, between: End| if self.map[id].is_connector() { between } else { End::Lane(id) };
-        let mut starts: Vec<End> = lane.incoming.iter().map(|&i| end(i, End::Between(i, lane.id))).collect();
-        let mut finishes: Vec<End> = lane.outgoing.iter().map(|&o| end(o, End::Between(lane.id, o))).collect();
+        let end = |id: LaneId, between: End| {
+            if self.map[id].is_connector() {
+                between
+            } else {
+                End::Lane(id)
+            }
+        };
+        let mut starts: Vec<End> = lane
+            .incoming
+            .iter()
+            .map(|&i| end(i, End::Between(i, lane.id)))
+            .collect();
+        let mut finishes: Vec<End> = lane
+            .outgoing
+            .iter()
+            .map(|&o| end(o, End::Between(lane.id, o)))
+            .collect();
         if starts.is_empty() {
             starts.push(End::OpenStart(lane.id));
         }
@@ -219,7 +274,8 @@ impl<'m> GraphBuilder<'m> {
                     self.free.take()
                 });
                 let areas = &self.map[lane.roadblock].areas;
-                let group = self.group_connector(Some(lane.roadblock), exit_lane, entry_lane, areas);
+                let group =
+                    self.group_connector(Some(lane.roadblock), exit_lane, entry_lane, areas);
                 let whole = &lane.centerline;
                 let cut = match finish {
                     End::Between(_, next) if touch(lane, &self.map[next]) => {
@@ -256,36 +312,74 @@ impl<'m> GraphBuilder<'m> {
             End::OpenStart(lane) => {
                 self.graph.changes.open_ends_closed += 1;
                 let start = self.map[lane].centerline.pose_at(0.0);
-                Polyline::new([start.translated(-OPEN_END, 0.0).position(), start.position()])?
+                Polyline::new([
+                    start.translated(-OPEN_END, 0.0).position(),
+                    start.position(),
+                ])?
             }
             End::OpenFinish(lane) => {
                 self.graph.changes.open_ends_closed += 1;
                 let line = &self.map[lane].centerline;
                 let finish = line.pose_at(line.length());
-                Polyline::new([finish.position(), finish.translated(OPEN_END, 0.0).position()])?
+                Polyline::new([
+                    finish.position(),
+                    finish.translated(OPEN_END, 0.0).position(),
+                ])?
             }
         };
         let (fid, group) = (self.free.take(), self.free_blocks.take());
         let polygon = strip(&centerline)?;
-        self.graph.groups.push(GroupRow { fid: group, areas: vec![polygon.clone()] });
-        self.graph.lanes.push(LaneRow { fid, centerline, polygon, group, source: None });
+        self.graph.groups.push(GroupRow {
+            fid: group,
+            areas: vec![polygon.clone()],
+        });
+        self.graph.lanes.push(LaneRow {
+            fid,
+            centerline,
+            polygon,
+            group,
+            source: None,
+        });
         self.ends.insert(end, fid);
         self.group_of_lane.insert(fid, group);
         Ok(fid)
     }
 
     /// The roadblock connector of `source` between the roadblocks of two lanes.
-    fn group_connector(&mut self, source: Option<RoadblockId>, exit: i64, entry: i64, areas: &[Polygon]) -> i64 {
-        let group = |lane: i64| self.group_of_lane.get(&lane).copied().expect("every lane of the graph has a group");
+    fn group_connector(
+        &mut self,
+        source: Option<RoadblockId>,
+        exit: i64,
+        entry: i64,
+        areas: &[Polygon],
+    ) -> i64 {
+        let group = |lane: i64| {
+            self.group_of_lane
+                .get(&lane)
+                .copied()
+                .expect("every lane of the graph has a group")
+        };
         let (from, to) = (group(exit), group(entry));
         if let Some(&fid) = self.group_connectors.get(&(source, from, to)) {
             return fid;
         }
-        let taken = self.graph.group_connectors.iter().any(|row| row.source == source);
-        let own = source.filter(|_| !taken).map(|block| self.graph.block_fids[block.index()]);
+        let taken = self
+            .graph
+            .group_connectors
+            .iter()
+            .any(|row| row.source == source);
+        let own = source
+            .filter(|_| !taken)
+            .map(|block| self.graph.block_fids[block.index()]);
         let fid = own.unwrap_or_else(|| self.free_blocks.take());
         self.group_connectors.insert((source, from, to), fid);
-        self.graph.group_connectors.push(GroupConnectorRow { fid, areas: areas.to_vec(), from, to, source });
+        self.graph.group_connectors.push(GroupConnectorRow {
+            fid,
+            areas: areas.to_vec(),
+            from,
+            to,
+            source,
+        });
         fid
     }
 }
@@ -317,6 +411,7 @@ fn joint(lane: &Lane, next: &Lane) -> Result<Polyline, GeometryError> {
 fn strip(line: &Polyline) -> Result<Polygon, GeometryError> {
     let (from, to): (Point, Point) = (line.start(), line.end());
     let along = to - from;
-    let middle = planagent_world::geometry::Pose::at(nalgebra::center(&from, &to), along.y.atan2(along.x));
+    let middle =
+        planagent_world::geometry::Pose::at(nalgebra::center(&from, &to), along.y.atan2(along.x));
     Polygon::new(OrientedBox::new(middle, along.norm(), WIDTH).corners())
 }

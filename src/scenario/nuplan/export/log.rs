@@ -4,8 +4,8 @@ use super::naming::Tokens;
 use super::timeline::{Row, Timeline};
 use crate::Scenario;
 use crate::nuplan::schema::{
-    CATEGORY, CHANNEL, EGO_POSE, LIDAR, LIDAR_BOX, LIDAR_PC, LOG, LOG_INDICES, LOG_TABLES, SCENARIO_TAG, SCENE, TRACK,
-    TRAFFIC_LIGHT_STATUS,
+    CATEGORY, CHANNEL, EGO_POSE, LIDAR, LIDAR_BOX, LIDAR_PC, LOG, LOG_INDICES, LOG_TABLES,
+    SCENARIO_TAG, SCENE, TRACK, TRAFFIC_LIGHT_STATUS,
 };
 use crate::nuplan::token::{TOKEN_BYTES, Token};
 use jiff::Timestamp;
@@ -20,9 +20,11 @@ use std::path::Path;
 const NO_TRANSLATION: &[u8] = b"(lp0\nF0.0\naF0.0\naF0.0\na.";
 /// Python pickle (protocol 0) of `[1.0, 0.0, 0.0, 0.0]`: a quaternion without rotation.
 const NO_ROTATION: &[u8] = b"(lp0\nF1.0\naF0.0\naF0.0\naF0.0\na.";
-/// Written where a row has no neighbor: the devkit fails on NULL there (`lidar_pc.py`, `from_db_row`).
+/// Written where a row has no neighbor: the devkit fails on NULL there (`lidar_pc.py`,
+/// `from_db_row`).
 const NO_TOKEN: Token = Token::new([0; TOKEN_BYTES]);
-/// Categories in the order of the devkit's enumeration, with nominal heights, m, which nothing reads.
+/// Categories in the order of the devkit's enumeration, with nominal heights, m, which nothing
+/// reads.
 const CATEGORIES: [(ObjectKind, f64); 7] = [
     (ObjectKind::Vehicle, 1.7),
     (ObjectKind::Pedestrian, 1.7),
@@ -32,8 +34,15 @@ const CATEGORIES: [(ObjectKind, f64); 7] = [
     (ObjectKind::CzoneSign, 1.5),
     (ObjectKind::GenericObject, 1.0),
 ];
-/// Names of the scenes, in order of time. The devkit takes scenarios only from scenes with two scenes on either side.
-const SCENES: [&str; 5] = ["scene-000", "scene-001", "scene-002", "scene-003", "scene-004"];
+/// Names of the scenes, in order of time. The devkit takes scenarios only from scenes with two
+/// scenes on either side.
+const SCENES: [&str; 5] = [
+    "scene-000",
+    "scene-001",
+    "scene-002",
+    "scene-003",
+    "scene-004",
+];
 /// The scene of the tagged row alone, so that a log gives one scenario.
 const ANCHOR_SCENE: usize = 2;
 
@@ -71,9 +80,17 @@ pub(super) fn write_log(
         transaction.execute(&table.created(), [])?;
     }
     for (table, column) in LOG_INDICES {
-        transaction.execute(&format!("CREATE INDEX {table}_{column} ON {table} ({column})"), [])?;
+        transaction.execute(
+            &format!("CREATE INDEX {table}_{column} ON {table} ({column})"),
+            [],
+        )?;
     }
-    let writer = Writer { transaction: &transaction, facts, tokens: Tokens::new(facts.log), timeline };
+    let writer = Writer {
+        transaction: &transaction,
+        facts,
+        tokens: Tokens::new(facts.log),
+        timeline,
+    };
     writer.write_header(scenario)?;
     writer.write_tracks()?;
     let mut boxes = 0;
@@ -83,7 +100,12 @@ pub(super) fn write_log(
     let anchor = anchor_token(facts.log, timeline);
     transaction.execute(
         &SCENARIO_TAG.insert(),
-        params![writer.tokens.of("scenario_tag", 0), anchor, scenario.scenario_type, Null],
+        params![
+            writer.tokens.of("scenario_tag", 0),
+            anchor,
+            scenario.scenario_type,
+            Null
+        ],
     )?;
     transaction.commit()?;
     connection.close().map_err(|(_, error)| error)
@@ -100,7 +122,13 @@ impl Writer<'_> {
     /// Writes log, lidar, categories, scenes and goal.
     fn write_header(&self, scenario: &Scenario) -> rusqlite::Result<()> {
         let log = self.tokens.of("log", 0);
-        let first_us = self.timeline.rows.first().expect("a timeline has its anchor").ego.time_us;
+        let first_us = self
+            .timeline
+            .rows
+            .first()
+            .expect("a timeline has its anchor")
+            .ego
+            .time_us;
         self.transaction.execute(
             &LOG.insert(),
             params![
@@ -114,23 +142,42 @@ impl Writer<'_> {
             ],
         )?;
         let lidar = self.tokens.of("lidar", 0);
-        self.transaction.execute(&LIDAR.insert(), params![lidar, log, CHANNEL, "none", NO_TRANSLATION, NO_ROTATION])?;
+        self.transaction.execute(
+            &LIDAR.insert(),
+            params![lidar, log, CHANNEL, "none", NO_TRANSLATION, NO_ROTATION],
+        )?;
         for (kind, _) in CATEGORIES {
-            self.transaction.execute(&CATEGORY.insert(), params![self.category(kind), kind.to_string(), ""])?;
+            self.transaction.execute(
+                &CATEGORY.insert(),
+                params![self.category(kind), kind.to_string(), ""],
+            )?;
         }
-        let goal = scenario.route.goal.map(|goal| self.write_goal(goal)).transpose()?;
+        let goal = scenario
+            .route
+            .goal
+            .map(|goal| self.write_goal(goal))
+            .transpose()?;
         let route: Vec<String> = self.facts.route.iter().map(ToString::to_string).collect();
         for (number, name) in SCENES.into_iter().enumerate() {
             let token = self.tokens.of("scene", number as u64);
-            self.transaction.execute(&SCENE.insert(), params![token, log, name, goal, route.join(" ")])?;
+            self.transaction.execute(
+                &SCENE.insert(),
+                params![token, log, name, goal, route.join(" ")],
+            )?;
         }
         Ok(())
     }
 
     /// Writes the goal as an ego pose after the last row; no row uses it.
     fn write_goal(&self, goal: Pose) -> rusqlite::Result<Token> {
-        let after_us =
-            self.timeline.rows.last().expect("a timeline has its anchor").ego.time_us + MICROS_PER_SECOND as i64;
+        let after_us = self
+            .timeline
+            .rows
+            .last()
+            .expect("a timeline has its anchor")
+            .ego
+            .time_us
+            + MICROS_PER_SECOND as i64;
         let state = EgoState::from_log(
             after_us,
             goal,
@@ -150,7 +197,13 @@ impl Writer<'_> {
         for (track, object) in first {
             let shape = object.shape;
             let (token, category) = (self.track(track), self.category(object.kind));
-            insert.execute(params![token, category, shape.width, shape.length, height(object.kind)])?;
+            insert.execute(params![
+                token,
+                category,
+                shape.width,
+                shape.length,
+                height(object.kind)
+            ])?;
         }
         Ok(())
     }
@@ -160,13 +213,26 @@ impl Writer<'_> {
         let time = |number: usize| self.tokens.of("lidar_pc", number as u64);
         let token = time(number);
         let ego = self.write_ego(number, &row.ego)?;
-        let next = if number + 1 < self.timeline.rows.len() { time(number + 1) } else { NO_TOKEN };
+        let next = if number + 1 < self.timeline.rows.len() {
+            time(number + 1)
+        } else {
+            NO_TOKEN
+        };
         let previous = number.checked_sub(1).map_or(NO_TOKEN, time);
         let scene = self.tokens.of("scene", self.scene_of(number) as u64);
         let file = format!("{}/{CHANNEL}/{token}.pcd", self.facts.log);
         let lidar = self.tokens.of("lidar", 0);
         let mut insert = self.transaction.prepare_cached(&LIDAR_PC.insert())?;
-        insert.execute(params![token, next, previous, ego, lidar, scene, file, row.ego.time_us])?;
+        insert.execute(params![
+            token,
+            next,
+            previous,
+            ego,
+            lidar,
+            scene,
+            file,
+            row.ego.time_us
+        ])?;
         let mut insert = self.transaction.prepare_cached(&LIDAR_BOX.insert())?;
         for object in row.objects.iter() {
             let own = self.tokens.of("lidar_box", *boxes);
@@ -176,16 +242,25 @@ impl Writer<'_> {
             let (track, yaw) = (self.track(object.token), shape.center.heading);
             let (length, width, z) = (shape.length, shape.width, tall / 2.0);
             insert.execute(params![
-                own, token, track, Null, Null, at.x, at.y, z, width, length, tall, velocity.x, velocity.y, 0.0, yaw,
-                1.0
+                own, token, track, Null, Null, at.x, at.y, z, width, length, tall, velocity.x,
+                velocity.y, 0.0, yaw, 1.0
             ])?;
         }
-        let mut insert = self.transaction.prepare_cached(&TRAFFIC_LIGHT_STATUS.insert())?;
+        let mut insert = self
+            .transaction
+            .prepare_cached(&TRAFFIC_LIGHT_STATUS.insert())?;
         let lights = row.lights.iter().flat_map(|(lane, status)| {
-            self.facts.connectors.get(&lane).into_iter().flatten().map(move |&connector| (connector, status))
+            self.facts
+                .connectors
+                .get(&lane)
+                .into_iter()
+                .flatten()
+                .map(move |&connector| (connector, status))
         });
         for (connector, status) in lights {
-            let own = self.tokens.of(&format!("traffic_light_status/{number}"), connector as u64);
+            let own = self
+                .tokens
+                .of(&format!("traffic_light_status/{number}"), connector as u64);
             insert.execute(params![own, token, connector, status.to_string()])?;
         }
         Ok(())
@@ -223,8 +298,8 @@ impl Writer<'_> {
         Ok(token)
     }
 
-    /// The scene of a row: before, at or after the tagged row. The first row is the first scene; the row of
-    /// the last frame and all after it are the last.
+    /// The scene of a row: before, at or after the tagged row. The first row is the first scene;
+    /// the row of the last frame and all after it are the last.
     fn scene_of(&self, number: usize) -> usize {
         let last = self.timeline.scenario_rows - 1;
         match number.cmp(&self.timeline.anchor) {
@@ -248,10 +323,15 @@ impl Writer<'_> {
 }
 
 fn height(kind: ObjectKind) -> f64 {
-    CATEGORIES.iter().find(|(listed, _)| *listed == kind).expect("CATEGORIES lists every kind").1
+    CATEGORIES
+        .iter()
+        .find(|(listed, _)| *listed == kind)
+        .expect("CATEGORIES lists every kind")
+        .1
 }
 
 /// The day of a Unix time, `YYYY-MM-DD`.
 fn date(time_us: i64) -> String {
-    Timestamp::from_microsecond(time_us).map_or_else(|_| String::new(), |time| time.strftime("%F").to_string())
+    Timestamp::from_microsecond(time_us)
+        .map_or_else(|_| String::new(), |time| time.strftime("%F").to_string())
 }

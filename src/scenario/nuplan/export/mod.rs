@@ -1,9 +1,10 @@
 //! Writes scenarios as nuPlan's logs and maps.
 //!
-//! The folder holds `data/LOG.db`, a log for each scenario, and `maps/nuplan-maps-v1.0.json` with `maps/LOCATION/VERSION/map.gpkg`,
-//! one package for each distinct map. `NUPLAN_DATA_ROOT` and `NUPLAN_MAPS_ROOT` can point at the two. The same scenarios give
-//! the same bytes. A log holds one scenario: only one row lies in a scene that nuPlan takes scenarios from, and the window
-//! around it is the scenario. [`ExportChanges`] counts what nuPlan's formats cannot express.
+//! The folder holds `data/LOG.db`, a log for each scenario, and `maps/nuplan-maps-v1.0.json` with
+//! `maps/LOCATION/VERSION/map.gpkg`, one package for each distinct map. `NUPLAN_DATA_ROOT` and
+//! `NUPLAN_MAPS_ROOT` can point at the two. The same scenarios give the same bytes. A log holds one
+//! scenario: only one row lies in a scene that nuPlan takes scenarios from, and the window around
+//! it is the scenario. [`ExportChanges`] counts what nuPlan's formats cannot express.
 
 mod continuation;
 mod features;
@@ -55,7 +56,8 @@ const MAPS: &str = "maps";
 /// How scenarios are written: names, and their place on Earth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExportSettings {
-    /// Name of the map; `None` derives it from the content, so that scenarios with equal maps share one.
+    /// Name of the map; `None` derives it from the content, so that scenarios with equal maps share
+    /// one.
     pub location: Option<String>,
     /// EPSG code of the projection: a UTM zone on WGS 84.
     pub epsg: u32,
@@ -63,8 +65,8 @@ pub struct ExportSettings {
     pub origin: Point,
     /// Scenario type of all logs; `None` keeps that of each scenario.
     pub scenario_type: Option<String>,
-    /// Also write an empty map for each of nuPlan's four locations that is not written: the devkit opens no maps folder
-    /// without them.
+    /// Also write an empty map for each of nuPlan's four locations that is not written: the devkit
+    /// opens no maps folder without them.
     pub stand_in_maps: bool,
 }
 
@@ -98,7 +100,8 @@ pub struct ExportChanges {
     pub dropped_future_states: usize,
     /// Roadblocks appended to a route of one, connectors included.
     pub appended_roadblocks: usize,
-    /// Neighbor relations dropped, or extended from a part to the whole lane; nuPlan has none between connectors.
+    /// Neighbor relations dropped, or extended from a part to the whole lane; nuPlan has none
+    /// between connectors.
     pub neighbors_changed: usize,
 }
 
@@ -140,13 +143,20 @@ pub enum ExportError {
     #[error(
         "{first} and {second} have different maps, which cannot both be called `{location}`; export them one by one"
     )]
-    MapsDiffer { location: String, first: String, second: String },
+    MapsDiffer {
+        location: String,
+        first: String,
+        second: String,
+    },
     #[error("two scenarios are called {0}; each must be given once")]
     SameLog(String),
     #[error(transparent)]
     Zone(#[from] ProjectionError),
     #[error("{scenario}: {fault}")]
-    Scenario { scenario: String, fault: ScenarioExportFault },
+    Scenario {
+        scenario: String,
+        fault: ScenarioExportFault,
+    },
     #[error("cannot write {}: {fault}", path.display())]
     Write { path: PathBuf, fault: WriteFault },
 }
@@ -174,7 +184,11 @@ pub enum WriteFault {
 }
 
 /// Writes one scenario; see [`write_scenarios`].
-pub fn write_scenario(scenario: &Scenario, folder: &Path, settings: &ExportSettings) -> Result<Exported, ExportError> {
+pub fn write_scenario(
+    scenario: &Scenario,
+    folder: &Path,
+    settings: &ExportSettings,
+) -> Result<Exported, ExportError> {
     write_scenarios(std::slice::from_ref(scenario), folder, settings)
 }
 
@@ -187,32 +201,50 @@ pub fn write_scenarios(
     if scenarios.is_empty() {
         return Err(ExportError::Nothing);
     }
-    if let Some(location) = settings.location.as_ref().filter(|name| !naming::is_folder_name(name)) {
+    if let Some(location) = settings
+        .location
+        .as_ref()
+        .filter(|name| !naming::is_folder_name(name))
+    {
         return Err(ExportError::Location(location.clone()));
     }
     let utm = Utm::from_epsg(settings.epsg)?;
     let io_failed = |fault: io::Error| match fault.kind() {
-        io::ErrorKind::AlreadyExists | io::ErrorKind::DirectoryNotEmpty => ExportError::Exists(folder.to_owned()),
-        _ => ExportError::Write { path: folder.to_owned(), fault: fault.into() },
+        io::ErrorKind::AlreadyExists | io::ErrorKind::DirectoryNotEmpty => {
+            ExportError::Exists(folder.to_owned())
+        }
+        _ => ExportError::Write {
+            path: folder.to_owned(),
+            fault: fault.into(),
+        },
     };
     let staging = Staging::begin(folder).map_err(io_failed)?;
     let mut writer = Writer {
         staging: &staging,
         folder,
         location: settings.location.as_deref(),
-        place: Placement { utm, origin: settings.origin },
+        place: Placement {
+            utm,
+            origin: settings.origin,
+        },
         maps: BTreeMap::new(),
         logs: Vec::with_capacity(scenarios.len()),
     };
     for scenario in scenarios {
         match &settings.scenario_type {
-            Some(kind) => writer.write(&Scenario { scenario_type: kind.clone(), ..scenario.clone() })?,
+            Some(kind) => writer.write(&Scenario {
+                scenario_type: kind.clone(),
+                ..scenario.clone()
+            })?,
             None => writer.write(scenario)?,
         }
     }
     let mut locations: BTreeSet<&str> = writer.maps.keys().map(String::as_str).collect();
     if settings.stand_in_maps {
-        for location in OFFICIAL_LOCATIONS.into_iter().filter(|location| !writer.maps.contains_key(*location)) {
+        for location in OFFICIAL_LOCATIONS
+            .into_iter()
+            .filter(|location| !writer.maps.contains_key(*location))
+        {
             writer.write_stand_in(location)?;
             locations.insert(location);
         }
@@ -220,11 +252,25 @@ pub fn write_scenarios(
     let logs = writer.logs.clone();
     let list: serde_json::Map<String, serde_json::Value> = locations
         .into_iter()
-        .map(|location| (location.to_owned(), json!({"version": MAP_VERSION, "layers": {}})))
+        .map(|location| {
+            (
+                location.to_owned(),
+                json!({"version": MAP_VERSION, "layers": {}}),
+            )
+        })
         .collect();
-    staging.write(&Path::new(MAPS).join(MAPS_INDEX), &format!("{:#}\n", json!(list))).map_err(io_failed)?;
+    staging
+        .write(
+            &Path::new(MAPS).join(MAPS_INDEX),
+            &format!("{:#}\n", json!(list)),
+        )
+        .map_err(io_failed)?;
     staging.finish().map_err(io_failed)?;
-    Ok(Exported { data: folder.join(DATA), maps: folder.join(MAPS), logs })
+    Ok(Exported {
+        data: folder.join(DATA),
+        maps: folder.join(MAPS),
+        logs,
+    })
 }
 
 /// A written map and the first scenario on it.
@@ -245,7 +291,10 @@ struct Writer<'a> {
 impl Writer<'_> {
     fn write(&mut self, scenario: &Scenario) -> Result<(), ExportError> {
         let id = || scenario.id.clone();
-        let failed = |fault: ScenarioExportFault| ExportError::Scenario { scenario: id(), fault };
+        let failed = |fault: ScenarioExportFault| ExportError::Scenario {
+            scenario: id(),
+            fault,
+        };
         let timeline = Timeline::of(scenario).map_err(|fault| failed(fault.into()))?;
         let mut graph = Graph::of(&scenario.map).map_err(|fault| failed(fault.into()))?;
         let location = self.write_map(&scenario.map, &mut graph, &scenario.id)?;
@@ -268,33 +317,67 @@ impl Writer<'_> {
             log::write_log(path, &facts, scenario, &timeline)
         })?;
         let token: Token = log::anchor_token(&log, &timeline);
-        let changes = ExportChanges { dropped_future_states: timeline.dropped_future_states, ..graph.changes };
-        self.logs.push(ExportedLog { scenario: id(), token: token.to_string(), log, location, changes });
+        let changes = ExportChanges {
+            dropped_future_states: timeline.dropped_future_states,
+            ..graph.changes
+        };
+        self.logs.push(ExportedLog {
+            scenario: id(),
+            token: token.to_string(),
+            log,
+            location,
+            changes,
+        });
         Ok(())
     }
 
     /// Writes a map unless it is written already; its name.
-    fn write_map(&mut self, map: &LaneMap, graph: &mut Graph, id: &str) -> Result<String, ExportError> {
-        let shape_failed = |fault: ShapeError| ExportError::Scenario { scenario: id.to_owned(), fault: fault.into() };
+    fn write_map(
+        &mut self,
+        map: &LaneMap,
+        graph: &mut Graph,
+        id: &str,
+    ) -> Result<String, ExportError> {
+        let shape_failed = |fault: ShapeError| ExportError::Scenario {
+            scenario: id.to_owned(),
+            fault: fault.into(),
+        };
         let layers = features::layers(map, graph, &self.place).map_err(shape_failed)?;
         let hash = content_hash(&layers, self.place.utm.epsg());
-        let location = self.location.map_or_else(|| format!("planagent-{}", &hash.to_hex()[..16]), str::to_owned);
+        let location = self.location.map_or_else(
+            || format!("planagent-{}", &hash.to_hex()[..16]),
+            str::to_owned,
+        );
         match self.maps.get(&location) {
             Some(written) if written.hash == hash => return Ok(location),
             Some(written) => {
                 let (first, second) = (written.scenario.clone(), id.to_owned());
-                return Err(ExportError::MapsDiffer { location, first, second });
+                return Err(ExportError::MapsDiffer {
+                    location,
+                    first,
+                    second,
+                });
             }
             None => {}
         }
         self.write_map_package(&location, &layers, &[])?;
-        self.maps.insert(location.clone(), WrittenMap { hash, scenario: id.to_owned() });
+        self.maps.insert(
+            location.clone(),
+            WrittenMap {
+                hash,
+                scenario: id.to_owned(),
+            },
+        );
         Ok(location)
     }
 
     /// Writes an empty map under the name of one of nuPlan's locations.
     fn write_stand_in(&self, location: &str) -> Result<(), ExportError> {
-        self.write_map_package(location, &features::empty_layers(), &[(STAND_IN_KEY, STAND_IN_NOTE.to_owned())])
+        self.write_map_package(
+            location,
+            &features::empty_layers(),
+            &[(STAND_IN_KEY, STAND_IN_NOTE.to_owned())],
+        )
     }
 
     fn write_map_package(
@@ -303,10 +386,15 @@ impl Writer<'_> {
         layers: &[LayerRows],
         notes: &[(&str, String)],
     ) -> Result<(), ExportError> {
-        let systems =
-            [("geographicCoordSystem", "epsg:4326".to_owned()), ("projectedCoordSystem", self.place.utm.to_string())];
+        let systems = [
+            ("geographicCoordSystem", "epsg:4326".to_owned()),
+            ("projectedCoordSystem", self.place.utm.to_string()),
+        ];
         let meta = [&systems[..], notes].concat();
-        let inside = Path::new(MAPS).join(location).join(MAP_VERSION).join("map.gpkg");
+        let inside = Path::new(MAPS)
+            .join(location)
+            .join(MAP_VERSION)
+            .join("map.gpkg");
         self.write_database(&inside, |path| package::write_package(path, &meta, layers))
     }
 
@@ -318,7 +406,9 @@ impl Writer<'_> {
     ) -> Result<(), ExportError> {
         let path = self.folder.join(inside);
         let staged = self.staging.path(inside).map_err(WriteFault::from);
-        staged.and_then(|staged| Ok(write(&staged)?)).map_err(|fault| ExportError::Write { path, fault })
+        staged
+            .and_then(|staged| Ok(write(&staged)?))
+            .map_err(|fault| ExportError::Write { path, fault })
     }
 }
 

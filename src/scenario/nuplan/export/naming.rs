@@ -1,4 +1,5 @@
-//! Names of tokens, files and locations. They depend on the content only: the same scenario gets the same names everywhere.
+//! Names of tokens, files and locations. They depend on the content only: the same scenario gets
+//! the same names everywhere.
 
 use crate::nuplan::token::{TOKEN_BYTES, Token};
 use std::path::Path;
@@ -14,7 +15,8 @@ impl<'a> Tokens<'a> {
         Self { log }
     }
 
-    /// The token of the `number`-th row of a table: the first bytes of BLAKE3 over log, table and number.
+    /// The token of the `number`-th row of a table: the first bytes of BLAKE3 over log, table and
+    /// number.
     pub(super) fn of(&self, table: &str, number: u64) -> Token {
         let mut hasher = blake3::Hasher::new();
         for part in [self.log.as_bytes(), table.as_bytes(), &number.to_le_bytes()] {
@@ -27,13 +29,24 @@ impl<'a> Tokens<'a> {
     }
 }
 
-/// A text as a portable file name: anything but letters, digits, dots, minuses and underscores becomes an underscore.
+/// A text as a portable file name: anything but letters, digits, dots, minuses and underscores
+/// becomes an underscore.
 pub(super) fn file_name(text: &str) -> String {
-    let safe = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '_' };
+    let safe = |c: char| {
+        if c.is_ascii_alphanumeric() || "._-".contains(c) {
+            c
+        } else {
+            '_'
+        }
+    };
     let name: String = text.chars().map(safe).collect();
     // A leading dot would hide the file, or leave the folder.
     let name = name.trim_start_matches('.');
-    if name.is_empty() { "scenario".to_owned() } else { name.to_owned() }
+    if name.is_empty() {
+        "scenario".to_owned()
+    } else {
+        name.to_owned()
+    }
 }
 
 /// Name of the written log: the name of the scenario's log and its id, as one file name.
@@ -55,16 +68,28 @@ mod tests {
     fn tokens_differ_by_log_table_and_number() {
         let token = |log, table, number| Tokens::new(log).of(table, number);
         assert_eq!(token("a", "track", 1), token("a", "track", 1));
-        let all = [token("a", "track", 1), token("a", "track", 2), token("a", "trac", 1), token("at", "rack", 1)];
+        let all = [
+            token("a", "track", 1),
+            token("a", "track", 2),
+            token("a", "trac", 1),
+            token("at", "rack", 1),
+        ];
         assert!((0..4).all(|i| (0..i).all(|j| all[i] != all[j])));
     }
 
     #[test]
     fn names_are_safe() {
-        assert_eq!(log_name("generated-2", "generated/changing_lane/2"), "generated-2_generated_changing_lane_2");
+        assert_eq!(
+            log_name("generated-2", "generated/changing_lane/2"),
+            "generated-2_generated_changing_lane_2"
+        );
         assert_eq!(log_name("x", "x"), "x");
         assert_eq!(file_name("../../etc/passwd"), "_.._etc_passwd");
         assert_eq!(file_name(".."), "scenario");
-        assert!(is_folder_name("us-nv-las-vegas-strip") && !is_folder_name("a/b") && !is_folder_name(".."));
+        assert!(
+            is_folder_name("us-nv-las-vegas-strip")
+                && !is_folder_name("a/b")
+                && !is_folder_name("..")
+        );
     }
 }

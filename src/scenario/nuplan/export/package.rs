@@ -1,4 +1,5 @@
-//! The container of a map: a `GeoPackage`, that is a SQLite database with the tables of the OGC standard 12-128.
+//! The container of a map: a `GeoPackage`, that is a SQLite database with the tables of the OGC
+//! standard 12-128.
 
 use crate::nuplan::projection::WGS84;
 use crate::nuplan::schema::{META, Table};
@@ -69,7 +70,11 @@ pub(super) struct LayerRows {
 }
 
 /// Writes a new package.
-pub(super) fn write_package(path: &Path, meta: &[(&str, String)], layers: &[LayerRows]) -> rusqlite::Result<()> {
+pub(super) fn write_package(
+    path: &Path,
+    meta: &[(&str, String)],
+    layers: &[LayerRows],
+) -> rusqlite::Result<()> {
     let mut connection = Connection::open(path)?;
     connection.execute_batch("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")?;
     connection.pragma_update(None, "application_id", APPLICATION_ID)?;
@@ -125,11 +130,19 @@ fn write_layer(transaction: &Transaction<'_>, filled: &LayerRows) -> rusqlite::R
         params![name, filled.layer.kind("geom"), WGS84],
     )?;
     for feature in &filled.features {
-        let named: Vec<&str> =
-            ["fid", "geom"].into_iter().chain(feature.values.iter().map(|&(column, _)| column)).collect();
+        let named: Vec<&str> = ["fid", "geom"]
+            .into_iter()
+            .chain(feature.values.iter().map(|&(column, _)| column))
+            .collect();
         let mut insert = transaction.prepare_cached(&filled.layer.insert_into(&named))?;
-        let own = [Value::Integer(feature.fid), Value::Blob(feature.geometry.clone())];
-        insert.execute(params_from_iter(own.iter().chain(feature.values.iter().map(|(_, value)| value))))?;
+        let own = [
+            Value::Integer(feature.fid),
+            Value::Blob(feature.geometry.clone()),
+        ];
+        insert.execute(params_from_iter(
+            own.iter()
+                .chain(feature.values.iter().map(|(_, value)| value)),
+        ))?;
     }
     Ok(())
 }

@@ -36,7 +36,8 @@ impl Placement {
         self.union(std::slice::from_ref(polygon))
     }
 
-    /// Several pieces as one area, without crossings: a single piece unchanged where it has none, several as their union.
+    /// Several pieces as one area, without crossings: a single piece unchanged where it has none,
+    /// several as their union.
     pub(super) fn union(&self, pieces: &[Polygon]) -> Result<StoredShape, ShapeError> {
         let area = valid_union(pieces, |area| {
             let degrees = self.in_degrees(area)?;
@@ -47,8 +48,15 @@ impl Placement {
             Ok([degrees, meters])
         })?;
         let mut placed = self.in_degrees(&area)?.0;
-        let only = if placed.len() == 1 { placed.pop() } else { None };
-        Ok(encode(&only.map_or_else(|| MultiPolygon(placed).into(), Into::into), WGS84)?)
+        let only = if placed.len() == 1 {
+            placed.pop()
+        } else {
+            None
+        };
+        Ok(encode(
+            &only.map_or_else(|| MultiPolygon(placed).into(), Into::into),
+            WGS84,
+        )?)
     }
 
     fn in_degrees(&self, area: &MultiPolygon<f64>) -> Result<MultiPolygon<f64>, ShapeError> {

@@ -21,11 +21,22 @@ impl Staging {
         // A link to an empty folder stays a link.
         let target = &fs::canonicalize(target).unwrap_or_else(|_| target.to_owned());
         let name = target.file_name().ok_or(io::ErrorKind::InvalidInput)?;
-        let parent = target.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let parent = target
+            .parent()
+            .filter(|parent| !parent.as_os_str().is_empty())
+            .unwrap_or(Path::new("."));
         fs::create_dir_all(parent)?;
-        let folder = parent.join(format!(".{}.{}.part", name.to_string_lossy(), std::process::id()));
+        let folder = parent.join(format!(
+            ".{}.{}.part",
+            name.to_string_lossy(),
+            std::process::id()
+        ));
         fs::create_dir(&folder)?;
-        Ok(Self { target: target.to_owned(), folder, finished: false })
+        Ok(Self {
+            target: target.to_owned(),
+            folder,
+            finished: false,
+        })
     }
 
     /// The present path of a file of the finished folder; its parent folder exists.
@@ -85,9 +96,18 @@ mod tests {
         staging.write(Path::new("a/b.txt"), "b").unwrap();
         staging.finish().unwrap();
         assert_eq!(fs::read_to_string(target.join("a/b.txt")).unwrap(), "b");
-        assert_eq!(Staging::begin(&target).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
-        assert_eq!(Staging::begin(&target.join("a/b.txt")).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        assert_eq!(
+            Staging::begin(&target).unwrap_err().kind(),
+            io::ErrorKind::AlreadyExists
+        );
+        assert_eq!(
+            Staging::begin(&target.join("a/b.txt")).unwrap_err().kind(),
+            io::ErrorKind::AlreadyExists
+        );
         fs::create_dir(home.path().join("empty")).unwrap();
-        Staging::begin(&home.path().join("empty")).unwrap().finish().unwrap();
+        Staging::begin(&home.path().join("empty"))
+            .unwrap()
+            .finish()
+            .unwrap();
     }
 }

@@ -1,8 +1,13 @@
 //! Empty maps under the names of nuPlan's locations.
 
-/// The locations that the devkit loads whenever it opens a maps folder (devkit `gpkg_mapsdb.py`, `MAP_LOCATIONS`).
-pub const OFFICIAL_LOCATIONS: [&str; 4] =
-    ["sg-one-north", "us-ma-boston", "us-nv-las-vegas-strip", "us-pa-pittsburgh-hazelwood"];
+/// The locations that the devkit loads whenever it opens a maps folder (devkit `gpkg_mapsdb.py`,
+/// `MAP_LOCATIONS`).
+pub const OFFICIAL_LOCATIONS: [&str; 4] = [
+    "sg-one-north",
+    "us-ma-boston",
+    "us-nv-las-vegas-strip",
+    "us-pa-pittsburgh-hazelwood",
+];
 /// The row of layer `meta` that marks an empty map,
 pub(super) const STAND_IN_KEY: &str = "standIn";
 /// and its value.

@@ -1,9 +1,11 @@
 //! The rows of a log: nuPlan's 20 Hz from a scenario's 10 Hz.
 //!
-//! Every frame is a row. Between two frames lies one more row: the interpolated ego, the interpolated objects of both frames, and
-//! the lights of the earlier frame. The frames after the end (`continuation`) follow in the same way. The devkit takes every
-//! second row, that is exactly the frames. The tagged row is chosen by the devkit's own rule: its window is the scenario. Where
-//! the window would reach beyond the end, the log ends with the scenario: the end of the log is what cuts the window there.
+//! Every frame is a row. Between two frames lies one more row: the interpolated ego, the
+//! interpolated objects of both frames, and the lights of the earlier frame. The frames after the
+//! end (`continuation`) follow in the same way. The devkit takes every second row, that is exactly
+//! the frames. The tagged row is chosen by the devkit's own rule: its window is the scenario. Where
+//! the window would reach beyond the end, the log ends with the scenario: the end of the log is
+//! what cuts the window there.
 
 use super::continuation::frames_after;
 use crate::nuplan::extraction::{Extraction, ROWS_PER_STEP};
@@ -46,7 +48,12 @@ pub enum TimelineError {
         "no row has the scenario's {iterations} iterations in nuPlan's window of `{scenario_type}` ({duration_s} s from \
          {offset_s} s after the tagged row); give it another scenario type or cut it to that length"
     )]
-    Window { scenario_type: String, iterations: usize, duration_s: i64, offset_s: i64 },
+    Window {
+        scenario_type: String,
+        iterations: usize,
+        duration_s: i64,
+        offset_s: i64,
+    },
 }
 
 impl Timeline {
@@ -55,7 +62,12 @@ impl Timeline {
         let mut rows = rows(scenario.frames.iter().chain(&after))?;
         if let Some(anchor) = anchor(&rows, scenario) {
             let scenario_rows = rows.len() - after.len() * ROWS_PER_STEP;
-            return Ok(Self { rows, anchor, scenario_rows, dropped_future_states: 0 });
+            return Ok(Self {
+                rows,
+                anchor,
+                scenario_rows,
+                dropped_future_states: 0,
+            });
         }
         rows.truncate(rows.len() - after.len() * ROWS_PER_STEP);
         let extraction = Extraction::of(&scenario.scenario_type);
@@ -65,7 +77,12 @@ impl Timeline {
             duration_s: extraction.duration_us / 1_000_000,
             offset_s: extraction.offset_us / 1_000_000,
         })?;
-        Ok(Self { scenario_rows: rows.len(), rows, anchor, dropped_future_states: scenario.future.len() })
+        Ok(Self {
+            scenario_rows: rows.len(),
+            rows,
+            anchor,
+            dropped_future_states: scenario.future.len(),
+        })
     }
 }
 
@@ -79,10 +96,13 @@ fn anchor(rows: &[Row], scenario: &Scenario) -> Option<usize> {
     let nominal = times.get(start)?.saturating_sub(extraction.offset_us);
     let mut candidates: Vec<usize> = (0..rows.len()).collect();
     candidates.sort_by_key(|&row| (times[row].abs_diff(nominal), row));
-    candidates.into_iter().find(|&row| selected(&times, row, extraction) == Some(wanted))
+    candidates
+        .into_iter()
+        .find(|&row| selected(&times, row, extraction) == Some(wanted))
 }
 
-/// First row and number of rows that nuPlan takes around an anchor: every second row of the window, both ends included.
+/// First row and number of rows that nuPlan takes around an anchor: every second row of the window,
+/// both ends included.
 fn selected(times: &[i64], anchor: usize, extraction: Extraction) -> Option<(usize, usize)> {
     let (from, to) = extraction.window(*times.get(anchor)?);
     let first = times.partition_point(|&time| time < from);
@@ -96,9 +116,17 @@ fn rows<'a>(frames: impl Iterator<Item = &'a Frame>) -> Result<Vec<Row>, Timelin
     for (index, frame) in frames.enumerate() {
         if let Some(before) = before.replace(frame) {
             let ego = ego_between(&before.ego, &frame.ego, index)?;
-            rows.push(Row { ego, objects: objects_between(before, frame).into(), lights: before.lights.clone() });
+            rows.push(Row {
+                ego,
+                objects: objects_between(before, frame).into(),
+                lights: before.lights.clone(),
+            });
         }
-        rows.push(Row { ego: frame.ego, objects: frame.objects.clone(), lights: frame.lights.clone() });
+        rows.push(Row {
+            ego: frame.ego,
+            objects: frame.objects.clone(),
+            lights: frame.lights.clone(),
+        });
     }
     Ok(rows)
 }
@@ -123,12 +151,20 @@ fn ego_between(a: &EgoState, b: &EgoState, frame: usize) -> Result<EgoState, Tim
 
 /// The objects of both frames, midway between them.
 fn objects_between(before: &Frame, after: &Frame) -> Vec<TrackedObject> {
-    let later: BTreeMap<_, _> = after.objects.iter().map(|object| (object.token, object)).collect();
+    let later: BTreeMap<_, _> = after
+        .objects
+        .iter()
+        .map(|object| (object.token, object))
+        .collect();
     let between = before.objects.iter().filter_map(|object| {
         let next = later.get(&object.token)?;
         let center = midway(object.shape.center, next.shape.center);
         let shape = object.shape.moved_to(center);
-        Some(TrackedObject { shape, velocity: object.velocity.lerp(&next.velocity, 0.5), ..*object })
+        Some(TrackedObject {
+            shape,
+            velocity: object.velocity.lerp(&next.velocity, 0.5),
+            ..*object
+        })
     });
     between.collect()
 }
@@ -165,23 +201,48 @@ mod tests {
 
     #[test]
     fn frames_stay_and_midpoints_lie_between() {
-        let frames = [frame(0, PI - 0.1, &[1, 2]), frame(100_000, -PI + 0.1, &[2, 3]), frame(200_100, 0.0, &[])];
+        let frames = [
+            frame(0, PI - 0.1, &[1, 2]),
+            frame(100_000, -PI + 0.1, &[2, 3]),
+            frame(200_100, 0.0, &[]),
+        ];
         let rows = rows(frames.iter()).unwrap();
-        assert_eq!(rows.iter().map(|row| row.ego.time_us).collect::<Vec<_>>(), [0, 50_000, 100_000, 150_050, 200_100]);
+        assert_eq!(
+            rows.iter().map(|row| row.ego.time_us).collect::<Vec<_>>(),
+            [0, 50_000, 100_000, 150_050, 200_100]
+        );
         assert_eq!(rows[2].ego, frames[1].ego);
-        assert!((rows[1].ego.rear_axle.heading.abs() - PI).abs() < 1e-12, "{}", rows[1].ego.rear_axle.heading);
+        assert!(
+            (rows[1].ego.rear_axle.heading.abs() - PI).abs() < 1e-12,
+            "{}",
+            rows[1].ego.rear_axle.heading
+        );
         assert!((rows[1].ego.rear_axle.x - 0.5).abs() < 1e-12);
-        assert_eq!(rows[1].objects.iter().map(|o| o.token.0).collect::<Vec<_>>(), [2]);
+        assert_eq!(
+            rows[1]
+                .objects
+                .iter()
+                .map(|o| o.token.0)
+                .collect::<Vec<_>>(),
+            [2]
+        );
         assert!(rows[3].objects.is_empty());
         let back = [frame(0, 0.0, &[]), frame(1, 0.0, &[])];
-        assert!(matches!(super::rows(back.iter()), Err(TimelineError::Step { frame: 1, step_us: 1 })));
+        assert!(matches!(
+            super::rows(back.iter()),
+            Err(TimelineError::Step {
+                frame: 1,
+                step_us: 1
+            })
+        ));
     }
 
     #[test]
     fn the_window_around_the_anchor_is_the_scenario() {
-        for (kind, apart, after) in
-            [(types::changing_lane::TYPE, 60, FRAMES_AFTER * 2), (types::traversing_roundabout::TYPE, 0, 0)]
-        {
+        for (kind, apart, after) in [
+            (types::changing_lane::TYPE, 60, FRAMES_AFTER * 2),
+            (types::traversing_roundabout::TYPE, 0, 0),
+        ] {
             let scenario = generate(&Spec::new(kind, 1)).unwrap();
             let timeline = Timeline::of(&scenario).unwrap();
             assert_eq!(timeline.anchor, scenario.start * 2 + apart);
@@ -198,7 +259,14 @@ mod tests {
         scenario.frames.truncate(scenario.start + 31);
         assert_eq!(cut(&scenario), Ok((scenario.start + 30) * 2));
         scenario.frames.truncate(scenario.start + 20);
-        assert!(matches!(cut(&scenario), Err(TimelineError::Window { iterations: 20, offset_s: -3, .. })));
+        assert!(matches!(
+            cut(&scenario),
+            Err(TimelineError::Window {
+                iterations: 20,
+                offset_s: -3,
+                ..
+            })
+        ));
         scenario.scenario_type = "unknown".to_owned();
         assert_eq!(cut(&scenario), Ok(scenario.start * 2));
     }
@@ -207,17 +275,29 @@ mod tests {
     fn the_log_goes_on_where_the_window_does_not_reach_beyond_the_end() {
         let mut scenario = generate(&Spec::new(types::changing_lane::TYPE, 1)).unwrap();
         let last = scenario.frames.last().unwrap().ego;
-        let later = |step: i64| EgoState { time_us: last.time_us + step * 100_000, ..last };
+        let later = |step: i64| EgoState {
+            time_us: last.time_us + step * 100_000,
+            ..last
+        };
         scenario.future = vec![later(1), later(2)];
         let rows = scenario.frames.len() * 2 - 1;
         let timeline = Timeline::of(&scenario).unwrap();
-        assert_eq!((timeline.scenario_rows, timeline.dropped_future_states), (rows, 0));
+        assert_eq!(
+            (timeline.scenario_rows, timeline.dropped_future_states),
+            (rows, 0)
+        );
         assert_eq!(timeline.rows.len(), rows + FRAMES_AFTER * 2);
         assert_eq!(timeline.rows[rows].ego.time_us, last.time_us + 50_000);
         assert_eq!(timeline.rows[rows + 3].ego, later(2));
-        assert_eq!(timeline.rows[rows + FRAMES_AFTER * 2 - 1].ego.time_us, last.time_us + 9_000_000);
+        assert_eq!(
+            timeline.rows[rows + FRAMES_AFTER * 2 - 1].ego.time_us,
+            last.time_us + 9_000_000
+        );
         scenario.scenario_type = "unknown".to_owned();
         let timeline = Timeline::of(&scenario).unwrap();
-        assert_eq!((timeline.rows.len(), timeline.dropped_future_states), (rows, 2));
+        assert_eq!(
+            (timeline.rows.len(), timeline.dropped_future_states),
+            (rows, 2)
+        );
     }
 }

@@ -37,8 +37,10 @@ pub(in super::super) const TRACK: Table = Table::new(
     "track",
     "*token BLOB NOT NULL PRIMARY KEY, *category_token BLOB NOT NULL, width FLOAT, length FLOAT, height FLOAT",
 );
-pub(in super::super) const CATEGORY: Table =
-    Table::new("category", "*token BLOB NOT NULL PRIMARY KEY, *name VARCHAR(64), description TEXT");
+pub(in super::super) const CATEGORY: Table = Table::new(
+    "category",
+    "*token BLOB NOT NULL PRIMARY KEY, *name VARCHAR(64), description TEXT",
+);
 pub(in super::super) const SCENE: Table = Table::new(
     "scene",
     "*token BLOB NOT NULL PRIMARY KEY, log_token BLOB NOT NULL, *name TEXT, *goal_ego_pose_token BLOB, *roadblock_ids TEXT",

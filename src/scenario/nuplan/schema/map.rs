@@ -2,11 +2,19 @@
 
 use super::Table;
 
-/// A layer: its name, type of its geometries in the words of the `GeoPackage` standard, whether they are read, and its
-/// other columns.
+/// A layer: its name, type of its geometries in the words of the `GeoPackage` standard, whether
+/// they are read, and its other columns.
 macro_rules! layer {
     ($name:literal, $geometry:literal, $columns:literal) => {
-        Table::new($name, concat!("*fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, ", $geometry, ", ", $columns))
+        Table::new(
+            $name,
+            concat!(
+                "*fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, ",
+                $geometry,
+                ", ",
+                $columns
+            ),
+        )
     };
 }
 
@@ -59,8 +67,11 @@ pub(in super::super) const LANE_GROUP_CONNECTORS: Table = layer!(
     "creator_id INTEGER, intersection_fid INTEGER, *from_lane_group_fid INTEGER, *to_lane_group_fid INTEGER,
     left_boundary_fid INTEGER, right_boundary_fid INTEGER, from_edge_fid INTEGER, to_edge_fid INTEGER"
 );
-pub(in super::super) const INTERSECTIONS: Table =
-    layer!("intersections", "*geom POLYGON", "intersection_type_fid INTEGER, is_mini BOOLEAN, creator_id INTEGER");
+pub(in super::super) const INTERSECTIONS: Table = layer!(
+    "intersections",
+    "*geom POLYGON",
+    "intersection_type_fid INTEGER, is_mini BOOLEAN, creator_id INTEGER"
+);
 /// Stop lines.
 pub(in super::super) const STOP_POLYGONS: Table = layer!(
     "stop_polygons",
@@ -73,15 +84,24 @@ pub(in super::super) const CROSSWALKS: Table = layer!(
     "*geom POLYGON",
     "intersection_fids TEXT, lane_fids TEXT, is_marked BOOLEAN, creator_id INTEGER"
 );
-pub(in super::super) const CARPARK_AREAS: Table =
-    layer!("carpark_areas", "*geom POLYGON", "heading REAL, creator_id INTEGER");
-pub(in super::super) const ROAD_SEGMENTS: Table = layer!("road_segments", "*geom POLYGON", "lane_group_fids TEXT");
+pub(in super::super) const CARPARK_AREAS: Table = layer!(
+    "carpark_areas",
+    "*geom POLYGON",
+    "heading REAL, creator_id INTEGER"
+);
+pub(in super::super) const ROAD_SEGMENTS: Table =
+    layer!("road_segments", "*geom POLYGON", "lane_group_fids TEXT");
 /// Drivable area beside the road.
-pub(in super::super) const GENERIC_DRIVABLE_AREAS: Table =
-    layer!("generic_drivable_areas", "*geom POLYGON", "creator_id INTEGER");
+pub(in super::super) const GENERIC_DRIVABLE_AREAS: Table = layer!(
+    "generic_drivable_areas",
+    "*geom POLYGON",
+    "creator_id INTEGER"
+);
 /// Facts about the map.
-pub(in super::super) const META: Table =
-    Table::new("meta", "fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, *key TEXT, *value TEXT");
+pub(in super::super) const META: Table = Table::new(
+    "meta",
+    "fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, *key TEXT, *value TEXT",
+);
 
 /// The list of locations in a maps folder.
 pub const MAPS_INDEX: &str = "nuplan-maps-v1.0.json";
@@ -109,6 +129,10 @@ pub(in super::super) const READ_LAYERS: [Table; 13] = [
 /// Layers of nuPlan's maps for which a scenario's map has nothing; they are written empty.
 pub(in super::super) const EMPTY_LAYERS: [Table; 3] = [
     layer!("walkways", "geom POLYGON", "creator_id INTEGER"),
-    layer!("dubins_nodes", "geom POINT", "radius REAL, heading REAL, creator_id INTEGER"),
+    layer!(
+        "dubins_nodes",
+        "geom POINT",
+        "radius REAL, heading REAL, creator_id INTEGER"
+    ),
     layer!("traffic_lights", "geom POINT", "creator_id INTEGER"),
 ];

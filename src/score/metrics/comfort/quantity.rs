@@ -1,14 +1,17 @@
-//! The quantities of comfort with nuPlan's names, filters and bounds (devkit `ego_*acceleration.py`, `ego_*jerk.py`,
-//! `ego_yaw_*.py`, `within_bound_metric_base.py`, `state_extractors.py`).
+//! The quantities of comfort with nuPlan's names, filters and bounds (devkit
+//! `ego_*acceleration.py`, `ego_*jerk.py`, `ego_yaw_*.py`, `within_bound_metric_base.py`,
+//! `state_extractors.py`).
 
 use super::savgol::{SavitzkyGolay, differentiated, mean_step_s, smoothed};
 use crate::metrics::{
-    MetricCategory, MetricError, MetricInput, MetricList, MetricResult, MetricSpec, Statistic, TimeSeries,
+    MetricCategory, MetricError, MetricInput, MetricList, MetricResult, MetricSpec, Statistic,
+    TimeSeries,
 };
 use planagent_world::EgoState;
 use planagent_world::geometry::unwrap_angles;
 
-/// Window of the acceleration filter, samples. It is even, which shifts the signal by half a sample; nuPlan's value.
+/// Window of the acceleration filter, samples. It is even, which shifts the signal by half a
+/// sample; nuPlan's value.
 pub(crate) const ACCELERATION_WINDOW: usize = 8;
 /// Window of the jerk filter, samples.
 const JERK_WINDOW: usize = 15;
@@ -27,7 +30,10 @@ pub struct Bound {
 impl Bound {
     /// Bounds on the magnitude.
     pub const fn magnitude(limit: f64) -> Self {
-        Self { min: -limit, max: limit }
+        Self {
+            min: -limit,
+            max: limit,
+        }
     }
 
     /// Whether all values lie strictly within.
@@ -87,18 +93,23 @@ impl ComfortQuantity {
     /// nuPlan's name of its unit.
     pub const fn unit(self) -> &'static str {
         match self {
-            Self::Acceleration | Self::LonAcceleration | Self::LatAcceleration => "meters_per_second_squared",
+            Self::Acceleration | Self::LonAcceleration | Self::LatAcceleration => {
+                "meters_per_second_squared"
+            }
             Self::Jerk | Self::LonJerk | Self::LatJerk => "meters_per_second_cubed",
             Self::YawRate => "radians_per_second",
             Self::YawAcceleration => "radians_per_second_squared",
         }
     }
 
-    /// The bounds of comfort, SI units (devkit `simulation_metric/low_level/*.yaml`); `None` for quantities that are
-    /// only reported.
+    /// The bounds of comfort, SI units (devkit `simulation_metric/low_level/*.yaml`); `None` for
+    /// quantities that are only reported.
     pub const fn bound(self) -> Option<Bound> {
         match self {
-            Self::LonAcceleration => Some(Bound { min: -4.05, max: 2.40 }),
+            Self::LonAcceleration => Some(Bound {
+                min: -4.05,
+                max: 2.40,
+            }),
             Self::LatAcceleration => Some(Bound::magnitude(4.89)),
             Self::Jerk => Some(Bound::magnitude(8.37)),
             Self::LonJerk => Some(Bound::magnitude(4.13)),
@@ -113,33 +124,57 @@ impl ComfortQuantity {
         let of = |read: fn(&EgoState) -> f64| states.iter().map(read).collect::<Vec<f64>>();
         let step = mean_step_s(states);
         let jerk_of = |acceleration: Self| {
-            let filter = SavitzkyGolay { window: JERK_WINDOW, order: 2, derivative: 1 };
+            let filter = SavitzkyGolay {
+                window: JERK_WINDOW,
+                order: 2,
+                derivative: 1,
+            };
             differentiated(&acceleration.signal(states)?, step, filter)
         };
         let heading = || unwrap_angles(&of(|s| s.rear_axle.heading));
         match self {
             Self::Acceleration => smoothed(&of(|s| s.acceleration.norm()), ACCELERATION_WINDOW),
-            Self::LonAcceleration => smoothed(&of(|s| s.center_acceleration().x), ACCELERATION_WINDOW),
-            Self::LatAcceleration => smoothed(&of(|s| s.center_acceleration().y), ACCELERATION_WINDOW),
+            Self::LonAcceleration => {
+                smoothed(&of(|s| s.center_acceleration().x), ACCELERATION_WINDOW)
+            }
+            Self::LatAcceleration => {
+                smoothed(&of(|s| s.center_acceleration().y), ACCELERATION_WINDOW)
+            }
             Self::Jerk => jerk_of(Self::Acceleration),
             Self::LonJerk => jerk_of(Self::LonAcceleration),
             Self::LatJerk => jerk_of(Self::LatAcceleration),
-            Self::YawRate => {
-                differentiated(&heading(), step, SavitzkyGolay { window: YAW_WINDOW, order: 2, derivative: 1 })
-            }
-            Self::YawAcceleration => {
-                differentiated(&heading(), step, SavitzkyGolay { window: YAW_WINDOW, order: 3, derivative: 2 })
-            }
+            Self::YawRate => differentiated(
+                &heading(),
+                step,
+                SavitzkyGolay {
+                    window: YAW_WINDOW,
+                    order: 2,
+                    derivative: 1,
+                },
+            ),
+            Self::YawAcceleration => differentiated(
+                &heading(),
+                step,
+                SavitzkyGolay {
+                    window: YAW_WINDOW,
+                    order: 3,
+                    derivative: 2,
+                },
+            ),
         }
     }
 
-    /// The quantity as a metric without score: its statistics, and whether it stays within its bounds.
+    /// The quantity as a metric without score: its statistics, and whether it stays within its
+    /// bounds.
     pub fn evaluate(self, states: &[EgoState]) -> Result<MetricResult, MetricError> {
         let name = self.name();
         let series = TimeSeries::of_states(self.unit(), states, self.signal(states)?);
         let mut statistics = series.statistics(name);
         if let Some(bound) = self.bound() {
-            statistics.push(Statistic::boolean(format!("abs_{name}_within_bounds"), bound.holds(&series.values)));
+            statistics.push(Statistic::boolean(
+                format!("abs_{name}_within_bounds"),
+                bound.holds(&series.values),
+            ));
         }
         Ok(MetricResult::unscored(name, MetricCategory::Dynamics, statistics).with_series(series))
     }
@@ -149,8 +184,9 @@ const fn spec(
     quantity: ComfortQuantity,
     compute: fn(&MetricInput<'_>) -> Result<Option<MetricResult>, MetricError>,
 ) -> MetricSpec {
-    let spec =
-        MetricSpec::new(quantity.name(), compute).only(MetricList::ClosedLoop).category(MetricCategory::Dynamics);
+    let spec = MetricSpec::new(quantity.name(), compute)
+        .only(MetricList::ClosedLoop)
+        .category(MetricCategory::Dynamics);
     match quantity.bound() {
         Some(bound) => spec.bounds(Some(bound.min), Some(bound.max)),
         None => spec,

@@ -1,8 +1,9 @@
-//! interPlan's metrics and scores, for modified scenarios of its kinds (interPlan `lane_changes_to_goal.py`,
-//! `ego_sorts_obstacle.py`, `interplan_weighted_average_metric_aggregator.py`).
+//! interPlan's metrics and scores, for modified scenarios of its kinds (interPlan
+//! `lane_changes_to_goal.py`, `ego_sorts_obstacle.py`,
+//! `interplan_weighted_average_metric_aggregator.py`).
 //!
-//! Where interPlan fails, the value here is defined. A goal that cannot be compared counts as not reached, and a line without
-//! length as never passed.
+//! Where interPlan fails, the value here is defined. A goal that cannot be compared counts as not
+//! reached, and a line without length as never passed.
 
 mod ego_sorts;
 mod lane_changes_to_goal;
@@ -39,15 +40,23 @@ pub(super) fn sorting(kind: InteractionKind) -> Option<&'static str> {
     }
 }
 
-/// How a metric enters the score of a kind. Passing something replaces the driving direction among the multipliers, and the
-/// direction then weighs 1. Where a person crosses, both multiply.
+/// How a metric enters the score of a kind. Passing something replaces the driving direction among
+/// the multipliers, and the direction then weighs 1. Where a person crosses, both multiply.
 pub(super) fn role(kind: InteractionKind, spec: &MetricSpec) -> Role {
-    let (sorting, direction) = (sorting(kind), super::driving_direction_compliance::SPEC.name);
+    let (sorting, direction) = (
+        sorting(kind),
+        super::driving_direction_compliance::SPEC.name,
+    );
     if sorting == Some(spec.name) {
         Role::Multiplier
-    } else if spec.name == direction && sorting.is_some() && kind != InteractionKind::JaywalkingPedestrian {
+    } else if spec.name == direction
+        && sorting.is_some()
+        && kind != InteractionKind::JaywalkingPedestrian
+    {
         Role::Weight(DEFAULT_WEIGHT)
-    } else if INTERACTIVE_METRICS.iter().any(|own| own.name == spec.name) && spec.name != "lane_changes_to_goal" {
+    } else if INTERACTIVE_METRICS.iter().any(|own| own.name == spec.name)
+        && spec.name != "lane_changes_to_goal"
+    {
         Role::Unscored
     } else {
         spec.role
@@ -56,8 +65,17 @@ pub(super) fn role(kind: InteractionKind, spec: &MetricSpec) -> Role {
 
 /// The metrics of a kind, those of nuPlan with the roles that they have in it.
 pub(super) fn specs_of(kind: InteractionKind, specs: &[MetricSpec]) -> Vec<MetricSpec> {
-    let own = INTERACTIVE_METRICS.iter().filter(|spec| !specs.iter().any(|known| known.name == spec.name));
-    specs.iter().chain(own).map(|spec| MetricSpec { role: role(kind, spec), ..*spec }).collect()
+    let own = INTERACTIVE_METRICS
+        .iter()
+        .filter(|spec| !specs.iter().any(|known| known.name == spec.name));
+    specs
+        .iter()
+        .chain(own)
+        .map(|spec| MetricSpec {
+            role: role(kind, spec),
+            ..*spec
+        })
+        .collect()
 }
 
 #[cfg(test)]

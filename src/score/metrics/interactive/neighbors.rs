@@ -20,7 +20,8 @@ pub trait LaneRelations {
     fn boundary_ends(&self, lane: LaneId) -> [Point; 2];
     /// The roadblock.
     fn roadblock(&self, lane: LaneId) -> RoadblockId;
-    /// Whether adjacency counts only where the boundaries meet. interPlan's rule, for maps with drawn boundaries.
+    /// Whether adjacency counts only where the boundaries meet. interPlan's rule, for maps with
+    /// drawn boundaries.
     fn needs_boundaries(&self) -> bool;
 }
 
@@ -30,8 +31,14 @@ impl LaneRelations for LaneMap {
         let at_end = |side: Option<LaneId>, any: Option<LaneId>| side.or(any);
         let lane = &self[lane];
         [
-            at_end(lane.left_at(end), lane.left.last().map(|neighbor| neighbor.lane)),
-            at_end(lane.right_at(end), lane.right.last().map(|neighbor| neighbor.lane)),
+            at_end(
+                lane.left_at(end),
+                lane.left.last().map(|neighbor| neighbor.lane),
+            ),
+            at_end(
+                lane.right_at(end),
+                lane.right.last().map(|neighbor| neighbor.lane),
+            ),
         ]
     }
 
@@ -53,7 +60,8 @@ impl LaneRelations for LaneMap {
     }
 
     fn needs_boundaries(&self) -> bool {
-        self.lane_areas() == LaneAreas::Drawn && self.lanes().iter().any(|lane| lane.kind == LaneKind::Lane)
+        self.lane_areas() == LaneAreas::Drawn
+            && self.lanes().iter().any(|lane| lane.kind == LaneKind::Lane)
     }
 }
 
@@ -70,15 +78,23 @@ pub(super) fn neighbors(map: &impl LaneRelations, lane: LaneId) -> [Option<LaneI
         if let Some(known) = adjacent[side].filter(|_| !map.needs_boundaries()) {
             return Some(known);
         }
-        let candidates = adjacent[side].into_iter().chain(beside.iter().copied()).filter(|&other| other != lane);
+        let candidates = adjacent[side]
+            .into_iter()
+            .chain(beside.iter().copied())
+            .filter(|&other| other != lane);
         let gap = |other: LaneId| (map.boundary_ends(other)[1 - side] - ends[side]).norm();
-        let apart = candidates.map(|other| (gap(other), other)).min_by(|a, b| a.0.total_cmp(&b.0));
-        apart.filter(|&(gap, _)| gap <= SAME_BOUNDARY).map(|(_, other)| other)
+        let apart = candidates
+            .map(|other| (gap(other), other))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        apart
+            .filter(|&(gap, _)| gap <= SAME_BOUNDARY)
+            .map(|(_, other)| other)
     };
     [nearest(0), nearest(1)]
 }
 
-/// Number of lane changes from `present` to `goal`, searched from the goal; `None` in another roadblock, or without a way.
+/// Number of lane changes from `present` to `goal`, searched from the goal; `None` in another
+/// roadblock, or without a way.
 pub fn changes_between(map: &impl LaneRelations, present: LaneId, goal: LaneId) -> Option<usize> {
     if map.roadblock(present) != map.roadblock(goal) {
         return None;

@@ -14,16 +14,28 @@ const MAX_ERROR: f64 = 1e-6;
 
 /// A file of the vectors, which `tests/fixtures/vectors/interplan/README.md` describes.
 fn vectors(name: &str) -> Value {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/vectors/interplan").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../tests/fixtures/vectors/interplan")
+        .join(name);
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
 fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+    value
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|number| number.as_f64().unwrap())
+        .collect()
 }
 
 fn points(value: &Value) -> Vec<Point> {
-    value.as_array().unwrap().iter().map(|point| Point::new(numbers(point)[0], numbers(point)[1])).collect()
+    value
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|point| Point::new(numbers(point)[0], numbers(point)[1]))
+        .collect()
 }
 
 /// Lanes as the vectors give them.
@@ -46,9 +58,18 @@ struct GraphLane {
 impl Graph {
     fn new(graph: &Value) -> Self {
         let lanes = graph["lanes"].as_array().unwrap();
-        let names: Vec<String> = lanes.iter().map(|lane| lane["id"].as_str().unwrap().to_owned()).collect();
-        let id =
-            |name: &Value| LaneId(names.iter().position(|known| Some(known.as_str()) == name.as_str()).unwrap() as u32);
+        let names: Vec<String> = lanes
+            .iter()
+            .map(|lane| lane["id"].as_str().unwrap().to_owned())
+            .collect();
+        let id = |name: &Value| {
+            LaneId(
+                names
+                    .iter()
+                    .position(|known| Some(known.as_str()) == name.as_str())
+                    .unwrap() as u32,
+            )
+        };
         let ids = |list: &Value| list.as_array().unwrap().iter().map(id).collect::<Vec<_>>();
         let mut blocks: Vec<&str> = Vec::new();
         let lanes = lanes
@@ -58,9 +79,15 @@ impl Graph {
                 if !blocks.contains(&block) {
                     blocks.push(block);
                 }
-                let side = |i: usize| Some(&lane["adjacent_left_right"][i]).filter(|side| !side.is_null()).map(id);
+                let side = |i: usize| {
+                    Some(&lane["adjacent_left_right"][i])
+                        .filter(|side| !side.is_null())
+                        .map(id)
+                };
                 GraphLane {
-                    roadblock: RoadblockId(blocks.iter().position(|&known| known == block).unwrap() as u32),
+                    roadblock: RoadblockId(
+                        blocks.iter().position(|&known| known == block).unwrap() as u32,
+                    ),
                     adjacent: [side(0), side(1)],
                     incoming: ids(&lane["incoming"]),
                     outgoing: ids(&lane["outgoing"]),
@@ -75,7 +102,12 @@ impl Graph {
     }
 
     fn id(&self, name: &Value) -> LaneId {
-        LaneId(self.names.iter().position(|known| Some(known.as_str()) == name.as_str()).unwrap() as u32)
+        LaneId(
+            self.names
+                .iter()
+                .position(|known| Some(known.as_str()) == name.as_str())
+                .unwrap() as u32,
+        )
     }
 
     /// The lanes at each point of a path along x: where several connectors hold it, all.
@@ -111,7 +143,10 @@ impl LaneRelations for Graph {
 
     fn boundary_ends(&self, lane: LaneId) -> [Point; 2] {
         let lane = &self.lanes[lane.index()];
-        [lane.left[lane.left.len() - 1], lane.right[lane.right.len() - 1]]
+        [
+            lane.left[lane.left.len() - 1],
+            lane.right[lane.right.len() - 1],
+        ]
     }
 
     fn roadblock(&self, lane: LaneId) -> RoadblockId {
@@ -131,12 +166,20 @@ fn neighbors_and_lane_changes_are_interplans() {
         let graph = Graph::new(value);
         for (lane, sides) in value["get_adjacent_lanes_left_right"].as_object().unwrap() {
             let own = graph.id(&Value::from(lane.as_str()));
-            let theirs = [0, 1].map(|i| Some(&sides[i]).filter(|side| !side.is_null()).map(|side| graph.id(side)));
+            let theirs = [0, 1].map(|i| {
+                Some(&sides[i])
+                    .filter(|side| !side.is_null())
+                    .map(|side| graph.id(side))
+            });
             assert_eq!(neighbors(&graph, own), theirs, "{name} {lane}");
         }
         for row in value["changes_current_goal_n"].as_array().unwrap() {
             let count = changes_between(&graph, graph.id(&row[0]), graph.id(&row[1]));
-            assert_eq!(count, row[2].as_u64().map(|count| count as usize), "{name} {row}");
+            assert_eq!(
+                count,
+                row[2].as_u64().map(|count| count as usize),
+                "{name} {row}"
+            );
             pairs += 1;
         }
     }
@@ -150,15 +193,24 @@ fn scores_of_lane_changes_are_interplans() {
     for row in file["compute_score_n0_n_value"].as_array().unwrap() {
         // Where interPlan fails, ours is 0.
         let theirs = row[2].as_f64().unwrap_or(0.0);
-        assert!((lane_changes_score(count(&row[0]), count(&row[1])) - theirs).abs() < MAX_ERROR, "{row}");
+        assert!(
+            (lane_changes_score(count(&row[0]), count(&row[1])) - theirs).abs() < MAX_ERROR,
+            "{row}"
+        );
     }
     for case in file["compute"].as_array().unwrap() {
         let graph = Graph::new(&file["graphs"][case["graph"].as_str().unwrap()]);
         assert!(graph.lanes.iter().any(|lane| !lane.is_connector));
         let (expert, ego) = (points(&case["expert"]), points(&case["ego"]));
         let cut = expert.len().min(ego.len());
-        let (at_start, at_end) = counted(&graph, &graph.driven(&expert[..cut]), &graph.driven(&ego));
-        assert_eq!((at_start, at_end), (count(&case["n0"]), count(&case["n"])), "{}", case["name"]);
+        let (at_start, at_end) =
+            counted(&graph, &graph.driven(&expert[..cut]), &graph.driven(&ego));
+        assert_eq!(
+            (at_start, at_end),
+            (count(&case["n0"]), count(&case["n"])),
+            "{}",
+            case["name"]
+        );
     }
 }
 
@@ -171,20 +223,35 @@ fn obstacles_are_passed_where_interplan_says() {
             "cone" => "cone",
             _ => "",
         };
-        let objects = case["objects"].as_array().unwrap().iter().filter(|object| object[0] == wanted);
-        let mut obstacles: Vec<Point> =
-            objects.map(|o| Point::new(o[1].as_f64().unwrap(), o[2].as_f64().unwrap())).collect();
+        let objects = case["objects"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .filter(|object| object[0] == wanted);
+        let mut obstacles: Vec<Point> = objects
+            .map(|o| Point::new(o[1].as_f64().unwrap(), o[2].as_f64().unwrap()))
+            .collect();
         let walkers = case["walkers"].as_array().unwrap().iter().map(numbers);
         obstacles.extend(walkers.map(|walker| Point::new(walker[2], walker[3])));
         // interPlan fails without an obstacle and without a way.
-        let Some(threshold) = case["threshold_recomputed"].as_f64() else { continue };
+        let Some(threshold) = case["threshold_recomputed"].as_f64() else {
+            continue;
+        };
         let needed = passing_ratio(&points(&case["expert"]), &obstacles);
-        assert!((needed - threshold).abs() < MAX_ERROR, "{}: {needed} {threshold}", case["name"]);
+        assert!(
+            (needed - threshold).abs() < MAX_ERROR,
+            "{}: {needed} {threshold}",
+            case["name"]
+        );
         for row in case["ratio_value"].as_array().unwrap() {
             let (ratio, value) = (row[0].as_f64().unwrap(), row[1].as_f64().unwrap());
             // The recomputed threshold may differ in its last bits.
             if (ratio - needed).abs() > MAX_ERROR {
-                assert!((sorted(ratio, needed) - value).abs() < MAX_ERROR, "{} {row}", case["name"]);
+                assert!(
+                    (sorted(ratio, needed) - value).abs() < MAX_ERROR,
+                    "{} {row}",
+                    case["name"]
+                );
             }
         }
     }
@@ -197,8 +264,10 @@ fn scores_of_scenes_are_interplans() {
     for (name, cases) in file["cases"].as_object().unwrap() {
         let kind = InteractionKind::named(name);
         // The type without a kind is scored as those of traffic density are.
-        let kind = kind
-            .or_else(|| (name == "standard_modified_nuplan_scenario").then_some(InteractionKind::LowTrafficDensity));
+        let kind = kind.or_else(|| {
+            (name == "standard_modified_nuplan_scenario")
+                .then_some(InteractionKind::LowTrafficDensity)
+        });
         let weighting = Weighting::of_kind(kind.unwrap(), &METRICS);
         for case in cases.as_array().unwrap() {
             let metrics: BTreeMap<&str, Option<f64>> = case["metrics"]
@@ -207,8 +276,15 @@ fn scores_of_scenes_are_interplans() {
                 .iter()
                 .map(|(name, score)| (name.as_str(), score.as_f64()))
                 .collect();
-            let score = combine(metrics.iter().map(|(&name, &score)| (name, score)), &weighting);
-            assert!((score - case["score"].as_f64().unwrap()).abs() < MAX_ERROR, "{name} {score} {}", case["score"]);
+            let score = combine(
+                metrics.iter().map(|(&name, &score)| (name, score)),
+                &weighting,
+            );
+            assert!(
+                (score - case["score"].as_f64().unwrap()).abs() < MAX_ERROR,
+                "{name} {score} {}",
+                case["score"]
+            );
             compared += 1;
         }
     }

@@ -33,7 +33,8 @@ pub(super) struct IdmAgent {
 }
 
 impl IdmAgent {
-    /// An agent for a recorded vehicle, snapped to the baseline of `lane`; `None` when that baseline makes no path.
+    /// An agent for a recorded vehicle, snapped to the baseline of `lane`; `None` when that
+    /// baseline makes no path.
     pub(super) fn snapped(
         vehicle: &TrackedObject,
         speed: f64,
@@ -95,11 +96,12 @@ impl IdmAgent {
     /// The lane of its route that holds its center.
     pub(super) fn lane(&self, map: &LaneMap) -> Option<LaneId> {
         let center = self.pose().position();
-        self.route().find(|&lane| map[lane].polygon.contains(center))
+        self.route()
+            .find(|&lane| map[lane].polygon.contains(center))
     }
 
-    /// Turns into a lane beside its own: over the next seconds the path goes over to the baseline there. False where the lane is too
-    /// short for that.
+    /// Turns into a lane beside its own: over the next seconds the path goes over to the baseline
+    /// there. False where the lane is too short for that.
     pub(super) fn change_lane(&mut self, map: &LaneMap, target: LaneId) -> bool {
         let line = &map[target].centerline;
         let foot = line.project(self.pose().position());
@@ -114,9 +116,18 @@ impl IdmAgent {
             line.frenet_to_map(foot.s + over * share, left)
         };
         let changing = (0..=LANE_CHANGE_POSES).map(blend);
-        let rest = line.vertices().iter().zip(line.arc_lengths()).filter(|&(_, &s)| s > foot.s + over).map(|(&p, _)| p);
-        let Ok(whole) = Polyline::new(changing.chain(rest)) else { return false };
-        let Some(path) = ProgressPath::new(&whole.vertex_poses()) else { return false };
+        let rest = line
+            .vertices()
+            .iter()
+            .zip(line.arc_lengths())
+            .filter(|&(_, &s)| s > foot.s + over)
+            .map(|(&p, _)| p);
+        let Ok(whole) = Polyline::new(changing.chain(rest)) else {
+            return false;
+        };
+        let Some(path) = ProgressPath::new(&whole.vertex_poses()) else {
+            return false;
+        };
         self.path = Arc::new(path);
         self.progress = 0.0;
         let own = self.lane(map);
@@ -132,15 +143,25 @@ impl IdmAgent {
     pub(super) fn object(&self) -> TrackedObject {
         let shape = self.shape();
         let velocity = shape.center.direction() * self.speed;
-        TrackedObject { token: self.token, kind: ObjectKind::Vehicle, shape, velocity }
+        TrackedObject {
+            token: self.token,
+            kind: ObjectKind::Vehicle,
+            shape,
+            velocity,
+        }
     }
 
-    /// Appends lanes until the path is long enough: of those that may be entered, the one that bends least at its start. An
-    /// edge with traffic lights may be entered when it shows green, any other when it does not show red. An agent that stands
-    /// at the very end of its path starts the longer one at the last pose but one, as in nuPlan.
+    /// Appends lanes until the path is long enough: of those that may be entered, the one that
+    /// bends least at its start. An edge with traffic lights may be entered when it shows green,
+    /// any other when it does not show red. An agent that stands at the very end of its path starts
+    /// the longer one at the last pose but one, as in nuPlan.
     pub(super) fn extend_route(&mut self, map: &LaneMap, lights: &TrafficLights) {
-        while self.path.length() - self.progress < MIN_PATH_LENGTH + self.idm.target_velocity * self.idm.headway {
-            let Some(&last) = self.route.back() else { return };
+        while self.path.length() - self.progress
+            < MIN_PATH_LENGTH + self.idm.target_velocity * self.idm.headway
+        {
+            let Some(&last) = self.route.back() else {
+                return;
+            };
             let may_enter = |lane: &LaneId| {
                 let status = lights.status(*lane);
                 if map[*lane].has_traffic_lights {
@@ -151,10 +172,14 @@ impl IdmAgent {
             };
             let bend = |lane: &LaneId| map[*lane].centerline.curvature_at(0.0).abs();
             let open = map[last].outgoing.iter().copied().filter(may_enter);
-            let Some(next) = open.min_by(|a, b| bend(a).total_cmp(&bend(b))) else { return };
+            let Some(next) = open.min_by(|a, b| bend(a).total_cmp(&bend(b))) else {
+                return;
+            };
             let mut poses = self.path.between(self.progress, self.path.length());
             poses.extend(map[next].centerline.vertex_poses());
-            let Some(path) = ProgressPath::new(&poses) else { return };
+            let Some(path) = ProgressPath::new(&poses) else {
+                return;
+            };
             self.path = Arc::new(path);
             self.progress = 0.0;
             if self.route.len() == ROUTE_SEGMENTS {
@@ -164,19 +189,33 @@ impl IdmAgent {
         }
     }
 
-    /// The strip of its width from its center to the end of its path. At the very end it is the last piece of the path,
-    /// which lies behind its center.
+    /// The strip of its width from its center to the end of its path. At the very end it is the
+    /// last piece of the path, which lies behind its center.
     pub(super) fn way_ahead(&self) -> Option<Footprint> {
-        Footprint::of_strip(&self.path.between(self.progress, self.path.length()), self.width / 2.0)
+        Footprint::of_strip(
+            &self.path.between(self.progress, self.path.length()),
+            self.width / 2.0,
+        )
     }
 
-    /// Moves for `dt` seconds behind `lead`; without one, the end of its path is a standing obstacle.
+    /// Moves for `dt` seconds behind `lead`; without one, the end of its path is a standing
+    /// obstacle.
     pub(super) fn propagate(&mut self, lead: Option<Lead>, map: &LaneMap, dt: f64) {
-        if let Some(limit) = self.route.back().and_then(|&lane| map[lane].speed_limit).filter(|&limit| limit > 0.0) {
+        if let Some(limit) = self
+            .route
+            .back()
+            .and_then(|&lane| map[lane].speed_limit)
+            .filter(|&limit| limit > 0.0)
+        {
             self.idm.target_velocity = limit;
         }
-        let path_end = Lead { gap: self.path.length() - self.progress - self.length / 2.0, speed: 0.0 };
-        let acceleration = self.idm.acceleration(self.speed, Some(lead.unwrap_or(path_end)));
+        let path_end = Lead {
+            gap: self.path.length() - self.progress - self.length / 2.0,
+            speed: 0.0,
+        };
+        let acceleration = self
+            .idm
+            .acceleration(self.speed, Some(lead.unwrap_or(path_end)));
         self.progress += dt * self.speed;
         self.speed = (self.speed + dt * acceleration).max(0.0);
         self.footprint = Arc::new(self.projected_footprint());

@@ -2,7 +2,8 @@
 
 use crate::geometry::{Bounds, OrientedBox, Point, Polygon, Pose, Vector, wrap_angle};
 
-/// Bends sharper than this are rounded on their outside, radians. Below it the missing wedge is under half a millimeter deep.
+/// Bends sharper than this are rounded on their outside, radians. Below it the missing wedge is
+/// under half a millimeter deep.
 const ROUNDED_BEND: f64 = 0.05;
 /// A line that deviates less than this from the direction of its first segment is straight, meters.
 const STRAIGHT: f64 = 1e-3;
@@ -25,11 +26,19 @@ struct Piece {
 
 impl Piece {
     fn from_box(shape: OrientedBox) -> Self {
-        Self { shape: Shape::Box(shape), center: shape.center.position(), reach: shape.diagonal() / 2.0 }
+        Self {
+            shape: Shape::Box(shape),
+            center: shape.center.position(),
+            reach: shape.diagonal() / 2.0,
+        }
     }
 
     fn disc(center: Point, radius: f64) -> Self {
-        Self { shape: Shape::Disc, center, reach: radius }
+        Self {
+            shape: Shape::Disc,
+            center,
+            reach: radius,
+        }
     }
 
     /// Distance at least, meters; may be negative.
@@ -46,7 +55,9 @@ impl Piece {
             (Shape::Box(a), Shape::Polygon(b)) => b.distance_to_box(a),
             (Shape::Polygon(a), Shape::Box(b)) => a.distance_to_box(b),
             (Shape::Disc, Shape::Polygon(b)) => (b.distance_to(self.center) - self.reach).max(0.0),
-            (Shape::Polygon(a), Shape::Disc) => (a.distance_to(other.center) - other.reach).max(0.0),
+            (Shape::Polygon(a), Shape::Disc) => {
+                (a.distance_to(other.center) - other.reach).max(0.0)
+            }
             (Shape::Polygon(a), Shape::Polygon(b)) => polygon_distance(a, b),
         }
     }
@@ -70,7 +81,10 @@ impl Piece {
 
 fn box_distance(shape: &OrientedBox, point: Point) -> f64 {
     let local = shape.center.to_local(point);
-    let (dx, dy) = (local.x.abs() - shape.length / 2.0, local.y.abs() - shape.width / 2.0);
+    let (dx, dy) = (
+        local.x.abs() - shape.length / 2.0,
+        local.y.abs() - shape.width / 2.0,
+    );
     dx.max(0.0).hypot(dy.max(0.0))
 }
 
@@ -79,7 +93,10 @@ fn polygon_distance(a: &Polygon, b: &Polygon) -> f64 {
         return 0.0;
     }
     let one_way = |from: &Polygon, to: &Polygon| {
-        from.ring().iter().map(|&vertex| to.edge_distance(vertex)).fold(f64::INFINITY, f64::min)
+        from.ring()
+            .iter()
+            .map(|&vertex| to.edge_distance(vertex))
+            .fold(f64::INFINITY, f64::min)
     };
     one_way(a, b).min(one_way(b, a))
 }
@@ -118,33 +135,52 @@ pub(super) struct Footprint {
 impl Footprint {
     /// A box alone.
     pub(super) fn of_box(shape: OrientedBox) -> Self {
-        Self { pieces: vec![Piece::from_box(shape)], bounds: shape.bounds() }
+        Self {
+            pieces: vec![Piece::from_box(shape)],
+            bounds: shape.bounds(),
+        }
     }
 
     /// A polygon alone.
     pub(super) fn of_polygon(polygon: &Polygon) -> Self {
         let bounds = polygon.bounds();
         let center = nalgebra::center(&bounds.min, &bounds.max);
-        let piece = Piece { shape: Shape::Polygon(polygon.clone()), center, reach: (bounds.max - center).norm() };
-        Self { pieces: vec![piece], bounds }
+        let piece = Piece {
+            shape: Shape::Polygon(polygon.clone()),
+            center,
+            reach: (bounds.max - center).norm(),
+        };
+        Self {
+            pieces: vec![piece],
+            bounds,
+        }
     }
 
-    /// The strip of `half_width` meters to both sides of a line of poses, its ends flat; `None` when the line has no length.
+    /// The strip of `half_width` meters to both sides of a line of poses, its ends flat; `None`
+    /// when the line has no length.
     pub(super) fn of_strip(poses: &[Pose], half_width: f64) -> Option<Self> {
         let mut pieces = Vec::new();
         let mut last_heading = None;
         for (a, b) in straight_runs(poses) {
             let along = b - a;
             let heading = along.y.atan2(along.x);
-            if last_heading.is_some_and(|last: f64| wrap_angle(heading - last).abs() > ROUNDED_BEND) {
+            if last_heading.is_some_and(|last: f64| wrap_angle(heading - last).abs() > ROUNDED_BEND)
+            {
                 pieces.push(Piece::disc(a, half_width));
             }
             last_heading = Some(heading);
             let center = Pose::at(nalgebra::center(&a, &b), heading);
-            pieces.push(Piece::from_box(OrientedBox::new(center, along.norm(), 2.0 * half_width)));
+            pieces.push(Piece::from_box(OrientedBox::new(
+                center,
+                along.norm(),
+                2.0 * half_width,
+            )));
         }
         let corners: Vec<Point> = poses.iter().map(Pose::position).collect();
-        (!pieces.is_empty()).then(|| Self { pieces, bounds: Bounds::around(&corners).grown(half_width) })
+        (!pieces.is_empty()).then(|| Self {
+            pieces,
+            bounds: Bounds::around(&corners).grown(half_width),
+        })
     }
 
     /// Both areas together.
@@ -171,8 +207,13 @@ impl Footprint {
 
     /// Distance between two areas, meters; 0 when they share a point.
     pub(super) fn distance(&self, other: &Self) -> f64 {
-        let pairs = || self.pieces.iter().flat_map(|a| other.pieces.iter().map(move |b| (a, b)));
-        let likely = pairs().min_by(|(a, b), (c, d)| a.distance_at_least(b).total_cmp(&c.distance_at_least(d)));
+        let pairs = || {
+            self.pieces
+                .iter()
+                .flat_map(|a| other.pieces.iter().map(move |b| (a, b)))
+        };
+        let likely = pairs()
+            .min_by(|(a, b), (c, d)| a.distance_at_least(b).total_cmp(&c.distance_at_least(d)));
         let mut best = likely.map_or(f64::INFINITY, |(a, b)| a.distance(b));
         for (a, b) in pairs() {
             if best > 0.0 && a.distance_at_least(b) < best {
@@ -182,7 +223,8 @@ impl Footprint {
         best
     }
 
-    /// Distance between the rectangles around two areas, meters: never more than [`Self::distance`].
+    /// Distance between the rectangles around two areas, meters: never more than
+    /// [`Self::distance`].
     pub(super) fn distance_at_least(&self, other: &Self) -> f64 {
         let (a, b) = (&self.bounds, &other.bounds);
         let dx = (b.min.x - a.max.x).max(a.min.x - b.max.x).max(0.0);
@@ -206,23 +248,34 @@ mod tests {
 
     #[test]
     fn a_strip_has_flat_ends_and_round_bends() {
-        let strip = Footprint::of_strip(&poses(&[(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)]), 1.0).unwrap();
-        assert!((strip.distance(&square(-3.0, 0.0)) - 2.0).abs() < 1e-9, "flat at the start");
+        let strip =
+            Footprint::of_strip(&poses(&[(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)]), 1.0).unwrap();
+        assert!(
+            (strip.distance(&square(-3.0, 0.0)) - 2.0).abs() < 1e-9,
+            "flat at the start"
+        );
         let corner = 2.0f64.sqrt() * 2.0 - 1.0;
-        assert!((strip.distance(&square(13.0, -3.0)) - corner).abs() < 1e-9, "round at the bend");
+        assert!(
+            (strip.distance(&square(13.0, -3.0)) - corner).abs() < 1e-9,
+            "round at the bend"
+        );
         assert!(strip.meets(&square(5.0, 1.9)) && !strip.meets(&square(5.0, 2.1)));
         assert!(Footprint::of_strip(&poses(&[(1.0, 1.0), (1.0, 1.0)]), 1.0).is_none());
     }
 
     #[test]
     fn polygons_take_part() {
-        let line = Footprint::of_polygon(&OrientedBox::new(Pose::new(20.0, 0.0, 0.0), 0.5, 4.0).to_polygon());
+        let line = Footprint::of_polygon(
+            &OrientedBox::new(Pose::new(20.0, 0.0, 0.0), 0.5, 4.0).to_polygon(),
+        );
         assert!((line.distance(&square(0.0, 0.0)) - 18.75).abs() < 1e-9);
         let strip = Footprint::of_strip(&poses(&[(0.0, 0.0), (30.0, 0.0)]), 1.0).unwrap();
         assert!(strip.meets(&line) && line.meets(&strip));
         let both = square(0.0, 0.0).united(square(15.0, 0.0));
         assert!((both.distance(&line) - 3.75).abs() < 1e-9);
-        let other = Footprint::of_polygon(&OrientedBox::new(Pose::new(25.0, 0.0, 0.0), 0.5, 4.0).to_polygon());
+        let other = Footprint::of_polygon(
+            &OrientedBox::new(Pose::new(25.0, 0.0, 0.0), 0.5, 4.0).to_polygon(),
+        );
         assert!((line.distance(&other) - 4.5).abs() < 1e-9);
     }
 

@@ -1,10 +1,11 @@
-//! Reactive agents: vehicles that follow their lanes by the intelligent driver model (devkit `idm_agents.py`,
-//! `idm_agent_manager.py`, `idm_agents_builder.py`).
+//! Reactive agents: vehicles that follow their lanes by the intelligent driver model (devkit
+//! `idm_agents.py`, `idm_agent_manager.py`, `idm_agents_builder.py`).
 //!
-//! nuPlan's quirks are kept: bicycles are removed; only vehicles on a lane at iteration 0 become agents; an agent more than
-//! 100 m from the ego is removed and does not return; the end of a path is an obstacle. Two differences: tokens are compared
-//! as a whole, not as substrings, which is the same for nuPlan's tokens of equal length. And of several obstacles at distance
-//! 0, upstream takes the first in its tree; here agents come before the ego, logged objects and stop lines.
+//! nuPlan's quirks are kept: bicycles are removed; only vehicles on a lane at iteration 0 become
+//! agents; an agent more than 100 m from the ego is removed and does not return; the end of a path
+//! is an obstacle. Two differences: tokens are compared as a whole, not as substrings, which is the
+//! same for nuPlan's tokens of equal length. And of several obstacles at distance 0, upstream takes
+//! the first in its tree; here agents come before the ego, logged objects and stop lines.
 
 mod agent;
 mod build;
@@ -23,9 +24,16 @@ use agent::IdmAgent;
 use footprint::Footprint;
 use std::sync::Arc;
 
-/// Parameters of nuPlan's IDM agents. The target velocity applies until the first lane with a speed limit.
-pub const IDM_AGENT: IdmParameters =
-    IdmParameters { target_velocity: 10.0, min_gap: 1.0, headway: 1.5, accel_max: 1.0, decel_max: 2.0, exponent: 4 };
+/// Parameters of nuPlan's IDM agents. The target velocity applies until the first lane with a speed
+/// limit.
+pub const IDM_AGENT: IdmParameters = IdmParameters {
+    target_velocity: 10.0,
+    min_gap: 1.0,
+    headway: 1.5,
+    accel_max: 1.0,
+    decel_max: 2.0,
+    exponent: 4,
+};
 
 /// Agents farther from the ego are removed, center to center, meters.
 const RADIUS: f64 = 100.0;
@@ -42,8 +50,8 @@ fn is_open_loop(kind: ObjectKind) -> bool {
     }
 }
 
-/// All reactive agents of a scenario and the objects that replay the log. Clones share map and paths, so that many futures
-/// can be tried from one state.
+/// All reactive agents of a scenario and the objects that replay the log. Clones share map and
+/// paths, so that many futures can be tried from one state.
 #[derive(Debug, Clone)]
 pub struct IdmTraffic {
     map: Arc<LaneMap>,
@@ -61,7 +69,11 @@ struct Obstacle {
 
 impl Obstacle {
     fn standing(footprint: Footprint) -> Self {
-        Self { footprint, heading: 0.0, speed: 0.0 }
+        Self {
+            footprint,
+            heading: 0.0,
+            speed: 0.0,
+        }
     }
 }
 
@@ -72,10 +84,23 @@ impl IdmTraffic {
     }
 
     /// Like [`Self::new`] with other parameters of the law.
-    pub fn with_law(map: &Arc<LaneMap>, objects: &[TrackedObject], ego: &EgoState, law: IdmParameters) -> Self {
-        let open_loop: Vec<TrackedObject> = objects.iter().filter(|o| is_open_loop(o.kind)).copied().collect();
+    pub fn with_law(
+        map: &Arc<LaneMap>,
+        objects: &[TrackedObject],
+        ego: &EgoState,
+        law: IdmParameters,
+    ) -> Self {
+        let open_loop: Vec<TrackedObject> = objects
+            .iter()
+            .filter(|o| is_open_loop(o.kind))
+            .copied()
+            .collect();
         let agents = build::agents(map, objects, &open_loop, ego, law);
-        Self { map: Arc::clone(map), agents, open_loop }
+        Self {
+            map: Arc::clone(map),
+            agents,
+            open_loop,
+        }
     }
 
     /// Number of reactive agents.
@@ -85,21 +110,40 @@ impl IdmTraffic {
 
     /// The objects now: the reactive agents, then the logged objects.
     pub fn objects(&self) -> Arc<[TrackedObject]> {
-        self.agents.iter().map(IdmAgent::object).chain(self.open_loop.iter().copied()).collect()
+        self.agents
+            .iter()
+            .map(IdmAgent::object)
+            .chain(self.open_loop.iter().copied())
+            .collect()
     }
 
-    /// Moves the agents from iteration k to k+1, `dt` seconds later. As in nuPlan, they see the ego at k but the logged objects
-    /// and lights of k+1, and each sees earlier agents already moved.
-    pub fn step(&mut self, ego: &EgoState, logged: &[TrackedObject], lights: &TrafficLights, dt: f64) {
-        self.open_loop = logged.iter().filter(|object| is_open_loop(object.kind)).copied().collect();
+    /// Moves the agents from iteration k to k+1, `dt` seconds later. As in nuPlan, they see the ego
+    /// at k but the logged objects and lights of k+1, and each sees earlier agents already moved.
+    pub fn step(
+        &mut self,
+        ego: &EgoState,
+        logged: &[TrackedObject],
+        lights: &TrafficLights,
+        dt: f64,
+    ) {
+        self.open_loop = logged
+            .iter()
+            .filter(|object| is_open_loop(object.kind))
+            .copied()
+            .collect();
         let center = ego.center().position();
-        self.agents.retain(|agent| (agent.pose().position() - center).norm() <= RADIUS);
+        self.agents
+            .retain(|agent| (agent.pose().position() - center).norm() <= RADIUS);
         let mut others = vec![Obstacle {
             footprint: Footprint::of_box(ego.footprint()),
             heading: ego.rear_axle.heading,
             speed: ego.speed(),
         }];
-        others.extend(self.open_loop.iter().map(|object| Obstacle::standing(Footprint::of_box(object.shape))));
+        others.extend(
+            self.open_loop
+                .iter()
+                .map(|object| Obstacle::standing(Footprint::of_box(object.shape))),
+        );
         for index in 0..self.agents.len() {
             self.agents[index].extend_route(&self.map, lights);
             let stop_lines = stop_lines_of(&self.map, &self.agents[index], lights);
@@ -108,18 +152,25 @@ impl IdmTraffic {
         }
     }
 
-    /// The nearest obstacle whose footprint meets the path of an agent; the distance is that between footprints.
+    /// The nearest obstacle whose footprint meets the path of an agent; the distance is that
+    /// between footprints.
     fn lead_of(&self, index: usize, others: &[Obstacle], stop_lines: &[Obstacle]) -> Option<Lead> {
         let agent = &self.agents[index];
         let fellows = self.agents.iter().enumerate().filter(|&(i, _)| i != index);
         let fellows = fellows.map(|(i, fellow)| (Seen::Agent(i), fellow.footprint()));
-        let rest = others.iter().chain(stop_lines).map(|other| (Seen::Obstacle(other), &other.footprint));
+        let rest = others
+            .iter()
+            .chain(stop_lines)
+            .map(|other| (Seen::Obstacle(other), &other.footprint));
         nearest_in_way(agent, fellows.chain(rest)).map(|(gap, seen)| {
             let (speed, direction) = match seen {
                 Seen::Agent(i) => (self.agents[i].speed(), self.agents[i].pose().heading),
                 Seen::Obstacle(other) => (other.speed, other.heading),
             };
-            Lead { gap, speed: speed * wrap_angle(direction - agent.pose().heading).cos() }
+            Lead {
+                gap,
+                speed: speed * wrap_angle(direction - agent.pose().heading).cos(),
+            }
         })
     }
 }

@@ -6,7 +6,14 @@ use proptest::prelude::*;
 const SIGNAL: LaneId = LaneId(1);
 
 fn crossing() -> Arc<LaneMap> {
-    Arc::new(straight_road(&[Stretch::Lane(120.0), Stretch::Signal(20.0), Stretch::Lane(200.0)], Some(12.0)))
+    Arc::new(straight_road(
+        &[
+            Stretch::Lane(120.0),
+            Stretch::Signal(20.0),
+            Stretch::Lane(200.0),
+        ],
+        Some(12.0),
+    ))
 }
 
 fn lights(status: SignalStatus) -> TrafficLights {
@@ -16,11 +23,17 @@ fn lights(status: SignalStatus) -> TrafficLights {
 /// An ego that is on the road map's far side, out of everybody's way but within the radius.
 fn bystander() -> EgoState {
     let ego = ego_at(0, 60.0, 0.0);
-    EgoState { rear_axle: crate::geometry::Pose::new(60.0, 40.0, 0.0), ..ego }
+    EgoState {
+        rear_axle: crate::geometry::Pose::new(60.0, 40.0, 0.0),
+        ..ego
+    }
 }
 
 fn vehicles(xs: &[f64], speed: f64) -> Vec<TrackedObject> {
-    xs.iter().enumerate().map(|(i, &x)| object(i as u32, ObjectKind::Vehicle, x, 0.3, speed)).collect()
+    xs.iter()
+        .enumerate()
+        .map(|(i, &x)| object(i as u32, ObjectKind::Vehicle, x, 0.3, speed))
+        .collect()
 }
 
 fn front(object: &TrackedObject) -> f64 {
@@ -39,16 +52,33 @@ fn vehicles_on_lanes_are_snapped_and_others_are_not_agents() {
         object(6, ObjectKind::Vehicle, 130.0, 0.0, 5.0),
     ];
     let traffic = IdmTraffic::new(&crossing(), &objects, &bystander());
-    let seen: Vec<(u32, ObjectKind)> = traffic.objects().iter().map(|o| (o.token.0, o.kind)).collect();
+    let seen: Vec<(u32, ObjectKind)> = traffic
+        .objects()
+        .iter()
+        .map(|o| (o.token.0, o.kind))
+        .collect();
     // 1 is off the road, 2 a bicycle, 4 meets 0, 5 meets the pedestrian, 6 is in the intersection.
-    assert_eq!(seen, [(0, ObjectKind::Vehicle), (6, ObjectKind::Vehicle), (3, ObjectKind::Pedestrian)]);
-    assert!(traffic.objects()[0].shape.center.y.abs() < 1e-12, "snapped to the centreline");
+    assert_eq!(
+        seen,
+        [
+            (0, ObjectKind::Vehicle),
+            (6, ObjectKind::Vehicle),
+            (3, ObjectKind::Pedestrian)
+        ]
+    );
+    assert!(
+        traffic.objects()[0].shape.center.y.abs() < 1e-12,
+        "snapped to the centreline"
+    );
 }
 
 #[test]
 fn a_vehicle_that_meets_the_ego_is_left_out() {
     let ego = ego_at(0, 30.0, 0.0);
-    assert_eq!(IdmTraffic::new(&crossing(), &vehicles(&[32.0, 60.0], 0.0), &ego).agent_count(), 1);
+    assert_eq!(
+        IdmTraffic::new(&crossing(), &vehicles(&[32.0, 60.0], 0.0), &ego).agent_count(),
+        1
+    );
 }
 
 #[test]
@@ -56,8 +86,12 @@ fn the_first_step_is_the_law_by_hand() {
     let mut traffic = IdmTraffic::new(&crossing(), &vehicles(&[30.0], 8.0), &bystander());
     traffic.step(&bystander(), &[], &lights(SignalStatus::Green), STEP_S);
     let moved = traffic.objects()[0];
-    assert!((moved.shape.center.x - 30.8).abs() < 1e-9, "moves with the old speed");
-    // 20 + 12·1.5 = 38 m of way are wanted and 89 are there, so the path ends at the lane's last vertex but one.
+    assert!(
+        (moved.shape.center.x - 30.8).abs() < 1e-9,
+        "moves with the old speed"
+    );
+    // 20 + 12·1.5 = 38 m of way are wanted and 89 are there, so the path ends at the lane's last
+    // vertex but one.
     let gap = 120.0 - BASELINE_SPACING - 30.0 - 2.3;
     let desired: f64 = 1.0 + 8.0 * 1.5 + 8.0 * 8.0 / (2.0 * 2.0f64.sqrt());
     let acceleration = 1.0 - (8.0f64 / 12.0).powi(4) - (desired / gap).powi(2);
@@ -78,7 +112,11 @@ fn the_second_of_two_follows_the_first_by_hand() {
 
 #[test]
 fn limits_are_inherited_by_those_without() {
-    let road = [Stretch::Lane(100.0), Stretch::Connector(60.0), Stretch::Lane(100.0)];
+    let road = [
+        Stretch::Lane(100.0),
+        Stretch::Connector(60.0),
+        Stretch::Lane(100.0),
+    ];
     let map = Arc::new(straight_road(&road, Some(20.0)));
     let on_connector = object(0, ObjectKind::Vehicle, 110.0, 0.0, 10.0);
     let on_lane = object(1, ObjectKind::Vehicle, 30.0, 0.0, 10.0);
@@ -86,11 +124,17 @@ fn limits_are_inherited_by_those_without() {
         let mut traffic = IdmTraffic::new(&map, objects, &bystander());
         traffic.step(&bystander(), &[], &TrafficLights::default(), STEP_S);
         let objects = traffic.objects();
-        objects.iter().find(|o| o.token.0 == 0).map(TrackedObject::speed).unwrap()
+        objects
+            .iter()
+            .find(|o| o.token.0 == 0)
+            .map(TrackedObject::speed)
+            .unwrap()
     };
-    // With the default target of 10 m/s, 35 m of way suffice and the path ends on the connector; with the inherited 20 m/s
-    // it continues on the next lane, whose limit then applies.
-    assert!(speed_after_a_step(&[on_connector]) < speed_after_a_step(&[on_lane, on_connector]) - 0.01);
+    // With the default target of 10 m/s, 35 m of way suffice and the path ends on the connector;
+    // with the inherited 20 m/s it continues on the next lane, whose limit then applies.
+    assert!(
+        speed_after_a_step(&[on_connector]) < speed_after_a_step(&[on_lane, on_connector]) - 0.01
+    );
 }
 
 #[test]
@@ -101,7 +145,11 @@ fn agents_stop_before_a_red_light_and_go_on_green() {
         traffic.step(&ego, &[], &lights(SignalStatus::Red), STEP_S);
     }
     let waiting = traffic.objects()[0];
-    assert!(waiting.speed() < 0.05 && front(&waiting) < 120.0 && front(&waiting) > 112.0, "{}", front(&waiting));
+    assert!(
+        waiting.speed() < 0.05 && front(&waiting) < 120.0 && front(&waiting) > 112.0,
+        "{}",
+        front(&waiting)
+    );
     for _ in 0..100 {
         traffic.step(&ego, &[], &lights(SignalStatus::Green), STEP_S);
     }
@@ -113,11 +161,19 @@ fn a_light_that_turns_red_stops_at_its_line() {
     let ego = bystander();
     let mut traffic = IdmTraffic::new(&crossing(), &vehicles(&[80.0], 6.0), &ego);
     for step in 0..200 {
-        let status = if step < 5 { SignalStatus::Green } else { SignalStatus::Red };
+        let status = if step < 5 {
+            SignalStatus::Green
+        } else {
+            SignalStatus::Red
+        };
         traffic.step(&ego, &[], &lights(status), STEP_S);
     }
     let waiting = traffic.objects()[0];
-    assert!(waiting.speed() < 0.05 && front(&waiting) < 119.0 && front(&waiting) > 115.0, "{}", front(&waiting));
+    assert!(
+        waiting.speed() < 0.05 && front(&waiting) < 119.0 && front(&waiting) > 115.0,
+        "{}",
+        front(&waiting)
+    );
 }
 
 #[test]
@@ -159,7 +215,11 @@ fn an_agent_rests_at_a_dead_end() {
         traffic.step(&bystander(), &[], &TrafficLights::default(), STEP_S);
     }
     let rest = traffic.objects()[0];
-    assert!(rest.speed() < 0.05 && front(&rest) < 59.5, "{}", front(&rest));
+    assert!(
+        rest.speed() < 0.05 && front(&rest) < 59.5,
+        "{}",
+        front(&rest)
+    );
 }
 
 #[test]
@@ -175,8 +235,20 @@ fn a_clone_goes_its_own_way() {
 /// The devkit's own check of its agents: 20 steps of 0.5 s, and no two footprints meet.
 #[test]
 fn no_two_agents_meet_under_the_law_of_the_devkit_test() {
-    let law = IdmParameters { target_velocity: 10.0, min_gap: 3.0, headway: 2.0, ..IDM_AGENT };
-    let map = Arc::new(straight_road(&[Stretch::Lane(120.0), Stretch::Signal(20.0), Stretch::Lane(200.0)], None));
+    let law = IdmParameters {
+        target_velocity: 10.0,
+        min_gap: 3.0,
+        headway: 2.0,
+        ..IDM_AGENT
+    };
+    let map = Arc::new(straight_road(
+        &[
+            Stretch::Lane(120.0),
+            Stretch::Signal(20.0),
+            Stretch::Lane(200.0),
+        ],
+        None,
+    ));
     for status in [SignalStatus::Green, SignalStatus::Red] {
         let objects = vehicles(&[90.0, 60.0, 40.0, 20.0], 5.0);
         let mut traffic = IdmTraffic::with_law(&map, &objects, &bystander(), law);
@@ -190,7 +262,12 @@ fn no_two_agents_meet_under_the_law_of_the_devkit_test() {
 fn assert_apart(objects: &[TrackedObject]) {
     for (i, a) in objects.iter().enumerate() {
         for b in &objects[i + 1..] {
-            assert!(!a.shape.overlaps(&b.shape), "{} and {} meet", a.token, b.token);
+            assert!(
+                !a.shape.overlaps(&b.shape),
+                "{} and {} meet",
+                a.token,
+                b.token
+            );
         }
     }
 }

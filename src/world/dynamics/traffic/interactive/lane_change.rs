@@ -28,14 +28,17 @@ struct OnLane {
 impl OnLane {
     /// The acceleration behind another vehicle, or on a free lane.
     fn behind(self, law: &IdmParameters, ahead: Option<Self>) -> f64 {
-        let lead = ahead
-            .map(|ahead| Lead { gap: ahead.s - self.s - f64::midpoint(ahead.length, self.length), speed: ahead.speed });
+        let lead = ahead.map(|ahead| Lead {
+            gap: ahead.s - self.s - f64::midpoint(ahead.length, self.length),
+            speed: ahead.speed,
+        });
         law.acceleration(self.speed, lead)
     }
 }
 
 impl InteractiveTraffic {
-    /// Lets a vehicle change lanes where it gains more than others lose, and where the follower can brake.
+    /// Lets a vehicle change lanes where it gains more than others lose, and where the follower can
+    /// brake.
     pub(super) fn consider_lane_change(&mut self, index: usize, ego: &EgoState, dt: f64) {
         let driver = &mut self.drivers[index];
         driver.patience_s -= dt;
@@ -43,12 +46,22 @@ impl InteractiveTraffic {
             return;
         }
         driver.patience_s = EVERY_S;
-        let Some(lane) = driver.agent.lane(&self.map).filter(|&lane| !self.map[lane].is_connector()) else { return };
+        let Some(lane) = driver
+            .agent
+            .lane(&self.map)
+            .filter(|&lane| !self.map[lane].is_connector())
+        else {
+            return;
+        };
         let center = self.drivers[index].agent.pose().position();
         let s = self.map[lane].centerline.project(center).s;
         let sides = [self.map[lane].left_at(s), self.map[lane].right_at(s)];
         let gain = |target: LaneId| Some((self.gain(index, lane, target, ego)?, target));
-        let best = sides.into_iter().flatten().filter_map(gain).max_by(|a, b| a.0.total_cmp(&b.0));
+        let best = sides
+            .into_iter()
+            .flatten()
+            .filter_map(gain)
+            .max_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((gain, target)) = best
             && gain > THRESHOLD
             && self.drivers[index].agent.change_lane(&self.map, target)
@@ -69,7 +82,9 @@ impl InteractiveTraffic {
         let (old_ahead, old_behind) = self.around(index, lane, own.s, ego);
         let (new_ahead, new_behind) = self.around(index, target, new.s, ego);
         let overlaps = |other: Option<OnLane>| {
-            other.is_some_and(|o| (o.s - new.s).abs() < f64::midpoint(o.length, new.length) + law.min_gap)
+            other.is_some_and(|o| {
+                (o.s - new.s).abs() < f64::midpoint(o.length, new.length) + law.min_gap
+            })
         };
         if overlaps(new_ahead) || overlaps(new_behind) {
             return None;
@@ -78,29 +93,62 @@ impl InteractiveTraffic {
         if follower_then.is_some_and(|acceleration| acceleration <= -MAX_BRAKING) {
             return None;
         }
-        let others = follower_then.zip(new_behind).map_or(0.0, |(then, f)| then - f.behind(law, new_ahead))
+        let others = follower_then
+            .zip(new_behind)
+            .map_or(0.0, |(then, f)| then - f.behind(law, new_ahead))
             + old_behind.map_or(0.0, |f| f.behind(law, old_ahead) - f.behind(law, Some(own)));
         Some(new.behind(law, new_ahead) - own.behind(law, old_ahead) + POLITENESS * others)
     }
 
     /// The nearest vehicles on a lane ahead of and behind a place.
-    fn around(&self, index: usize, lane: LaneId, s: f64, ego: &EgoState) -> (Option<OnLane>, Option<OnLane>) {
+    fn around(
+        &self,
+        index: usize,
+        lane: LaneId,
+        s: f64,
+        ego: &EgoState,
+    ) -> (Option<OnLane>, Option<OnLane>) {
         let others = self
             .drivers
             .iter()
             .enumerate()
             .filter(|&(i, _)| i != index)
-            .map(|(_, driver)| (driver.agent.pose().position(), driver.agent.speed(), driver.agent.length()));
-        let standing = self.others.iter().map(|o| (o.shape.center.position(), 0.0, o.shape.length));
+            .map(|(_, driver)| {
+                (
+                    driver.agent.pose().position(),
+                    driver.agent.speed(),
+                    driver.agent.length(),
+                )
+            });
+        let standing = self
+            .others
+            .iter()
+            .map(|o| (o.shape.center.position(), 0.0, o.shape.length));
         let ego = std::iter::once((ego.center().position(), ego.speed(), PACIFICA.length()));
         let on_lane = |(center, speed, length): (Point, f64, f64)| {
             let foot = self.map[lane].centerline.project(center);
             let is_on = self.map[lane].polygon.contains(center) && (foot.s - s).abs() < REACH;
-            is_on.then_some(OnLane { s: foot.s, speed, length })
+            is_on.then_some(OnLane {
+                s: foot.s,
+                speed,
+                length,
+            })
         };
-        let all: Vec<OnLane> = others.chain(standing).chain(ego).filter_map(on_lane).collect();
-        let ahead = all.iter().copied().filter(|o| o.s >= s).min_by(|a, b| a.s.total_cmp(&b.s));
-        let behind = all.iter().copied().filter(|o| o.s < s).max_by(|a, b| a.s.total_cmp(&b.s));
+        let all: Vec<OnLane> = others
+            .chain(standing)
+            .chain(ego)
+            .filter_map(on_lane)
+            .collect();
+        let ahead = all
+            .iter()
+            .copied()
+            .filter(|o| o.s >= s)
+            .min_by(|a, b| a.s.total_cmp(&b.s));
+        let behind = all
+            .iter()
+            .copied()
+            .filter(|o| o.s < s)
+            .max_by(|a, b| a.s.total_cmp(&b.s));
         (ahead, behind)
     }
 }

@@ -1,15 +1,21 @@
-//! Reactive traffic of modified scenarios: vehicles with a behavior towards the ego, vehicles that never move, and actors
-//! whose crossing the ego's progress triggers (interPlan `idm_modified_agent_manager.py`, `agents_modifier.py`).
+//! Reactive traffic of modified scenarios: vehicles with a behavior towards the ego, vehicles that
+//! never move, and actors whose crossing the ego's progress triggers (interPlan
+//! `idm_modified_agent_manager.py`, `agents_modifier.py`).
 
 mod lane_change;
 mod way;
 
 use super::agent::IdmAgent;
 use super::footprint::Footprint;
-use super::{IDM_AGENT, Obstacle, RADIUS, Seen, build, is_open_loop, nearest_in_way, stop_lines_of};
+use super::{
+    IDM_AGENT, Obstacle, RADIUS, Seen, build, is_open_loop, nearest_in_way, stop_lines_of,
+};
 use crate::dynamics::idm::Lead;
 use crate::geometry::{Point, wrap_angle};
-use crate::{CrossingActor, DriverBehavior, EgoState, Interaction, LaneMap, TrackToken, TrackedObject, TrafficLights};
+use crate::{
+    CrossingActor, DriverBehavior, EgoState, Interaction, LaneMap, TrackToken, TrackedObject,
+    TrafficLights,
+};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -29,7 +35,10 @@ pub struct CrossingActors {
 impl CrossingActors {
     /// All of them, unseen; the ego at its start triggers those that are near.
     pub fn new(all: &[CrossingActor], ego: &EgoState) -> Self {
-        let mut crossing = Self { all: all.into(), since_s: vec![None; all.len()] };
+        let mut crossing = Self {
+            all: all.into(),
+            since_s: vec![None; all.len()],
+        };
         crossing.trigger(ego);
         crossing
     }
@@ -53,7 +62,10 @@ impl CrossingActors {
 
     /// Those on the road now.
     pub fn objects(&self) -> impl Iterator<Item = TrackedObject> + '_ {
-        self.all.iter().zip(&self.since_s).filter_map(|(actor, since)| Some(actor.after((*since)?)))
+        self.all
+            .iter()
+            .zip(&self.since_s)
+            .filter_map(|(actor, since)| Some(actor.after((*since)?)))
     }
 
     /// Whether a track is one of them, seen or not.
@@ -87,44 +99,77 @@ pub struct InteractiveTraffic {
 
 impl InteractiveTraffic {
     /// The traffic at iteration 0, from the objects and the ego of that instant.
-    pub fn new(map: &Arc<LaneMap>, objects: &[TrackedObject], ego: &EgoState, interaction: &Interaction) -> Self {
+    pub fn new(
+        map: &Arc<LaneMap>,
+        objects: &[TrackedObject],
+        ego: &EgoState,
+        interaction: &Interaction,
+    ) -> Self {
         let crossing = CrossingActors::new(&interaction.crossing, ego);
         let standing = interaction.standing.clone();
         let others = others(objects, &standing, &crossing);
         let drives = |o: &&TrackedObject| !standing.contains(&o.token) && !crossing.has(o.token);
         let moving: Vec<TrackedObject> = objects.iter().filter(drives).copied().collect();
         let agents = build::agents(map, &moving, &others, ego, IDM_AGENT);
-        let behavior =
-            |token: TrackToken| match interaction.behaviors.get(&token).copied().unwrap_or(interaction.behavior) {
-                DriverBehavior::Mixed if coin(interaction.seed, token) => DriverBehavior::Assertive,
-                DriverBehavior::Mixed => DriverBehavior::Cautious,
-                behavior => behavior,
-            };
+        let behavior = |token: TrackToken| match interaction
+            .behaviors
+            .get(&token)
+            .copied()
+            .unwrap_or(interaction.behavior)
+        {
+            DriverBehavior::Mixed if coin(interaction.seed, token) => DriverBehavior::Assertive,
+            DriverBehavior::Mixed => DriverBehavior::Cautious,
+            behavior => behavior,
+        };
         let driver = |agent: IdmAgent| {
             let token = agent.token();
-            Driver { behavior: behavior(token), halts: interaction.halting.contains(&token), patience_s: 0.0, agent }
+            Driver {
+                behavior: behavior(token),
+                halts: interaction.halting.contains(&token),
+                patience_s: 0.0,
+                agent,
+            }
         };
         let drivers = agents.into_iter().map(driver).collect();
         let lane_changes = interaction.lane_changes;
-        Self { map: Arc::clone(map), drivers, standing, lane_changes, others, crossing }
+        Self {
+            map: Arc::clone(map),
+            drivers,
+            standing,
+            lane_changes,
+            others,
+            crossing,
+        }
     }
 
     /// The objects now: the reactive vehicles, what stands, the logged objects, those that cross.
     pub fn objects(&self) -> Arc<[TrackedObject]> {
         let drivers = self.drivers.iter().map(|driver| driver.agent.object());
-        drivers.chain(self.others.iter().copied()).chain(self.crossing.objects()).collect()
+        drivers
+            .chain(self.others.iter().copied())
+            .chain(self.crossing.objects())
+            .collect()
     }
 
-    /// Moves from iteration k to k+1, `dt` seconds later, with the ego at k and the logged objects and lights of k+1, as nuPlan's
-    /// agents do.
-    pub fn step(&mut self, ego: &EgoState, logged: &[TrackedObject], lights: &TrafficLights, dt: f64) {
+    /// Moves from iteration k to k+1, `dt` seconds later, with the ego at k and the logged objects
+    /// and lights of k+1, as nuPlan's agents do.
+    pub fn step(
+        &mut self,
+        ego: &EgoState,
+        logged: &[TrackedObject],
+        lights: &TrafficLights,
+        dt: f64,
+    ) {
         self.others = others(logged, &self.standing, &self.crossing);
         self.crossing.step(ego, dt);
         let center = ego.center().position();
-        self.drivers.retain(|driver| (driver.agent.pose().position() - center).norm() <= RADIUS);
+        self.drivers
+            .retain(|driver| (driver.agent.pose().position() - center).norm() <= RADIUS);
         let way = EgoWay::new(ego);
         let things = self.others.iter().copied().chain(self.crossing.objects());
-        let things: Vec<Obstacle> = things.map(|o| Obstacle::standing(Footprint::of_box(o.shape))).collect();
+        let things: Vec<Obstacle> = things
+            .map(|o| Obstacle::standing(Footprint::of_box(o.shape)))
+            .collect();
         for index in 0..self.drivers.len() {
             self.drivers[index].agent.extend_route(&self.map, lights);
             if self.lane_changes {
@@ -143,28 +188,57 @@ impl InteractiveTraffic {
         things: &[Obstacle],
         stop_lines: &[Obstacle],
     ) -> Option<Lead> {
-        let Driver { agent, behavior, halts, .. } = &self.drivers[index];
+        let Driver {
+            agent,
+            behavior,
+            halts,
+            ..
+        } = &self.drivers[index];
         let speed = if *halts { 0.0 } else { ego.speed() };
         let heading = ego.rear_axle.heading;
-        let mut of_ego = vec![Obstacle { footprint: Footprint::of_box(ego.footprint()), heading, speed }];
+        let mut of_ego = vec![Obstacle {
+            footprint: Footprint::of_box(ego.footprint()),
+            heading,
+            speed,
+        }];
         if way.counts_for(&self.map, agent, *behavior, ego) {
-            of_ego.push(Obstacle { footprint: way.footprint().clone(), heading, speed });
+            of_ego.push(Obstacle {
+                footprint: way.footprint().clone(),
+                heading,
+                speed,
+            });
         }
         let fellows = self.drivers.iter().enumerate().filter(|&(i, _)| i != index);
         let fellows = fellows.map(|(i, fellow)| (Seen::Agent(i), fellow.agent.footprint()));
-        let rest = of_ego.iter().chain(things).chain(stop_lines).map(|one| (Seen::Obstacle(one), &one.footprint));
+        let rest = of_ego
+            .iter()
+            .chain(things)
+            .chain(stop_lines)
+            .map(|one| (Seen::Obstacle(one), &one.footprint));
         let (gap, seen) = nearest_in_way(agent, fellows.chain(rest))?;
         let (speed, direction) = match seen {
-            Seen::Agent(i) => (self.drivers[i].agent.speed(), self.drivers[i].agent.pose().heading),
+            Seen::Agent(i) => (
+                self.drivers[i].agent.speed(),
+                self.drivers[i].agent.pose().heading,
+            ),
             Seen::Obstacle(other) => (other.speed, other.heading),
         };
-        Some(Lead { gap, speed: speed * wrap_angle(direction - agent.pose().heading).cos() })
+        Some(Lead {
+            gap,
+            speed: speed * wrap_angle(direction - agent.pose().heading).cos(),
+        })
     }
 }
 
 /// What stands, and the logged objects of open-loop kinds.
-fn others(objects: &[TrackedObject], standing: &BTreeSet<TrackToken>, crossing: &CrossingActors) -> Vec<TrackedObject> {
-    let is_other = |o: &&TrackedObject| (standing.contains(&o.token) || is_open_loop(o.kind)) && !crossing.has(o.token);
+fn others(
+    objects: &[TrackedObject],
+    standing: &BTreeSet<TrackToken>,
+    crossing: &CrossingActors,
+) -> Vec<TrackedObject> {
+    let is_other = |o: &&TrackedObject| {
+        (standing.contains(&o.token) || is_open_loop(o.kind)) && !crossing.has(o.token)
+    };
     objects.iter().filter(is_other).copied().collect()
 }
 

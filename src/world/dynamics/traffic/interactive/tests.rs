@@ -3,8 +3,8 @@
 use super::{EgoWay, Footprint, InteractiveTraffic};
 use crate::geometry::{OrientedBox, Point, Pose, Vector};
 use crate::{
-    DriverBehavior, EgoState, Interaction, Lane, LaneMap, MapBuilder, MapParts, ObjectKind, PACIFICA, TrackToken,
-    TrackedObject, TrafficLights,
+    DriverBehavior, EgoState, Interaction, Lane, LaneMap, MapBuilder, MapParts, ObjectKind,
+    PACIFICA, TrackToken, TrackedObject, TrafficLights,
 };
 use serde_json::Value;
 use std::path::Path;
@@ -21,32 +21,54 @@ fn numbers(value: &Value) -> Vec<f64> {
 }
 
 fn vectors(name: &str) -> Value {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/vectors/interplan").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../tests/fixtures/vectors/interplan")
+        .join(name);
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
 fn ego(values: &[f64]) -> EgoState {
     let center = Pose::new(values[0], values[1], values[2]);
-    EgoState::from_log(0, PACIFICA.rear_axle_of(center), Vector::new(values[3], 0.0), Vector::zeros())
+    EgoState::from_log(
+        0,
+        PACIFICA.rear_axle_of(center),
+        Vector::new(values[3], 0.0),
+        Vector::zeros(),
+    )
 }
 
-/// The roads of the file: two lanes from left to right, an oncoming lane, and a connector across, with a vertex every meter.
+/// The roads of the file: two lanes from left to right, an oncoming lane, and a connector across,
+/// with a vertex every meter.
 fn world() -> Arc<LaneMap> {
     let mut map = MapBuilder::default();
-    let line = |from: (f64, f64), to: (f64, f64)| [Point::new(from.0, from.1), Point::new(to.0, to.1)];
+    let line =
+        |from: (f64, f64), to: (f64, f64)| [Point::new(from.0, from.1), Point::new(to.0, to.1)];
     let mut lane = |from, to| map.lane(line(from, to), 3.5, Some(13.41)).unwrap();
-    let a = [lane((0.0, 0.0), (150.0, 0.0)), lane((0.0, -3.5), (150.0, -3.5))];
-    let b = [lane((150.0, 0.0), (300.0, 0.0)), lane((150.0, -3.5), (300.0, -3.5))];
+    let a = [
+        lane((0.0, 0.0), (150.0, 0.0)),
+        lane((0.0, -3.5), (150.0, -3.5)),
+    ];
+    let b = [
+        lane((150.0, 0.0), (300.0, 0.0)),
+        lane((150.0, -3.5), (300.0, -3.5)),
+    ];
     lane((150.0, 3.5), (0.0, 3.5));
-    let x = map.connector(line((60.0, -60.0), (60.0, 60.0)), 3.5).unwrap();
+    let x = map
+        .connector(line((60.0, -60.0), (60.0, 60.0)), 3.5)
+        .unwrap();
     map.parts.lanes[x.index()].speed_limit = Some(8.0);
-    map.parts.intersections.push(map.parts.lanes[x.index()].polygon.clone());
+    map.parts
+        .intersections
+        .push(map.parts.lanes[x.index()].polygon.clone());
     map.abreast(&a);
     map.abreast(&b);
     map.connect(a[0], b[0]);
     map.connect(a[1], b[1]);
     let built = map.finish().unwrap();
-    let sparse = |lane: &Lane| Lane { centerline: lane.centerline.resampled(1.0), ..lane.clone() };
+    let sparse = |lane: &Lane| Lane {
+        centerline: lane.centerline.resampled(1.0),
+        ..lane.clone()
+    };
     let parts = MapParts {
         lanes: built.lanes().iter().map(sparse).collect(),
         roadblocks: built.roadblocks().to_vec(),
@@ -70,34 +92,63 @@ fn vehicles_yield_to_the_ego_as_interplans_do() {
             _ => continue,
         };
         // Stopped and logged cars are not reactive here: the simulation takes them from elsewhere.
-        if list(&row["cars"]).any(|car| car["behavior"] != "default" && car["behavior"] != "cautious") {
+        if list(&row["cars"])
+            .any(|car| car["behavior"] != "default" && car["behavior"] != "cautious")
+        {
             continue;
         }
         let ego = ego(&numbers(&row["ego_center_pose_speed"]));
-        let mut interaction = Interaction { behavior: mode, ..Interaction::default() };
+        let mut interaction = Interaction {
+            behavior: mode,
+            ..Interaction::default()
+        };
         let mut objects = Vec::new();
         for (place, car) in list(&row["cars"]).enumerate() {
             let (token, pose) = (TrackToken(place as u32), numbers(&car["pose"]));
             let center = Pose::new(pose[0], pose[1], pose[2]);
             let shape = OrientedBox::new(center, 4.5, 2.0);
             let velocity = center.direction() * car["v"].as_f64().unwrap();
-            objects.push(TrackedObject { token, kind: ObjectKind::Vehicle, shape, velocity });
+            objects.push(TrackedObject {
+                token,
+                kind: ObjectKind::Vehicle,
+                shape,
+                velocity,
+            });
             if car["behavior"] == "cautious" {
                 interaction.halting.insert(token);
             }
         }
         let mut traffic = InteractiveTraffic::new(&map, &objects, &ego, &interaction);
         let built = row["built"].as_object().unwrap();
-        assert_eq!(traffic.objects().len(), built.len(), "{} {}", row["name"], row["mode"]);
+        assert_eq!(
+            traffic.objects().len(),
+            built.len(),
+            "{} {}",
+            row["name"],
+            row["mode"]
+        );
         for step in list(&row["steps"]) {
             traffic.step(&ego, &[], &TrafficLights::default(), 0.1);
             for (name, after) in step["after"].as_object().unwrap() {
                 let token = TrackToken(name[1..].parse().unwrap());
                 let theirs = numbers(after);
-                let object = traffic.objects().iter().find(|object| object.token == token).copied().unwrap();
+                let object = traffic
+                    .objects()
+                    .iter()
+                    .find(|object| object.token == token)
+                    .copied()
+                    .unwrap();
                 let (place, speed) = (object.shape.center, object.speed());
-                let off = (place.x - theirs[2]).abs().max((place.y - theirs[3]).abs()).max((speed - theirs[1]).abs());
-                assert!(off < MAX_ERROR, "{} {}: {off} {object:?} {theirs:?}", row["name"], row["mode"]);
+                let off = (place.x - theirs[2])
+                    .abs()
+                    .max((place.y - theirs[3]).abs())
+                    .max((speed - theirs[1]).abs());
+                assert!(
+                    off < MAX_ERROR,
+                    "{} {}: {off} {object:?} {theirs:?}",
+                    row["name"],
+                    row["mode"]
+                );
                 steps += 1;
             }
         }
@@ -115,9 +166,14 @@ fn the_way_of_the_ego_is_interplans() {
             continue;
         }
         let way = EgoWay::new(&ego(&[center[0], center[1], center[2], velocity[0]]));
-        let corners: Vec<Point> =
-            list(&row["exterior"]).map(numbers).map(|point| Point::new(point[0], point[1])).collect();
-        let middle = corners.iter().fold(Vector::zeros(), |sum, corner| sum + corner.coords) / corners.len() as f64;
+        let corners: Vec<Point> = list(&row["exterior"])
+            .map(numbers)
+            .map(|point| Point::new(point[0], point[1]))
+            .collect();
+        let middle = corners
+            .iter()
+            .fold(Vector::zeros(), |sum, corner| sum + corner.coords)
+            / corners.len() as f64;
         let distance = |point: Point| {
             let probe = OrientedBox::new(Pose::at(point, 0.0), 1e-9, 1e-9);
             way.footprint().distance(&Footprint::of_box(probe))

@@ -1,5 +1,5 @@
-//! The way of the ego in the next seconds, and which vehicles yield to it (interPlan `agent_utils.py`,
-//! `idm_modified_agent_manager.py`).
+//! The way of the ego in the next seconds, and which vehicles yield to it (interPlan
+//! `agent_utils.py`, `idm_modified_agent_manager.py`).
 
 use super::super::agent::IdmAgent;
 use super::super::footprint::Footprint;
@@ -34,36 +34,55 @@ impl EgoWay {
     }
 
     /// Whether the way is an obstacle for a vehicle.
-    pub(super) fn counts_for(&self, map: &LaneMap, agent: &IdmAgent, behavior: DriverBehavior, ego: &EgoState) -> bool {
+    pub(super) fn counts_for(
+        &self,
+        map: &LaneMap,
+        agent: &IdmAgent,
+        behavior: DriverBehavior,
+        ego: &EgoState,
+    ) -> bool {
         let center = ego.center().position();
-        // interPlan fails where the center of a vehicle lies in no lane of its route. Here such a vehicle sees the box alone.
-        let Some(lane) = lane_of(map, agent) else { return false };
+        // interPlan fails where the center of a vehicle lies in no lane of its route. Here such a
+        // vehicle sees the box alone.
+        let Some(lane) = lane_of(map, agent) else {
+            return false;
+        };
         if map[lane].polygon.contains(center) {
             return false;
         }
         if map.roadblock_holds(map[lane].roadblock, center) {
             return !is_behind(center, agent) && behavior != DriverBehavior::Assertive;
         }
-        behavior != DriverBehavior::Default && !self.footprint.meets(&Footprint::of_box(agent.shape()))
+        behavior != DriverBehavior::Default
+            && !self.footprint.meets(&Footprint::of_box(agent.shape()))
     }
 }
 
 /// The lane of an agent's route that holds its center.
 fn lane_of(map: &LaneMap, agent: &IdmAgent) -> Option<LaneId> {
     let center = agent.pose().position();
-    agent.route().find(|&lane| map[lane].polygon.contains(center))
+    agent
+        .route()
+        .find(|&lane| map[lane].polygon.contains(center))
 }
 
-/// From the rear end through the box and on at constant velocity, longer by half a width at both ends: shapely's square caps.
+/// From the rear end through the box and on at constant velocity, longer by half a width at both
+/// ends: shapely's square caps.
 fn line(center: Pose, velocity: crate::geometry::Vector, length: f64) -> Vec<Pose> {
     let (half, cap) = (length / 2.0, PACIFICA.width / 2.0);
     let front = center.translated(half, 0.0);
     let moved = center.rotate(velocity) * HORIZON_S;
-    let mut points: Vec<Point> = vec![center.translated(-half - cap, 0.0).position(), front.position()];
+    let mut points: Vec<Point> = vec![
+        center.translated(-half - cap, 0.0).position(),
+        front.position(),
+    ];
     if moved.norm() > f64::EPSILON {
         points.push(front.position() + moved + moved.normalize() * cap);
     } else {
         points[1] = center.translated(half + cap, 0.0).position();
     }
-    points.into_iter().map(|point| Pose::at(point, center.heading)).collect()
+    points
+        .into_iter()
+        .map(|point| Pose::at(point, center.heading))
+        .collect()
 }
