@@ -110,11 +110,11 @@ pub mod sources {
     };
 }
 
-/// Runs of many simulations in a folder, resumed after an interruption, and the experiments that
+/// Runs of many simulations in a folder, resumed after an interruption, and the studies that
 /// compare them.
 #[cfg(feature = "report")]
 pub mod runs {
-    pub use planagent_lab::experiments::{Experiments, ExperimentsRequest};
+    pub use planagent_lab::studies::{Studies, StudiesRequest};
     pub use planagent_runs::runner::{Config, Event, Listener, Request, RunResults, resume, start};
     pub use planagent_runs::worker::StopSwitch;
 }

@@ -95,7 +95,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["bench", "dataset", "tokens"],
             &["realism", "twins"],
             &["report"],
-            &["experiments"],
+            &["studies"],
         ],
     ),
     ("runs", &[&["worker"], &["report"], &["runner"]]),

@@ -90,7 +90,7 @@ fn a_monitored_plan_is_executed_itself_or_in_one_of_its_versions() {
     assert!(first < compared, "{first} {compared}");
 }
 
-/// A vehicle that stands across `width` metres.
+/// A vehicle that stands across `width` meters.
 fn standing(at: Pose, width: f64) -> TrackedObject {
     let (token, velocity) = (TrackToken(9999), Vector::zeros());
     TrackedObject {
@@ -217,10 +217,10 @@ fn a_monitored_plan_stops_only_in_danger_and_only_if_it_may() {
     let graph = LaneGraph::build(&before, DEFAULT_NODE_LENGTH).unwrap();
     let planner = planner_at(&drive, &graph, 12.0, LeadPolicy::Nearest);
     // A wall across all lanes, so far from the rear axle.
-    let choose = |metres, emergency_brake| {
+    let choose = |meters, emergency_brake| {
         let at = planner
             .path()
-            .smooth_pose_at(planner.path().project(ego.rear_axle.position()).s + metres);
+            .smooth_pose_at(planner.path().project(ego.rear_axle.position()).s + meters);
         let objects = [standing(at, 30.0)];
         let scene = SceneView {
             ego: &ego,
@@ -247,7 +247,7 @@ fn a_monitored_plan_stops_only_in_danger_and_only_if_it_may() {
     // Farther away they do, but the time to collision is short.
     let near = (17..40)
         .map(f64::from)
-        .find(|&metres| choose(metres, false).score > 0.0)
+        .find(|&meters| choose(meters, false).score > 0.0)
         .unwrap();
     let (stops, drives) = (choose(near, true), choose(near, false));
     assert_eq!(stops.version, Version::STOP);

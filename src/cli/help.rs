@@ -1,8 +1,8 @@
 //! Help texts: what the registries hold, and examples.
 
-use super::args::ALL_EXPERIMENTS;
+use super::args::ALL_STUDIES;
 use planagent_agent::planner::PlannerName;
-use planagent_lab::experiments::{TOKENS, TWINS};
+use planagent_lab::studies::{TOKENS, TWINS};
 use planagent_lab::study;
 use planagent_planners::all_planners;
 use planagent_runs::runner::build_commit;
@@ -73,14 +73,14 @@ pub(super) fn splits() -> String {
     )
 }
 
-pub(super) fn experiments_short() -> String {
-    format!("A study, {TOKENS}, {TWINS}, {ALL_EXPERIMENTS}, or the path of a study FILE.toml")
+pub(super) fn studies_short() -> String {
+    format!("A study, {TOKENS}, {TWINS}, {ALL_STUDIES}, or the path of a study FILE.toml")
 }
 
-pub(super) fn experiments() -> String {
+pub(super) fn studies() -> String {
     let names: Vec<&str> = study::names().chain([TOKENS, TWINS]).collect();
     format!(
-        "{}; {ALL_EXPERIMENTS} for all of these; or the path of a study FILE.toml",
+        "{}; {ALL_STUDIES} for all of these; or the path of a study FILE.toml",
         names.join(", ")
     )
 }
@@ -90,7 +90,7 @@ Examples:
   planagent simulate
   planagent report --open
   planagent simulate --split generated --limit 28 --planner plan-agent,idm
-  planagent experiment main --quick
+  planagent study main --quick
 
 Exit codes: 0 success; 1 a simulation, call or check failed; 2 wrong input.";
 
@@ -162,12 +162,12 @@ pub(super) const DATASET: &str = "\
 Example:
   planagent dataset --out data --states 300 --validation 50";
 
-pub(super) const EXPERIMENT: &str = "\
+pub(super) const STUDY: &str = "\
 Examples:
-  planagent experiment main --quick
-  planagent experiment environment --suite generated-test14
-  planagent experiment main --suite recorded --scenario folder/of/recordings
-  planagent experiment my_study.toml";
+  planagent study main --quick
+  planagent study environment --suite generated-test14
+  planagent study main --suite recorded --scenario folder/of/recordings
+  planagent study my_study.toml";
 
 pub(super) const BENCH: &str = "\
 Examples:

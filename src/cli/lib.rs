@@ -92,7 +92,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
         Command::Models(command) => commands::models::run(command, config, printer),
         Command::Dataset(flags) => commands::dataset::run(flags, config, printer),
-        Command::Experiment(flags) => commands::experiment::run(flags, config, printer),
+        Command::Study(flags) => commands::study::run(flags, config, printer),
         Command::Bench(flags) => commands::bench::run(flags, config, printer),
         Command::Config(_) => commands::config::run(&settings, printer),
         Command::Completions { shell } => commands::completions::run(*shell, printer),

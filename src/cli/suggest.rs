@@ -163,7 +163,7 @@ fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
     }
     if let Some(StudyError::Unknown { word, known }) = error.downcast_ref() {
         return Some(Mistyped {
-            what: "experiment",
+            what: "study",
             name: word.clone(),
             known: listed(known),
         });

@@ -212,9 +212,9 @@ impl LaneMap {
 /// Misfit of a lane and a pose, meters: distance to the centerline plus weighted heading error.
 fn misfit(lane: &Lane, pose: Pose) -> f64 {
     /// A radian of heading error weighs as much as this many meters beside the line: a lane width.
-    const METRES_PER_RADIAN: f64 = 3.5;
+    const METERS_PER_RADIAN: f64 = 3.5;
     let foot = lane.centerline.project(pose.position());
-    foot.distance + METRES_PER_RADIAN * wrap_angle(foot.heading - pose.heading).abs()
+    foot.distance + METERS_PER_RADIAN * wrap_angle(foot.heading - pose.heading).abs()
 }
 
 #[cfg(test)]

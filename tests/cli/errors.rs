@@ -111,9 +111,9 @@ const WRONG: &[&[&str]] = &[
         "--twins",
         "2",
     ],
-    &["experiment", "foo"],
-    &["experiment", "scenario-type"],
-    &["experiment", "recorded"],
+    &["study", "foo"],
+    &["study", "scenario-type"],
+    &["study", "recorded"],
     &["models", "fetch", "nnao"],
     &["report"],
     &["report", "nowhere"],
@@ -159,7 +159,7 @@ fn every_error_quotes_names_alike() {
             &["simulate", "--scenario", "generated/flying/1"],
             "'flying'",
         ),
-        (&["experiment", "foo"], "'foo'"),
+        (&["study", "foo"], "'foo'"),
         (&["simulate", "--type", "flying"], "'flying'"),
     ] {
         let (_, error) = error(work.path(), arguments);

@@ -256,7 +256,7 @@ fn a_run_is_never_resumed_with_a_command_that_was_not_given_again() -> Needy {
 }
 
 #[test]
-fn an_experiment_compares_a_command() -> Needy {
+fn a_study_compares_a_command() -> Needy {
     let python = python()?;
     let work = TempDir::new().unwrap();
     let study = work.path().join("mine.toml");
@@ -268,7 +268,7 @@ fn an_experiment_compares_a_command() -> Needy {
     fs::write(&study, text).unwrap();
     let out = work.path().join("out");
     let flags = [
-        "experiment",
+        "study",
         study.to_str().unwrap(),
         "--scenario",
         SCENE,

@@ -27,7 +27,7 @@ pub(super) const COMMANDS: [&str; 27] = [
     "models fetch",
     "models quantize",
     "dataset",
-    "experiment",
+    "study",
     "bench",
     "config",
     "completions",
@@ -106,13 +106,7 @@ fn options_about_models_stand_only_where_a_model_is_used() {
         let words: Vec<&str> = command.split_whitespace().chain(["--help"]).collect();
         let text = run(&words).1;
         let uses = [
-            "simulate",
-            "plan",
-            "ask",
-            "dataset",
-            "experiment",
-            "bench",
-            "config",
+            "simulate", "plan", "ask", "dataset", "study", "bench", "config",
         ]
         .contains(&command);
         assert_eq!(text.contains("--model <MODEL>"), uses, "{command}");

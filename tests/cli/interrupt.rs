@@ -67,16 +67,16 @@ fn an_interrupted_run_says_how_it_goes_on() {
         stderr.ends_with("interrupted; `planagent simulate --resume runs/0001` goes on\n"),
         "{stderr}"
     );
-    let experiment = [
-        "experiment",
+    let study = [
+        "study",
         "main",
         "--suite",
         "generated-test14",
         "--quick",
         "--out",
-        "experiments",
+        "studies",
     ];
-    let stderr = interrupted(work.path(), &experiment, "experiments/runs");
+    let stderr = interrupted(work.path(), &study, "studies/runs");
     assert!(
         stderr.ends_with("interrupted; the same command goes on\n"),
         "{stderr}"

@@ -744,7 +744,7 @@ fn the_example_configuration_shows_every_default() {
 
 /// Help names what the registries hold.
 #[test]
-fn help_lists_planners_suites_and_experiments_with_their_sizes() {
+fn help_lists_planners_suites_and_studies_with_their_sizes() {
     let help = |command: &str| {
         run(&[command, "--help"])
             .1
@@ -764,10 +764,9 @@ fn help_lists_planners_suites_and_experiments_with_their_sizes() {
         simulate.contains("val14") && simulate.contains("dtpp-small [default: plan-agent]. Or"),
         "{simulate}"
     );
-    let experiment = help("experiment");
+    let study = help("study");
     assert!(
-        experiment
-            .contains("latency-aware, recorded, interactive, tokens, twins; all for all of these"),
-        "{experiment}"
+        study.contains("latency-aware, recorded, interactive, tokens, twins; all for all of these"),
+        "{study}"
     );
 }

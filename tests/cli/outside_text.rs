@@ -89,7 +89,7 @@ fn a_huge_file_of_settings_is_refused_by_its_size_and_a_long_line_is_cut() {
     }
     for command in [
         &["--config", &config, "simulate"][..],
-        &["experiment", &study],
+        &["study", &study],
         &["simulate", "--split", &filter],
     ] {
         let said = refused(command);
@@ -100,7 +100,7 @@ fn a_huge_file_of_settings_is_refused_by_its_size_and_a_long_line_is_cut() {
     fs::write(&filter, format!("{}: 3\n", "x".repeat(500_000))).unwrap();
     for command in [
         &["--config", &config, "simulate"][..],
-        &["experiment", &study],
+        &["study", &study],
         &["simulate", "--split", &filter],
     ] {
         let said = refused(command);

@@ -42,8 +42,8 @@ fn without_a_run_the_last_one_is_taken() {
     for _ in 0..2 {
         assert_eq!(run_in(work.path(), &SIMULATE).0, 0);
     }
-    // An experiment's folder is none of the numbered runs.
-    fs::create_dir(work.path().join("runs/experiments")).unwrap();
+    // A study's folder is none of the numbered runs.
+    fs::create_dir(work.path().join("runs/studies")).unwrap();
     let (code, stdout, stderr) = run_in(work.path(), &["report"]);
     assert_eq!(code, 0, "{stderr}");
     assert!(
@@ -240,13 +240,7 @@ fn outputs_that_cannot_be_written_are_found_before_a_model_is_loaded() {
         &["plan", "--image", "/proc/scene.png"],
         &["ask", "what?", "--image", "/proc/scene.png"],
         &["dataset", "--driven", "--out", "/proc/data"],
-        &[
-            "experiment",
-            "main",
-            "--quick",
-            "--out",
-            "/proc/experiments",
-        ],
+        &["study", "main", "--quick", "--out", "/proc/studies"],
         &["bench", "--out", "/proc/bench"],
         &[
             "bench",

@@ -57,7 +57,7 @@ fn open(place: &str, text: &str) {
     opened.unwrap_or_else(|error| panic!("{place}: {error}"));
 }
 
-/// Parses a study as `planagent experiment FILE.toml` does.
+/// Parses a study as `planagent study FILE.toml` does.
 fn parse_study(place: &str, text: &str) {
     let folder = TempDir::new().unwrap();
     let file = folder.path().join("study.toml");

@@ -90,7 +90,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/learned.md",
-        "planagent experiment main --quick --suite generated-test14,generated-test14-hard,recorded",
+        "planagent study main --quick --suite generated-test14,generated-test14-hard,recorded",
         CHECKPOINT,
     ),
     (
@@ -118,35 +118,31 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "planagent simulate --model path/to/description.toml",
         SERVER,
     ),
-    ("docs/experiments.md", "planagent experiment main", HOURS),
+    ("docs/studies.md", "planagent study main", HOURS),
+    ("docs/studies.md", "planagent study all --quick", HOURS),
     (
-        "docs/experiments.md",
-        "planagent experiment all --quick",
+        "docs/studies.md",
+        "planagent study environment --suite generated-test14",
         HOURS,
     ),
     (
-        "docs/experiments.md",
-        "planagent experiment environment --suite generated-test14",
+        "docs/studies.md",
+        "planagent study main --suite recorded --scenario folder/of/recordings",
         HOURS,
     ),
     (
-        "docs/experiments.md",
-        "planagent experiment main --suite recorded --scenario folder/of/recordings",
-        HOURS,
-    ),
-    (
-        "docs/experiments.md",
-        "NUPLAN_DATA_ROOT=… NUPLAN_MAPS_ROOT=… planagent experiment main --suite val14,test14-hard",
+        "docs/studies.md",
+        "NUPLAN_DATA_ROOT=… NUPLAN_MAPS_ROOT=… planagent study main --suite val14,test14-hard",
         NUPLAN,
     ),
     (
-        "docs/experiments.md",
-        "planagent experiment mllm --bench runs/bench-2026.11.20.12.00.00",
+        "docs/studies.md",
+        "planagent study mllm --bench runs/bench-2026.11.20.12.00.00",
         HOURS,
     ),
     (
-        "docs/experiments.md",
-        "planagent experiment main --quick --csv",
+        "docs/studies.md",
+        "planagent study main --quick --csv",
         HOURS,
     ),
     (
@@ -300,27 +296,27 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/results.md",
-        "planagent experiment interactive --suite interactive-generated",
+        "planagent study interactive --suite interactive-generated",
         HOURS,
     ),
     (
         "docs/results.md",
-        "planagent experiment interactive --suite interactive-recorded",
+        "planagent study interactive --suite interactive-recorded",
         HOURS,
     ),
     (
         "docs/results.md",
-        "planagent experiment main --suite generated-test14-hard",
+        "planagent study main --suite generated-test14-hard",
         HOURS,
     ),
     (
         "docs/results.md",
-        "planagent experiment main --suite recorded",
+        "planagent study main --suite recorded",
         HOURS,
     ),
     (
         "docs/modified.md",
-        "planagent experiment interactive --quick",
+        "planagent study interactive --quick",
         HOURS,
     ),
     (
@@ -351,7 +347,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/recordings.md",
-        "planagent experiment recorded --scenario $PLANAGENT_DATA/womd $PLANAGENT_DATA/argoverse2 $PLANAGENT_DATA/womd_validation \
+        "planagent study recorded --scenario $PLANAGENT_DATA/womd $PLANAGENT_DATA/argoverse2 $PLANAGENT_DATA/womd_validation \
          $PLANAGENT_DATA/argoverse2_validation",
         VALIDATION,
     ),
@@ -478,7 +474,7 @@ fn given(page: &str, folder: &Path) {
                 &folder.join("examples/modified"),
             );
         }
-        "docs/experiments.md" => {
+        "docs/studies.md" => {
             let text = read(&root().join(page));
             let (_, block) = text.split_once("```toml\n").unwrap();
             fs::write(
@@ -620,7 +616,7 @@ pages! {
     commands_of_devkit: "docs/devkit.md",
     commands_of_endpoint: "docs/endpoint.md",
     commands_of_exec: "docs/exec.md",
-    commands_of_experiments: "docs/experiments.md",
+    commands_of_studies: "docs/studies.md",
     commands_of_generator: "docs/generator.md",
     commands_of_latency: "docs/latency.md",
     commands_of_learned: "docs/learned.md",

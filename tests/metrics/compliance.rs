@@ -139,7 +139,7 @@ fn speeding(map: &LaneMap, states: &[EgoState]) -> MetricResult {
 }
 
 #[test]
-fn overspeed_costs_its_share_of_two_and_a_quarter_metres_per_second() {
+fn overspeed_costs_its_share_of_two_and_a_quarter_meters_per_second() {
     let map = straight();
     // One above the limit of 15 m/s at all 149 samples: 1 − 149·0.1/(2.23·14.8).
     let result = speeding(&map, &cruise(149, 0.0, 0.0, 16.0));

@@ -132,7 +132,7 @@ fn ambiguous_connectors_are_resolved_by_where_the_path_ends_up() {
 }
 
 #[test]
-fn beside_its_connector_a_path_is_held_to_it_while_within_five_metres() {
+fn beside_its_connector_a_path_is_held_to_it_while_within_five_meters() {
     let mut road = Road::default();
     let (one, two) = (
         road.connector((0.0, 0.0), (100.0, 0.0)),

@@ -80,7 +80,7 @@ fn driving_back_is_negative_and_roadblocks_left_behind_are_not_entered_again() {
 }
 
 #[test]
-fn the_ratio_holds_both_distances_at_two_metres() {
+fn the_ratio_holds_both_distances_at_two_meters() {
     for (ego, expert, ratio) in [
         (41.04, 41.99, 41.04 / 41.99),
         (4.07, 25.83, 4.07 / 25.83),

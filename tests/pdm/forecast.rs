@@ -41,7 +41,7 @@ fn cone(token: u32, x: f64) -> TrackedObject {
 }
 
 #[test]
-fn the_nearest_within_fifty_metres_are_kept_static_ones_first() {
+fn the_nearest_within_fifty_meters_are_kept_static_ones_first() {
     let map = straight();
     let me = ego(0, 0.0, 0.0, 0.0, 5.0);
     let walker = |token, x| {

@@ -367,7 +367,7 @@ fn every_term_of_every_score_is_the_recorded_one() {
     });
 }
 
-/// How far a trajectory is from the recorded one, metres and radians.
+/// How far a trajectory is from the recorded one, meters and radians.
 fn off_the_record(trajectory: &Trajectory, record: &Value) -> f64 {
     let expected: Vec<[f64; 5]> = rows(&record["trajectory"]);
     assert_eq!((trajectory.states().len(), expected.len()), (81, 17));

@@ -1,11 +1,9 @@
-//! Runs and experiments of a program that uses the library alone.
+//! Runs and studies of a program that uses the library alone.
 
 use planagent::planning::{
     PlannerEntry, PlannerName, PlannerNeeds, PlannerRegistry, SimplePlanner,
 };
-use planagent::runs::{
-    Config, Event, Experiments, ExperimentsRequest, Listener, Request, resume, start,
-};
+use planagent::runs::{Config, Event, Listener, Request, Studies, StudiesRequest, resume, start};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tempfile::TempDir;
@@ -65,15 +63,15 @@ fn a_program_runs_its_own_planner_and_resumes_the_run() {
 #[test]
 fn a_program_writes_a_table_of_the_paper() {
     let work = TempDir::new().unwrap();
-    let request = ExperimentsRequest {
+    let request = StudiesRequest {
         suites: vec!["recorded".to_owned()],
         scenarios: vec![SCENE.to_owned()],
         out: work.path().to_owned(),
-        ..ExperimentsRequest::default()
+        ..StudiesRequest::default()
     };
     let (config, listener): (Config, Listener) = (Config::default(), Arc::new(|_| ()));
-    let mut experiments = Experiments::new(&request, &config, &listener).unwrap();
-    let outcome = experiments.simulate(["scenario-types"]).unwrap();
+    let mut studies = Studies::new(&request, &config, &listener).unwrap();
+    let outcome = studies.simulate(["scenario-types"]).unwrap();
     assert!(outcome.failed.is_empty() && outcome.missing.is_empty());
     assert!(work.path().join("scenario-types/results.md").is_file());
 }

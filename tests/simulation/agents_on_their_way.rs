@@ -20,7 +20,7 @@ fn at(x: f64) -> Pose {
 }
 
 #[test]
-fn an_agent_a_hundred_metres_away_stays_and_one_farther_goes_for_good() {
+fn an_agent_a_hundred_meters_away_stays_and_one_farther_goes_for_good() {
     let map = long_lane();
     let cars = [car(1, at(150.0), 0.0), car(2, at(150.1 + 4.7), 0.0)];
     let mut traffic = IdmTraffic::new(&map, &cars, &ego(Pose::new(54.75, 0.0, 0.0), 0.0));

@@ -20,8 +20,8 @@ impl OccupancyGrid {
     /// The cells that the boxes of objects touch, in the picture around `center` (the ego's box
     /// center).
     pub fn of(objects: &[TrackedObject], view: &BevView, center: Pose) -> Self {
-        let cell = view.metres() / CELLS as f64;
-        let reach = view.metres() * std::f64::consts::FRAC_1_SQRT_2;
+        let cell = view.meters() / CELLS as f64;
+        let reach = view.meters() * std::f64::consts::FRAC_1_SQRT_2;
         let mut grid = Self::default();
         for object in objects {
             let diagonal = object.shape.diagonal() / 2.0;
@@ -30,12 +30,12 @@ impl OccupancyGrid {
                 continue;
             }
             for (row, bits) in grid.rows.iter_mut().enumerate() {
-                let forward = view.metres() / 2.0 - (row as f64 + 0.5) * cell;
+                let forward = view.meters() / 2.0 - (row as f64 + 0.5) * cell;
                 if (local.x - forward).abs() > cell + diagonal {
                     continue;
                 }
                 for column in 0..CELLS {
-                    let left = view.metres() / 2.0 - (column as f64 + 0.5) * cell;
+                    let left = view.meters() / 2.0 - (column as f64 + 0.5) * cell;
                     let area = OrientedBox::new(center.translated(forward, left), cell, cell);
                     if object.shape.overlaps(&area) {
                         *bits |= 1 << (CELLS - 1 - column);

@@ -22,8 +22,8 @@ pub(super) use scenarios::{
 };
 pub(super) use simulate::{PlanArguments, SimulateArguments};
 pub(super) use studies::{
-    ALL_EXPERIMENTS, BENCH_PROCESS, BenchArguments, DatasetArguments, DatasetKind,
-    ExperimentArguments, OtherEngine,
+    ALL_STUDIES, BENCH_PROCESS, BenchArguments, DatasetArguments, DatasetKind, OtherEngine,
+    StudyArguments,
 };
 
 use super::help;
@@ -138,8 +138,8 @@ pub(super) enum Command {
     #[command(after_long_help = help::DATASET)]
     Dataset(DatasetArguments),
     /// Reproduce the paper's tables and figures, and run further studies.
-    #[command(after_long_help = help::EXPERIMENT)]
-    Experiment(ExperimentArguments),
+    #[command(after_long_help = help::STUDY)]
+    Study(StudyArguments),
     /// Measure planning calls of local models, also against llama.cpp.
     #[command(after_long_help = help::BENCH)]
     Bench(BenchArguments),
@@ -172,7 +172,7 @@ impl Command {
             Self::Plan(flags) => flags.model.flags(),
             Self::Ask(flags) => flags.model.flags(),
             Self::Dataset(flags) => flags.model.flags(),
-            Self::Experiment(flags) => flags.model.flags(),
+            Self::Study(flags) => flags.model.flags(),
             Self::Bench(flags) => flags.model.flags(),
             Self::Models(command) => command.flags(),
             Self::Config(flags) | Self::BenchProcess(flags) => flags.flags(),

@@ -64,7 +64,7 @@ pub(crate) struct SimulateArguments {
     /// With --resume: go on although prompts, model files or recordings changed.
     ///
     /// The manifest then lists the changes. Without this option such a run is refused, because its
-    /// table would mix two experiments.
+    /// table would mix two configurations.
     #[arg(long, requires = "resume", hide_short_help = true)]
     pub(crate) accept_changes: bool,
     /// Print the simulations on stdout as CSV.

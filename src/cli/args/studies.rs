@@ -1,4 +1,4 @@
-//! `experiment`, `bench` and `dataset`.
+//! `study`, `bench` and `dataset`.
 
 use super::data::DataArguments;
 use super::model::ModelArguments;
@@ -8,13 +8,13 @@ use anyhow::bail;
 use clap::{Args, ValueEnum};
 #[cfg(feature = "learned")]
 use planagent_lab::dataset::imitation::ImitationPlanner;
-use planagent_lab::experiments::ExperimentsRequest;
+use planagent_lab::studies::StudiesRequest;
 use planagent_planners::all_planners;
 use planagent_runs::worker::suite::RECORDED;
 use std::path::PathBuf;
 
-/// Word for every experiment.
-pub(crate) const ALL_EXPERIMENTS: &str = "all";
+/// Word for every study.
+pub(crate) const ALL_STUDIES: &str = "all";
 
 /// Name of the hidden subcommand in which `bench` measures.
 pub(crate) const BENCH_PROCESS: &str = "bench-process";
@@ -110,15 +110,15 @@ fn imitation_planner() -> clap::builder::PossibleValuesParser {
     ImitationPlanner::ALL.map(ImitationPlanner::name).into()
 }
 
-/// Arguments of `experiment`.
+/// Arguments of `study`.
 #[derive(Debug, Args)]
-pub(crate) struct ExperimentArguments {
-    #[arg(value_name = "NAME", help = help::experiments_short(), long_help = help::experiments())]
+pub(crate) struct StudyArguments {
+    #[arg(value_name = "NAME", help = help::studies_short(), long_help = help::studies())]
     pub(crate) name: String,
     /// Only 2 scenes of each type and 14 recordings: a first look, in minutes.
     #[arg(long)]
     pub(crate) quick: bool,
-    /// Suites, separated by commas [default: those of the experiment].
+    /// Suites, separated by commas [default: those of the study].
     ///
     /// Splits as `simulate` takes them, or recorded, the recordings of --scenario.
     #[arg(long = "suite", value_name = "NAMES", value_delimiter = ',')]
@@ -130,7 +130,7 @@ pub(crate) struct ExperimentArguments {
     #[command(flatten)]
     pub(crate) data: DataArguments,
     /// Folder for results and runs; completed simulations in it are not repeated.
-    #[arg(long, value_name = "FOLDER", default_value = "runs/experiments")]
+    #[arg(long, value_name = "FOLDER", default_value = "runs/studies")]
     pub(crate) out: PathBuf,
     /// Folder of a bench with the times of models whose weights are not on this machine.
     #[arg(long, value_name = "FOLDER", hide_short_help = true)]
@@ -145,8 +145,8 @@ pub(crate) struct ExperimentArguments {
     pub(super) model: ModelArguments,
 }
 
-impl ExperimentArguments {
-    pub(crate) fn request(&self) -> anyhow::Result<ExperimentsRequest> {
+impl StudyArguments {
+    pub(crate) fn request(&self) -> anyhow::Result<StudiesRequest> {
         let modified = |suite: &String| match suite.as_str() {
             // The words of its recordings carry the modification.
             RECORDED => Ok(suite.clone()),
@@ -159,7 +159,7 @@ impl ExperimentArguments {
         if self.data.modifies() && self.suites.is_empty() && scenarios.is_empty() {
             bail!("--modify: name the suites by --suite, or recordings by --scenario");
         }
-        Ok(ExperimentsRequest {
+        Ok(StudiesRequest {
             suites: self
                 .suites
                 .iter()

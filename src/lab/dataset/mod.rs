@@ -157,7 +157,7 @@ fn meta(settings: &Settings<'_>) -> Meta {
     Meta {
         format: FORMAT,
         image_pixels: settings.view.pixels(),
-        view_m: settings.view.metres(),
+        view_m: settings.view.meters(),
         prompt_set: settings.prompts.name().to_owned(),
         modified: settings.modified,
         occupancy_s: [0.0, 1.0, 2.0],

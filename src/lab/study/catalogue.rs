@@ -27,9 +27,7 @@ const BUILT_IN: &[(&str, &str)] = built_in![
 
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
-    #[error(
-        "unknown experiment '{word}'; there are {known}; or name the path of a study FILE.toml"
-    )]
+    #[error("unknown study '{word}'; there are {known}; or name the path of a study FILE.toml")]
     Unknown { word: String, known: String },
     #[error("cannot read the study {place}: {source}")]
     Read {
@@ -164,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn every_variant_of_an_experiment_can_be_configured() {
+    fn every_variant_of_a_study_can_be_configured() {
         for study in super::super::all().unwrap() {
             for variant in &study.variants {
                 planagent_runs::runner::Config::default()

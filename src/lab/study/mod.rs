@@ -212,7 +212,7 @@ const YES: &str = "yes";
 /// and of what it lacks.
 const NO: &str = "no";
 
-/// How many scenes of each type a quick experiment takes, and how many whose type is not known
+/// How many scenes of each type a quick study takes, and how many whose type is not known
 /// before they are opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Quick {

@@ -1,5 +1,5 @@
 //! What a run reads besides its settings: recordings, prompts, the small files of its model. Two
-//! sessions of one run must read the same, or its tables mix two experiments.
+//! sessions of one run must read the same, or its tables mix two configurations.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -227,7 +227,7 @@ impl Config {
         within(
             "environment.view_m",
             environment.view_m,
-            BevView::MIN_METRES..=BevView::MAX_METRES,
+            BevView::MIN_METERS..=BevView::MAX_METERS,
         )?;
         within(
             "environment.node_length_m",

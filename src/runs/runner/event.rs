@@ -51,7 +51,7 @@ pub enum Event {
     },
     /// All simulations of the last [`Event::Started`] ended, or a write error stopped them.
     Finished,
-    /// The runs of experiments are open.
+    /// The runs of studies are open.
     Planned {
         /// Runs.
         runs: usize,

@@ -1,6 +1,6 @@
 //! Stage 11: runs. A run simulates every scenario with every planner in every challenge. It keeps
 //! each simulation as it ends, resumes after an interruption, and writes its results once all
-//! simulations are completed. Experiments are runs on the same scenarios whose scores are compared.
+//! simulations are completed. Studies are runs on the same scenarios whose scores are compared.
 
 pub mod commands;
 mod config;

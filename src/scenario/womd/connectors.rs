@@ -119,7 +119,7 @@ const COMPARED: f64 = 30.0;
 
 fn deviation(from: Pose, to: Pose) -> f64 {
     /// Lateral meters that a radian of turn counts for.
-    const METRES_PER_RADIAN: f64 = 10.0;
+    const METERS_PER_RADIAN: f64 = 10.0;
     from.to_local(to.position()).y.abs()
-        + METRES_PER_RADIAN * wrap_angle(to.heading - from.heading).abs()
+        + METERS_PER_RADIAN * wrap_angle(to.heading - from.heading).abs()
 }

@@ -171,7 +171,7 @@ impl Lookup<'_> {
             .map(|(place, (id, lane, trace))| RecordedLane {
                 id,
                 flagged: lane.interpolating,
-                speed_limit: metres_per_second(lane.speed_limit_mph),
+                speed_limit: meters_per_second(lane.speed_limit_mph),
                 entries: joints.before(place),
                 exits: joints.after(place),
                 neighbors: Sides {
@@ -209,7 +209,7 @@ impl Lookup<'_> {
 }
 
 /// Waymo writes 0 for an unknown limit.
-fn metres_per_second(miles_per_hour: f64) -> Option<f64> {
+fn meters_per_second(miles_per_hour: f64) -> Option<f64> {
     /// m/s of a mile per hour.
     const MILE_PER_HOUR: f64 = 0.447_04;
     (miles_per_hour > 0.0 && miles_per_hour.is_finite()).then_some(miles_per_hour * MILE_PER_HOUR)

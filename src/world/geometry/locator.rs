@@ -15,7 +15,7 @@ pub struct PointLocator<'a> {
     edges: Vec<(Point, Point)>,
     /// Where each slab begins in `edges`, and where the last one ends.
     starts: Vec<usize>,
-    slabs_per_metre: f64,
+    slabs_per_meter: f64,
 }
 
 impl<'a> PointLocator<'a> {
@@ -24,7 +24,7 @@ impl<'a> PointLocator<'a> {
         let count = (polygon.ring().len() / EDGES_PER_SLAB).clamp(1, MAX_SLABS);
         let bounds = polygon.bounds();
         let height = bounds.max.y - bounds.min.y;
-        let slabs_per_metre = if height > 0.0 {
+        let slabs_per_meter = if height > 0.0 {
             count as f64 / height
         } else {
             0.0
@@ -33,7 +33,7 @@ impl<'a> PointLocator<'a> {
             polygon,
             edges: Vec::new(),
             starts: vec![0; count + 1],
-            slabs_per_metre,
+            slabs_per_meter,
         };
         let slabs = |from: Point, to: Point| {
             locator.slab(from.y.min(to.y))..=locator.slab(from.y.max(to.y))
@@ -95,7 +95,7 @@ impl<'a> PointLocator<'a> {
     }
 
     fn slab(&self, y: f64) -> usize {
-        (((y - self.bounds().min.y) * self.slabs_per_metre) as usize).min(self.starts.len() - 2)
+        (((y - self.bounds().min.y) * self.slabs_per_meter) as usize).min(self.starts.len() - 2)
     }
 }
 

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 from .occupancy import CELLS, TIMES, hexadecimal
 
 PIXELS = 128
-#: Metres per pixel of a 64 m view.
+#: Meters per pixel of a 64 m view.
 SCALE = 0.5
 #: The ego's place: three quarters down, heading up.
 EGO = (64.0, 96.0)

@@ -59,7 +59,7 @@ impl Canvas {
 
     /// Radius of a circle around the center that holds the whole view, meters.
     pub(super) fn reach(&self) -> f64 {
-        self.view.metres() * std::f64::consts::FRAC_1_SQRT_2
+        self.view.meters() * std::f64::consts::FRAC_1_SQRT_2
     }
 
     fn pixel(&self, point: Point) -> Pixel {

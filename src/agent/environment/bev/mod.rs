@@ -26,7 +26,7 @@ use planagent_world::geometry::{Point, Pose};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BevView {
     pixels: u32,
-    metres: f64,
+    meters: f64,
 }
 
 /// Why a view cannot be drawn.
@@ -34,8 +34,8 @@ pub struct BevView {
 pub enum BevError {
     #[error("a BEV image needs between {min} and {max} pixels a side, got {0}", min = BevView::MIN_PIXELS, max = BevView::MAX_PIXELS)]
     Pixels(u32),
-    #[error("a BEV view needs between {min} and {max} meters a side, got {0}", min = BevView::MIN_METRES, max = BevView::MAX_METRES)]
-    Metres(f64),
+    #[error("a BEV view needs between {min} and {max} meters a side, got {0}", min = BevView::MIN_METERS, max = BevView::MAX_METERS)]
+    Meters(f64),
 }
 
 impl Default for BevView {
@@ -43,51 +43,51 @@ impl Default for BevView {
     fn default() -> Self {
         Self {
             pixels: 128,
-            metres: Self::DEFAULT_METRES,
+            meters: Self::DEFAULT_METERS,
         }
     }
 }
 
 impl BevView {
     /// Meters.
-    pub const DEFAULT_METRES: f64 = 64.0;
+    pub const DEFAULT_METERS: f64 = 64.0;
     /// Pixels a side.
     pub const MIN_PIXELS: u32 = 16;
     /// Pixels a side.
     pub const MAX_PIXELS: u32 = 4096;
     /// Meters a side.
-    pub const MIN_METRES: f64 = 8.0;
+    pub const MIN_METERS: f64 = 8.0;
     /// Meters a side.
-    pub const MAX_METRES: f64 = 1000.0;
+    pub const MAX_METERS: f64 = 1000.0;
 
-    /// A view of `metres` a side in `pixels` a side.
-    pub fn new(pixels: u32, metres: f64) -> Result<Self, BevError> {
+    /// A view of `meters` a side in `pixels` a side.
+    pub fn new(pixels: u32, meters: f64) -> Result<Self, BevError> {
         if !(Self::MIN_PIXELS..=Self::MAX_PIXELS).contains(&pixels) {
             return Err(BevError::Pixels(pixels));
         }
-        if !(Self::MIN_METRES..=Self::MAX_METRES).contains(&metres) {
-            return Err(BevError::Metres(metres));
+        if !(Self::MIN_METERS..=Self::MAX_METERS).contains(&meters) {
+            return Err(BevError::Meters(meters));
         }
-        Ok(Self { pixels, metres })
+        Ok(Self { pixels, meters })
     }
 
     pub fn pixels(&self) -> u32 {
         self.pixels
     }
 
-    pub fn metres(&self) -> f64 {
-        self.metres
+    pub fn meters(&self) -> f64 {
+        self.meters
     }
 
     /// Pixels per meter.
     pub fn scale(&self) -> f64 {
-        f64::from(self.pixels) / self.metres
+        f64::from(self.pixels) / self.meters
     }
 
     /// Whether a point of the map lies in the view around `center` (the ego's box center).
     pub fn holds(&self, center: Pose, point: Point) -> bool {
         let local = center.to_local(point);
-        let half = self.metres / 2.0;
+        let half = self.meters / 2.0;
         local.x.abs() <= half && local.y.abs() <= half
     }
 

@@ -173,9 +173,9 @@ fn views_are_checked() {
     assert_eq!(BevView::new(8, 64.0), Err(BevError::Pixels(8)));
     assert!(matches!(
         BevView::new(128, f64::NAN),
-        Err(BevError::Metres(_))
+        Err(BevError::Meters(_))
     ));
-    assert!(matches!(BevView::new(128, 0.0), Err(BevError::Metres(_))));
+    assert!(matches!(BevView::new(128, 0.0), Err(BevError::Meters(_))));
 }
 
 #[test]

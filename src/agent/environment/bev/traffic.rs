@@ -101,7 +101,7 @@ fn draw_boxes(canvas: &mut Canvas, boxes: &[OrientedBox], element: BevElement) {
 
 fn draw_arrow(canvas: &mut Canvas, from: Point, velocity: Vector) {
     // A longer arrow shows no more, and the rasterizer needs pixels of a sane size.
-    let length = (ARROW_SECONDS * velocity.norm()).min(2.0 * canvas.view().metres());
+    let length = (ARROW_SECONDS * velocity.norm()).min(2.0 * canvas.view().meters());
     let tail = Pose::at(from, velocity.y.atan2(velocity.x));
     let shaft = SHAFT_M.max(MIN_SHAFT_PX / canvas.view().scale());
     let head = shaft * HEAD_SHAFTS;

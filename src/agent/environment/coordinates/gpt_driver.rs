@@ -147,7 +147,7 @@ mod tests {
     use planagent_world::ObjectKind;
 
     #[test]
-    fn objects_ahead_within_twenty_metres_are_told_with_their_place_in_three_seconds() {
+    fn objects_ahead_within_twenty_meters_are_told_with_their_place_in_three_seconds() {
         let drawn = sketch::straight(3, 0, 1, 9.0)
             .put(ObjectKind::Vehicle, 8.0, 3.5, 0.0, 2.0)
             .put(ObjectKind::Vehicle, 12.0, 0.0, 0.0, 5.0)

@@ -1,7 +1,7 @@
 //! The true answers to the questions of the first round, from map and objects alone. Training uses
 //! them as labels, evaluation as the truth.
 //!
-//! Only what the view of [`VIEW_METRES`] shows counts. The light and the turn of the route, which
+//! Only what the view of [`VIEW_METERS`] shows counts. The light and the turn of the route, which
 //! no image shows, are those of the scene text. *The path* is the ego's centerline of the
 //! [`LaneGraph`] from the ego's box center on, as far as it is in view. Distances are along the
 //! path from the ego's front bumper, in three steps (see [`Ahead`]).
@@ -26,7 +26,7 @@ use planagent_world::{SceneView, SignalStatus};
 
 /// Side of the square around the ego's box center, along its heading, in which things count,
 /// meters: the default BEV view.
-pub const VIEW_METRES: f64 = BevView::DEFAULT_METRES;
+pub const VIEW_METERS: f64 = BevView::DEFAULT_METERS;
 
 /// The true answers for one scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -139,7 +139,7 @@ struct View {
 impl View {
     fn holds(self, point: Point) -> bool {
         let local = self.center.to_local(point);
-        local.x.abs() <= VIEW_METRES / 2.0 && local.y.abs() <= VIEW_METRES / 2.0
+        local.x.abs() <= VIEW_METERS / 2.0 && local.y.abs() <= VIEW_METERS / 2.0
     }
 
     /// Whether the center or a corner of a box is in view.

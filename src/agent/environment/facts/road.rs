@@ -1,6 +1,6 @@
 //! Facts of the map: kind of place, lanes, crosswalk, the other direction.
 
-use super::{Ahead, LaneCount, LaneIndex, Oncoming, SceneType, VIEW_METRES, View, roundabout};
+use super::{Ahead, LaneCount, LaneIndex, Oncoming, SceneType, VIEW_METERS, View, roundabout};
 use crate::environment::lane_graph::{Centerline, LaneGraph};
 use planagent_world::geometry::{Bounds, Point, Polygon, Polyline, Pose, wrap_angle};
 use planagent_world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, SceneView};
@@ -24,7 +24,7 @@ const STEP: f64 = 0.5;
 /// under the ego.
 fn path_in_view(centerline: &Centerline, view: View) -> Option<Polyline> {
     let line = &centerline.path.centerline;
-    let most = (line.length() - centerline.ego_s).clamp(0.0, VIEW_METRES);
+    let most = (line.length() - centerline.ego_s).clamp(0.0, VIEW_METERS);
     let ahead = (0..=(most / STEP) as u32)
         .map(|i| f64::from(i) * STEP)
         .take_while(|d| view.holds(line.point_at(centerline.ego_s + d)))
@@ -81,7 +81,7 @@ fn meets_intersection(map: &LaneMap, centerline: &Centerline, path: &Polyline) -
 /// Whether a connector within the area runs across the direction in which the path enters it.
 fn leads_elsewhere(map: &LaneMap, area: &Polygon, entry: Pose) -> bool {
     let connectors = map
-        .lanes_near(entry.position(), VIEW_METRES / 2.0)
+        .lanes_near(entry.position(), VIEW_METERS / 2.0)
         .into_iter()
         .map(|id| &map[id]);
     connectors.filter(|lane| lane.is_connector()).any(|lane| {
@@ -190,7 +190,7 @@ pub(super) fn oncoming(scene: &SceneView<'_>, graph: &LaneGraph) -> Oncoming {
         .heading_at(graph.ego_lane().ego_s);
     let found = scene
         .map
-        .lanes_near(center.position(), ONCOMING_REACH.min(VIEW_METRES / 2.0))
+        .lanes_near(center.position(), ONCOMING_REACH.min(VIEW_METERS / 2.0))
         .into_iter()
         .any(|id| {
             let lane = &scene.map[id];

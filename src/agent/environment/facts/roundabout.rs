@@ -17,7 +17,7 @@ const BEHIND: f64 = 5.0;
 /// Whether a roundabout is in view, ahead of the ego or under it.
 pub(super) fn ahead(map: &LaneMap, view: View) -> bool {
     let shown = |p: &Point| view.holds(*p) && view.center.to_local(*p).x >= -BEHIND;
-    let reach = super::VIEW_METRES * std::f64::consts::FRAC_1_SQRT_2;
+    let reach = super::VIEW_METERS * std::f64::consts::FRAC_1_SQRT_2;
     let lanes = map.lanes_near(view.center.position(), reach);
     lanes
         .into_iter()

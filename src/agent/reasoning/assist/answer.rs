@@ -206,7 +206,7 @@ pub(super) fn grammar(variant: AssistVariant, limit: Option<u32>) -> Constraint 
             let left = any_of(
                 (-steps..=steps).map(|step| (f64::from(step) * GRAMMAR_LEFT_STEP).to_string()),
             );
-            let ahead = |second: u32| any_of((0..=second * limit).map(|metres| metres.to_string()));
+            let ahead = |second: u32| any_of((0..=second * limit).map(|meters| meters.to_string()));
             (1..=WAYPOINT_SECONDS as u32)
                 .flat_map(|second| [ahead(second), left.clone()])
                 .collect()

@@ -1,4 +1,4 @@
-//! The figures of experiments, as SVG that follows the reader's light or dark scheme.
+//! The figures of studies, as SVG that follows the reader's light or dark scheme.
 
 mod agreement;
 mod bars;

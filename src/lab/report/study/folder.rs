@@ -1,4 +1,4 @@
-//! The folder of an experiment's results: `results.json`, `results.md` and figures. Each time it is
+//! The folder of a study's results: `results.json`, `results.md` and figures. Each time it is
 //! written from the runs.
 
 use super::results::StudyResults;

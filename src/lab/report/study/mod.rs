@@ -1,4 +1,4 @@
-//! Results of an experiment: scores and paired differences with intervals, as Markdown, JSON and
+//! Results of a study: scores and paired differences with intervals, as Markdown, JSON and
 //! figures.
 
 mod agreement;

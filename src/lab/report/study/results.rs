@@ -1,4 +1,4 @@
-//! `results.json` of an experiment. Scores and differences are nuPlan's scores x 100, as in the
+//! `results.json` of a study. Scores and differences are nuPlan's scores x 100, as in the
 //! paper.
 
 use super::agreement::{Agreement, agreements};
@@ -52,7 +52,7 @@ pub enum Outcome {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StudyResults {
     pub planagent: &'static str,
-    pub experiment: String,
+    pub study: String,
     pub title: String,
     /// The paper's table or figure.
     pub paper: Option<String>,
@@ -118,7 +118,7 @@ pub struct VariantResults {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub not_simulated: Option<&'static str>,
     pub challenges: Vec<ChallengeResults>,
-    /// Scores by scenario type, if the experiment compares these.
+    /// Scores by scenario type, if the study compares these.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub scenario_types: Vec<TypeResults>,
     /// Mean number of planning calls; none for planners without a model.
@@ -126,7 +126,7 @@ pub struct VariantResults {
     /// Its planning calls, in a study of recordings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calls: Option<CallShares>,
-    /// Cost of its model, if the experiment compares it.
+    /// Cost of its model, if the study compares it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<ModelCost>,
 }
@@ -190,7 +190,7 @@ impl StudyResults {
         };
         Self {
             planagent: env!("CARGO_PKG_VERSION"),
-            experiment: study.name.clone(),
+            study: study.name.clone(),
             title: study.title.clone(),
             paper: study.paper.clone(),
             quick,

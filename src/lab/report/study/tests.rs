@@ -192,7 +192,7 @@ fn a_challenge_that_was_not_simulated_has_no_table_and_an_empty_label_no_name() 
             && !table.contains("non-reactive agents:"),
         "{table}"
     );
-    let text = study_markdown(&study, &results, "planagent experiment interactive", &[]);
+    let text = study_markdown(&study, &results, "planagent study interactive", &[]);
     assert!(
         text.contains("| planner | BEV | R | diff | 95 % interval |"),
         "{text}"
@@ -315,7 +315,7 @@ fn markdown_has_both_challenges_and_the_paper_and_every_study_has_a_figure() {
         let text = study_markdown(
             &study,
             &results,
-            "planagent experiment",
+            "planagent study",
             &["generated-test14-hard.svg".to_owned()],
         );
         assert!(text.contains("(generated-test14-hard.svg)"), "{text}");
@@ -401,7 +401,7 @@ fn recordings_are_drawn_together_and_have_a_row_each() {
         (calls.planning_calls, calls.off_route, calls.off_area),
         (40, 10, 0)
     );
-    let text = study_markdown(&study, &results, "planagent experiment recorded", &[]);
+    let text = study_markdown(&study, &results, "planagent study recorded", &[]);
     assert!(
         text.contains("| plan-agent | 0 | 0 | 40 | 25.0 % | 0.0 % |"),
         "{text}"
@@ -455,7 +455,7 @@ fn orders_are_compared_with_reported_ones_where_planners_were_simulated() {
     let text = study_markdown(
         &study,
         &results,
-        "planagent experiment main",
+        "planagent study main",
         &["agreement.svg".to_owned()],
     );
     assert!(

@@ -1,4 +1,4 @@
-//! The tables of an experiment.
+//! The tables of a study.
 
 use super::{recordings, reported};
 use crate::report::figure::AGREEMENT;

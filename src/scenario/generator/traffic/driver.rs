@@ -86,8 +86,8 @@ impl Mover {
         let angles: Vec<f64> = (0..=AHEAD + 2).map(angle).collect();
         let allowed = angles.windows(3).enumerate().map(|(k, window)| {
             let curvature = window[1].tan() / PACIFICA.wheel_base;
-            let turned_per_metre = (window[2] - window[0]) / (2.0 * STEP);
-            let by_rate = steering.rate / turned_per_metre.abs().max(1e-6);
+            let turned_per_meter = (window[2] - window[0]) / (2.0 * STEP);
+            let by_rate = steering.rate / turned_per_meter.abs().max(1e-6);
             let by_lateral = (steering.lateral / curvature.abs().max(1e-6)).sqrt();
             (by_rate.min(by_lateral).powi(2) + 2.0 * ANTICIPATION * k as f64 * STEP).sqrt()
         });

@@ -1,6 +1,6 @@
-//! The experiment `twins`: whether the model's first code is right in both scenes of text twins.
+//! The study `twins`: whether the model's first code is right in both scenes of text twins.
 
-use super::request::ExperimentsRequest;
+use super::request::StudiesRequest;
 use super::runs::{DIGEST, relevant};
 use crate::dataset::twins::PairName;
 use crate::report::{StudyFolder, TwinRecords, twin_markdown};
@@ -25,9 +25,7 @@ pub(super) const TITLE: &str = "Text twins: the model's first code, Reflection o
 const QUICK: usize = 2;
 
 /// The names and pairs of the lists of a request, or of the test pairs.
-pub(super) fn lists(
-    request: &ExperimentsRequest,
-) -> Result<Vec<(String, Vec<PairName>)>, RunnerError> {
+pub(super) fn lists(request: &StudiesRequest) -> Result<Vec<(String, Vec<PairName>)>, RunnerError> {
     let default = vec![twins::TEST.to_owned()];
     let names = if request.suites.is_empty() {
         default

@@ -1,4 +1,4 @@
-//! `planagent experiment`: runs are shared and resumed, and the results do not depend on
+//! `planagent study`: runs are shared and resumed, and the results do not depend on
 //! interruptions.
 
 mod paper;
@@ -20,16 +20,12 @@ const SUITE: [&str; 5] = [
     "generated/stopping_with_lead/1",
 ];
 
-/// The command line of an experiment on it.
-fn experiment<'a>(name: &'a str, out: &'a Path) -> Vec<&'a str> {
-    [
-        &["experiment", name, "--out", out.to_str().unwrap()],
-        &SUITE[..],
-    ]
-    .concat()
+/// The command line of a study on it.
+fn study<'a>(name: &'a str, out: &'a Path) -> Vec<&'a str> {
+    [&["study", name, "--out", out.to_str().unwrap()], &SUITE[..]].concat()
 }
 
-/// The files of an experiment's results, by name.
+/// The files of a study's results, by name.
 fn results(folder: &Path) -> BTreeMap<String, String> {
     let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap());
     entries
@@ -58,10 +54,10 @@ fn ended(out: &Path) -> usize {
 }
 
 #[test]
-fn a_killed_experiment_ends_like_an_uninterrupted_one_and_shares_its_runs() {
+fn a_killed_study_ends_like_an_uninterrupted_one_and_shares_its_runs() {
     let work = TempDir::new().unwrap();
     let [whole, killed] = ["whole", "killed"].map(|name| work.path().join(name));
-    let (code, stdout, stderr) = run(&experiment("scenario-types", &whole));
+    let (code, stdout, stderr) = run(&study("scenario-types", &whole));
     assert_eq!(code, 0, "{stderr}");
     assert!(
         stderr.contains("8 simulations in 2 runs; 0 are completed, 8 are left"),
@@ -86,13 +82,13 @@ fn a_killed_experiment_ends_like_an_uninterrupted_one_and_shares_its_runs() {
     assert!(expected["recorded.svg"].starts_with("<svg "));
 
     for goal in [1, 5] {
-        kill_when(spawn(&experiment("scenario-types", &killed)), || {
+        kill_when(spawn(&study("scenario-types", &killed)), || {
             ended(&killed) >= goal
         });
     }
     let before: BTreeMap<_, _> = runs(&killed).iter().flat_map(|run| written(run)).collect();
     assert!(before.len() >= 5);
-    let (code, _, stderr) = run(&experiment("scenario-types", &killed));
+    let (code, _, stderr) = run(&study("scenario-types", &killed));
     assert!(
         code == 0 && stderr.contains(&format!("{} are completed", before.len())),
         "{stderr}"
@@ -106,9 +102,8 @@ fn a_killed_experiment_ends_like_an_uninterrupted_one_and_shares_its_runs() {
     );
     assert_eq!(results(&killed.join("scenario-types")), expected);
 
-    // Another experiment shares a run with it, and `simulate` can resume each run.
-    let (code, stdout, stderr) =
-        run(&[&experiment("execution", &killed)[..], &["--json"]].concat());
+    // Another study shares a run with it, and `simulate` can resume each run.
+    let (code, stdout, stderr) = run(&[&study("execution", &killed)[..], &["--json"]].concat());
     assert!(
         code == 0 && stderr.contains("16 simulations in 4 runs; 4 are completed, 12 are left"),
         "{stderr}"
@@ -161,7 +156,7 @@ fn a_killed_experiment_ends_like_an_uninterrupted_one_and_shares_its_runs() {
 fn a_model_without_weights_says_so() {
     let work = TempDir::new().unwrap();
     let flags = [
-        "experiment",
+        "study",
         "mllm",
         "--suite",
         "recorded",
@@ -214,7 +209,7 @@ fn a_model_without_weights_says_so() {
 fn what_cannot_be_driven_is_refused_with_what_to_do() {
     let work = TempDir::new().unwrap();
     let out = work.path().to_str().unwrap();
-    let said = |flags: &[&str]| refused(&[&["experiment"], flags, &["--out", out]].concat());
+    let said = |flags: &[&str]| refused(&[&["study"], flags, &["--out", out]].concat());
     assert!(
         said(&["mian"]).contains("scenario-types"),
         "the names are listed"
@@ -231,7 +226,7 @@ fn what_cannot_be_driven_is_refused_with_what_to_do() {
     ]);
     assert!(bench.contains("rows.jsonl"), "{bench}");
     let output = planagent()
-        .args(["experiment", "main", "--suite", "recorded", "--out", out])
+        .args(["study", "main", "--suite", "recorded", "--out", out])
         .env_remove("PLANAGENT_DATA")
         .output()
         .unwrap();
@@ -250,7 +245,7 @@ fn a_study_of_a_user_is_a_file() {
         suites = ['generated']\n[[variants]]\nlabels = ['simple', '-']\nplanner = 'simple'\n\
         [[variants]]\nlabels = ['fixed', '0.5']\nplanner = 'fixed-code'\nsettings.reflection.threshold = 0.5\n";
     fs::write(&file, study).unwrap();
-    let (code, stdout, stderr) = run(&experiment(file.to_str().unwrap(), work.path()));
+    let (code, stdout, stderr) = run(&study(file.to_str().unwrap(), work.path()));
     assert_eq!(code, 0, "{stderr}");
     assert!(
         stdout.contains("Two planners") && stderr.contains("8 simulations in 2 runs"),
@@ -273,10 +268,10 @@ fn a_study_of_a_user_is_a_file() {
 
     let out = work.path().to_str().unwrap();
     fs::write(&file, study.replace("threshold = 0.5", "threshhold = 0.5")).unwrap();
-    let wrong = refused(&["experiment", file.to_str().unwrap(), "--out", out]);
+    let wrong = refused(&["study", file.to_str().unwrap(), "--out", out]);
     assert!(wrong.contains("threshhold"), "{wrong}");
     fs::write(&file, study.replace("reference = 1", "reference = 2")).unwrap();
-    let wrong = refused(&["experiment", file.to_str().unwrap(), "--out", out]);
+    let wrong = refused(&["study", file.to_str().unwrap(), "--out", out]);
     assert!(
         wrong.contains("mine.toml") && wrong.contains("reference is 2"),
         "{wrong}"

@@ -1,12 +1,12 @@
-//! What experiments are asked for.
+//! What studies are asked for.
 
 use planagent_agent::planner::PlannerRegistry;
 use planagent_scenario::DataRoots;
 use std::path::PathBuf;
 
-/// What experiments are asked for.
+/// What studies are asked for.
 #[derive(Debug, Clone, Default)]
-pub struct ExperimentsRequest {
+pub struct StudiesRequest {
     /// Names of suites; without any, those of each study.
     pub suites: Vec<String>,
     /// Scenarios of the suite `recorded`; without any, the recordings in `$PLANAGENT_DATA`.

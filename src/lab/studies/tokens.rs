@@ -1,4 +1,4 @@
-//! The experiment `tokens`: how many tokens the description of a scene takes.
+//! The study `tokens`: how many tokens the description of a scene takes.
 
 use super::suites::SelectedSuite;
 use crate::report::{StudyFolder, token_markdown};

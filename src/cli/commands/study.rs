@@ -1,13 +1,11 @@
-//! `planagent experiment`.
+//! `planagent study`.
 
-use crate::args::{ALL_EXPERIMENTS, ExperimentArguments};
+use crate::args::{ALL_STUDIES, StudyArguments};
 use crate::progress::listener;
 use crate::{Exit, Printer, interrupt};
 use anyhow::anyhow;
-use planagent_lab::experiments::{
-    Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS,
-};
 use planagent_lab::report::{ChallengeResults, StudyResults, study_table, token_table, twin_table};
+use planagent_lab::studies::{Studies, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
 use planagent_lab::study::{self, StudyError};
 use planagent_lab::twins::TwinResults;
 use planagent_runs::report::failures;
@@ -15,48 +13,48 @@ use planagent_runs::runner::Config;
 use serde::Serialize;
 use std::path::Path;
 
-/// Runs the simulations of experiments that are not completed; the results go to a folder, the
+/// Runs the simulations of studies that are not completed; the results go to a folder, the
 /// tables to stdout.
 pub(crate) fn run(
-    flags: &ExperimentArguments,
+    flags: &StudyArguments,
     config: &Config,
     printer: Printer,
 ) -> anyhow::Result<Exit> {
     check_name(&flags.name)?;
     interrupt::advise("the same command goes on", printer)?;
     let (request, listener) = (flags.request()?, listener(printer));
-    let mut experiments = Experiments::new(&request, config, &listener)?;
+    let mut studies = Studies::new(&request, config, &listener)?;
     let mut exit = Exit::Success;
-    if [ALL_EXPERIMENTS, TOKENS].contains(&flags.name.as_str()) {
-        let (counted, folder) = experiments.count_tokens()?;
+    if [ALL_STUDIES, TOKENS].contains(&flags.name.as_str()) {
+        let (counted, folder) = studies.count_tokens()?;
         exit = show_tokens(&counted, &folder, printer)?;
     }
     // Their lists are no suites of simulations.
-    if flags.name == TWINS || (flags.name == ALL_EXPERIMENTS && flags.suites.is_empty()) {
-        let (results, folder) = experiments.ask_twins()?;
+    if flags.name == TWINS || (flags.name == ALL_STUDIES && flags.suites.is_empty()) {
+        let (results, folder) = studies.ask_twins()?;
         exit = exit.max(show_twins(&results, &folder, printer)?);
     }
     if ![TOKENS, TWINS].contains(&flags.name.as_str()) {
-        let all = flags.name == ALL_EXPERIMENTS;
+        let all = flags.name == ALL_STUDIES;
         let words = if all {
             study::names().collect()
         } else {
             vec![flags.name.as_str()]
         };
-        exit = exit.max(show(&experiments.simulate(words)?, flags.csv, printer)?);
+        exit = exit.max(show(&studies.simulate(words)?, flags.csv, printer)?);
     }
     Ok(exit)
 }
 
-/// Refuses the name of no experiment. The list of a study lacks those that are no study.
+/// Refuses an unknown name. `Study::find` does not know the words that name no study file.
 fn check_name(name: &str) -> anyhow::Result<()> {
-    if [ALL_EXPERIMENTS, TOKENS, TWINS].contains(&name) {
+    if [ALL_STUDIES, TOKENS, TWINS].contains(&name) {
         return Ok(());
     }
     match study::find(name) {
         Err(StudyError::Unknown { word, known }) => Err(StudyError::Unknown {
             word,
-            known: format!("{known}, {TOKENS}, {TWINS}, {ALL_EXPERIMENTS}"),
+            known: format!("{known}, {TOKENS}, {TWINS}, {ALL_STUDIES}"),
         }
         .into()),
         other => Ok(other.map(|_| ())?),
@@ -66,7 +64,7 @@ fn check_name(name: &str) -> anyhow::Result<()> {
 /// A score of a variant for CSV.
 #[derive(Serialize)]
 struct Row<'a> {
-    experiment: &'a str,
+    study: &'a str,
     suite: &'a str,
     variant: &'a str,
     planner: &'a str,
@@ -79,7 +77,7 @@ fn csv_rows(results: &StudyResults) -> Vec<Row<'_>> {
     for suite in &results.suites {
         for variant in &suite.variants {
             rows.extend(variant.challenges.iter().map(|result| Row {
-                experiment: &results.experiment,
+                study: &results.study,
                 suite: &suite.name,
                 variant: &variant.name,
                 planner: &variant.planner,

@@ -1,6 +1,6 @@
-//! The suites of experiments.
+//! The suites of studies.
 
-use super::request::ExperimentsRequest;
+use super::request::StudiesRequest;
 use crate::study::{Quick, Starts};
 use planagent_files::word_of;
 use planagent_runs::report::{DataFile, ScenarioList};
@@ -31,19 +31,19 @@ pub(super) struct SelectedSuite {
 
 /// The suites of a session; each is searched once.
 pub(super) struct Suites<'a> {
-    request: &'a ExperimentsRequest,
+    request: &'a StudiesRequest,
     listener: &'a Listener,
     roots: DataRoots,
     readers: Readers,
     /// By name and start times.
     found: BTreeMap<String, Rc<SelectedSuite>>,
-    /// Experiments that lack recordings.
+    /// Studies that lack recordings.
     lacking: Vec<String>,
 }
 
 impl<'a> Suites<'a> {
     pub(super) fn new(
-        request: &'a ExperimentsRequest,
+        request: &'a StudiesRequest,
         listener: &'a Listener,
     ) -> Result<Self, RunnerError> {
         let roots = absolute(request.roots.clone())?;
@@ -57,11 +57,11 @@ impl<'a> Suites<'a> {
         })
     }
 
-    /// The suites of an experiment: those of the request, else its own; recordings only where there
+    /// The suites of a study: those of the request, else its own; recordings only where there
     /// are some.
     pub(super) fn of(
         &mut self,
-        experiment: &str,
+        study: &str,
         own: &[impl AsRef<str>],
         starts: Option<Starts>,
     ) -> Result<Vec<Rc<SelectedSuite>>, RunnerError> {
@@ -77,7 +77,7 @@ impl<'a> Suites<'a> {
         for name in own {
             let name = name.as_ref();
             if name == RECORDED && self.recordings().is_empty() {
-                self.lacking.push(experiment.to_owned());
+                self.lacking.push(study.to_owned());
             } else {
                 suites.push(self.named(name, starts)?);
             }
@@ -85,11 +85,11 @@ impl<'a> Suites<'a> {
         Ok(suites)
     }
 
-    /// Says which experiments go on without recordings.
+    /// Says which studies go on without recordings.
     pub(super) fn note_lacking(&mut self) {
-        for experiment in self.lacking.drain(..) {
+        for study in self.lacking.drain(..) {
             let text = format!(
-                "{experiment}: no recordings: neither --scenario nor ${DATA} names a folder that is there"
+                "{study}: no recordings: neither --scenario nor ${DATA} names a folder that is there"
             );
             (self.listener)(Event::Note(text));
         }

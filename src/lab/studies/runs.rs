@@ -1,5 +1,5 @@
-//! The runs of experiments. Each has a folder whose name is a digest of everything that determines
-//! the run, so that experiments share equal runs and resume interrupted ones.
+//! The runs of studies. Each has a folder whose name is a digest of everything that determines
+//! the run, so that studies share equal runs and resume interrupted ones.
 
 use super::suites::SelectedSuite;
 use crate::study::Variant;

@@ -1,4 +1,4 @@
-//! Experiments: the runs of studies, and what their comparison gives.
+//! The runs of studies, and what their comparison gives.
 
 mod request;
 mod runs;
@@ -6,7 +6,7 @@ mod suites;
 mod tokens;
 mod twins;
 
-pub use request::ExperimentsRequest;
+pub use request::StudiesRequest;
 pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
 
 use crate::report::{
@@ -28,16 +28,16 @@ use std::rc::Rc;
 use std::time::Instant;
 use suites::{SelectedSuite, Suites};
 
-/// Name of the experiment that counts tokens and simulates nothing.
+/// Name of the study that counts tokens and simulates nothing.
 pub const TOKENS: &str = "tokens";
-/// Name of the experiment that asks the model in text twins.
+/// Name of the study that asks the model in text twins.
 pub const TWINS: &str = "twins";
 /// Folder of the runs, beside those of the results.
 const RUNS: &str = "runs";
 
-/// A session of experiments, which share their suites and runs.
-pub struct Experiments<'a> {
-    request: &'a ExperimentsRequest,
+/// A session of studies, which share their suites and runs.
+pub struct Studies<'a> {
+    request: &'a StudiesRequest,
     config: &'a Config,
     listener: &'a Listener,
     suites: Suites<'a>,
@@ -62,10 +62,10 @@ struct Planned {
     suites: Vec<(Rc<SelectedSuite>, Vec<RunName>)>,
 }
 
-impl<'a> Experiments<'a> {
+impl<'a> Studies<'a> {
     /// Starts a session.
     pub fn new(
-        request: &'a ExperimentsRequest,
+        request: &'a StudiesRequest,
         config: &'a Config,
         listener: &'a Listener,
     ) -> Result<Self, RunnerError> {
@@ -209,7 +209,7 @@ impl<'a> Experiments<'a> {
     /// The command that makes the results of a study. Settings of files and of options are those of
     /// `--set`.
     fn command(&self, name: &str) -> Result<String, RunnerError> {
-        let mut words = vec!["planagent experiment".to_owned(), name.to_owned()];
+        let mut words = vec!["planagent study".to_owned(), name.to_owned()];
         words.extend(self.request.quick.then(|| "--quick".to_owned()));
         if !self.request.suites.is_empty() {
             words.push(format!("--suite {}", self.request.suites.join(",")));
