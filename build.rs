@@ -1,5 +1,5 @@
-//! The build script of planagent-runs, which writes it into records: tells the compiler which
-//! commit is built.
+//! The build script of the program and of the Python package: tells the compiler which commit is
+//! built. No library crate has it, so a new commit compiles none of them again.
 #![allow(
     clippy::print_stdout,
     reason = "Cargo reads its instructions from stdout"
@@ -10,8 +10,11 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn main() {
-    let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default()).join("../..");
-    if let Some(commit) = commit(&root) {
+    let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default());
+    let root = package
+        .ancestors()
+        .find(|folder| folder.join("Cargo.lock").is_file());
+    if let Some(commit) = root.and_then(commit) {
         println!("cargo::rustc-env=PLANAGENT_COMMIT={commit}");
     }
 }

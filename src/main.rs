@@ -9,7 +9,7 @@ static ALLOCATOR: MiMalloc = MiMalloc;
 
 fn main() -> std::process::ExitCode {
     name_threads();
-    planagent_cli::run()
+    planagent_cli::run(option_env!("PLANAGENT_COMMIT"))
 }
 
 /// candle asks for its number of threads at each product. Without this variable it reads

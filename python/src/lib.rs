@@ -60,6 +60,9 @@ mod _core {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         planagent_runs::worker::panic_guard::install_hook();
+        if let Some(commit) = option_env!("PLANAGENT_COMMIT") {
+            planagent_runs::runner::set_build_commit(commit);
+        }
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

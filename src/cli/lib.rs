@@ -18,6 +18,7 @@ mod words;
 use anyhow::bail;
 use args::{Arguments, Command};
 use clap::{CommandFactory, FromArgMatches};
+use planagent_runs::runner::set_build_commit;
 use planagent_runs::worker::panic_guard;
 use settings::Settings;
 use std::process::ExitCode;
@@ -27,9 +28,12 @@ pub use printer::Printer;
 
 const MAX_THREADS: usize = 512;
 
-/// Runs the program with the arguments of the process.
-pub fn run() -> ExitCode {
+/// Runs the program with the arguments of the process; `commit` is what it was built from.
+pub fn run(commit: Option<&'static str>) -> ExitCode {
     panic_guard::install_hook();
+    if let Some(commit) = commit {
+        set_build_commit(commit);
+    }
     let matches = with_negative_numbers(Arguments::command()).try_get_matches();
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,

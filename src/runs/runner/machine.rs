@@ -1,5 +1,7 @@
 //! The machine and the build, for records of measurements.
 
+use std::sync::OnceLock;
+
 /// Name of the processor, or of its architecture where the system does not name it.
 pub fn cpu() -> String {
     let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
@@ -27,8 +29,17 @@ pub fn memory() -> Option<u64> {
         .map(|kibibytes| kibibytes * 1024)
 }
 
-/// The commit that the program was built from, with `+changes` for changed files; `None` for a
-/// build without git.
+/// Set once by the program that runs.
+static COMMIT: OnceLock<&'static str> = OnceLock::new();
+
+/// Tells records which commit the program was built from, with `+changes` for changed files. The
+/// program calls it before all else; a second call changes nothing.
+pub fn set_build_commit(commit: &'static str) {
+    COMMIT.get_or_init(|| commit);
+}
+
+/// The commit of [`set_build_commit`]; `None` for a build without git and for programs that did
+/// not call it.
 pub fn build_commit() -> Option<&'static str> {
-    option_env!("PLANAGENT_COMMIT").filter(|commit| !commit.is_empty())
+    COMMIT.get().copied()
 }

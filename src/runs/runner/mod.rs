@@ -22,7 +22,7 @@ pub use commands::CommandError;
 pub use config::{Config, ConfigError, MllmConfig};
 pub use error::{MergeError, RunnerError};
 pub use event::{Event, Listener, silent};
-pub use machine::{build_commit, cpu, memory};
+pub use machine::{build_commit, cpu, memory, set_build_commit};
 pub use merge::merge;
 pub use model::{LoadedModel, load_model, model_registry};
 pub use request::Request;
