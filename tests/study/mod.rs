@@ -241,10 +241,10 @@ fn what_cannot_be_driven_is_refused_with_what_to_do() {
 fn a_study_of_a_user_is_a_file() {
     let work = TempDir::new().unwrap();
     let file = work.path().join("mine.toml");
-    let study = "name = 'speeds'\ntitle = 'Two planners'\nlabels = ['planner', 'threshold']\nreference = 1\n\
+    let definition = "name = 'speeds'\ntitle = 'Two planners'\nlabels = ['planner', 'threshold']\nreference = 1\n\
         suites = ['generated']\n[[variants]]\nlabels = ['simple', '-']\nplanner = 'simple'\n\
         [[variants]]\nlabels = ['fixed', '0.5']\nplanner = 'fixed-code'\nsettings.reflection.threshold = 0.5\n";
-    fs::write(&file, study).unwrap();
+    fs::write(&file, definition).unwrap();
     let (code, stdout, stderr) = run(&study(file.to_str().unwrap(), work.path()));
     assert_eq!(code, 0, "{stderr}");
     assert!(
@@ -267,10 +267,10 @@ fn a_study_of_a_user_is_a_file() {
     );
 
     let out = work.path().to_str().unwrap();
-    fs::write(&file, study.replace("threshold = 0.5", "threshhold = 0.5")).unwrap();
+    fs::write(&file, definition.replace("threshold = 0.5", "threshhold = 0.5")).unwrap();
     let wrong = refused(&["study", file.to_str().unwrap(), "--out", out]);
     assert!(wrong.contains("threshhold"), "{wrong}");
-    fs::write(&file, study.replace("reference = 1", "reference = 2")).unwrap();
+    fs::write(&file, definition.replace("reference = 1", "reference = 2")).unwrap();
     let wrong = refused(&["study", file.to_str().unwrap(), "--out", out]);
     assert!(
         wrong.contains("mine.toml") && wrong.contains("reference is 2"),
