@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{Loading, Sequence};
+use super::loading::Loading;
+use super::sequence::Sequence;
 use crate::decoder::Logits;
 use crate::family::VisionLanguageModel;
 use crate::sampling::most_likely;
