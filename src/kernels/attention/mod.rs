@@ -9,6 +9,7 @@
     reason = "kernels must be inlined into the functions that enable the instructions"
 )]
 
+mod biased;
 mod key_values;
 mod mask;
 mod probe;
@@ -26,6 +27,7 @@ use std::sync::Arc;
 use candle_core::{Device, Tensor};
 use rayon::prelude::*;
 
+pub use biased::PackedKeyValues;
 use key_values::{BLOCK_POSITIONS, Block, Blocks, StoredFloat};
 pub use key_values::{KeyValues, Precision};
 pub use mask::AttentionMask;
