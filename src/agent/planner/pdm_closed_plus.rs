@@ -2,7 +2,7 @@
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::lane_graph::Centerline;
-use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
+use crate::environment::{DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph};
 use crate::reflection::{PassRules, allowed_pass};
 use planagent_score::pdm::{DrivableLayers, Pass, PdmError, PdmMemory, ReferencePath, plan_among};
 use planagent_world::geometry::{OrientedBox, Polyline, Pose, Vector};
@@ -58,7 +58,7 @@ impl Planner for PdmClosedPlus {
             return Ok(plan_among(own, &[], None, scene, collided)?.trajectory);
         };
         let graph = graph.with_oncoming_lane(scene);
-        let pass = allowed_pass(scene, &graph);
+        let pass = allowed_pass(GraphedScene::new(scene, &graph));
         let others = paths_along(
             scene,
             own,

@@ -2,10 +2,8 @@
 //! and token counts.
 
 pub mod interactive;
-mod oracle;
 pub mod panic_guard;
 pub mod run;
-pub mod search;
 pub mod seeds;
 mod shuffled_bev;
 pub mod split;

@@ -1,20 +1,22 @@
 //! Many simulations on all cores: scenarios x planners x challenges, each with its score or its
 //! error.
 
-use super::oracle::OracleAgent;
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
 use super::stoppable::{StopSwitch, Stoppable};
 use planagent_agent::planner::{
     AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError,
-    PlannerName, PlannerNeeds, PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
+    PlannerName, PlanningCall,
+};
+use planagent_agent::planner_registry::{
+    PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner,
 };
 use planagent_agent::simulation::{
     AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared,
 };
 use planagent_files::shortened;
 use planagent_planners::all_planners;
-use planagent_scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
+use planagent_scenario::{HeldScenario, Scenario, ScenarioRef, UNKNOWN_TYPE};
 use planagent_score::metrics::{Evaluation, MetricResult, Score};
 use planagent_score::pdm::DrivableLayers;
 use planagent_world::EgoState;
@@ -50,12 +52,22 @@ impl Default for AgentParts {
 }
 
 impl AgentParts {
-    /// The planner of one simulation. The scenario's name goes into the seed, so that no simulation
+    /// The planner of one scenario. The scenario's name goes into the seed, so that no simulation
     /// depends on another.
     pub fn planner(
         &self,
         name: PlannerName,
         scenario: &Scenario,
+    ) -> Result<Box<dyn Planner>, BuildError> {
+        self.planner_in(name, scenario, None)
+    }
+
+    /// The same, for a simulation that the planner may look ahead in.
+    fn planner_in(
+        &self,
+        name: PlannerName,
+        scenario: &Scenario,
+        simulation: Option<&ClosedLoop<'static>>,
     ) -> Result<Box<dyn Planner>, BuildError> {
         let entry = self.registry.find(name.as_str())?;
         let recording: Vec<EgoState> = match entry.needs {
@@ -69,6 +81,7 @@ impl AgentParts {
             settings: &settings,
             model: self.model.as_ref(),
             recording: &recording,
+            simulation,
             shuffled_bev: shuffled_bev.as_ref(),
         })?;
         Ok(self.stoppable(planner))
@@ -82,7 +95,7 @@ impl AgentParts {
     }
 
     /// The planner under the switch of the run.
-    fn stoppable<'a>(&self, planner: Box<dyn Planner + 'a>) -> Box<dyn Planner + 'a> {
+    fn stoppable(&self, planner: Box<dyn Planner>) -> Box<dyn Planner> {
         match &self.stop {
             Some(switch) => Box::new(Stoppable {
                 planner,
@@ -270,30 +283,21 @@ fn simulate_task(
         .agents
         .as_ref()
         .filter(|agents| Some(agents.name) == challenge.own_agents());
+    let held = || HeldScenario::Shared(Arc::clone(scenario));
     let prepared = || match own {
         Some(agents) => {
-            ClosedLoop::with_agents(scenario, challenge, |first| agents.policy(scenario, first))
+            ClosedLoop::with_agents(held(), challenge, |first| agents.policy(scenario, first))
         }
-        None => ClosedLoop::new(scenario, challenge),
+        None => ClosedLoop::new(held(), challenge),
     };
-    let needs = parts
-        .registry
-        .find(planner.as_str())
-        .map_err(|error| with_causes(&error))?
-        .needs;
-    let mut planner: Box<dyn Planner + '_> = match needs {
-        PlannerNeeds::Simulation => {
-            let ahead = prepared().map_err(|error| with_causes(&error))?;
-            parts.stoppable(Box::new(OracleAgent::new(
-                planner,
-                parts.settings_for(&scenario.id),
-                ahead,
-            )))
-        }
-        _ => parts
-            .planner(planner, scenario)
-            .map_err(|error| with_causes(&error))?,
+    let entry = parts.registry.find(planner.as_str());
+    let ahead = match entry.map_err(|error| with_causes(&error))?.needs {
+        PlannerNeeds::Simulation => Some(prepared().map_err(|error| with_causes(&error))?),
+        _ => None,
     };
+    let mut planner = parts
+        .planner_in(planner, scenario, ahead.as_ref())
+        .map_err(|error| with_causes(&error))?;
     let log = prepared()
         .and_then(|simulation| {
             simulate_prepared(simulation, planner.as_mut(), challenge, &mut |p| {
