@@ -23,7 +23,7 @@ use planagent_runs::worker::panic_guard;
 use settings::Settings;
 use std::process::ExitCode;
 
-pub use exit::Exit;
+pub(crate) use exit::Exit;
 pub use printer::Printer;
 
 const MAX_THREADS: usize = 512;

@@ -1,6 +1,6 @@
 //! The known name that a mistyped one is closest to.
 
-use planagent_agent::planner::UnknownPlanner;
+use planagent_agent::planner_registry::UnknownPlanner;
 use planagent_lab::study::StudyError;
 use planagent_mllm::MllmError;
 use planagent_runs::report::render::RenderError;

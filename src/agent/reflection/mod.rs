@@ -13,7 +13,8 @@ mod shift;
 
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
 pub use monitor::{Choice, MonitoredStep, PlanMonitor};
-pub use pass::{PassRules, allowed_pass};
+pub use pass::PassRules;
+pub(crate) use pass::allowed_pass;
 pub use plan_builder::PlanBuilder;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 pub use rollout::{IdmPlan, LeadPolicy, Rollout, Version};

@@ -9,7 +9,8 @@ pub(super) use quantity::{
 };
 pub(crate) use quantity::{ACCELERATION_WINDOW, YAW_WINDOW};
 pub use quantity::{Bound, ComfortQuantity};
-pub use savgol::{SavitzkyGolay, differentiated, mean_step_s, smoothed};
+pub use savgol::SavitzkyGolay;
+pub(crate) use savgol::{differentiated, mean_step_s, smoothed};
 
 use super::{MetricCategory, MetricError, MetricList, MetricResult, MetricSpec};
 use planagent_world::EgoState;
