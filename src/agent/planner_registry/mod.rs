@@ -296,6 +296,7 @@ fn boxed(planner: impl Planner + 'static) -> Built {
 
 impl PlannerParts<'_> {
     /// PlanAgent with these parts, whose codes come from `source`.
+    #[doc(hidden)]
     pub fn agent(&self, source: CodeSource) -> Box<dyn AgentLayer> {
         PlanAgent::new(self.name, source, self.settings.clone())
             .with_shuffled_bev(self.shuffled_bev.cloned())
