@@ -9,10 +9,7 @@ mod ego_sorts;
 mod lane_changes_to_goal;
 mod neighbors;
 
-pub(crate) use ego_sorts::passing_ratio;
 pub use ego_sorts::sorted;
-pub(crate) use lane_changes_to_goal::{UNCOUNTED, lane_changes_score};
-pub(crate) use neighbors::{LaneRelations, changes_between};
 
 use super::{MetricSpec, Role};
 use planagent_world::InteractionKind;
