@@ -1,7 +1,7 @@
 //! SentencePiece tokenizers in GGUF metadata, there and back.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::Path;
 
 use proptest::prelude::*;
 use serde_json::{Value as Json, json};
@@ -134,11 +134,7 @@ pub(crate) fn metadata(json: &Json, vocabulary: usize) -> BTreeMap<String, Json>
 
 fn header(json: &Json) -> Header {
     let metadata = metadata(json, VOCABULARY);
-    Header {
-        path: PathBuf::from("m.gguf"),
-        metadata,
-        tensors: BTreeMap::new(),
-    }
+    Header::new(Path::new("m.gguf"), metadata, BTreeMap::new())
 }
 
 /// A tokenizer before and after GGUF.

@@ -1,10 +1,12 @@
 //! Models that run in this process on the CPU.
 
 mod ahead;
+mod answer_time;
 mod check;
 mod draft;
 mod draft_model;
 mod generate;
+mod grouped;
 mod likeliest;
 mod memory;
 mod outline;
@@ -32,8 +34,10 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use answer_time::AnswerWork;
 pub use check::ModelCheck;
 use draft_model::DraftModel;
+pub(crate) use memory::PictureNeed;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub use outline::{FormatOutline, ModelOutline};
 pub(crate) use sequence::Sequence;
@@ -45,7 +49,7 @@ use super::families::{Architecture, Families};
 use super::family::{Chat, ChatFormat, ImageLayout, ImageSettings, VisionLanguageModel};
 use super::source::{Checkpoint, ModelPlace};
 use super::text::{ChatTokenizer, GrammarEngine};
-use super::{Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
+use super::{AnswerTime, Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
 use planagent_kernels::matrix::WeightFormat;
 
 /// Number of system prompts whose keys and values are cached; a run uses one or two.
@@ -66,6 +70,8 @@ pub struct LocalModel {
     /// Longest chat that the user allows, tokens; none for that of the model.
     limit: Option<usize>,
     draft_model: Option<Arc<DraftModel>>,
+    /// The work of an answer; none for a small model.
+    work: Option<AnswerWork>,
     prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
 }
 
@@ -104,8 +110,9 @@ impl Loading {
         let checkpoint = Checkpoint::open(place, self.quantize, &self.families)?;
         self.check_family(&checkpoint)?;
         if self.memory == MemoryCheck::Refuse {
-            let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-            memory::check(&checkpoint, &decoder, self.quantize, self.context)?;
+            let decoder = checkpoint.decoder_config()?;
+            let picture = PictureNeed::of(&checkpoint, self.image);
+            memory::check(&checkpoint, &decoder, picture, self.quantize, self.context)?;
         }
         Ok(checkpoint)
     }
@@ -164,6 +171,7 @@ impl LocalModel {
         // Before the weights are read, which takes minutes: a missing tokenizer is found at once.
         let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
         checkpoint.weights.hash()?;
+        let work = AnswerWork::of(&checkpoint, loading.image);
         let mut model = checkpoint.open_model()?;
         model.set_images(loading.image)?;
         let Checkpoint { files, weights, .. } = checkpoint;
@@ -181,6 +189,7 @@ impl LocalModel {
             load: weights.report().clone(),
             limit: loading.context,
             draft_model: None,
+            work,
             prefixes: Mutex::new(VecDeque::new()),
         })
     }
@@ -292,6 +301,10 @@ impl Mllm for LocalModel {
             load: self.load.clone(),
             server: None,
         }
+    }
+
+    fn answer_time(&self, text: usize, new: usize) -> Option<AnswerTime> {
+        self.time_answer(text, new)
     }
 
     fn converse<'a>(

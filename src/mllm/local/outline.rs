@@ -1,6 +1,6 @@
 //! What a model is and needs, from its configuration and the headers of its weights alone.
 
-use super::MemoryNeed;
+use super::{MemoryNeed, PictureNeed};
 use crate::MllmError;
 use crate::families::Families;
 use crate::family::ImageSettings;
@@ -42,9 +42,10 @@ impl ModelOutline {
 
     /// The outline of a model whose images are shown as `image` says.
     pub(crate) fn of(mut checkpoint: Checkpoint, image: ImageSettings) -> Result<Self, MllmError> {
-        let config = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-        let memory =
-            Self::FORMATS.map(|format| MemoryNeed::of(&checkpoint, &config, Some(format), None));
+        let config = checkpoint.decoder_config()?;
+        let picture = PictureNeed::of(&checkpoint, image);
+        let memory = Self::FORMATS
+            .map(|format| MemoryNeed::of(&checkpoint, &config, picture, Some(format), None));
         checkpoint.weights.only_look();
         let mut model = checkpoint.open_model()?;
         model.set_images(image)?;
