@@ -3,10 +3,9 @@
 #[cfg(feature = "hub")]
 mod client;
 
-use std::path::{Path, PathBuf};
-
 use crate::MllmError;
 use crate::checkpoint::safetensors_folder::{has_safetensors, weight_files};
+use std::path::{Path, PathBuf};
 
 /// The wanted part of a repository.
 #[derive(Debug, Clone)]
