@@ -1,8 +1,6 @@
 //! Every family through the registry, in conversations with rounds and rethinks, and in the agent.
 
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
+use super::{Copy, FIRST, SECOND, fixture, free, request};
 use image::RgbImage;
 use planagent_agent::planner::{
     AfterMaxExec, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerName,
@@ -16,8 +14,8 @@ use planagent_mllm::{
 };
 use planagent_scenario::generator;
 use serde_json::json;
-
-use super::{Copy, FIRST, SECOND, fixture, free, request};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Every family's tiny checkpoint.
 const FAMILIES: [Tiny; 8] = [
@@ -444,11 +442,8 @@ fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
         instruction: 64,
         code: 64,
     };
-    let mut settings = PlanAgentSettings {
-        plan_interval_s: 100.0,
-        blocked_interval_s: 100.0,
-        ..PlanAgentSettings::default()
-    };
+    let mut settings = PlanAgentSettings::default();
+    (settings.agent.interval_s, settings.agent.blocked_interval_s) = (100.0, 100.0);
     settings.reflection = ReflectionSettings {
         threshold: 1.0,
         lane_change_threshold: 1.0,

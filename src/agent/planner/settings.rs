@@ -20,9 +20,14 @@ pub enum AfterMaxExec {
 }
 
 /// Section `agent`: a planning call as a whole.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CallSettings {
+    /// Time between planning calls, seconds (the paper: 2).
+    pub interval_s: f64,
+    /// Time between planning calls while something blocks the ego's lane or its lead agent stands,
+    /// seconds (the paper: 2).
+    pub blocked_interval_s: f64,
     /// Wall time after which a planning call is interrupted and the active plan is kept,
     /// milliseconds; `None` for no limit. The image and a running reflection are completed all the
     /// same.
@@ -33,6 +38,18 @@ pub struct CallSettings {
     pub gate: Option<f64>,
     /// How long a planning call lasts in simulated time.
     pub latency: Latency,
+}
+
+impl Default for CallSettings {
+    fn default() -> Self {
+        Self {
+            interval_s: 2.0,
+            blocked_interval_s: 0.5,
+            deadline_ms: None,
+            gate: None,
+            latency: Latency::default(),
+        }
+    }
 }
 
 /// Section `environment`: the input of the model.
@@ -233,11 +250,6 @@ pub struct PlanAgentSettings {
     pub reflection: ReflectionSettings,
     /// Section `learned`.
     pub learned: LearnedSettings,
-    /// Time between planning calls, seconds (the paper: 2).
-    pub plan_interval_s: f64,
-    /// Time between planning calls while something blocks the ego's lane or its lead agent stands,
-    /// seconds (the paper: 2).
-    pub blocked_interval_s: f64,
     /// Seed of the simulation; each planning call draws from a stream of its own.
     pub seed: u64,
 }
@@ -251,8 +263,6 @@ impl Default for PlanAgentSettings {
             environment,
             reflection,
             learned,
-            plan_interval_s: 2.0,
-            blocked_interval_s: 0.5,
             seed: 0,
         }
     }

@@ -251,7 +251,7 @@ impl Planner for LlmAssist {
         self.clock.step(scene.ego.time_us);
         if self
             .clock
-            .is_due(self.settings.plan_interval_s.min(WAYPOINT_SECONDS as f64))
+            .is_due(self.settings.agent.interval_s.min(WAYPOINT_SECONDS as f64))
         {
             self.active = None;
             if rules.scores[rules.best].total < self.tau() {

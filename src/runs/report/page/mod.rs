@@ -10,6 +10,9 @@ mod live;
 mod simulation;
 mod source;
 
+pub use super::layout::PAGE;
+pub use live::{LivePage, LiveState};
+
 use super::atomic;
 use super::error::{ReportError, ReportFault};
 use super::replay::packed;
@@ -23,9 +26,6 @@ use source::RunSimulations;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
-
-pub use super::layout::PAGE;
-pub use live::{LivePage, LiveState};
 
 /// Default maximum size of a page, bytes: a browser opens it at once, and most mail servers accept
 /// it.
