@@ -2,11 +2,10 @@
 
 mod imports;
 
+use imports::Graph;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
 const RANKS: [(&str, u8); 13] = [

@@ -1,15 +1,13 @@
 //! The families of models. To add one, add its folder and a line to [`BUILT_IN`].
 
-use std::path::Path;
-
-use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
 use super::{
     MllmError, candle_qwen3_vl, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm,
 };
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::path::Path;
 
 const BUILT_IN: &[&Family] = &[
     &llava::FAMILY,

@@ -1,11 +1,10 @@
 //! Broken checkpoints give typed errors that name the cause, and never a panic.
 
+use super::{Copy, FIRST, free, prefix};
 use planagent_mllm::{Mllm, MllmError};
 use proptest::prelude::*;
 use safetensors::Dtype;
 use serde_json::{Value, json};
-
-use super::{Copy, FIRST, free, prefix};
 
 const GATE: &str = "language_model.model.layers.1.mlp.gate_proj.weight";
 

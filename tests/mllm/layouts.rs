@@ -1,11 +1,10 @@
 //! The same checkpoint gives the same answers in every layout of transformers.
 
+use super::{Copy, FIRST, Tensors, free, open, prefix};
 use half::{bf16, f16};
 use planagent_mllm::{LocalModel, Mllm};
 use safetensors::Dtype;
 use serde_json::json;
-
-use super::{Copy, FIRST, Tensors, free, open, prefix};
 
 fn answer(model: &LocalModel) -> String {
     model

@@ -16,15 +16,14 @@ mod own_family;
 mod token_ids;
 mod unread;
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
 use image::RgbImage;
 use planagent_mllm::{
     Constraint, Deadline, LocalModel, MllmError, PromptPrefix, Request, Sampling,
 };
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 /// A committed checkpoint.

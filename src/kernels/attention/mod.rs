@@ -20,13 +20,6 @@ mod unit;
 #[cfg(test)]
 mod tests;
 
-use std::ops::Range;
-use std::sync::Arc;
-
-use candle_core::{Device, Tensor};
-use rayon::prelude::*;
-
-use key_values::{BLOCK_POSITIONS, Block, Blocks, StoredFloat};
 pub use key_values::{KeyValues, Precision};
 pub use mask::AttentionMask;
 #[doc(hidden)]
@@ -35,9 +28,14 @@ pub use projected::{HeadShape, Projected};
 pub use rope::{Rope, RopeScaling, RotarySections};
 pub use rotary::Position;
 pub use rotary::{RotaryEmbedding, RotaryRows, frequency_factors};
-use unit::{PartialOutput, WorkUnit};
 
 use super::matrix::Instructions;
+use candle_core::{Device, Tensor};
+use key_values::{BLOCK_POSITIONS, Block, Blocks, StoredFloat};
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::Arc;
+use unit::{PartialOutput, WorkUnit};
 
 /// Maximum rows of a work unit, one for each token and query head. More rows read the keys fewer
 /// times; the sums of this many stay in the second-level cache.

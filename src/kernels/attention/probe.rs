@@ -1,8 +1,7 @@
 //! One attention with a filled cache, for `benches/candle.rs`.
 
-use candle_core::{Result, Tensor};
-
 use super::{AttentionMask, HeadShape, KeyValues, Precision, Projected, attend};
+use candle_core::{Result, Tensor};
 
 /// Causal attention of the last tokens of a context over all of its positions.
 #[derive(Debug)]

@@ -1,10 +1,9 @@
 //! Queries, keys and values as the projections of a layer leave them.
 
-use candle_core::Tensor;
-
 use super::rotary::RotaryRows;
 use crate::matrix::LANES;
 use crate::values::with_contiguous;
+use candle_core::Tensor;
 
 /// The heads of an attention.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,15 +1,14 @@
 //! Attention compared with plain sums in f64.
 
-use candle_core::{DType, Device, Tensor};
-use half::f16;
-use proptest::prelude::*;
-use rand::{RngExt, SeedableRng};
-
 use super::key_values::BLOCK_POSITIONS;
 use super::{
     AttentionMask, HeadShape, KeyValues, Precision, Projected, Rope, RotaryEmbedding, attend, mix,
 };
 use crate::matrix::Instructions;
+use candle_core::{DType, Device, Tensor};
+use half::f16;
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
 
 /// Random projections of tokens, between ±`scale`.
 fn projections(tokens: usize, shape: HeadShape, scale: f32, seed: u64) -> Tensor {

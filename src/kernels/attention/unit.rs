@@ -1,12 +1,11 @@
 //! A work unit: the part of an attention that one thread computes.
 
-use std::ops::Range;
-use std::sync::Arc;
-
 use super::key_values::{BLOCK_POSITIONS, Block, StoredFloat};
 use super::mask::AttentionMask;
 use super::projected::{HeadShape, Projected};
 use crate::matrix::{Instructions, Kernel, LANES, Simd};
+use std::ops::Range;
+use std::sync::Arc;
 
 /// Minimum rows for which one conversion of an f16 block is cheaper than a conversion for every few
 /// rows.

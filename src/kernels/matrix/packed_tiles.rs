@@ -5,13 +5,11 @@
 //! original blocks can be written again bit for bit. The packed weights take hardly more memory
 //! than the file.
 
-use std::io::{self, Write};
-
-use rayon::prelude::*;
-
 use super::blocks::widen;
 use super::line::{CacheLine, LANES};
 use super::weight_format::WeightFormat;
+use rayon::prelude::*;
+use std::io::{self, Write};
 
 const LINE: usize = size_of::<CacheLine>();
 

@@ -1,10 +1,9 @@
 //! Number formats of tensors in files, and how those without a product become `q8_0`.
 
+use super::blocks::widen;
 use candle_core::Result;
 use candle_core::quantized::GgmlDType;
 use half::f16;
-
-use super::blocks::widen;
 
 /// Number format of a tensor in a file (ggml, `ggml-common.h`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -11,11 +11,6 @@ mod weights;
 #[cfg(test)]
 mod reference_tests;
 
-use candle_core::Tensor;
-use image::RgbImage;
-
-use decoder::CandleDecoder;
-
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::LanguageModel;
@@ -26,6 +21,9 @@ use super::family::{
 use super::qwen3_vl::{PatchProcessor, Qwen3VlConfig, canonical_name};
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
+use candle_core::Tensor;
+use decoder::CandleDecoder;
+use image::RgbImage;
 
 const NAME: &str = "candle-qwen3-vl";
 

@@ -2,8 +2,6 @@
 //! (`tests/fixtures/tiny_qwen3_vl`): how far its logits are from transformers'. docs/models.md has
 //! the figures.
 
-use candle_core::Tensor;
-
 use crate::checkpoint::ModelFiles;
 use crate::families::{Architecture, Families};
 use crate::family::{ImageFeatures, VisionLanguageModel};
@@ -11,6 +9,7 @@ use crate::local::test_prompts::Prompts;
 use crate::local::test_reference::{LOGIT_TOLERANCE, difference, greedy, logits_in_pieces};
 use crate::local::{Loading, LocalModel, Sequence};
 use crate::source::{Checkpoint, ModelPlace};
+use candle_core::Tensor;
 
 fn model(prompts: &Prompts, architecture: &str) -> Box<dyn VisionLanguageModel> {
     let families = Families::default().preferring(Architecture::named(architecture).unwrap());

@@ -1,18 +1,16 @@
 //! The tensors of a checkpoint under one set of names, from any kind of file.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
-use candle_core::quantized::GgmlDType;
-use candle_core::{Device, Tensor};
-use half::f16;
-
 use super::load_report::LoadReport;
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
 use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
 use crate::MllmError;
+use candle_core::quantized::GgmlDType;
+use candle_core::{Device, Tensor};
+use half::f16;
 use planagent_kernels::matrix::{Matrix, WeightFormat};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to
 /// be finite, and converted as the [`WeightFormatPlan`] says. So at most one tensor is in memory

@@ -1,11 +1,6 @@
 //! Parity with a torch implementation of the model
 //! (`tests/fixtures/tiny_cogvlm/make_tiny_cogvlm.py`).
 
-use std::path::PathBuf;
-
-use candle_core::{DType, Device, Tensor};
-use serde_json::json;
-
 use super::config::CogVlmConfig;
 use super::language::positions;
 use super::preprocess::pixel_values;
@@ -17,6 +12,9 @@ use crate::local::test_reference::{
     synthetic, whole,
 };
 use crate::vision::{Filter, resize};
+use candle_core::{DType, Device, Tensor};
+use serde_json::json;
+use std::path::PathBuf;
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> CogVlm {

@@ -1,10 +1,9 @@
 //! Causal attention of a layer over the key-value cache.
 
-use candle_core::Tensor;
-
 use super::cache::KvCache;
 use super::layer::Pass;
 use crate::checkpoint::LlamaConfig;
+use candle_core::Tensor;
 use planagent_kernels::attention::{AttentionMask, HeadShape, Projected, attend, exact_tokens};
 
 /// Causal attention of a layer, without the projections.

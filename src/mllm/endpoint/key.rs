@@ -2,13 +2,11 @@
 
 mod forms;
 
-use std::ffi::OsString;
-use std::fmt;
-
-use reqwest::header::HeaderValue;
-
 use crate::MllmError;
 use forms::Forms;
+use reqwest::header::HeaderValue;
+use std::ffi::OsString;
+use std::fmt;
 
 /// Replacement of the key in texts.
 const HIDDEN: &str = "[key]";

@@ -17,11 +17,6 @@ mod round_trip_tests;
 #[cfg(test)]
 mod stored_format_tests;
 
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
-
-use serde_json::json;
-
 use super::MllmError;
 use super::checkpoint::{LoadReport, ModelFiles, Weights, is_matrix, paired};
 use super::gguf::names::ROTARY;
@@ -31,6 +26,9 @@ use super::source::{Checkpoint, ModelPlace};
 use super::text::special_tokens;
 use planagent_kernels::attention::frequency_factors;
 use planagent_kernels::matrix::WeightFormat;
+use serde_json::json;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
 use writer::{Layout, PlannedTensor};
 
 const FILES: [&str; 8] = [

@@ -1,10 +1,9 @@
 //! The two layouts of an `InternVL`'s configuration: the classes of transformers, and those of the
 //! authors' repositories.
 
-use serde_json::json;
-
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, Neutral, VisionConfig};
+use serde_json::json;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Layout {

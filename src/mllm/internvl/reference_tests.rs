@@ -1,8 +1,5 @@
 //! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_internvl3`).
 
-use candle_core::Tensor;
-use serde_json::json;
-
 use super::config::InternVlConfig;
 use super::tiles::TileProcessor;
 use super::{FAMILY, InternVl, take};
@@ -11,6 +8,8 @@ use crate::local::test_faults::{Deviation, Fault, Parts};
 use crate::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
 use crate::local::test_reference::{Run, difference};
 use crate::tiled::Tiler;
+use candle_core::Tensor;
+use serde_json::json;
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> InternVl {

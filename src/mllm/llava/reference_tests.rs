@@ -4,10 +4,6 @@
 //! script. `tests/fixtures/tiny_llava` is a complete folder with tokenizer, preprocessor and chat
 //! template.
 
-use std::path::{Path, PathBuf};
-
-use serde_json::json;
-
 use super::config::LlavaConfig;
 use super::{FAMILY, Llava};
 use crate::checkpoint::TowerType;
@@ -21,6 +17,8 @@ use crate::local::test_reference::{
     difference, feature_difference, fixture, logits_deviation, open_checkpoint, whole,
 };
 use crate::vision::ClipImageProcessor;
+use serde_json::json;
+use std::path::{Path, PathBuf};
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> Llava {

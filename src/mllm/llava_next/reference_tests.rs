@@ -1,10 +1,5 @@
 //! Parity with Hugging Face transformers: pixels of tiles, packed features, logits, greedy tokens.
 
-use std::path::{Path, PathBuf};
-
-use candle_core::{DType, Tensor};
-use serde_json::{Value, json};
-
 use super::config::LlavaNextConfig;
 use super::grid::{Resolution, TileGrids};
 use super::preprocess::AnyresImageProcessor;
@@ -20,6 +15,9 @@ use crate::local::test_reference::{
     Reference, Run, assert_chat, difference, fixture, open_checkpoint, synthetic, whole,
 };
 use crate::vision::{Filter, PixelScale};
+use candle_core::{DType, Tensor};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
 
 /// Opens a model from parts with a change of the validated configuration.
 fn assembled_after(parts: &Parts, change: impl FnOnce(&mut LlavaNextConfig)) -> LlavaNext {

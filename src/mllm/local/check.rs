@@ -1,7 +1,5 @@
 //! Checks of a model's files that do not read its weights.
 
-use serde::Serialize;
-
 use super::{Loading, LocalModel, MemoryCheck, MemoryNeed, end_tokens, memory};
 use crate::MllmError;
 use crate::checkpoint::{LoadReport, ModelFiles, WeightFormatPlan, Weights};
@@ -9,6 +7,7 @@ use crate::families::Architecture;
 use crate::family::VisionLanguageModel;
 use crate::source::{Checkpoint, ModelPlace};
 use crate::text::ChatTokenizer;
+use serde::Serialize;
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ModelCheck {

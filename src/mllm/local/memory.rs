@@ -1,11 +1,10 @@
 //! The memory that a model needs, and the memory that is free.
 
-use std::path::Path;
-
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, in_bytes};
 use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
+use std::path::Path;
 
 /// What to do with a model that needs more memory than is free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

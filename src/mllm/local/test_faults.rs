@@ -3,19 +3,17 @@
 //!
 //! `cargo test --lib easily_made -- --nocapture` prints the deviations.
 
-use std::collections::HashMap;
-use std::ops::Range;
-use std::path::{Path, PathBuf};
-
-use candle_core::{Device, Tensor};
-use serde_json::{Value, json};
-
 use super::Sequence;
 use super::sequence::new_cache;
 use super::test_reference::{FEATURE_TOLERANCE, LOGIT_TOLERANCE, Run, feature_difference, whole};
 use crate::checkpoint::{Weights, read_json, safetensors_folder};
 use crate::decoder::{Decoder, DecoderInput, DecoderLayer, LanguageModel, Logits};
 use crate::family::{Family, ImageFeatures, Positions, VisionLanguageModel};
+use candle_core::{Device, Tensor};
+use serde_json::{Value, json};
+use std::collections::HashMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 
 /// Smallest deviation of an error, in multiples of the parity tests' tolerance.
 const FAR: f32 = 100.0;

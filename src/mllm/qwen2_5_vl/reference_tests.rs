@@ -1,8 +1,5 @@
 //! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_qwen2_5_vl`).
 
-use candle_core::Tensor;
-use serde_json::json;
-
 use super::config::Qwen25VlConfig;
 use super::{FAMILY, Qwen25Vl, take};
 use crate::checkpoint::ConfigObject;
@@ -11,6 +8,8 @@ use crate::local::test_faults::{Fault, Parts};
 use crate::local::test_prompts::{Prompts, SecondImage, assert_resized, raster_pixels};
 use crate::local::test_reference::difference;
 use crate::qwen3_vl::{PatchEncoder, PatchProcessor};
+use candle_core::Tensor;
+use serde_json::json;
 
 /// A processor for images of so many pixels in patches of this side.
 fn processor(pixels: [u64; 2], patch: u32) -> PatchProcessor {

@@ -1,8 +1,5 @@
 //! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_qwen3_vl`).
 
-use candle_core::Tensor;
-use serde_json::json;
-
 use super::config::Qwen3VlConfig;
 use super::patches::PatchProcessor;
 use super::{FAMILY, PatchEncoder, Qwen3Vl, take};
@@ -11,7 +8,9 @@ use crate::family::{ImageFeatures, ImageSettings};
 use crate::local::test_faults::{Fault, Parts};
 use crate::local::test_prompts::{Prompts, SecondImage, assert_resized, raster_pixels};
 use crate::local::test_reference::difference;
+use candle_core::Tensor;
 use planagent_kernels::attention::RotarySections;
+use serde_json::json;
 
 /// A processor for images of so many pixels in patches of this side.
 fn processor(pixels: [u64; 2], patch: u32) -> PatchProcessor {

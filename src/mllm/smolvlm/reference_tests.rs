@@ -1,8 +1,5 @@
 //! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_smolvlm`).
 
-use candle_core::Tensor;
-use serde_json::json;
-
 use super::config::SmolVlmConfig;
 use super::tiles::TileProcessor;
 use super::{FAMILY, SmolVlm, take};
@@ -12,6 +9,8 @@ use crate::local::test_faults::{Deviation, Fault, Parts};
 use crate::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
 use crate::local::test_reference::{Run, difference};
 use crate::tiled::{Grid, Tiler};
+use candle_core::Tensor;
+use serde_json::json;
 
 /// A processor for these sizes, pixels.
 fn processor(longest: u64, tile: u32) -> TileProcessor {

@@ -1,13 +1,12 @@
 //! Models whose files are compiled into the program.
 
-use std::fmt;
-use std::path::Path;
-
 use super::Checkpoint;
 use crate::MllmError;
 use crate::checkpoint::{ModelFiles, safetensors_folder};
 use crate::families::Families;
 use planagent_kernels::matrix::WeightFormat;
+use std::fmt;
+use std::path::Path;
 
 /// A model whose files are compiled into the program.
 #[derive(PartialEq, Eq)]

@@ -1,7 +1,5 @@
 //! Opens GGUF files as a model of a family.
 
-use std::path::Path;
-
 use super::Checkpoint;
 use crate::MllmError;
 use crate::checkpoint::{FileKind, ModelFiles, RowOrder, WeightFile, WeightFormatPlan, Weights};
@@ -11,6 +9,7 @@ use crate::gguf::{
     tokenizer, tower_beside,
 };
 use planagent_kernels::matrix::WeightFormat;
+use std::path::Path;
 
 /// The small file that every model of this program's own has.
 const CONFIG: &str = "config.json";

@@ -1,15 +1,13 @@
 //! The shapes of known models, for benchmarks with random weights.
 
-use std::collections::BTreeMap;
-use std::path::Path;
-
-use serde_json::{Map, Value, json};
-
 use super::{Checkpoint, DEFAULT_RANDOM_FORMAT, random};
 use crate::MllmError;
 use crate::checkpoint::ModelFiles;
 use crate::families::Families;
 use crate::gguf::tokenizer::added_token;
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
 
 /// A published model's configuration without its weights. Its outputs mean nothing, but it takes
 /// the same time.

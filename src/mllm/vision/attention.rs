@@ -1,9 +1,8 @@
 //! Attention and class tokens of vision transformers.
 
-use candle_core::{Result, Tensor};
-
 use crate::MllmError;
 use crate::checkpoint::Weights;
+use candle_core::{Result, Tensor};
 use planagent_kernels::Linear;
 use planagent_kernels::attention::{
     AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend,

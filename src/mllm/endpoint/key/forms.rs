@@ -1,9 +1,8 @@
 //! The forms in which a text may repeat a key.
 
-use std::collections::BTreeSet;
-
 use base64::Engine;
 use base64::engine::general_purpose::{STANDARD_NO_PAD, URL_SAFE_NO_PAD};
+use std::collections::BTreeSet;
 
 /// Shortest part of a key that is hidden where the rest is missing, bytes. A shorter one tells
 /// nothing and can be a word.

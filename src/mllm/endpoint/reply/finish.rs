@@ -1,8 +1,7 @@
 //! Why an answer ended, in the words of several servers.
 
-use serde_json::Value;
-
 use crate::{EndpointFailure, FinishReason};
+use serde_json::Value;
 
 /// Words for the limit of tokens that the request set.
 const LENGTH: [&str; 6] = [

@@ -1,9 +1,5 @@
 //! The answer so far, from a body in one piece or from the events of a stream.
 
-use std::time::Instant;
-
-use serde_json::{Deserializer, Value};
-
 use super::finish::Ending;
 use super::message::Said;
 use super::thinking::{Found, after_end, answer};
@@ -11,6 +7,8 @@ use super::usage::counts;
 use super::{Listen, Reply, shortened};
 use crate::endpoint::trouble::{Trouble, in_words};
 use crate::{EndpointFailure, FinishReason, TokenCounts};
+use serde_json::{Deserializer, Value};
+use std::time::Instant;
 
 /// What to do against an answer that stands in the reasoning.
 const ALL_REASONING: &str = "the content is empty and the text is all in the reasoning; switch the model's thinking off, \

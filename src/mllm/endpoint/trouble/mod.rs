@@ -1,12 +1,10 @@
 //! What a server says about a failure, in every form, and whether a later request can succeed.
 
-use std::io::Read;
-
-use reqwest::StatusCode;
-use serde_json::Value;
-
 use crate::EndpointFailure;
 use crate::endpoint::reply::{Hide, MAX_BYTES, shortened};
+use reqwest::StatusCode;
+use serde_json::Value;
+use std::io::Read;
 
 /// Members with the words of a failure, in the order in which they are looked for.
 const WORDS: [&str; 10] = [
