@@ -302,7 +302,7 @@ fn graph() -> Graph {
             .flat_map(|(_, line)| [line, "\n"])
             .collect()
     };
-    Graph::of(
+    Graph::from_sources(
         &sources()
             .into_iter()
             .map(|(file, text)| (file, code(&text)))

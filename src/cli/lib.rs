@@ -76,7 +76,7 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
 }
 
 fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
-    let settings = Settings::of(arguments)?;
+    let settings = Settings::from_arguments(arguments)?;
     let config = &settings.config;
     let threads = arguments.global.threads.unwrap_or(0);
     if threads > MAX_THREADS {

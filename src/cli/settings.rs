@@ -60,7 +60,7 @@ pub(super) struct Setting {
 impl Settings {
     /// The settings of arguments: a file or the run that is resumed, below `--set`, below options
     /// of their own.
-    pub(super) fn of(arguments: &Arguments) -> anyhow::Result<Self> {
+    pub(super) fn from_arguments(arguments: &Arguments) -> anyhow::Result<Self> {
         let global = &arguments.global;
         let mut settings = base(arguments)?;
         for text in &global.set {

@@ -58,11 +58,11 @@ impl Families {
     /// The family that the `config.json` of a folder names: by its `model_type`, else by the first
     /// of its `architectures`.
     pub fn detect(&self, folder: &Path) -> Result<Architecture, MllmError> {
-        self.of(&ModelFiles::folder(folder)?)
+        self.detect_in(&ModelFiles::folder(folder)?)
     }
 
     /// The family that the `config.json` of a model names.
-    pub(crate) fn of(&self, files: &ModelFiles) -> Result<Architecture, MllmError> {
+    pub(crate) fn detect_in(&self, files: &ModelFiles) -> Result<Architecture, MllmError> {
         let json = files.required_json("config.json")?;
         let path = files.path("config.json");
         let root = ConfigObject::root(&path, &json)?;

@@ -291,7 +291,7 @@ pub(crate) struct ImageInfo {
 impl ModelInfo {
     /// The facts of a model of the family `architecture` whose weights were just taken; before,
     /// `weights` had `before` numbers.
-    pub(crate) fn of(
+    pub(crate) fn new(
         architecture: &'static str,
         text: &LlamaConfig,
         image: ImageInfo,

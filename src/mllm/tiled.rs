@@ -119,7 +119,7 @@ impl<T: Tiler, E: TileEncoder> TiledModel<T, E> {
             side,
             max_tokens: tiler.max_views() * tile_tokens,
         };
-        let info = ModelInfo::of(name, text, image, weights, before);
+        let info = ModelInfo::new(name, text, image, weights, before);
         Ok(Self {
             tiler,
             encoder,

@@ -28,10 +28,10 @@ impl Run {
         let folder = TempDir::new().unwrap();
         let model = folder.path().join("server.toml");
         fs::write(&model, description).unwrap();
-        Self::of(folder, model.to_str().unwrap(), config)
+        Self::finished(folder, model.to_str().unwrap(), config)
     }
 
-    fn of(folder: TempDir, model: &str, config: &str) -> Self {
+    fn finished(folder: TempDir, model: &str, config: &str) -> Self {
         let path = folder.path().join("planagent.toml");
         fs::write(&path, config).unwrap();
         let output = planagent()
@@ -259,7 +259,7 @@ fn a_server_is_simulated_by_its_address_alone() {
     });
     let config = "[reflection]\nenabled = false\n[agent]\ninterval_s = 100\n";
     for address in [server.url(), server.url().replace("/v1", "")] {
-        let run = Run::of(TempDir::new().unwrap(), &address, config);
+        let run = Run::finished(TempDir::new().unwrap(), &address, config);
         assert_eq!(run.code, 0, "{}", run.stderr);
         assert_eq!(run.summary()["scenarios"][0]["failed_calls"], 0);
         let manifest = fs::read_to_string(run.path().join("manifest.toml")).unwrap();
@@ -270,7 +270,7 @@ fn a_server_is_simulated_by_its_address_alone() {
     }
     assert_eq!(server.received()[1].body["model"], "eye");
     let several = Server::always(|| models(&["eye", "ear"], "library"));
-    let run = Run::of(TempDir::new().unwrap(), &several.url(), config);
+    let run = Run::finished(TempDir::new().unwrap(), &several.url(), config);
     assert_eq!(run.code, 2, "{}", run.stderr);
     assert!(
         run.stderr.contains("offers eye, ear") && run.stderr.contains("/v1#NAME"),

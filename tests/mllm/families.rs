@@ -288,7 +288,7 @@ fn images_of_any_shape_are_taken_and_empty_ones_refused() {
 
 #[test]
 fn an_image_takes_three_positions_of_cogvlm() {
-    let copy = Copy::of("tiny_cogvlm");
+    let copy = Copy::from_fixture("tiny_cogvlm");
     copy.edit("config.json", |config| {
         config["max_position_embeddings"] = json!(60)
     });
@@ -348,7 +348,7 @@ fn cogvlm_without_an_image_keeps_its_system_prompt() {
 
 #[test]
 fn a_tokenizer_may_lie_in_another_folder() {
-    let copy = Copy::of("tiny_cogvlm");
+    let copy = Copy::from_fixture("tiny_cogvlm");
     let expected = reference_answer(copy.folder(), "generated");
     let tokenizer = tempfile::tempdir().unwrap();
     std::fs::rename(

@@ -50,7 +50,7 @@ fn names_of_older_and_newer_files_are_read() {
 #[test]
 fn names_of_llava_next_are_read_in_every_layout() {
     let renamed = |rename: &dyn Fn(&str) -> String| {
-        let copy = Copy::of("tiny_llava_next");
+        let copy = Copy::from_fixture("tiny_llava_next");
         copy.edit_tensors(|tensors| {
             *tensors = std::mem::take(tensors)
                 .into_iter()
@@ -75,7 +75,7 @@ fn names_of_llava_next_are_read_in_every_layout() {
 #[test]
 fn shards_are_joined_by_their_index() {
     for name in ["tiny_llava", "tiny_cogvlm"] {
-        let copy = Copy::of(name);
+        let copy = Copy::from_fixture(name);
         let whole = answer(&copy.open().unwrap());
         let tensors = copy.tensors();
         let names: Vec<&String> = tensors.keys().collect();

@@ -81,10 +81,10 @@ type Tensors = BTreeMap<String, (Dtype, Vec<usize>, Vec<u8>)>;
 
 impl Copy {
     fn new() -> Self {
-        Self::of("tiny_llava")
+        Self::from_fixture("tiny_llava")
     }
 
-    fn of(name: &str) -> Self {
+    fn from_fixture(name: &str) -> Self {
         Self::of_folder(&fixture(name))
     }
 

@@ -142,7 +142,7 @@ impl AgentState {
         self.return_lane
             .take_if(|lane| lane.is_reached(scene, graph));
         if plan.oncoming().is_none() && begins_lane_change(plan, scene, graph, self) {
-            self.return_lane = ReturnLane::of(graph).or(self.return_lane.take());
+            self.return_lane = ReturnLane::from_graph(graph).or(self.return_lane.take());
         }
     }
 

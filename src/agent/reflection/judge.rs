@@ -56,7 +56,7 @@ pub(super) fn observe<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmI
         return observe_along(reference_path, scene, collided);
     }
     let lanes = scene.route.lanes(scene.map);
-    let layers = DrivableLayers::of(scene.map, &lanes, scene.ego.center().position());
+    let layers = DrivableLayers::from_map(scene.map, &lanes, scene.ego.center().position());
     judged(scene, PdmInstant::new(scene, &lanes, layers, collided))
 }
 
@@ -269,7 +269,7 @@ impl<'a> Judge<'a> {
             .copied()
             .ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
         if self.reference == ProgressReference::Reach {
-            let own = Reach::of(&score, &states).reach_m;
+            let own = Reach::from_rollout(&score, &states).reach_m;
             score = score.with_progress(score.progress.min(own / self.rivals.reach_m.max(own)));
         }
         let verdict = if score.total >= threshold {

@@ -27,7 +27,7 @@ pub(super) struct Reach {
 }
 
 impl Reach {
-    pub(super) fn of(score: &ProposalScore, states: &[EgoState]) -> Self {
+    pub(super) fn from_rollout(score: &ProposalScore, states: &[EgoState]) -> Self {
         let progress_m = score.progress_m * score.multiplier();
         let beyond = states.last().map_or(0.0, EgoState::speed) * BEYOND_S;
         Self {
@@ -38,7 +38,7 @@ impl Reach {
 
     /// That of a rival: one that comes near a collision reaches nothing.
     pub(super) fn of_rival(score: &ProposalScore, states: &[EgoState]) -> Self {
-        let reach = Self::of(score, states);
+        let reach = Self::from_rollout(score, states);
         if score.time_to_collision < 1.0 {
             Self {
                 reach_m: 0.0,

@@ -238,7 +238,7 @@ mod tests {
             .objects(objects)
             .build()
             .unwrap();
-        let lanes = LanePath::of(&scene.map, vec![LaneId(0)]).unwrap();
+        let lanes = LanePath::from_lanes(&scene.map, vec![LaneId(0)]).unwrap();
         shift(&scene.view(), &lanes)
     }
 
@@ -283,7 +283,7 @@ mod tests {
             .objects(objects)
             .build()
             .unwrap();
-        let lanes = LanePath::of(&scene.map, vec![LaneId(0)]).unwrap();
+        let lanes = LanePath::from_lanes(&scene.map, vec![LaneId(0)]).unwrap();
         shift(&scene.view(), &lanes)
     }
 

@@ -60,7 +60,7 @@ pub fn attend(
 ) -> candle_core::Result<Tensor> {
     let tokens = rows.tokens();
     let shape = rows.shape();
-    if shape != held.shape || tokens > 0 && mask.of(tokens - 1).end > held.capacity() {
+    if shape != held.shape || tokens > 0 && mask.seen_by(tokens - 1).end > held.capacity() {
         let (capacity, cached) = (held.capacity(), held.shape);
         candle_core::bail!(
             "{tokens} tokens of {shape:?} cannot attend by {mask:?} to {capacity} positions of {cached:?}"
@@ -116,7 +116,7 @@ impl<N: StoredFloat> Attention<'_, N> {
         }
         let step = exact_tokens(shape);
         if tokens <= step {
-            let seen = self.mask.of(tokens - 1).end;
+            let seen = self.mask.seen_by(tokens - 1).end;
             self.attend_few(
                 0..tokens,
                 &mut out,
@@ -170,7 +170,7 @@ impl<N: StoredFloat> Attention<'_, N> {
 
     /// The positions that any of the tokens attends to.
     fn seen(&self, tokens: &Range<usize>) -> Range<usize> {
-        self.mask.of(tokens.start).start..self.mask.of(tokens.end.saturating_sub(1)).end
+        self.mask.seen_by(tokens.start).start..self.mask.seen_by(tokens.end.saturating_sub(1)).end
     }
 
     fn mix(&self, head: usize, tokens: Range<usize>, positions: Range<usize>) -> PartialOutput {

@@ -35,7 +35,7 @@ impl AttentionProbe {
                 Precision::Single
             },
         );
-        Projected::of(all, shape, None, |rows| cached.write(rows, 0))?;
+        Projected::read(all, shape, None, |rows| cached.write(rows, 0))?;
         let start = all.dim(0)? - tokens;
         let mask = AttentionMask::Causal {
             start,
@@ -51,7 +51,7 @@ impl AttentionProbe {
 
     /// Attends; returns (tokens, query heads · head width).
     pub fn run(&self) -> Result<Tensor> {
-        Projected::of(&self.last, self.shape, None, |rows| {
+        Projected::read(&self.last, self.shape, None, |rows| {
             attend(rows, &self.cached, self.mask)
         })
     }

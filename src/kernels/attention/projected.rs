@@ -45,7 +45,7 @@ pub struct Projected<'a> {
 impl<'a> Projected<'a> {
     /// Runs `read` on the rows of a tensor. `rotary` has the angles of queries and keys; `None` for
     /// no rotary embedding.
-    pub fn of<T>(
+    pub fn read<T>(
         tensor: &Tensor,
         shape: HeadShape,
         rotary: Option<&'a RotaryRows>,

@@ -221,7 +221,7 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
     fn seen(&self, row: usize, base: usize) -> Range<usize> {
         let seen = self
             .mask
-            .of(self.tokens.start + row / self.rows.shape().group());
+            .seen_by(self.tokens.start + row / self.rows.shape().group());
         let start = seen
             .start
             .max(self.positions.start)

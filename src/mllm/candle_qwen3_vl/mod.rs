@@ -85,7 +85,7 @@ fn open(files: &ModelFiles, weights: &mut Weights) -> OpenedModel {
         side: DRAWN_SIDE,
         max_tokens,
     };
-    let info = ModelInfo::of(NAME, &config.text, image, weights, before);
+    let info = ModelInfo::new(NAME, &config.text, image, weights, before);
     Ok(Box::new(CandleQwen3Vl {
         processor,
         decoder,
@@ -97,7 +97,7 @@ fn open(files: &ModelFiles, weights: &mut Weights) -> OpenedModel {
 impl Patches {
     /// The patches of whole tokens, (tokens, numbers of a token), from pixel values (3, height,
     /// width).
-    fn of(self, pixels: &Tensor) -> candle_core::Result<Tensor> {
+    fn cut(self, pixels: &Tensor) -> candle_core::Result<Tensor> {
         let Self {
             side,
             merge,
@@ -152,7 +152,9 @@ impl VisionLanguageModel for CandleQwen3Vl {
             rows,
             columns,
         };
-        let rows = self.decoder.image_rows(&self.patches.of(pixels)?, layout)?;
+        let rows = self
+            .decoder
+            .image_rows(&self.patches.cut(pixels)?, layout)?;
         Ok(ImageFeatures {
             rows,
             deep: Vec::new(),

@@ -68,7 +68,7 @@ impl CogVlm {
         };
         let info = ModelInfo {
             image_first: true,
-            ..ModelInfo::of(NAME, &config.text, image, weights, before)
+            ..ModelInfo::new(NAME, &config.text, image, weights, before)
         };
         Ok(Self {
             config,

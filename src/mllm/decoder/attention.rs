@@ -44,7 +44,7 @@ impl CausalAttention {
             start: cache.len(),
             window: self.window,
         };
-        Projected::of(qkv, self.shape, Some(&pass.rotary), |rows| {
+        Projected::read(qkv, self.shape, Some(&pass.rotary), |rows| {
             attend(rows, cache.write(pass.layer, rows)?, mask)
         })
     }

@@ -42,7 +42,7 @@ impl ApiKey {
             .map_err(|_| "has characters that a header cannot carry")?;
         header.set_sensitive(true);
         Ok(Self {
-            forms: Forms::of(&text),
+            forms: Forms::from_key(&text),
             header,
         })
     }

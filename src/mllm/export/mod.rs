@@ -95,7 +95,11 @@ pub fn export_model(
         part.layout.write_header(&mut out).map_err(failed)?;
         for (tensor, canonical) in part.layout.tensors.iter().zip(&part.canonical) {
             let data = data(&mut checkpoint.weights, canonical, tensor)?;
-            let data = match part.heads.as_ref().and_then(|heads| heads.of(&tensor.name)) {
+            let data = match part
+                .heads
+                .as_ref()
+                .and_then(|heads| heads.for_tensor(&tensor.name))
+            {
                 Some(heads) => paired(&data, tensor.shape.first().copied().unwrap_or(1), heads),
                 None => data,
             };
@@ -126,7 +130,7 @@ struct Heads {
 
 impl Heads {
     /// The heads of a tensor, by llama.cpp's name, if it makes queries or keys.
-    fn of(self, name: &str) -> Option<usize> {
+    fn for_tensor(self, name: &str) -> Option<usize> {
         match llama::projection(name)? {
             "attn_q" => Some(self.queries),
             "attn_k" => Some(self.keys),

@@ -121,7 +121,7 @@ fn todays_families_from_gguf_compute_what_transformers_computes() {
         ("tiny_qwen3_vl", "."),
         ("tiny_qwen2_5_vl", "."),
     ] {
-        let prompts = Prompts::of(name);
+        let prompts = Prompts::from_fixture(name);
         let folder = tempfile::tempdir().unwrap();
         let model = export(
             prompts.in_layout(layout).path(),

@@ -52,7 +52,7 @@ impl InternVlConfig {
             }
         }
         let root = ConfigObject::root(path, &value)?;
-        let layout = Layout::of(&root);
+        let layout = Layout::from_config(&root);
         root.only_neutral(layout.neutral())?;
         let vision = layout.vision(&root)?;
         let mut text = layout.text(&root)?;

@@ -18,7 +18,7 @@ pub(super) enum Layout {
 const ORIGINAL_TEXT: &str = "llm_config";
 
 impl Layout {
-    pub(super) fn of(root: &ConfigObject<'_>) -> Self {
+    pub(super) fn from_config(root: &ConfigObject<'_>) -> Self {
         if root.contains(ORIGINAL_TEXT) {
             Self::Original
         } else {

@@ -100,7 +100,7 @@ impl LlavaCore {
             side: config.vision.image_size,
             max_tokens: config.image_tokens(),
         };
-        ModelInfo::of(architecture, &config.text, image, weights, before)
+        ModelInfo::new(architecture, &config.text, image, weights, before)
     }
 }
 

@@ -60,7 +60,7 @@ fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) {
             // The small files may have errors of their own.
             if let ModelPlace::Folder(folder) = place
                 && let Ok(files) = ModelFiles::folder(folder)
-                && let Ok(family) = loading.families.of(&files)
+                && let Ok(family) = loading.families.detect_in(&files)
             {
                 check.architecture = Some(family);
                 look_at_files(&files, family, loading, check);
@@ -81,7 +81,7 @@ fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut Mo
     let family = checkpoint.family;
     match (family.family().decoder_config)(&checkpoint.files) {
         Ok(decoder) => {
-            check.memory = Some(MemoryNeed::of(
+            check.memory = Some(MemoryNeed::estimate(
                 &checkpoint,
                 &decoder,
                 loading.quantize,

@@ -45,7 +45,7 @@ impl Worst {
 
 impl Prompts {
     /// The reference in a folder of `tests/fixtures`.
-    pub(crate) fn of(name: &str) -> Self {
+    pub(crate) fn from_fixture(name: &str) -> Self {
         let folder = fixture(name);
         let texts = read_json(&folder.join("prompts.json")).unwrap();
         let reference = Reference::open(&folder.join("reference.safetensors"));
@@ -357,7 +357,7 @@ pub(crate) struct SecondImage<'a> {
 }
 
 impl<'a> SecondImage<'a> {
-    pub(crate) fn of(prompts: &'a Prompts) -> Self {
+    pub(crate) fn from_prompts(prompts: &'a Prompts) -> Self {
         Deviation::print_heading(&prompts.folder);
         Self {
             reference: &prompts.reference,

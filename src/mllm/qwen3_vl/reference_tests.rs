@@ -37,7 +37,7 @@ fn assembled_after(parts: &Parts, change: impl FnOnce(&mut Qwen3VlConfig)) -> Qw
 
 #[test]
 fn features_logits_and_greedy_tokens_of_both_layouts_are_those_of_transformers() {
-    let prompts = Prompts::of("tiny_qwen3_vl");
+    let prompts = Prompts::from_fixture("tiny_qwen3_vl");
     for folder in [".", "hub_style"] {
         prompts.check(&prompts.open(folder, ImageSettings::default()), |_| true);
     }
@@ -45,14 +45,14 @@ fn features_logits_and_greedy_tokens_of_both_layouts_are_those_of_transformers()
 
 #[test]
 fn llama_cpps_files_give_the_same() {
-    let prompts = Prompts::of("tiny_qwen3_vl");
+    let prompts = Prompts::from_fixture("tiny_qwen3_vl");
     let folder = prompts.gguf_with("preprocessor_config.json");
     prompts.check(&Prompts::open_at(folder.path()), |_| true);
 }
 
 #[test]
 fn pixels_and_sizes_are_those_of_transformers() {
-    let prompts = Prompts::of("tiny_qwen3_vl");
+    let prompts = Prompts::from_fixture("tiny_qwen3_vl");
     for (name, index) in [("", 0), ("second_", 1)] {
         let found = processor(TINY, PATCH)
             .process(&prompts.image(index))
@@ -109,10 +109,10 @@ const DECODER_FAULTS: [Fault; 2] = [
 
 #[test]
 fn errors_that_are_easily_made_lead_far_away() {
-    let prompts = Prompts::of("tiny_qwen3_vl");
-    let run = SecondImage::of(&prompts);
+    let prompts = Prompts::from_fixture("tiny_qwen3_vl");
+    let run = SecondImage::from_prompts(&prompts);
     let pixels = raster_pixels(&prompts.reference, "second_", PATCH);
-    let parts = || Parts::of(&prompts.folder);
+    let parts = || Parts::from_folder(&prompts.folder);
     let right = assembled(&parts());
     let features = right.encoder.encode(&pixels).unwrap();
     run.logits(&right, &features).assert_none("nothing wrong");

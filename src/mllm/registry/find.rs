@@ -4,7 +4,7 @@ use super::{ModelRegistry, ModelSource, ModelSpec, address, built_in, descriptio
 use crate::{EmbeddedModel, MllmError};
 use std::path::{Path, PathBuf};
 
-fn is_gguf(path: &Path) -> bool {
+pub(super) fn is_gguf(path: &Path) -> bool {
     path.extension()
         .is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
 }

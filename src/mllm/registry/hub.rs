@@ -133,14 +133,15 @@ impl HubAccess {
 pub(super) fn split_file(name: &str) -> Option<(&str, Option<&str>)> {
     if split_id(name).is_some() {
         // A name with the extension of a file means a file that does not exist.
-        return (!super::is_gguf(Path::new(name))).then_some((name, None));
+        return (!super::find::is_gguf(Path::new(name))).then_some((name, None));
     }
     let (end, _) = name.match_indices('/').nth(1)?;
     let (id, file) = (name.get(..end)?, name.get(end + 1..)?);
     let plain = file
         .split('/')
         .all(|part| !part.is_empty() && !part.starts_with('.'));
-    (split_id(id).is_some() && plain && super::is_gguf(Path::new(file))).then_some((id, Some(file)))
+    (split_id(id).is_some() && plain && super::find::is_gguf(Path::new(file)))
+        .then_some((id, Some(file)))
 }
 
 /// Splits `organization/name`.

@@ -333,7 +333,7 @@ impl ModelRegistry {
             ) => ModelShape::of_hub(hub).ok_or(error)?.checkpoint(families)?,
             (here, _) => here?,
         };
-        ModelOutline::of(checkpoint, spec.image)
+        ModelOutline::from_checkpoint(checkpoint, spec.image)
     }
 
     /// Writes a model as GGUF with weights in `weight_format`, and how it is asked; [`GgufPart`]

@@ -77,7 +77,7 @@ impl EmbeddedModel {
             .map(|&(name, text)| (name.to_owned(), text.to_owned()))
             .collect();
         let files = ModelFiles::packed(Path::new(self.name), texts);
-        let family = families.of(&files)?;
+        let family = families.detect_in(&files)?;
         let canonical_name = family.family().canonical_name;
         let weights = safetensors_folder::of_bytes(
             Path::new(self.name),

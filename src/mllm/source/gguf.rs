@@ -83,7 +83,7 @@ fn open_whole(
         )?;
     }
     Ok(Checkpoint {
-        family: families.of(&files)?,
+        family: families.detect_in(&files)?,
         files,
         weights,
     })
@@ -124,7 +124,7 @@ fn open_pair(
     }
     let mut files = ModelFiles::packed(model, texts);
     files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;
-    let family = families.of(&files)?;
+    let family = families.detect_in(&files)?;
     let layout = family.family().gguf.map_err(|lacking| {
         decoder.error(
             "general.architecture",

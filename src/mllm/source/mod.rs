@@ -146,7 +146,7 @@ impl Checkpoint {
         }
         unread::check_folder(folder)?;
         unread::check_config(&files)?;
-        let family = families.of(&files)?;
+        let family = families.detect_in(&files)?;
         let weights = safetensors_folder::open(folder, quantize, family.family().canonical_name)?;
         Ok(Self {
             family,

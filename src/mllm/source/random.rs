@@ -114,7 +114,7 @@ pub(super) fn checkpoint(
     seed: u64,
     families: &Families,
 ) -> Result<Checkpoint, MllmError> {
-    let family = families.of(&files)?;
+    let family = families.detect_in(&files)?;
     let plan = WeightFormatPlan {
         quantize: Some(weight_format),
         kind: FileKind::Gguf,

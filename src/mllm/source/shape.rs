@@ -103,7 +103,7 @@ impl ModelShape {
             .map(|(name, value)| (name, value.to_string()))
             .collect();
         let files = ModelFiles::packed(place, texts.clone());
-        let vocabulary = (families.of(&files)?.family().decoder_config)(&files)?.vocabulary;
+        let vocabulary = (families.detect_in(&files)?.family().decoder_config)(&files)?.vocabulary;
         let config = files.required_json("config.json")?;
         let image = config["image_token_index"]
             .as_u64()

@@ -104,7 +104,7 @@ impl Trust {
     /// When nobody vouches for them, or they went beyond the limits of the child process that tried
     /// them.
     pub(crate) fn admit(&self, place: &ModelPlace, loading: &Loading) -> Result<(), MllmError> {
-        let Some(request) = TrialRequest::of(place, loading) else {
+        let Some(request) = TrialRequest::for_model(place, loading) else {
             return Ok(());
         };
         match self {

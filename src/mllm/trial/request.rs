@@ -31,7 +31,7 @@ pub struct TrialRequest {
 
 impl TrialRequest {
     /// The files of a model; none for one that the program holds, or whose files do not exist.
-    pub(super) fn of(place: &ModelPlace, loading: &Loading) -> Option<Self> {
+    pub(super) fn for_model(place: &ModelPlace, loading: &Loading) -> Option<Self> {
         let tokenizer = loading.tokenizer.clone();
         let request = match place.clone() {
             ModelPlace::Folder(folder) => Self {

@@ -274,7 +274,7 @@ impl Present<'_> {
         let Some(goal) = self.graph.goal else {
             return 0;
         };
-        let last = GoalLane::of(&future.scene());
+        let last = GoalLane::from_scene(&future.scene());
         last.map_or_else(
             || goal.left_after(centerline.lane_changes()),
             |last| last.changes.unsigned_abs(),

@@ -84,9 +84,10 @@ impl Draft {
         let first = scenario
             .frame(0)
             .ok_or_else(|| unfit("the scenario has no frames"))?;
-        let lanes = EgoLanes::of(&scenario.map, &scenario.route, &first.ego).ok_or_else(|| {
-            unfit("the ego starts on no lane, and places are relative to its lane")
-        })?;
+        let lanes =
+            EgoLanes::from_route(&scenario.map, &scenario.route, &first.ego).ok_or_else(|| {
+                unfit("the ego starts on no lane, and places are relative to its lane")
+            })?;
         let draws = Draws::new(
             &scenario.id,
             &modification.drawn_by,

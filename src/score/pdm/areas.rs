@@ -39,7 +39,7 @@ impl DrivableLayers {
     /// decides: [`Self::Lanes`] if they tile the road. The tested points lie every 10 m along each
     /// lane, from its baseline across to that of its neighbors, and from its end into its
     /// successors. At least 99 % must lie on some lane.
-    pub fn of(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
+    pub fn from_map(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
         if map.lane_areas() == LaneAreas::Drawn {
             return Self::Lanes;
         }
@@ -234,7 +234,7 @@ impl<'a> DrivableMap<'a> {
 
     /// The area of an ego state.
     pub fn areas_of(&self, ego: &EgoState) -> EgoAreas {
-        let placed = Placed::of(ego);
+        let placed = Placed::from_state(ego);
         self.near(&placed.bounds()).areas_of(&placed)
     }
 

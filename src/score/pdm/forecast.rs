@@ -41,7 +41,7 @@ enum Sort {
 }
 
 impl Sort {
-    fn of(kind: ObjectKind) -> Self {
+    fn from_kind(kind: ObjectKind) -> Self {
         match kind {
             ObjectKind::Vehicle => Self::Vehicle,
             ObjectKind::Pedestrian => Self::Pedestrian,
@@ -185,7 +185,7 @@ impl Forecast {
         for (sort, cap) in CAPS {
             let seen = objects
                 .iter()
-                .filter(|o| Sort::of(o.kind) == sort && !collided.tracks.contains(&o.token));
+                .filter(|o| Sort::from_kind(o.kind) == sort && !collided.tracks.contains(&o.token));
             kept.extend(
                 nearest(seen, center, cap)
                     .into_iter()

@@ -143,7 +143,7 @@ fn judge_all(
 ) -> Result<Vec<ProposalScore>, MetricError> {
     let batch: Vec<Vec<Placed>> = proposals
         .iter()
-        .map(|states| states.iter().map(Placed::of).collect())
+        .map(|states| states.iter().map(Placed::from_state).collect())
         .collect();
     let reach = batch
         .iter()
@@ -153,7 +153,7 @@ fn judge_all(
         });
     let around = Around {
         areas: scene.drivable.near(&reach),
-        encounters: Encounters::of(scene.forecast, &batch),
+        encounters: Encounters::from_forecast(scene.forecast, &batch),
     };
     proposals
         .iter()

@@ -20,7 +20,7 @@ pub struct GoalLane {
 
 impl GoalLane {
     /// Seen from the lane that holds the ego.
-    pub fn of(scene: &SceneView<'_>) -> Option<Self> {
+    pub fn from_scene(scene: &SceneView<'_>) -> Option<Self> {
         Self::from_lane(scene, ego_lane(scene)?)
     }
 

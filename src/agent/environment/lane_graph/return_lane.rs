@@ -15,7 +15,7 @@ pub struct ReturnLane {
 
 impl ReturnLane {
     /// The ego's lane; `None` where nothing blocks it.
-    pub fn of(graph: &LaneGraph) -> Option<Self> {
+    pub fn from_graph(graph: &LaneGraph) -> Option<Self> {
         let blocked = graph.blocked?;
         Some(Self {
             path: graph.ego_lane().path.clone(),

@@ -479,7 +479,7 @@ fn the_goal_is_counted_in_lane_changes_from_the_ego() {
     recorded.route.goal_lane = None;
     assert_eq!(goal(recorded), None, "the end of a recording is no task");
     let [near, behind] =
-        [0.5, -0.5].map(|ahead| GoalLane::of(&with_goal(-1, ahead).scene()).unwrap());
+        [0.5, -0.5].map(|ahead| GoalLane::from_scene(&with_goal(-1, ahead).scene()).unwrap());
     assert!(
         near.changes == -1 && behind.changes == -1 && behind.distance < 0.0,
         "{near:?} {behind:?}"
@@ -539,7 +539,7 @@ fn past_what_blocks_it_the_lane_that_the_ego_left_is_the_goal_s() {
     // A car that broke down 25 m ahead, in the right one of two lanes.
     let road = || sketch::straight(2, 0, 1, 8.0).put(Vehicle, 25.0, 0.0, 0.3, 0.0);
     let left_it = graph(&road());
-    let lane = ReturnLane::of(&left_it).unwrap();
+    let lane = ReturnLane::from_graph(&left_it).unwrap();
     let at = |ahead: f64, aside: f64| {
         let mut drawn = road();
         let (rear_axle, velocity) = (
@@ -561,7 +561,7 @@ fn past_what_blocks_it_the_lane_that_the_ego_left_is_the_goal_s() {
     );
     assert_eq!(at(35.0, 0.0), (None, true));
     assert_eq!(
-        ReturnLane::of(&graph(&sketch::straight(2, 0, 1, 8.0))),
+        ReturnLane::from_graph(&graph(&sketch::straight(2, 0, 1, 8.0))),
         None,
         "nothing blocks the lane"
     );

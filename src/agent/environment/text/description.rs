@@ -84,7 +84,7 @@ pub struct Description {
 }
 
 impl Description {
-    pub fn of(graph: &LaneGraph) -> Self {
+    pub fn from_graph(graph: &LaneGraph) -> Self {
         let ego_lane = graph.ego_lane();
         let lights = std::array::from_fn(|i| {
             let name = CenterlineName::ALL[i];

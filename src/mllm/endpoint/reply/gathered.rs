@@ -102,7 +102,7 @@ impl Gathered {
         let Some(choice) = part.pointer("/choices/0") else {
             return Ok(());
         };
-        let said = Said::of(choice).map_err(|problem| {
+        let said = Said::from_choice(choice).map_err(|problem| {
             EndpointFailure::InvalidReply(shortened(&(listen.hide)(&problem)))
         })?;
         self.chosen |= ["delta", "message", "text"]
@@ -121,7 +121,7 @@ impl Gathered {
         self.content.push_str(&said.text);
         self.reasoning.push_str(&said.reasoning);
         self.refusal.push_str(&said.refusal);
-        self.ending = Ending::of(choice).or(self.ending.take());
+        self.ending = Ending::from_choice(choice).or(self.ending.take());
         if !listen.whole
             && let Found::Answer(text) = answer(&self.content)
             && let Some(piece) = text.get(self.told..).filter(|piece| !piece.is_empty())

@@ -97,7 +97,7 @@ impl GgufLayout for LlavaGguf {
             &tower::preprocessor(tower, self.image_processor)?,
         );
         if !decoder.path.with_file_name(TEMPLATE).is_file() {
-            let template = template::of(decoder, notes)?;
+            let template = template::read(decoder, notes)?;
             files.insert(TEMPLATE.to_string(), template.to_string());
         }
         Ok(files)

@@ -115,7 +115,7 @@ pub fn write(
             Ok(parts)
         })
         .collect::<Result<_, ReportError>>()?;
-    let mut index = Index::of(&runs, &parts, wanted);
+    let mut index = Index::from_runs(&runs, &parts, wanted);
     let data = data(out, &mut index, &parts, settings.max_bytes)?;
     let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
     let page = assets::page(&format!("PlanAgent: {}", names.join(", ")), &data);
