@@ -94,7 +94,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["bench", "dataset", "tokens"],
             &["realism", "twins"],
             &["report"],
-            &["studies"],
+            &["study_runs"],
         ],
     ),
     ("runs", &[&["worker"], &["report"], &["runner"]]),

@@ -126,7 +126,7 @@ impl AgentState {
             graph
         };
         Ok(match &self.return_lane {
-            Some(lane) => graph.with_way_back(scene, lane),
+            Some(lane) => graph.with_return_lane(scene, lane),
             None => graph,
         })
     }

@@ -29,6 +29,7 @@ pub struct ReasoningConfig {
 }
 
 /// How many codes an attempt proposes, 1 to 4.
+/// Why: docs/decisions/112-refused-codes.md.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "usize", into = "usize")]
 pub struct Proposals(usize);

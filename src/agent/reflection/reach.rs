@@ -9,6 +9,7 @@ use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::{EgoState, SceneView};
 
 /// Time beyond the horizon for which an ego is taken to keep its final speed, seconds.
+/// Why: docs/decisions/113-standing-progress.md.
 const BEYOND_S: f64 = 4.0;
 /// A shorter reach does not count, meters: an ego that waits may creep that far. About the length
 /// of the ego.

@@ -29,6 +29,7 @@ const MXFP4_BIAS: i32 = 128;
 /// Largest exponent of a power of two in half precision.
 const MAX_HALF_EXPONENT: i32 = 15;
 /// Numbers in a block of `q8_0`.
+/// Why: docs/decisions/121-blocks-of-32.md.
 const BLOCK: usize = 32;
 
 impl From<GgmlDType> for StoredFormat {

@@ -287,7 +287,10 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f
         CenterlineName::EgoLane => Lateral::Keep,
         CenterlineName::RightLane => Lateral::ChangeRight,
         CenterlineName::OncomingLane
-            if graph.oncoming.as_ref().is_some_and(|way| way.border < 0.0) =>
+            if graph
+                .oncoming
+                .as_ref()
+                .is_some_and(|lane| lane.border < 0.0) =>
         {
             Lateral::ChangeRight
         }

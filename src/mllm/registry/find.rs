@@ -4,11 +4,6 @@ use super::{ModelRegistry, ModelSource, ModelSpec, address, built_in, descriptio
 use crate::{EmbeddedModel, MllmError};
 use std::path::{Path, PathBuf};
 
-pub(super) fn is_gguf(path: &Path) -> bool {
-    path.extension()
-        .is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
-}
-
 /// Whether a word can be nothing but a path.
 fn is_path(path: &Path) -> bool {
     let is_description = || {
@@ -18,7 +13,7 @@ fn is_path(path: &Path) -> bool {
     path.has_root()
         || path.starts_with(".")
         || path.starts_with("..")
-        || is_gguf(path)
+        || hub::is_gguf(path)
         || is_description()
 }
 
@@ -101,7 +96,7 @@ impl ModelRegistry {
             ModelSource::Folder {
                 folder: path.to_path_buf(),
             }
-        } else if is_gguf(path) && path.is_file() {
+        } else if hub::is_gguf(path) && path.is_file() {
             ModelSource::File {
                 file: path.to_path_buf(),
                 mmproj: None,

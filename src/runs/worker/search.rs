@@ -59,6 +59,7 @@ const REFINEMENT_COST: f64 = 0.5;
 
 /// What each lane change costs that is left to the goal's lane after the horizon: what a modified
 /// scene's score loses where one was needed and none was made.
+/// Why: docs/decisions/116-goal-lane.md.
 const GOAL_COST: f64 = 0.2;
 
 /// A simulated planner.

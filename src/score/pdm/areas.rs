@@ -31,6 +31,7 @@ const TILING_STEP: f64 = 10.0;
 const TILING_WIDTH_STEP: f64 = 0.25;
 /// Lanes tile the road when at least this share of the points lies on lanes. Generated maps have
 /// 0.996 and more; of eleven maps derived from Waymo's recordings eight have 0.987 and less.
+/// Why: docs/decisions/106-drivable-area.md.
 const TILING_SHARE: f64 = 0.99;
 
 impl DrivableLayers {

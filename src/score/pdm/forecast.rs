@@ -15,10 +15,12 @@ pub const MAX_DISTANCE: f64 = 50.0;
 pub const RESOLUTION_STEPS: usize = 2;
 
 /// A slower vehicle or bicycle keeps its direction, m/s.
+/// Why: docs/decisions/119-forecast-along-lanes.md.
 const MIN_LANE_SPEED: f64 = 2.0;
 /// Largest angle between an object's motion and the lane that it drives along, radians.
 const MAX_LANE_ANGLE: f64 = 0.35;
 /// Time over which the curvature of a lane is taken, seconds.
+/// Why: docs/decisions/119-forecast-along-lanes.md.
 const LANE_PREVIEW_S: f64 = 2.0;
 /// Distance between the headings of a lane, meters.
 const LANE_STEP: f64 = 2.0;
