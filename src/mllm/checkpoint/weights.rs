@@ -292,7 +292,7 @@ impl Weights {
             })
     }
 
-    /// The report of access all tensors that are left, with another wanted format.
+    /// The report of taking all tensors that are left, with another wanted format.
     pub(crate) fn forecast(&self, quantize: Option<WeightFormat>) -> LoadReport {
         let plan = WeightFormatPlan {
             quantize,
