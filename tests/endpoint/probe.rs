@@ -9,7 +9,7 @@ use std::fs;
 use tempfile::TempDir;
 
 /// One planning call a simulation.
-const FEW: &str = "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n";
+const FEW: &str = "[reflection]\nenabled = false\n[agent]\ninterval_s = 100\n";
 
 /// The color of the picture of a request.
 fn color(request: &super::server::Received) -> &'static str {
@@ -107,7 +107,7 @@ fn a_server_that_is_not_there_ends_the_run_before_it_begins() {
     );
     let path = folder.path().join("gone.toml");
     fs::write(&path, text).unwrap();
-    let run = Run::of(folder, path.to_str().unwrap(), "");
+    let run = Run::finished(folder, path.to_str().unwrap(), "");
     assert_eq!(run.code, 2, "{}", run.stderr);
     assert!(
         run.stderr.contains("'gone' cannot be asked") && run.stderr.contains("cannot connect"),
@@ -257,7 +257,7 @@ fn a_simulation_with_one_plan_is_a_success_and_deadlines_do_not_count() {
     let row = &run.summary()["scenarios"][0];
     assert!(row.get("without_plan").is_none(), "{row}");
     let hanging = Server::start(|_, _| Reaction::Hang(Vec::new()));
-    let config = "[agent]\ndeadline_ms = 50\n[reasoning]\ninterval = 1000\n";
+    let config = "[agent]\ndeadline_ms = 50\ninterval_s = 100\n";
     let run = Run::with(&description(&hanging, ""), config);
     assert_eq!(run.code, 0, "a deadline is no failure: {}", run.stderr);
 }

@@ -1,14 +1,12 @@
 //! Two short questions that show whether a server can be asked what a run asks: it is there, has
 //! the model, takes a picture and a constraint, and the model looks at the picture.
 
-use std::sync::atomic::Ordering;
-
-use image::{Rgb, RgbImage};
-
 use super::chat::{self, Chat};
 use super::client::Question;
 use super::{Endpoint, ProbeQuestion};
 use crate::{Constraint, ConstraintUse, Deadline, GrammarField, MllmError, Request};
+use image::{Rgb, RgbImage};
+use std::sync::atomic::Ordering;
 
 /// The system prompt: runs have one, and some models refuse it.
 const SYSTEM: &str = "You answer with one word.";

@@ -1,16 +1,14 @@
 //! GGUF files beside a model that are none.
 
-use std::path::Path;
-
-use candle_core::quantized::GgmlDType;
-use serde_json::{Value, json};
-
 use super::round_trip_tests::{edit, export};
 use super::writer::{Layout, PlannedTensor};
 use crate::gguf::{FILE, find, open_header, tokenizer, tower_beside};
 use crate::local::test_reference::fixture;
 use crate::source::ModelPlace;
+use candle_core::quantized::GgmlDType;
 use planagent_kernels::matrix::{StoredFormat, WeightFormat};
+use serde_json::{Value, json};
+use std::path::Path;
 
 fn write(path: &Path, metadata: &[(&str, Value)]) {
     let tensors = vec![PlannedTensor {

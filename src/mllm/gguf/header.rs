@@ -7,18 +7,16 @@
 //! UTF-8, bounds lists by the file's size alone, and checks neither the product of a shape nor
 //! whether tensors overlap.
 
+use super::parts::PartsOfTensors;
+use crate::MllmError;
+use crate::checkpoint::{TensorPlace, what_instead_of_weights};
+use candle_core::quantized::GgmlDType;
+use planagent_kernels::matrix::StoredFormat;
+use serde_json::{Number, Value};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-
-use candle_core::quantized::GgmlDType;
-use serde_json::{Number, Value};
-
-use super::parts::PartsOfTensors;
-use crate::MllmError;
-use crate::checkpoint::{TensorPlace, what_instead_of_weights};
-use planagent_kernels::matrix::StoredFormat;
 
 const MAGIC: &[u8; 4] = b"GGUF";
 /// Supported versions. 3 allows big-endian files, which are not supported.

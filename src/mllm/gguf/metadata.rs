@@ -1,13 +1,11 @@
 //! Typed access to the metadata of a GGUF file, whose errors name file and key.
 
-use std::sync::PoisonError;
-
+use super::header::Header;
+use crate::MllmError;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-
-use super::header::Header;
-use crate::MllmError;
+use std::sync::PoisonError;
 
 /// Largest count in metadata, as in configurations.
 const MAX_COUNT: u64 = 1 << 22;

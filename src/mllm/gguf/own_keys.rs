@@ -1,9 +1,8 @@
 //! The names that a GGUF file has for the keys of the small files that are made from it, so that an
 //! error names what stands in the file.
 
-use std::path::{Path, PathBuf};
-
 use crate::MllmError;
+use std::path::{Path, PathBuf};
 
 /// Keys of `text_config`, and those of a decoder behind its architecture.
 const DECODER: [(&str, &str); 13] = [

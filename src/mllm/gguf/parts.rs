@@ -1,15 +1,13 @@
 //! Models that llama.cpp's `gguf-split` cut into several files. The first part has the metadata, and
 //! each its own tensors.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
-use serde_json::Value;
-
 use super::header::Header;
 use super::open_header;
 use crate::MllmError;
 use crate::checkpoint::WeightFile;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 const COUNT: &str = "split.count";
 const NUMBER: &str = "split.no";

@@ -1,11 +1,10 @@
 //! Keys of a GGUF file that no code read. One that changes the result is an error that names it;
 //! one that is not known is noted.
 
-use serde_json::Value;
-
 use super::header::Header;
 use super::metadata::shown;
 use crate::MllmError;
+use serde_json::Value;
 
 /// How a key is treated that no code of the model's family read.
 #[derive(Debug, Clone, Copy, PartialEq)]

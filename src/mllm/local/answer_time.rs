@@ -1,12 +1,11 @@
 //! How long an answer will take on this machine, by two short passes.
 
-use std::time::{Duration, Instant};
-
 use super::{LocalModel, PictureNeed, Sequence};
 use crate::conversation::AnswerTime;
 use crate::decoder::Logits;
 use crate::family::ImageSettings;
 use crate::source::Checkpoint;
+use std::time::{Duration, Instant};
 
 /// Tokens of the longer pass that is timed.
 const BATCH: usize = 16;
@@ -24,7 +23,7 @@ pub(super) struct AnswerWork {
 
 impl AnswerWork {
     /// The work of a checkpoint whose weights are not taken yet; none for a small model.
-    pub(super) fn of(checkpoint: &Checkpoint, image: ImageSettings) -> Option<Self> {
+    pub(super) fn from_checkpoint(checkpoint: &Checkpoint, image: ImageSettings) -> Option<Self> {
         let (mut tower, mut decoder) = (0_u64, 0_u64);
         for (name, shape) in checkpoint.weights.shapes() {
             let elements = shape.iter().product::<usize>() as u64;
@@ -38,7 +37,7 @@ impl AnswerWork {
             return None;
         }
         Some(Self {
-            patches: PictureNeed::of(checkpoint, image).patches,
+            patches: PictureNeed::estimate(checkpoint, image).patches,
             tower,
             decoder,
         })
@@ -86,7 +85,10 @@ mod tests {
     #[test]
     fn longer_answers_take_longer_and_small_models_are_not_timed() {
         let checkpoint = open_checkpoint(&fixture("tiny_llava"));
-        assert_eq!(AnswerWork::of(&checkpoint, ImageSettings::default()), None);
+        assert_eq!(
+            AnswerWork::from_checkpoint(&checkpoint, ImageSettings::default()),
+            None
+        );
         let mut model = LocalModel::open("tiny", &fixture("tiny_llava")).unwrap();
         assert_eq!(model.time_answer(10, 10), None);
         model.work = Some(AnswerWork {

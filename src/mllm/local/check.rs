@@ -1,8 +1,5 @@
 //! Checks of a model's files that do not read its weights.
 
-use image::RgbImage;
-use serde::Serialize;
-
 use super::grouped::grouped;
 use super::{Loading, LocalModel, MemoryCheck, MemoryNeed, PictureNeed, end_tokens, memory};
 use crate::checkpoint::{LoadReport, ModelFiles, WeightFormatPlan, Weights};
@@ -11,6 +8,8 @@ use crate::family::{Chat, ChatFormat, ImageLayout, VisionLanguageModel};
 use crate::source::{Checkpoint, ModelPlace};
 use crate::text::{ChatTokenizer, GrammarEngine};
 use crate::{MllmError, Turn};
+use image::RgbImage;
+use serde::Serialize;
 
 /// System prompt, prompt and answer of the chats that a check writes.
 const WORDS: [&str; 3] = ["You drive a car.", "Which lane?", "The lane of the ego."];
@@ -105,7 +104,7 @@ fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) {
             // The small files may have errors of their own.
             if let ModelPlace::Folder(folder) = place
                 && let Ok(files) = ModelFiles::folder(folder)
-                && let Ok(family) = loading.families.of(&files)
+                && let Ok(family) = loading.families.detect_in(&files)
             {
                 check.architecture = Some(family);
                 look_at_files(&files, family, loading, check);
@@ -126,8 +125,8 @@ fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut Mo
     let family = checkpoint.family;
     match checkpoint.decoder_config() {
         Ok(decoder) => {
-            let picture = PictureNeed::of(&checkpoint, loading.image);
-            check.memory = Some(MemoryNeed::of(
+            let picture = PictureNeed::estimate(&checkpoint, loading.image);
+            check.memory = Some(MemoryNeed::estimate(
                 &checkpoint,
                 &decoder,
                 picture,

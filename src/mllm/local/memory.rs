@@ -1,12 +1,11 @@
 //! The memory that a model needs, and the memory that is free.
 
-use std::path::Path;
-
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, WeightFormatPlan, Weights, in_bytes};
 use crate::family::ImageSettings;
 use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
+use std::path::Path;
 
 /// What to do with a model that needs more memory than is free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -53,7 +52,7 @@ const ROWS: (u64, u64) = (8, 3);
 impl PictureNeed {
     /// The need of the picture that is drawn for the model of a checkpoint. Nothing for a
     /// configuration that cannot be opened: the error is told where the model is opened.
-    pub(crate) fn of(checkpoint: &Checkpoint, image: ImageSettings) -> Self {
+    pub(crate) fn estimate(checkpoint: &Checkpoint, image: ImageSettings) -> Self {
         let mut listed = Weights::empty(checkpoint.files.place(), WeightFormatPlan::default());
         listed.only_list();
         let opened = (checkpoint.family.family().open)(&checkpoint.files, &mut listed);
@@ -69,7 +68,7 @@ impl PictureNeed {
         ) else {
             return Self::default();
         };
-        let (values, tower) = (3 * pixels as u64, Tower::of(listed.listed()));
+        let (values, tower) = (3 * pixels as u64, Tower::from_tensors(listed.listed()));
         let patches = pixels as u64 / tower.patch.max(1);
         let row = ROWS.0 * tower.hidden + ROWS.1 * tower.intermediate;
         // The values once in rows of pixels, once in patches.
@@ -92,7 +91,7 @@ struct Tower {
 }
 
 impl Tower {
-    fn of(tensors: &[(String, Vec<usize>)]) -> Self {
+    fn from_tensors(tensors: &[(String, Vec<usize>)]) -> Self {
         let vision = || {
             tensors
                 .iter()
@@ -122,7 +121,7 @@ impl Tower {
 impl MemoryNeed {
     /// The need of a checkpoint with this decoder, weights in the format `quantize`, and chats of
     /// at most `context` tokens.
-    pub(crate) fn of(
+    pub(crate) fn estimate(
         checkpoint: &Checkpoint,
         decoder: &LlamaConfig,
         picture: PictureNeed,
@@ -197,7 +196,7 @@ fn check_against(
     quantize: Option<WeightFormat>,
     context: Option<usize>,
 ) -> Result<(), MllmError> {
-    let need_as = |quantize| MemoryNeed::of(checkpoint, decoder, picture, quantize, context);
+    let need_as = |quantize| MemoryNeed::estimate(checkpoint, decoder, picture, quantize, context);
     let need = need_as(quantize);
     if need.total() <= free {
         return Ok(());
@@ -312,11 +311,12 @@ mod tests {
     fn a_model_that_does_not_fit_is_refused_with_what_would() {
         let checkpoint = open_checkpoint(&fixture("tiny_llava"));
         let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files).unwrap();
-        let picture = PictureNeed::of(&checkpoint, ImageSettings::default());
+        let picture = PictureNeed::estimate(&checkpoint, ImageSettings::default());
         // 32 x 32 pixels in patches of 8.
         assert_eq!(picture.tokens, 16);
-        let need_as =
-            |quantize, context| MemoryNeed::of(&checkpoint, &decoder, picture, quantize, context);
+        let need_as = |quantize, context| {
+            MemoryNeed::estimate(&checkpoint, &decoder, picture, quantize, context)
+        };
         let need = need_as(None, None);
         assert_eq!(need.picture, picture.bytes);
         assert!(need.picture > 4 * 6 * 32 * 32, "{need:?}");

@@ -30,18 +30,11 @@ pub(crate) mod test_prompts;
 #[cfg(test)]
 pub(crate) mod test_reference;
 
-use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
-
-use answer_time::AnswerWork;
 pub use check::ModelCheck;
-use draft_model::DraftModel;
 pub(crate) use memory::PictureNeed;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub use outline::{FormatOutline, ModelOutline};
 pub(crate) use sequence::Sequence;
-use session::LocalConversation;
 
 use super::checkpoint::{ConfigObject, LoadReport, ModelFiles, OneOrMany};
 use super::decoder::Logits;
@@ -50,7 +43,13 @@ use super::family::{Chat, ChatFormat, ImageLayout, ImageSettings, VisionLanguage
 use super::source::{Checkpoint, ModelPlace};
 use super::text::{ChatTokenizer, GrammarEngine};
 use super::{AnswerTime, Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
+use answer_time::AnswerWork;
+use draft_model::DraftModel;
 use planagent_kernels::matrix::WeightFormat;
+use session::LocalConversation;
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Number of system prompts whose keys and values are cached; a run uses one or two.
 const KEPT_PREFIXES: usize = 8;
@@ -111,7 +110,7 @@ impl Loading {
         self.check_family(&checkpoint)?;
         if self.memory == MemoryCheck::Refuse {
             let decoder = checkpoint.decoder_config()?;
-            let picture = PictureNeed::of(&checkpoint, self.image);
+            let picture = PictureNeed::estimate(&checkpoint, self.image);
             memory::check(&checkpoint, &decoder, picture, self.quantize, self.context)?;
         }
         Ok(checkpoint)
@@ -171,7 +170,7 @@ impl LocalModel {
         // Before the weights are read, which takes minutes: a missing tokenizer is found at once.
         let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
         checkpoint.weights.hash()?;
-        let work = AnswerWork::of(&checkpoint, loading.image);
+        let work = AnswerWork::from_checkpoint(&checkpoint, loading.image);
         let mut model = checkpoint.open_model()?;
         model.set_images(loading.image)?;
         let Checkpoint { files, weights, .. } = checkpoint;

@@ -32,7 +32,7 @@ pub struct FailedCall {
 
 impl FailedCall {
     /// The call, if it got no answer or its answer gave no plan. A deadline is no such failure.
-    fn of(call: &PlanningCall, scenario: &str, planner: &str) -> Option<Self> {
+    fn from_call(call: &PlanningCall, scenario: &str, planner: &str) -> Option<Self> {
         let why = call.decision.no_plan()?;
         let is_failure = matches!(
             why,
@@ -130,7 +130,7 @@ impl Planner for Reporting<'_> {
         let trajectory = self.planner.compute_trajectory(input);
         let calls = self.planner.calls();
         for call in calls.iter().skip(self.seen) {
-            if let Some(failed) = FailedCall::of(call, &self.scenario, self.planner.name()) {
+            if let Some(failed) = FailedCall::from_call(call, &self.scenario, self.planner.name()) {
                 (self.listener)(failed);
             }
         }
