@@ -1,5 +1,5 @@
 //! The two short questions that a server is asked before a run, and alone by `models check`; and
-//! what is told of calls that give no plan.
+//! what a run says of calls that give no plan.
 
 use super::server::{Reaction, Server, completion, error, is_probe, response};
 use super::simulation::{ANSWER, Run, SCENE, description};

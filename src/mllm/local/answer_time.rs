@@ -62,7 +62,7 @@ impl LocalModel {
         let mut sequence = Sequence::new(model);
         let mut timed = |words: &[u32], wanted: Logits| {
             let started = Instant::now();
-            // A pass that fails is told by the answer itself.
+            // The answer itself says why a pass fails.
             sequence.append(model, words, None, wanted).ok()?;
             Some(started.elapsed().as_secs_f64())
         };

@@ -51,7 +51,7 @@ const ROWS: (u64, u64) = (8, 3);
 
 impl PictureNeed {
     /// The need of the picture that is drawn for the model of a checkpoint. Nothing for a
-    /// configuration that cannot be opened: the error is told where the model is opened.
+    /// configuration that cannot be opened: opening the model says why.
     pub(crate) fn estimate(checkpoint: &Checkpoint, image: ImageSettings) -> Self {
         let mut listed = Weights::empty(checkpoint.files.place(), WeightFormatPlan::default());
         listed.only_list();
@@ -59,7 +59,7 @@ impl PictureNeed {
         let Ok(mut model) = opened else {
             return Self::default();
         };
-        // A setting that the family refuses is told where the model is opened.
+        // Opening the model says which settings the family refuses.
         let _ = model.set_images(image);
         let side = model.info().image_size as u32;
         let (Ok(layout), Ok(pixels)) = (

@@ -79,7 +79,7 @@ impl ModelPlace {
     }
 
     /// What the files call the model, and the number of their weights; none where they cannot be
-    /// read. A model that is refused is told apart by it.
+    /// read. They tell refused models apart.
     pub fn facts(&self) -> Option<(String, u64)> {
         let gguf = |path: &Path| {
             let header = open_model(path).ok()?.0;

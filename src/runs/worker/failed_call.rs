@@ -89,7 +89,7 @@ impl fmt::Display for FailedCall {
 /// Receives failed planning calls, from several threads.
 pub type FailedCallListener = Arc<dyn Fn(FailedCall) + Send + Sync>;
 
-/// A planner whose failed planning calls are told of as they happen.
+/// A planner that reports its failed planning calls as they happen.
 pub(super) struct Reporting<'a> {
     planner: Box<dyn Planner + 'a>,
     scenario: String,

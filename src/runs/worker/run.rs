@@ -75,7 +75,7 @@ impl AgentParts {
             recording: &recording,
             shuffled_bev: shuffled_bev.as_ref(),
         })?;
-        Ok(self.watched(planner, &scenario.id))
+        Ok(self.wrapped(planner, &scenario.id))
     }
 
     /// PlanAgent for one scenario; `None` without a model.
@@ -85,8 +85,8 @@ impl AgentParts {
         Some(agent.with_shuffled_bev(self.shuffled_bev()).layered())
     }
 
-    /// The planner under the switch of the run, and under the eyes of those who want to know.
-    fn watched<'a>(&self, planner: Box<dyn Planner + 'a>, scenario: &str) -> Box<dyn Planner + 'a> {
+    /// The planner under the switch of the run, and with reports of its failed calls.
+    fn wrapped<'a>(&self, planner: Box<dyn Planner + 'a>, scenario: &str) -> Box<dyn Planner + 'a> {
         let planner: Box<dyn Planner + 'a> = match &self.on_failed_call {
             Some(listener) => Box::new(Reporting::new(planner, scenario, Arc::clone(listener))),
             None => planner,
@@ -293,7 +293,7 @@ fn simulate_task(
         PlannerNeeds::Simulation => {
             let ahead = prepared().map_err(|error| with_causes(&error))?;
             let oracle = OracleAgent::new(planner, parts.settings_for(&scenario.id), ahead);
-            parts.watched(Box::new(oracle), &scenario.id)
+            parts.wrapped(Box::new(oracle), &scenario.id)
         }
         _ => parts
             .planner(planner, scenario)
