@@ -142,7 +142,9 @@ impl PlanAgent {
                 Decision::KeepActivePlan(NoPlan::Worse)
             }
             (None, None, Some(index)) => Decision::Exhausted(index),
-            (None, None, None) => self.state.keep_or_brake(NoPlan::Unreadable),
+            (None, None, None) => self
+                .state
+                .keep_or_brake(NoPlan::Unreadable(attempts.unreadable())),
         }
     }
 }

@@ -1,10 +1,12 @@
 //! Models that run in this process on the CPU.
 
 mod ahead;
+mod answer_time;
 mod check;
 mod draft;
 mod draft_model;
 mod generate;
+mod grouped;
 mod likeliest;
 mod memory;
 mod outline;
@@ -29,6 +31,7 @@ pub(crate) mod test_prompts;
 pub(crate) mod test_reference;
 
 pub use check::ModelCheck;
+pub(crate) use memory::PictureNeed;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub use outline::{FormatOutline, ModelOutline};
 pub(crate) use sequence::Sequence;
@@ -39,7 +42,8 @@ use super::families::{Architecture, Families};
 use super::family::{Chat, ChatFormat, ImageLayout, ImageSettings, VisionLanguageModel};
 use super::source::{Checkpoint, ModelPlace};
 use super::text::{ChatTokenizer, GrammarEngine};
-use super::{Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
+use super::{AnswerTime, Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
+use answer_time::AnswerWork;
 use draft_model::DraftModel;
 use planagent_kernels::matrix::WeightFormat;
 use session::LocalConversation;
@@ -65,6 +69,8 @@ pub struct LocalModel {
     /// Longest chat that the user allows, tokens; none for that of the model.
     limit: Option<usize>,
     draft_model: Option<Arc<DraftModel>>,
+    /// The work of an answer; none for a small model.
+    work: Option<AnswerWork>,
     prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
 }
 
@@ -103,8 +109,9 @@ impl Loading {
         let checkpoint = Checkpoint::open(place, self.quantize, &self.families)?;
         self.check_family(&checkpoint)?;
         if self.memory == MemoryCheck::Refuse {
-            let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-            memory::check(&checkpoint, &decoder, self.quantize, self.context)?;
+            let decoder = checkpoint.decoder_config()?;
+            let picture = PictureNeed::estimate(&checkpoint, self.image);
+            memory::check(&checkpoint, &decoder, picture, self.quantize, self.context)?;
         }
         Ok(checkpoint)
     }
@@ -163,6 +170,7 @@ impl LocalModel {
         // Before the weights are read, which takes minutes: a missing tokenizer is found at once.
         let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
         checkpoint.weights.hash()?;
+        let work = AnswerWork::from_checkpoint(&checkpoint, loading.image);
         let mut model = checkpoint.open_model()?;
         model.set_images(loading.image)?;
         let Checkpoint { files, weights, .. } = checkpoint;
@@ -180,6 +188,7 @@ impl LocalModel {
             load: weights.report().clone(),
             limit: loading.context,
             draft_model: None,
+            work,
             prefixes: Mutex::new(VecDeque::new()),
         })
     }
@@ -291,6 +300,10 @@ impl Mllm for LocalModel {
             load: self.load.clone(),
             server: None,
         }
+    }
+
+    fn answer_time(&self, text: usize, new: usize) -> Option<AnswerTime> {
+        self.time_answer(text, new)
     }
 
     fn converse<'a>(

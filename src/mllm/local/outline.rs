@@ -1,6 +1,6 @@
 //! What a model is and needs, from its configuration and the headers of its weights alone.
 
-use super::MemoryNeed;
+use super::{MemoryNeed, PictureNeed};
 use crate::MllmError;
 use crate::families::Families;
 use crate::family::ImageSettings;
@@ -45,9 +45,10 @@ impl ModelOutline {
         mut checkpoint: Checkpoint,
         image: ImageSettings,
     ) -> Result<Self, MllmError> {
-        let config = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
+        let config = checkpoint.decoder_config()?;
+        let picture = PictureNeed::estimate(&checkpoint, image);
         let memory = Self::FORMATS
-            .map(|format| MemoryNeed::estimate(&checkpoint, &config, Some(format), None));
+            .map(|format| MemoryNeed::estimate(&checkpoint, &config, picture, Some(format), None));
         checkpoint.weights.only_look();
         let mut model = checkpoint.open_model()?;
         model.set_images(image)?;

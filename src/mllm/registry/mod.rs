@@ -296,18 +296,25 @@ impl ModelRegistry {
             Ok(()) => None,
             // The check names all errors, and not the first one alone.
             Err(MllmError::Unopened { problem }) => Some(problem),
-            Err(error) => return Ok(ModelCheck::refused(&error)),
+            Err(error) => return Ok(ModelCheck::refused(&place, &error)),
         };
         let checked = without_panic(&place, || Ok(LocalModel::check(&place, &loading)));
-        let mut check = checked.unwrap_or_else(|error| ModelCheck::refused(&error));
+        let mut check = checked.unwrap_or_else(|error| ModelCheck::refused(&place, &error));
         if check.problems.is_empty() {
             check.problems.extend(unopened);
         }
         if let Some(draft) = spec.draft() {
-            let problems = match self.check(&draft) {
+            let mut problems = match self.check(&draft) {
                 Ok(checked) => checked.problems,
                 Err(error) => vec![error.to_string()],
             };
+            if problems.is_empty() && check.problems.is_empty() {
+                let (drafts, how) = (self.place_here(&draft)?, self.loading(&draft)?);
+                let fits = without_panic(&drafts, || {
+                    LocalModel::check_draft([&place, &drafts], [&loading, &how])
+                });
+                problems.extend(fits.err().map(|error| error.to_string()));
+            }
             check.problems.extend(
                 problems
                     .into_iter()

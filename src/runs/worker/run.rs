@@ -1,6 +1,7 @@
 //! Many simulations on all cores: scenarios x planners x challenges, each with its score or its
 //! error.
 
+use super::failed_call::{FailedCallListener, Reporting};
 use super::oracle::OracleAgent;
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
@@ -34,17 +35,20 @@ pub struct AgentParts {
     pub agents: Option<AgentCommand>,
     /// Ends the simulations early.
     pub stop: Option<StopSwitch>,
+    /// Hears of planning calls that give no plan, as they happen.
+    pub on_failed_call: Option<FailedCallListener>,
 }
 
 impl Default for AgentParts {
     fn default() -> Self {
-        let (model, settings, agents, stop) = Default::default();
+        let (model, settings, agents, stop, on_failed_call) = Default::default();
         Self {
             registry: all_planners(),
             model,
             settings,
             agents,
             stop,
+            on_failed_call,
         }
     }
 }
@@ -71,7 +75,7 @@ impl AgentParts {
             recording: &recording,
             shuffled_bev: shuffled_bev.as_ref(),
         })?;
-        Ok(self.stoppable(planner))
+        Ok(self.wrapped(planner, &scenario.id))
     }
 
     /// PlanAgent for one scenario; `None` without a model.
@@ -81,8 +85,12 @@ impl AgentParts {
         Some(agent.with_shuffled_bev(self.shuffled_bev()).layered())
     }
 
-    /// The planner under the switch of the run.
-    fn stoppable<'a>(&self, planner: Box<dyn Planner + 'a>) -> Box<dyn Planner + 'a> {
+    /// The planner under the switch of the run, and with reports of its failed calls.
+    fn wrapped<'a>(&self, planner: Box<dyn Planner + 'a>, scenario: &str) -> Box<dyn Planner + 'a> {
+        let planner: Box<dyn Planner + 'a> = match &self.on_failed_call {
+            Some(listener) => Box::new(Reporting::new(planner, scenario, Arc::clone(listener))),
+            None => planner,
+        };
         match &self.stop {
             Some(switch) => Box::new(Stoppable {
                 planner,
@@ -284,11 +292,8 @@ fn simulate_task(
     let mut planner: Box<dyn Planner + '_> = match needs {
         PlannerNeeds::Simulation => {
             let ahead = prepared().map_err(|error| with_causes(&error))?;
-            parts.stoppable(Box::new(OracleAgent::new(
-                planner,
-                parts.settings_for(&scenario.id),
-                ahead,
-            )))
+            let oracle = OracleAgent::new(planner, parts.settings_for(&scenario.id), ahead);
+            parts.wrapped(Box::new(oracle), &scenario.id)
         }
         _ => parts
             .planner(planner, scenario)

@@ -362,6 +362,6 @@ fn decide(attempts: &Attempts<Assisted>, rules: &PdmPlan) -> Decision {
         }
         (_, Some(why)) => Decision::RuleBased(NoPlan::Interrupted(why.clone())),
         (Some(_), None) => Decision::RuleBased(NoPlan::Outscored),
-        (None, None) => Decision::RuleBased(NoPlan::Unreadable),
+        (None, None) => Decision::RuleBased(NoPlan::Unreadable(attempts.unreadable())),
     }
 }

@@ -66,7 +66,8 @@ pub(crate) fn run(
     } else {
         show(&scenario, &call, &trajectory, printer);
     }
-    let failed = matches!(call.interruption(), Some(Interruption::Model(_)));
+    let unanswered = matches!(call.interruption(), Some(Interruption::Model(_)));
+    let failed = unanswered || call.unreadable().is_some();
     Ok(if failed {
         Exit::SomeFailed
     } else {
