@@ -1,8 +1,7 @@
 //! Affine layers.
 
-use candle_core::{Result, Tensor, bail};
-
 use super::matrix::Matrix;
+use candle_core::{Result, Tensor, bail};
 
 /// y = x Wᵀ + b over the last dimension.
 #[derive(Debug, Clone)]
@@ -21,7 +20,7 @@ impl Linear {
     ///
     /// # Errors
     /// When the weight is no matrix of f32.
-    pub fn from_tensor(weight: &Tensor, bias: Option<Tensor>) -> Result<Self> {
+    pub fn from_tensors(weight: &Tensor, bias: Option<Tensor>) -> Result<Self> {
         Ok(Self::from_matrix(Matrix::from_tensor(weight)?, bias))
     }
 
@@ -77,7 +76,7 @@ mod tests {
             let values: Vec<f32> = (0..count).map(|i| (i * step % 17) as f32 - 8.0).collect();
             Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
         };
-        let layer = Linear::from_tensor(&numbers(&[3, 5], 7), Some(numbers(&[3], 5))).unwrap();
+        let layer = Linear::from_tensors(&numbers(&[3, 5], 7), Some(numbers(&[3], 5))).unwrap();
         let (x, residual) = (numbers(&[2, 4, 5], 3), numbers(&[2, 4, 3], 11));
         let flat = |x: &Tensor| x.reshape((8, ())).unwrap();
         let values = |x: Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();

@@ -27,6 +27,7 @@ mod record;
 mod settings;
 mod simple;
 mod stop;
+mod unreadable;
 
 pub use agent_state::{ActivePlan, AgentState};
 pub use code_source::{CodeCall, CodeList, CodeSource};
@@ -54,6 +55,7 @@ pub use settings::{
     ReflectionSettings,
 };
 pub use simple::SimplePlanner;
+pub use unreadable::Unreadable;
 
 use crate::environment::BevView;
 use image::RgbImage;

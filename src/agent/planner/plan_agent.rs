@@ -142,7 +142,9 @@ impl PlanAgent {
                 Decision::KeepActivePlan(NoPlan::Worse)
             }
             (None, None, Some(index)) => Decision::Exhausted(index),
-            (None, None, None) => self.state.keep_or_brake(NoPlan::Unreadable),
+            (None, None, None) => self
+                .state
+                .keep_or_brake(NoPlan::Unreadable(attempts.unreadable())),
         }
     }
 }
@@ -202,7 +204,7 @@ impl AgentLayer for PlanAgent {
             settings,
             shuffled_bev: shuffled_bev.as_ref(),
         };
-        let prompt = input.of(scene, &graph)?;
+        let prompt = input.scenario_prompt(scene, &graph)?;
         let environment_ms = milliseconds(started.elapsed());
         let seed = self.settings.call_seed(iteration);
         let seen = GraphedScene::new(scene, &graph);

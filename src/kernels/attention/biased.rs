@@ -1,13 +1,12 @@
 //! Attention of a batch with an additive bias, a few queries at a time: the logits of all queries
 //! are never stored. Each query weighs all keys at once, so a bias may hide any of them.
 
-use candle_core::{Device, Result, Tensor, bail};
-use rayon::prelude::*;
-
 use super::unit::add_product;
 use crate::matrix::{Instructions, Kernel, LANES, Simd};
 use crate::pointwise::softmax_in_place;
 use crate::values::with_values;
+use candle_core::{Device, Result, Tensor, bail};
+use rayon::prelude::*;
 
 /// Queries that a kernel computes at once, and vectors of keys.
 const QUERIES: usize = 4;
@@ -120,7 +119,7 @@ impl PackedKeyValues {
             );
         }
         let bias = bias
-            .map(|bias| Bias::of(bias, [batch, self.heads, count, self.count]))
+            .map(|bias| Bias::from_tensor(bias, [batch, self.heads, count, self.count]))
             .transpose()?;
         with_values(queries, |values| {
             let mut out = vec![0f32; values.len()];
@@ -170,7 +169,7 @@ struct Bias {
 }
 
 impl Bias {
-    fn of(bias: &Tensor, shape: [usize; 4]) -> Result<Self> {
+    fn from_tensor(bias: &Tensor, shape: [usize; 4]) -> Result<Self> {
         let dims = bias.dims();
         let fits = dims.len() == 4
             && dims[3] == shape[3]

@@ -13,11 +13,11 @@ pub(crate) struct GroupLinear {
 
 impl GroupLinear {
     /// Of a weight (outputs, own + common) and a bias; both parts of a row have the same width.
-    pub(crate) fn of(weight: &Tensor, bias: Tensor) -> Result<Self> {
+    pub(crate) fn from_tensors(weight: &Tensor, bias: Tensor) -> Result<Self> {
         let width = weight.dim(1)? / 2;
         Ok(Self {
-            own: Linear::from_tensor(&weight.narrow(1, 0, width)?, None)?,
-            common: Linear::from_tensor(&weight.narrow(1, width, width)?, Some(bias))?,
+            own: Linear::from_tensors(&weight.narrow(1, 0, width)?, None)?,
+            common: Linear::from_tensors(&weight.narrow(1, width, width)?, Some(bias))?,
         })
     }
 

@@ -58,7 +58,7 @@ impl Weights {
     pub(crate) fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
         let weight = self.take(&format!("{name}.weight"), &[outputs, inputs])?;
         let bias = self.take(&format!("{name}.bias"), &[outputs])?;
-        Linear::from_tensor(&weight, Some(bias))
+        Linear::from_tensors(&weight, Some(bias))
     }
 
     /// The affine layer of `NAME.weight`.
@@ -69,7 +69,7 @@ impl Weights {
         outputs: usize,
     ) -> Result<Linear> {
         let weight = self.take(&format!("{name}.weight"), &[outputs, inputs])?;
-        Linear::from_tensor(&weight, None)
+        Linear::from_tensors(&weight, None)
     }
 
     /// The layer normalization of `NAME.weight` and `NAME.bias`.

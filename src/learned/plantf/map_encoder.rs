@@ -100,11 +100,11 @@ impl PointsEncoder {
         let (wide, wide_bias) = normed(&second, 2 * WIDE, WIDE)?;
         Ok(Self {
             first: [
-                Linear::from_tensor(&narrow, Some(narrow_bias))?,
+                Linear::from_tensors(&narrow, Some(narrow_bias))?,
                 weights.linear(&first[2], NARROW, WIDE)?,
             ],
             second: (
-                GroupLinear::of(&wide, wide_bias)?,
+                GroupLinear::from_tensors(&wide, wide_bias)?,
                 weights.linear(&second[2], WIDE, dim)?,
             ),
         })

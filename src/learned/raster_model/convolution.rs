@@ -47,7 +47,7 @@ impl Convolution {
             .reshape((outputs, kernel * kernel * inputs))?;
         Ok(Self {
             shape,
-            weight: Linear::from_tensor(&weight, Some(bias))?,
+            weight: Linear::from_tensors(&weight, Some(bias))?,
         })
     }
 
@@ -162,7 +162,7 @@ mod tests {
                 .unwrap()
                 .reshape((5, ()))
                 .unwrap();
-            let found = Linear::from_tensor(&flat, None)
+            let found = Linear::from_tensors(&flat, None)
                 .unwrap()
                 .forward(&windows)
                 .unwrap();

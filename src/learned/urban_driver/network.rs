@@ -192,7 +192,7 @@ impl SubgraphLayer {
         Ok(Self {
             inner: weights.linear_without_bias(&format!("{name}.mlp.linear"), width, width)?,
             norm: weights.layer_norm(&format!("{name}.mlp.norm"), width)?,
-            outer: GroupLinear::of(
+            outer: GroupLinear::from_tensors(
                 &remap,
                 weights.take(&format!("{name}.linear_remap.bias"), &[width])?,
             )?,

@@ -1,14 +1,13 @@
 //! How a model is loaded: the choices of the user, and the files that they lead to.
 
-use std::path::PathBuf;
-
-use super::memory::{self, MemoryCheck};
+use super::memory::{self, MemoryCheck, PictureNeed};
 use crate::MllmError;
 use crate::checkpoint::ModelFiles;
 use crate::families::{Architecture, Families};
 use crate::family::ImageSettings;
 use crate::source::{Checkpoint, ModelPlace};
 use planagent_kernels::matrix::WeightFormat;
+use std::path::PathBuf;
 
 /// How a model is loaded.
 #[derive(Debug, Clone, Default)]
@@ -37,8 +36,9 @@ impl Loading {
         let checkpoint = Checkpoint::open(place, self.quantize, &self.families)?;
         self.check_family(&checkpoint)?;
         if self.memory == MemoryCheck::Refuse {
-            let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-            memory::check(&checkpoint, &decoder, self.quantize, self.context)?;
+            let decoder = checkpoint.decoder_config()?;
+            let picture = PictureNeed::estimate(&checkpoint, self.image);
+            memory::check(&checkpoint, &decoder, picture, self.quantize, self.context)?;
         }
         Ok(checkpoint)
     }

@@ -1,10 +1,12 @@
 //! Models that run in this process on the CPU.
 
 mod ahead;
+mod answer_time;
 mod check;
 mod draft;
 mod draft_model;
 mod generate;
+mod grouped;
 mod likeliest;
 mod loading;
 mod memory;
@@ -29,24 +31,25 @@ pub(crate) mod test_prompts;
 #[cfg(test)]
 pub(crate) mod test_reference;
 
-use std::collections::VecDeque;
-use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
-
 pub use check::ModelCheck;
-use draft_model::DraftModel;
 pub use loading::Loading;
+pub(crate) use memory::PictureNeed;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub use outline::{FormatOutline, ModelOutline};
 pub(crate) use sequence::Sequence;
-use session::LocalConversation;
 
 use super::checkpoint::{ConfigObject, LoadReport, ModelFiles, OneOrMany};
 use super::decoder::Logits;
 use super::family::{Chat, ChatFormat, ImageLayout, VisionLanguageModel};
 use super::source::{Checkpoint, ModelPlace};
 use super::text::{ChatTokenizer, GrammarEngine};
-use super::{Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
+use super::{AnswerTime, Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
+use answer_time::AnswerWork;
+use draft_model::DraftModel;
+use session::LocalConversation;
+use std::collections::VecDeque;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Number of system prompts whose keys and values are cached; a run uses one or two.
 const KEPT_PREFIXES: usize = 8;
@@ -66,6 +69,8 @@ pub struct LocalModel {
     /// Longest chat that the user allows, tokens; none for that of the model.
     limit: Option<usize>,
     draft_model: Option<Arc<DraftModel>>,
+    /// The work of an answer; none for a small model.
+    work: Option<AnswerWork>,
     prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
 }
 
@@ -98,6 +103,7 @@ impl LocalModel {
         // Before the weights are read, which takes minutes: a missing tokenizer is found at once.
         let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
         checkpoint.weights.hash()?;
+        let work = AnswerWork::from_checkpoint(&checkpoint, loading.image);
         let mut model = checkpoint.open_model()?;
         model.set_images(loading.image)?;
         let Checkpoint { files, weights, .. } = checkpoint;
@@ -115,6 +121,7 @@ impl LocalModel {
             load: weights.report().clone(),
             limit: loading.context,
             draft_model: None,
+            work,
             prefixes: Mutex::new(VecDeque::new()),
         })
     }
@@ -226,6 +233,10 @@ impl Mllm for LocalModel {
             load: self.load.clone(),
             server: None,
         }
+    }
+
+    fn answer_time(&self, text: usize, new: usize) -> Option<AnswerTime> {
+        self.time_answer(text, new)
     }
 
     fn converse<'a>(

@@ -1,6 +1,6 @@
 //! What a model is and needs, from its configuration and the headers of its weights alone.
 
-use super::MemoryNeed;
+use super::{MemoryNeed, PictureNeed};
 use crate::MllmError;
 use crate::family::ImageSettings;
 use crate::source::Checkpoint;
@@ -40,10 +40,14 @@ impl ModelOutline {
     ];
 
     /// The outline of a model whose images are shown as `image` says.
-    pub(crate) fn of(mut checkpoint: Checkpoint, image: ImageSettings) -> Result<Self, MllmError> {
-        let config = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-        let memory =
-            Self::FORMATS.map(|format| MemoryNeed::of(&checkpoint, &config, Some(format), None));
+    pub(crate) fn from_checkpoint(
+        mut checkpoint: Checkpoint,
+        image: ImageSettings,
+    ) -> Result<Self, MllmError> {
+        let config = checkpoint.decoder_config()?;
+        let picture = PictureNeed::estimate(&checkpoint, image);
+        let memory = Self::FORMATS
+            .map(|format| MemoryNeed::estimate(&checkpoint, &config, picture, Some(format), None));
         checkpoint.weights.only_look();
         let mut model = checkpoint.open_model()?;
         model.set_images(image)?;

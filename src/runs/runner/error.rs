@@ -103,6 +103,11 @@ pub enum RunnerError {
         name: String,
         source: Box<MllmError>,
     },
+    #[error("the model '{name}' cannot be asked, so nothing is simulated")]
+    AskModel {
+        name: String,
+        source: Box<MllmError>,
+    },
     #[error(transparent)]
     Config(#[from] ConfigError),
     #[error("cannot make {} absolute: {source}", path.display())]

@@ -1,6 +1,7 @@
 //! Stage 9: many simulations in parallel, the studies behind the paper's tables, datasets, benches,
 //! and token counts.
 
+mod failed_call;
 pub mod interactive;
 pub mod panic_guard;
 pub mod run;
@@ -11,4 +12,5 @@ pub mod statistics;
 mod stoppable;
 pub mod suite;
 
+pub use failed_call::{FailedCall, FailedCallListener};
 pub use stoppable::StopSwitch;

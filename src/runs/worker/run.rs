@@ -1,6 +1,7 @@
 //! Many simulations on all cores: scenarios x planners x challenges, each with its score or its
 //! error.
 
+use super::failed_call::{FailedCallListener, Reporting};
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
 use super::stoppable::{StopSwitch, Stoppable};
@@ -36,17 +37,20 @@ pub struct AgentParts {
     pub agents: Option<AgentCommand>,
     /// Ends the simulations early.
     pub stop: Option<StopSwitch>,
+    /// Hears of planning calls that give no plan, as they happen.
+    pub on_failed_call: Option<FailedCallListener>,
 }
 
 impl Default for AgentParts {
     fn default() -> Self {
-        let (model, settings, agents, stop) = Default::default();
+        let (model, settings, agents, stop, on_failed_call) = Default::default();
         Self {
             registry: all_planners(),
             model,
             settings,
             agents,
             stop,
+            on_failed_call,
         }
     }
 }
@@ -84,7 +88,7 @@ impl AgentParts {
             simulation,
             shuffled_bev: shuffled_bev.as_ref(),
         })?;
-        Ok(self.stoppable(planner))
+        Ok(self.wrapped(planner, &scenario.id))
     }
 
     /// PlanAgent for one scenario; `None` without a model.
@@ -94,8 +98,12 @@ impl AgentParts {
         Some(agent.with_shuffled_bev(self.shuffled_bev()).layered())
     }
 
-    /// The planner under the switch of the run.
-    fn stoppable(&self, planner: Box<dyn Planner>) -> Box<dyn Planner> {
+    /// The planner under the switch of the run, and with reports of its failed calls.
+    fn wrapped(&self, planner: Box<dyn Planner>, scenario: &str) -> Box<dyn Planner> {
+        let planner: Box<dyn Planner> = match &self.on_failed_call {
+            Some(listener) => Box::new(Reporting::new(planner, scenario, Arc::clone(listener))),
+            None => planner,
+        };
         match &self.stop {
             Some(switch) => Box::new(Stoppable {
                 planner,

@@ -39,7 +39,7 @@ use lanes::EgoLanes;
 /// `None` where there is none, or the ego is on no lane.
 pub fn to_intersection(scenario: &Scenario) -> Option<f64> {
     let ego = scenario.expert().next()?;
-    EgoLanes::of(&scenario.map, &scenario.route, ego)?.to_intersection(&scenario.map)
+    EgoLanes::from_route(&scenario.map, &scenario.route, ego)?.to_intersection(&scenario.map)
 }
 
 /// The scenario with the changes of a modification; `seed` beside that of the file draws other
@@ -61,7 +61,7 @@ fn modified(
     let first = base
         .frame(0)
         .ok_or_else(|| unfit("the scenario has no frames"))?;
-    let lanes = EgoLanes::of(&base.map, &base.route, &first.ego)
+    let lanes = EgoLanes::from_route(&base.map, &base.route, &first.ego)
         .ok_or_else(|| unfit("the ego starts on no lane, and places are relative to its lane"))?;
     let seeds = [modification.seed, seed];
     let draws = Draws::new(&id, &modification.drawn_by, seeds);

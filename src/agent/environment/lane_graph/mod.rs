@@ -93,7 +93,7 @@ pub struct LaneGraph {
     /// ([`Self::with_oncoming_lane`]).
     pub oncoming: Option<OncomingLane>,
     /// The way to the goal's lane, where the route has a goal to reach, or else back to a lane that
-    /// was left ([`Self::with_way_back`]).
+    /// was left ([`Self::with_return_lane`]).
     pub goal: Option<GoalLane>,
 }
 
@@ -131,8 +131,8 @@ impl LaneGraph {
     /// The same with the way back to a lane that the ego left, where the route has no lane of a
     /// goal.
     #[must_use]
-    pub(crate) fn with_way_back(self, scene: &SceneView<'_>, to: &ReturnLane) -> Self {
-        let goal = self.goal.or_else(|| to.way_back(scene, &self));
+    pub(crate) fn with_return_lane(self, scene: &SceneView<'_>, to: &ReturnLane) -> Self {
+        let goal = self.goal.or_else(|| to.as_goal(scene, &self));
         Self { goal, ..self }
     }
 

@@ -104,6 +104,9 @@ pub(super) fn judge(
         .filter(|pair| !known.contains_key(&pair.to_string()))
         .collect();
     let (total, done) = (pairs.len(), AtomicUsize::new(pairs.len() - left.len()));
+    if !left.is_empty() {
+        loaded.probe(config, listener)?;
+    }
     listener(Event::Note(format!(
         "{name}: {total} pairs; {} are answered, {} are left",
         total - left.len(),

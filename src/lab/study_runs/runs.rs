@@ -217,6 +217,13 @@ impl OpenRuns<'_> {
         (self.open.len() + self.ended.len(), total - left, left)
     }
 
+    /// Asks the servers of the runs' models what the simulations that are left will ask.
+    pub(super) fn probe(&self) -> Result<(), RunnerError> {
+        self.open
+            .values()
+            .try_for_each(|run| run.probe(self.listener))
+    }
+
     /// Simulates the first scenario of those runs whose time is not known.
     pub(super) fn simulate_first(&mut self) -> Result<(), RunnerError> {
         let unknown = |run: &&mut Run| run.seconds_per_simulation().is_none();
