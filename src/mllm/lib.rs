@@ -17,7 +17,6 @@
     reason = "many names say all; the root describes what users see"
 )]
 
-mod candle_qwen3_vl;
 mod checkpoint;
 #[cfg(test)]
 mod class_keys;

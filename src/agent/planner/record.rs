@@ -259,7 +259,8 @@ impl PlanningCall {
     /// A call at an iteration and a time that ended before the first attempt.
     #[doc(hidden)]
     pub fn without_attempts(
-        (iteration, at_s): (usize, f64),
+        iteration: usize,
+        at_s: f64,
         decision: Decision,
         total_ms: f64,
     ) -> Self {

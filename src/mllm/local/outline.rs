@@ -2,9 +2,8 @@
 
 use super::{MemoryNeed, PictureNeed};
 use crate::MllmError;
-use crate::families::Families;
 use crate::family::ImageSettings;
-use crate::source::{Checkpoint, ModelShape};
+use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
 
 /// A model as it is known before its weights are read.
@@ -69,13 +68,5 @@ impl ModelOutline {
                 })
                 .collect(),
         })
-    }
-
-    /// The outline of a published model, without its files.
-    pub fn of_shape(shape: &ModelShape) -> Result<Self, MllmError> {
-        Self::from_checkpoint(
-            shape.checkpoint(&Families::default())?,
-            ImageSettings::default(),
-        )
     }
 }

@@ -225,7 +225,7 @@ mod tests {
             attempt.reflection = score.map(reflection);
             attempt
         };
-        let mut call = PlanningCall::without_attempts((20, 2.0), decision, 0.0);
+        let mut call = PlanningCall::without_attempts(20, 2.0, decision, 0.0);
         call.attempts = scores.iter().map(attempt).collect();
         call
     }

@@ -6,7 +6,8 @@ use super::event::{Event, Listener};
 use super::probe;
 use crate::report::{Inputs, PromptList};
 use crate::worker::run::AgentParts;
-use planagent_agent::planner::{CodeSource, PlannerRegistry};
+use planagent_agent::planner::CodeSource;
+use planagent_agent::planner_registry::PlannerRegistry;
 use planagent_agent::reasoning::{PromptPlace, PromptSet, ReasoningSettings};
 use planagent_mllm::{
     Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry,
@@ -82,7 +83,7 @@ impl LoadedModel {
     }
 
     /// Where its prompts come from, for records.
-    pub fn prompt_list(&self) -> Option<PromptList> {
+    pub(crate) fn prompt_list(&self) -> Option<PromptList> {
         let (_, prompts, _) = self.parts()?;
         let place = match prompts.place() {
             PromptPlace::Folder(folder) => std::path::absolute(folder)

@@ -27,7 +27,7 @@ pub fn start(
 ) -> Result<RunResults, RunnerError> {
     let started = Instant::now();
     let (request, commands) = &request.with_commands()?;
-    let selection = Selection::new((request, commands.policy()), None, config.seed, listener)?;
+    let selection = Selection::new(request, commands.policy(), None, config.seed, listener)?;
     // Loading a model takes long: what is wrong with the folder is said before.
     RunFolder::check_new(folder)?;
     let data = data_files(selection.own_sources(), None);
@@ -53,7 +53,8 @@ pub fn resume(
     let (request, commands) = &request.with_commands()?;
     let is_plain = request.is_plain_resume();
     let selected = Selection::new(
-        (request, commands.policy()),
+        request,
+        commands.policy(),
         Some(&before),
         config.seed,
         listener,

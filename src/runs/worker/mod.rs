@@ -3,10 +3,8 @@
 
 mod failed_call;
 pub mod interactive;
-mod oracle;
 pub mod panic_guard;
 pub mod run;
-pub mod search;
 pub mod seeds;
 mod shuffled_bev;
 pub mod split;

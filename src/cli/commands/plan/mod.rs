@@ -31,7 +31,9 @@ pub(crate) fn run(
     if let Some(code) = &flags.code {
         return code::run(
             code,
-            (&scenario, iteration, frame),
+            &scenario,
+            iteration,
+            frame,
             config,
             flags.image.as_ref(),
             printer,
