@@ -116,7 +116,9 @@ impl From<RunnerError> for Failure {
             RunnerError::LoadModel { .. } | RunnerError::FindModel(_) if is_missing(&error) => {
                 "ModelNotFoundError"
             }
-            RunnerError::LoadModel { .. } | RunnerError::FindModel(_) => "ModelError",
+            RunnerError::LoadModel { .. }
+            | RunnerError::FindModel(_)
+            | RunnerError::AskModel { .. } => "ModelError",
             RunnerError::Planner(_) | RunnerError::Challenge { .. } | RunnerError::Config(_) => {
                 "ArgumentError"
             }

@@ -108,6 +108,7 @@ impl Planner {
                         settings: &parts.settings,
                         model: parts.model.as_ref(),
                         recording: &[],
+                        simulation: None,
                         shuffled_bev: None,
                     };
                     entry.build(&of_any_scene)?

@@ -15,7 +15,7 @@ mod settings;
 mod suggest;
 mod words;
 
-pub use exit::Exit;
+pub(crate) use exit::Exit;
 pub use printer::Printer;
 
 use anyhow::bail;

@@ -1,7 +1,7 @@
 //! The known name that a mistyped one is closest to.
 
 use clap::error::{ContextKind, ContextValue};
-use planagent_agent::planner::UnknownPlanner;
+use planagent_agent::planner_registry::UnknownPlanner;
 use planagent_lab::study::StudyError;
 use planagent_mllm::MllmError;
 use planagent_runs::report::render::RenderError;

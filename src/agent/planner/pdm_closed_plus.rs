@@ -2,7 +2,7 @@
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::lane_graph::Centerline;
-use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
+use crate::environment::{DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph};
 use crate::reflection::{OvertakeRules, allowed_overtake};
 use planagent_score::pdm::{
     DrivableLayers, Overtake, PdmError, PdmMemory, ReferencePath, plan_among,
@@ -60,7 +60,7 @@ impl Planner for PdmClosedPlus {
             return Ok(plan_among(own, &[], None, scene, collided)?.trajectory);
         };
         let graph = graph.with_oncoming_lane(scene);
-        let oncoming = allowed_overtake(scene, &graph);
+        let oncoming = allowed_overtake(GraphedScene::new(scene, &graph));
         let others = paths_along(
             scene,
             own,

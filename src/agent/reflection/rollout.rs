@@ -121,7 +121,7 @@ impl IdmPlan {
         lead_policy: LeadPolicy,
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
-        let (paths, settled) = lay_paths(scene, (&code, &lanes), horizon_s, None)?;
+        let (paths, settled) = lay_paths(scene, &code, &lanes, horizon_s, None)?;
         Ok(Self {
             code,
             lanes,
@@ -152,7 +152,8 @@ impl IdmPlan {
         }
         let (paths, settled) = lay_paths(
             scene,
-            (&self.code, &self.lanes),
+            &self.code,
+            &self.lanes,
             horizon_s,
             Some(active.settled),
         )?;
@@ -205,8 +206,7 @@ impl IdmPlan {
         lanes: LanePath,
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
-        let (paths, settled) =
-            lay_paths(scene, (&self.code, &lanes), horizon_s, Some(self.settled))?;
+        let (paths, settled) = lay_paths(scene, &self.code, &lanes, horizon_s, Some(self.settled))?;
         Ok(Self {
             lanes,
             paths,
@@ -317,7 +317,8 @@ impl IdmPlan {
 /// the first has come onto its line.
 fn lay_paths(
     scene: &SceneView<'_>,
-    (code, lanes): (&PlannerCode, &LanePath),
+    code: &PlannerCode,
+    lanes: &LanePath,
     horizon_s: f64,
     settled: Option<Point>,
 ) -> Result<([Polyline; LATERAL_OFFSETS.len()], Point), GeometryError> {

@@ -70,7 +70,8 @@ impl AgentPolicy for ExecAgents {
             }
         };
         let message = ExecAgentsStep::new(
-            (iteration, dt_s),
+            iteration,
+            dt_s,
             ego,
             &self.objects,
             &next.lights,

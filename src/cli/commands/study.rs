@@ -117,10 +117,17 @@ fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<E
             "{lost} planning calls got no answer; calls.jsonl of the runs says why"
         ));
     }
+    let without_plan = outcome.without_plan;
+    if without_plan > 0 {
+        printer.failure(format!(
+            "in {without_plan} simulations no planning call gave a plan; calls.jsonl of the runs says why"
+        ));
+    }
     for list in &outcome.missing {
         printer.error(&anyhow!("not simulated: {list}"));
     }
-    let succeeded = outcome.failed.is_empty() && lost == 0 && outcome.missing.is_empty();
+    let answered = lost == 0 && without_plan == 0;
+    let succeeded = outcome.failed.is_empty() && answered && outcome.missing.is_empty();
     Ok(if succeeded {
         Exit::Success
     } else {

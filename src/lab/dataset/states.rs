@@ -10,7 +10,7 @@ use planagent_agent::planner::{AgentLayer, Attempt, Planner, PlannerInput};
 use planagent_agent::reasoning::{Feedback, PromptError, feedback_text};
 use planagent_agent::reflection::Verdict;
 use planagent_agent::simulation::{Challenge, ClosedLoop};
-use planagent_runs::worker::search::{self, Candidate};
+use planagent_controls::search::{self, Candidate};
 use planagent_scenario::generator::Spec;
 use planagent_score::pdm::PdmMemory;
 use rand::seq::IndexedRandom;
@@ -81,7 +81,8 @@ pub(super) fn label_scenario(
                 name.clone(),
                 &graph,
                 &facts,
-                (best, weights),
+                best,
+                weights,
                 settings.prompts,
                 feedback.as_deref(),
             )?;

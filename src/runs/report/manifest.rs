@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// The format of run folders that this program reads and writes.
-pub const FORMAT_VERSION: u32 = 2;
+pub(crate) const FORMAT_VERSION: u32 = 2;
 
 /// Key of the planners in [`Manifest::flat`], and the start of the keys of the model.
 const PLANNERS: &str = "planners";
@@ -207,7 +207,7 @@ impl Manifest {
     }
 
     /// The inputs in which another run differs that may have other recordings, one a line.
-    pub fn conflicting_inputs(&self, other: &Self) -> Vec<String> {
+    pub(crate) fn conflicting_inputs(&self, other: &Self) -> Vec<String> {
         self.inputs
             .as_ref()
             .zip(other.inputs.as_ref())

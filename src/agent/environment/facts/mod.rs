@@ -15,8 +15,7 @@ pub use answers::{
     Ahead, EgoSpeed, LaneCount, LaneIndex, LeadSpeed, Light, Oncoming, Question, SceneType,
     SideLane, VehicleCount,
 };
-pub use road::{CURVE, ONCOMING_REACH};
-pub use roundabout::{ROUNDABOUT_LENGTH, ROUNDNESS};
+pub use road::ONCOMING_REACH;
 pub use traffic::{CORRIDOR_MARGIN, ONCOMING_ASIDE, SAME_SPEED, SIDE_GAP, STOPPED};
 
 use super::bev::BevView;
@@ -26,7 +25,7 @@ use planagent_world::{SceneView, SignalStatus};
 
 /// Side of the square around the ego's box center, along its heading, in which things count,
 /// meters: the default BEV view.
-pub const VIEW_METERS: f64 = BevView::DEFAULT_METERS;
+pub(crate) const VIEW_METERS: f64 = BevView::DEFAULT_METERS;
 
 /// The true answers for one scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

@@ -7,7 +7,7 @@ use planagent_world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, SceneView};
 use std::collections::BTreeSet;
 
 /// A path that turns by more than this within the view is a curve, radians (15 degrees).
-pub const CURVE: f64 = std::f64::consts::PI / 12.0;
+pub(crate) const CURVE: f64 = std::f64::consts::PI / 12.0;
 /// Lateral reach for lanes of the other direction, meters.
 pub const ONCOMING_REACH: f64 = 20.0;
 /// Longitudinal reach for lanes of the other direction from the ego's center, meters.

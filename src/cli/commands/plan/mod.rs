@@ -31,7 +31,9 @@ pub(crate) fn run(
     if let Some(code) = &flags.code {
         return code::run(
             code,
-            (&scenario, iteration, frame),
+            &scenario,
+            iteration,
+            frame,
             config,
             flags.image.as_ref(),
             printer,
@@ -66,7 +68,8 @@ pub(crate) fn run(
     } else {
         show(&scenario, &call, &trajectory, printer);
     }
-    let failed = matches!(call.interruption(), Some(Interruption::Model(_)));
+    let unanswered = matches!(call.interruption(), Some(Interruption::Model(_)));
+    let failed = unanswered || call.unreadable().is_some();
     Ok(if failed {
         Exit::SomeFailed
     } else {

@@ -29,7 +29,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Default maximum size of a page, bytes: a browser opens it at once, and most mail servers accept
 /// it.
-pub const DEFAULT_MAX_BYTES: usize = 15_000_000;
+pub(crate) const DEFAULT_MAX_BYTES: usize = 15_000_000;
 /// Bytes that the element numbers of one simulation add to the packed index.
 const NUMBERS_BYTES: usize = 8;
 

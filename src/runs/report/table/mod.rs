@@ -85,6 +85,7 @@ pub fn main_table(
     parts.extend(lists.iter().map(|&list| simulations::table(rows, list)));
     parts.push(simulations::zeroed(rows));
     parts.push(simulations::refused(rows));
+    parts.push(simulations::without_plan(rows));
     parts.push(simulations::legend(rows, &lists, width));
     parts.retain(|part| !part.is_empty());
     parts.join("\n\n")
