@@ -30,6 +30,9 @@ impl Question for CodeQuestion<'_> {
         self.codes.next(feedback)
     }
 
+    /// Builds the plan of a code and judges it. It ends a lane change where the active plan does
+    /// (docs/decisions/124-lane-changes-go-on.md). A lane change, and a plan that stays in a
+    /// blocked lane, need a higher score (docs/decisions/122-before-what-stands.md).
     fn try_out(&mut self, code: PlannerCode) -> Result<Option<Trial<IdmPlan>>, PlannerError> {
         let builder = &self.state.builder;
         let GraphedScene { scene, graph } = self.seen;

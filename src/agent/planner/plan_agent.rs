@@ -167,6 +167,9 @@ impl AgentLayer for PlanAgent {
         Ok(())
     }
 
+    /// One planning call. A refused plan that becomes active after the last attempt begins no lane
+    /// change: its code is executed in the ego's lane.
+    /// Why: docs/decisions/102-lane-change-threshold.md.
     fn plan(
         &mut self,
         input: &PlannerInput<'_>,

@@ -142,6 +142,10 @@ impl PlanMonitor {
             }))
     }
 
+    /// The version to execute: the best one on the plan's own path where it scores λ, else the best
+    /// of all but the stop. The stop where that one is in danger or refused, and the stop scores
+    /// more.
+    /// Why: docs/decisions/101-monitoring.md.
     fn best(
         &self,
         scored: &[(Version, ProposalScore)],

@@ -258,6 +258,9 @@ impl IdmPlan {
         self.roll_out_along(&Road::new(self, path, scene, steps), version, scene, steps)
     }
 
+    /// Simulates a version on its road: IDM towards the nearest lead object of it, whatever the code
+    /// names.
+    /// Why: docs/decisions/103-lead-policy.md.
     fn roll_out_along(
         &self,
         road: &Road<'_>,
@@ -386,6 +389,8 @@ struct Road<'a> {
 }
 
 impl<'a> Road<'a> {
+    /// The road of a path: what may come onto it, but for what stands beside it.
+    /// Why: docs/decisions/115-past-what-stands.md.
     fn new(plan: &IdmPlan, path: &'a Polyline, scene: &SceneView<'_>, steps: usize) -> Self {
         let corridor = Corridor::new(path.clone(), PACIFICA.width / 2.0);
         let seconds = steps as f64 * STEP_S;

@@ -83,6 +83,9 @@ impl OncomingLane {
             .find_map(|side| Self::on_side(scene, lane, blocked, side))
     }
 
+    /// The oncoming lane on one side: lanes against the ego's, with room for the path past what
+    /// blocks it and back.
+    /// Why: docs/decisions/114-oncoming-lane.md.
     fn on_side(
         scene: &SceneView<'_>,
         lane: &Centerline,
