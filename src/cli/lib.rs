@@ -1,5 +1,6 @@
 //! The command line: flags, commands, printing, exit codes.
 
+mod again;
 mod args;
 mod commands;
 mod completed;
@@ -37,15 +38,10 @@ pub fn run(commit: Option<&'static str>) -> ExitCode {
     let matches = with_negative_numbers(Arguments::command()).try_get_matches();
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
+        // Help and version are no errors.
         Err(mut error) => {
             suggest::add_new_command(&mut error);
-            // Help and version are no errors; clap prints each where it belongs.
-            let _ = error.print();
-            return if error.use_stderr() {
-                Exit::Error.into()
-            } else {
-                Exit::Success.into()
-            };
+            return Printer::arguments(error).into();
         }
     };
     let global = &arguments.global;
