@@ -9,12 +9,15 @@
     reason = "PyO3 hands owned values over"
 )]
 
+mod command;
 mod errors;
+mod interrupts;
 mod model;
 mod nuplan;
 mod observation;
 mod planner;
 mod python_planner;
+mod relay;
 mod run;
 mod scenario;
 mod settings;
@@ -31,6 +34,8 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
+    use crate::command::command;
+    #[pymodule_export]
     use crate::model::Model;
     #[pymodule_export]
     use crate::nuplan::NuPlanWorld;
@@ -39,9 +44,11 @@ mod _core {
     #[pymodule_export]
     use crate::planner::{Planner, planners};
     #[pymodule_export]
-    use crate::run::{RunResults, merge, run, shard_of_environment};
+    use crate::run::{
+        Run, RunResults, merge, read_run, shard_of_environment, statistics, write_report,
+    };
     #[pymodule_export]
-    use crate::scenario::{Scenario, find, open};
+    use crate::scenario::{Scenario, find, open, scenario_types};
     #[pymodule_export]
     use crate::simulation::Simulation;
     #[pymodule_export]
@@ -53,7 +60,7 @@ mod _core {
     #[pymodule_export]
     use crate::vector::Vector;
     #[pymodule_export]
-    use crate::work::{set_threads, threads};
+    use crate::work::{after_fork, before_fork, set_threads, threads};
 
     use pyo3::prelude::*;
 

@@ -4,8 +4,9 @@ use crate::errors::{Failure, Outcome};
 use crate::scenario::Scenario;
 use crate::simulation::challenge;
 use crate::trajectory::{array, numbers, packed, through};
-use crate::work::{guarded, lock, pooled};
-use planagent::planning::{LeadPolicy, SceneView};
+use crate::work::{computed, guarded, lock, quick};
+use planagent::evaluation::{EvaluatedSimulation, MetricRegistry};
+use planagent::planning::{HistorySample, LeadPolicy, SceneView};
 use planagent::road::{Point, Polyline, Pose};
 use planagent::traffic::{TrackToken, TrackedObject};
 use planagent::{Challenge, EgoState, Scenario as Opened, Trajectory};
@@ -13,6 +14,7 @@ use planagent_agent::environment::{CenterlineName, LaneGraph};
 use planagent_agent::planner::planner_code;
 use planagent_agent::reflection::PlanBuilder;
 use planagent_agent::simulation::ClosedLoop;
+use planagent_runs::worker::run::with_causes;
 use planagent_scenario::HeldScenario;
 use planagent_score::pdm::PdmMemory;
 use planagent_world::STEP_S;
@@ -34,6 +36,8 @@ const CENTERLINES: [CenterlineName; 3] = [
     CenterlineName::LeftLane,
     CenterlineName::RightLane,
 ];
+/// Least number of episodes that a thread takes together.
+const TOGETHER: usize = 4;
 /// Numbers of an action that is a code.
 const CODE: usize = 3;
 
@@ -86,6 +90,12 @@ struct Episode {
     is_ended: bool,
     random: u64,
     scenario: usize,
+    /// What nuPlan's score is computed from.
+    samples: Vec<HistorySample>,
+    collided: bool,
+    is_off_road: bool,
+    /// nuPlan's score, at the end of the scenario.
+    score: Option<f64>,
 }
 
 /// What an episode gives at a step: reward, whether it terminated by a fault, whether it was
@@ -140,7 +150,22 @@ impl Episode {
             random,
             scenario,
             closed_loop,
+            samples: Vec::new(),
+            collided: false,
+            is_off_road: false,
+            score: None,
         })
+    }
+
+    /// nuPlan's score of the whole scenario.
+    fn scored(&self, challenge: Challenge) -> Outcome<f64> {
+        let scenario = self.closed_loop.scenario();
+        let expert: Vec<EgoState> = scenario.expert().copied().collect();
+        let simulation = EvaluatedSimulation::new(&scenario.map, &self.samples, &expert);
+        let evaluated = MetricRegistry::default().evaluate(challenge.metric_list(), &simulation);
+        evaluated
+            .map(|evaluation| evaluation.score.value)
+            .map_err(|error| Failure::new("SimulationError", with_causes(&error)))
     }
 
     fn plan(&self, rules: &Rules, action: &[f64]) -> Outcome<Trajectory> {
@@ -164,20 +189,25 @@ impl Episode {
         let plan = self.plan(rules, action)?;
         let mut stepped = Stepped::default();
         for _ in 0..rules.steps {
+            self.samples.push(self.closed_loop.present().clone());
             self.closed_loop.advance(&plan, "of an environment")?;
             let view = self.closed_loop.scene();
             let progress = self.reference.project(view.ego.center().position()).s;
             stepped.reward += PER_METER * (progress - self.progress);
             self.progress = progress;
             let corners = view.ego.footprint().corners();
-            let is_off_road = corners.iter().any(|&corner| !view.map.is_drivable(corner));
-            if is_off_road || touching(&view).any(|token| !self.touched.contains(&token)) {
+            self.is_off_road = corners.iter().any(|&corner| !view.map.is_drivable(corner));
+            self.collided = touching(&view).any(|token| !self.touched.contains(&token));
+            if self.is_off_road || self.collided {
                 stepped.reward += FAULT;
                 stepped.terminated = true;
             }
             stepped.truncated = !stepped.terminated && self.closed_loop.is_over();
             if stepped.terminated || stepped.truncated {
                 self.is_ended = true;
+                if stepped.truncated {
+                    self.score = Some(self.scored(rules.challenge)?);
+                }
                 break;
             }
         }
@@ -326,6 +356,16 @@ type Steps<'py> = (
     Bound<'py, PyByteArray>,
 );
 
+/// What is beside the observations, a list each.
+type Infos = (
+    Vec<usize>,
+    Vec<f64>,
+    Vec<usize>,
+    Vec<bool>,
+    Vec<bool>,
+    Vec<Option<f64>>,
+);
+
 #[pymethods]
 impl Vector {
     /// Numbers of an observation.
@@ -345,7 +385,7 @@ impl Vector {
             .iter()
             .map(|scenario| Arc::clone(&scenario.get().opened))
             .collect();
-        crate::work::quick(py, || {
+        quick(py, || {
             if scenarios.is_empty() || count == 0 || steps == 0 {
                 return Err(Failure::argument(
                     "an environment needs a scenario, an episode and a step for each action",
@@ -376,7 +416,7 @@ impl Vector {
         seeds: Vec<Option<u64>>,
         scenario: Option<usize>,
     ) -> PyResult<Bound<'py, PyByteArray>> {
-        let bytes = pooled(py, || {
+        let bytes = quick(py, || {
             let mut episodes = lock(&self.episodes);
             for (episode, seed) in episodes.iter_mut().zip(&seeds) {
                 *episode = Episode::new(&self.rules, seed.unwrap_or(episode.random), scenario)?;
@@ -388,7 +428,7 @@ impl Vector {
 
     /// One action each: packed numbers, as many for each episode.
     fn step<'py>(&self, py: Python<'py>, actions: &[u8]) -> PyResult<Steps<'py>> {
-        let (bytes, stepped) = pooled(py, || {
+        let (bytes, stepped) = quick(py, || {
             let mut episodes = lock(&self.episodes);
             let actions = numbers(actions)?;
             let each = actions.len() / episodes.len();
@@ -401,13 +441,19 @@ impl Vector {
             if !actions.iter().all(|number| number.is_finite()) {
                 return Err(Failure::argument("an action has a NaN or infinite value"));
             }
-            let pairs = episodes
-                .par_iter_mut()
-                .zip(actions.par_chunks_exact(each))
-                .with_min_len(4);
-            let stepped =
-                pairs.map(|(episode, action)| guarded(|| episode.step(&self.rules, action)));
-            let stepped: Vec<Stepped> = stepped.collect::<Outcome<_>>()?;
+            let step = |(episode, action): (&mut Episode, &[f64])| {
+                guarded(|| episode.step(&self.rules, action))
+            };
+            let stepped: Vec<Stepped> = if episodes.len() < 2 * TOGETHER {
+                let pairs = episodes.iter_mut().zip(actions.chunks_exact(each));
+                pairs.map(step).collect::<Outcome<_>>()?
+            } else {
+                let all = &mut *episodes;
+                computed(|| {
+                    let pairs = all.par_iter_mut().zip(actions.par_chunks_exact(each));
+                    pairs.with_min_len(TOGETHER).map(step).collect()
+                })?
+            };
             Ok((observations(&episodes), stepped))
         })?;
         let flags = |of: fn(&Stepped) -> bool| {
@@ -426,6 +472,25 @@ impl Vector {
         ))
     }
 
+    /// Of each episode: the number of its scenario, speed (m/s), iteration, whether the ego
+    /// collided, whether it left the road, nuPlan's score.
+    fn infos(&self, py: Python<'_>) -> Infos {
+        py.detach(|| {
+            let episodes = lock(&self.episodes);
+            let all = || episodes.iter();
+            (
+                all().map(|one| one.scenario).collect(),
+                all()
+                    .map(|one| one.closed_loop.present().ego.velocity.x)
+                    .collect(),
+                all().map(|one| one.closed_loop.iteration()).collect(),
+                all().map(|one| one.collided).collect(),
+                all().map(|one| one.is_off_road).collect(),
+                all().map(|one| one.score).collect(),
+            )
+        })
+    }
+
     /// The numbers of the scenarios that the episodes are in.
     fn scenarios(&self, py: Python<'_>) -> Vec<usize> {
         py.detach(|| {
@@ -438,7 +503,7 @@ impl Vector {
 
     /// What a planner would see in an episode.
     fn observe(&self, py: Python<'_>, episode: usize) -> PyResult<crate::observation::Observation> {
-        crate::work::quick(py, || {
+        quick(py, || {
             let episodes = lock(&self.episodes);
             let episode = episodes
                 .get(episode)

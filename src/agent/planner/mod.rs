@@ -27,6 +27,7 @@ mod registry;
 mod settings;
 mod simple;
 mod stop;
+mod stop_switch;
 
 pub use agent_state::{ActivePlan, AgentState};
 pub use code_source::{CodeSource, DEFAULT_ACCELERATIONS, HandedCode, planner_code};
@@ -56,6 +57,7 @@ pub use settings::{
     ReflectionSettings,
 };
 pub use simple::SimplePlanner;
+pub use stop_switch::StopSwitch;
 
 use crate::environment::BevView;
 use image::RgbImage;

@@ -13,4 +13,4 @@ pub mod statistics;
 mod stoppable;
 pub mod suite;
 
-pub use stoppable::StopSwitch;
+pub use planagent_agent::planner::StopSwitch;

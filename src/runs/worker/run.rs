@@ -4,10 +4,11 @@
 use super::oracle::OracleAgent;
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
-use super::stoppable::{StopSwitch, Stoppable};
+use super::stoppable::Stoppable;
 use planagent_agent::planner::{
     AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError,
-    PlannerName, PlannerNeeds, PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
+    PlannerName, PlannerNeeds, PlannerParts, PlannerRegistry, PlanningCall, StopSwitch,
+    UnknownPlanner,
 };
 use planagent_agent::simulation::{
     AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared,
@@ -272,7 +273,9 @@ fn simulate_task(
         .filter(|agents| Some(agents.name) == challenge.own_agents());
     let prepared = || match own {
         Some(agents) => {
-            ClosedLoop::with_agents(scenario, challenge, |first| agents.policy(scenario, first))
+            ClosedLoop::with_agents(scenario, challenge, |first| {
+                agents.policy(scenario, first, parts.stop.as_ref())
+            })
         }
         None => ClosedLoop::new(scenario, challenge),
     };

@@ -16,7 +16,7 @@ pub use session::{AnswerError, ExecSession};
 
 use super::{
     Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
-    PlannerNeeds, PlannerRegistry,
+    PlannerNeeds, PlannerRegistry, StopSwitch,
 };
 use messages::{ExecStep, trajectory};
 use planagent_world::Trajectory;
@@ -98,14 +98,17 @@ impl ExecCommand {
         })
     }
 
-    /// The command as an entry of the registry; an answer to a step may take `timeout`.
-    pub fn entry(&self, timeout: Duration) -> PlannerEntry {
+    /// The command as an entry of the registry; an answer to a step may take `timeout`, and is
+    /// waited for until `stop`.
+    pub fn entry(&self, timeout: Duration, stop: Option<&StopSwitch>) -> PlannerEntry {
+        let stop = stop.cloned();
         let Self { name, command } = self.clone();
         PlannerEntry::new(name, "a command", PlannerNeeds::Nothing, move |_| {
             let planner = ExecPlanner {
                 name,
                 command: command.clone(),
                 timeout,
+                stop: stop.clone(),
                 session: None,
             };
             Ok(Box::new(planner))
@@ -119,10 +122,23 @@ impl PlannerRegistry {
     /// # Errors
     /// When another planner has its name.
     pub fn with_command(self, command: &ExecCommand, timeout: Duration) -> Result<Self, ExecError> {
+        self.with_stoppable_command(command, timeout, None)
+    }
+
+    /// As [`PlannerRegistry::with_command`]; the command is waited for until `stop`.
+    ///
+    /// # Errors
+    /// When another planner has its name.
+    pub fn with_stoppable_command(
+        self,
+        command: &ExecCommand,
+        timeout: Duration,
+        stop: Option<&StopSwitch>,
+    ) -> Result<Self, ExecError> {
         if self.find(command.name.as_str()).is_ok() {
             return Err(ExecError::Taken(command.name.to_string()));
         }
-        Ok(self.with(command.entry(timeout)))
+        Ok(self.with(command.entry(timeout, stop)))
     }
 }
 
@@ -172,6 +188,7 @@ struct ExecPlanner {
     name: PlannerName,
     command: String,
     timeout: Duration,
+    stop: Option<StopSwitch>,
     /// The running command with whether it has had a step.
     session: Option<(ExecSession, bool)>,
 }
@@ -213,8 +230,9 @@ impl Planner for ExecPlanner {
     ) -> Result<(), PlannerError> {
         // A command that was asked before keeps nothing: it is ended.
         self.session = None;
-        let session =
-            ExecSession::start(&self.command, self.timeout, initialization).map_err(failed)?;
+        let stop = self.stop.as_ref();
+        let session = ExecSession::start(&self.command, self.timeout, stop, initialization)
+            .map_err(failed)?;
         self.session = Some((session, false));
         Ok(())
     }
@@ -262,13 +280,13 @@ mod tests {
     fn a_process_that_is_silent_or_ends_is_an_error_in_time() {
         let mut silent = Process::start("sleep 60").unwrap();
         let error = silent
-            .ask(b"{}".to_vec(), Duration::from_millis(100))
+            .ask(b"{}".to_vec(), Duration::from_millis(100), None)
             .unwrap_err()
             .to_string();
         assert_eq!(error, "the command gave no answer within 0.1 s");
         let mut dead = Process::start("echo no module >&2; exit 3").unwrap();
         let error = dead
-            .ask(b"{}".to_vec(), Duration::from_secs(20))
+            .ask(b"{}".to_vec(), Duration::from_secs(20), None)
             .unwrap_err()
             .to_string();
         assert!(
@@ -279,11 +297,25 @@ mod tests {
         // More than a pipe holds.
         let long = vec![b'x'; 1 << 20];
         assert_eq!(
-            echo.ask(long.clone(), Duration::from_secs(20))
+            echo.ask(long.clone(), Duration::from_secs(20), None)
                 .unwrap()
                 .into_bytes(),
             long
         );
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_silent_process_is_not_waited_for_after_the_stop_of_the_run() {
+        let (mut silent, stop) = (Process::start("sleep 60").unwrap(), StopSwitch::default());
+        let (other, started) = (stop.clone(), std::time::Instant::now());
+        std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(100));
+            other.stop();
+        });
+        let answer = silent.ask(b"{}".to_vec(), Duration::from_secs(50), Some(&stop));
+        assert_eq!(answer.unwrap_err().to_string(), "the run was stopped");
+        assert!(started.elapsed() < Duration::from_secs(20));
     }
 
     #[cfg(unix)]
@@ -296,7 +328,7 @@ mod tests {
         let mut process = Process::start(&command).unwrap();
         assert_eq!(
             process
-                .ask(b"here".to_vec(), Duration::from_secs(20))
+                .ask(b"here".to_vec(), Duration::from_secs(20), None)
                 .unwrap(),
             "here"
         );
