@@ -88,9 +88,14 @@ def as_factory(planner: Any) -> Callable[[], Bound]:
     if inspect.isclass(planner):
         _check_call(planner, "a class", 0)
         plan = getattr(planner, "plan", None) or (planner.__call__ if "__call__" in _members(planner) else None)
-        if callable(plan):
-            _check_call(plan, "its method plan", 2 if _is_of_instances(planner, plan) else 1)
-        return lambda: Bound(planner())
+        if plan is not None:
+            if callable(plan):
+                _check_call(plan, "its method plan", 2 if _is_of_instances(planner, plan) else 1)
+            elif not isinstance(plan, property) and not hasattr(plan, "__get__"):
+                raise _no_planner(planner, "its attribute plan cannot be called")
+            return lambda: Bound(planner())
+        # Only an object shows whether it has a method plan.
+        return _one_after_the_other([Bound(planner())], lambda: Bound(planner()))
     if planner is None or isinstance(planner, (str, bytes, Mapping)):
         raise _no_planner(planner, "expected a name, a function, a class or an object with a method plan")
     plan = getattr(planner, "plan", planner)
@@ -110,21 +115,24 @@ def as_factory(planner: Any) -> Callable[[], Bound]:
 def _copies(planner: Any, bound: Callable[[Any], Bound]) -> Callable[[], Bound]:
     """A copy of an object for each simulation."""
     try:
-        first = [copy.deepcopy(planner)]
+        first = bound(copy.deepcopy(planner))
     except Exception as error:
         raise _no_planner(
             planner, f"an object is copied for each simulation, and copy.deepcopy fails: {error}; give the class or a function"
         ) from error
+    return _one_after_the_other([first], lambda: bound(copy.deepcopy(planner)))
 
-    def make() -> Bound:
+
+def _one_after_the_other(first: list[Bound], make: Callable[[], Bound]) -> Callable[[], Bound]:
+    """What tried a planner out serves its first simulation."""
+
+    def next_one() -> Bound:
         try:
-            # The copy that tried it out serves the first simulation.
-            own = first.pop()
+            return first.pop()
         except IndexError:
-            own = copy.deepcopy(planner)
-        return bound(own)
+            return make()
 
-    return make
+    return next_one
 
 
 def _members(kind: type) -> set[str]:
@@ -283,12 +291,13 @@ class Agent:
         planner: str = "plan-agent",
         seed: int | None = None,
         settings: Mapping[str, Any] | None = None,
-        scenario: Scenario | str | os.PathLike[str] | None = None,
+        scenario: Scenario | None = None,
     ) -> None:
         if scenario is not None:
-            from ._scenario import opened
+            from ._scenario import Scenario
 
-            scenario = opened("scenario", scenario)
+            if not isinstance(scenario, Scenario):
+                raise wrong("scenario", scenario, "expected a Scenario, which planagent.open gives")
         model = None if model is None else text("model", os.fspath(model) if isinstance(model, os.PathLike) else model)
         seed = None if seed is None else whole("seed", seed, 0, 2**63 - 1)
         text("planner", planner)

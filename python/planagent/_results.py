@@ -55,18 +55,15 @@ class Table:
         return _table, (list(zip(self.columns, self._native.kinds(), self.to_dict().values())),)
 
     def __getitem__(self, column: str) -> list[Any]:
-        """A column as a list; with it and `keys`, pandas takes a table as its data."""
+        """A column as a list."""
         columns = self.to_dict()
         if column not in columns:
             raise KeyError(f"the table has no column {column!r}; it has {', '.join(columns)}")
         return columns[column]
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.columns)
-
-    def keys(self) -> list[str]:
-        """Names of the columns."""
-        return self.columns
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        """The rows as dictionaries, which pandas takes as data."""
+        return iter(self.rows())
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows as dictionaries."""
@@ -241,7 +238,7 @@ class Results:
     def table(self) -> Table:
         """A row for each simulation: its score, the scores of the metrics, its error, and how it was planned.
 
-        The columns have the names of `simulations.csv` and of nuPlan's Parquet files.
+        The columns are those of `planagent simulate --csv`, with `scenario`, the name that `open` takes, and `seconds` beside them.
         """
         return Table._of(self._native.table())
 

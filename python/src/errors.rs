@@ -57,16 +57,43 @@ impl Failure {
 /// What the errors of the library say of the command line, and what a user of Python does.
 const WORDS: &[(&str, &str)] = &[
     ("resume it with --resume", "resume it with planagent.resume"),
-    ("repeat it with --resume", "repeat it with planagent.resume:"),
-    ("start it again with --out", "start it again with planagent.simulate"),
-    ("continue with `planagent simulate --resume", "continue with `planagent.resume"),
-    ("resume it with --accept-changes", "resume it with accept_changes=True"),
-    ("`planagent scenarios list` names them", "planagent.scenario_types() names them"),
-    ("`planagent models fetch`", "planagent.Model with its hub id"),
-    ("is --data-root the folder", "is NUPLAN_DATA_ROOT the folder"),
-    ("give --data-root or set NUPLAN_DATA_ROOT", "set NUPLAN_DATA_ROOT"),
+    (
+        "repeat it with --resume",
+        "repeat it with planagent.resume:",
+    ),
+    (
+        "start it again with --out",
+        "start it again with planagent.simulate",
+    ),
+    (
+        "continue with `planagent simulate --resume",
+        "continue with `planagent.resume",
+    ),
+    (
+        "resume it with --accept-changes",
+        "resume it with accept_changes=True",
+    ),
+    (
+        "`planagent scenarios list` names them",
+        "planagent.scenario_types() names them",
+    ),
+    (
+        "`planagent models fetch`",
+        "planagent.Model with its hub id",
+    ),
+    (
+        "is --data-root the folder",
+        "is NUPLAN_DATA_ROOT the folder",
+    ),
+    (
+        "give --data-root or set NUPLAN_DATA_ROOT",
+        "set NUPLAN_DATA_ROOT",
+    ),
     ("--data-root or NUPLAN_DATA_ROOT", "NUPLAN_DATA_ROOT"),
-    ("give --maps-root or set NUPLAN_MAPS_ROOT", "set NUPLAN_MAPS_ROOT"),
+    (
+        "give --maps-root or set NUPLAN_MAPS_ROOT",
+        "set NUPLAN_MAPS_ROOT",
+    ),
     ("--maps-root or NUPLAN_MAPS_ROOT", "NUPLAN_MAPS_ROOT"),
     ("--checkpoint FILE, or by the setting", "the setting"),
     ("or use simulate_with_agents", "as exec:COMMAND"),

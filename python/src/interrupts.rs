@@ -46,6 +46,10 @@ impl Watch {
     }
 }
 
+/// The lock of those that watch, held through a fork.
+#[cfg(unix)]
+pub(crate) use handler::held;
+
 #[cfg(unix)]
 impl Drop for Watch {
     fn drop(&mut self) {
@@ -61,8 +65,8 @@ mod handler {
     use libc::{SA_SIGINFO, SIG_DFL, SIG_IGN, SIGINT, c_int, c_void, sigaction, siginfo_t};
     use std::mem;
     use std::ptr;
-    use std::sync::Mutex;
     use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+    use std::sync::{Mutex, MutexGuard};
 
     /// Signals so far.
     static COUNT: AtomicUsize = AtomicUsize::new(0);
@@ -122,6 +126,10 @@ mod handler {
         unsafe {
             sigaction(SIGINT, &raw const ours, ptr::null_mut());
         }
+    }
+
+    pub(crate) fn held() -> MutexGuard<'static, usize> {
+        lock(&WATCHING)
     }
 
     /// Begins to watch; gives the number of signals so far.

@@ -10,6 +10,7 @@
 )]
 
 mod command;
+mod episode;
 mod errors;
 mod interrupts;
 mod model;
@@ -19,6 +20,7 @@ mod planner;
 mod python_planner;
 mod relay;
 mod run;
+mod run_results;
 mod scenario;
 mod settings;
 mod simulation;
@@ -44,9 +46,9 @@ mod _core {
     #[pymodule_export]
     use crate::planner::{Planner, planners};
     #[pymodule_export]
-    use crate::run::{
-        Run, RunResults, merge, read_run, shard_of_environment, statistics, write_report,
-    };
+    use crate::run::{Run, shard_of_environment};
+    #[pymodule_export]
+    use crate::run_results::{RunResults, merge, read_run, statistics, write_report};
     #[pymodule_export]
     use crate::scenario::{Scenario, find, open, scenario_types};
     #[pymodule_export]

@@ -343,10 +343,13 @@ impl Observation {
     fn of_bytes(py: Python<'_>, bytes: &[u8]) -> PyResult<Self> {
         quick(py, || {
             let wrong = |error: &dyn std::error::Error| {
-                Failure::argument(format!("the bytes of an observation: {}", with_causes(error)))
+                Failure::argument(format!(
+                    "the bytes of an observation: {}",
+                    with_causes(error)
+                ))
             };
-            let stored: Stored<'_> = serde_pickle::from_slice(bytes, DeOptions::new())
-                .map_err(|error| wrong(&error))?;
+            let stored: Stored<'_> =
+                serde_pickle::from_slice(bytes, DeOptions::new()).map_err(|error| wrong(&error))?;
             let map = LaneMap::new(stored.map.into_owned()).map_err(|error| wrong(&error))?;
             let mut history = History::default();
             for (ego, objects) in stored.samples {

@@ -16,14 +16,21 @@ use std::sync::{Condvar, Mutex};
 /// an object of Python.
 pub(crate) enum Question {
     /// The planner of this number shall be made for a simulation.
-    Make { simulation: u64, planner: usize },
-    Reset { simulation: u64 },
+    Make {
+        simulation: u64,
+        planner: usize,
+    },
+    Reset {
+        simulation: u64,
+    },
     Plan {
         simulation: u64,
         observation: Box<Observation>,
     },
     /// The simulation has ended; this needs no answer.
-    Drop { simulation: u64 },
+    Drop {
+        simulation: u64,
+    },
 }
 
 /// What a planner answers: a trajectory where it was asked for one, or why it failed.
@@ -121,7 +128,9 @@ impl Relay {
     /// Says that a simulation has ended.
     pub(crate) fn tell_end(&self, simulation: u64) {
         let (_, (seat, changed)) = self.seat();
-        lock(seat).questions.push_back(Question::Drop { simulation });
+        lock(seat)
+            .questions
+            .push_back(Question::Drop { simulation });
         changed.notify_all();
     }
 

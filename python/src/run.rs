@@ -4,22 +4,16 @@ use crate::errors::{Failure, Outcome, Raise};
 use crate::interrupts::Watch;
 use crate::python_planner::entry;
 use crate::relay::{Question, Relay};
+use crate::run_results::RunResults;
 use crate::settings::{config, shared_model};
-use crate::table::Table;
 use crate::trajectory::Trajectory;
-use crate::work::{POLL, computed, guarded, lock, long, own_pool, quick, spawned};
+use crate::work::{POLL, guarded, lock, own_pool, spawned};
 use planagent::planning::{PlannerRegistry, all_planners};
-use planagent::runs::{Config, Event, Request, RunResults as Finished, StopSwitch, resume, start};
+use planagent::runs::{Config, Event, Request, StopSwitch, resume, start};
 use planagent::sources::DataRoots;
-use planagent_runs::report::page::{PageSettings, write as write_page};
-use planagent_runs::report::{
-    RunFolder, SimulationRow, simulation_folders as folders, simulation_metrics as metrics,
-};
-use planagent_runs::runner::{RunnerError, Shard, merge as merge_runs};
+use planagent_runs::runner::{RunnerError, Shard};
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
 use serde::Deserialize;
-use serde_pickle::{DeOptions, SerOptions};
 use std::collections::HashMap;
 use std::mem::take;
 use std::path::PathBuf;
@@ -56,8 +50,9 @@ impl Asked {
         let usual = Request::default();
         let exec_timeout = match self.exec_timeout {
             None => usual.exec_timeout,
-            Some(seconds) => Duration::try_from_secs_f64(seconds)
-                .map_err(|error| Failure::argument(format!("exec_timeout is {seconds}: {error}")))?,
+            Some(seconds) => Duration::try_from_secs_f64(seconds).map_err(|error| {
+                Failure::argument(format!("exec_timeout is {seconds}: {error}"))
+            })?,
         };
         Ok(Request {
             agents: self.agents,
@@ -127,88 +122,6 @@ impl Progress {
         let mut news = lock(&self.news);
         (news.ended, news.is_over) = (Some(outcome), true);
         self.changed.notify_all();
-    }
-}
-
-/// The results of a finished run.
-#[pyclass(frozen, module = "planagent._core")]
-pub(crate) struct RunResults {
-    folder: PathBuf,
-    rows: Arc<Vec<SimulationRow>>,
-    missing: usize,
-    /// How many simulations the whole run has.
-    total: usize,
-}
-
-impl From<Finished> for RunResults {
-    fn from(finished: Finished) -> Self {
-        let missing = finished
-            .missing
-            .iter()
-            .map(|missing| missing.absent.len() + missing.excluded.len())
-            .sum();
-        Self {
-            total: finished.rows.len(),
-            folder: finished.folder,
-            rows: Arc::new(finished.rows),
-            missing,
-        }
-    }
-}
-
-#[pymethods]
-impl RunResults {
-    #[getter]
-    fn folder(&self) -> PathBuf {
-        self.folder.clone()
-    }
-
-    /// How many scenarios of the splits the data lacks.
-    #[getter]
-    fn missing(&self) -> usize {
-        self.missing
-    }
-
-    /// How many simulations the whole run has.
-    #[getter]
-    fn total(&self) -> usize {
-        self.total
-    }
-
-    /// The rows as bytes.
-    fn to_bytes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        let bytes = quick(py, || {
-            serde_pickle::to_vec(&*self.rows, SerOptions::new())
-                .map_err(|error| Failure::panic(format!("the results as bytes: {error}")))
-        })?;
-        Ok(PyBytes::new(py, &bytes))
-    }
-
-    /// The results of rows as bytes.
-    #[staticmethod]
-    fn of_bytes(
-        py: Python<'_>,
-        folder: PathBuf,
-        rows: &[u8],
-        missing: usize,
-        total: usize,
-    ) -> PyResult<Self> {
-        quick(py, || {
-            let rows = serde_pickle::from_slice(rows, DeOptions::new());
-            let rows =
-                rows.map_err(|error| Failure::argument(format!("the bytes of results: {error}")))?;
-            Ok(Self {
-                folder,
-                rows: Arc::new(rows),
-                missing,
-                total,
-            })
-        })
-    }
-
-    fn table(&self, py: Python<'_>) -> PyResult<Table> {
-        let rows = Arc::clone(&self.rows);
-        quick(py, || Table::of_rows(&rows))
     }
 }
 
@@ -323,7 +236,10 @@ impl Run {
         let (notes, seats, is_over) = py.detach(|| {
             let news = lock(&self.progress.news);
             let nothing = |news: &mut News| !news.is_over && news.seats.is_empty();
-            let waited = self.progress.changed.wait_timeout_while(news, time, nothing);
+            let waited = self
+                .progress
+                .changed
+                .wait_timeout_while(news, time, nothing);
             let (mut news, _) = waited.unwrap_or_else(PoisonError::into_inner);
             let (notes, seats) = (take(&mut news.notes), take(&mut news.seats));
             (notes, seats, news.is_over)
@@ -372,12 +288,20 @@ impl Run {
             Question::Make {
                 simulation,
                 planner,
-            } => ("make", simulation, Some(planner.into_pyobject(py)?.into_any())),
+            } => (
+                "make",
+                simulation,
+                Some(planner.into_pyobject(py)?.into_any()),
+            ),
             Question::Reset { simulation } => ("reset", simulation, None),
             Question::Plan {
                 simulation,
                 observation,
-            } => ("plan", simulation, Some(Bound::new(py, *observation)?.into_any())),
+            } => (
+                "plan",
+                simulation,
+                Some(Bound::new(py, *observation)?.into_any()),
+            ),
             Question::Drop { simulation } => ("drop", simulation, None),
         }))
     }
@@ -430,63 +354,4 @@ pub(crate) fn shard_of_environment(
     shard
         .map(|shard| shard.map(|shard| shard.to_string()))
         .map_err(|error| Failure::argument(error.to_string()).raised(py))
-}
-
-/// What is completed of the run in a folder.
-#[pyfunction]
-pub(crate) fn read_run(py: Python<'_>, folder: PathBuf) -> PyResult<RunResults> {
-    let work = move || {
-        let of_report = |error| Failure::from(RunnerError::Report(error));
-        let manifest = RunFolder::manifest(&folder).map_err(of_report)?;
-        let rows = RunFolder::read_completed(&folder).map_err(of_report)?.rows;
-        let lists = &manifest.scenarios.missing;
-        Ok(RunResults {
-            missing: lists
-                .iter()
-                .map(|missing| missing.absent.len() + missing.excluded.len())
-                .sum(),
-            total: manifest.simulations(),
-            rows: Arc::new(rows),
-            folder,
-        })
-    };
-    long(py, || computed(work), &|| ())
-}
-
-/// Merges the shards of a run into a new folder.
-#[pyfunction]
-pub(crate) fn merge(py: Python<'_>, runs: Vec<PathBuf>, folder: PathBuf) -> PyResult<RunResults> {
-    let work = move || Ok(RunResults::from(merge_runs(&runs, Some(&folder))?));
-    long(py, || computed(work), &|| ())
-}
-
-/// The statistics of all metrics of the simulations in the folder of a run.
-#[pyfunction]
-pub(crate) fn statistics(py: Python<'_>, folder: PathBuf) -> PyResult<Table> {
-    let work = move || {
-        let of_report = |error| Failure::from(RunnerError::Report(error));
-        let rows = RunFolder::read_completed(&folder).map_err(of_report)?.rows;
-        let folders = folders(&folder).map_err(of_report)?;
-        let mut all = Vec::new();
-        for row in rows.into_iter().filter(|row| row.error.is_none()) {
-            if let Some(place) = folders.get(&row.number) {
-                let metrics = metrics(place).map_err(of_report)?;
-                all.push((row, metrics));
-            }
-        }
-        Table::of_statistics(&all)
-    };
-    long(py, || computed(work), &|| ())
-}
-
-/// Writes the page of the run in a folder.
-#[pyfunction]
-pub(crate) fn write_report(py: Python<'_>, folder: PathBuf, out: PathBuf) -> PyResult<()> {
-    let work = move || {
-        let written = write_page(&[folder], &out, &PageSettings::default(), &|_, _| ());
-        written
-            .map(drop)
-            .map_err(|error| Failure::from(RunnerError::Report(error)))
-    };
-    long(py, || computed(work), &|| ())
 }

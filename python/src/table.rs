@@ -36,23 +36,36 @@ fn counts(values: impl Iterator<Item = usize>) -> ArrayRef {
 
 impl Table {
     /// A row for each simulation: what it was, its score, the scores of the metrics, how it was
-    /// planned.
+    /// planned. The names are those of `planagent simulate --csv`, with `scenario` (its word) and
+    /// `seconds` beside them.
     pub(crate) fn of_rows(rows: &[SimulationRow]) -> Outcome<Self> {
         let all = || rows.iter();
         let text = |of: fn(&SimulationRow) -> Option<&str>| texts(all().map(of));
         let count = |of: fn(&SimulationRow) -> usize| counts(all().map(of));
         let mut columns: Vec<(String, ArrayRef)> = [
             ("scenario", text(|row| Some(&row.source))),
+            ("id", text(|row| Some(&row.scenario))),
             ("scenario_type", text(|row| Some(&row.scenario_type))),
             ("log_name", text(|row| Some(&row.log_name))),
             ("planner", text(|row| Some(&row.planner))),
             ("challenge", text(|row| Some(row.challenge.short_name()))),
+            (
+                "succeeded",
+                Arc::new(
+                    all()
+                        .map(|row| Some(row.error.is_none()))
+                        .collect::<BooleanArray>(),
+                ),
+            ),
             ("score", numbers(all().map(|row| row.score))),
             ("error", text(|row| row.error.as_deref())),
             ("planning_calls", count(|row| row.planning_calls)),
             ("gated_calls", count(|row| row.gated_calls)),
+            ("refused_calls", count(|row| row.refused_calls)),
             ("rethinks", count(|row| row.rethinks)),
             ("parse_errors", count(|row| row.parse_errors)),
+            ("deadlines", count(|row| row.deadlines)),
+            ("failed_calls", count(|row| row.failed_calls)),
             (
                 "seconds",
                 numbers(all().map(|row| Some(row.time.ended_s - row.time.started_s))),
@@ -82,9 +95,8 @@ impl Table {
             .flat_map(|(row, metrics)| metrics.iter().map(move |metric| (row, metric)))
             .flat_map(|(row, metric)| metric.statistics.iter().map(move |one| (row, metric, one)))
             .collect();
-        let of_row = |of: fn(&SimulationRow) -> &str| {
-            texts(rows.iter().map(move |(row, ..)| Some(of(row))))
-        };
+        let of_row =
+            |of: fn(&SimulationRow) -> &str| texts(rows.iter().map(move |(row, ..)| Some(of(row))));
         Self::of(
             [
                 ("scenario", of_row(|row| &row.scenario)),
@@ -102,8 +114,14 @@ impl Table {
                     "statistic",
                     texts(rows.iter().map(|(.., one)| Some(one.name.as_str()))),
                 ),
-                ("value", numbers(rows.iter().map(|(.., one)| Some(one.value)))),
-                ("unit", texts(rows.iter().map(|(.., one)| Some(one.unit.as_str())))),
+                (
+                    "value",
+                    numbers(rows.iter().map(|(.., one)| Some(one.value))),
+                ),
+                (
+                    "unit",
+                    texts(rows.iter().map(|(.., one)| Some(one.unit.as_str()))),
+                ),
             ]
             .map(|(name, column)| (name.to_owned(), column))
             .into(),
@@ -147,7 +165,10 @@ fn list<'py>(py: Python<'py>, column: &dyn Array) -> PyResult<Bound<'py, PyList>
 impl Table {
     /// A table of columns as lists with their names and kinds (`text`, `number`, `count`, `truth`).
     #[staticmethod]
-    fn of_columns(py: Python<'_>, columns: Vec<(String, String, Bound<'_, PyAny>)>) -> PyResult<Self> {
+    fn of_columns(
+        py: Python<'_>,
+        columns: Vec<(String, String, Bound<'_, PyAny>)>,
+    ) -> PyResult<Self> {
         let mut made: Vec<(String, ArrayRef)> = Vec::new();
         for (name, kind, values) in columns {
             let column: ArrayRef = match kind.as_str() {

@@ -51,17 +51,26 @@ thread_local! {
     static HELD: RefCell<Option<Held>> = const { RefCell::new(None) };
 }
 
-type Held = (
-    MutexGuard<'static, Option<OwnPool>>,
-    MutexGuard<'static, Option<usize>>,
-    crate::settings::HeldModels,
-);
+/// The locks of this crate that a thread of the parent may hold at any moment.
+struct Held {
+    _pool: MutexGuard<'static, Option<OwnPool>>,
+    _asked: MutexGuard<'static, Option<usize>>,
+    _models: crate::settings::HeldModels,
+    #[cfg(unix)]
+    _watching: MutexGuard<'static, usize>,
+}
 
 /// Called before a fork: the child must find no lock held by a thread that it does not have.
 #[pyfunction]
 pub(crate) fn before_fork() {
     // Who holds one of them waits for nothing, the GIL included.
-    let held = (lock(&POOL), lock(&ASKED), crate::settings::held_models());
+    let held = Held {
+        _pool: lock(&POOL),
+        _asked: lock(&ASKED),
+        _models: crate::settings::held_models(),
+        #[cfg(unix)]
+        _watching: crate::interrupts::held(),
+    };
     HELD.with_borrow_mut(|place| *place = Some(held));
 }
 
@@ -133,7 +142,8 @@ pub(crate) fn threads(py: Python<'_>) -> usize {
 #[pyo3(signature = (count=None))]
 pub(crate) fn set_threads(py: Python<'_>, count: Option<usize>) -> PyResult<()> {
     if let Some(count) = count.filter(|count| !(1..=MAX_THREADS).contains(count)) {
-        let text = format!("count is {count}; the number of threads must lie in 1 to {MAX_THREADS}");
+        let text =
+            format!("count is {count}; the number of threads must lie in 1 to {MAX_THREADS}");
         return Err(Failure::argument(text).raised(py));
     }
     py.detach(|| {

@@ -94,6 +94,7 @@ CALLS = {
     "challenge": (lambda o: planagent.Simulation(SCENE, 1), "challenge is 1"),
     "scenario": (lambda o: planagent.Simulation(3), "scenario is 3"),
     "agent": (lambda o: planagent.Agent(planner=3), "planner is 3"),
+    "scenario of an agent": (lambda o: planagent.Agent(planner="log-replay", scenario=SCENE), "scenario is 'generated"),
     "seed": (lambda o: planagent.Agent(planner="idm", seed=-1), "seed is -1"),
     "max_tokens": (lambda o: planagent.Model().ask(None, "q", max_tokens=-1), "max_tokens is -1"),
     "choices": (lambda o: planagent.Model().ask(None, "q", choices=[]), "choices is"),
@@ -233,7 +234,7 @@ def test_values_of_numpy_paths_and_generators_are_taken(tmp_path, observation):
     assert observation.image(np.int64(32), np.float32(20)).shape == (32, 32, 3)
     assert len(observation.lanes(math.inf)) == len(observation.lanes(None)) > 0
     assert observation.code(speed=np.float32(0.5), accelerations=np.array([1.0, 2.0]))
-    assert planagent.Agent(planner="log-replay", scenario=SCENE, seed=np.int64(1)).plan(observation)
+    assert planagent.Agent(planner="log-replay", scenario=planagent.open(SCENE), seed=np.int64(1)).plan(observation)
     merged = planagent.merge(tmp_path / "run", tmp_path / "merged")
     assert merged.table().to_dict() == results.table().to_dict()
     answer = planagent.Model().ask(observation.image(), "Which lane?", choices="left")

@@ -19,6 +19,9 @@ def test_the_package_has_the_program(tmp_path):
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["scenarios"][0]["planner"] == "idm"
     assert planagent.open_run(tmp_path / "run")[0]["planner"] == "idm"
+    rows = program("simulate", "--resume", "run", "--csv", folder=tmp_path)
+    columns = set(rows.stdout.splitlines()[0].split(",")) - {"zeroed_by"}
+    assert columns <= set(planagent.open_run(tmp_path / "run").table().columns), columns
     wrong = program("simulate", "--planner", "nobody", folder=tmp_path)
     assert wrong.returncode == 2 and "nobody" in wrong.stderr
     assert program("--no-such-option").returncode == 2

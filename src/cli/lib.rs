@@ -60,10 +60,7 @@ fn this_program() -> std::io::Result<std::process::Command> {
     Ok(command)
 }
 
-fn run_with(
-    arguments: impl IntoIterator<Item = OsString>,
-    commit: Option<&'static str>,
-) -> Exit {
+fn run_with(arguments: impl IntoIterator<Item = OsString>, commit: Option<&'static str>) -> Exit {
     panic_guard::install_hook();
     if let Some(commit) = commit {
         set_build_commit(commit);

@@ -319,11 +319,6 @@ impl LaneMap {
         &self.parts.name
     }
 
-    /// Its layers, from which [`LaneMap::new`] makes the same map again.
-    pub fn parts(&self) -> &MapParts {
-        &self.parts
-    }
-
     /// All lanes and connectors.
     #[inline]
     pub fn lanes(&self) -> &[Lane] {

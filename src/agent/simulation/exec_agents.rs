@@ -4,8 +4,8 @@
 use super::agent_name::AgentPolicyName;
 use super::agents::{AgentPolicy, AgentPolicyError};
 use crate::planner::{
-    AnswerError, ExecAgentsStep, ExecReply, ExecRequest, ExecSession, PlannerInitialization, StopSwitch,
-    moved,
+    AnswerError, ExecAgentsStep, ExecReply, ExecRequest, ExecSession, PlannerInitialization,
+    StopSwitch, moved,
 };
 use planagent_scenario::{Frame, Scenario};
 use planagent_world::{EgoState, TrackedObject};

@@ -272,11 +272,9 @@ fn simulate_task(
         .as_ref()
         .filter(|agents| Some(agents.name) == challenge.own_agents());
     let prepared = || match own {
-        Some(agents) => {
-            ClosedLoop::with_agents(scenario, challenge, |first| {
-                agents.policy(scenario, first, parts.stop.as_ref())
-            })
-        }
+        Some(agents) => ClosedLoop::with_agents(scenario, challenge, |first| {
+            agents.policy(scenario, first, parts.stop.as_ref())
+        }),
         None => ClosedLoop::new(scenario, challenge),
     };
     let needs = parts

@@ -129,6 +129,7 @@ impl PlannerRegistry {
     ///
     /// # Errors
     /// When another planner has its name.
+    #[doc(hidden)]
     pub fn with_stoppable_command(
         self,
         command: &ExecCommand,
