@@ -99,6 +99,11 @@ class _Serving:
         return line
 
 
+def _is_of_library(file: str) -> bool:
+    """Whether a file is of Python or of an installed package; both make code that has no file."""
+    return os.path.abspath(file).startswith(_LIBRARIES) or file.startswith(("<frozen ", "<__array_function__ "))
+
+
 def _place(error: BaseException, function: Any) -> str | None:
     """File and line in the planner where an exception was raised: the innermost outside of libraries."""
     frames = [
@@ -106,7 +111,7 @@ def _place(error: BaseException, function: Any) -> str | None:
         for frame, line in traceback.walk_tb(error.__traceback__)
         if not os.path.abspath(frame.f_code.co_filename).startswith(_PACKAGE)
     ]
-    own = [place for place in frames if not os.path.abspath(place[0]).startswith(_LIBRARIES)]
+    own = [place for place in frames if not _is_of_library(place[0])]
     if own or frames:
         file, line = own[-1] if own else frames[0]
         return f"{file}, line {line}"
