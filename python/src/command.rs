@@ -8,5 +8,5 @@ use std::ffi::OsString;
 #[pyfunction]
 pub(crate) fn command(py: Python<'_>, arguments: Vec<OsString>, launcher: Vec<OsString>) -> u8 {
     let commit = option_env!("PLANAGENT_COMMIT");
-    py.detach(|| planagent_cli::run_inside(arguments, launcher, commit).code())
+    py.detach(|| planagent_cli::run_inside(arguments, launcher, commit))
 }

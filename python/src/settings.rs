@@ -50,7 +50,9 @@ fn slot(key: String) -> Slot {
 
 /// The configured model with its prompts. It is loaded at its first use in a process.
 pub(crate) fn model(config: &Config) -> Outcome<Arc<LoadedModel>> {
-    load(config, &silent(), |load| computed(|| Ok(load()?)))
+    let loaded = load(config, &silent(), |load| computed(|| Ok(load()?)))?;
+    loaded.probe(config, &silent())?;
+    Ok(loaded)
 }
 
 /// As [`model`], for runs; a listener hears of the loading. Not for threads of the common pool:

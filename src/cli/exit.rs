@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 /// Exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Exit {
+pub(crate) enum Exit {
     /// Everything succeeded.
     Success,
     /// The run ended, but a simulation or a planning call failed; its error is recorded.
@@ -15,7 +15,7 @@ pub enum Exit {
 
 impl Exit {
     /// Its number.
-    pub fn code(self) -> u8 {
+    pub(crate) fn code(self) -> u8 {
         match self {
             Self::Success => 0,
             Self::SomeFailed => 1,

@@ -15,6 +15,9 @@ mod settings;
 mod suggest;
 mod words;
 
+pub(crate) use exit::Exit;
+pub use printer::Printer;
+
 use anyhow::bail;
 use args::{Arguments, Command};
 use clap::{CommandFactory, FromArgMatches};
@@ -24,9 +27,6 @@ use settings::Settings;
 use std::ffi::OsString;
 use std::process::ExitCode;
 use std::sync::OnceLock;
-
-pub use exit::Exit;
-pub use printer::Printer;
 
 const MAX_THREADS: usize = 512;
 
@@ -39,15 +39,15 @@ pub fn run(commit: Option<&'static str>) -> ExitCode {
 }
 
 /// Runs the program inside another one, which `launcher` starts as this program: a command and its
-/// first arguments. The arguments begin with the name of the program.
+/// first arguments. The arguments begin with the name of the program. Gives the exit code.
 pub fn run_inside(
     arguments: impl IntoIterator<Item = OsString>,
     launcher: Vec<OsString>,
     commit: Option<&'static str>,
-) -> Exit {
+) -> u8 {
     // The first call stays: a process is started in one way.
     let _ = LAUNCHER.set(launcher);
-    run_with(arguments, commit)
+    run_with(arguments, commit).code()
 }
 
 /// A command that starts this program.
@@ -68,7 +68,8 @@ fn run_with(arguments: impl IntoIterator<Item = OsString>, commit: Option<&'stat
     let matches = with_negative_numbers(Arguments::command()).try_get_matches_from(arguments);
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
-        Err(error) => {
+        Err(mut error) => {
+            suggest::add_new_command(&mut error);
             // Help and version are no errors; clap prints each where it belongs.
             let _ = error.print();
             return if error.use_stderr() {
@@ -106,7 +107,7 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
 }
 
 fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
-    let settings = Settings::of(arguments)?;
+    let settings = Settings::from_arguments(arguments)?;
     let config = &settings.config;
     let threads = arguments.global.threads.unwrap_or(0);
     if threads > MAX_THREADS {

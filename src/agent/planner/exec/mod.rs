@@ -14,10 +14,7 @@ pub use agents::{ExecAgent, ExecAgentsStep, moved};
 pub use messages::{ExecReply, ExecRequest};
 pub use session::{AnswerError, ExecSession};
 
-use super::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
-    PlannerNeeds, PlannerRegistry, StopSwitch,
-};
+use super::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName, StopSwitch};
 use messages::{ExecStep, trajectory};
 use planagent_world::Trajectory;
 use std::collections::BTreeSet;
@@ -98,48 +95,16 @@ impl ExecCommand {
         })
     }
 
-    /// The command as an entry of the registry; an answer to a step may take `timeout`, and is
-    /// waited for until `stop`.
-    pub fn entry(&self, timeout: Duration, stop: Option<&StopSwitch>) -> PlannerEntry {
-        let stop = stop.cloned();
-        let Self { name, command } = self.clone();
-        PlannerEntry::new(name, "a command", PlannerNeeds::Nothing, move |_| {
-            let planner = ExecPlanner {
-                name,
-                command: command.clone(),
-                timeout,
-                stop: stop.clone(),
-                session: None,
-            };
-            Ok(Box::new(planner))
+    /// The planner of one simulation; an answer to a step may take `timeout`, and is waited for
+    /// until `stop`.
+    pub(crate) fn planner(&self, timeout: Duration, stop: Option<&StopSwitch>) -> Box<dyn Planner> {
+        Box::new(ExecPlanner {
+            name: self.name,
+            command: self.command.clone(),
+            timeout,
+            stop: stop.cloned(),
+            session: None,
         })
-    }
-}
-
-impl PlannerRegistry {
-    /// The registry with a command beside its planners.
-    ///
-    /// # Errors
-    /// When another planner has its name.
-    pub fn with_command(self, command: &ExecCommand, timeout: Duration) -> Result<Self, ExecError> {
-        self.with_stoppable_command(command, timeout, None)
-    }
-
-    /// As [`PlannerRegistry::with_command`]; the command is waited for until `stop`.
-    ///
-    /// # Errors
-    /// When another planner has its name.
-    #[doc(hidden)]
-    pub fn with_stoppable_command(
-        self,
-        command: &ExecCommand,
-        timeout: Duration,
-        stop: Option<&StopSwitch>,
-    ) -> Result<Self, ExecError> {
-        if self.find(command.name.as_str()).is_ok() {
-            return Err(ExecError::Taken(command.name.to_string()));
-        }
-        Ok(self.with(command.entry(timeout, stop)))
     }
 }
 
@@ -200,7 +165,7 @@ impl ExecPlanner {
             return Ok(None);
         };
         let first = !std::mem::replace(stepped, true);
-        let request = ExecRequest::Step(Box::new(ExecStep::of(input, first)));
+        let request = ExecRequest::Step(Box::new(ExecStep::from_input(input, first)));
         match session.ask(&request)? {
             (ExecReply::Trajectory { states }, _) => trajectory(&states, input.scene.ego)
                 .map(Some)
@@ -269,11 +234,6 @@ mod tests {
             let found = ExecCommand::parse(word).unwrap().unwrap_err().to_string();
             assert!(found.contains(error), "{found}");
         }
-        let taken = ExecCommand::parse("idm=exec:x").unwrap().unwrap();
-        let error = PlannerRegistry::default()
-            .with_command(&taken, DEFAULT_EXEC_TIMEOUT)
-            .unwrap_err();
-        assert_eq!(error, ExecError::Taken("idm".to_owned()));
     }
 
     #[cfg(unix)]

@@ -13,7 +13,7 @@ pub fn twin_table(results: &TwinResults) -> String {
 }
 
 /// The same as Markdown.
-pub fn twin_markdown(results: &TwinResults) -> String {
+pub(crate) fn twin_markdown(results: &TwinResults) -> String {
     rows(results).markdown() + "\n" + &notes(results)
 }
 

@@ -16,13 +16,20 @@ pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
         .iter()
         .any(|timing| timing.planning_call_ms.is_some())
         .then_some("ms/call p50");
+    // Only where it happened: most runs need no such column.
+    let without_plan = summary
+        .aggregates
+        .iter()
+        .any(|row| row.without_plan > 0)
+        .then_some("no plan");
     let scores = challenges.iter().map(|&challenge| short(challenge));
     let headers = ["planner"]
         .into_iter()
         .chain(scores)
         .chain(["ms/step"])
         .chain(call)
-        .chain(["simulations", "failed"]);
+        .chain(["simulations", "failed"])
+        .chain(without_plan);
     let planners = distinct(summary.aggregates.iter().map(|row| row.planner.as_str()));
     let timing = |planner: &str| timings.iter().find(|timing| timing.planner == planner);
     let steps: Vec<_> = planners
@@ -55,13 +62,15 @@ pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
             let scores = challenges
                 .iter()
                 .map(|&challenge| or_dash(score(challenge), percent));
-            let counts = [simulations, failed].map(|count| count.to_string());
+            let planless = || own().map(|row| row.without_plan).sum();
+            let counts = [simulations, failed].into_iter();
+            let counts = counts.chain(without_plan.map(|_| planless()));
             [planner.to_owned()]
                 .into_iter()
                 .chain(scores)
                 .chain([step])
                 .chain(call)
-                .chain(counts)
+                .chain(counts.map(|count: usize| count.to_string()))
                 .collect()
         });
     Table::new(headers, 1, rows).terminal()
@@ -167,6 +176,7 @@ mod tests {
             scenario_type: scenario_type.map(str::to_owned),
             scenarios: 10 - failed,
             failed,
+            without_plan: 0,
             score,
         }
     }
