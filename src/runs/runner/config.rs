@@ -11,7 +11,7 @@ use planagent_mllm::{Trust, WeightFormat};
 use planagent_planners::all_planners;
 use planagent_world::STEP_S;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
 
