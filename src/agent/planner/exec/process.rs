@@ -1,5 +1,6 @@
 //! The process of a planner command: lines in, lines out, each within a time.
 
+use crate::planner::StopSwitch;
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
@@ -16,6 +17,8 @@ const MAX_STDERR_LINES: usize = 3;
 const MAX_STDERR_CHARS: usize = 300;
 /// How long to wait for the exit status of a command that closed its output.
 const EXIT_WAIT: Duration = Duration::from_secs(1);
+/// Time between two looks at the switch of the run.
+const STOP_POLL: Duration = Duration::from_millis(20);
 /// Time between two looks at the exit status.
 const EXIT_POLL: Duration = Duration::from_millis(5);
 
@@ -27,6 +30,8 @@ pub enum ProcessError {
     Start(std::io::Error),
     #[error("the command gave no answer within {} s{stderr}", within.as_secs_f64())]
     Silent { within: Duration, stderr: String },
+    #[error("the run was stopped")]
+    Stopped,
     #[error("the command ended{status}{stderr}")]
     Ended { status: String, stderr: String },
     #[error("the command wrote a line of more than {MAX_LINE} bytes")]
@@ -91,17 +96,21 @@ impl Process {
         })
     }
 
-    /// Writes a line and gives the line that answers it.
+    /// Writes a line and gives the line that answers it, unless the run is stopped before.
     pub(super) fn ask(
         &mut self,
         mut line: Vec<u8>,
         within: Duration,
+        stop: Option<&StopSwitch>,
     ) -> Result<String, ProcessError> {
         line.push(b'\n');
         // A closed channel means that the command has ended; the answer says so.
         let _ = self.input.send(line);
-        match self.output.recv_timeout(within) {
+        match self.line(within, stop) {
             Ok(line) => line,
+            Err(RecvTimeoutError::Timeout) if stop.is_some_and(StopSwitch::is_stopped) => {
+                Err(ProcessError::Stopped)
+            }
             Err(RecvTimeoutError::Timeout) => Err(ProcessError::Silent {
                 within,
                 stderr: self.last_words(),
@@ -115,6 +124,25 @@ impl Process {
                     status,
                     stderr: self.last_words(),
                 })
+            }
+        }
+    }
+
+    /// The next line of the command.
+    fn line(
+        &self,
+        within: Duration,
+        stop: Option<&StopSwitch>,
+    ) -> Result<Result<String, ProcessError>, RecvTimeoutError> {
+        let Some(stop) = stop else {
+            return self.output.recv_timeout(within);
+        };
+        let started = Instant::now();
+        loop {
+            let left = within.saturating_sub(started.elapsed());
+            match self.output.recv_timeout(left.min(STOP_POLL)) {
+                Err(RecvTimeoutError::Timeout) if !left.is_zero() && !stop.is_stopped() => {}
+                ended => return ended,
             }
         }
     }
