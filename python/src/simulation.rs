@@ -5,7 +5,7 @@ use crate::observation::Observation;
 use crate::planner::Planner;
 use crate::scenario::{Scenario, ego_numbers};
 use crate::trajectory::{Trajectory, array, packed, poses, through};
-use crate::work::{guarded, lock, long, quick};
+use crate::work::{computed, lock, long, quick};
 use planagent::evaluation::{EvaluatedSimulation, Evaluation, MetricRegistry, Role};
 use planagent::planning::HistorySample;
 use planagent::{Challenge, EgoState, Scenario as Opened, Scene, Trajectory as Planned};
@@ -193,8 +193,10 @@ impl Simulation {
         let stopped = Arc::new(AtomicBool::new(false));
         let stop = Arc::clone(&stopped);
         let work = move || {
-            guarded(|| {
-                let (mut planner, mut state) = (lock(&planner), lock(&state));
+            // Whoever waits for these does so outside the pool.
+            let (mut planner, mut state) = (lock(&planner), lock(&state));
+            let (planner, state) = (&mut *planner, &mut *state);
+            computed(move || {
                 let name = planner.planner.name().to_owned();
                 if state.closed_loop.iteration() == 0 || !planner.is_initialized {
                     state.closed_loop.initialize(planner.planner.as_mut())?;
@@ -213,12 +215,7 @@ impl Simulation {
                 Ok(())
             })
         };
-        long(
-            py,
-            work,
-            &move || stop.store(true, Ordering::Relaxed),
-            &|_| Ok(()),
-        )
+        long(py, work, &move || stop.store(true, Ordering::Relaxed))
     }
 
     /// nuPlan's score of the finished simulation.

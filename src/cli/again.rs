@@ -1,8 +1,12 @@
-//! Commands that a message tells the user to type: they hold what the command line of this process
-//! said, so that they work as they stand.
+//! Commands that a message tells the user to type: they hold what the command line said, so that they work as they stand.
 
 use planagent_files::{quoted, word_of};
+use std::ffi::OsString;
 use std::path::Path;
+use std::sync::OnceLock;
+
+/// The words of this command line; the program may run inside another one.
+static WORDS: OnceLock<Vec<OsString>> = OnceLock::new();
 
 /// Options of `simulate` that a run folder does not answer for: the user's own models, servers,
 /// checkpoints and files of settings.
@@ -22,12 +26,15 @@ pub(super) fn resume_this(folder: &Path) -> String {
     of_this(&arguments(), folder)
 }
 
-/// The words of this process without its program.
+/// The words of this command line. The first call stays.
+pub(super) fn remember(words: &[OsString]) {
+    let _ = WORDS.set(words.to_vec());
+}
+
+/// The words of this command line without the program.
 fn arguments() -> Vec<String> {
-    std::env::args_os()
-        .skip(1)
-        .map(|word| word_of(&word))
-        .collect()
+    let words = WORDS.get().map_or(&[][..], Vec::as_slice);
+    words.iter().skip(1).map(|word| word_of(word)).collect()
 }
 
 fn of_run(arguments: &[String], folder: &Path, has_commands: bool) -> String {

@@ -10,6 +10,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use planagent_files::shortened;
 use planagent_runs::report::{json_value, visible, visible_line};
 use std::borrow::Cow;
+use std::ffi::OsString;
 use std::io::{ErrorKind, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -137,7 +138,7 @@ impl Printer {
 
     /// What clap says of the arguments: help and version on stdout, errors on stderr. The code that
     /// the program ends with.
-    pub fn arguments(mut error: clap::Error) -> Exit {
+    pub(crate) fn arguments(mut error: clap::Error, words: &[OsString]) -> Exit {
         if !error.use_stderr() {
             let written = error.print().and_then(|()| std::io::stdout().flush());
             note_failure(&written);
@@ -149,7 +150,7 @@ impl Printer {
             };
         }
         let is_safe = |text: &str| matches!(visible(text), Cow::Borrowed(_));
-        if std::env::args_os().all(|word| is_safe(&word.to_string_lossy())) {
+        if words.iter().all(|word| is_safe(&word.to_string_lossy())) {
             // A stderr that cannot be written changes nothing.
             let _ = error.print();
             return Exit::Error;

@@ -27,6 +27,7 @@ mod record;
 mod settings;
 mod simple;
 mod stop;
+mod stop_switch;
 mod unreadable;
 
 pub use agent_state::{ActivePlan, AgentState};
@@ -55,6 +56,7 @@ pub use settings::{
     ReflectionSettings,
 };
 pub use simple::SimplePlanner;
+pub use stop_switch::StopSwitch;
 pub use unreadable::Unreadable;
 
 use crate::environment::BevView;

@@ -73,10 +73,10 @@ pub(crate) fn run(
         speculation: flags.speculation,
         versus: llama_cpp(flags),
     };
-    let program = std::env::current_exe()
+    crate::this_program()
         .context("cannot find the path of this program to start the measuring process")?;
     let own = || {
-        let mut command = Command::new(&program);
+        let mut command = crate::this_program().unwrap_or_else(|_| Command::new("planagent"));
         command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
         if let Some(context) = config.mllm.context {
             command.args(["--context", &context.to_string()]);

@@ -1,5 +1,6 @@
 //! The process of a planner command: lines in, lines out, each within a time.
 
+use crate::planner::StopSwitch;
 use planagent_child::BoundChild;
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -17,6 +18,8 @@ const MAX_STDERR_LINES: usize = 3;
 const MAX_STDERR_CHARS: usize = 300;
 /// How long to wait for the exit status of a command that closed its output.
 const EXIT_WAIT: Duration = Duration::from_secs(1);
+/// Time between two looks at the switch of the run.
+const STOP_POLL: Duration = Duration::from_millis(20);
 /// Time between two looks at the exit status.
 const EXIT_POLL: Duration = Duration::from_millis(5);
 /// How long a command may write after its last answer, until it ends at the end of its stdin.
@@ -32,6 +35,8 @@ pub enum ProcessError {
     Start(std::io::Error),
     #[error("the command gave no answer within {} s{stderr}", within.as_secs_f64())]
     Silent { within: Duration, stderr: String },
+    #[error("the run was stopped")]
+    Stopped,
     #[error("the command ended{status}{stderr}")]
     Ended { status: String, stderr: String },
     #[error("the command wrote a line of more than {MAX_LINE} bytes")]
@@ -109,11 +114,12 @@ impl Process {
 
     /// Writes a line and gives the line that answers it. A line that was there before the message is
     /// an error: it would be taken for the answer, and each answer after it for that of the next
-    /// message.
+    /// message. The run may be stopped before the answer.
     pub(super) fn ask(
         &mut self,
         mut line: Vec<u8>,
         within: Duration,
+        stop: Option<&StopSwitch>,
     ) -> Result<String, ProcessError> {
         line.push(b'\n');
         if let Ok(early) = self.output.try_recv() {
@@ -126,8 +132,11 @@ impl Process {
         }
         // A closed channel means that the command has ended; the answer says so.
         let _ = self.input.send(line);
-        match self.output.recv_timeout(within) {
+        match self.line(within, stop) {
             Ok(line) => line,
+            Err(RecvTimeoutError::Timeout) if stop.is_some_and(StopSwitch::is_stopped) => {
+                Err(ProcessError::Stopped)
+            }
             Err(RecvTimeoutError::Timeout) => Err(ProcessError::Silent {
                 within,
                 stderr: self.last_words(),
@@ -170,6 +179,25 @@ impl Process {
         };
         drop(child);
         late
+    }
+
+    /// The next line of the command.
+    fn line(
+        &self,
+        within: Duration,
+        stop: Option<&StopSwitch>,
+    ) -> Result<Result<String, ProcessError>, RecvTimeoutError> {
+        let Some(stop) = stop else {
+            return self.output.recv_timeout(within);
+        };
+        let started = Instant::now();
+        loop {
+            let left = within.saturating_sub(started.elapsed());
+            match self.output.recv_timeout(left.min(STOP_POLL)) {
+                Err(RecvTimeoutError::Timeout) if !left.is_zero() && !stop.is_stopped() => {}
+                ended => return ended,
+            }
+        }
     }
 
     /// The exit status in words, if the command ends soon.
