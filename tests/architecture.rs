@@ -69,7 +69,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "mllm",
         &[
-            &["error"],
+            &["error", "key_variable"],
             &["deadline", "endpoint_settings"],
             &["checkpoint"],
             &["conversation", "gguf"],
@@ -104,11 +104,13 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         &[
             &["sample"],
             &["commands", "event", "machine", "result_version", "shard"],
+            &["of_run"],
             &["config"],
             &["error"],
             &["inputs", "model"],
             &["request"],
             &["selection"],
+            &["watch"],
             &["run"],
             &["simulate"],
             &["merge"],
@@ -147,7 +149,9 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
 const MAX_CIRCLE: usize = 8;
 
 /// Modules that may write to disk, and nothing else may.
-const WRITERS: [&str; 6] = [
+const WRITERS: [&str; 8] = [
+    "src/files/open_folder.rs",
+    "src/files/whole_file.rs",
     "src/runs/report/",
     "src/lab/",
     "src/cli/",

@@ -50,6 +50,7 @@ impl Console {
             Event::Opened {
                 folder,
                 has_commands,
+                named_again,
             } => {
                 let same = if has_commands {
                     " with the same --planner and --agents"
@@ -57,7 +58,8 @@ impl Console {
                     ""
                 };
                 let folder = quoted(&word_of(folder.as_os_str()));
-                let advice = format!("`planagent simulate --resume {folder}`{same} goes on");
+                let words = [vec![folder], named_again].concat().join(" ");
+                let advice = format!("`planagent simulate --resume {words}`{same} goes on");
                 if let Err(error) = interrupt::advise(advice, self.printer) {
                     self.printer.error(&error);
                 }

@@ -86,6 +86,7 @@ impl Settings {
         if let Some(model) = flags.model {
             note("--model", "mllm.model", model.clone().into());
             config.mllm.model = model;
+            config.of_run.name("mllm.model");
         }
         if let Some(set) = flags.prompt_set {
             note("--prompt-set", "reasoning.prompt_set", set.clone().into());
@@ -161,6 +162,7 @@ impl Settings {
                 self.layers
                     .push(("--checkpoint".to_owned(), nested(&key, file.clone().into())));
                 *place = Some(file);
+                self.config.of_run.name(&key);
             }
         }
         Ok(())

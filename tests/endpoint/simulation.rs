@@ -37,7 +37,7 @@ impl Run {
         let path = folder.path().join("planagent.toml");
         fs::write(&path, config).unwrap();
         let output = planagent()
-            .env("TEST_KEY", KEY)
+            .env("TEST_API_KEY", KEY)
             .args([
                 "--config",
                 path.to_str().unwrap(),
@@ -95,7 +95,7 @@ impl Run {
 fn description(server: &Server, more: &str) -> String {
     format!(
         "name = 'server'\nprompt_set = 'compact'\nsource = {{ endpoint = '{}', model = 'm', grammar = 'gbnf', \
-         key_env = 'TEST_KEY', first_wait_ms = 1{more} }}\n",
+         key_env = 'TEST_API_KEY', first_wait_ms = 1{more} }}\n",
         server.url()
     )
 }
@@ -213,11 +213,11 @@ fn a_refused_key_fails_the_simulation_and_a_missing_one_the_start() {
     );
     assert!(!run.everything().contains(KEY));
 
-    let other = description(&server, "").replace("TEST_KEY", "PLANAGENT_NO_SUCH_KEY");
+    let other = description(&server, "").replace("TEST_API_KEY", "PLANAGENT_NO_SUCH_API_KEY");
     let run = Run::with(&other, "");
     assert_eq!(run.code, 2, "{}", run.stderr);
     assert!(
-        run.stderr.contains("PLANAGENT_NO_SUCH_KEY is not set"),
+        run.stderr.contains("PLANAGENT_NO_SUCH_API_KEY is not set"),
         "{}",
         run.stderr
     );
@@ -365,7 +365,7 @@ fn another_model_changes_one_line_of_the_configuration_and_nothing_else() {
         fs::write(&path, config).unwrap();
         let out = folder.path().join("run");
         let output = planagent()
-            .env("TEST_KEY", KEY)
+            .env("TEST_API_KEY", KEY)
             .args(["--config", path.to_str().unwrap(), "simulate", "--scenario", SCENE, "--out", out.to_str().unwrap()])
             .output()
             .unwrap();
@@ -465,9 +465,11 @@ fn another_description_of_the_server_is_no_way_to_resume() {
         .unwrap();
         let mut command = planagent();
         command
-            .env("TEST_KEY", KEY)
+            .env("TEST_API_KEY", KEY)
             .args(["simulate", "--resume"])
-            .arg(run.path());
+            .arg(run.path())
+            .arg("--model")
+            .arg(run.folder.path().join("server.toml"));
         let output = command.output().unwrap();
         (
             output.status.code().unwrap(),

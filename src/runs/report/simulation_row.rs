@@ -1,6 +1,7 @@
 //! `record.toml`: the row of one simulation.
 
 use super::decision::{all_are_zero, all_refused, first_refused};
+use super::file_names::name_part;
 use super::number::positive_zero;
 use super::times::{CallTimes, SimulationTime};
 use crate::worker::run::SimulationRecord;
@@ -29,6 +30,7 @@ pub struct SimulationRow {
     /// Name of the log.
     pub log_name: String,
     /// Name of the planner.
+    #[serde(deserialize_with = "name_part")]
     pub planner: String,
     /// nuPlan's challenge.
     pub challenge: Challenge,
@@ -95,6 +97,7 @@ pub(super) fn is_zero(count: &usize) -> bool {
 #[serde(deny_unknown_fields)]
 pub struct MetricScore {
     /// nuPlan's name.
+    #[serde(deserialize_with = "name_part")]
     pub name: String,
     /// The score in [0, 1]; none for metrics outside the score.
     #[serde(default, skip_serializing_if = "Option::is_none")]
