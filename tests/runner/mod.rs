@@ -8,6 +8,7 @@ mod nuplan_folders;
 mod parallel;
 mod parquet;
 mod pinned;
+mod renamed_settings;
 mod resume;
 mod splits;
 

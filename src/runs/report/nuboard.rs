@@ -28,7 +28,7 @@ struct NuBoardFile {
 }
 
 impl NuBoardFile {
-    fn of(challenge: Challenge) -> Self {
+    fn for_challenge(challenge: Challenge) -> Self {
         Self {
             simulation_main_path: challenge.to_string(),
             metric_main_path: format!("../{challenge}"),
@@ -42,7 +42,7 @@ impl NuBoardFile {
 /// Writes the file into the folder of a challenge. An experiment of nuBoard is one challenge, as it
 /// is one `run_simulation` of the devkit.
 pub(super) fn write_nuboard(folder: &OpenFolder, challenge: Challenge) -> Result<(), ReportError> {
-    let bytes = serde_pickle::to_vec(&NuBoardFile::of(challenge), SerOptions::new());
+    let bytes = serde_pickle::to_vec(&NuBoardFile::for_challenge(challenge), SerOptions::new());
     let bytes = bytes
         .map_err(io::Error::other)
         .map_err(ReportError::write(&folder.path_of(NUBOARD)))?;

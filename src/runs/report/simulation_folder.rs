@@ -58,7 +58,7 @@ pub(super) fn write(
                 metrics: outcome.metrics.iter().map(without_negative_zeros).collect(),
             };
             write_toml(folder, METRICS, &metrics)?;
-            Replay::of(outcome).write(folder)?;
+            Replay::from_outcome(outcome).write(folder)?;
         }
         let row = SimulationRow {
             files: digests(folder)?,
@@ -246,7 +246,7 @@ fn write_calls(
     let path = folder.path_of(CALLS);
     let mut lines = String::new();
     for call in &outcome.calls {
-        let value = CallRecord::of(
+        let value = CallRecord::from_call(
             &record.scenario,
             record.planner.as_str(),
             Some(record.challenge),

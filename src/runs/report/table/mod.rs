@@ -6,6 +6,10 @@ mod paired;
 mod simulations;
 pub mod terminal;
 
+pub use paired::comparison_table;
+pub use simulations::failures;
+pub use terminal::fill;
+
 use super::number::fixed;
 use super::simulation_row::SimulationRow;
 use super::summary::Summary;
@@ -13,10 +17,6 @@ use super::timing::PlannerTiming;
 use super::visible::visible_line;
 use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::MetricList;
-
-pub use paired::comparison_table;
-pub use simulations::failures;
-pub use terminal::fill;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Table {
