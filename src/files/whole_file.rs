@@ -1,6 +1,6 @@
 //! A file that gets its name when it is complete.
 
-use super::open_folder::OpenFolder;
+use super::open_folder::{EntryKind, OpenFolder};
 use super::regular::target;
 use super::unfinished::{UNFINISHED, is_of, temporary_name};
 use super::word::word_of;
@@ -42,14 +42,18 @@ impl WholeFile {
         Self::create_in(&folder, name)
     }
 
-    /// Begins a file of an open folder.
+    /// Begins a file of an open folder. A link of its name is replaced, and what it leads to stays.
     ///
     /// # Errors
-    /// When something else than a regular file has its name. A link does: it would be replaced, and
-    /// who set it expects that it is followed.
+    /// When a folder has its name.
     pub fn create_in(folder: &OpenFolder, name: impl AsRef<OsStr>) -> io::Result<Self> {
         let name = name.as_ref();
-        folder.has_file(name)?;
+        if folder.kind(name)? == Some(EntryKind::Folder) {
+            return Err(io::Error::new(
+                ErrorKind::IsADirectory,
+                "it is a folder and no regular file",
+            ));
+        }
         let shown = &word_of(name);
         sweep(folder, |temporary| is_of(temporary, shown))?;
         for _ in 0..MAX_TRIES {
@@ -221,7 +225,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_link_of_the_user_stays_and_one_in_an_open_folder_is_refused() {
+    fn a_link_of_the_user_stays_and_one_in_an_open_folder_is_replaced() {
         let work = tempfile::tempdir().unwrap();
         let [mine, link] = ["mine", "link"].map(|name| work.path().join(name));
         fs::write(&mine, "old").unwrap();
@@ -230,8 +234,9 @@ mod tests {
         assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!(fs::read(&mine).unwrap(), b"new");
         let folder = OpenFolder::open(work.path()).unwrap();
-        let error = folder.write("link", b"newer").unwrap_err().to_string();
-        assert_eq!(error, "it is a link and no regular file");
+        folder.write("link", b"newer").unwrap();
+        assert!(!fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(fs::read(&link).unwrap(), b"newer");
         assert_eq!(fs::read(&mine).unwrap(), b"new");
     }
 }

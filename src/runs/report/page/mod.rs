@@ -72,8 +72,8 @@ pub struct PageContents {
 }
 
 /// Writes a page of one or more runs to `out`, or, without it, as [`PAGE`] into the folder of the
-/// first; a link of that name is not followed, because a run may come from elsewhere. Calls `on_simulation(done, all)` after it has read a
-/// simulation.
+/// first; a link of that name is replaced, because a run may come from elsewhere. Calls
+/// `on_simulation(done, all)` after it has read a simulation.
 pub fn write(
     folders: &[PathBuf],
     out: Option<&Path>,
