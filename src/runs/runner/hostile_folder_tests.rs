@@ -75,7 +75,7 @@ fn png(behind: &[u8]) -> Vec<u8> {
     RgbImage::new(4, 4)
         .write_to(&mut bytes, ImageFormat::Png)
         .unwrap();
-    [bytes.get_ref(), behind].concat()
+    [bytes.get_ref().as_slice(), behind].concat()
 }
 
 fn simulation_of(run: &Path) -> PathBuf {
