@@ -17,7 +17,9 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
+pub use description::{
+    DescribedPrompts, GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens,
+};
 pub use folder::{data_folder, models_folder};
 use hub::HubFiles;
 pub use hub::{FetchListener, FetchProgress, HubAccess};
@@ -343,9 +345,9 @@ impl ModelRegistry {
     /// prompts. A hub model without a description is downloaded if it is missing and downloads are
     /// allowed.
     pub fn asking(&self, spec: &ModelSpec) -> Result<Asking, MllmError> {
-        match spec.prompt_set {
-            Some(set) => Ok(Asking {
-                prompt_set: set.name().to_owned(),
+        match &spec.prompt_set {
+            Some(prompts) => Ok(Asking {
+                prompt_set: prompts.opened_by(),
                 named_by: NamedBy::Description,
                 generation: spec.generation,
             }),
@@ -558,7 +560,7 @@ mod tests {
         let nano = registry.find("nano").unwrap();
         assert_eq!(
             (nano.name.as_str(), nano.prompt_set),
-            ("Nano", Some(PromptSet::Compact))
+            ("Nano", Some(DescribedPrompts::Known(PromptSet::Compact)))
         );
         assert_eq!(
             registry.place(&nano).unwrap(),

@@ -2,8 +2,7 @@
 
 use crate::bench::EngineName;
 use crate::report::{BenchFigures, Comparison, ModelFigures};
-use planagent_runs::report::table::terminal::COLUMNS;
-use planagent_runs::report::table::{Table, fill, or_dash, three_digits, weights};
+use planagent_runs::report::table::{LineWidth, Table, or_dash, three_digits, weights};
 use std::fmt::Write as _;
 
 const MEBI: f64 = (1 << 20) as f64;
@@ -98,34 +97,32 @@ fn has_drafts(figures: &BenchFigures) -> bool {
 }
 
 /// The tables for a terminal.
-pub fn bench_table(figures: &BenchFigures) -> String {
+pub fn bench_table(figures: &BenchFigures, width: LineWidth) -> String {
     let mut parts = Vec::new();
     if !figures.models.is_empty() {
         parts.extend(
             [&LOADED[..], &COST]
-                .map(|columns| models(figures, columns, |c| c.header.to_owned()).terminal()),
+                .map(|columns| models(figures, columns, |c| c.header.to_owned()).fitted(width)),
         );
         let meanings = LOADED
             .iter()
             .chain(&COST)
             .map(|column| format!("{} = {}", column.header, column.meaning));
-        parts.push(fill(meanings, COLUMNS).join("\n"));
+        parts.push(width.listed(meanings).join("\n"));
     }
     if has_drafts(figures) {
-        parts.push(models(figures, &DRAFTED_COST, |c| c.header.to_owned()).terminal());
+        parts.push(models(figures, &DRAFTED_COST, |c| c.header.to_owned()).fitted(width));
         let meanings = DRAFTED_COST
             .iter()
             .map(|column| format!("{} = {}", column.header, column.meaning));
-        parts.push(fill(meanings, COLUMNS).join("\n"));
+        parts.push(width.listed(meanings).join("\n"));
     }
     if !figures.comparisons.is_empty() {
-        parts.push(comparisons(figures).terminal());
-        parts.push(format!(
-            "ratio = speed of planagent / speed of llama.cpp  {}",
-            other_engine(figures)
-        ));
+        parts.push(comparisons(figures).fitted(width));
+        let ratio = "ratio = speed of planagent / speed of llama.cpp".to_owned();
+        parts.push(width.listed([ratio, other_engine(figures)]).join("\n"));
     }
-    parts.extend(failed(figures));
+    parts.extend(failed(figures).map(|line| width.wrapped(&line).join("\n")));
     parts.join("\n\n")
 }
 

@@ -63,6 +63,11 @@ function ownAgents(challenge) {
   return { short: name, long: `closed loop, agents under the policy ${name}; no challenge of nuPlan`, plain: name };
 }
 
+/** Simulations by their scores, failed ones and the lowest first. */
+function worstFirst(simulations) {
+  return [...simulations].sort((one, other) => (one.score ?? -1) - (other.score ?? -1));
+}
+
 /** The color of an entrant: one of eight that color-blind readers can tell apart (Okabe and Ito). */
 function colorOf(entrant) {
   return `var(--c${entrant.place % 8})`;
