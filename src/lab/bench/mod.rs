@@ -13,6 +13,8 @@ mod run;
 mod serve;
 mod workload;
 
+#[cfg(test)]
+pub(crate) use budget::Layout;
 pub use budget::{AnswerPart, CallBudget, DRAFTED, RoundBudget};
 pub use engine::{Engine, EngineError, EngineName};
 pub use llama_cpp::LlamaCpp;

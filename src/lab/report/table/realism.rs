@@ -76,3 +76,20 @@ fn notes(comparison: &SceneComparison, width: LineWidth) -> String {
         .map(|lines| lines.join("\n"))
         .join("\n\n")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_fits_every_terminal() {
+        let comparison = SceneComparison::of(Vec::new(), Vec::new());
+        let long =
+            "a/folder/of/recordings/with/a/name/that/is/longer/than/a/terminal/of/80/columns";
+        for columns in [60, 80, 100, 160] {
+            let text = realism_table(&comparison, ["A", long], LineWidth::terminal(columns));
+            let fits = |line: &str| line.chars().count() <= usize::from(columns);
+            assert!(text.lines().all(fits), "wider than {columns}: {text}");
+        }
+    }
+}

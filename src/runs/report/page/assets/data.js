@@ -90,6 +90,8 @@ function metricTitle(name) {
     no_ego_at_fault_collisions: "no at-fault collision", drivable_area_compliance: "drivable area", driving_direction_compliance: "driving direction",
     ego_is_making_progress: "making progress", time_to_collision_within_bound: "time to collision", speed_limit_compliance: "speed limit",
     ego_progress_along_expert_route: "progress along the expert's route", ego_is_comfortable: "comfort",
+    ego_sorts_construction_zone: "past the construction zone", ego_sorts_stopped_vehicle: "past the stopped vehicle",
+    ego_sorts_jaywalking_pedestrian: "past the pedestrian",
   };
   return known[name] ?? spaced(name);
 }
