@@ -93,6 +93,8 @@ impl Values {
             }
             _ => return arg,
         };
-        arg.value_parser(PossibleValuesParser::new(offers.iter().cloned()))
+        // clap wants texts that live as long as the program, which ends with the script.
+        let offers = offers.iter().map(|name| &*name.clone().leak());
+        arg.value_parser(PossibleValuesParser::new(offers))
     }
 }

@@ -14,7 +14,8 @@ use std::fmt::Write as _;
 
 /// The tables for a terminal: one for each suite and challenge.
 pub fn study_table(study: &Study, results: &StudyResults, width: LineWidth) -> String {
-    let mut parts = vec![results.title.clone()];
+    let headed = |text: &str| width.wrapped(text).join("\n");
+    let mut parts = vec![headed(&results.title)];
     for suite in &results.suites {
         let challenges = suite.challenges();
         for &challenge in &challenges {
@@ -29,7 +30,7 @@ pub fn study_table(study: &Study, results: &StudyResults, width: LineWidth) -> S
                 Rows::Variants | Rows::Recordings => table.fitted(width),
                 Rows::ScenarioTypes => table.fitted_below_names(width),
             };
-            parts.push(format!("{heading}\n{table}"));
+            parts.push(format!("{}\n{table}", headed(&heading)));
         }
         parts.extend(costs(study, suite).map(|table| table.fitted(width)));
         if study.rows == Rows::Recordings {

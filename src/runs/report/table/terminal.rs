@@ -73,8 +73,8 @@ impl LineWidth {
 }
 
 impl Table {
-    /// The table without a frame. If it is too wide, the first cells stand on lines of their own;
-    /// columns that do not fit even then follow in tables below.
+    /// The table without a frame. If it is too wide, the first cells stand on lines of their own; on a
+    /// terminal, columns that do not fit even then follow in tables below.
     pub fn fitted(self, width: LineWidth) -> String {
         let lines = self.lines();
         if widest(&lines) <= width.columns {
@@ -85,11 +85,12 @@ impl Table {
     }
 
     /// The table with the first cell of each row on a line of its own, once for equal neighbors:
-    /// long names take no width. Columns that do not fit follow in tables below.
+    /// long names take no width. On a terminal, columns that do not fit follow in tables below.
     pub fn fitted_below_names(mut self, width: LineWidth) -> String {
-        if width.breaks_names {
-            self.break_texts(width.columns / 2);
+        if !width.breaks_names {
+            return self.below_names(width);
         }
+        self.break_texts(width.columns / 2);
         let blocks = self.blocks(width.columns);
         let blocks = blocks.into_iter().map(|block| block.below_names(width));
         blocks.collect::<Vec<_>>().join("\n\n")
