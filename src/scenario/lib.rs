@@ -42,8 +42,8 @@ pub use registry::{RECORDINGS, Readers};
 pub use split::{ExcludedToken, MissingTokens, Split};
 
 /// The scenario that commands take where none is named: cones close the ego's lane, and the agent has
-/// to leave it in time. The choice of planner codes decides the score, so a model that reads the
-/// scene is told from one that does not (`tests/default_scenario.rs`).
+/// to leave it in time. Planner codes decide the score, so a model that reads the scene is clearly
+/// better than one that does not (`tests/default_scenario.rs`).
 pub const DEFAULT_SCENARIO: &str =
     "generated/near_multiple_vehicles/2~approaching_construction_zone";
 

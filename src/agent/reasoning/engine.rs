@@ -231,7 +231,7 @@ impl<'a> Reasoning<'a> {
             .map(|f| feedback_text(self.prompts, f))
             .transpose()?;
         let mut scene_text = self.scenario.text.as_deref();
-        let mut rounds = Vec::with_capacity(self.settings.rounds.len());
+        let mut rounds: Vec<RoundRecord> = Vec::with_capacity(self.settings.rounds.len());
         let (mut instruction, mut less_likely) = (None, Vec::new());
         for &round in &self.settings.rounds {
             let names = &self.scenario.names;
