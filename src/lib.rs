@@ -58,9 +58,11 @@ pub use planagent_world::{EgoState, Scene, SceneBuilder, Trajectory};
 pub mod planning {
     pub use planagent_agent::planner::{
         AfterMaxExec, Attempt, CodeSource, Decision, IdmPlanner, Latency, LogReplay, NoPlan,
-        PdmClosed, PlanAgentSettings, PlannerEntry, PlannerError, PlannerInitialization,
-        PlannerInput, PlannerName, PlannerNeeds, PlannerParts, PlannerRegistry, PlanningCall,
-        SimplePlanner,
+        PdmClosed, PlanAgentSettings, PlannerError, PlannerInitialization, PlannerInput,
+        PlannerName, PlanningCall, SimplePlanner,
+    };
+    pub use planagent_agent::planner_registry::{
+        PlannerEntry, PlannerNeeds, PlannerParts, PlannerRegistry,
     };
     pub use planagent_agent::reflection::LeadPolicy;
     pub use planagent_planners::all_planners;
@@ -114,7 +116,7 @@ pub mod sources {
 /// compare them.
 #[cfg(feature = "report")]
 pub mod runs {
-    pub use planagent_lab::studies::{Studies, StudiesRequest};
+    pub use planagent_lab::study_runs::{Studies, StudiesRequest};
     pub use planagent_runs::runner::{Config, Event, Listener, Request, RunResults, resume, start};
     pub use planagent_runs::worker::StopSwitch;
 }

@@ -35,6 +35,7 @@ mod page;
 mod pdm;
 mod proposals;
 mod public_api;
+mod public_items;
 mod recordings;
 mod road;
 mod runner;

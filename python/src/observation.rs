@@ -11,7 +11,9 @@ use planagent::traffic::{ObjectKind, TrackedObject};
 use planagent::{EgoState, Scene};
 use planagent_agent::environment::bev::render as render_bev;
 use planagent_agent::environment::text::write as write_lane_graph;
-use planagent_agent::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
+use planagent_agent::environment::{
+    BevView, CenterlineName, Description, GraphedScene, LaneGraph, TextForm,
+};
 use planagent_agent::planner::planner_code;
 use planagent_agent::reflection::{Judge, PlanBuilder};
 use planagent_runs::report::render::{Look, observed_picture};
@@ -229,7 +231,10 @@ impl Observation {
             let form: TextForm = form
                 .parse()
                 .map_err(|error| Failure::argument(format!("{error}")))?;
-            Ok(write_lane_graph(&Description::of(&self.graph()?), form))
+            Ok(write_lane_graph(
+                &Description::from_graph(&self.graph()?),
+                form,
+            ))
         })
     }
 
@@ -267,8 +272,7 @@ impl Observation {
             let failed =
                 |error: &dyn std::error::Error| Failure::new("SceneError", with_causes(error));
             let plan = builder.build(
-                &scene,
-                &graph,
+                GraphedScene::new(&scene, &graph),
                 planner_code(&graph, name, speed, accelerations),
             );
             let plan = plan.map_err(|error| failed(&error))?;

@@ -77,6 +77,7 @@ impl Progress {
                 self.done.fetch_add(1, Ordering::Relaxed);
             }
             Event::Note(note) => lock(&self.notes).push(note),
+            Event::CallFailed(call) => lock(&self.notes).push(call.to_string()),
             _ => {}
         }
     }

@@ -21,7 +21,9 @@ type Slot = Arc<Mutex<Option<Arc<LoadedModel>>>>;
 
 /// The configured model with its prompts. It is loaded at its first use in a process.
 pub(crate) fn model(config: &Config) -> Outcome<Arc<LoadedModel>> {
-    Ok(shared_model(config, &silent())?)
+    let loaded = shared_model(config, &silent())?;
+    loaded.probe(config, &silent())?;
+    Ok(loaded)
 }
 
 /// As [`model`], for runs; a listener hears of the loading.

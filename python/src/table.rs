@@ -52,6 +52,9 @@ impl Table {
             ("gated_calls", count(|row| row.gated_calls)),
             ("rethinks", count(|row| row.rethinks)),
             ("parse_errors", count(|row| row.parse_errors)),
+            ("deadlines", count(|row| row.deadlines)),
+            ("failed_calls", count(|row| row.failed_calls)),
+            ("unreadable_calls", count(SimulationRow::unreadable)),
             (
                 "seconds",
                 numbers(all().map(|row| Some(row.time.ended_s - row.time.started_s))),

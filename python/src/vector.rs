@@ -9,7 +9,7 @@ use planagent::planning::{LeadPolicy, SceneView};
 use planagent::road::{Point, Polyline, Pose};
 use planagent::traffic::{TrackToken, TrackedObject};
 use planagent::{Challenge, EgoState, Scenario as Opened, Trajectory};
-use planagent_agent::environment::{CenterlineName, LaneGraph};
+use planagent_agent::environment::{CenterlineName, GraphedScene, LaneGraph};
 use planagent_agent::planner::planner_code;
 use planagent_agent::reflection::PlanBuilder;
 use planagent_agent::simulation::ClosedLoop;
@@ -293,8 +293,7 @@ fn code_plan(scene: &SceneView<'_>, code: &[f64]) -> Outcome<Trajectory> {
     };
     let build = |name| {
         builder.build(
-            scene,
-            &graph,
+            GraphedScene::new(scene, &graph),
             planner_code(&graph, name, speed / 10.0, accelerations),
         )
     };

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 /// Exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Exit {
+pub(crate) enum Exit {
     /// Everything succeeded.
     Success,
     /// The run ended, but a simulation or a planning call failed; its error is recorded.

@@ -37,7 +37,7 @@ impl Printer {
     }
 
     /// With details on stderr.
-    pub fn with_details(self, details: bool) -> Self {
+    pub(crate) fn with_details(self, details: bool) -> Self {
         Self { details, ..self }
     }
 
@@ -49,7 +49,7 @@ impl Printer {
     }
 
     /// Whether stdout carries JSON.
-    pub fn is_json(&self) -> bool {
+    pub(crate) fn is_json(&self) -> bool {
         self.json
     }
 
@@ -160,7 +160,7 @@ impl Printer {
     }
 
     /// A progress bar of bytes on stderr; hidden when quiet or without a terminal.
-    pub fn byte_progress(&self, length: u64) -> ProgressBar {
+    pub(crate) fn byte_progress(&self, length: u64) -> ProgressBar {
         let bar = self.progress(length, "bytes");
         if let Ok(style) = ProgressStyle::with_template(
             "{bytes}/{total_bytes} {bytes_per_sec} {eta} left {msg} {wide_bar}",
@@ -168,11 +168,6 @@ impl Printer {
             bar.set_style(style);
         }
         bar
-    }
-
-    /// Whether nothing but errors may go to stderr.
-    pub fn is_quiet(&self) -> bool {
-        self.quiet
     }
 
     /// Columns of the terminal on stdout; 80 when it is none.

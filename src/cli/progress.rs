@@ -69,6 +69,7 @@ impl Console {
                 self.replace(Some(SimulationProgress::new(self.printer, total)))
             }
             Event::Stepped => self.of_simulations(SimulationProgress::step),
+            Event::CallFailed(call) => self.aside(&call.to_string()),
             Event::Ended { failed } => self.of_simulations(|progress| progress.ended(failed)),
             Event::Finished => self.replace(None),
             Event::Planned {
@@ -105,6 +106,18 @@ impl Console {
         });
         bar.set_length(total);
         bar.set_position(done);
+    }
+
+    /// A line above the bar of the simulations.
+    fn aside(&self, text: &str) {
+        let simulations = self
+            .simulations
+            .read()
+            .unwrap_or_else(PoisonError::into_inner);
+        match &*simulations {
+            Some(progress) => progress.bar.suspend(|| self.printer.failure(text)),
+            None => self.printer.failure(text),
+        }
     }
 
     fn replace(&self, progress: Option<SimulationProgress>) {

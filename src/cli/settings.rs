@@ -8,14 +8,17 @@ use planagent_agent::planner::LearnedSettings;
 use planagent_agent::reasoning::built_in_prompts;
 use planagent_mllm::Trust;
 use planagent_mllm::trial::Trial;
+use planagent_planners::all_planners;
+use planagent_runs::report::RenamedSetting;
 use planagent_runs::runner::Config;
 use planagent_scenario::absolute_path;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
-/// Keys without a default value; the others are those of [`Config::default`].
-pub(super) const OPTIONAL: [&str; 19] = [
+/// Keys without a default value, beside the checkpoints of learned planners; the others are those of
+/// [`Config::default`].
+const OPTIONAL: [&str; 8] = [
     "mllm.quantize",
     "mllm.context",
     "agent.deadline_ms",
@@ -24,17 +27,6 @@ pub(super) const OPTIONAL: [&str; 19] = [
     "reasoning.prompt_set",
     "reasoning.proposals",
     "reasoning.speculation",
-    "learned.pdm_open",
-    "learned.pdm_hybrid",
-    "learned.plantf",
-    "learned.urban_driver",
-    "learned.raster_model",
-    "learned.raster_model_small",
-    "learned.gc_pgp",
-    "learned.gameformer",
-    "learned.gameformer_small",
-    "learned.dtpp",
-    "learned.dtpp_small",
 ];
 
 /// The settings of a command.
@@ -59,7 +51,7 @@ pub(super) struct Setting {
 impl Settings {
     /// The settings of arguments: a file or the run that is resumed, below `--set`, below options
     /// of their own.
-    pub(super) fn of(arguments: &Arguments) -> anyhow::Result<Self> {
+    pub(super) fn from_arguments(arguments: &Arguments) -> anyhow::Result<Self> {
         let global = &arguments.global;
         let mut settings = base(arguments)?;
         for text in &global.set {
@@ -137,10 +129,9 @@ impl Settings {
             return Ok(());
         };
         for word in &flags.checkpoint {
-            let learned = &mut self.config.learned;
             let named = word
                 .split_once('=')
-                .filter(|(planner, _)| learned.checkpoint_mut(planner).is_some());
+                .filter(|(planner, _)| is_learned(planner));
             let (planner, file) = match named {
                 Some((planner, _))
                     if flags.resume.is_none()
@@ -153,15 +144,12 @@ impl Settings {
                     )
                 }
                 Some((planner, file)) => (planner.to_owned(), file),
-                None => (the_learned(flags, learned, word)?, word.as_str()),
+                None => (the_learned(flags, word)?, word.as_str()),
             };
             let file = absolute_path(file);
-            let key = format!("learned.{}", planner.replace('-', "_"));
-            if let Some(place) = learned.checkpoint_mut(&planner) {
-                self.layers
-                    .push(("--checkpoint".to_owned(), nested(&key, file.clone().into())));
-                *place = Some(file);
-            }
+            let table = nested(&checkpoint_key(&planner), file.clone().into());
+            self.layers.push(("--checkpoint".to_owned(), table));
+            self.config.learned.set(&planner, file);
         }
         Ok(())
     }
@@ -185,14 +173,22 @@ impl Settings {
     }
 }
 
+/// Whether a planner needs a checkpoint.
+fn is_learned(planner: &str) -> bool {
+    all_planners()
+        .learned()
+        .any(|learned| learned.as_str() == planner)
+}
+
+/// The key of a learned planner's checkpoint.
+fn checkpoint_key(planner: &str) -> String {
+    format!("learned.{}", LearnedSettings::key(planner))
+}
+
 /// The one learned planner of a command, for the value of `--checkpoint` that names none.
-fn the_learned(
-    flags: &SimulateArguments,
-    learned: &mut LearnedSettings,
-    word: &str,
-) -> anyhow::Result<String> {
+fn the_learned(flags: &SimulateArguments, word: &str) -> anyhow::Result<String> {
     let mut planners = planner_words(&flags.planner);
-    planners.retain(|planner| learned.checkpoint_mut(planner).is_some());
+    planners.retain(|planner| is_learned(planner));
     match <[String; 1]>::try_from(planners) {
         Ok([planner]) => Ok(planner),
         Err(planners) if planners.is_empty() => {
@@ -261,6 +257,18 @@ fn parse(text: &str) -> anyhow::Result<Table> {
         bail!("--set {text}: expected KEY=VALUE, for example reflection.threshold=0.5");
     };
     let (key, value) = (key.trim(), value.trim());
+    // Words need no quotes: what is no value of TOML is a text.
+    let parsed = format!("value = {value}")
+        .parse::<Table>()
+        .ok()
+        .and_then(|mut table| table.remove("value"));
+    let table = nested(
+        key,
+        parsed.unwrap_or_else(|| Value::String(value.to_owned())),
+    );
+    if let Some(renamed) = RenamedSetting::all_in(&table).first() {
+        bail!("--set {text}: {renamed}");
+    }
     let known = keys()?;
     if !known.iter().any(|one| one == key) {
         let tip = match nearest(key, known.iter().map(String::as_str)) {
@@ -269,15 +277,7 @@ fn parse(text: &str) -> anyhow::Result<Table> {
         };
         bail!("--set {text}: there is no setting '{key}'\n  tip: {tip}");
     }
-    // Words need no quotes: what is no value of TOML is a text.
-    let parsed = format!("value = {value}")
-        .parse::<Table>()
-        .ok()
-        .and_then(|mut table| table.remove("value"));
-    Ok(nested(
-        key,
-        parsed.unwrap_or_else(|| Value::String(value.to_owned())),
-    ))
+    Ok(table)
 }
 
 /// The keys of all settings in the order of the file, optional ones at the end of their section.
@@ -294,18 +294,19 @@ pub(super) fn keys() -> anyhow::Result<Vec<String>> {
             keys.push(format!("{section}{key}"));
         }
     }
-    for optional in OPTIONAL {
+    let checkpoints = all_planners();
+    let checkpoints = checkpoints
+        .learned()
+        .map(|planner| checkpoint_key(planner.as_str()));
+    for optional in OPTIONAL.into_iter().map(str::to_owned).chain(checkpoints) {
         let section = optional
             .split('.')
             .next()
             .expect("a split gives one part at least");
         let last = keys
             .iter()
-            .rposition(|key| key.split('.').next() == Some(section));
-        keys.insert(
-            last.map_or(keys.len(), |place| place + 1),
-            optional.to_owned(),
-        );
+            .rposition(|key: &String| key.split('.').next() == Some(section));
+        keys.insert(last.map_or(keys.len(), |place| place + 1), optional);
     }
     Ok(keys)
 }
@@ -353,6 +354,12 @@ mod tests {
             Value::Array(vec!["code".into()])
         );
         assert!(parse("reflection={}").is_err() && parse("seed").is_err());
+        let renamed = parse("reasoning.interval=5").unwrap_err().to_string();
+        assert_eq!(
+            renamed,
+            "--set reasoning.interval=5: reasoning.interval is agent.interval_s now, in seconds; \
+             write agent.interval_s = 0.5"
+        );
     }
 
     #[test]

@@ -4,11 +4,10 @@
     reason = "kernels must be inlined into the functions that enable the instructions"
 )]
 
-use candle_core::{D, Result, Tensor, bail};
-
 use super::activation::Activation;
 use super::matrix::{Instructions, Kernel, LANES, Simd};
 use super::values::row_by_row;
+use candle_core::{D, Result, Tensor, bail};
 
 impl Activation {
     /// Applies the function to each number.
@@ -66,7 +65,7 @@ impl Kernel for SoftmaxKernel<'_> {
 
 /// Softmax of one row, for kernels.
 #[inline(always)]
-pub fn softmax_in_place(row: &mut [f32]) {
+pub(crate) fn softmax_in_place(row: &mut [f32]) {
     let largest = reduced(row, f32::NEG_INFINITY, |a, b| if a > b { a } else { b });
     for value in row.iter_mut() {
         *value = exp_or_zero(*value - largest);

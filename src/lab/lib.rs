@@ -5,16 +5,15 @@
 pub mod bench;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod dataset;
-#[allow(missing_docs, reason = "the root names little of it")]
-pub mod rank_correlation;
+mod rank_correlation;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod realism;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod report;
 #[allow(missing_docs, reason = "the root names little of it")]
-pub mod studies;
-#[allow(missing_docs, reason = "the root names little of it")]
 pub mod study;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod study_runs;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod tokens;
 #[allow(missing_docs, reason = "the root names little of it")]

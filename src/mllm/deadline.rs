@@ -1,8 +1,7 @@
 //! The deadline of a planning call.
 
-use std::time::{Duration, Instant};
-
 use super::MllmError;
+use std::time::{Duration, Instant};
 
 /// When a planning call must end. The default is no deadline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -14,10 +13,6 @@ impl Deadline {
     /// `limit` after `start`; no deadline if the clock cannot represent that time.
     pub fn after(start: Instant, limit: Duration) -> Self {
         Self(start.checked_add(limit))
-    }
-
-    pub fn is_set(self) -> bool {
-        self.0.is_some()
     }
 
     /// The remaining time, zero after the deadline; `None` without a deadline.
@@ -49,11 +44,7 @@ mod tests {
         ));
         let later = Deadline::after(now, Duration::from_hours(1));
         assert!(later.check().is_ok() && later.left().unwrap() > Duration::from_secs(3500));
-        assert!(
-            Deadline::NONE.check().is_ok()
-                && Deadline::NONE.left().is_none()
-                && !Deadline::NONE.is_set()
-        );
+        assert!(Deadline::NONE.check().is_ok() && Deadline::NONE.left().is_none());
         assert_eq!(Deadline::after(now, Duration::MAX), Deadline::NONE);
     }
 }

@@ -1,15 +1,11 @@
 //! The families of models. To add one, add its folder and a line to [`BUILT_IN`].
 
-use std::path::Path;
-
-use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
-use super::{
-    MllmError, candle_qwen3_vl, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm,
-};
+use super::{MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::path::Path;
 
 const BUILT_IN: &[&Family] = &[
     &llava::FAMILY,
@@ -20,9 +16,6 @@ const BUILT_IN: &[&Family] = &[
     &qwen3_vl::FAMILY,
     &qwen2_5_vl::FAMILY,
 ];
-
-/// Families that only a description chooses: others open the same checkpoints, and better.
-const FOR_COMPARISON: &[&Family] = &[&candle_qwen3_vl::FAMILY];
 
 /// The families that models are looked for in: those that are built in, and those of a program that
 /// uses this one.
@@ -45,14 +38,6 @@ impl Families {
         self
     }
 
-    /// The same families, and `chosen` before them if it is not among them.
-    pub(crate) fn preferring(mut self, chosen: Architecture) -> Self {
-        if !self.0.contains(&chosen) {
-            self.0.insert(0, chosen);
-        }
-        self
-    }
-
     pub fn iter(&self) -> impl Iterator<Item = Architecture> {
         self.0.iter().copied()
     }
@@ -60,11 +45,11 @@ impl Families {
     /// The family that the `config.json` of a folder names: by its `model_type`, else by the first
     /// of its `architectures`.
     pub fn detect(&self, folder: &Path) -> Result<Architecture, MllmError> {
-        self.of(&ModelFiles::folder(folder)?)
+        self.detect_in(&ModelFiles::folder(folder)?)
     }
 
     /// The family that the `config.json` of a model names.
-    pub(crate) fn of(&self, files: &ModelFiles) -> Result<Architecture, MllmError> {
+    pub(crate) fn detect_in(&self, files: &ModelFiles) -> Result<Architecture, MllmError> {
         let json = files.required_json("config.json")?;
         let path = files.path("config.json");
         let root = ConfigObject::root(&path, &json)?;
@@ -104,10 +89,8 @@ impl Families {
 impl Architecture {
     /// The built-in family of this name.
     pub fn named(name: &str) -> Option<Self> {
-        let compared = FOR_COMPARISON.iter().map(|family| Self(family));
         Families::default()
             .iter()
-            .chain(compared)
             .find(|family| family.name() == name)
     }
 

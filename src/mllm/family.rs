@@ -13,18 +13,16 @@
 //! tokens stand for the image, and which grid it is cut into. The chat format writes it, with
 //! separators between its parts. The positions follow from it.
 
-use std::fmt::{self, Debug, Formatter};
-use std::ops::Range;
-
-use candle_core::Tensor;
-use image::RgbImage;
-use serde::{Deserialize, Serialize};
-
 use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
 use super::decoder::{LanguageModel, Position};
 use super::gguf::GgufLayout;
 use super::text::ChatTokenizer;
 use super::{MllmError, Turn};
+use candle_core::Tensor;
+use image::RgbImage;
+use serde::{Deserialize, Serialize};
+use std::fmt::{self, Debug, Formatter};
+use std::ops::Range;
 
 /// A model, or why it cannot be opened.
 pub type OpenedModel = Result<Box<dyn VisionLanguageModel>, MllmError>;
@@ -76,6 +74,18 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
 
     /// How an image of this width and height, pixels, lies in a chat.
     fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError>;
+
+    /// Pixels of all tiles that an image of this width and height becomes.
+    fn tower_pixels(&self, width: u32, height: u32) -> Result<usize, MllmError> {
+        let ImageLayout { rows, columns, .. } = self.image_layout(width, height)?;
+        let side = self.info().image_size;
+        // Beside its tiles stands the image in one piece.
+        let views = match rows.saturating_mul(columns) {
+            0 | 1 => 1,
+            tiles => tiles.saturating_add(1),
+        };
+        Ok(side.saturating_mul(side).saturating_mul(views))
+    }
 
     /// Cuts and scales an image to the tiles that the vision tower takes.
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError>;
@@ -293,7 +303,7 @@ pub(crate) struct ImageInfo {
 impl ModelInfo {
     /// The facts of a model of the family `architecture` whose weights were just taken; before,
     /// `weights` had `before` numbers.
-    pub(crate) fn of(
+    pub(crate) fn new(
         architecture: &'static str,
         text: &LlamaConfig,
         image: ImageInfo,

@@ -11,8 +11,7 @@ pub mod argoverse2;
 #[allow(missing_docs, reason = "the root names none of it")]
 pub mod generator;
 mod held;
-#[allow(missing_docs, reason = "the root names none of it")]
-pub mod interplan;
+mod interplan;
 mod later_start;
 #[allow(missing_docs, reason = "the root names none of it")]
 pub mod modified;

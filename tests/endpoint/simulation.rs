@@ -1,39 +1,37 @@
 //! Whole simulations with a model behind a server, through the program.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-
-use serde_json::Value;
-use tempfile::TempDir;
-
 use super::server::{Reaction, Server, completion, error, models, response, stream};
 use crate::cli::{planagent, read_json};
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
 
 /// A generated scene of 15 s; a planning call every 2 s.
-const SCENE: &str = "generated/high_magnitude_speed/1";
+pub(super) const SCENE: &str = "generated/high_magnitude_speed/1";
 /// An answer that parses in every round.
-const ANSWER: &str = "Longitudinal: maintain, because the road is free\nLateral: keep, because it serves\n\
+pub(super) const ANSWER: &str = "Longitudinal: maintain, because the road is free\nLateral: keep, because it serves\n\
     Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1.0, dec=3.0)";
 /// The API key, which no file and no message may contain.
 const KEY: &str = "sk-test-3f9a-secret";
 
 /// A run folder with its inputs.
-struct Run {
+pub(super) struct Run {
     folder: TempDir,
-    code: i32,
-    stderr: String,
+    pub(super) code: i32,
+    pub(super) stderr: String,
 }
 
 impl Run {
     /// Simulates the scene with this description and configuration.
-    fn with(description: &str, config: &str) -> Self {
+    pub(super) fn with(description: &str, config: &str) -> Self {
         let folder = TempDir::new().unwrap();
         let model = folder.path().join("server.toml");
         fs::write(&model, description).unwrap();
-        Self::of(folder, model.to_str().unwrap(), config)
+        Self::finished(folder, model.to_str().unwrap(), config)
     }
 
-    fn of(folder: TempDir, model: &str, config: &str) -> Self {
+    pub(super) fn finished(folder: TempDir, model: &str, config: &str) -> Self {
         let path = folder.path().join("planagent.toml");
         fs::write(&path, config).unwrap();
         let output = planagent()
@@ -59,15 +57,15 @@ impl Run {
         }
     }
 
-    fn path(&self) -> PathBuf {
+    pub(super) fn path(&self) -> PathBuf {
         self.folder.path().join("run")
     }
 
-    fn summary(&self) -> Value {
+    pub(super) fn summary(&self) -> Value {
         read_json(&self.path().join("summary.json"))
     }
 
-    fn calls(&self) -> Vec<Value> {
+    pub(super) fn calls(&self) -> Vec<Value> {
         let text = fs::read_to_string(self.path().join("calls.jsonl")).unwrap();
         text.lines()
             .map(|line| serde_json::from_str(line).unwrap())
@@ -92,7 +90,7 @@ impl Run {
     }
 }
 
-fn description(server: &Server, more: &str) -> String {
+pub(super) fn description(server: &Server, more: &str) -> String {
     format!(
         "name = 'server'\nprompt_set = 'compact'\nsource = {{ endpoint = '{}', model = 'm', grammar = 'gbnf', \
          key_env = 'TEST_KEY', first_wait_ms = 1{more} }}\n",
@@ -194,14 +192,16 @@ fn retries_complete_a_simulation() {
 }
 
 #[test]
-fn a_refused_key_fails_the_simulation_and_a_missing_one_the_start() {
-    let server = Server::always(|| {
+fn a_refused_key_fails_the_start_or_the_simulation_and_a_missing_one_the_start() {
+    let refusal = || {
         error(
             "401 Unauthorized",
             "",
             &format!("Incorrect API key provided: {KEY}"),
         )
-    });
+    };
+    // The key that expires after the run began.
+    let server = Server::always(refusal);
     let run = Run::with(&description(&server, ""), "");
     assert_eq!(run.code, 1, "{}", run.stderr);
     let row = &run.summary()["scenarios"][0];
@@ -212,6 +212,17 @@ fn a_refused_key_fails_the_simulation_and_a_missing_one_the_start() {
         "{error}"
     );
     assert!(!run.everything().contains(KEY));
+
+    let server = Server::probed(move |_, _| refusal());
+    let run = Run::with(&description(&server, ""), "");
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    assert!(
+        run.stderr
+            .contains("status 401: Incorrect API key provided: [key]"),
+        "{}",
+        run.stderr
+    );
+    assert!(!run.path().exists() && server.received().len() == 1);
 
     let other = description(&server, "").replace("TEST_KEY", "PLANAGENT_NO_SUCH_KEY");
     let run = Run::with(&other, "");
@@ -259,9 +270,9 @@ fn a_server_is_simulated_by_its_address_alone() {
             completion(ANSWER)
         }
     });
-    let config = "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n";
+    let config = "[reflection]\nenabled = false\n[agent]\ninterval_s = 100\n";
     for address in [server.url(), server.url().replace("/v1", "")] {
-        let run = Run::of(TempDir::new().unwrap(), &address, config);
+        let run = Run::finished(TempDir::new().unwrap(), &address, config);
         assert_eq!(run.code, 0, "{}", run.stderr);
         assert_eq!(run.summary()["scenarios"][0]["failed_calls"], 0);
         let manifest = fs::read_to_string(run.path().join("manifest.toml")).unwrap();
@@ -272,7 +283,7 @@ fn a_server_is_simulated_by_its_address_alone() {
     }
     assert_eq!(server.received()[1].body["model"], "eye");
     let several = Server::always(|| models(&["eye", "ear"], "library"));
-    let run = Run::of(TempDir::new().unwrap(), &several.url(), config);
+    let run = Run::finished(TempDir::new().unwrap(), &several.url(), config);
     assert_eq!(run.code, 2, "{}", run.stderr);
     assert!(
         run.stderr.contains("offers eye, ear") && run.stderr.contains("/v1#NAME"),
@@ -424,7 +435,7 @@ fn what_a_server_says_is_shown_and_not_obeyed() {
     let server = Server::always(move || completion(&hostile));
     let run = Run::with(
         &description(&server, ""),
-        "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n",
+        "[reflection]\nenabled = false\n[agent]\ninterval_s = 100\n",
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let simulation = &crate::runner::simulations(&run.path())[0];
@@ -454,7 +465,7 @@ fn another_description_of_the_server_is_no_way_to_resume() {
     let server = Server::always(|| completion(ANSWER));
     let run = Run::with(
         &description(&server, ""),
-        "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n",
+        "[reflection]\nenabled = false\n[agent]\ninterval_s = 100\n",
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let resumed = |more: &str| {

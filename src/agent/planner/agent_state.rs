@@ -6,7 +6,7 @@ use super::code_question::begins_lane_change;
 use super::record::{Decision, NoPlan, PlanningCall};
 use super::{PlanAgentSettings, PlannerError, PlannerName};
 use crate::environment::lane_graph::ReturnLane;
-use crate::environment::{LaneGraph, LaneGraphError};
+use crate::environment::{GraphedScene, LaneGraph, LaneGraphError};
 use crate::reflection::{IdmPlan, PlanBuilder};
 use planagent_score::pdm::{PdmMemory, TRAJECTORY_STEPS};
 use planagent_world::{STEP_S, SceneView};
@@ -40,7 +40,7 @@ pub struct AgentState {
     pub(super) calls: Vec<PlanningCall>,
     pub(super) clock: Clock,
     pub(super) builder: PlanBuilder,
-    plan_interval_s: f64,
+    interval_s: f64,
     blocked_interval_s: f64,
     node_length_m: f64,
     /// Whether its codes may name the oncoming lane.
@@ -65,8 +65,8 @@ impl AgentState {
                 lead_policy: settings.reflection.lead_policy,
                 horizon_s,
             },
-            plan_interval_s: settings.plan_interval_s,
-            blocked_interval_s: settings.blocked_interval_s,
+            interval_s: settings.agent.interval_s,
+            blocked_interval_s: settings.agent.blocked_interval_s,
             node_length_m: settings.environment.node_length_m,
             oncoming_lane: false,
             return_lane: None,
@@ -110,8 +110,7 @@ impl AgentState {
             self.lane_graph(scene)
                 .is_ok_and(|graph| graph.is_obstructed())
         };
-        clock.is_due(self.plan_interval_s)
-            || (clock.is_due(self.blocked_interval_s) && is_obstructed())
+        clock.is_due(self.interval_s) || (clock.is_due(self.blocked_interval_s) && is_obstructed())
     }
 
     /// Makes a planning call due at the next step.
@@ -127,30 +126,27 @@ impl AgentState {
             graph
         };
         Ok(match &self.return_lane {
-            Some(lane) => graph.with_way_back(scene, lane),
+            Some(lane) => graph.with_return_lane(scene, lane),
             None => graph,
         })
     }
 
     /// Remembers the ego's lane where it leaves that to pass what blocks it, and forgets it when
     /// the ego is back.
-    pub(super) fn note_lane_change(
-        &mut self,
-        plan: &IdmPlan,
-        scene: &SceneView<'_>,
-        graph: &LaneGraph,
-    ) {
-        self.return_lane
-            .take_if(|lane| lane.is_reached(scene, graph));
-        if plan.oncoming().is_none() && begins_lane_change(plan, scene, graph, self) {
-            self.return_lane = ReturnLane::of(graph).or(self.return_lane.take());
+    pub(super) fn note_lane_change(&mut self, plan: &IdmPlan, seen: GraphedScene<'_>) {
+        self.return_lane.take_if(|lane| lane.is_reached(seen));
+        if plan.oncoming().is_none() && begins_lane_change(plan, seen, self) {
+            self.return_lane = ReturnLane::from_graph(seen.graph).or(self.return_lane.take());
         }
     }
 
     /// Extends the path of the active plan from the ego's present place, if there is a lane graph.
     pub(super) fn extend(&mut self, scene: &SceneView<'_>) -> Result<(), PlannerError> {
         if let (Some(plan), Ok(graph)) = (self.active_plan(), self.lane_graph(scene)) {
-            self.active = self.builder.extend(plan, scene, &graph)?.into();
+            self.active = self
+                .builder
+                .extend(plan, GraphedScene::new(scene, &graph))?
+                .into();
         }
         Ok(())
     }

@@ -2,6 +2,7 @@
 
 use super::PlannerError;
 use super::record::{Attempt, Proposal};
+use super::unreadable::Unreadable;
 use crate::reasoning::{Feedback, Interruption, PlannerAnswer, ReasoningError, ReasoningTrace};
 use crate::reflection::{ReflectionReport, Verdict};
 use planagent_mllm::milliseconds;
@@ -145,6 +146,13 @@ impl<P> Attempts<P> {
         self.tried.iter().position(Tried::is_accepted)
     }
 
+    /// What is wrong with the last attempt, where none has a plan.
+    pub(super) fn unreadable(&self) -> Unreadable {
+        self.tried.last().map_or(Unreadable::NoAttempt, |tried| {
+            Unreadable::in_attempt(&tried.record)
+        })
+    }
+
     /// The last attempt with a plan.
     pub(super) fn last(&self) -> Option<usize> {
         self.tried.iter().rposition(|tried| tried.plan.is_some())
@@ -196,10 +204,10 @@ fn best_trial<Q: Question>(
     if trace.proposals.is_empty() {
         return Ok((best, Vec::new()));
     }
-    let mut proposals = vec![Proposal::of(likeliest, best.as_ref())];
+    let mut proposals = vec![Proposal::from_trial(likeliest, best.as_ref())];
     for &answer in &trace.proposals {
         let trial = question.try_out(answer)?;
-        proposals.push(Proposal::of(answer, trial.as_ref()));
+        proposals.push(Proposal::from_trial(answer, trial.as_ref()));
         let rank =
             |trial: &Option<Trial<_>>| trial.as_ref().map(|trial| rank(trial.reflection.as_ref()));
         if rank(&trial) > rank(&best) {
@@ -210,7 +218,7 @@ fn best_trial<Q: Question>(
 }
 
 impl Proposal {
-    fn of<P>(answer: impl Into<PlannerAnswer>, trial: Option<&Trial<P>>) -> Self {
+    fn from_trial<P>(answer: impl Into<PlannerAnswer>, trial: Option<&Trial<P>>) -> Self {
         Self {
             answer: answer.into(),
             reflection: trial.and_then(|trial| trial.reflection.clone()),

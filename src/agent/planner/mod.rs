@@ -6,6 +6,7 @@ mod attempts;
 mod clock;
 mod code_question;
 mod code_source;
+mod codes;
 mod delayed;
 mod error;
 mod exec;
@@ -23,13 +24,14 @@ mod pdm_closed;
 mod pdm_closed_plus;
 mod plan_agent;
 mod record;
-mod registry;
 mod settings;
 mod simple;
 mod stop;
+mod unreadable;
 
 pub use agent_state::{ActivePlan, AgentState};
-pub use code_source::{CodeSource, DEFAULT_ACCELERATIONS, HandedCode, planner_code};
+pub use code_source::{CodeCall, CodeList, CodeSource};
+pub use codes::{DEFAULT_ACCELERATIONS, fixed_code, grid_codes, plain_codes, planner_code};
 pub use delayed::Delayed;
 pub use error::PlannerError;
 pub use exec::{
@@ -48,14 +50,12 @@ pub use pdm_closed::PdmClosed;
 pub use pdm_closed_plus::PdmClosedPlus;
 pub use plan_agent::PlanAgent;
 pub use record::{Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal, feedback};
-pub use registry::{
-    PlannerEntry, PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner, UsedSettings,
-};
 pub use settings::{
     AfterMaxExec, CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings,
     ReflectionSettings,
 };
 pub use simple::SimplePlanner;
+pub use unreadable::Unreadable;
 
 use crate::environment::BevView;
 use image::RgbImage;

@@ -21,7 +21,7 @@ pub(super) struct ModelInput<'a> {
 impl ModelInput<'_> {
     /// The BEV image and the lane-graph text of a scene, as far as the settings show them to the
     /// model.
-    pub(super) fn of(
+    pub(super) fn scenario_prompt(
         &self,
         scene: &SceneView<'_>,
         graph: &LaneGraph,
@@ -32,7 +32,7 @@ impl ModelInput<'_> {
             .prompts()
             .map(|prompts| prompts.forms().scene_text)
             .filter(|_| environment.lane_graph);
-        let description = form.map(|_| Description::of(graph));
+        let description = form.map(|_| Description::from_graph(graph));
         let pixels = self.source.image_size().filter(|_| environment.bev);
         Ok(ScenarioPrompt {
             image: pixels
@@ -43,7 +43,7 @@ impl ModelInput<'_> {
                 .zip(description.as_ref())
                 .map(|(form, description)| text::write(description, form)),
             description,
-            names: Names::of(graph),
+            names: Names::from_graph(graph),
             legend: bev::Palette::legend(),
         })
     }

@@ -5,6 +5,7 @@ use super::latency::Latency;
 use crate::environment::DEFAULT_NODE_LENGTH;
 use crate::reflection::{LeadPolicy, PlanMonitor, steps_of};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Which plan becomes active when all attempts were refused.
@@ -20,19 +21,40 @@ pub enum AfterMaxExec {
 }
 
 /// Section `agent`: a planning call as a whole.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CallSettings {
+    /// Time between planning calls, seconds (the paper: 2).
+    /// Why: docs/decisions/109-paper-settings.md.
+    pub interval_s: f64,
+    /// Time between planning calls while something blocks the ego's lane or its lead agent stands,
+    /// seconds (the paper: 2).
+    /// Why: docs/decisions/122-before-what-stands.md.
+    pub blocked_interval_s: f64,
     /// Wall time after which a planning call is interrupted and the active plan is kept,
     /// milliseconds; `None` for no limit. The image and a running reflection are completed all the
     /// same.
     pub deadline_ms: Option<u64>,
     /// Predicted score of PDM-Closed from which on the model is not asked and PDM-Closed is
     /// executed; `None` always asks.
+    /// Why: docs/decisions/107-gate.md.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gate: Option<f64>,
     /// How long a planning call lasts in simulated time.
+    /// Why: docs/decisions/108-latency.md.
     pub latency: Latency,
+}
+
+impl Default for CallSettings {
+    fn default() -> Self {
+        Self {
+            interval_s: 2.0,
+            blocked_interval_s: 0.5,
+            deadline_ms: None,
+            gate: None,
+            latency: Latency::default(),
+        }
+    }
 }
 
 /// Section `environment`: the input of the model.
@@ -82,22 +104,27 @@ pub struct ReflectionSettings {
     /// lane changes that scored less than 0.98 lowered the score of the simulation. A change
     /// towards the goal's lane needs λ alone. A plan that stays in a blocked lane which the ego can
     /// leave needs this too, so that other lanes are tried.
+    /// Why: docs/decisions/102-lane-change-threshold.md.
     pub lane_change_threshold: f64,
     /// Maximum number of attempts of a planning call (the paper: 3).
     pub max_exec: usize,
     /// Length of the roll-outs, seconds. 4 s are PDM-Closed's.
     pub horizon_s: f64,
     /// Which plan becomes active when all attempts were refused.
+    /// Why: docs/decisions/109-paper-settings.md.
     pub after_max_exec: AfterMaxExec,
     /// Which objects a plan follows.
+    /// Why: docs/decisions/103-lead-policy.md.
     pub lead_policy: LeadPolicy,
     /// Whether the active plan is monitored between planning calls. At every step it is scored with
     /// its slower and lateral versions and a stop, and one of them is executed. A lane change whose
     /// score falls is aborted. Without monitoring the plan is executed as the model wrote it (the
     /// paper).
+    /// Why: docs/decisions/101-monitoring.md.
     pub monitoring: bool,
     /// Whether the ego may brake hard against the active plan: by PDM-Closed's emergency brake, and
     /// under monitoring by the stop.
+    /// Why: docs/decisions/104-emergency-brake.md.
     pub emergency_brake: bool,
 }
 
@@ -117,108 +144,48 @@ impl Default for ReflectionSettings {
     }
 }
 
-/// Section `learned`: the checkpoint of each learned planner, a file.
+/// Section `learned`: the checkpoint of each learned planner, a file. A key is the planner's name
+/// with `_` for `-`. Which planners there are, the registry knows.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LearnedSettings {
-    /// PDM-Open's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub pdm_open: Option<String>,
-    /// PDM-Hybrid's, of PDM-Offset.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub pdm_hybrid: Option<String>,
-    /// PlanTF's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub plantf: Option<String>,
-    /// UrbanDriver's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub urban_driver: Option<String>,
-    /// RasterModel's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub raster_model: Option<String>,
-    /// That of `raster-model-small`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub raster_model_small: Option<String>,
-    /// GC-PGP's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gc_pgp: Option<String>,
-    /// GameFormer's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gameformer: Option<String>,
-    /// That of `gameformer-small`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gameformer_small: Option<String>,
-    /// DTPP's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub dtpp: Option<String>,
-    /// That of `dtpp-small`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub dtpp_small: Option<String>,
-}
+#[serde(transparent)]
+pub struct LearnedSettings(BTreeMap<String, String>);
 
 impl LearnedSettings {
-    /// The checkpoint of a planner, by the planner's name; `None` where none is set, or the planner
-    /// needs none.
+    /// The key of a planner, by the planner's name.
+    pub fn key(planner: &str) -> String {
+        planner.replace('-', "_")
+    }
+
+    /// The checkpoint of a planner, by the planner's name; `None` where none is set.
     pub fn checkpoint(&self, planner: &str) -> Option<&str> {
-        match planner {
-            "pdm-open" => self.pdm_open.as_deref(),
-            "pdm-hybrid" => self.pdm_hybrid.as_deref(),
-            "plantf" => self.plantf.as_deref(),
-            "urban-driver" => self.urban_driver.as_deref(),
-            "raster-model" => self.raster_model.as_deref(),
-            "raster-model-small" => self.raster_model_small.as_deref(),
-            "gc-pgp" => self.gc_pgp.as_deref(),
-            "gameformer" => self.gameformer.as_deref(),
-            "gameformer-small" => self.gameformer_small.as_deref(),
-            "dtpp" => self.dtpp.as_deref(),
-            "dtpp-small" => self.dtpp_small.as_deref(),
-            _ => None,
-        }
+        self.0.get(&Self::key(planner)).map(String::as_str)
     }
 
-    /// The place for each planner's checkpoint, with the planner's name.
-    fn places(&mut self) -> [(&'static str, &mut Option<String>); 11] {
-        [
-            ("pdm-open", &mut self.pdm_open),
-            ("pdm-hybrid", &mut self.pdm_hybrid),
-            ("plantf", &mut self.plantf),
-            ("urban-driver", &mut self.urban_driver),
-            ("raster-model", &mut self.raster_model),
-            ("raster-model-small", &mut self.raster_model_small),
-            ("gc-pgp", &mut self.gc_pgp),
-            ("gameformer", &mut self.gameformer),
-            ("gameformer-small", &mut self.gameformer_small),
-            ("dtpp", &mut self.dtpp),
-            ("dtpp-small", &mut self.dtpp_small),
-        ]
-    }
-
-    /// The place for a planner's checkpoint; `None` for a planner that needs none.
-    pub fn checkpoint_mut(&mut self, planner: &str) -> Option<&mut Option<String>> {
-        self.places()
-            .into_iter()
-            .find_map(|(name, place)| (name == planner).then_some(place))
+    /// Sets the checkpoint of a planner, by the planner's name.
+    pub fn set(&mut self, planner: &str, file: String) {
+        self.0.insert(Self::key(planner), file);
     }
 
     /// The checkpoint of one planner alone.
     pub fn only(mut self, planner: &str) -> Self {
-        self.places()
-            .into_iter()
-            .filter(|(name, _)| *name != planner)
-            .for_each(|(_, place)| *place = None);
+        let own = Self::key(planner);
+        self.0.retain(|key, _| *key == own);
         self
+    }
+
+    /// The keys that are set.
+    pub fn keys(&self) -> impl Iterator<Item = &str> {
+        self.0.keys().map(String::as_str)
     }
 
     /// All checkpoints.
     pub fn all_mut(&mut self) -> impl Iterator<Item = &mut String> {
-        self.places()
-            .into_iter()
-            .filter_map(|(_, place)| place.as_mut())
+        self.0.values_mut()
     }
 
     /// Whether no checkpoint is set.
     pub fn is_empty(&self) -> bool {
-        *self == Self::default()
+        self.0.is_empty()
     }
 }
 
@@ -233,11 +200,6 @@ pub struct PlanAgentSettings {
     pub reflection: ReflectionSettings,
     /// Section `learned`.
     pub learned: LearnedSettings,
-    /// Time between planning calls, seconds (the paper: 2).
-    pub plan_interval_s: f64,
-    /// Time between planning calls while something blocks the ego's lane or its lead agent stands,
-    /// seconds (the paper: 2).
-    pub blocked_interval_s: f64,
     /// Seed of the simulation; each planning call draws from a stream of its own.
     pub seed: u64,
 }
@@ -251,8 +213,6 @@ impl Default for PlanAgentSettings {
             environment,
             reflection,
             learned,
-            plan_interval_s: 2.0,
-            blocked_interval_s: 0.5,
             seed: 0,
         }
     }

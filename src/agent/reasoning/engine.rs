@@ -91,7 +91,7 @@ impl From<MllmError> for Interruption {
 
 /// The outcome of one attempt's rounds.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ReasoningTrace<A> {
+pub(crate) struct ReasoningTrace<A> {
     /// The rounds that were answered.
     pub rounds: Vec<RoundRecord>,
     /// Why the later rounds were not answered; `None` when all were.
@@ -106,12 +106,12 @@ pub struct ReasoningTrace<A> {
 
 impl<A> ReasoningTrace<A> {
     /// An answer that no model gave.
-    pub fn without_rounds(answer: A) -> Self {
-        Self::of_parsed(Parsed::of(answer))
+    pub(crate) fn without_rounds(answer: A) -> Self {
+        Self::of_parsed(Parsed::from_answer(answer))
     }
 
     /// A line that no model gave, as it was read.
-    pub fn of_parsed(parsed: Parsed<A>) -> Self {
+    pub(crate) fn of_parsed(parsed: Parsed<A>) -> Self {
         Self {
             rounds: Vec::new(),
             interruption: None,
@@ -214,7 +214,7 @@ impl<'a> Reasoning<'a> {
     /// # Errors
     /// On a permanent failure of the model, or when a prompt cannot be rendered. Wrong answers and
     /// interruptions are no errors.
-    pub fn think(
+    pub(crate) fn think(
         &mut self,
         feedback: Option<&Feedback>,
     ) -> Result<ReasoningTrace<PlannerCode>, ReasoningError> {

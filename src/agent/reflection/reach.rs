@@ -3,12 +3,13 @@
 use super::judge::{ReflectionError, score_versions};
 use super::plan_builder::PlanBuilder;
 use super::rollout::{LeadPolicy, Version};
-use crate::environment::{CenterlineName, LaneGraph};
+use crate::environment::{CenterlineName, GraphedScene, LaneGraph};
 use planagent_score::pdm::{ProposalScore, ScoringScene};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::{EgoState, SceneView};
 
 /// Time beyond the horizon for which an ego is taken to keep its final speed, seconds.
+/// Why: docs/decisions/113-standing-progress.md.
 const BEYOND_S: f64 = 4.0;
 /// A shorter reach does not count, meters: an ego that waits may creep that far. About the length
 /// of the ego.
@@ -27,7 +28,7 @@ pub(super) struct Reach {
 }
 
 impl Reach {
-    pub(super) fn of(score: &ProposalScore, states: &[EgoState]) -> Self {
+    pub(super) fn from_rollout(score: &ProposalScore, states: &[EgoState]) -> Self {
         let progress_m = score.progress_m * score.multiplier();
         let beyond = states.last().map_or(0.0, EgoState::speed) * BEYOND_S;
         Self {
@@ -38,7 +39,7 @@ impl Reach {
 
     /// That of a rival: one that comes near a collision reaches nothing.
     pub(super) fn of_rival(score: &ProposalScore, states: &[EgoState]) -> Self {
-        let reach = Self::of(score, states);
+        let reach = Self::from_rollout(score, states);
         if score.time_to_collision < 1.0 {
             Self {
                 reach_m: 0.0,
@@ -91,7 +92,7 @@ pub(super) fn reach_of_lanes(
         if lane.name != CenterlineName::EgoLane && graph.blocked.is_none() {
             continue;
         }
-        let Some(plan) = builder.at_limit(scene, graph, lane.name)? else {
+        let Some(plan) = builder.at_limit(GraphedScene::new(scene, graph), lane.name)? else {
             continue;
         };
         let simulated = [simulate_proposal(
@@ -138,7 +139,7 @@ mod tests {
             horizon_s: 4.0,
         };
         let plan = builder
-            .at_limit(&view, &graph, centerline)
+            .at_limit(GraphedScene::new(&view, &graph), centerline)
             .unwrap()
             .unwrap();
         Judge::new(&view, &graph, 4.0, &mut PdmMemory::default())

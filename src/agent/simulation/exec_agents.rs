@@ -69,8 +69,9 @@ impl AgentPolicy for ExecAgents {
                 )));
             }
         };
-        let message = ExecAgentsStep::of(
-            (iteration, dt_s),
+        let message = ExecAgentsStep::new(
+            iteration,
+            dt_s,
             ego,
             &self.objects,
             &next.lights,

@@ -100,7 +100,7 @@ pub(crate) fn run(
     );
     committed?;
 
-    let figures = BenchFigures::of(folder.rows());
+    let figures = BenchFigures::from_rows(folder.rows());
     let machine = format!(
         "{}, {} threads, commit {}",
         metadata.cpu,
@@ -152,14 +152,12 @@ fn candidates(
     let none = flags.models.is_empty() && flags.random_weights.is_empty();
     let named = if none { &configured[..] } else { &flags.models };
     let mut all = Vec::new();
-    for name in named {
-        let spec = registry.find(name)?;
+    let specs = named.iter().map(|name| registry.find(name));
+    let specs = specs.collect::<Result<Vec<_>, _>>()?;
+    let shown = shown_names(named, specs.iter().map(|spec| spec.name.as_str()));
+    for ((name, spec), shown) in named.iter().zip(specs).zip(&shown) {
         let sets = prompt_sets(flags, config, || Ok(registry.asking(&spec)?.prompt_set))?;
-        all.extend(of_sets(
-            &spec.name,
-            &ModelChoice::Named(name.clone()),
-            &sets,
-        ));
+        all.extend(of_sets(shown, &ModelChoice::Named(name.clone()), &sets));
     }
     for name in &flags.random_weights {
         let shape = ModelShape::find(name)?;
@@ -195,6 +193,23 @@ fn candidates(
     Ok(all)
 }
 
+/// The names of models in the table: their own, or the words that name them where two have one
+/// name, as files called alike in two folders.
+fn shown_names<'a>(words: &[String], names: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
+    let is_shared = |name: &str| names.clone().filter(|other| *other == name).count() > 1;
+    words
+        .iter()
+        .zip(names.clone())
+        .map(|(word, name)| {
+            if is_shared(name) {
+                word.clone()
+            } else {
+                name.to_owned()
+            }
+        })
+        .collect()
+}
+
 /// The prompt sets whose tokens are measured: those of the flag, else that of the settings, else
 /// the model's own.
 fn prompt_sets(
@@ -225,7 +240,8 @@ fn of_sets(name: &str, model: &ModelChoice, sets: &[PromptSet]) -> Vec<Candidate
         } else {
             name.to_owned()
         },
-        weights: name.to_owned(),
+        // It becomes the name of a file.
+        weights: name.replace(['/', '\\'], "-"),
         model: model.clone(),
         prompts: *prompts,
     };
@@ -321,7 +337,7 @@ fn metadata(
     let models: Map<String, Value> = candidates
         .iter()
         .map(|candidate| {
-            let budget = CallBudget::of(candidate.prompts);
+            let budget = CallBudget::for_prompts(candidate.prompts);
             Ok((
                 candidate.name.clone(),
                 json!({"model": &candidate.model, "budget": budget}),
@@ -370,5 +386,20 @@ fn progress_line(progress: Progress<'_>) -> String {
                 row.total_ms()
             )
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_models_never_share_a_name() {
+        let words = ["a/m.gguf", "b/m.gguf", "nano"].map(str::to_owned);
+        let names = ["m.gguf", "m.gguf", "nano"];
+        assert_eq!(
+            shown_names(&words, names.into_iter()),
+            ["a/m.gguf", "b/m.gguf", "nano"]
+        );
     }
 }

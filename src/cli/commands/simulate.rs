@@ -92,6 +92,13 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
             calls_file.display()
         ));
     }
+    let without_plan = rows.iter().filter(|row| row.is_without_plan()).count();
+    if without_plan > 0 {
+        printer.failure(format!(
+            "in {without_plan} of {} simulations no planning call gave a plan: their scores say nothing about the model's driving",
+            rows.len()
+        ));
+    }
     for list in missing {
         printer.error(&anyhow!("not simulated: {list}"));
     }
@@ -100,7 +107,8 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
             printer.note(line);
         }
     }
-    let succeeded = failed.is_empty() && lost == 0 && missing.is_empty();
+    let answered = lost == 0 && without_plan == 0;
+    let succeeded = failed.is_empty() && answered && missing.is_empty();
     Ok(if succeeded {
         Exit::Success
     } else {

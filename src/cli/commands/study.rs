@@ -5,8 +5,8 @@ use crate::progress::listener;
 use crate::{Exit, Printer, interrupt};
 use anyhow::anyhow;
 use planagent_lab::report::{ChallengeResults, StudyResults, study_table, token_table, twin_table};
-use planagent_lab::studies::{Studies, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
 use planagent_lab::study::{self, StudyError};
+use planagent_lab::study_runs::{Studies, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE, TWINS};
 use planagent_lab::twins::TwinResults;
 use planagent_runs::report::failures;
 use planagent_runs::runner::Config;
@@ -117,10 +117,17 @@ fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<E
             "{lost} planning calls got no answer; calls.jsonl of the runs says why"
         ));
     }
+    let without_plan = outcome.without_plan;
+    if without_plan > 0 {
+        printer.failure(format!(
+            "in {without_plan} simulations no planning call gave a plan; calls.jsonl of the runs says why"
+        ));
+    }
     for list in &outcome.missing {
         printer.error(&anyhow!("not simulated: {list}"));
     }
-    let succeeded = outcome.failed.is_empty() && lost == 0 && outcome.missing.is_empty();
+    let answered = lost == 0 && without_plan == 0;
+    let succeeded = outcome.failed.is_empty() && answered && outcome.missing.is_empty();
     Ok(if succeeded {
         Exit::Success
     } else {

@@ -98,7 +98,7 @@ impl Engine {
 
     /// Peak memory of the process so far, bytes (`VmHWM`); `None` where the system does not report
     /// it.
-    pub fn peak_memory(&self) -> Option<u64> {
+    pub(crate) fn peak_memory(&self) -> Option<u64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
         let line = status
             .lines()

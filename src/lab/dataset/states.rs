@@ -10,7 +10,7 @@ use planagent_agent::planner::{AgentLayer, Attempt, Planner, PlannerInput};
 use planagent_agent::reasoning::{Feedback, PromptError, feedback_text};
 use planagent_agent::reflection::Verdict;
 use planagent_agent::simulation::{Challenge, ClosedLoop};
-use planagent_runs::worker::search::{self, Candidate};
+use planagent_controls::search::{self, Candidate};
 use planagent_scenario::generator::Spec;
 use planagent_score::pdm::PdmMemory;
 use rand::seq::IndexedRandom;
@@ -61,7 +61,7 @@ pub(super) fn label_scenario(
         let Some(best) = search::best(&tried) else {
             break;
         };
-        let facts = SceneFacts::of(&scene, &graph);
+        let facts = SceneFacts::from_scene(&scene, &graph);
         let name = format!(
             "{}@{:.1}",
             scenario.id,
@@ -72,7 +72,7 @@ pub(super) fn label_scenario(
             break;
         };
         let mut label = |feedback: Option<Feedback>| -> Result<(), PromptError> {
-            let weights = DecisionWeights::of(best, &tried, feedback.is_some());
+            let weights = DecisionWeights::from_candidates(best, &tried, feedback.is_some());
             let lessons = lessons(best, &tried, feedback.is_some());
             let feedback = feedback
                 .map(|feedback| feedback_text(settings.prompts, &feedback))
@@ -81,7 +81,8 @@ pub(super) fn label_scenario(
                 name.clone(),
                 &graph,
                 &facts,
-                (best, weights),
+                best,
+                weights,
                 settings.prompts,
                 feedback.as_deref(),
             )?;
@@ -173,7 +174,7 @@ pub(super) fn occupancy(
     if samples.len() < late {
         return None;
     }
-    let grid = |objects: &_| OccupancyGrid::of(objects, view, center).to_string();
+    let grid = |objects: &_| OccupancyGrid::from_objects(objects, view, center).to_string();
     Some([
         grid(&samples.first()?.objects),
         grid(&samples.get(soon)?.objects),

@@ -32,7 +32,10 @@ impl PdmFeatures {
     ///
     /// # Errors
     /// When the history cannot be filtered.
-    pub fn of(scene: &SceneView<'_>, path: &PdmPath) -> std::result::Result<Self, MetricError> {
+    pub fn from_scene(
+        scene: &SceneView<'_>,
+        path: &PdmPath,
+    ) -> std::result::Result<Self, MetricError> {
         let samples = past::samples(scene, (HISTORY - 1) * STRIDE + 1);
         let states: Vec<EgoState> = samples
             .iter()
@@ -92,7 +95,7 @@ impl PdmFeatures {
     ///
     /// # Errors
     /// When tensors cannot be made.
-    pub fn inputs_with(&self, trajectory: &[[f32; 3]; POSES]) -> Result<PdmInputs> {
+    pub(crate) fn inputs_with(&self, trajectory: &[[f32; 3]; POSES]) -> Result<PdmInputs> {
         let trajectory =
             Tensor::from_slice(trajectory.as_flattened(), (1, POSES, 3), &Device::Cpu)?;
         Ok(PdmInputs {

@@ -8,9 +8,8 @@ use crate::blocks::Probe;
 use crate::frame::relative;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
-use planagent_agent::planner::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
-};
+use planagent_agent::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner_registry::PlannerEntry;
 use planagent_score::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
 use planagent_world::geometry::Pose;
 use planagent_world::{Trajectory, TrajectoryError};
@@ -66,10 +65,11 @@ impl Planner for PdmHybrid {
         let scene = &input.scene;
         let closed = plan(&mut self.memory, scene)?.trajectory;
         let path = self.route.path(scene)?.ok_or(PlannerError::EmptyRoute)?;
-        let features = PdmFeatures::of(scene, &path).map_err(|source| PlannerError::Failed {
-            doing: "filtering the history",
-            source: Box::new(source),
-        })?;
+        let features =
+            PdmFeatures::from_scene(scene, &path).map_err(|source| PlannerError::Failed {
+                doing: "filtering the history",
+                source: Box::new(source),
+            })?;
         let sampled = sampled(&closed, scene.ego.rear_axle, scene.ego.time_us)?;
         let inputs = features.inputs_with(&sampled).map_err(network_failed)?;
         let corrected = self

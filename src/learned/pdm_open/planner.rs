@@ -6,9 +6,8 @@ use super::route::PdmRoute;
 use crate::blocks::Probe;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
-use planagent_agent::planner::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
-};
+use planagent_agent::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner_registry::PlannerEntry;
 use planagent_world::Trajectory;
 use std::sync::Arc;
 
@@ -55,11 +54,12 @@ impl Planner for PdmOpen {
             .route
             .path(&input.scene)?
             .ok_or(PlannerError::EmptyRoute)?;
-        let features =
-            PdmFeatures::of(&input.scene, &path).map_err(|source| PlannerError::Failed {
+        let features = PdmFeatures::from_scene(&input.scene, &path).map_err(|source| {
+            PlannerError::Failed {
                 doing: "filtering the history",
                 source: Box::new(source),
-            })?;
+            }
+        })?;
         let inputs = features.inputs().map_err(network_failed)?;
         let plan = self
             .network

@@ -100,12 +100,12 @@ impl PointsEncoder {
         let (wide, wide_bias) = normed(&second, 2 * WIDE, WIDE)?;
         Ok(Self {
             first: [
-                Linear::of(&narrow, Some(narrow_bias))?,
-                Linear::take(weights, &first[2], NARROW, WIDE)?,
+                Linear::from_tensors(&narrow, Some(narrow_bias))?,
+                weights.linear(&first[2], NARROW, WIDE)?,
             ],
             second: (
-                GroupLinear::of(&wide, wide_bias)?,
-                Linear::take(weights, &second[2], WIDE, dim)?,
+                GroupLinear::from_tensors(&wide, wide_bias)?,
+                weights.linear(&second[2], WIDE, dim)?,
             ),
         })
     }

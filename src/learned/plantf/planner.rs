@@ -6,9 +6,8 @@ use crate::blocks::Probe;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
 use candle_core::Result;
-use planagent_agent::planner::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
-};
+use planagent_agent::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner_registry::PlannerEntry;
 use planagent_score::pdm::corrected_route;
 use planagent_world::{STEP_US, Trajectory};
 use std::sync::Arc;
@@ -49,7 +48,7 @@ impl Planner for PlanTfPlanner {
     ) -> std::result::Result<Trajectory, PlannerError> {
         let scene = &input.scene;
         let route = corrected_route(scene.map, &scene.route.roadblocks, scene.ego.rear_axle);
-        let inputs = PlanTfFeatures::of(scene, &route)
+        let inputs = PlanTfFeatures::from_scene(scene, &route)
             .inputs()
             .map_err(network_failed)?;
         let outputs = self

@@ -5,9 +5,8 @@ use super::network::{RasterModel, RasterModelConfig};
 use crate::blocks::Probe;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
-use planagent_agent::planner::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
-};
+use planagent_agent::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner_registry::PlannerEntry;
 use planagent_world::Trajectory;
 use std::sync::Arc;
 
@@ -47,7 +46,9 @@ impl Planner for RasterModelPlanner {
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
-        let raster = Raster::of(&input.scene).inputs().map_err(network_failed)?;
+        let raster = Raster::from_scene(&input.scene)
+            .inputs()
+            .map_err(network_failed)?;
         let plan = self
             .network
             .forward(&raster, &Probe::off())

@@ -5,9 +5,8 @@ use super::network::{UrbanDriver, UrbanDriverConfig};
 use crate::blocks::Probe;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
-use planagent_agent::planner::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
-};
+use planagent_agent::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner_registry::PlannerEntry;
 use planagent_world::Trajectory;
 use std::sync::Arc;
 
@@ -39,9 +38,9 @@ impl Planner for UrbanDriverPlanner {
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
-        let features = UrbanDriverFeatures::of(&input.scene);
+        let features = UrbanDriverFeatures::from_scene(&input.scene);
         let elements =
-            Elements::of(&[features], ElementLimits::PUBLISHED).map_err(network_failed)?;
+            Elements::from_scenes(&[features], ElementLimits::PUBLISHED).map_err(network_failed)?;
         let plan = self
             .network
             .forward(&elements, &Probe::off())

@@ -16,16 +16,14 @@ mod weight_file;
 mod weight_format_plan;
 mod weights;
 
-use std::path::Path;
-
-use serde_json::Value;
-
 pub(crate) use config::{ConfigObject, OneOrMany, check_width, positive};
 pub(crate) use decoder_type::DecoderType;
 pub use files::ModelFiles;
 pub use llama_config::LlamaConfig;
-pub use load_report::in_bytes;
-pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
+pub(crate) use load_report::any_layer;
+pub use load_report::{
+    LoadReport, WeightFormatException, WeightFormatShare, in_bytes, parameter_count,
+};
 pub(crate) use mistaken::what_instead_of_weights;
 pub(crate) use neutral::Neutral;
 pub(crate) use row_order::{RowOrder, paired};
@@ -36,6 +34,8 @@ pub use weights::Weights;
 pub(crate) use weights::in_four_dimensions;
 
 use super::MllmError;
+use serde_json::Value;
+use std::path::Path;
 
 /// Largest tokenizer.json, bytes. That of 262 thousand tokens has 34 MB.
 const MAX_TOKENIZER_BYTES: u64 = 128 << 20;

@@ -1,15 +1,5 @@
 //! One question to the server, with retries after transient failures.
 
-use std::cell::Cell;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
-
-use reqwest::Url;
-use reqwest::blocking::{RequestBuilder, Response};
-use reqwest::header::{AUTHORIZATION, LOCATION};
-use reqwest::redirect::Policy;
-use serde_json::Value;
-
 use super::hints::{Refusal, without_version};
 use super::key::ApiKey;
 use super::models::{Offered, named, offered};
@@ -17,6 +7,14 @@ use super::reply::{Listen, MAX_BYTES, Reply, read, shortened};
 use super::trouble::Trouble;
 use super::waits::{Waits, asked};
 use crate::{Deadline, EndpointFailure, EndpointSettings, MllmError};
+use reqwest::Url;
+use reqwest::blocking::{RequestBuilder, Response};
+use reqwest::header::{AUTHORIZATION, LOCATION};
+use reqwest::redirect::Policy;
+use serde_json::Value;
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 /// Time limit of the list of models that explains a failure.
 const MAX_EXPLAINING: Duration = Duration::from_secs(5);
@@ -43,6 +41,8 @@ pub(super) struct Question<'a> {
     /// Determines the random parts of the waits.
     pub(super) seed: u64,
     pub(super) deadline: Deadline,
+    /// Hears once that the server loads its model, which takes long.
+    pub(super) on_wait: &'a dyn Fn(&str),
 }
 
 #[derive(Debug)]
@@ -105,7 +105,9 @@ impl Client {
             body,
             seed,
             deadline,
+            on_wait,
         } = question;
+        let told = Cell::new(false);
         let spoken = Cell::new(false);
         // A piece of an answer may end within the key, and nobody needs pieces who does not listen.
         let whole = self.key.is_some() || on_text.is_none();
@@ -116,7 +118,16 @@ impl Client {
                     on_text(text);
                 }
             };
-            self.ask_once(body, deadline, whole, &mut tell)
+            let answer = self.ask_once(body, deadline, whole, &mut tell);
+            if let Err(Failed {
+                failure: EndpointFailure::Loading { message, .. },
+                ..
+            }) = &answer
+                && !told.replace(true)
+            {
+                on_wait(&format!("the server says: {message}; waiting for it"));
+            }
+            answer
         };
         let waits = Waits::new(settings, seed, self.waited.load(Ordering::Relaxed));
         let result = patiently(waits, deadline, &spoken, &mut once)?;

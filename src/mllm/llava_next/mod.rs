@@ -9,12 +9,7 @@ mod preprocess;
 #[cfg(test)]
 mod reference_tests;
 
-use image::RgbImage;
-
 pub(crate) use config::LlavaNextConfig;
-use connector::TilePacker;
-use grid::{Resolution, TileGrids};
-use preprocess::AnyresImageProcessor;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
@@ -25,6 +20,10 @@ use super::family::{
 use super::llava::{LlavaCore, LlavaGguf, canonical_name};
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
+use connector::TilePacker;
+use grid::{Resolution, TileGrids};
+use image::RgbImage;
+use preprocess::AnyresImageProcessor;
 
 const NAME: &str = "llava-next";
 
@@ -115,6 +114,16 @@ impl VisionLanguageModel for LlavaNext {
             self.grids
                 .tokens(&self.grids.tiling(Resolution { height, width })),
         ))
+    }
+
+    fn tower_pixels(&self, width: u32, height: u32) -> Result<usize, MllmError> {
+        self.image_layout(width, height)?;
+        let (down, across) = self.grids.tiling(Resolution { height, width }).tiles;
+        let views = (down as usize).saturating_mul(across as usize);
+        let side = self.info.image_size;
+        Ok(side
+            .saturating_mul(side)
+            .saturating_mul(views.saturating_add(1)))
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {

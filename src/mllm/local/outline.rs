@@ -1,10 +1,9 @@
 //! What a model is and needs, from its configuration and the headers of its weights alone.
 
-use super::MemoryNeed;
+use super::{MemoryNeed, PictureNeed};
 use crate::MllmError;
-use crate::families::Families;
 use crate::family::ImageSettings;
-use crate::source::{Checkpoint, ModelShape};
+use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
 
 /// A model as it is known before its weights are read.
@@ -41,10 +40,14 @@ impl ModelOutline {
     ];
 
     /// The outline of a model whose images are shown as `image` says.
-    pub(crate) fn of(mut checkpoint: Checkpoint, image: ImageSettings) -> Result<Self, MllmError> {
-        let config = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-        let memory =
-            Self::FORMATS.map(|format| MemoryNeed::of(&checkpoint, &config, Some(format), None));
+    pub(crate) fn from_checkpoint(
+        mut checkpoint: Checkpoint,
+        image: ImageSettings,
+    ) -> Result<Self, MllmError> {
+        let config = checkpoint.decoder_config()?;
+        let picture = PictureNeed::estimate(&checkpoint, image);
+        let memory = Self::FORMATS
+            .map(|format| MemoryNeed::estimate(&checkpoint, &config, picture, Some(format), None));
         checkpoint.weights.only_look();
         let mut model = checkpoint.open_model()?;
         model.set_images(image)?;
@@ -65,13 +68,5 @@ impl ModelOutline {
                 })
                 .collect(),
         })
-    }
-
-    /// The outline of a published model, without its files.
-    pub fn of_shape(shape: &ModelShape) -> Result<Self, MllmError> {
-        Self::of(
-            shape.checkpoint(&Families::default())?,
-            ImageSettings::default(),
-        )
     }
 }

@@ -3,10 +3,10 @@
 #[cfg(feature = "hub")]
 mod client;
 
-use std::path::{Path, PathBuf};
-
 use crate::MllmError;
 use crate::checkpoint::safetensors_folder::{has_safetensors, weight_files};
+use crate::gguf::named_parts;
+use std::path::{Path, PathBuf};
 
 /// The wanted part of a repository.
 #[derive(Debug, Clone)]
@@ -46,17 +46,18 @@ impl HubFiles {
     /// A GGUF file with its vision tower; without a name, all towers of the repository.
     pub(super) fn gguf(file: &str, mmproj: Option<&str>) -> Self {
         let tower = mmproj.unwrap_or("*mmproj*.gguf");
+        let parts = named_parts(file);
+        let patterns = owned(&[
+            "tokenizer.json",
+            "tokenizer_config.json",
+            "chat_template.jinja",
+            tower,
+        ]);
         Self {
-            patterns: owned(&[
-                "tokenizer.json",
-                "tokenizer_config.json",
-                "chat_template.jinja",
-                file,
-                tower,
-            ]),
-            required: std::iter::once(file)
-                .chain(mmproj)
-                .map(ToString::to_string)
+            patterns: patterns.into_iter().chain(parts.clone()).collect(),
+            required: parts
+                .into_iter()
+                .chain(mmproj.map(ToString::to_string))
                 .collect(),
             weights: false,
         }
@@ -130,18 +131,24 @@ impl HubAccess {
     }
 }
 
+/// Whether a path names a GGUF file.
+pub(super) fn is_gguf(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
+}
+
 /// Splits `organization/name` or `organization/name/file.gguf` into id and file.
 pub(super) fn split_file(name: &str) -> Option<(&str, Option<&str>)> {
     if split_id(name).is_some() {
         // A name with the extension of a file means a file that does not exist.
-        return (!super::is_gguf(Path::new(name))).then_some((name, None));
+        return (!is_gguf(Path::new(name))).then_some((name, None));
     }
     let (end, _) = name.match_indices('/').nth(1)?;
     let (id, file) = (name.get(..end)?, name.get(end + 1..)?);
     let plain = file
         .split('/')
         .all(|part| !part.is_empty() && !part.starts_with('.'));
-    (split_id(id).is_some() && plain && super::is_gguf(Path::new(file))).then_some((id, Some(file)))
+    (split_id(id).is_some() && plain && is_gguf(Path::new(file))).then_some((id, Some(file)))
 }
 
 /// Splits `organization/name`.

@@ -1,12 +1,11 @@
 //! `SmolVLM` in llama.cpp's GGUF files.
 
-use serde_json::json;
-
 use crate::MllmError;
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS,
 };
 use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
+use serde_json::json;
 
 const NAMES: Names = Names {
     single: &[
@@ -51,6 +50,7 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
+    tower.check_activation("gelu")?;
     let mut vision = tower.vision_config()?;
     vision["hidden_act"] = json!("gelu_pytorch_tanh");
     let tile = tower.required_count("clip.vision.image_size")?;

@@ -1,18 +1,16 @@
 //! The chat template of a model, which renders messages as the text that the model was trained on.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
-use minijinja::syntax::SyntaxConfig;
-use minijinja::value::Value;
-use minijinja::{Environment, Error, ErrorKind, context};
-use serde::Deserialize;
-
 use super::template_bounds::{
     BoundedText, MAX_CALLS, MAX_SOURCE_BYTES, MAX_STEPS, MAX_TAG_BYTES, longest_tag, on_deep_stack,
 };
 use crate::checkpoint::{ConfigObject, ModelFiles};
 use crate::{MllmError, Turn};
+use minijinja::syntax::SyntaxConfig;
+use minijinja::value::Value;
+use minijinja::{Environment, Error, ErrorKind, context};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 #[derive(Debug)]
 pub(crate) struct ChatTemplate {
@@ -405,6 +403,12 @@ mod tests {
             nest("", "{% if 1 %}", ""),
             "{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}probe<image>".to_owned(),
             "{% for a in range(99999) %}0123456789{% endfor %}probe<image>".to_owned(),
+            // A loop that is left ends the inner one alone.
+            "{% for a in range(99999) %}{% for b in range(99999) %}{% if b > 90 %}{% break %}{% endif %}{% endfor %}{% endfor %}\
+             probe<image>"
+                .to_owned(),
+            "{% for a in range(99999) %}{% for b in range(99999) %}{% continue %}{% endfor %}{% break %}{% endfor %}probe<image>"
+                .to_owned(),
             "{% macro m() %}{{ m() }}{% endmacro %}{{ m() }}probe<image>".to_owned(),
             "{% set n = namespace(x=[]) %}{% for i in range(60000) %}{% set n.x = [n.x] %}{% endfor %}{{ n.x }}"
                 .to_owned(),
@@ -425,6 +429,16 @@ mod tests {
             steps.to_string().contains("more than 500000 steps"),
             "{steps}"
         );
+        for left in [
+            "{% break %}",
+            "{% if b > 90 %}{% break %}{% endif %}{% continue %}",
+        ] {
+            let hostile = format!(
+                "{{% for a in range(99999) %}}{{% for b in range(99999) %}}{left}{{% endfor %}}{{% for c in range(99) %}}{{% endfor %}}{{% endfor %}}"
+            );
+            let steps = open(&hostile).unwrap_err().to_string();
+            assert!(steps.contains("more than 500000 steps"), "{left}: {steps}");
+        }
         let long = open("{% for a in range(99999) %}0123456789{% endfor %}").unwrap_err();
         assert!(
             long.to_string().contains("the rendered chat has more than"),

@@ -80,7 +80,7 @@ impl RunFolder {
     /// # Errors
     /// When the folder holds a run or other files, something else stands where it should be, or it
     /// cannot be written.
-    pub fn check_new(path: Option<&Path>) -> Result<(), ReportError> {
+    pub(crate) fn check_new(path: Option<&Path>) -> Result<(), ReportError> {
         let path = &path.map_or_else(next_free, Path::to_owned);
         check_holds_no_run(path)?;
         check_writable(path)?;
@@ -105,7 +105,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// When the folder cannot be written, or another process runs in it.
-    pub fn check_resumable(path: &Path) -> Result<(), ReportError> {
+    pub(crate) fn check_resumable(path: &Path) -> Result<(), ReportError> {
         check_writable(path)?;
         Self::locked(path.to_owned()).map(|_| ())
     }
@@ -293,12 +293,12 @@ impl RunFolder {
     }
 
     /// Copies the folder of a completed simulation from another run: all of it, or nothing.
-    pub fn adopt(&self, simulation: &Path) -> Result<(), ReportError> {
+    pub(crate) fn adopt(&self, simulation: &Path) -> Result<(), ReportError> {
         simulation_folder::copy(simulation, &self.path.join(SIMULATIONS))
     }
 
     /// Deletes completed simulations, so that they run again.
-    pub fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
+    pub(crate) fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
         let discarded = folders(&self.path)?
             .into_iter()
             .filter(|(number, _)| numbers.contains(number));

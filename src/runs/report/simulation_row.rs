@@ -4,7 +4,7 @@ use super::decision::{all_are_zero, all_refused, first_refused};
 use super::number::positive_zero;
 use super::times::{CallTimes, SimulationTime};
 use crate::worker::run::SimulationRecord;
-use planagent_agent::planner::PlanningCall;
+use planagent_agent::planner::{NoPlan, PlanningCall, Unreadable};
 use planagent_agent::reasoning::Interruption;
 use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::{ScenarioRow, scored_names};
@@ -68,9 +68,15 @@ pub struct SimulationRow {
     /// Planning calls that ended by an error of the model.
     #[serde(default)]
     pub failed_calls: usize,
+    /// Planning calls in a scene without a lane graph.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub unmapped_calls: usize,
     /// What `pdm-closed` counted as drivable.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drivable_layers: Option<DrivableLayers>,
+    /// Planning calls whose answers gave no plan, by what was wrong with the last of them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub unreadable_calls: BTreeMap<Unreadable, usize>,
     /// BLAKE3 of the other files of the simulation, by name: a damaged one counts as no simulation.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, String>,
@@ -88,6 +94,15 @@ pub struct SimulationRow {
 )]
 pub(super) fn is_zero(count: &usize) -> bool {
     *count == 0
+}
+
+/// How many calls gave no plan for each cause.
+fn counted(calls: &[PlanningCall]) -> BTreeMap<Unreadable, usize> {
+    let mut counts = BTreeMap::new();
+    for why in calls.iter().filter_map(PlanningCall::unreadable) {
+        *counts.entry(why).or_default() += 1;
+    }
+    counts
 }
 
 /// The score of one metric.
@@ -144,6 +159,11 @@ impl SimulationRow {
             parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
             deadlines: interrupted(|why| matches!(why, Interruption::Deadline)),
             failed_calls: interrupted(|why| matches!(why, Interruption::Model(_))),
+            unreadable_calls: counted(calls),
+            unmapped_calls: calls
+                .iter()
+                .filter(|call| matches!(call.decision.no_plan(), Some(NoPlan::NoLaneGraph(_))))
+                .count(),
             drivable_layers: outcome.and_then(|outcome| outcome.drivable_layers),
             files: BTreeMap::new(),
             time: SimulationTime {
@@ -153,7 +173,7 @@ impl SimulationRow {
                 calls: calls
                     .iter()
                     .filter(|call| !call.is_gated())
-                    .map(CallTimes::of)
+                    .map(CallTimes::from_call)
                     .collect(),
             },
             metrics: metrics
@@ -164,6 +184,18 @@ impl SimulationRow {
                 })
                 .collect(),
         }
+    }
+
+    /// Planning calls whose answers gave no plan.
+    pub fn unreadable(&self) -> usize {
+        self.unreadable_calls.values().sum()
+    }
+
+    /// Whether it had planning calls, and none gave a plan. Calls that ended at their deadline and
+    /// gated ones do not count.
+    pub fn is_without_plan(&self) -> bool {
+        let asked = self.planning_calls.saturating_sub(self.deadlines);
+        asked > 0 && asked <= self.failed_calls + self.unreadable() + self.unmapped_calls
     }
 
     /// Source, planner and challenge in words.
@@ -244,6 +276,8 @@ impl SimulationRow {
             parse_errors: 0,
             deadlines: 0,
             failed_calls: 0,
+            unreadable_calls: BTreeMap::new(),
+            unmapped_calls: 0,
             drivable_layers: None,
             files: BTreeMap::new(),
             time: SimulationTime::default(),

@@ -5,7 +5,8 @@ use super::config::ConfigError;
 use super::sample::NoSuchType;
 use crate::report::ReportError;
 use crate::worker::split::SplitError;
-use planagent_agent::planner::{ExecError, PlannerError, PlannerName, UnknownPlanner};
+use planagent_agent::planner::{ExecError, PlannerError, PlannerName};
+use planagent_agent::planner_registry::UnknownPlanner;
 use planagent_agent::reasoning::PromptError;
 use planagent_agent::simulation::UnknownChallenge;
 use planagent_mllm::MllmError;
@@ -99,6 +100,11 @@ pub enum RunnerError {
     FindModel(Box<MllmError>),
     #[error("cannot load the model '{name}'")]
     LoadModel {
+        name: String,
+        source: Box<MllmError>,
+    },
+    #[error("the model '{name}' cannot be asked, so nothing is simulated")]
+    AskModel {
         name: String,
         source: Box<MllmError>,
     },

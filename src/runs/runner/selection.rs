@@ -9,7 +9,8 @@ use crate::report::{Manifest, ScenarioList};
 use crate::worker::run::SimulationTask;
 use crate::worker::split::split;
 use crate::worker::suite::Suite;
-use planagent_agent::planner::{PlannerName, PlannerRegistry};
+use planagent_agent::planner::PlannerName;
+use planagent_agent::planner_registry::PlannerRegistry;
 use planagent_agent::simulation::{AgentPolicyName, Challenge};
 use planagent_files::word_of;
 use planagent_scenario::{
@@ -46,7 +47,8 @@ impl Selection {
     /// The tasks of a request with the policy of its own agents; `seed` draws the order of shuffled
     /// scenarios.
     pub(super) fn new(
-        (request, agents): (&Request, Option<AgentPolicyName>),
+        request: &Request,
+        agents: Option<AgentPolicyName>,
         resumed: Option<&Manifest>,
         seed: u64,
         listener: &Listener,
@@ -307,7 +309,7 @@ pub fn select(
             "{count} scenarios are named more than once and simulated once, for example {first}"
         ));
     }
-    let sources = sample.of(sources)?;
+    let sources = sample.draw(sources)?;
     check_ids(&sources)?;
     if sources.is_empty() {
         return Err(RunnerError::NoScenario);

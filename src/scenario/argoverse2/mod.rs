@@ -37,8 +37,9 @@ mod test_log;
 mod tests;
 
 pub use error::{Argoverse2Error, LogFault};
-pub use files::{is_log, logs_in};
-pub use reader::Argoverse2Reader;
+pub(crate) use files::is_log;
+pub use files::logs_in;
+pub(crate) use reader::Argoverse2Reader;
 
 use super::{Contents, Scenario};
 use files::LogFiles;
@@ -46,14 +47,14 @@ use std::path::Path;
 
 pub fn open(folder: &Path) -> Result<Scenario, Argoverse2Error> {
     let id = name(folder);
-    match LogFiles::of(folder)? {
+    match LogFiles::in_folder(folder)? {
         LogFiles::Sensor(files) => sensor::scenario(&files, id),
         LogFiles::Forecasting { tracks, map } => forecasting::scenario(&tracks, &map, id),
     }
 }
 
 pub fn contents(folder: &Path) -> Result<Contents, Argoverse2Error> {
-    match LogFiles::of(folder)? {
+    match LogFiles::in_folder(folder)? {
         LogFiles::Sensor(files) => sensor::contents(&files),
         LogFiles::Forecasting { tracks, map } => forecasting::contents(&tracks, &map),
     }

@@ -7,7 +7,7 @@ use planagent_files::{path_of, word_of};
 use std::path::PathBuf;
 
 /// Takes folders that hold a log.
-pub struct Argoverse2Reader;
+pub(crate) struct Argoverse2Reader;
 
 impl ScenarioReader for Argoverse2Reader {
     fn recognizes(&self, word: &str) -> bool {
@@ -45,7 +45,7 @@ impl OpenScenario for Log {
     }
 
     fn files(&self) -> Vec<PathBuf> {
-        LogFiles::of(&self.0)
+        LogFiles::in_folder(&self.0)
             .map(LogFiles::paths)
             .unwrap_or_default()
     }

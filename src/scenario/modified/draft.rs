@@ -1,9 +1,7 @@
 //! A scenario while its changes are made.
 
-use super::change::Fault;
 use super::draws::Draws;
-use super::error::ModifyError;
-use super::file::Modification;
+use super::fault::Fault;
 use super::lanes::{EgoLanes, LanePlace};
 use crate::Scenario;
 use planagent_world::geometry::{OrientedBox, Pose, Vector};
@@ -14,9 +12,9 @@ use planagent_world::{
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// The straight way of an actor across a lane.
+/// The straight path of an actor across a lane.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct CrossingWay {
+pub(super) struct CrossingPath {
     /// Where it meets the lane, meters ahead of the ego's center.
     pub(super) ahead_m: f64,
     pub(super) lane: LanePlace,
@@ -71,33 +69,14 @@ pub(super) struct Draft {
 }
 
 impl Draft {
-    pub(super) fn new(
-        scenario: Scenario,
-        modification: &Modification,
-        seed: u64,
-    ) -> Result<Self, ModifyError> {
-        let unfit = |fault: &str| ModifyError::Unfit {
-            place: modification.place.clone(),
-            scenario: scenario.id.clone(),
-            fault: fault.to_owned(),
-        };
-        let first = scenario
-            .frame(0)
-            .ok_or_else(|| unfit("the scenario has no frames"))?;
-        let lanes = EgoLanes::of(&scenario.map, &scenario.route, &first.ego).ok_or_else(|| {
-            unfit("the ego starts on no lane, and places are relative to its lane")
-        })?;
-        let draws = Draws::new(
-            &scenario.id,
-            &modification.drawn_by,
-            [modification.seed, seed],
-        );
+    /// A scenario without changes, and the lanes around its ego at the start.
+    pub(super) fn new(scenario: Scenario, lanes: EgoLanes, draws: Draws) -> Self {
         let tokens = scenario
             .frames
             .iter()
             .flat_map(|frame| frame.objects.iter().map(|object| object.token.0));
         let next_token = tokens.max().map_or(0, |token| token.saturating_add(1));
-        Ok(Self {
+        Self {
             scenario,
             lanes,
             draws,
@@ -110,7 +89,7 @@ impl Draft {
             behavior: DriverBehavior::Default,
             lane_changes: false,
             next_token,
-        })
+        }
     }
 
     /// The ego at the start.
@@ -162,23 +141,23 @@ impl Draft {
         &mut self,
         kind: ObjectKind,
         size: (f64, f64),
-        way: CrossingWay,
+        path: CrossingPath,
     ) -> Result<(), Fault> {
         let pose = self
             .lanes
-            .place(&self.scenario.map, way.ahead_m, way.lane)?
+            .place(&self.scenario.map, path.ahead_m, path.lane)?
             .pose;
         let beside = |left_m: f64| pose.translated(0.0, left_m).position();
         let actor = CrossingActor {
             token: self.token(),
             kind,
             size,
-            from: beside(way.from_left_m),
-            to: beside(way.to_left_m),
-            speed: way.speed,
+            from: beside(path.from_left_m),
+            to: beside(path.to_left_m),
+            speed: path.speed,
             along: Arc::new(self.lanes.path.centerline.clone()),
-            at_s: self.lanes.start_s + way.ahead_m,
-            trigger_m: way.trigger_m,
+            at_s: self.lanes.start_s + path.ahead_m,
+            trigger_m: path.trigger_m,
         };
         self.crossing.push(actor);
         Ok(())

@@ -1,7 +1,8 @@
 //! interPlan's names as modifications: `LOG.db#TOKEN~dhgloa`.
 
-use super::change::{Change, Fault};
+use super::change::Change;
 use super::draft::{Draft, GoalPath};
+use super::fault::Fault;
 use super::lanes::whole_lanes;
 use crate::interplan::{Command, Density, InterPlanName, PythonRandom, Row, fill_row};
 use planagent_world::dynamics::IDM_AGENT;
@@ -129,7 +130,7 @@ fn goal(draft: &Draft, command: Command) -> Result<GoalPath, Fault> {
         })
         .count();
     lanes.truncate(count.max(1));
-    let path = LanePath::of(map, lanes).ok_or_else(unknown)?;
+    let path = LanePath::from_lanes(map, lanes).ok_or_else(unknown)?;
     let from_s = path.centerline.project(draft.ego().center().position()).s;
     let length = path.centerline.length() - from_s;
     let mut roadblocks: Vec<RoadblockId> =

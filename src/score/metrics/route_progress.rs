@@ -6,7 +6,7 @@ use planagent_world::{EgoState, LaneId, LaneMap, RoadblockId};
 
 /// Shorter distances count as this, meters. The devkit's documentation says 0.1; its configuration,
 /// which decides, 2.
-pub const SCORE_PROGRESS: f64 = 2.0;
+pub(crate) const SCORE_PROGRESS: f64 = 2.0;
 
 /// A roadblock of the expert's route with the centerline along which progress is measured.
 #[derive(Debug, Clone, Copy)]
@@ -132,7 +132,11 @@ pub(super) struct Progress {
 
 impl Progress {
     /// The progress; `None` without an expert route.
-    pub(super) fn of(map: &LaneMap, states: &[EgoState], expert: &[EgoState]) -> Option<Self> {
+    pub(super) fn from_states(
+        map: &LaneMap,
+        states: &[EgoState],
+        expert: &[EgoState],
+    ) -> Option<Self> {
         let expert_centers: Vec<Pose> = expert.iter().map(EgoState::center).collect();
         let route = RouteProgress::along(map, &expert_centers);
         if route.is_empty() {

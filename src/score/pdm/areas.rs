@@ -9,7 +9,7 @@ use planagent_world::{EgoState, LaneAreas, LaneId, LaneMap};
 use std::collections::BTreeSet;
 
 /// Half size of the square around the ego whose roadblocks make the map, meters.
-pub const MAP_RADIUS: f64 = 50.0;
+pub(crate) const MAP_RADIUS: f64 = 50.0;
 
 /// The layers that count as drivable.
 #[derive(
@@ -31,6 +31,7 @@ const TILING_STEP: f64 = 10.0;
 const TILING_WIDTH_STEP: f64 = 0.25;
 /// Lanes tile the road when at least this share of the points lies on lanes. Generated maps have
 /// 0.996 and more; of eleven maps derived from Waymo's recordings eight have 0.987 and less.
+/// Why: docs/decisions/106-drivable-area.md.
 const TILING_SHARE: f64 = 0.99;
 
 impl DrivableLayers {
@@ -39,7 +40,7 @@ impl DrivableLayers {
     /// decides: [`Self::Lanes`] if they tile the road. The tested points lie every 10 m along each
     /// lane, from its baseline across to that of its neighbors, and from its end into its
     /// successors. At least 99 % must lie on some lane.
-    pub fn of(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
+    pub fn from_map(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
         if map.lane_areas() == LaneAreas::Drawn {
             return Self::Lanes;
         }
@@ -126,7 +127,7 @@ pub struct EgoAreas {
 
 impl EgoAreas {
     /// Whether a lateral collision here is the ego's fault.
-    pub fn in_multiple_lanes_or_off_road(self) -> bool {
+    pub(crate) fn in_multiple_lanes_or_off_road(self) -> bool {
         self.multiple_lanes || self.non_drivable
     }
 }
@@ -203,7 +204,7 @@ impl<'a> DrivableMap<'a> {
     /// The same with some lanes counted as lanes of the route: those on which the ego may pass
     /// something.
     #[must_use]
-    pub fn allowing(&self, lanes: &[LaneId]) -> Self {
+    pub(crate) fn allowing(&self, lanes: &[LaneId]) -> Self {
         let is_allowed = |area: &Area<'a>| {
             lanes
                 .iter()
@@ -234,7 +235,7 @@ impl<'a> DrivableMap<'a> {
 
     /// The area of an ego state.
     pub fn areas_of(&self, ego: &EgoState) -> EgoAreas {
-        let placed = Placed::of(ego);
+        let placed = Placed::from_state(ego);
         self.near(&placed.bounds()).areas_of(&placed)
     }
 

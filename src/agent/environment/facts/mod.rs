@@ -15,8 +15,7 @@ pub use answers::{
     Ahead, EgoSpeed, LaneCount, LaneIndex, LeadSpeed, Light, Oncoming, Question, SceneType,
     SideLane, VehicleCount,
 };
-pub use road::{CURVE, ONCOMING_REACH};
-pub use roundabout::{ROUNDABOUT_LENGTH, ROUNDNESS};
+pub use road::ONCOMING_REACH;
 pub use traffic::{CORRIDOR_MARGIN, ONCOMING_ASIDE, SAME_SPEED, SIDE_GAP, STOPPED};
 
 use super::bev::BevView;
@@ -26,7 +25,7 @@ use planagent_world::{SceneView, SignalStatus};
 
 /// Side of the square around the ego's box center, along its heading, in which things count,
 /// meters: the default BEV view.
-pub const VIEW_METERS: f64 = BevView::DEFAULT_METERS;
+pub(crate) const VIEW_METERS: f64 = BevView::DEFAULT_METERS;
 
 /// The true answers for one scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -72,7 +71,7 @@ pub struct SceneFacts {
 
 impl SceneFacts {
     /// The facts of a scene whose lane graph is `graph`.
-    pub fn of(scene: &SceneView<'_>, graph: &LaneGraph) -> Self {
+    pub fn from_scene(scene: &SceneView<'_>, graph: &LaneGraph) -> Self {
         let view = View {
             center: scene.ego.center(),
         };
@@ -98,7 +97,7 @@ impl SceneFacts {
             right_lane: traffic.right_lane,
             vehicle_count: traffic.vehicle_count,
             oncoming: road::oncoming(scene, graph),
-            ego_speed: EgoSpeed::of(scene.ego.speed()),
+            ego_speed: EgoSpeed::from_speed(scene.ego.speed()),
             turn: graph.ego_lane().turn,
             crossing_vehicle: traffic.crossing_vehicle,
             oncoming_vehicle: traffic.oncoming_vehicle,

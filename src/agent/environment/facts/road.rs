@@ -7,7 +7,7 @@ use planagent_world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, SceneView};
 use std::collections::BTreeSet;
 
 /// A path that turns by more than this within the view is a curve, radians (15 degrees).
-pub const CURVE: f64 = std::f64::consts::PI / 12.0;
+pub(crate) const CURVE: f64 = std::f64::consts::PI / 12.0;
 /// Lateral reach for lanes of the other direction, meters.
 pub const ONCOMING_REACH: f64 = 20.0;
 /// Longitudinal reach for lanes of the other direction from the ego's center, meters.
@@ -149,7 +149,10 @@ pub(super) fn lanes_abreast(scene: &SceneView<'_>, graph: &LaneGraph) -> (LaneCo
     let lane = ego.path.lane_at(ego.ego_s);
     let left = count_beside(scene, lane, |lane| &lane.left);
     let right = count_beside(scene, lane, |lane| &lane.right);
-    (LaneCount::of(left + 1 + right), LaneIndex::of(left))
+    (
+        LaneCount::from_count(left + 1 + right),
+        LaneIndex::from_lanes_to_left(left),
+    )
 }
 
 fn count_beside(scene: &SceneView<'_>, from: LaneId, side: impl Fn(&Lane) -> &[Neighbor]) -> usize {
@@ -178,7 +181,7 @@ pub(super) fn crosswalk(scene: &SceneView<'_>, graph: &LaneGraph, view: View) ->
         .map(|d| (d, line.point_at(front + d)))
         .find(|&(_, point)| view.holds(point) && scene.map.on_crosswalk(point))
         .map(|(d, _)| d);
-    Ahead::of(distance)
+    Ahead::from_distance(distance)
 }
 
 pub(super) fn oncoming(scene: &SceneView<'_>, graph: &LaneGraph) -> Oncoming {

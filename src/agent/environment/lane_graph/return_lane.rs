@@ -1,11 +1,12 @@
-//! The lane that the ego left to pass what blocks it, and the way back.
+//! The lane that the ego left to pass what blocks it.
 
-use super::LaneGraph;
 use super::goal::{GoalLane, nearest_first};
+use super::{GraphedScene, LaneGraph};
 use planagent_world::{LaneId, LanePath, PACIFICA, SceneView};
 
 /// The lane that the ego left to pass what blocks it. Past that, it becomes the goal's lane where
 /// the route has none.
+/// Why: docs/decisions/123-way-back.md.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReturnLane {
     path: LanePath,
@@ -15,7 +16,7 @@ pub struct ReturnLane {
 
 impl ReturnLane {
     /// The ego's lane; `None` where nothing blocks it.
-    pub fn of(graph: &LaneGraph) -> Option<Self> {
+    pub fn from_graph(graph: &LaneGraph) -> Option<Self> {
         let blocked = graph.blocked?;
         Some(Self {
             path: graph.ego_lane().path.clone(),
@@ -24,13 +25,13 @@ impl ReturnLane {
     }
 
     /// Whether the ego has passed what blocked the lane, and is back in it.
-    pub fn is_reached(&self, scene: &SceneView<'_>, graph: &LaneGraph) -> bool {
-        self.ahead(scene).is_some() && self.path.lanes.contains(&ego_lane(graph))
+    pub fn is_reached(&self, seen: GraphedScene<'_>) -> bool {
+        self.ahead(seen.scene).is_some() && self.path.lanes.contains(&ego_lane(seen.graph))
     }
 
-    /// The way back, as that to a goal at the end of the known path; `None` before the ego is past
-    /// what blocks the lane, in the lane, and where no lane beside is of the path.
-    pub(super) fn way_back(&self, scene: &SceneView<'_>, graph: &LaneGraph) -> Option<GoalLane> {
+    /// The lane as a goal at the end of the known path; `None` before the ego is past what blocks
+    /// the lane, in the lane, and where no lane beside is of the path.
+    pub(super) fn as_goal(&self, scene: &SceneView<'_>, graph: &LaneGraph) -> Option<GoalLane> {
         let distance = self.ahead(scene)?;
         let (here, from) = (ego_lane(graph), scene.ego.rear_axle.position());
         let leads_there = |&changes: &i32| {

@@ -1,25 +1,31 @@
 //! What stands on a lane permanently: a broken-down or crashed car, cones, a barrier. What waits
 //! does not stand permanently.
 
-use super::{Centerline, PULL_OUT};
+use super::Centerline;
 use planagent_world::geometry::{Corridor, Point, wrap_angle};
 use planagent_world::{LanePath, ObjectKind, PACIFICA, SceneView, TrackedObject};
 use std::collections::BTreeMap;
 
+/// Distance before what blocks the lane at which an ego that stands can still leave it, meters.
+/// Why: docs/decisions/117-scenes-with-a-way.md.
+pub(super) const PULL_OUT: f64 = 10.0;
 /// Objects slower than this stand, m/s.
 pub(super) const STANDING: f64 = 0.2;
 /// An object that moved by more than this within the two seconds of history has only just stopped,
 /// meters.
 const MOVED: f64 = 0.3;
 /// Distance ahead of the ego's center in which a blocked lane matters, meters.
+/// Why: docs/decisions/113-standing-progress.md.
 const REACH: f64 = 60.0;
 /// Distance behind the ego's center, meters: beside what it passes, the ego is not yet past it.
 const BEHIND: f64 = 40.0;
 /// Maximum distance from the middle of its lane at which the ego is back in it, meters.
 const BACK_IN_LANE: f64 = 1.0;
 /// A vehicle this near to an intersection ahead of it waits there, meters.
+/// Why: docs/decisions/113-standing-progress.md.
 const JUNCTION: f64 = 15.0;
 /// A vehicle this near behind traffic waits for it, meters.
+/// Why: docs/decisions/115-past-what-stands.md.
 const QUEUE_GAP: f64 = 12.0;
 /// A person this near beside the lane's middle makes a vehicle wait, meters.
 const PERSON_ASIDE: f64 = 4.0;

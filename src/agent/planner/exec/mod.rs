@@ -14,10 +14,7 @@ pub use agents::{ExecAgent, ExecAgentsStep, moved};
 pub use messages::{ExecReply, ExecRequest};
 pub use session::{AnswerError, ExecSession};
 
-use super::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
-    PlannerNeeds, PlannerRegistry,
-};
+use super::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName};
 use messages::{ExecStep, trajectory};
 use planagent_world::Trajectory;
 use std::collections::BTreeSet;
@@ -98,31 +95,14 @@ impl ExecCommand {
         })
     }
 
-    /// The command as an entry of the registry; an answer to a step may take `timeout`.
-    pub fn entry(&self, timeout: Duration) -> PlannerEntry {
-        let Self { name, command } = self.clone();
-        PlannerEntry::new(name, "a command", PlannerNeeds::Nothing, move |_| {
-            let planner = ExecPlanner {
-                name,
-                command: command.clone(),
-                timeout,
-                session: None,
-            };
-            Ok(Box::new(planner))
+    /// The planner of one simulation; an answer to a step may take `timeout`.
+    pub(crate) fn planner(&self, timeout: Duration) -> Box<dyn Planner> {
+        Box::new(ExecPlanner {
+            name: self.name,
+            command: self.command.clone(),
+            timeout,
+            session: None,
         })
-    }
-}
-
-impl PlannerRegistry {
-    /// The registry with a command beside its planners.
-    ///
-    /// # Errors
-    /// When another planner has its name.
-    pub fn with_command(self, command: &ExecCommand, timeout: Duration) -> Result<Self, ExecError> {
-        if self.find(command.name.as_str()).is_ok() {
-            return Err(ExecError::Taken(command.name.to_string()));
-        }
-        Ok(self.with(command.entry(timeout)))
     }
 }
 
@@ -182,7 +162,7 @@ impl ExecPlanner {
             return Ok(None);
         };
         let first = !std::mem::replace(stepped, true);
-        let request = ExecRequest::Step(Box::new(ExecStep::of(input, first)));
+        let request = ExecRequest::Step(Box::new(ExecStep::from_input(input, first)));
         match session.ask(&request)? {
             (ExecReply::Trajectory { states }, _) => trajectory(&states, input.scene.ego)
                 .map(Some)
@@ -250,11 +230,6 @@ mod tests {
             let found = ExecCommand::parse(word).unwrap().unwrap_err().to_string();
             assert!(found.contains(error), "{found}");
         }
-        let taken = ExecCommand::parse("idm=exec:x").unwrap().unwrap();
-        let error = PlannerRegistry::default()
-            .with_command(&taken, DEFAULT_EXEC_TIMEOUT)
-            .unwrap_err();
-        assert_eq!(error, ExecError::Taken("idm".to_owned()));
     }
 
     #[cfg(unix)]

@@ -121,9 +121,7 @@ impl LlmAssist {
                 let decision = Decision::RuleBased(NoPlan::NoLaneGraph(error.to_string()));
                 let total_ms = milliseconds(started.elapsed());
                 self.calls.push(PlanningCall::without_attempts(
-                    (iteration, at_s),
-                    decision,
-                    total_ms,
+                    iteration, at_s, decision, total_ms,
                 ));
                 return Ok(());
             }
@@ -165,10 +163,10 @@ impl LlmAssist {
         let scene_text = match self.prompts.forms().scene_text {
             TextForm::Paper | TextForm::Brief => llm_assist_text(scene, graph),
             form @ (TextForm::Compact | TextForm::Compact2) => {
-                text::write(&Description::of(graph), form)
+                text::write(&Description::from_graph(graph), form)
             }
         };
-        let speed_limit = Names::of(graph).speed_limit;
+        let speed_limit = Names::from_graph(graph).speed_limit;
         AssistQuestion {
             scene_text,
             score: rules.scores[rules.best].total,
@@ -194,12 +192,16 @@ impl LlmAssist {
             memory,
             ..
         } = self;
-        let (asked, seed) = (
-            (prompts.as_ref(), &*reasoning),
-            settings.call_seed(iteration),
-        );
-        let reasoning =
-            AssistReasoning::open(*variant, model.as_ref(), asked, question, seed, deadline)?;
+        let seed = settings.call_seed(iteration);
+        let reasoning = AssistReasoning::open(
+            *variant,
+            model.as_ref(),
+            prompts.as_ref(),
+            reasoning,
+            question,
+            seed,
+            deadline,
+        )?;
         let PdmMemory {
             reference_path: Some(path),
             collided,
@@ -251,7 +253,7 @@ impl Planner for LlmAssist {
         self.clock.step(scene.ego.time_us);
         if self
             .clock
-            .is_due(self.settings.plan_interval_s.min(WAYPOINT_SECONDS as f64))
+            .is_due(self.settings.agent.interval_s.min(WAYPOINT_SECONDS as f64))
         {
             self.active = None;
             if rules.scores[rules.best].total < self.tau() {
@@ -362,6 +364,6 @@ fn decide(attempts: &Attempts<Assisted>, rules: &PdmPlan) -> Decision {
         }
         (_, Some(why)) => Decision::RuleBased(NoPlan::Interrupted(why.clone())),
         (Some(_), None) => Decision::RuleBased(NoPlan::Outscored),
-        (None, None) => Decision::RuleBased(NoPlan::Unreadable),
+        (None, None) => Decision::RuleBased(NoPlan::Unreadable(attempts.unreadable())),
     }
 }

@@ -26,7 +26,7 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
     let rows: Vec<Row> = registry
         .names()?
         .into_iter()
-        .map(|name| Row::of(name, registry))
+        .map(|name| Row::for_model(name, registry))
         .collect();
     if csv {
         printer.csv(&rows)?;

@@ -24,7 +24,9 @@ use serde_json::{Value, json};
 /// Judges a code at an iteration of a scenario.
 pub(super) fn run(
     line: &str,
-    (scenario, iteration, frame): (&Scenario, usize, &Frame),
+    scenario: &Scenario,
+    iteration: usize,
+    frame: &Frame,
     config: &Config,
     image: Option<&PictureFile>,
     printer: Printer,
@@ -62,7 +64,7 @@ pub(super) fn run(
             decision_words(call)
         );
     };
-    let judgement = Judgement::of(report, report.threshold > config.reflection.threshold);
+    let judgement = Judgement::from_report(report, report.threshold > config.reflection.threshold);
     let follows = names.followed(code, config.reflection.lead_policy);
     if let Some(file) = image {
         let words = vec![verdict(&judgement), code.to_string()];

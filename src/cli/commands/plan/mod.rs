@@ -31,7 +31,9 @@ pub(crate) fn run(
     if let Some(code) = &flags.code {
         return code::run(
             code,
-            (&scenario, iteration, frame),
+            &scenario,
+            iteration,
+            frame,
             config,
             flags.image.as_ref(),
             printer,
@@ -66,7 +68,8 @@ pub(crate) fn run(
     } else {
         show(&scenario, &call, &trajectory, printer);
     }
-    let failed = matches!(call.interruption(), Some(Interruption::Model(_)));
+    let unanswered = matches!(call.interruption(), Some(Interruption::Model(_)));
+    let failed = unanswered || call.unreadable().is_some();
     Ok(if failed {
         Exit::SomeFailed
     } else {
@@ -140,7 +143,8 @@ fn with_trajectory(
     trajectory: &Trajectory,
 ) -> anyhow::Result<Value> {
     let mut record =
-        CallRecord::of(&scenario.id, PlannerName::PLAN_AGENT.as_str(), None, call).to_json()?;
+        CallRecord::from_call(&scenario.id, PlannerName::PLAN_AGENT.as_str(), None, call)
+            .to_json()?;
     let start = trajectory.start_us();
     let states = trajectory.states().iter().map(|state| {
         let pose = state.rear_axle;
@@ -174,7 +178,7 @@ fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, print
         let [forward, left, speed] = [at.x, at.y, state.velocity.x].map(|value| fixed(value, 2));
         printer.line(format!("{seconds:5.1} {forward:>8} {left:>7} {speed:>7}"));
     }
-    let time = CallTimes::of(call);
+    let time = CallTimes::from_call(call);
     let ms = |value: f64| fixed(value, 1);
     printer.line(format!(
         "\nTime {} ms: environment {}, image encode {}, prefill {},\n  decode {}, server {}, reflection {}",

@@ -83,7 +83,7 @@ mod tests {
 
     #[test]
     fn the_table_fits_every_terminal() {
-        let comparison = SceneComparison::of(Vec::new(), Vec::new());
+        let comparison = SceneComparison::from_sets(Vec::new(), Vec::new());
         let long =
             "a/folder/of/recordings/with/a/name/that/is/longer/than/a/terminal/of/80/columns";
         for columns in [60, 80, 100, 160] {

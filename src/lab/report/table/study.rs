@@ -59,7 +59,7 @@ pub fn study_table(study: &Study, results: &StudyResults, width: LineWidth) -> S
 
 /// The same as Markdown, all challenges in one table, with the `command` and the `figures` of the
 /// folder.
-pub fn study_markdown(
+pub(crate) fn study_markdown(
     study: &Study,
     results: &StudyResults,
     command: &str,

@@ -16,7 +16,7 @@ pub fn twin_table(results: &TwinResults, width: LineWidth) -> String {
 }
 
 /// The same as Markdown.
-pub fn twin_markdown(results: &TwinResults) -> String {
+pub(crate) fn twin_markdown(results: &TwinResults) -> String {
     rows(results).markdown() + "\n" + &notes(results)
 }
 

@@ -1,14 +1,12 @@
 //! The client of the hub: fills the cache and finds what is in it.
 
+use super::{FetchListener, FetchProgress, HubAccess, HubFiles, split_id};
+use crate::MllmError;
+use hf_hub::HFClientSync;
+use hf_hub::progress::{DownloadEvent, Progress, ProgressEvent, ProgressHandler};
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
-
-use hf_hub::HFClientSync;
-use hf_hub::progress::{DownloadEvent, Progress, ProgressEvent, ProgressHandler};
-
-use super::{FetchListener, FetchProgress, HubAccess, HubFiles, split_id};
-use crate::MllmError;
 
 impl HubAccess {
     /// The folder with the files of a repository. Missing files are downloaded, if this is allowed;

@@ -37,7 +37,7 @@ pub fn call_picture(
     call: &PlanningCall,
     plan: &Trajectory,
 ) -> RgbImage {
-    let layout = Layout::of(LOOK);
+    let layout = Layout::for_look(LOOK);
     // A refused plan that is executed all the same is among the refused ones.
     let is_accepted =
         |i: usize| matches!(call.decision, Decision::Execute(attempt) if attempt == i);
@@ -81,7 +81,8 @@ pub fn code_picture(
     };
     let caption = caption_of(
         scenario,
-        (iteration as f64 * STEP_S, frame.ego.speed()),
+        iteration as f64 * STEP_S,
+        frame.ego.speed(),
         words,
     );
     scene_picture(scenario, frame, iteration, &plan, refused, &caption)
@@ -116,7 +117,7 @@ fn scene_picture(
 ) -> RgbImage {
     let ego = &frame.ego;
     let bounds = Bounds::around(&[ego.rear_axle.position()]).grown(LOOK.meters);
-    let map = DrawnMap::of(&scenario.map, &scenario.route, &bounds);
+    let map = DrawnMap::from_map(&scenario.map, &scenario.route, &bounds);
     let past = scenario
         .frames
         .iter()
@@ -134,8 +135,8 @@ fn scene_picture(
         refused,
         map: &map,
     };
-    let layout = Layout::of(LOOK);
-    let legend = Legend::new(&Entry::of(&scene), layout.letters, layout.width());
+    let layout = Layout::for_look(LOOK);
+    let legend = Legend::new(&Entry::all_in(&scene), layout.letters, layout.width());
     let height = caption.height(layout.letters, layout.width());
     picture(&scene, LOOK, Some(&legend), caption, height, layout)
 }
@@ -147,12 +148,13 @@ fn caption(scenario: &Scenario, call: &PlanningCall, speed: f64) -> Caption {
         .and_then(|index| call.attempts.get(index)?.line());
     caption_of(
         scenario,
-        (call.at_s, speed),
+        call.at_s,
+        speed,
         std::iter::once(decision_words(call)).chain(code).collect(),
     )
 }
 
-fn caption_of(scenario: &Scenario, (at_s, speed): (f64, f64), plan: Vec<String>) -> Caption {
+fn caption_of(scenario: &Scenario, at_s: f64, speed: f64, plan: Vec<String>) -> Caption {
     let now = format!("{} s, {} m/s", fixed(at_s, 1), fixed(speed, 1));
     Caption {
         title: scenario.id.clone(),

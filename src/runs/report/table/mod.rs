@@ -6,6 +6,10 @@ mod paired;
 mod simulations;
 pub mod terminal;
 
+pub use paired::comparison_table;
+pub use simulations::failures;
+pub use terminal::{LineWidth, fill};
+
 use super::number::fixed;
 use super::simulation_row::SimulationRow;
 use super::summary::Summary;
@@ -14,10 +18,6 @@ use super::visible::visible_line;
 use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::{MetricList, distinct};
 use simulations::SimulationTable;
-
-pub use paired::comparison_table;
-pub use simulations::failures;
-pub use terminal::{LineWidth, fill};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Table {
@@ -96,10 +96,11 @@ pub fn main_table(
         .filter(|(label, name)| label != name)
         .map(|(label, name)| format!("{label} = {name}"))
         .collect();
-    meanings.extend(overview::meanings(planners, !types.is_empty()));
+    meanings.extend(overview::meanings(summary, planners, !types.is_empty()));
     let mut parts: Vec<String> = tables.into_iter().map(SimulationTable::text).collect();
     parts.push(simulations::zeroed(rows, width));
     parts.push(simulations::refused(rows, width));
+    parts.push(simulations::without_plan(rows, width));
     parts.push(simulations::legend(rows, &lists, meanings, width));
     parts.push(types);
     parts.push(simulations::worst(rows, width));
@@ -228,7 +229,9 @@ pub(super) mod tests {
     fn shown(rows: &[SimulationRow], width: LineWidth) -> String {
         console::set_colors_enabled(false);
         let planners = distinct(rows.iter().map(|row| row.planner.as_str()));
-        let timings = planners.iter().map(|name| PlannerTiming::of(name, rows));
+        let timings = planners
+            .iter()
+            .map(|name| PlannerTiming::from_rows(name, rows));
         main_table(&summary(rows), &timings.collect::<Vec<_>>(), rows, width)
     }
 

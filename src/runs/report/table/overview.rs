@@ -14,13 +14,16 @@ use planagent_score::metrics::distinct;
 pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming], width: LineWidth) -> String {
     let challenges = distinct(summary.aggregates.iter().map(|row| row.challenge));
     let call = has_calls(timings).then_some("ms/call p50");
+    // Only where it happened: most runs need no such column.
+    let without_plan = is_without_plan(summary).then_some("no plan");
     let scores = challenges.iter().map(|&challenge| short(challenge));
     let headers = ["planner"]
         .into_iter()
         .chain(scores)
         .chain(["ms/step"])
         .chain(call)
-        .chain(["simulations", "failed"]);
+        .chain(["simulations", "failed"])
+        .chain(without_plan);
     let planners = distinct(summary.aggregates.iter().map(|row| row.planner.as_str()));
     let timing = |planner: &str| timings.iter().find(|timing| timing.planner == planner);
     let steps: Vec<_> = planners
@@ -53,13 +56,15 @@ pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming], width: Line
             let scores = challenges
                 .iter()
                 .map(|&challenge| or_dash(score(challenge), percent));
-            let counts = [simulations, failed].map(|count| count.to_string());
+            let planless = || own().map(|row| row.without_plan).sum();
+            let counts = [simulations, failed].into_iter();
+            let counts = counts.chain(without_plan.map(|_| planless()));
             [planner.to_owned()]
                 .into_iter()
                 .chain(scores)
                 .chain([step])
                 .chain(call)
-                .chain(counts)
+                .chain(counts.map(|count: usize| count.to_string()))
                 .collect()
         });
     Table::new(headers, 1, rows).fitted(width)
@@ -71,11 +76,23 @@ fn has_calls(timings: &[PlannerTiming]) -> bool {
         .any(|timing| timing.planning_call_ms.is_some())
 }
 
+/// Whether some simulation has planning calls of which none gave a plan.
+fn is_without_plan(summary: &Summary) -> bool {
+    summary.aggregates.iter().any(|row| row.without_plan > 0)
+}
+
 /// What the columns of both tables mean, without those of scores.
-pub(super) fn meanings(timings: &[PlannerTiming], has_types: bool) -> Vec<String> {
+pub(super) fn meanings(
+    summary: &Summary,
+    timings: &[PlannerTiming],
+    has_types: bool,
+) -> Vec<String> {
     let calls = has_calls(timings).then_some("ms/call p50 = median time of a planning call");
     let types = has_types.then_some("n = scenarios of the type");
-    [Some("ms/step = mean time of a step of 0.1 s"), calls, types]
+    let without_plan =
+        is_without_plan(summary).then_some("no plan = simulations without a plan of a call");
+    let steps = Some("ms/step = mean time of a step of 0.1 s");
+    [steps, calls, types, without_plan]
         .into_iter()
         .flatten()
         .map(str::to_owned)
@@ -193,6 +210,7 @@ mod tests {
             scenario_type: scenario_type.map(str::to_owned),
             scenarios: 10 - failed,
             failed,
+            without_plan: 0,
             score,
         }
     }

@@ -6,8 +6,10 @@ use crate::report::number::fixed;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::visible::visible_line;
 use console::{measure_text_width, style};
+use planagent_agent::planner::Unreadable;
 use planagent_score::metrics::{MetricList, distinct, metric};
 use planagent_world::InteractionKind;
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// Maximum number of rows; `summary.json` has all simulations.
@@ -247,6 +249,35 @@ pub(super) fn refused(rows: &[SimulationRow], width: LineWidth) -> String {
         };
         let (refused, calls) = (sum(|row| row.refused_calls), sum(|row| row.planning_calls));
         format!("{planner}: all attempts refused in {refused} of {calls} planning calls")
+    };
+    planners
+        .into_iter()
+        .flat_map(|planner| width.wrapped(&line(planner)))
+        .collect::<Vec<_>>()
+        .join("\n")
+}
+
+/// A line for each planner some of whose planning calls gave no plan: how many, and why.
+pub(super) fn without_plan(rows: &[SimulationRow], width: LineWidth) -> String {
+    let has_such = |row: &&SimulationRow| row.failed_calls + row.unreadable() > 0;
+    let planners = distinct(rows.iter().filter(has_such).map(|row| row.planner.as_str()));
+    let line = |planner: &str| {
+        let own = || rows.iter().filter(|row| row.planner == planner);
+        let mut causes: BTreeMap<Unreadable, usize> = BTreeMap::new();
+        for (cause, count) in own().flat_map(|row| &row.unreadable_calls) {
+            *causes.entry(*cause).or_default() += count;
+        }
+        let failed: usize = own().map(|row| row.failed_calls).sum();
+        let failed = (failed > 0).then(|| format!("{failed} without an answer"));
+        let causes = causes.iter();
+        let unreadable = causes.map(|(cause, count)| format!("{count} because {cause}"));
+        let whys: Vec<String> = failed.into_iter().chain(unreadable).collect();
+        let lost: usize = own().map(|row| row.failed_calls + row.unreadable()).sum();
+        let calls: usize = own().map(|row| row.planning_calls).sum();
+        format!(
+            "{planner}: {lost} of {calls} planning calls gave no plan: {}",
+            whys.join(", ")
+        )
     };
     planners
         .into_iter()

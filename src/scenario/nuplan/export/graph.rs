@@ -25,7 +25,7 @@ use std::collections::BTreeMap;
 /// Length of a lane or connector that is cut off a predecessor, m.
 pub const STITCH: f64 = 0.1;
 /// Length of the lane at an open end of a connector, m.
-pub const OPEN_END: f64 = 1.0;
+pub(crate) const OPEN_END: f64 = 1.0;
 /// Width of inserted lanes and connectors, m.
 const WIDTH: f64 = 3.5;
 /// Ends nearer than this touch, m.
@@ -103,7 +103,7 @@ enum End {
 
 impl Graph {
     /// Fails when an inserted piece has no extent.
-    pub(super) fn of(map: &LaneMap) -> Result<Self, GeometryError> {
+    pub(super) fn from_map(map: &LaneMap) -> Result<Self, GeometryError> {
         GraphBuilder::new(map).fit()
     }
 

@@ -34,18 +34,26 @@ function entrantCell(entrant) {
 
 /** Counts and times of the planners. */
 function figures() {
-  const heads = ["simulations", "failed", "score 0", "planning calls", "refused calls", "ms/step", "ms/call p50", "p95"];
+  const unplanned = (d) => (d.failed_calls ?? 0) + Object.values(d.unreadable_calls ?? {}).reduce((total, count) => total + count, 0);
+  // Most runs need no such columns.
+  const lost = INDEX.simulations.some((d) => unplanned(d) > 0) ? ["without a plan", "calls without a plan"] : [];
+  const heads = ["simulations", "failed", ...lost.slice(0, 1), "score 0", "planning calls", "refused calls", ...lost.slice(1), "ms/step", "ms/call p50", "p95"];
   const rows = INDEX.entrants.map((entrant) => {
     const own = INDEX.simulations.filter((simulation) => simulation.entrant === entrant);
     const sum = (of) => own.reduce((total, simulation) => total + (of(simulation) ?? 0), 0);
     const calls = sum((d) => d.planning_calls);
     const timing = INDEX.timings.find((row) => row.run === entrant.run && row.planner === entrant.planner);
-    const values = [own.length, own.filter((d) => d.error !== null).length, own.filter((d) => d.score === 0).length,
-      calls || "–", calls ? sum((d) => d.refused_calls) : "–",
+    const values = [own.length, own.filter((d) => d.error !== null).length,
+      ...lost.slice(0, 1).map(() => own.filter((d) => d.without_plan).length), own.filter((d) => d.score === 0).length,
+      calls || "–", calls ? sum((d) => d.refused_calls) : "–", ...lost.slice(1).map(() => (calls ? sum(unplanned) : "–")),
       milliseconds(timing?.mean_iteration_ms), milliseconds(timing?.planning_call_ms?.p50), milliseconds(timing?.planning_call_ms?.p95)];
     return h("tr", {}, entrantCell(entrant), values.map((value, i) => h("td", { class: "number", "data-head": heads[i] }, String(value))));
   });
-  const titles = { "refused calls": "Planning calls in which Reflection refused all attempts" };
+  const titles = {
+    "refused calls": "Planning calls in which Reflection refused all attempts",
+    "without a plan": "Simulations with planning calls of which none gave a plan",
+    "calls without a plan": "Planning calls without an answer, or with one that gave no plan",
+  };
   return h("div", { class: "scroll" }, h("table", { class: "figures stacking" },
     h("thead", {}, h("tr", {}, h("th", {}, "planner"), heads.map((name) => h("th", { class: "number", title: titles[name] }, name)))), h("tbody", {}, rows)));
 }

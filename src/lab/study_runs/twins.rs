@@ -5,7 +5,8 @@ use super::runs::{DIGEST, relevant};
 use crate::dataset::twins::PairName;
 use crate::report::{StudyFolder, TwinRecords, twin_markdown};
 use crate::twins::{self, NAMES, PairRecord, TwinResults};
-use planagent_agent::planner::{PlannerName, PlannerNeeds};
+use planagent_agent::planner::PlannerName;
+use planagent_agent::planner_registry::PlannerNeeds;
 use planagent_runs::report::{ScenarioList, json_value};
 use planagent_runs::runner::Config;
 use planagent_runs::runner::RunnerError;
@@ -103,6 +104,9 @@ pub(super) fn judge(
         .filter(|pair| !known.contains_key(&pair.to_string()))
         .collect();
     let (total, done) = (pairs.len(), AtomicUsize::new(pairs.len() - left.len()));
+    if !left.is_empty() {
+        loaded.probe(config, listener)?;
+    }
     listener(Event::Note(format!(
         "{name}: {total} pairs; {} are answered, {} are left",
         total - left.len(),

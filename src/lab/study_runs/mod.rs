@@ -52,6 +52,8 @@ pub struct StudyOutcome {
     pub failed: Vec<SimulationRow>,
     /// Planning calls without an answer.
     pub failed_calls: usize,
+    /// Simulations with planning calls of which none gave a plan.
+    pub without_plan: usize,
     /// Scenarios that the suites name and the data does not hold.
     pub missing: Vec<MissingTokens>,
 }
@@ -80,7 +82,7 @@ impl<'a> Studies<'a> {
     /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
     pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
         check_writable(&self.folder(TOKENS))?;
-        let suites = self.suites.of(TOKENS, tokens::SUITES, None)?;
+        let suites = self.suites.select(TOKENS, tokens::SUITES, None)?;
         self.suites.note_lacking();
         let counted = tokens::count_all(&suites, self.config, self.listener)?;
         let folder = StudyFolder::new(self.folder(TOKENS));
@@ -124,7 +126,10 @@ impl<'a> Studies<'a> {
         let mut planned = Vec::new();
         for study in studies {
             let mut suites = Vec::new();
-            for suite in self.suites.of(&study.name, &study.suites, study.starts)? {
+            for suite in self
+                .suites
+                .select(&study.name, &study.suites, study.starts)?
+            {
                 let names = study
                     .variants
                     .iter()
@@ -147,6 +152,7 @@ impl<'a> Studies<'a> {
             left,
         });
         if left > 0 {
+            open.probe()?;
             open.simulate_first()?;
             let left = open.counts().2;
             if left > 0 {
@@ -181,6 +187,7 @@ impl<'a> Studies<'a> {
             studies: results,
             failed: all().filter(|row| row.error.is_some()).cloned().collect(),
             failed_calls: all().map(|row| row.failed_calls).sum(),
+            without_plan: all().filter(|row| row.is_without_plan()).count(),
             missing,
         })
     }
@@ -190,7 +197,7 @@ impl<'a> Studies<'a> {
         let Some(path) = &self.request.bench else {
             return Ok(Vec::new());
         };
-        let figures = BenchFigures::of(&BenchFolder::read(path)?);
+        let figures = BenchFigures::from_rows(&BenchFolder::read(path)?);
         if figures.models.is_empty() {
             return Err(RunnerError::EmptyBench(path.clone()));
         }
