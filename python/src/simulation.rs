@@ -202,11 +202,15 @@ impl Simulation {
                     state.closed_loop.initialize(planner.planner.as_mut())?;
                     planner.is_initialized = true;
                 }
+                let was_over = state.closed_loop.is_over();
                 let mut left = steps.unwrap_or(usize::MAX);
                 while left > 0 && !state.closed_loop.is_over() && !stopped.load(Ordering::Relaxed) {
                     let plan = state.closed_loop.plan(planner.planner.as_mut())?;
                     state.step(plan, &name)?;
                     left -= 1;
+                }
+                if !was_over && state.closed_loop.is_over() {
+                    state.closed_loop.finish(planner.planner.as_mut())?;
                 }
                 Ok(())
             })

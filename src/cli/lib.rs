@@ -1,5 +1,6 @@
 //! The command line: flags, commands, printing, exit codes.
 
+mod again;
 mod args;
 mod commands;
 mod completed;
@@ -65,18 +66,15 @@ fn run_with(arguments: impl IntoIterator<Item = OsString>, commit: Option<&'stat
     if let Some(commit) = commit {
         set_build_commit(commit);
     }
-    let matches = with_negative_numbers(Arguments::command()).try_get_matches_from(arguments);
+    let words: Vec<OsString> = arguments.into_iter().collect();
+    again::remember(&words);
+    let matches = with_negative_numbers(Arguments::command()).try_get_matches_from(&words);
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
+        // Help and version are no errors.
         Err(mut error) => {
             suggest::add_new_command(&mut error);
-            // Help and version are no errors; clap prints each where it belongs.
-            let _ = error.print();
-            return if error.use_stderr() {
-                Exit::Error
-            } else {
-                Exit::Success
-            };
+            return Printer::arguments(error, &words);
         }
     };
     let global = &arguments.global;

@@ -113,6 +113,15 @@ pub trait Planner: Send {
     /// When no trajectory can be given.
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError>;
 
+    /// Called once after the last iteration of a simulation.
+    ///
+    /// # Errors
+    /// When the planner finds only now that its trajectories were wrong; the simulation fails with
+    /// it.
+    fn finish(&mut self) -> Result<(), PlannerError> {
+        Ok(())
+    }
+
     /// The planning calls since the last initialization; none for a planner that makes none.
     fn calls(&self) -> &[PlanningCall] {
         &[]

@@ -99,6 +99,18 @@ impl AgentPolicy for ExecAgents {
         Ok(())
     }
 
+    fn finish(&mut self) -> Result<(), AgentPolicyError> {
+        let state = self
+            .session
+            .get_mut()
+            .unwrap_or_else(PoisonError::into_inner);
+        match std::mem::replace(state, Err(AnswerError::Copied)) {
+            Ok(session) => session.finish().map_err(AgentPolicyError::new),
+            // Without a step, nobody needed the command.
+            Err(_) => Ok(()),
+        }
+    }
+
     fn boxed_clone(&self) -> Box<dyn AgentPolicy> {
         let session = Mutex::new(Err(AnswerError::Copied));
         Box::new(Self {

@@ -44,6 +44,11 @@ pub(crate) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<E
             .with_context(|| format!("cannot open {} in a browser", contents.page.display()))?;
     }
     note_damage(&contents.damaged, printer);
+    for problem in &contents.unread {
+        printer.failure(format!(
+            "{problem}; the page has the scores of its simulation alone"
+        ));
+    }
     if printer.is_json() {
         printer.json(&contents)?;
         return Ok(Exit::Success);

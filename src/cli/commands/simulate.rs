@@ -37,7 +37,7 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
     } else if printer.is_json() {
         printer.json(summary)?;
     } else {
-        printer.line(main_table(summary, &timing.planners, rows, printer.width()));
+        printer.table(main_table(summary, &timing.planners, rows, printer.width()));
         if let Some(total) = timing.planning_call_ms.total {
             let count = timing.planning_calls;
             printer.line(format!(

@@ -39,6 +39,10 @@ impl Planner for Stoppable<'_> {
         self.planner.compute_trajectory(input)
     }
 
+    fn finish(&mut self) -> Result<(), PlannerError> {
+        self.planner.finish()
+    }
+
     fn calls(&self) -> &[PlanningCall] {
         self.planner.calls()
     }

@@ -207,6 +207,12 @@ impl Planner for ExecPlanner {
         let trajectory = self.step(input).map_err(failed)?;
         trajectory.ok_or(PlannerError::NotInitialized)
     }
+
+    fn finish(&mut self) -> Result<(), PlannerError> {
+        self.session
+            .take()
+            .map_or(Ok(()), |(session, _)| session.finish().map_err(failed))
+    }
 }
 
 #[cfg(test)]
@@ -262,6 +268,69 @@ mod tests {
                 .unwrap()
                 .into_bytes(),
             long
+        );
+    }
+
+    /// Time in which a line of a command arrives.
+    #[cfg(unix)]
+    const ARRIVAL: Duration = Duration::from_secs(20);
+
+    /// Asks until a command is found to have written a line too many; gives the error.
+    #[cfg(unix)]
+    fn found_out(command: &str) -> String {
+        let mut process = Process::start(command).unwrap();
+        for _ in 0..100 {
+            // A question takes a few milliseconds of simulation.
+            std::thread::sleep(Duration::from_millis(5));
+            if let Err(error) = process.ask(b"question".to_vec(), ARRIVAL, None) {
+                return error.to_string();
+            }
+        }
+        panic!("{command}: nothing is wrong with 100 answers")
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_line_that_answers_no_message_is_an_error() {
+        for command in [
+            // Ahead of the first message, two answers to one, and answers without reading.
+            "echo ahead; cat",
+            "read line; echo one; echo two; cat",
+            "while read line; do echo one; echo two; done",
+            "yes answer",
+        ] {
+            let error = found_out(command);
+            assert!(error.contains("answers no message"), "{command}: {error}");
+        }
+        let long = found_out("head -c 20000000 /dev/zero");
+        assert!(
+            long.contains("a line of more than 16777216 bytes"),
+            "{long}"
+        );
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_line_after_the_last_answer_is_an_error() {
+        let finished = |command: &str| {
+            let mut process = Process::start(command).unwrap();
+            process.ask(b"last".to_vec(), ARRIVAL, None).unwrap();
+            process.finish().map_err(|error| error.to_string())
+        };
+        for command in ["read line; echo one; echo two", "cat; echo goodbye"] {
+            let error = finished(command).unwrap_err();
+            assert!(
+                error.contains("after the answer to its last message"),
+                "{error}"
+            );
+        }
+        let began = std::time::Instant::now();
+        for command in ["cat", "cat; echo", "read line; echo one; exec sleep 100"] {
+            assert_eq!(finished(command), Ok(()), "{command}");
+        }
+        assert!(
+            began.elapsed() < Duration::from_secs(50),
+            "a command is ended that does not end"
         );
     }
 

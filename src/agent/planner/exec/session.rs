@@ -84,6 +84,14 @@ impl ExecSession {
     pub fn ask(&mut self, request: &ExecRequest) -> Result<(ExecReply, String), AnswerError> {
         ask(&mut self.process, request, self.timeout, self.stop.as_ref())
     }
+
+    /// Ends the command after its last answer.
+    ///
+    /// # Errors
+    /// When the command wrote more lines than it was asked for.
+    pub fn finish(self) -> Result<(), AnswerError> {
+        Ok(self.process.finish()?)
+    }
 }
 
 fn ask(

@@ -1,9 +1,9 @@
 //! The table of two sets of scenes.
 
 use crate::realism::{Distribution, FOLDS, SceneComparison};
-use planagent_runs::report::fixed;
 use planagent_runs::report::table::terminal::wrapped;
 use planagent_runs::report::table::{Table, or_dash, signed};
+use planagent_runs::report::{fixed, visible_line};
 
 /// Mean and standard deviation of each feature in both sets, and what tells them apart. `names` are
 /// those of the sets.
@@ -12,7 +12,7 @@ pub fn realism_table(comparison: &SceneComparison, names: [&str; 2]) -> String {
     let counts = [a.len(), b.len()];
     let heads = ["A", "B"].iter().zip(names).zip(counts);
     let heads: Vec<String> = heads
-        .map(|((side, name), count)| format!("{side} = {name}, {count} scenes"))
+        .map(|((side, name), count)| format!("{side} = {}, {count} scenes", visible_line(name)))
         .collect();
     let rows = comparison.features.iter().map(|one| {
         let name = match one.feature.unit {

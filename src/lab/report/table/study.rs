@@ -5,21 +5,21 @@ use crate::report::figure::AGREEMENT;
 use crate::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
 use crate::study::{Column, Rows, Study, Variant};
 use planagent_agent::simulation::Challenge;
-use planagent_runs::report::fixed;
 use planagent_runs::report::table::terminal::wrapped;
 use planagent_runs::report::table::{Table, or_dash, short, signed, three_digits, weights};
+use planagent_runs::report::{fixed, markdown_block, markdown_line, visible, visible_line};
 use planagent_runs::worker::statistics::PairedDifference;
 use std::fmt::Write as _;
 
 /// The tables for a terminal of 80 columns: one for each suite and challenge.
 pub fn study_table(study: &Study, results: &StudyResults) -> String {
-    let mut parts = vec![results.title.clone()];
+    let mut parts = vec![visible_line(&results.title).into_owned()];
     for suite in &results.suites {
         let challenges = suite.challenges();
         for &challenge in &challenges {
             let heading = format!(
                 "{}, {}: {} scenes",
-                suite.name,
+                visible_line(&suite.name),
                 agents(challenge),
                 suite.scenes
             );
@@ -37,7 +37,7 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
                 let table = recordings::recordings(suite, &[challenge]).terminal_below_names();
                 format!(
                     "{}, {}: each recording\n{table}",
-                    suite.name,
+                    visible_line(&suite.name),
                     agents(challenge)
                 )
             }));
@@ -48,7 +48,7 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
     parts.push(
         notes(study, results)
             .iter()
-            .flat_map(|note| wrapped(note))
+            .flat_map(|note| wrapped(&visible(note)))
             .collect::<Vec<_>>()
             .join("\n"),
     );
@@ -63,10 +63,15 @@ pub(crate) fn study_markdown(
     command: &str,
     figures: &[String],
 ) -> String {
-    let mut text = format!("# {}\n\n```console\n$ {command}\n```\n", results.title);
+    let mut text = format!(
+        "# {}\n\n{}\n",
+        markdown_line(&results.title),
+        markdown_block("console", &format!("$ {command}"))
+    );
     for suite in &results.suites {
         // Writing to a string cannot fail.
-        let _ = writeln!(text, "\n## {}: {} scenes", suite.name, suite.scenes);
+        let name = markdown_line(&suite.name);
+        let _ = writeln!(text, "\n## {name}: {} scenes", suite.scenes);
         let challenges = suite.challenges();
         let table = scores(study, suite, &challenges, Width::Wide);
         let of_recordings = (study.rows == Rows::Recordings).then(|| {
@@ -85,7 +90,8 @@ pub(crate) fn study_markdown(
             .iter()
             .filter(|name| **name == format!("{}.svg", suite.name))
         {
-            let _ = writeln!(text, "\n![{} on {}]({figure})", results.title, suite.name);
+            let title = markdown_line(&results.title);
+            let _ = writeln!(text, "\n![{title} on {name}]({figure})");
         }
     }
     if let Some(table) = reported::reported(study) {
@@ -99,7 +105,7 @@ pub(crate) fn study_markdown(
     }
     text.push('\n');
     for note in notes(study, results) {
-        let _ = writeln!(text, "- {note}");
+        let _ = writeln!(text, "- {}", markdown_line(&note));
     }
     text
 }

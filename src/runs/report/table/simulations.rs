@@ -115,9 +115,10 @@ pub(super) fn zeroed(rows: &[SimulationRow]) -> String {
         let names = row.zeroed_by.iter();
         lines.extend(names.map(|name| {
             format!(
-                "  {} {}: 0 because of {name}",
-                row.planner,
-                short(row.challenge)
+                "  {} {}: 0 because of {}",
+                visible_line(&row.planner),
+                short(row.challenge),
+                visible_line(name)
             )
         }));
     }

@@ -23,7 +23,7 @@ function nameOf(simulation) {
   if (generated) return { name: capital(spaced(generated[1])), detail: `generated, seed ${generated[2].replace("/", ", traffic ")}` };
   const known = type && type !== UNKNOWN_TYPE;
   const sketch = sketchOf(scenario);
-  const path = sketch && `${sketch.meters < STANDING_M ? "" : `${sketch.meters} m in `}${sketch.seconds.toFixed(0)} s`;
+  const path = sketch && `${sketch.meters < STANDING_M ? "" : `${sketch.meters} m in `}${fixed(sketch.seconds, 0)} s`;
   const name = known ? capital(spaced(type)) : sketch ? capital(maneuver(sketch)) : scenario;
   return { name, detail: [path, scenario === name ? null : scenario].filter(Boolean).join(", ") };
 }
