@@ -5,7 +5,7 @@ use crate::scenario::{ego_numbers, lanes};
 use crate::trajectory::{Trajectory, array, packed, poses, through};
 use crate::work::{computed, long, quick};
 use image::RgbImage;
-use planagent::planning::{History, HistorySample, LeadPolicy};
+use planagent::planning::{History, HistorySample, LeadPolicy, SceneView};
 use planagent::road::{Lane, LaneMap, Pose, Route};
 use planagent::traffic::{ObjectKind, TrackedObject, TrafficLights};
 use planagent::{EgoState, Scene};
@@ -360,14 +360,16 @@ impl Observation {
                 let objects = objects.into();
                 history.push(HistorySample { ego, objects });
             }
-            let scene = Scene {
-                map: Arc::new(map),
-                route: stored.route,
-                ego: stored.ego,
-                objects: stored.objects.into(),
-                lights: stored.lights,
-                history,
+            let map = Arc::new(map);
+            let view = SceneView {
+                map: &map,
+                route: &stored.route,
+                ego: &stored.ego,
+                objects: &stored.objects,
+                lights: &stored.lights,
+                history: &history,
             };
+            let scene = Scene::of_view(Arc::clone(&map), &view);
             Ok(Self::new(scene, stored.iteration, stored.start_us))
         })
     }

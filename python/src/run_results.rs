@@ -1,6 +1,6 @@
 //! Results of runs, and what reads or joins the folders of runs.
 
-use crate::errors::{Failure, Outcome};
+use crate::errors::Failure;
 use crate::table::Table;
 use crate::work::{computed, long, quick};
 use planagent::runs::RunResults as Finished;
