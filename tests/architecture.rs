@@ -8,8 +8,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 14] = [
+const RANKS: [(&str, u8); 15] = [
     ("files", 0),
+    ("child", 0),
     ("kernels", 0),
     ("world", 1),
     ("scenario", 3),

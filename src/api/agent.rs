@@ -98,6 +98,10 @@ impl Planner for Agent {
         self.planner.compute_trajectory(input)
     }
 
+    fn finish(&mut self) -> Result<(), PlannerError> {
+        self.planner.finish()
+    }
+
     fn calls(&self) -> &[PlanningCall] {
         self.planner.calls()
     }

@@ -13,13 +13,20 @@ pub(crate) enum Exit {
     Error,
 }
 
+impl Exit {
+    /// Its number.
+    pub(crate) fn code(self) -> u8 {
+        match self {
+            Self::Success => 0,
+            Self::SomeFailed => 1,
+            Self::Error => 2,
+        }
+    }
+}
+
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {
-        Self::from(match exit {
-            Exit::Success => 0,
-            Exit::SomeFailed => 1,
-            Exit::Error => 2,
-        })
+        Self::from(exit.code())
     }
 }
 

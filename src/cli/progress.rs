@@ -1,9 +1,8 @@
 //! Progress of a run: bars on a terminal, a line now and then elsewhere.
 
-use super::{Printer, interrupt};
+use super::{Printer, again, interrupt};
 use console::Term;
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
-use planagent_files::{quoted, word_of};
 use planagent_runs::report::table::terminal::COLUMNS;
 use planagent_runs::runner::{Event, Listener};
 use std::collections::BTreeMap;
@@ -54,13 +53,8 @@ impl Console {
                 folder,
                 has_commands,
             } => {
-                let same = if has_commands {
-                    " with the same --planner and --agents"
-                } else {
-                    ""
-                };
-                let folder = quoted(&word_of(folder.as_os_str()));
-                let advice = format!("`planagent simulate --resume {folder}`{same} goes on");
+                let command = again::resume_run(&folder, has_commands);
+                let advice = format!("`{command}` goes on");
                 if let Err(error) = interrupt::advise(advice, self.printer) {
                     self.printer.error(&error);
                 }

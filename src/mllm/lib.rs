@@ -83,5 +83,5 @@ pub use registry::{
 };
 pub use registry::{data_folder, models_folder};
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
-pub use text::ChatTokenizer;
+pub use text::{ChatTokenizer, TemplateEngine};
 pub use trial::Trust;

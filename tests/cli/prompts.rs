@@ -245,3 +245,43 @@ fn a_context_that_is_too_small_names_the_sets_that_fit() {
         "{error}"
     );
 }
+
+#[test]
+fn templates_of_a_stranger_end_and_say_why() {
+    let loops = "{% for i in range(10000) %}".repeat(3) + &"{% endfor %}".repeat(3);
+    for (file, text, problem) in [
+        ("code.jinja", loops.as_str(), "more than 10000 steps"),
+        (
+            "system.jinja",
+            "{% set a = 'x' * 1000000 %}{{ a | replace('x', a) | length }}",
+            "does not multiply",
+        ),
+        (
+            "understanding.jinja",
+            "{% macro m() %}{{ m() }}{% endmacro %}{{ m() }}",
+            "no statement macro",
+        ),
+        (
+            "system.jinja",
+            "{% for i in range(9999) %}{{ legend }}{{ legend }}{% endfor %}",
+            "the rendered text has more than",
+        ),
+    ] {
+        let work = TempDir::new().unwrap();
+        copy_prompts("compact-2", &work.path().join("set"));
+        fs::write(work.path().join("set").join(file), text).unwrap();
+        let flags = ["simulate", "--scenario", SCENE, "--prompt-set", "./set"];
+        let output = planagent()
+            .args([&flags[..], &["--out", "run"]].concat())
+            .current_dir(work.path())
+            .timeout(std::time::Duration::from_mins(2))
+            .output()
+            .unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(
+            [Some(1), Some(2)].contains(&output.status.code()) && said.contains(problem),
+            "{file}: {:?}: {said}",
+            output.status
+        );
+    }
+}

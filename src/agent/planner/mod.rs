@@ -27,6 +27,7 @@ mod record;
 mod settings;
 mod simple;
 mod stop;
+mod stop_switch;
 mod unreadable;
 
 pub use agent_state::{ActivePlan, AgentState};
@@ -55,6 +56,7 @@ pub use settings::{
     ReflectionSettings,
 };
 pub use simple::SimplePlanner;
+pub use stop_switch::StopSwitch;
 pub use unreadable::Unreadable;
 
 use crate::environment::BevView;
@@ -110,6 +112,15 @@ pub trait Planner: Send {
     /// # Errors
     /// When no trajectory can be given.
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError>;
+
+    /// Called once after the last iteration of a simulation.
+    ///
+    /// # Errors
+    /// When the planner finds only now that its trajectories were wrong; the simulation fails with
+    /// it.
+    fn finish(&mut self) -> Result<(), PlannerError> {
+        Ok(())
+    }
 
     /// The planning calls since the last initialization; none for a planner that makes none.
     fn calls(&self) -> &[PlanningCall] {

@@ -4,7 +4,7 @@ use super::code_source::CodeSource;
 use super::settings::PlanAgentSettings;
 use super::{BevSource, PlannerError, PlannerName};
 use crate::environment::text::{self, Description};
-use crate::environment::{BevView, LaneGraph, bev};
+use crate::environment::{BevView, GraphedScene, bev};
 use crate::reasoning::{Names, ScenarioPrompt};
 use image::RgbImage;
 use planagent_world::SceneView;
@@ -23,9 +23,9 @@ impl ModelInput<'_> {
     /// model.
     pub(super) fn scenario_prompt(
         &self,
-        scene: &SceneView<'_>,
-        graph: &LaneGraph,
+        seen: GraphedScene<'_>,
     ) -> Result<ScenarioPrompt, PlannerError> {
+        let GraphedScene { scene, graph } = seen;
         let environment = &self.settings.environment;
         let form = self
             .source

@@ -207,10 +207,10 @@ impl AgentLayer for PlanAgent {
             settings,
             shuffled_bev: shuffled_bev.as_ref(),
         };
-        let prompt = input.scenario_prompt(scene, &graph)?;
+        let seen = GraphedScene::new(scene, &graph);
+        let prompt = input.scenario_prompt(seen)?;
         let environment_ms = milliseconds(started.elapsed());
         let seed = self.settings.call_seed(iteration);
-        let seen = GraphedScene::new(scene, &graph);
         let (attempts, active) = self.attempt(seen, &prompt, seed, deadline)?;
         let decision = self.decide(&attempts, active);
         let (attempts, mut plan) = attempts.into_records(decision.attempt());

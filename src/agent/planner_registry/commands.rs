@@ -1,7 +1,7 @@
 //! Commands of other programs among the planners.
 
 use super::{PlannerEntry, PlannerNeeds, PlannerRegistry};
-use crate::planner::{ExecCommand, ExecError};
+use crate::planner::{ExecCommand, ExecError, StopSwitch};
 use std::time::Duration;
 
 impl PlannerRegistry {
@@ -10,16 +10,30 @@ impl PlannerRegistry {
     /// # Errors
     /// When another planner has its name.
     pub fn with_command(self, command: &ExecCommand, timeout: Duration) -> Result<Self, ExecError> {
+        self.with_stoppable_command(command, timeout, None)
+    }
+
+    /// As [`PlannerRegistry::with_command`]; the command is waited for until `stop`.
+    ///
+    /// # Errors
+    /// When another planner has its name.
+    #[doc(hidden)]
+    pub fn with_stoppable_command(
+        self,
+        command: &ExecCommand,
+        timeout: Duration,
+        stop: Option<&StopSwitch>,
+    ) -> Result<Self, ExecError> {
         if self.find(command.name.as_str()).is_ok() {
             return Err(ExecError::Taken(command.name.to_string()));
         }
-        let started = command.clone();
+        let (started, stop) = (command.clone(), stop.cloned());
         let needs = PlannerNeeds::Nothing;
         Ok(self.with(PlannerEntry::new(
             command.name,
             "a command",
             needs,
-            move |_| Ok(started.planner(timeout)),
+            move |_| Ok(started.planner(timeout, stop.as_ref())),
         )))
     }
 }

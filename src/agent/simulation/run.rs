@@ -142,5 +142,6 @@ pub fn simulate_prepared(
             total,
         });
     }
+    simulation.finish(planner)?;
     Ok(log)
 }

@@ -3,9 +3,8 @@
 use crate::args::{BENCH_PROCESS, BenchArguments, OtherEngine};
 use crate::commands::models::quantize::write as write_gguf;
 use crate::progress::listener;
-use crate::{Exit, Printer, interrupt};
+use crate::{Exit, Printer, again, interrupt};
 use anyhow::{Context, bail};
-use planagent_files::{quoted, word_of};
 use planagent_lab::bench::protocol::{GgufPair, ModelChoice};
 use planagent_lab::bench::{
     BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve,
@@ -51,9 +50,7 @@ pub(crate) fn run(
         Some(path) => BenchFolder::resume(path, &metadata)?,
         None => BenchFolder::create(&out, &metadata)?,
     };
-    let own = quoted(&word_of(folder.path().as_os_str()));
-    let advice = format!("`planagent bench --resume {own}` with the same options goes on");
-    interrupt::advise(advice, printer)?;
+    advise(&folder, printer)?;
     let mut left: Vec<Candidate> = candidates
         .into_iter()
         .filter(|candidate| !folder.done().contains(candidate.name.as_str()))
@@ -76,10 +73,10 @@ pub(crate) fn run(
         speculation: flags.speculation,
         versus: llama_cpp(flags),
     };
-    let program = std::env::current_exe()
+    crate::this_program()
         .context("cannot find the path of this program to start the measuring process")?;
     let own = || {
-        let mut command = Command::new(&program);
+        let mut command = crate::this_program().unwrap_or_else(|_| Command::new("planagent"));
         command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
         if let Some(context) = config.mllm.context {
             command.args(["--context", &context.to_string()]);
@@ -93,7 +90,13 @@ pub(crate) fn run(
         &left,
         &settings,
         &own,
-        &mut |rows| folder.commit(rows),
+        &mut |rows| {
+            folder.commit(rows)?;
+            if let Err(error) = advise(&folder, printer) {
+                printer.error(&error);
+            }
+            Ok(())
+        },
         &|progress| {
             printer.note(progress_line(progress));
         },
@@ -114,7 +117,7 @@ pub(crate) fn run(
     if printer.is_json() {
         printer.json(&figures)?;
     } else {
-        printer.line(bench_table(&figures, printer.line_width()));
+        printer.table(bench_table(&figures, printer.line_width()));
     }
     if folder.has_measurements() {
         printer.note(format!("results in {}", folder.path().display()));
@@ -128,12 +131,18 @@ pub(crate) fn run(
     })
 }
 
+/// Says at Ctrl-C how the bench goes on: its folder exists from the first measured model on.
+fn advise(folder: &BenchFolder, printer: Printer) -> anyhow::Result<()> {
+    let advice = if folder.has_measurements() {
+        format!("`{}` goes on", again::resume_this(folder.path()))
+    } else {
+        "no model is measured yet; the same command starts again".to_owned()
+    };
+    interrupt::advise(advice, printer)
+}
+
 /// The measuring process; runs until stdin ends.
 pub(crate) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    // It measures nothing for a caller that was killed.
-    #[cfg(target_os = "linux")]
-    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))
-        .context("cannot follow the end of the caller")?;
     serve(
         &model_registry(config, &listener(printer)),
         io::stdin().lock(),

@@ -46,6 +46,11 @@ pub(crate) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<E
         printer.note(format!("cannot open a browser: {error}"));
     }
     note_damage(&contents.damaged, printer);
+    for problem in &contents.unread {
+        printer.failure(format!(
+            "{problem}; the page has the scores of its simulation alone"
+        ));
+    }
     if printer.is_json() {
         printer.json(&contents)?;
         return Ok(Exit::Success);

@@ -38,7 +38,7 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
     } else if printer.is_json() {
         printer.json(summary)?;
     } else {
-        printer.line(main_table(
+        printer.table(main_table(
             summary,
             &timing.planners,
             rows,

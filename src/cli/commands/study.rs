@@ -103,7 +103,7 @@ fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<E
         if printer.is_json() {
             printer.json(results)?;
         } else if !csv {
-            printer.line(study_table(study, results, printer.line_width()));
+            printer.table(study_table(study, results, printer.line_width()));
             printer.line("");
         }
         printer.note(format!("results in {}", folder.display()));

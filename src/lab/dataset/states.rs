@@ -5,7 +5,9 @@ use super::label_weights::DecisionWeights;
 use super::lessons::lessons;
 use super::{Settings, scenes};
 use image::RgbImage;
-use planagent_agent::environment::{BevView, LaneGraph, OccupancyGrid, SceneFacts, bev};
+use planagent_agent::environment::{
+    BevView, GraphedScene, LaneGraph, OccupancyGrid, SceneFacts, bev,
+};
 use planagent_agent::planner::{AgentLayer, Attempt, Planner, PlannerInput};
 use planagent_agent::reasoning::{Feedback, PromptError, feedback_text};
 use planagent_agent::reflection::Verdict;
@@ -61,7 +63,7 @@ pub(super) fn label_scenario(
         let Some(best) = search::best(&tried) else {
             break;
         };
-        let facts = SceneFacts::from_scene(&scene, &graph);
+        let facts = SceneFacts::from_scene(GraphedScene::new(&scene, &graph));
         let name = format!(
             "{}@{:.1}",
             scenario.id,

@@ -11,7 +11,8 @@ use super::{DatasetError, Settings, Split, states};
 use image::RgbImage;
 use planagent_agent::environment::text::{self, Description};
 use planagent_agent::environment::{
-    BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, SceneFacts, TextForm, bev,
+    BevView, CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph, SceneFacts, TextForm,
+    bev,
 };
 use planagent_agent::reasoning::{
     Names, PlannerCode, PromptError, PromptSet, Round, round_prompt, system_prompt,
@@ -360,7 +361,7 @@ pub(super) fn labeled(
             return Ok(None);
         };
         let scene = simulation.scene();
-        let facts = SceneFacts::from_scene(&scene, graph);
+        let facts = SceneFacts::from_scene(GraphedScene::new(&scene, graph));
         let weights = DecisionWeights::from_candidates(best, tried, false);
         let state = format!("{}@0.0", simulation.scenario().id);
         let label = label::label(state, graph, &facts, best, weights, settings.prompts, None)?;

@@ -17,6 +17,7 @@ mod number;
 pub mod page;
 mod paired;
 mod parquet;
+mod recorded;
 mod renamed;
 pub mod render;
 mod repeats;
@@ -60,5 +61,7 @@ pub use table::{LineWidth, comparison_table, failures, fill, main_table};
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};
 pub use transcript::{attempt_markdown, transcript};
-pub use visible::{visible, visible_line};
+pub use visible::{
+    in_markdown, markdown_block, markdown_cell, markdown_line, visible, visible_line,
+};
 pub use writable::check_writable;

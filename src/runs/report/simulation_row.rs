@@ -2,6 +2,7 @@
 
 use super::decision::{all_are_zero, all_refused, first_refused};
 use super::number::positive_zero;
+use super::recorded;
 use super::times::{CallTimes, SimulationTime};
 use crate::worker::run::SimulationRecord;
 use planagent_agent::planner::{NoPlan, PlanningCall, Unreadable};
@@ -36,37 +37,60 @@ pub struct SimulationRow {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
     /// nuPlan's score in [0, 1]; none if the simulation failed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::score",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub score: Option<f64>,
     /// The multipliers that made the score 0.
     #[serde(default)]
     pub zeroed_by: Vec<String>,
     /// Planning calls, without the gated ones.
+    #[serde(deserialize_with = "recorded::count")]
     pub planning_calls: usize,
     /// Planning calls that the gate skipped.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::count",
+        skip_serializing_if = "is_zero"
+    )]
     pub gated_calls: usize,
     /// Planning calls in which Reflection refused all attempts.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "recorded::count")]
     pub refused_calls: usize,
     /// Planning calls in which Reflection refused the first attempt.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::count",
+        skip_serializing_if = "is_zero"
+    )]
     pub first_refused_calls: usize,
     /// Planning calls in which every plan leaves the drivable area.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::count",
+        skip_serializing_if = "is_zero"
+    )]
     pub off_area_calls: usize,
     /// Planning calls in which every plan leaves the route for more than 6 m.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::count",
+        skip_serializing_if = "is_zero"
+    )]
     pub off_route_calls: usize,
     /// Attempts after the first of their call.
+    #[serde(deserialize_with = "recorded::count")]
     pub rethinks: usize,
     /// Parse errors of the answers.
+    #[serde(deserialize_with = "recorded::count")]
     pub parse_errors: usize,
     /// Planning calls that ended at their deadline.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "recorded::count")]
     pub deadlines: usize,
     /// Planning calls that ended by an error of the model.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "recorded::count")]
     pub failed_calls: usize,
     /// Planning calls in a scene without a lane graph.
     #[serde(default, skip_serializing_if = "is_zero")]
@@ -112,7 +136,11 @@ pub struct MetricScore {
     /// nuPlan's name.
     pub name: String,
     /// The score in [0, 1]; none for metrics outside the score.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::score",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub score: Option<f64>,
 }
 

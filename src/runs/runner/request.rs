@@ -104,7 +104,11 @@ impl Request {
             if commands.get(word.as_str()) == Some(&command.command) {
                 continue;
             }
-            request.registry = request.registry.with_command(&command, self.exec_timeout)?;
+            request.registry = request.registry.with_stoppable_command(
+                &command,
+                self.exec_timeout,
+                self.stop.as_ref(),
+            )?;
             commands.insert(word.clone(), command.command);
         }
         let agents = self

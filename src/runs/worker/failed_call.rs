@@ -138,6 +138,10 @@ impl Planner for Reporting<'_> {
         trajectory
     }
 
+    fn finish(&mut self) -> Result<(), PlannerError> {
+        self.planner.finish()
+    }
+
     fn calls(&self) -> &[PlanningCall] {
         self.planner.calls()
     }

@@ -13,4 +13,4 @@ mod stoppable;
 pub mod suite;
 
 pub use failed_call::{FailedCall, FailedCallListener};
-pub use stoppable::StopSwitch;
+pub use planagent_agent::planner::StopSwitch;

@@ -4,10 +4,10 @@
 use super::failed_call::{FailedCallListener, Reporting};
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
-use super::stoppable::{StopSwitch, Stoppable};
+use super::stoppable::Stoppable;
 use planagent_agent::planner::{
     AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError,
-    PlannerName, PlanningCall,
+    PlannerName, PlanningCall, StopSwitch,
 };
 use planagent_agent::planner_registry::{
     PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner,
@@ -293,9 +293,9 @@ fn simulate_task(
         .filter(|agents| Some(agents.name) == challenge.own_agents());
     let held = || HeldScenario::Shared(Arc::clone(scenario));
     let prepared = || match own {
-        Some(agents) => {
-            ClosedLoop::with_agents(held(), challenge, |first| agents.policy(scenario, first))
-        }
+        Some(agents) => ClosedLoop::with_agents(held(), challenge, |first| {
+            agents.policy(scenario, first, parts.stop.as_ref())
+        }),
         None => ClosedLoop::new(held(), challenge),
     };
     let entry = parts.registry.find(planner.as_str());

@@ -38,7 +38,7 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
         }
         return Ok(Exit::Success);
     }
-    printer.line(table(&rows).fitted(printer.line_width()));
+    printer.table(table(&rows).fitted(printer.line_width()));
     let broken = rows.iter().filter(|row| row.source.is_none());
     broken.for_each(|row| {
         printer.line(format!(

@@ -3,6 +3,7 @@
 use crate::bench::EngineName;
 use crate::report::{BenchFigures, Comparison, ModelFigures};
 use planagent_runs::report::table::{LineWidth, Table, or_dash, three_digits, weights};
+use planagent_runs::report::{markdown_block, markdown_line};
 use std::fmt::Write as _;
 
 const MEBI: f64 = (1 << 20) as f64;
@@ -128,7 +129,11 @@ pub fn bench_table(figures: &BenchFigures, width: LineWidth) -> String {
 
 /// The same as Markdown, the models in one wide table; `command` ran on `machine`.
 pub fn bench_markdown(figures: &BenchFigures, command: &str, machine: &str) -> String {
-    let mut text = format!("{machine}\n\n```console\n$ {command}\n```\n");
+    let mut text = format!(
+        "{}\n\n{}\n",
+        markdown_line(machine),
+        markdown_block("console", &format!("$ {command}"))
+    );
     // Writing to a string cannot fail.
     if !figures.models.is_empty() {
         let all = LOADED.iter().chain(&COST);
@@ -144,7 +149,7 @@ pub fn bench_markdown(figures: &BenchFigures, command: &str, machine: &str) -> S
         let _ = write!(text, "\n{}", table.markdown());
     }
     if !figures.comparisons.is_empty() {
-        let other = other_engine(figures);
+        let other = markdown_line(&other_engine(figures));
         let table = comparisons(figures).markdown();
         let _ = write!(
             text,
@@ -152,7 +157,7 @@ pub fn bench_markdown(figures: &BenchFigures, command: &str, machine: &str) -> S
         );
     }
     for line in failed(figures) {
-        let _ = writeln!(text, "\n{line}");
+        let _ = writeln!(text, "\n{}", markdown_line(&line));
     }
     text
 }

@@ -1,8 +1,8 @@
 //! The table of two sets of scenes.
 
 use crate::realism::{Distribution, FOLDS, SceneComparison};
-use planagent_runs::report::fixed;
 use planagent_runs::report::table::{LineWidth, Table, or_dash, signed};
+use planagent_runs::report::{fixed, visible_line};
 
 /// Mean and standard deviation of each feature in both sets, and what tells them apart. `names` are
 /// those of the sets.
@@ -11,7 +11,10 @@ pub fn realism_table(comparison: &SceneComparison, names: [&str; 2], width: Line
     let counts = [a.len(), b.len()];
     let heads = ["A", "B"].iter().zip(names).zip(counts);
     let heads: Vec<String> = heads
-        .flat_map(|((side, name), count)| width.name(&format!("{side} = {name}, {count} scenes")))
+        .flat_map(|((side, name), count)| {
+            let name = visible_line(name);
+            width.name(&format!("{side} = {name}, {count} scenes"))
+        })
         .collect();
     let rows = comparison.features.iter().map(|one| {
         let name = match one.feature.unit {

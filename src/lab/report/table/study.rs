@@ -5,23 +5,23 @@ use crate::report::figure::AGREEMENT;
 use crate::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
 use crate::study::{Column, Rows, Study, Variant};
 use planagent_agent::simulation::Challenge;
-use planagent_runs::report::fixed;
 use planagent_runs::report::table::{
     LineWidth, Table, or_dash, short, signed, three_digits, weights,
 };
+use planagent_runs::report::{fixed, markdown_block, markdown_line, visible, visible_line};
 use planagent_runs::worker::statistics::PairedDifference;
 use std::fmt::Write as _;
 
 /// The tables for a terminal: one for each suite and challenge.
 pub fn study_table(study: &Study, results: &StudyResults, width: LineWidth) -> String {
-    let headed = |text: &str| width.wrapped(text).join("\n");
+    let headed = |text: &str| width.wrapped(&visible_line(text)).join("\n");
     let mut parts = vec![headed(&results.title)];
     for suite in &results.suites {
         let challenges = suite.challenges();
         for &challenge in &challenges {
             let heading = format!(
                 "{}, {}: {} scenes",
-                suite.name,
+                visible_line(&suite.name),
                 agents(challenge),
                 suite.scenes
             );
@@ -39,7 +39,7 @@ pub fn study_table(study: &Study, results: &StudyResults, width: LineWidth) -> S
                 let table = recordings::recordings(suite, &[challenge]).fitted_below_names(width);
                 format!(
                     "{}, {}: each recording\n{table}",
-                    suite.name,
+                    visible_line(&suite.name),
                     agents(challenge)
                 )
             }));
@@ -50,7 +50,7 @@ pub fn study_table(study: &Study, results: &StudyResults, width: LineWidth) -> S
     parts.push(
         notes(study, results)
             .iter()
-            .flat_map(|note| width.wrapped(note))
+            .flat_map(|note| width.wrapped(&visible(note)))
             .collect::<Vec<_>>()
             .join("\n"),
     );
@@ -65,10 +65,15 @@ pub(crate) fn study_markdown(
     command: &str,
     figures: &[String],
 ) -> String {
-    let mut text = format!("# {}\n\n```console\n$ {command}\n```\n", results.title);
+    let mut text = format!(
+        "# {}\n\n{}\n",
+        markdown_line(&results.title),
+        markdown_block("console", &format!("$ {command}"))
+    );
     for suite in &results.suites {
         // Writing to a string cannot fail.
-        let _ = writeln!(text, "\n## {}: {} scenes", suite.name, suite.scenes);
+        let name = markdown_line(&suite.name);
+        let _ = writeln!(text, "\n## {name}: {} scenes", suite.scenes);
         let challenges = suite.challenges();
         let table = scores(study, suite, &challenges, Layout::Wide);
         let of_recordings = (study.rows == Rows::Recordings).then(|| {
@@ -87,7 +92,8 @@ pub(crate) fn study_markdown(
             .iter()
             .filter(|name| **name == format!("{}.svg", suite.name))
         {
-            let _ = writeln!(text, "\n![{} on {}]({figure})", results.title, suite.name);
+            let title = markdown_line(&results.title);
+            let _ = writeln!(text, "\n![{title} on {name}]({figure})");
         }
     }
     if let Some(table) = reported::reported(study) {
@@ -101,7 +107,7 @@ pub(crate) fn study_markdown(
     }
     text.push('\n');
     for note in notes(study, results) {
-        let _ = writeln!(text, "- {note}");
+        let _ = writeln!(text, "- {}", markdown_line(&note));
     }
     text
 }

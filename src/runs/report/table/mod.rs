@@ -14,7 +14,7 @@ use super::number::fixed;
 use super::simulation_row::SimulationRow;
 use super::summary::Summary;
 use super::timing::PlannerTiming;
-use super::visible::visible_line;
+use super::visible::{visible, visible_line};
 use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::{MetricList, distinct};
 use simulations::SimulationTable;
@@ -42,7 +42,11 @@ impl Table {
         names: usize,
         rows: impl IntoIterator<Item = Vec<String>>,
     ) -> Self {
-        let headers: Vec<String> = headers.into_iter().map(Into::into).collect();
+        // A header may have several lines.
+        let headers: Vec<String> = headers
+            .into_iter()
+            .map(|header| visible(&header.into()).into_owned())
+            .collect();
         let side = |column| {
             if column < names {
                 Alignment::Left

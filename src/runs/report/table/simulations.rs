@@ -222,7 +222,8 @@ pub(super) fn zeroed(rows: &[SimulationRow], width: LineWidth) -> String {
         }
         for name in &row.zeroed_by {
             let planner = visible_line(&row.planner);
-            let line = format!("  {planner} {}: 0 because of {name}", short(row.challenge));
+            let (challenge, name) = (short(row.challenge), visible_line(name));
+            let line = format!("  {planner} {challenge}: 0 because of {name}");
             if measure_text_width(&line) <= width.columns() {
                 lines.push(line);
             } else {

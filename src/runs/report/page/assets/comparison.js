@@ -108,8 +108,8 @@ function scoreRow(comparison, axis, entrant, scores) {
   const clear = difference && (difference.low > 0 || difference.high < 0);
   return h("div", { class: "score-row", title: intervalWords(scores) }, who,
     h("span", { class: "lane-of-scores" }, axis.lines(), dotAndInterval(axis, scores, colorOf(entrant))),
-    h("span", { class: "score-value" }, h("output", {}, scores.mean.toFixed(2)),
-      h("small", {}, scores.scenes > 1 ? `${scores.low.toFixed(1)} to ${scores.high.toFixed(1)}` : counted(scores.scenes, "scene"))),
+    h("span", { class: "score-value" }, h("output", {}, fixed(scores.mean, 2)),
+      h("small", {}, scores.scenes > 1 ? `${fixed(scores.low, 1)} to ${fixed(scores.high, 1)}` : counted(scores.scenes, "scene"))),
     INDEX.entrants.length < 2 ? h("span", {}) : h("span", { class: `difference${clear ? " clear" : ""}` },
       difference ? [h("output", {}, signed(difference.mean)), h("small", { title: counted(difference.scenes, "common scene") },
         `${signed(difference.low)} to ${signed(difference.high)}`)] : h("small", {}, entrant === from ? "reference" : "no common scene")));

@@ -27,7 +27,7 @@ function nameOf(simulation) {
   }
   const known = type && type !== UNKNOWN_TYPE;
   const sketch = sketchOf(scenario);
-  const path = sketch && `${sketch.meters < STANDING_M ? "" : `${sketch.meters} m in `}${sketch.seconds.toFixed(0)} s`;
+  const path = sketch && `${sketch.meters < STANDING_M ? "" : `${sketch.meters} m in `}${fixed(sketch.seconds, 0)} s`;
   const name = known ? capital(spaced(type)) : sketch ? capital(maneuver(sketch)) : scenario;
   return { name, detail: [path, scenario === name ? null : scenario].filter(Boolean).join(", ") };
 }
