@@ -6,9 +6,11 @@ mod commands;
 mod completed;
 mod csv;
 mod exit;
+mod explained;
 mod film;
 mod help;
 mod interrupt;
+mod next_steps;
 mod picture;
 mod printer;
 mod progress;
@@ -128,7 +130,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Dataset(flags) => commands::dataset::run(flags, config, printer),
         Command::Study(flags) => commands::study::run(flags, config, printer),
         Command::Bench(flags) => commands::bench::run(flags, config, printer),
-        Command::Config(_) => commands::config::run(&settings, printer),
+        Command::Config(flags) => commands::config::run(flags, &settings, printer),
         Command::Completions { shell } => commands::completions::run(*shell, printer),
         Command::BenchProcess(_) => commands::bench::process(config, printer),
         Command::TrialProcess => commands::trial::run(),

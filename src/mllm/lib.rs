@@ -78,8 +78,8 @@ pub use local::{
 };
 pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub use registry::{
-    Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs,
-    ModelRegistry, ModelSource, ModelSpec, NamedBy, PromptSet, RoundTokens,
+    Asking, DescribedPrompts, FetchListener, FetchProgress, GenerationSettings, HubAccess,
+    ModelInputs, ModelRegistry, ModelSource, ModelSpec, NamedBy, PromptSet, RoundTokens,
 };
 pub use registry::{data_folder, models_folder};
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};

@@ -10,6 +10,7 @@ mod code_parser;
 mod config;
 mod engine;
 mod error;
+mod fitting;
 mod grammar;
 mod history;
 mod instruction;

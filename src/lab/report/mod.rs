@@ -6,6 +6,8 @@ mod study;
 mod table;
 mod twins;
 
+#[cfg(test)]
+use bench::DraftedCall;
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures};
 pub use figure::realism_figure;
 pub use study::{

@@ -3,6 +3,7 @@
 
 mod address;
 mod built_in;
+mod described_prompts;
 mod description;
 mod find;
 mod folder;
@@ -14,6 +15,7 @@ mod hub;
 mod inputs;
 mod own_settings;
 
+pub use described_prompts::DescribedPrompts;
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
 pub use folder::{data_folder, models_folder};
 pub use hub::{FetchListener, FetchProgress, HubAccess};
@@ -221,9 +223,9 @@ impl ModelRegistry {
     /// prompts. A hub model without a description is downloaded if it is missing and downloads are
     /// allowed.
     pub fn asking(&self, spec: &ModelSpec) -> Result<Asking, MllmError> {
-        match spec.prompt_set {
-            Some(set) => Ok(Asking {
-                prompt_set: set.name().to_owned(),
+        match &spec.prompt_set {
+            Some(prompts) => Ok(Asking {
+                prompt_set: prompts.opened_by(),
                 named_by: NamedBy::Description,
                 generation: spec.generation,
             }),
