@@ -14,7 +14,7 @@ pub use cache::cache_folder;
 pub use open_folder::{EntryKind, OpenFolder};
 pub use quoted::quoted;
 pub use regular::{open, read, read_text, target};
-pub use shortened::{MAX_SHOWN_BYTES, shortened};
+pub use shortened::shortened;
 pub use unfinished::UNFINISHED;
 pub use whole_file::{WholeFile, write_whole};
 pub use word::{path_of, serde_path, word_of};

@@ -7,6 +7,7 @@ mod grammar;
 mod hints;
 mod key;
 mod models;
+mod probe;
 mod reply;
 mod trouble;
 mod waits;
@@ -14,13 +15,14 @@ mod waits;
 use super::sampling::answer_seed;
 use super::{
     Answer, Constraint, Conversation, EndpointSettings, GrammarField, LoadReport, Mark, Mllm,
-    MllmError, ModelDescription, PromptPrefix, Request, RoundTime, Server, Turn, milliseconds,
-    prompt_hash,
+    MllmError, ModelDescription, ProbeQuestion, PromptPrefix, Request, RoundTime, Server, Turn,
+    milliseconds, prompt_hash,
 };
 use chat::Chat;
 use client::{Client, Question};
 use key::ApiKey;
 use reqwest::Url;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// How llama.cpp's server names itself in its list of models.
@@ -31,6 +33,8 @@ pub struct Endpoint {
     name: String,
     settings: EndpointSettings,
     client: Client,
+    /// Whether a probe was answered.
+    probed: AtomicBool,
 }
 
 impl Endpoint {
@@ -67,6 +71,7 @@ impl Endpoint {
             name: name.to_string(),
             settings,
             client,
+            probed: AtomicBool::new(false),
         })
     }
 }
@@ -120,6 +125,14 @@ impl Mllm for Endpoint {
                 model: self.settings.model.clone(),
             }),
         }
+    }
+
+    fn probe(
+        &self,
+        question: &ProbeQuestion,
+        on_wait: &dyn Fn(&str),
+    ) -> Result<Vec<String>, MllmError> {
+        self.probe_once(question, on_wait)
     }
 
     fn converse<'a>(
@@ -202,6 +215,7 @@ impl EndpointConversation<'_> {
             body: &body,
             seed,
             deadline: request.deadline,
+            on_wait: &|_| (),
         };
         let reply = self.endpoint.client.ask(question, on_text)?;
         let remote = milliseconds(asked.elapsed());

@@ -5,6 +5,7 @@ mod client;
 
 use crate::MllmError;
 use crate::checkpoint::safetensors_folder::{has_safetensors, weight_files};
+use crate::gguf::named_parts;
 use std::path::{Path, PathBuf};
 
 /// The wanted part of a repository.
@@ -45,17 +46,18 @@ impl HubFiles {
     /// A GGUF file with its vision tower; without a name, all towers of the repository.
     pub(super) fn gguf(file: &str, mmproj: Option<&str>) -> Self {
         let tower = mmproj.unwrap_or("*mmproj*.gguf");
+        let parts = named_parts(file);
+        let patterns = owned(&[
+            "tokenizer.json",
+            "tokenizer_config.json",
+            "chat_template.jinja",
+            tower,
+        ]);
         Self {
-            patterns: owned(&[
-                "tokenizer.json",
-                "tokenizer_config.json",
-                "chat_template.jinja",
-                file,
-                tower,
-            ]),
-            required: std::iter::once(file)
-                .chain(mmproj)
-                .map(ToString::to_string)
+            patterns: patterns.into_iter().chain(parts.clone()).collect(),
+            required: parts
+                .into_iter()
+                .chain(mmproj.map(ToString::to_string))
                 .collect(),
             weights: false,
         }

@@ -3,6 +3,8 @@
 
 /// Largest `manifest.toml`, bytes: 80,000 recordings with their digests.
 pub(super) const MAX_MANIFEST_BYTES: u64 = 16 << 20;
+/// Largest `summary.json`, bytes: a kilobyte for each of 60,000 simulations.
+pub(super) const MAX_SUMMARY_BYTES: u64 = 64 << 20;
 /// Largest `record.toml`, bytes. That of a simulation of 15 s with a model has 9,000.
 pub(super) const MAX_RECORD_BYTES: u64 = 2 << 20;
 /// Largest `metrics.toml`, bytes. That of a simulation of 15 s has 60,000.

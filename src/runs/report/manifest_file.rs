@@ -14,8 +14,6 @@ use std::path::Path;
 struct AnyManifest {
     #[serde(default)]
     format_version: u32,
-    #[serde(default)]
-    started: String,
 }
 
 /// The text of a manifest that [`read`] reads again.
@@ -55,15 +53,13 @@ pub(super) fn read(files: &RunFiles) -> Result<Manifest, ReportError> {
     match read_toml(root, MANIFEST, MAX_MANIFEST_BYTES)? {
         AnyManifest {
             format_version: FORMAT_VERSION,
-            ..
         } => read_toml(root, MANIFEST, MAX_MANIFEST_BYTES),
         // The first formats had no number.
-        AnyManifest {
-            format_version: 0, ..
-        } if is_blank(root) => Err(at_root(ReportFault::DamagedManifest)),
+        AnyManifest { format_version: 0 } if is_blank(root) => {
+            Err(at_root(ReportFault::DamagedManifest))
+        }
         AnyManifest {
             format_version: found,
-            ..
         } => Err(at_root(ReportFault::FormatVersion { found })),
     }
 }
@@ -81,11 +77,4 @@ pub(super) fn has_simulations(files: &RunFiles) -> bool {
         Ok(Some(_)) => files.folders().map_or(true, |found| !found.is_empty()),
         Err(_) => true,
     }
-}
-
-/// When the run in a folder started; none if it holds no run.
-pub(super) fn started(files: &RunFiles) -> Option<String> {
-    read_toml::<AnyManifest>(files.root(), MANIFEST, MAX_MANIFEST_BYTES)
-        .ok()
-        .map(|run| run.started)
 }

@@ -23,6 +23,8 @@ use std::fs::{File, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process;
+use std::thread;
+use std::time::Duration;
 
 /// The folder of a run, locked against other processes as long as this lives. All is written by
 /// its handle: a folder that was moved gets what was written, and none takes its place.
@@ -55,6 +57,10 @@ const MAX_LOCK_BYTES: u64 = 64;
 /// What a run has before its first simulation.
 const BEGUN: [&str; 3] = [MANIFEST, CONFIG, SIMULATIONS];
 
+/// How often a locked folder is tried again, and the time between two tries.
+const LOCK_TRIES: usize = 3;
+const LOCK_PAUSE: Duration = Duration::from_millis(10);
+
 impl RunFolder {
     /// Creates the folder of a new run with its manifest; without a path, the next free
     /// `runs/NNNN`.
@@ -86,7 +92,7 @@ impl RunFolder {
     /// # Errors
     /// When the folder holds a run or other files, something else stands where it should be, or it
     /// cannot be written.
-    pub fn check_new(path: Option<&Path>) -> Result<(), ReportError> {
+    pub(crate) fn check_new(path: Option<&Path>) -> Result<(), ReportError> {
         let Some(path) = path else {
             return check_writable(Path::new(RUNS));
         };
@@ -113,7 +119,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// When the folder cannot be written, or another process runs in it.
-    pub fn check_resumable(path: &Path) -> Result<(), ReportError> {
+    pub(crate) fn check_resumable(path: &Path) -> Result<(), ReportError> {
         check_writable(path)?;
         Locked::new(RunFiles::open(path)?).map(|_| ())
     }
@@ -217,6 +223,13 @@ impl RunFolder {
 
     fn write_manifest(&self, manifest: &Manifest) -> Result<(), ReportError> {
         self.write(MANIFEST, &manifest_file::text(self.path(), manifest)?)
+    }
+
+    /// Whether a process works in the folder of a run. It is asked by a lock that many may share,
+    /// for an instant.
+    pub fn is_running(path: &Path) -> bool {
+        let lock = OpenFolder::open(path).and_then(|root| root.open_file(LOCK));
+        lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
     /// The path of the folder.
@@ -323,13 +336,13 @@ impl RunFolder {
     }
 
     /// Copies the known files of a completed simulation from another run: all of them, or nothing.
-    pub fn adopt(&self, simulation: &SimulationFolder) -> Result<(), ReportError> {
+    pub(crate) fn adopt(&self, simulation: &SimulationFolder) -> Result<(), ReportError> {
         simulation_folder::copy(simulation, &self.simulations)?;
         self.check_in_place()
     }
 
     /// Deletes completed simulations, so that they run again.
-    pub fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
+    pub(crate) fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
         self.files
             .folders()?
             .into_iter()
@@ -389,7 +402,16 @@ impl Locked {
         let root = files.root();
         let place = root.path_of(LOCK);
         let lock = root.lock_file(LOCK).map_err(ReportError::write(&place))?;
-        match lock.try_lock() {
+        let mut locked = lock.try_lock();
+        // A page that asks whether somebody works here holds the lock for an instant.
+        for _ in 0..LOCK_TRIES {
+            if !matches!(locked, Err(TryLockError::WouldBlock)) {
+                break;
+            }
+            thread::sleep(LOCK_PAUSE);
+            locked = lock.try_lock();
+        }
+        match locked {
             Ok(()) => {
                 // Who finds the lock can say who holds it. A full disk is no reason not to run.
                 let _ = lock.set_len(0);

@@ -2,34 +2,10 @@
 
 use super::error::{ReportError, ReportFault};
 use super::layout::RUNS;
-use super::manifest_file;
-use super::run_files::RunFiles;
 use planagent_files::OpenFolder;
 use std::fs;
 use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
-
-/// The run of `runs/` that started last.
-///
-/// # Errors
-/// When there is none, or the folder cannot be read.
-pub fn last_run() -> Result<PathBuf, ReportError> {
-    let runs = Path::new(RUNS);
-    let entries = fs::read_dir(runs).map(|entries| {
-        entries
-            .flatten()
-            .map(|entry| entry.path())
-            .collect::<Vec<_>>()
-    });
-    let started = |path: &PathBuf| manifest_file::started(&RunFiles::open(path).ok()?);
-    // Runs of one second are ordered by their names, which count up.
-    let runs_with_start = entries
-        .unwrap_or_default()
-        .into_iter()
-        .filter_map(|path| Some((started(&path)?, path)));
-    let last = runs_with_start.max().map(|(_, path)| path);
-    last.ok_or_else(|| ReportError::at(runs)(ReportFault::NoRuns))
-}
+use std::path::Path;
 
 /// Creates the first `runs/NNNN` that does not exist. Of processes that start at one time, each
 /// gets its own.

@@ -1,5 +1,6 @@
 //! What a run reports while it works.
 
+use crate::worker::FailedCall;
 use planagent_mllm::FetchProgress;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -36,9 +37,9 @@ pub enum Event {
         /// Whether a command is a planner of the run, or controls its agents. A run that is resumed
         /// takes commands from its user alone.
         has_commands: bool,
-        /// Options that a run which is resumed takes from its user alone, such as `--model
-        /// org/model`.
-        named_again: Vec<String>,
+        /// Options with their values that a run which is resumed takes from its user alone, such
+        /// as `--model org/model`.
+        named_again: Vec<[String; 2]>,
     },
     /// So many simulations start.
     Started {
@@ -47,6 +48,9 @@ pub enum Event {
     },
     /// A simulation advanced by one step of 0.1 s. Sent from every thread.
     Stepped,
+    /// The first planning call of a run that got no answer, or the first whose answer gave no plan.
+    /// Sent at once, from any thread.
+    CallFailed(FailedCall),
     /// A simulation ended.
     Ended {
         /// Whether it failed.

@@ -15,6 +15,7 @@ pub mod model;
 #[cfg(test)]
 mod moved_folder_tests;
 mod of_run;
+mod probe;
 mod request;
 mod result_version;
 pub mod run;

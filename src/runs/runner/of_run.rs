@@ -1,6 +1,7 @@
 //! Settings that the folder of a run decides, and no user. The folder may come from elsewhere: what
 //! opens a connection or an unknown file is used only when the user names it again.
 
+use planagent_agent::planner::LearnedSettings;
 use planagent_files::{quoted, word_of};
 use planagent_mllm::ModelRegistry;
 use std::collections::BTreeSet;
@@ -72,13 +73,13 @@ impl OfRun {
         let Some((_, first)) = unnamed.first() else {
             return Ok(());
         };
-        let flags: Vec<String> = unnamed
+        let options: Vec<[String; 2]> = unnamed
             .iter()
             .map(|(planner, file)| of_checkpoint(planner, file))
             .collect();
         Err(NotNamed::Checkpoint {
             file: (*first).to_owned(),
-            line: self.line(&flags),
+            line: self.line(&options),
         })
     }
 
@@ -88,7 +89,7 @@ impl OfRun {
         model: Option<&str>,
         checkpoints: impl Iterator<Item = (&'a str, &'a str)>,
         registry: &ModelRegistry,
-    ) -> Vec<String> {
+    ) -> Vec<[String; 2]> {
         model
             .filter(|model| registry.leads_elsewhere(model))
             .map(of_model)
@@ -98,23 +99,25 @@ impl OfRun {
     }
 
     /// The line to type.
-    fn line(&self, flags: &[String]) -> String {
+    fn line(&self, options: &[[String; 2]]) -> String {
         let folder = quoted(&word_of(self.folder.as_os_str()));
-        format!("planagent simulate --resume {folder} {}", flags.join(" "))
+        let words = options.iter().flatten().map(|word| quoted(word));
+        let words: Vec<String> = words.collect();
+        format!("planagent simulate --resume {folder} {}", words.join(" "))
     }
 }
 
-fn of_model(model: &str) -> String {
-    format!("--model {}", quoted(model))
+fn of_model(model: &str) -> [String; 2] {
+    ["--model".to_owned(), model.to_owned()]
 }
 
-fn of_checkpoint(planner: &str, file: &str) -> String {
-    format!("--checkpoint {}", quoted(&format!("{planner}={file}")))
+fn of_checkpoint(planner: &str, file: &str) -> [String; 2] {
+    ["--checkpoint".to_owned(), format!("{planner}={file}")]
 }
 
 /// Key of the checkpoint of a planner.
 pub(super) fn checkpoint_key(planner: &str) -> String {
-    format!("learned.{}", planner.replace('-', "_"))
+    format!("learned.{}", LearnedSettings::key(planner))
 }
 
 #[cfg(test)]

@@ -3,12 +3,15 @@
 use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::machine::cpu;
+use super::probe;
 use super::watch::while_in_place;
 use crate::report::{Manifest, RunFolder, Session, SimulationRow, Summary, Timing};
+use crate::worker::FailedCall;
 use crate::worker::run::{self, AgentParts, SimulationTask};
 use planagent_scenario::MissingTokens;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// How a run is resumed.
@@ -30,6 +33,17 @@ pub struct RunPlan {
     pub agent: AgentParts,
     /// Time that the model took to load, seconds.
     pub load_s: Option<f64>,
+}
+
+impl RunPlan {
+    /// Asks the server of its model, if it has one, what simulations will ask.
+    pub(super) fn probe(&self, listener: &Listener) -> Result<(), RunnerError> {
+        let bev = self.agent.settings.environment.bev;
+        match &self.agent.model {
+            Some(source) => probe::probe(source, bev, listener),
+            None => Ok(()),
+        }
+    }
 }
 
 /// The results of a run whose simulations are all completed.
@@ -60,6 +74,8 @@ pub struct Run {
     simulated: usize,
     /// How many failed ones were discarded to be repeated.
     pub(super) retried: usize,
+    /// The causes of failed planning calls that were told: of each the first.
+    told: Arc<Mutex<BTreeSet<&'static str>>>,
 }
 
 impl Run {
@@ -75,6 +91,7 @@ impl Run {
             rows: Vec::new(),
             simulated: 0,
             retried: 0,
+            told: Arc::default(),
         })
     }
 
@@ -134,6 +151,7 @@ impl Run {
             rows,
             simulated: 0,
             retried: discarded.len(),
+            told: Arc::default(),
         })
     }
 
@@ -190,14 +208,34 @@ impl Run {
         (!self.rows.is_empty()).then(|| seconds / self.rows.len() as f64)
     }
 
+    /// Asks the server of its model what the simulations that are left will ask.
+    #[doc(hidden)]
+    pub fn probe(&self, listener: &Listener) -> Result<(), RunnerError> {
+        if self.left.is_empty() {
+            return Ok(());
+        }
+        self.plan.probe(listener)
+    }
+
     /// Simulates some of the tasks that are left, and writes each as it ends.
     #[doc(hidden)]
     pub fn simulate(&mut self, numbers: &[usize], listener: &Listener) -> Result<(), RunnerError> {
         let folder = &self.folder;
         let users = self.plan.agent.stop.clone().unwrap_or_default();
         let stop = users.part();
+        let (told, hearing) = (Arc::clone(&self.told), Arc::clone(listener));
+        let on_failed_call = move |call: FailedCall| {
+            let is_first = told
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .insert(call.cause);
+            if is_first {
+                hearing(Event::CallFailed(call));
+            }
+        };
         let agent = AgentParts {
             stop: Some(stop.clone()),
+            on_failed_call: Some(Arc::new(on_failed_call)),
             ..self.plan.agent.clone()
         };
         let stopped = || RunnerError::Stopped {

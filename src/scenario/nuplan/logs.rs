@@ -14,7 +14,7 @@ const LOG_ENDING: &str = "db";
 /// Folders of a nuPlan tree that hold no logs, but very many files.
 const WITHOUT_LOGS: [&str; 2] = ["sensor_blobs", "maps"];
 /// Depth to which folders are searched for logs; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
-pub const MAX_FOLDER_DEPTH: usize = 5;
+pub(crate) const MAX_FOLDER_DEPTH: usize = 5;
 
 /// A log: one database file.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 const MARK: &str = ".tfrecord";
 
 /// Takes TFRecord files.
-pub struct WomdReader;
+pub(crate) struct WomdReader;
 
 impl ScenarioReader for WomdReader {
     fn recognizes(&self, word: &str) -> bool {
