@@ -8,6 +8,7 @@ mod exit;
 mod film;
 mod help;
 mod interrupt;
+mod llama_options;
 mod picture;
 mod printer;
 mod progress;
@@ -17,6 +18,7 @@ mod words;
 
 use anyhow::bail;
 use args::{Arguments, Command};
+use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches};
 use planagent_runs::runner::set_build_commit;
 use planagent_runs::worker::panic_guard;
@@ -33,6 +35,11 @@ pub fn run(commit: Option<&'static str>) -> ExitCode {
     panic_guard::install_hook();
     if let Some(commit) = commit {
         set_build_commit(commit);
+    }
+    if let Some(advice) = llama_options::instead(std::env::args_os()) {
+        let error = Arguments::command().error(ErrorKind::UnknownArgument, advice);
+        let _ = error.print();
+        return Exit::Error.into();
     }
     let matches = with_negative_numbers(Arguments::command()).try_get_matches();
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {

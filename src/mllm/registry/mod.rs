@@ -19,8 +19,8 @@ use std::sync::Arc;
 
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
 pub use folder::{data_folder, models_folder};
-use hub::HubFiles;
-pub use hub::{FetchListener, FetchProgress, HubAccess};
+pub use hub::{FetchListener, FetchProgress, HubAccess, offline_variable};
+use hub::{GgufChoice, HubFiles, HubName, HubPlace};
 pub use inputs::ModelInputs;
 pub use own_settings::{Asking, NamedBy};
 
@@ -71,6 +71,16 @@ fn connect(_: &str, settings: &EndpointSettings) -> Result<Box<dyn Mllm>, MllmEr
         settings.endpoint
     );
     Err(MllmError::Request { problem })
+}
+
+/// A model of the hub without a description. Its name in results is the last part of its word.
+fn of_hub(named: HubName) -> ModelSpec {
+    let word = named.word();
+    let last = match (&named.file, named.id.split_once('/')) {
+        (None, Some((owner, _))) => word[owner.len() + 1..].replace('/', "-"),
+        _ => word.rsplit('/').next().unwrap_or(&word).to_owned(),
+    };
+    ModelSpec::plain(last, ModelSource::of_hub(named))
 }
 
 fn no_files(spec: &ModelSpec, settings: &EndpointSettings) -> MllmError {
@@ -207,9 +217,11 @@ impl ModelRegistry {
     /// Finds a model. `name` is, in this order:
     /// 1. the name of a description in the folder, then of one in the program,
     /// 2. the path of a description, a model folder or a GGUF file,
-    /// 3. the address of a server (`http://127.0.0.1:8080/v1`), perhaps with `#` and its name of
+    /// 3. the address of a page of the hub (`https://huggingface.co/org/name`, `hf.co/org/name`),
+    /// 4. the address of a server (`http://127.0.0.1:8080/v1`), perhaps with `#` and its name of
     ///    the model,
-    /// 4. a hub id, or a hub id with a GGUF file (`org/name/file.gguf`).
+    /// 5. a hub id, perhaps with a revision (`org/name@v1`), and with a GGUF file
+    ///    (`org/name/file.gguf`) or its weight format (`org/name:Q4_K_M`).
     ///
     /// [`Self::asking`] says how it is asked.
     pub fn find(&self, name: &str) -> Result<ModelSpec, MllmError> {
@@ -236,25 +248,28 @@ impl ModelRegistry {
         {
             return ModelSpec::open(path);
         }
+        if let Some(named) = hub::addressed(name) {
+            let named = named.map_err(|problem| MllmError::HubName {
+                word: name.to_owned(),
+                problem,
+            })?;
+            return Ok(of_hub(named));
+        }
         if let Some(server) = address::server(name) {
             return server;
         }
         let source = if !name.is_empty() && path.is_dir() {
+            // A repository's folder in the hub's cache stands for its snapshot.
             ModelSource::Folder {
-                folder: path.to_path_buf(),
+                folder: hub::snapshot_in(path).unwrap_or_else(|| path.to_path_buf()),
             }
         } else if is_gguf(path) && path.is_file() {
             ModelSource::File {
                 file: path.to_path_buf(),
                 mmproj: None,
             }
-        } else if let Some((id, file)) = hub::split_file(name) {
-            ModelSource::Hub {
-                hub: id.to_string(),
-                revision: description::default_revision(),
-                file: file.map(ToString::to_string),
-                mmproj: None,
-            }
+        } else if let Some(named) = hub::plain(name) {
+            return Ok(of_hub(named));
         } else if is_path(path) {
             return Err(MllmError::AbsentModel {
                 path: path.to_path_buf(),
@@ -307,23 +322,37 @@ impl ModelRegistry {
             ModelSource::Hub {
                 hub: id,
                 revision,
-                file: None,
-                ..
-            } => {
-                let files = HubFiles::model(spec.tokenizer.is_none());
-                ModelPlace::Folder(self.snapshot(hub, id, revision, &files)?)
-            }
-            ModelSource::Hub {
-                hub: id,
-                revision,
-                file: Some(file),
+                file,
+                quant,
                 mmproj,
             } => {
-                let files = HubFiles::gguf(file, mmproj.as_deref());
-                let folder = self.snapshot(hub, id, revision, &files)?;
-                ModelPlace::Gguf {
-                    model: folder.join(file),
-                    mmproj: mmproj.as_ref().map(|name| folder.join(name)),
+                let name = HubName {
+                    id: id.clone(),
+                    revision: Some(revision.clone())
+                        .filter(|revision| *revision != description::default_revision()),
+                    file: file.clone(),
+                    quant: quant.clone(),
+                };
+                let model = file.clone().map(GgufChoice::File);
+                let model = model.or_else(|| quant.clone().map(GgufChoice::Quant));
+                let files = match model {
+                    None => HubFiles::Model {
+                        tokenizer: spec.tokenizer.is_none(),
+                    },
+                    Some(model) => HubFiles::Gguf {
+                        model,
+                        mmproj: mmproj.clone(),
+                    },
+                };
+                match self.snapshot(hub, &name, &files)? {
+                    HubPlace { folder, gguf: None } => ModelPlace::Folder(folder),
+                    HubPlace {
+                        folder,
+                        gguf: Some(names),
+                    } => ModelPlace::Gguf {
+                        model: folder.join(names.model),
+                        mmproj: names.mmproj.map(|name| folder.join(name)),
+                    },
                 }
             }
         })
@@ -332,11 +361,10 @@ impl ModelRegistry {
     fn snapshot(
         &self,
         hub: &HubAccess,
-        id: &str,
-        revision: &str,
+        name: &HubName,
         files: &HubFiles,
-    ) -> Result<PathBuf, MllmError> {
-        hub.fetch(id, revision, files, self.listener.clone())
+    ) -> Result<HubPlace, MllmError> {
+        hub.fetch(name, files, self.listener.clone())
     }
 
     /// How a model is asked: as its description says, else its own files, else with the paper's
@@ -386,6 +414,7 @@ impl ModelRegistry {
             if self.hub.offline && !settings.is_local() {
                 return Err(MllmError::Offline {
                     endpoint: settings.endpoint.clone(),
+                    variable: offline_variable(),
                 });
             }
             return connect(&spec.name, settings);
@@ -457,7 +486,10 @@ impl ModelRegistry {
             (
                 Err(error),
                 ModelSource::Hub {
-                    hub, file: None, ..
+                    hub,
+                    file: None,
+                    quant: None,
+                    ..
                 },
             ) => ModelShape::of_hub(hub).ok_or(error)?.checkpoint(families)?,
             (here, _) => here?,
@@ -508,7 +540,15 @@ impl ModelRegistry {
             Some(ModelSource::Folder { folder }) => Some(folder.clone()),
             Some(ModelSource::File { file, .. }) => file.parent().map(Path::to_path_buf),
             Some(ModelSource::Hub { hub, revision, .. }) => {
-                Some(self.snapshot(&self.hub, hub, revision, &HubFiles::tokenizer())?)
+                let name = HubName {
+                    id: hub.clone(),
+                    revision: Some(revision.clone()),
+                    ..HubName::default()
+                };
+                Some(
+                    self.snapshot(&self.hub, &name, &HubFiles::Tokenizer)?
+                        .folder,
+                )
             }
         };
         let expected = spec
@@ -590,6 +630,32 @@ mod tests {
             }
             other => panic!("{other:?}"),
         }
+        for (word, name, shown) in [
+            ("org/repo:Q4_K_M", "repo:Q4_K_M", "org/repo:Q4_K_M"),
+            ("hf.co/org/repo:q8_0", "repo:q8_0", "org/repo:q8_0"),
+            (
+                "org/repo@refs/pr/1",
+                "repo@refs-pr-1",
+                "org/repo (refs/pr/1)",
+            ),
+            ("https://huggingface.co/org/repo", "repo", "org/repo"),
+            (
+                "https://huggingface.co/org/repo/blob/main/m-q4_k.gguf",
+                "m-q4_k.gguf",
+                "org/repo/m-q4_k.gguf",
+            ),
+        ] {
+            let spec = registry.find(word).unwrap();
+            assert_eq!(
+                (spec.name.as_str(), spec.source.to_string().as_str()),
+                (name, shown),
+                "{word}"
+            );
+        }
+        assert!(matches!(
+            registry.find("https://huggingface.co/spaces/org/app"),
+            Err(MllmError::HubName { .. })
+        ));
         let file = models.path().join("model.gguf");
         std::fs::write(&file, "GGUF").unwrap();
         let here = registry.find(file.to_str().unwrap()).unwrap();
