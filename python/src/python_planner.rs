@@ -7,7 +7,7 @@ use planagent::planning::{
 };
 use planagent::road::LaneMap;
 use planagent::{Planner, Scene, Trajectory as Planned};
-use planagent_agent::planner::kept;
+use planagent_agent::planner::{check_plan, kept};
 use pyo3::prelude::*;
 use pyo3::types::PyTraceback;
 use std::sync::Arc;
@@ -84,7 +84,12 @@ impl Planner for PythonPlanner {
                 let planned = planned.into_bound(py).cast_into::<Trajectory>()?;
                 PyResult::Ok(planned.get().0.clone())
             };
-            plan(observation).map_err(|error| failed(py, &error))
+            let plan = plan(observation).map_err(|error| failed(py, &error))?;
+            check_plan(&plan, input.scene.ego).map_err(|jump| PlannerError::Failed {
+                doing: "planning in Python",
+                source: Box::new(jump),
+            })?;
+            Ok(plan)
         })
     }
 }

@@ -50,16 +50,12 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
         printer.note("no scenario is in this shard");
     }
     printer.note(format!("results in {}", folder.display()));
-    let failed = failures(rows);
-    for line in &failed {
+    for line in failures(rows) {
         printer.failure(format!("failed: {line}"));
     }
-    if !failed.is_empty() {
-        printer.failure(format!(
-            "{} of {} simulations failed",
-            failed.len(),
-            rows.len()
-        ));
+    let failed = rows.iter().filter(|row| row.error.is_some()).count();
+    if failed > 0 {
+        printer.failure(format!("{failed} of {} simulations failed", rows.len()));
     }
     let count = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum::<usize>();
     let (calls, deadlines, lost) = (
@@ -89,7 +85,7 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
     for list in missing {
         printer.error(&anyhow!("not simulated: {list}"));
     }
-    let succeeded = failed.is_empty() && lost == 0 && missing.is_empty();
+    let succeeded = failed == 0 && lost == 0 && missing.is_empty();
     Ok(if succeeded {
         Exit::Success
     } else {

@@ -6,7 +6,11 @@
 //! agents of a simulation. A command that ends, is silent or answers wrongly fails its simulation.
 
 mod agents;
+mod answer;
+mod json_fault;
 mod messages;
+#[cfg(test)]
+mod messages_tests;
 mod process;
 mod session;
 
@@ -281,7 +285,7 @@ mod tests {
         assert_eq!(
             echo.ask(long.clone(), Duration::from_secs(20))
                 .unwrap()
-                .into_bytes(),
+                .trim_ascii_end(),
             long
         );
     }
@@ -298,7 +302,7 @@ mod tests {
             process
                 .ask(b"here".to_vec(), Duration::from_secs(20))
                 .unwrap(),
-            "here"
+            b"here\n"
         );
         drop(process);
         std::thread::sleep(Duration::from_millis(1500));

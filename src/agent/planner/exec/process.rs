@@ -42,7 +42,7 @@ pub(super) struct Process {
     /// Lines for stdin. A thread writes them, because a command that reads nothing would block the
     /// writer.
     input: Sender<Vec<u8>>,
-    output: Receiver<Result<String, ProcessError>>,
+    output: Receiver<Result<Vec<u8>, ProcessError>>,
     stderr: Arc<Mutex<VecDeque<String>>>,
     /// Disconnected when stderr has ended.
     stderr_end: Receiver<()>,
@@ -96,7 +96,7 @@ impl Process {
         &mut self,
         mut line: Vec<u8>,
         within: Duration,
-    ) -> Result<String, ProcessError> {
+    ) -> Result<Vec<u8>, ProcessError> {
         line.push(b'\n');
         // A closed channel means that the command has ended; the answer says so.
         let _ = self.input.send(line);
@@ -185,7 +185,7 @@ fn end_group(child: &mut Child) {
 }
 
 /// Sends each line of a command's output; ends with the output or the receiver.
-fn send_lines(output: impl Read, sender: &Sender<Result<String, ProcessError>>) {
+fn send_lines(output: impl Read, sender: &Sender<Result<Vec<u8>, ProcessError>>) {
     let mut reader = BufReader::new(output);
     loop {
         let mut line = Vec::new();
@@ -195,7 +195,7 @@ fn send_lines(output: impl Read, sender: &Sender<Result<String, ProcessError>>) 
                 let _ = sender.send(Err(ProcessError::LongLine));
                 return;
             }
-            Ok(_) => sender.send(Ok(String::from_utf8_lossy(&line).trim().to_owned())),
+            Ok(_) => sender.send(Ok(line)),
             Err(error) => {
                 let _ = sender.send(Err(ProcessError::Read(error)));
                 return;

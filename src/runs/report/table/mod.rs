@@ -1,5 +1,6 @@
 //! Tables of results, printed to the terminal or to Markdown.
 
+mod failures;
 mod markdown;
 mod overview;
 mod paired;
@@ -14,8 +15,8 @@ use super::visible::visible_line;
 use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::MetricList;
 
+pub use failures::failures;
 pub use paired::comparison_table;
-pub use simulations::failures;
 pub use terminal::fill;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
