@@ -12,11 +12,6 @@
     reason = "a benchmark is no interface and may stop at an error"
 )]
 
-use std::borrow::Cow;
-use std::hint::black_box;
-use std::sync::Arc;
-use std::time::{Duration, Instant};
-
 use candle_core::quantized::{GgmlDType, QMatMul, QStorage, QTensor};
 use candle_core::{DType, Device, Module, Tensor};
 use candle_nn::attention::{AttnMask, flash_attn};
@@ -25,6 +20,10 @@ use planagent_kernels::attention::AttentionProbe;
 use planagent_mllm::{Matrix, WeightFormat};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use std::borrow::Cow;
+use std::hint::black_box;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// The decoder of a model.
 struct Shape {

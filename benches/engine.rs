@@ -235,7 +235,12 @@ fn engine(c: &mut Criterion) {
         b.iter(|| LaneGraph::build(black_box(&scene), DEFAULT_NODE_LENGTH))
     });
     c.bench_function("write the compact text", |b| {
-        b.iter(|| text::write(&Description::of(black_box(&graph)), text::TextForm::Compact));
+        b.iter(|| {
+            text::write(
+                &Description::from_graph(black_box(&graph)),
+                text::TextForm::Compact,
+            )
+        });
     });
     c.bench_function("roll out an IDM plan, 4 s", |b| {
         b.iter(|| planner.roll_out(black_box(&scene), 40))

@@ -15,9 +15,8 @@
 #[path = "../tests/learned/exported.rs"]
 mod exported;
 
-use mimalloc::MiMalloc;
-
 use exported::{Exported, PLANNERS, Run, Shape, network};
+use mimalloc::MiMalloc;
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};

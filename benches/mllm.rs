@@ -13,9 +13,6 @@
     reason = "a benchmark is no interface and may stop at an error"
 )]
 
-use std::hint::black_box;
-use std::time::{Duration, Instant};
-
 use candle_core::{Device, Tensor};
 use half::f16;
 use planagent_kernels::matrix::byte_operations;
@@ -23,6 +20,8 @@ use planagent_mllm::{Matrix, WeightFormat};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
+use std::hint::black_box;
+use std::time::{Duration, Instant};
 
 /// Outputs and inputs of a matrix: two of a 1.1B and two of a 7B decoder, and Qwen's head.
 const SHAPES: [[usize; 2]; 6] = [

@@ -239,7 +239,7 @@ fn lane_graph_text(bytes: &[u8]) -> bool {
         TextForm::Compact,
         TextForm::Compact2,
     ] {
-        let said = write_text(&Description::of(&graph), form);
+        let said = write_text(&Description::from_graph(&graph), form);
         assert!(
             !said.contains("NaN") && !said.contains("inf"),
             "a number of the text is not finite: {said}"

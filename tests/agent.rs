@@ -104,7 +104,7 @@ pub(crate) fn settings() -> PlanAgentSettings {
         settings.reflection.after_max_exec,
         settings.reflection.monitoring,
     ) = (AfterMaxExec::Last, false);
-    settings.blocked_interval_s = settings.plan_interval_s;
+    settings.agent.blocked_interval_s = settings.agent.interval_s;
     settings
 }
 

@@ -2,11 +2,10 @@
 
 mod imports;
 
+use imports::Graph;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
 const RANKS: [(&str, u8); 13] = [
@@ -95,7 +94,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["bench", "dataset", "tokens"],
             &["realism", "twins"],
             &["report"],
-            &["studies"],
+            &["study_runs"],
         ],
     ),
     ("runs", &[&["worker"], &["report"], &["runner"]]),
@@ -303,7 +302,7 @@ fn graph() -> Graph {
             .flat_map(|(_, line)| [line, "\n"])
             .collect()
     };
-    Graph::of(
+    Graph::from_sources(
         &sources()
             .into_iter()
             .map(|(file, text)| (file, code(&text)))

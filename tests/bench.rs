@@ -5,7 +5,6 @@ use crate::outside::{Needy, llama_python};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-
 use tempfile::TempDir;
 
 fn rows(folder: &Path) -> Vec<Value> {

@@ -26,7 +26,7 @@ fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts
     let place = format!("{} at {} us", scenario.id, frame.ego.time_us);
     let graph =
         LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap_or_else(|e| panic!("{place}: {e}"));
-    let description = Description::of(&graph);
+    let description = Description::from_graph(&graph);
     let paper = text::write(&description, TextForm::Paper);
     assert_eq!(
         parse(&paper, TextForm::Paper),
@@ -64,7 +64,7 @@ fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts
         image.pixels().any(|p| p.0 != bev::BACKGROUND),
         "{place}: an empty image"
     );
-    SceneFacts::of(&scene, &graph)
+    SceneFacts::from_scene(&scene, &graph)
 }
 
 #[test]

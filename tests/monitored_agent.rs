@@ -174,7 +174,8 @@ fn planning_calls_come_early_while_something_stands_ahead() {
             }),
             &[Round::Code],
         );
-        let settings = settings_with(|settings| settings.blocked_interval_s = blocked_interval_s);
+        let settings =
+            settings_with(|settings| settings.agent.blocked_interval_s = blocked_interval_s);
         let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source, settings).layered();
         for iteration in 0..=20 {
             let time_us = before.ego.time_us + iteration as i64 * STEP_US;

@@ -34,7 +34,7 @@ fn nano(proposals: usize) -> CodeSource {
 fn refused_attempts(source: CodeSource) -> Vec<Vec<Attempt>> {
     let settings = settings_with(|settings| {
         (settings.reflection.threshold, settings.reflection.max_exec) = (1.5, 3);
-        settings.plan_interval_s = 5.0;
+        settings.agent.interval_s = 5.0;
     });
     let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, source, settings);
     simulate(

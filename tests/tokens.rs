@@ -150,10 +150,15 @@ fn brief_prompts_take_few_tokens_in_every_generated_scene() {
                 let history = History::default();
                 let graph = LaneGraph::build(&scenario.scene(frame, &history), DEFAULT_NODE_LENGTH)
                     .unwrap();
-                let scene = text::write(&Description::of(&graph), TextForm::Brief);
+                let scene = text::write(&Description::from_graph(&graph), TextForm::Brief);
                 let count = |feedback| {
                     counter
-                        .count(&brief_prompts(&set, &Names::of(&graph), &scene, feedback))
+                        .count(&brief_prompts(
+                            &set,
+                            &Names::from_graph(&graph),
+                            &scene,
+                            feedback,
+                        ))
                         .cl100k
                 };
                 first.push(count(None));

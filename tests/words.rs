@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Regular expressions of identifiers and phrases that have a better word.
-const RETIRED: [&str; 56] = [
+const RETIRED: [&str; 62] = [
     r"\b(MOST|LEAST|FEWEST|USUAL)_[A-Z]",
     r"\bin force\b",
     r"\bin_force\b",
@@ -62,6 +62,12 @@ const RETIRED: [&str; 56] = [
     r"\bPlannerKind\b",
     r"\bScenarioSource\b",
     r"\bdrives/",
+    r"\bplanagent experiments?\b",
+    r"\bruns/experiments\b",
+    r"\bEgoWay\b",
+    r"\bPass(Rules|Verdict)\b",
+    r"\b(with_)?way_back\b",
+    r"\bExperiments?(Request|Arguments|Outcome|Results)?\b",
 ];
 
 /// Files that may name a retired word.

@@ -1,14 +1,11 @@
 //! Errors of the library as exceptions of `planagent.errors`.
 
-use planagent_mllm::MllmError;
-
-use planagent_runs::report::ReportFault;
-
-use planagent_runs::runner::RunnerError;
-
 use planagent::planning::PlannerError;
 use planagent::sources::ReaderError;
 use planagent::traffic::SimulationError;
+use planagent_mllm::MllmError;
+use planagent_runs::report::ReportFault;
+use planagent_runs::runner::RunnerError;
 use planagent_runs::worker::run::with_causes;
 use pyo3::prelude::*;
 use std::io::{Error as IoError, ErrorKind};

@@ -229,7 +229,10 @@ impl Observation {
             let form: TextForm = form
                 .parse()
                 .map_err(|error| Failure::argument(format!("{error}")))?;
-            Ok(write_lane_graph(&Description::of(&self.graph()?), form))
+            Ok(write_lane_graph(
+                &Description::from_graph(&self.graph()?),
+                form,
+            ))
         })
     }
 

@@ -177,7 +177,8 @@ impl Planner {
         crate::work::quick(py, || {
             let state = lock(&self.state);
             let record = |call: &PlanningCall| {
-                let record = CallRecord::of(&state.scenario, &self.name, None, call).to_json();
+                let record =
+                    CallRecord::from_call(&state.scenario, &self.name, None, call).to_json();
                 record
                     .map(|json| json.to_string())
                     .map_err(|error| Failure::panic(error.to_string()))

@@ -2,8 +2,8 @@
 
 use super::args::ALL_STUDIES;
 use planagent_agent::planner::PlannerName;
-use planagent_lab::studies::{TOKENS, TWINS};
 use planagent_lab::study;
+use planagent_lab::study_runs::{TOKENS, TWINS};
 use planagent_planners::all_planners;
 use planagent_runs::runner::build_commit;
 use planagent_runs::worker::interactive::NAMES as INTERACTIVE;

@@ -16,6 +16,9 @@ mod settings;
 mod suggest;
 mod words;
 
+pub use exit::Exit;
+pub use printer::Printer;
+
 use anyhow::bail;
 use args::{Arguments, Command};
 use clap::error::ErrorKind;
@@ -24,9 +27,6 @@ use planagent_runs::runner::set_build_commit;
 use planagent_runs::worker::panic_guard;
 use settings::Settings;
 use std::process::ExitCode;
-
-pub use exit::Exit;
-pub use printer::Printer;
 
 const MAX_THREADS: usize = 512;
 
@@ -44,7 +44,8 @@ pub fn run(commit: Option<&'static str>) -> ExitCode {
     let matches = with_negative_numbers(Arguments::command()).try_get_matches();
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
-        Err(error) => {
+        Err(mut error) => {
+            suggest::add_new_command(&mut error);
             // Help and version are no errors; clap prints each where it belongs.
             let _ = error.print();
             return if error.use_stderr() {
@@ -82,7 +83,7 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
 }
 
 fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
-    let settings = Settings::of(arguments)?;
+    let settings = Settings::from_arguments(arguments)?;
     let config = &settings.config;
     let threads = arguments.global.threads.unwrap_or(0);
     if threads > MAX_THREADS {

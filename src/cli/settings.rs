@@ -8,6 +8,7 @@ use planagent_agent::planner::LearnedSettings;
 use planagent_agent::reasoning::built_in_prompts;
 use planagent_mllm::trial::Trial;
 use planagent_mllm::{Trust, offline_variable};
+use planagent_runs::report::RenamedSetting;
 use planagent_runs::runner::Config;
 use planagent_scenario::absolute_path;
 use serde::Serialize;
@@ -59,7 +60,7 @@ pub(super) struct Setting {
 impl Settings {
     /// The settings of arguments: a file or the run that is resumed, below `HF_HUB_OFFLINE`, below
     /// `--set`, below options of their own.
-    pub(super) fn of(arguments: &Arguments) -> anyhow::Result<Self> {
+    pub(super) fn from_arguments(arguments: &Arguments) -> anyhow::Result<Self> {
         let global = &arguments.global;
         let mut settings = base(arguments)?;
         settings.take_environment();
@@ -271,6 +272,18 @@ fn parse(text: &str) -> anyhow::Result<Table> {
         bail!("--set {text}: expected KEY=VALUE, for example reflection.threshold=0.5");
     };
     let (key, value) = (key.trim(), value.trim());
+    // Words need no quotes: what is no value of TOML is a text.
+    let parsed = format!("value = {value}")
+        .parse::<Table>()
+        .ok()
+        .and_then(|mut table| table.remove("value"));
+    let table = nested(
+        key,
+        parsed.unwrap_or_else(|| Value::String(value.to_owned())),
+    );
+    if let Some(renamed) = RenamedSetting::all_in(&table).first() {
+        bail!("--set {text}: {renamed}");
+    }
     let known = keys()?;
     if !known.iter().any(|one| one == key) {
         let tip = match nearest(key, known.iter().map(String::as_str)) {
@@ -279,15 +292,7 @@ fn parse(text: &str) -> anyhow::Result<Table> {
         };
         bail!("--set {text}: there is no setting '{key}'\n  tip: {tip}");
     }
-    // Words need no quotes: what is no value of TOML is a text.
-    let parsed = format!("value = {value}")
-        .parse::<Table>()
-        .ok()
-        .and_then(|mut table| table.remove("value"));
-    Ok(nested(
-        key,
-        parsed.unwrap_or_else(|| Value::String(value.to_owned())),
-    ))
+    Ok(table)
 }
 
 /// The keys of all settings in the order of the file, optional ones at the end of their section.
@@ -363,6 +368,12 @@ mod tests {
             Value::Array(vec!["code".into()])
         );
         assert!(parse("reflection={}").is_err() && parse("seed").is_err());
+        let renamed = parse("reasoning.interval=5").unwrap_err().to_string();
+        assert_eq!(
+            renamed,
+            "--set reasoning.interval=5: reasoning.interval is agent.interval_s now, in seconds; \
+             write agent.interval_s = 0.5"
+        );
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The known name that a mistyped one is closest to.
 
+use clap::error::{ContextKind, ContextValue};
 use planagent_agent::planner::UnknownPlanner;
 use planagent_lab::study::StudyError;
 use planagent_mllm::MllmError;
@@ -40,6 +41,25 @@ pub(super) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) 
     close
         .max_by(|(a, _), (b, _)| a.total_cmp(b))
         .map(|(_, one)| one)
+}
+
+/// Commands of before, each with the command that replaces it.
+const REPLACED_COMMANDS: [(&str, &str); 1] = [("experiment", "study")];
+
+/// Adds to an error about a command that it has another name now.
+pub(super) fn add_new_command(error: &mut clap::Error) {
+    let Some(ContextValue::String(word)) = error.get(ContextKind::InvalidSubcommand) else {
+        return;
+    };
+    let Some((_, command)) = REPLACED_COMMANDS.iter().find(|(old, _)| old == word) else {
+        return;
+    };
+    let tip = format!("the command is `planagent {command}` now");
+    error.remove(ContextKind::SuggestedSubcommand);
+    error.insert(
+        ContextKind::Suggested,
+        ContextValue::StyledStrs(vec![tip.into()]),
+    );
 }
 
 /// A tip for an error of a mistyped name.

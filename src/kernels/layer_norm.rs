@@ -1,9 +1,8 @@
 //! Layer normalization.
 
-use candle_core::{Result, Tensor};
-
 use super::matrix::{Instructions, Kernel, LANES, Simd};
 use super::values::row_by_row;
+use candle_core::{Result, Tensor};
 
 /// (x − mean) / sqrt(variance + ε) · weight + bias over the last dimension, in f32.
 ///

@@ -1,8 +1,7 @@
 //! Affine layers; each row is a token.
 
-use candle_core::{Result, Tensor};
-
 use super::matrix::Matrix;
+use candle_core::{Result, Tensor};
 
 /// y = x Wᵀ + b with x of shape (tokens, inputs).
 #[derive(Debug, Clone)]

@@ -4,11 +4,10 @@
     reason = "kernels must be inlined into the functions that enable the instructions"
 )]
 
-use candle_core::{D, Result, Tensor, bail};
-
 use super::activation::Activation;
 use super::matrix::{Instructions, Kernel, LANES, Simd};
 use super::values::row_by_row;
+use candle_core::{D, Result, Tensor, bail};
 
 impl Activation {
     /// Applies the function to each number.

@@ -1,9 +1,8 @@
 //! Root mean square normalization.
 
-use candle_core::{Result, Tensor};
-
 use super::matrix::{Instructions, Kernel, LANES, Simd};
 use super::values::row_by_row;
+use candle_core::{Result, Tensor};
 
 /// x / sqrt(mean(x²) + ε) · weight over the last dimension (Zhang and Sennrich, arXiv:1910.07467).
 #[derive(Debug)]

@@ -12,9 +12,9 @@ pub mod realism;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod report;
 #[allow(missing_docs, reason = "the root names little of it")]
-pub mod studies;
-#[allow(missing_docs, reason = "the root names little of it")]
 pub mod study;
+#[allow(missing_docs, reason = "the root names little of it")]
+pub mod study_runs;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod tokens;
 #[allow(missing_docs, reason = "the root names little of it")]

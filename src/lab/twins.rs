@@ -280,9 +280,9 @@ impl TwinResults {
                 .copied()
                 .filter(|record| record.kind == kind.name())
                 .collect();
-            (!own.is_empty()).then(|| TwinRow::of(kind.name(), &own))
+            (!own.is_empty()).then(|| TwinRow::from_records(kind.name(), &own))
         };
-        let rows = std::iter::once(TwinRow::of("all", &all))
+        let rows = std::iter::once(TwinRow::from_records("all", &all))
             .chain(TwinKind::ALL.into_iter().filter_map(of_kind));
         Self {
             list: list.to_owned(),
@@ -294,7 +294,7 @@ impl TwinResults {
 }
 
 impl TwinRow {
-    fn of(kind: &str, records: &[&PairRecord]) -> Self {
+    fn from_records(kind: &str, records: &[&PairRecord]) -> Self {
         let right = |record: &PairRecord| record.scenes.iter().filter(|scene| scene.right).count();
         let with = |count: usize| {
             records

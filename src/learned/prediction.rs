@@ -1,11 +1,10 @@
 //! From the poses of a network to a trajectory (nuplan-devkit `ml_planner/transform_utils.py`).
 
+use super::past;
 use planagent_agent::planner::PlannerError;
 use planagent_score::metrics::SavitzkyGolay;
 use planagent_world::geometry::{Pose, Vector, unwrap_angles, wrap_angle};
 use planagent_world::{HISTORY_SAMPLES, MICROS_PER_SECOND, SceneView, Trajectory, TrajectoryState};
-
-use super::past;
 
 /// Time between the poses of most networks, µs.
 pub(super) const HALF_SECOND_US: i64 = 500_000;

@@ -1,12 +1,10 @@
 //! The interface of every model backend: open a conversation, ask, rewind to a mark.
 
-use std::sync::Arc;
-use std::time::Duration;
-
+use super::{Deadline, LoadReport, MllmError};
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
-
-use super::{Deadline, LoadReport, MllmError};
+use std::sync::Arc;
+use std::time::Duration;
 
 /// A vision-language model.
 ///

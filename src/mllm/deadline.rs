@@ -1,8 +1,7 @@
 //! The deadline of a planning call.
 
-use std::time::{Duration, Instant};
-
 use super::MllmError;
+use std::time::{Duration, Instant};
 
 /// When a planning call must end. The default is no deadline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -1,9 +1,8 @@
 //! Settings of a model behind a server, as a model description has them.
 
-use std::net::IpAddr;
-
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
+use std::net::IpAddr;
 
 /// Accepted sides of the image, pixels.
 const IMAGE_SIZES: std::ops::RangeInclusive<u32> = 32..=4096;

@@ -1,15 +1,13 @@
 //! The families of models. To add one, add its folder and a line to [`BUILT_IN`].
 
-use std::path::Path;
-
-use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
 use super::{
     MllmError, candle_qwen3_vl, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm,
 };
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::path::Path;
 
 const BUILT_IN: &[&Family] = &[
     &llava::FAMILY,
@@ -60,11 +58,11 @@ impl Families {
     /// The family that the `config.json` of a folder names: by its `model_type`, else by the first
     /// of its `architectures`.
     pub fn detect(&self, folder: &Path) -> Result<Architecture, MllmError> {
-        self.of(&ModelFiles::folder(folder)?)
+        self.detect_in(&ModelFiles::folder(folder)?)
     }
 
     /// The family that the `config.json` of a model names.
-    pub(crate) fn of(&self, files: &ModelFiles) -> Result<Architecture, MllmError> {
+    pub(crate) fn detect_in(&self, files: &ModelFiles) -> Result<Architecture, MllmError> {
         let json = files.required_json("config.json")?;
         let path = files.path("config.json");
         let root = ConfigObject::root(&path, &json)?;

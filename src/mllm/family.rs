@@ -13,18 +13,16 @@
 //! tokens stand for the image, and which grid it is cut into. The chat format writes it, with
 //! separators between its parts. The positions follow from it.
 
-use std::fmt::{self, Debug, Formatter};
-use std::ops::Range;
-
-use candle_core::Tensor;
-use image::RgbImage;
-use serde::{Deserialize, Serialize};
-
 use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
 use super::decoder::{LanguageModel, Position};
 use super::gguf::GgufLayout;
 use super::text::ChatTokenizer;
 use super::{MllmError, Turn};
+use candle_core::Tensor;
+use image::RgbImage;
+use serde::{Deserialize, Serialize};
+use std::fmt::{self, Debug, Formatter};
+use std::ops::Range;
 
 /// A model, or why it cannot be opened.
 pub type OpenedModel = Result<Box<dyn VisionLanguageModel>, MllmError>;
@@ -293,7 +291,7 @@ pub(crate) struct ImageInfo {
 impl ModelInfo {
     /// The facts of a model of the family `architecture` whose weights were just taken; before,
     /// `weights` had `before` numbers.
-    pub(crate) fn of(
+    pub(crate) fn new(
         architecture: &'static str,
         text: &LlamaConfig,
         image: ImageInfo,

@@ -1,10 +1,9 @@
 //! Sampling of tokens from logits.
 
+use super::{MllmError, Sampling};
 use candle_core::{Device, Tensor};
 use candle_transformers::generation::{LogitsProcessor, Sampling as Draw};
 use toktrie::SimpleVob;
-
-use super::{MllmError, Sampling};
 
 pub(crate) enum Sampler {
     /// The most likely token.

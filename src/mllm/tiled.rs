@@ -1,10 +1,5 @@
 //! Models that see an image in tiles of their tower's size, as `SmolVLM` and `InternVL` do.
 
-use std::fmt::Debug;
-
-use candle_core::Tensor;
-use image::{RgbImage, imageops};
-
 use super::MllmError;
 use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel, LlamaLayer};
@@ -15,6 +10,9 @@ use super::family::{
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
 use super::vision::check_not_empty;
+use candle_core::Tensor;
+use image::{RgbImage, imageops};
+use std::fmt::Debug;
 
 /// How an image is cut: tiles row by row, and perhaps the whole image behind them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -121,7 +119,7 @@ impl<T: Tiler, E: TileEncoder> TiledModel<T, E> {
             side,
             max_tokens: tiler.max_views() * tile_tokens,
         };
-        let info = ModelInfo::of(name, text, image, weights, before);
+        let info = ModelInfo::new(name, text, image, weights, before);
         Ok(Self {
             tiler,
             encoder,

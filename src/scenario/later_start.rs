@@ -16,7 +16,7 @@ pub(super) struct LaterStart(pub(super) usize);
 
 impl LaterStart {
     /// The word before the mark and the start behind it; `None` for a word without.
-    pub(super) fn of(word: &str) -> Option<(&str, Self)> {
+    pub(super) fn parse(word: &str) -> Option<(&str, Self)> {
         let (base, seconds) = word.rsplit_once(MARK)?;
         let plain = !seconds.is_empty() && seconds.chars().all(|c| c.is_ascii_digit() || c == '.');
         let seconds: f64 = seconds.parse().ok().filter(|_| plain && !base.is_empty())?;
@@ -38,7 +38,7 @@ impl LaterStart {
 
 /// A word or name without its later start.
 pub fn without_start(word: &str) -> &str {
-    LaterStart::of(word).map_or(word, |(base, _)| base)
+    LaterStart::parse(word).map_or(word, |(base, _)| base)
 }
 
 /// A scenario that starts later.
@@ -115,10 +115,10 @@ mod tests {
     #[test]
     fn a_word_may_end_in_a_start() {
         assert_eq!(
-            LaterStart::of("a/b.tfrecord@3"),
+            LaterStart::parse("a/b.tfrecord@3"),
             Some(("a/b.tfrecord", LaterStart(30)))
         );
-        assert_eq!(LaterStart::of("a@b@2.5"), Some(("a@b", LaterStart(25))));
+        assert_eq!(LaterStart::parse("a@b@2.5"), Some(("a@b", LaterStart(25))));
         for plain in [
             "a/b.tfrecord",
             "me@home",
@@ -128,7 +128,7 @@ mod tests {
             "a@1e3",
             "a@.",
         ] {
-            assert_eq!(LaterStart::of(plain), None, "{plain}");
+            assert_eq!(LaterStart::parse(plain), None, "{plain}");
         }
         assert_eq!(LaterStart(25).mark("a"), "a@2.5");
     }

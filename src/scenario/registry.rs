@@ -76,7 +76,7 @@ impl Readers {
             return Ok(self
                 .find(base)?
                 .into_iter()
-                .map(|scenario| modification.of(scenario))
+                .map(|scenario| modification.modify(scenario))
                 .collect());
         }
         if let Some((base, LaterStart(iterations))) = start_in(word) {
@@ -197,7 +197,7 @@ fn kind_of_file(path: &Path) -> Option<&'static str> {
 
 /// The later start that a word ends in, unless it is the name of a file.
 fn start_in(word: &str) -> Option<(&str, LaterStart)> {
-    LaterStart::of(word).filter(|_| !path_of(word).exists())
+    LaterStart::parse(word).filter(|_| !path_of(word).exists())
 }
 
 impl fmt::Debug for Readers {

@@ -22,7 +22,7 @@ pub struct Split {
 impl Split {
     /// A list of scenarios that all exist.
     #[doc(hidden)]
-    pub fn of(scenarios: Vec<ScenarioRef>) -> Self {
+    pub fn from_scenarios(scenarios: Vec<ScenarioRef>) -> Self {
         Self {
             scenarios,
             ..Self::default()

@@ -68,7 +68,7 @@ impl fmt::Display for InteractionKind {
     }
 }
 
-/// How a reactive vehicle treats an ego that moves into its way (interPlan
+/// How a reactive vehicle treats an ego that moves into its path (interPlan
 /// `idm_modified_agent_manager.py`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DriverBehavior {
@@ -132,11 +132,11 @@ impl CrossingActor {
 
     /// Its box so many seconds after the start.
     pub fn after(&self, seconds: f64) -> TrackedObject {
-        let way = self.to - self.from;
-        let length = way.norm();
+        let path = self.to - self.from;
+        let length = path.norm();
         let walked = (self.speed * seconds).min(length);
         let direction = if length > 0.0 {
-            way / length
+            path / length
         } else {
             Vector::zeros()
         };

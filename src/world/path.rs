@@ -17,7 +17,7 @@ pub struct LanePath {
 
 impl LanePath {
     /// Joins a chain of lanes; `None` when it is empty.
-    pub fn of(map: &LaneMap, lanes: Vec<LaneId>) -> Option<Self> {
+    pub fn from_lanes(map: &LaneMap, lanes: Vec<LaneId>) -> Option<Self> {
         let (&first, rest) = lanes.split_first()?;
         let mut starts = vec![0.0];
         let mut centerline = map[first].centerline.clone();
@@ -58,7 +58,7 @@ impl LanePath {
             covered -= map[lanes[lanes.len() - 1]].centerline.length();
             lanes.pop();
         }
-        Self::of(map, lanes).expect("the chain begins with the first lane")
+        Self::from_lanes(map, lanes).expect("the chain begins with the first lane")
     }
 
     /// The lane at arc length `s` of the joined centerline (clamped).

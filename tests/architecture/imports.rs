@@ -34,7 +34,7 @@ pub(super) struct Graph {
 impl Graph {
     /// Reads the imports of files: path from the package's root, and the code without comments and
     /// tests.
-    pub(super) fn of(sources: &[(String, String)]) -> Self {
+    pub(super) fn from_sources(sources: &[(String, String)]) -> Self {
         let modules: Vec<Module> = sources
             .iter()
             .map(|(file, code)| Module::parse(file, code))
@@ -336,7 +336,7 @@ fn paths_lead_to_the_file_that_defines_the_name() {
         ("src/e.rs", "use crate::a::B;"),
     ]
     .map(|(file, code)| (file.to_string(), code.to_string()));
-    let graph = Graph::of(&sources);
+    let graph = Graph::from_sources(&sources);
     let imports: Vec<_> = graph
         .imports()
         .map(|(from, to)| format!("{} {}", &from[4..], &to[4..]))

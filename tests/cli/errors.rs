@@ -111,6 +111,7 @@ const WRONG: &[&[&str]] = &[
         "--twins",
         "2",
     ],
+    &["experiment", "main", "--quick"],
     &["study", "foo"],
     &["study", "scenario-type"],
     &["study", "recorded"],

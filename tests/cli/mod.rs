@@ -180,7 +180,7 @@ fn a_run_leaves_what_the_readme_says() {
         "--scenario",
         SCENE,
         "--set",
-        "reasoning.blocked_interval=20",
+        "agent.blocked_interval_s=2.0",
         "--out",
         out.to_str().unwrap(),
     ]);

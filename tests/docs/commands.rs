@@ -174,12 +174,6 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
-        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,qwen3-vl-2b,qwen3-vl-4b,llava-1.5-7b --quantize \
-         q4_k --calls brief --iterations 3",
-        HOURS,
-    ),
-    (
-        "docs/latency.md",
         "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,qwen3-vl-2b,qwen3-vl-4b --quantize q4_k --calls \
          brief --speculation --iterations 3",
         HOURS,
@@ -198,12 +192,6 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     (
         "docs/latency.md",
         "planagent bench --random-weights llava-1.1b,llava-1.5-7b --quantize q4_k --vs llama.cpp --llama-python venv/bin/python",
-        HOURS,
-    ),
-    (
-        "docs/latency.md",
-        "planagent bench --random-weights nano,llava-1.5-7b,llava-1.5-13b,cogvlm-chat-17b --quantize q4_k --warm-up 0 \
-         --iterations 1",
         HOURS,
     ),
     (

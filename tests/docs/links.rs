@@ -2,7 +2,9 @@
 
 use super::text::{anchors, links, without_blocks};
 use super::{docs, markdown, name, read, root};
-use std::path::PathBuf;
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 /// All pages that a reader of the project opens.
 fn pages() -> Vec<PathBuf> {
@@ -84,6 +86,47 @@ fn every_named_source_exists() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// The decisions that comments of the sources name, and those that no comment names.
+#[test]
+fn sources_name_decisions_that_exist_and_every_research_decision_is_named() {
+    let mut named = BTreeSet::new();
+    for file in sources(&root().join("src")) {
+        for (i, line) in read(&file).lines().enumerate() {
+            for word in line.split("docs/decisions/").skip(1) {
+                let page = word.split_inclusive(".md").next().unwrap_or_default();
+                let path = root().join("docs/decisions").join(page);
+                assert!(path.is_file(), "{}:{}: no {page}", name(&file), i + 1);
+                named.insert(page.to_owned());
+            }
+        }
+    }
+    // Those that explain a format or a process, and no constant or setting.
+    let of_no_constant = ["105-", "125-"];
+    for page in markdown(&root().join("docs/decisions")) {
+        let page = page.file_name().unwrap().to_str().unwrap().to_owned();
+        let needs_name =
+            page.starts_with('1') && !of_no_constant.iter().any(|number| page.starts_with(number));
+        assert!(
+            !needs_name || named.contains(&page),
+            "no constant names docs/decisions/{page}"
+        );
+    }
+}
+
+/// The Rust files below a folder.
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(sources(&path));
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            found.push(path);
+        }
+    }
+    found
 }
 
 #[test]

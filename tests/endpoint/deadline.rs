@@ -1,11 +1,9 @@
 //! The deadline of a planning call, with local and with scripted models.
 
+use super::request;
+use planagent_mllm::{Constraint, Deadline, LocalModel, Mllm, MllmError, PromptPrefix, Request};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-
-use planagent_mllm::{Constraint, Deadline, LocalModel, Mllm, MllmError, PromptPrefix, Request};
-
-use super::request;
 
 fn tiny() -> Arc<LocalModel> {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/tiny_llava");

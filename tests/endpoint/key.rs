@@ -1,12 +1,11 @@
 //! A server that repeats the API key: in answers, errors and headers, in every encoding, at every
 //! place.
 
+use super::server::{Reaction, Server, completion, error, response, stream};
+use super::{ask, request, settings};
 use base64::Engine;
 use base64::engine::general_purpose::{STANDARD, URL_SAFE_NO_PAD};
 use planagent_mllm::{Constraint, Endpoint, EndpointSettings};
-
-use super::server::{Reaction, Server, completion, error, response, stream};
-use super::{ask, request, settings};
 
 /// Environment variable with a key; Cargo sets it for every test.
 const VARIABLE: &str = "CARGO_PKG_DESCRIPTION";

@@ -1,17 +1,15 @@
 //! A simulation with llama.cpp's server from the Python package `llama-cpp-python[server]`.
 //! `$PLANAGENT_LLAMA_PYTHON` is a Python with this package and the package `gguf`.
 
+use crate::cli::{planagent, read_json};
 use crate::outside::{Needy, llama_python};
+use serde_json::Value;
 use std::fs::{self, File};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
-
-use serde_json::Value;
 use tempfile::TempDir;
-
-use crate::cli::{planagent, read_json};
 
 /// The server's process; the drop of this value ends it.
 struct LlamaServer(Child);

@@ -1,5 +1,7 @@
 //! Requests and answers.
 
+use super::server::{Server, completion, stream};
+use super::{ask, open, request, settings};
 use base64::Engine;
 use image::RgbImage;
 use planagent_mllm::{
@@ -7,9 +9,6 @@ use planagent_mllm::{
     PromptPrefix, Request, Sampling, TokenCounts,
 };
 use serde_json::{Value, json};
-
-use super::server::{Server, completion, stream};
-use super::{ask, open, request, settings};
 
 fn lanes() -> Constraint {
     Constraint::Choice(vec!["left".into(), "right".into()])

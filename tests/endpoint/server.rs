@@ -1,5 +1,6 @@
 //! A server on this machine whose answers and failures a test chooses.
 
+use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -7,8 +8,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
-
-use serde_json::{Value, json};
 
 #[derive(Debug, Clone)]
 pub(crate) struct Received {

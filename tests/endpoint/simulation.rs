@@ -1,13 +1,11 @@
 //! Whole simulations with a model behind a server, through the program.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-
-use serde_json::Value;
-use tempfile::TempDir;
-
 use super::server::{Reaction, Server, completion, error, models, response, stream};
 use crate::cli::{planagent, read_json};
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
 
 /// A generated scene of 15 s; a planning call every 2 s.
 const SCENE: &str = "generated/high_magnitude_speed/1";
@@ -30,10 +28,10 @@ impl Run {
         let folder = TempDir::new().unwrap();
         let model = folder.path().join("server.toml");
         fs::write(&model, description).unwrap();
-        Self::of(folder, model.to_str().unwrap(), config)
+        Self::finished(folder, model.to_str().unwrap(), config)
     }
 
-    fn of(folder: TempDir, model: &str, config: &str) -> Self {
+    fn finished(folder: TempDir, model: &str, config: &str) -> Self {
         let path = folder.path().join("planagent.toml");
         fs::write(&path, config).unwrap();
         let output = planagent()
@@ -259,9 +257,9 @@ fn a_server_is_simulated_by_its_address_alone() {
             completion(ANSWER)
         }
     });
-    let config = "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n";
+    let config = "[reflection]\nenabled = false\n[agent]\ninterval_s = 100\n";
     for address in [server.url(), server.url().replace("/v1", "")] {
-        let run = Run::of(TempDir::new().unwrap(), &address, config);
+        let run = Run::finished(TempDir::new().unwrap(), &address, config);
         assert_eq!(run.code, 0, "{}", run.stderr);
         assert_eq!(run.summary()["scenarios"][0]["failed_calls"], 0);
         let manifest = fs::read_to_string(run.path().join("manifest.toml")).unwrap();
@@ -272,7 +270,7 @@ fn a_server_is_simulated_by_its_address_alone() {
     }
     assert_eq!(server.received()[1].body["model"], "eye");
     let several = Server::always(|| models(&["eye", "ear"], "library"));
-    let run = Run::of(TempDir::new().unwrap(), &several.url(), config);
+    let run = Run::finished(TempDir::new().unwrap(), &several.url(), config);
     assert_eq!(run.code, 2, "{}", run.stderr);
     assert!(
         run.stderr.contains("offers eye, ear") && run.stderr.contains("/v1#NAME"),
@@ -424,7 +422,7 @@ fn what_a_server_says_is_shown_and_not_obeyed() {
     let server = Server::always(move || completion(&hostile));
     let run = Run::with(
         &description(&server, ""),
-        "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n",
+        "[reflection]\nenabled = false\n[agent]\ninterval_s = 100\n",
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let simulation = &crate::runner::simulations(&run.path())[0];
@@ -454,7 +452,7 @@ fn another_description_of_the_server_is_no_way_to_resume() {
     let server = Server::always(|| completion(ANSWER));
     let run = Run::with(
         &description(&server, ""),
-        "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n",
+        "[reflection]\nenabled = false\n[agent]\ninterval_s = 100\n",
     );
     assert_eq!(run.code, 0, "{}", run.stderr);
     let resumed = |more: &str| {

@@ -1,13 +1,11 @@
 //! A server that hangs, closes the connection, refuses requests or sends invalid replies.
 
-use std::time::{Duration, Instant};
-
+use super::server::{Reaction, Server, completion, error, models, response, stream};
+use super::{EndpointSettings, ask, open, request, settings};
 use planagent_mllm::{
     Constraint, Deadline, Endpoint, EndpointFailure, Mllm, MllmError, PromptPrefix, Request,
 };
-
-use super::server::{Reaction, Server, completion, error, models, response, stream};
-use super::{EndpointSettings, ask, open, request, settings};
+use std::time::{Duration, Instant};
 
 /// The failure of a server and the number of requests.
 fn trouble(server: &Server) -> (EndpointFailure, usize) {

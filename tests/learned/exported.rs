@@ -62,7 +62,7 @@ impl Exported {
             .clone()
     }
 
-    fn of(&self, dtype: DType, name: &str) -> Tensor {
+    fn typed(&self, dtype: DType, name: &str) -> Tensor {
         self.get(name).to_dtype(dtype).unwrap()
     }
 
@@ -131,7 +131,7 @@ pub(crate) fn network(planner: &str, checkpoint: &Path, io: &Exported, shape: Sh
             };
             let elements = Elements {
                 points: io.get("points"),
-                available: io.of(DType::U8, "available"),
+                available: io.typed(DType::U8, "available"),
                 counts,
             };
             Box::new(move || {
@@ -238,19 +238,19 @@ fn plantf(checkpoint: &Path, io: &Exported, small: bool) -> Run {
         heading: io.get("agent.heading"),
         velocity: io.get("agent.velocity"),
         shape: io.get("agent.shape"),
-        category: io.of(DType::U32, "agent.category"),
-        valid: io.of(DType::U8, "agent.valid_mask"),
+        category: io.typed(DType::U32, "agent.category"),
+        valid: io.typed(DType::U8, "agent.valid_mask"),
         map: PlanTfMap {
             point: line("map.point_position"),
             vector: line("map.point_vector"),
             orientation: line("map.point_orientation"),
             center: io.get("map.polygon_center"),
-            kind: io.of(DType::U32, "map.polygon_type"),
-            on_route: io.of(DType::U32, "map.polygon_on_route"),
-            light: io.of(DType::U32, "map.polygon_tl_status"),
+            kind: io.typed(DType::U32, "map.polygon_type"),
+            on_route: io.typed(DType::U32, "map.polygon_on_route"),
+            light: io.typed(DType::U32, "map.polygon_tl_status"),
             speed_limit: io.get("map.polygon_speed_limit"),
-            has_speed_limit: io.of(DType::U8, "map.polygon_has_speed_limit"),
-            valid: io.of(DType::U8, "map.valid_mask"),
+            has_speed_limit: io.typed(DType::U8, "map.polygon_has_speed_limit"),
+            valid: io.typed(DType::U8, "map.valid_mask"),
         },
     };
     Box::new(move || {
@@ -277,7 +277,7 @@ fn gc_pgp(checkpoint: &Path, io: &Exported) -> Run {
         edges: io.get("edges"),
         on_route: io.get("on_route"),
     };
-    let walks = io.of(DType::U32, "walks").to_vec3::<u32>().unwrap();
+    let walks = io.typed(DType::U32, "walks").to_vec3::<u32>().unwrap();
     let walks: Vec<Vec<[u32; 16]>> = walks
         .into_iter()
         .map(|sample| {

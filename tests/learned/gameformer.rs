@@ -229,7 +229,7 @@ fn the_tensors_are_those_of_the_manifest() {
 
 /// Features of a scene against those in a file.
 pub(super) fn check_features(name: &str, radius: f64, file: &Vectors) {
-    let features = ActorFeatures::of(&scene(name).view(), radius);
+    let features = ActorFeatures::from_scene(&scene(name).view(), radius);
     let found = features.inputs().unwrap();
     for (what, found) in [
         ("ego_agent_past", &found.ego),

@@ -121,7 +121,7 @@ fn the_tensors_are_those_of_the_manifest() {
 fn the_features_are_those_of_the_original() {
     for name in ["scene_a", "scene_b"] {
         let file = Vectors::open(&fixture(&format!("gc_pgp/features_{name}.safetensors")));
-        let features = GcPgpFeatures::of(&scene(name).view()).unwrap();
+        let features = GcPgpFeatures::from_scene(&scene(name).view()).unwrap();
         let inputs = features.inputs().unwrap();
         for (theirs, found) in [
             ("ego_feats", &inputs.ego),
@@ -245,7 +245,7 @@ fn drawn_plans_are_like_those_of_the_original() {
         "gc_pgp/gc_pgp_full.scene_a_b1.sampled.safetensors",
     ));
     let network = network(GcPgp::take);
-    let features = GcPgpFeatures::of(&scene("scene_a").view()).unwrap();
+    let features = GcPgpFeatures::from_scene(&scene("scene_a").view()).unwrap();
     let plans = network
         .plans(&features, &features.inputs().unwrap())
         .unwrap();

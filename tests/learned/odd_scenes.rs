@@ -137,12 +137,12 @@ fn assert_finite(what: &str, tensor: &Tensor) {
 #[test]
 fn features_are_finite() {
     each(|name, scene| {
-        assert_finite(name, &Raster::of(scene).inputs().unwrap());
-        let plantf = PlanTfFeatures::of(scene, &scene.route.roadblocks)
+        assert_finite(name, &Raster::from_scene(scene).inputs().unwrap());
+        let plantf = PlanTfFeatures::from_scene(scene, &scene.route.roadblocks)
             .inputs()
             .unwrap();
         assert_finite(name, &plantf.position);
-        let urban = UrbanDriverFeatures::of(scene);
+        let urban = UrbanDriverFeatures::from_scene(scene);
         assert!(
             urban
                 .vehicles
@@ -153,7 +153,7 @@ fn features_are_finite() {
             "{name}"
         );
         for radius in [60.0, 80.0] {
-            let inputs = ActorFeatures::of(scene, radius).inputs().unwrap();
+            let inputs = ActorFeatures::from_scene(scene, radius).inputs().unwrap();
             assert_eq!(inputs.neighbors.dims(), [1, 20, 21, 11], "{name}");
             for part in [
                 &inputs.ego,
@@ -164,7 +164,7 @@ fn features_are_finite() {
                 assert_finite(name, part);
             }
         }
-        let features = GcPgpFeatures::of(scene).unwrap();
+        let features = GcPgpFeatures::from_scene(scene).unwrap();
         let inputs = features.inputs().unwrap();
         for part in [
             &inputs.ego,
@@ -212,7 +212,7 @@ fn plans_are_finite() {
     let gameformer = network(|weights| GameFormer::take(weights, TINY_GAMEFORMER));
     let dtpp = network(|weights| Dtpp::take(weights, TINY_DTPP));
     each(|name, scene| {
-        let features = GcPgpFeatures::of(scene).unwrap();
+        let features = GcPgpFeatures::from_scene(scene).unwrap();
         let plans = pgp.plans(&features, &features.inputs().unwrap()).unwrap();
         let sum: f64 = plans.iter().map(|plan| plan.0).sum();
         assert!(
@@ -224,7 +224,7 @@ fn plans_are_finite() {
             plan.len() == 16 && plan.as_flattened().iter().all(|value| value.is_finite()),
             "{name}"
         );
-        let actors = ActorFeatures::of(scene, 60.0);
+        let actors = ActorFeatures::from_scene(scene, 60.0);
         let inputs = actors.inputs().unwrap();
         let outputs = gameformer
             .forward(&inputs, &actors.route_input().unwrap(), &Probe::off())

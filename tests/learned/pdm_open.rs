@@ -142,7 +142,7 @@ fn the_features_are_those_of_the_original() {
         let (scene, expected) = (scene(name), json(&format!("pdm/features_{name}.json")));
         let path = path(&scene);
         assert!((path.length() - expected["path_length"].as_f64().unwrap()).abs() < 1e-6);
-        let features = PdmFeatures::of(&scene.view(), &path).unwrap();
+        let features = PdmFeatures::from_scene(&scene.view(), &path).unwrap();
         let inputs = features.inputs().unwrap();
         for (key, found) in [
             ("ego_position", &inputs.position),

@@ -144,7 +144,7 @@ fn the_tensors_are_those_of_the_manifest() {
 
 fn features(scene: &Scene) -> PlanTfFeatures {
     let route = corrected_route(&scene.map, &scene.route.roadblocks, scene.ego.rear_axle);
-    PlanTfFeatures::of(&scene.view(), &route)
+    PlanTfFeatures::from_scene(&scene.view(), &route)
 }
 
 #[test]

@@ -141,7 +141,7 @@ fn shapes_are_drawn_as_opencv_draws_them() {
 #[test]
 fn the_rasters_are_those_of_the_original() {
     for name in ["scene_a", "scene_b"] {
-        let raster = Raster::of(&scene(name).view())
+        let raster = Raster::from_scene(&scene(name).view())
             .inputs()
             .unwrap()
             .squeeze(0)

@@ -105,11 +105,11 @@ fn the_tensors_are_those_of_the_manifest() {
 #[test]
 fn the_features_are_those_of_the_original() {
     for name in ["scene_a", "scene_b"] {
-        let features = UrbanDriverFeatures::of(&scene(name).view());
+        let features = UrbanDriverFeatures::from_scene(&scene(name).view());
         let file = Vectors::open(&fixture(&format!(
             "urban_driver/urban_tiny.{name}.io.safetensors"
         )));
-        let elements = Elements::of(&[features], TINY_LIMITS).unwrap();
+        let elements = Elements::from_scenes(&[features], TINY_LIMITS).unwrap();
         assert_close(
             &format!("{name} available"),
             &elements.available,
@@ -131,8 +131,8 @@ fn the_features_are_those_of_the_original_within_the_published_limits() {
         let file = Vectors::open(&fixture(&format!(
             "urban_driver/urban_full.{name}.io.safetensors"
         )));
-        let elements = Elements::of(
-            &[UrbanDriverFeatures::of(&scene(name).view())],
+        let elements = Elements::from_scenes(
+            &[UrbanDriverFeatures::from_scene(&scene(name).view())],
             ElementLimits::PUBLISHED,
         )
         .unwrap();

@@ -20,7 +20,10 @@ fn collisions(
     states: &[EgoState],
     objects: &[TrackedObject],
 ) -> (Vec<Collision>, f64) {
-    let found = find_collisions(&samples(states, objects), &DrivenLanes::of(map, states));
+    let found = find_collisions(
+        &samples(states, objects),
+        &DrivenLanes::from_states(map, states),
+    );
     let score = no_ego_at_fault_collisions(&found).score.unwrap();
     (found, score)
 }
@@ -84,7 +87,7 @@ fn groups_multiply() {
 
 fn least_ttc(map: &LaneMap, states: &[EgoState], objects: &[TrackedObject]) -> f64 {
     let samples = samples(states, objects);
-    let lanes = DrivenLanes::of(map, states);
+    let lanes = DrivenLanes::from_states(map, states);
     let found = find_collisions(&samples, &lanes);
     let ttc = time_to_collision(map, &samples, &lanes, &found, TTC_HORIZON_S);
     ttc.into_iter().fold(f64::INFINITY, f64::min)
@@ -173,7 +176,7 @@ fn a_tenth_of_a_second_decides_the_bound() {
         let ttc = time_to_collision(
             &map,
             &samples,
-            &DrivenLanes::of(&map, &states),
+            &DrivenLanes::from_states(&map, &states),
             &[],
             TTC_HORIZON_S,
         );

@@ -13,7 +13,7 @@ const HALF_WIDTH: f64 = 1.1485;
 
 fn drivable(map: &LaneMap, y: f64) -> (f64, f64) {
     let states = cruise(5, 0.0, y, 5.0);
-    let lanes = DrivenLanes::of(map, &states);
+    let lanes = DrivenLanes::from_states(map, &states);
     let corners = corners_in_drivable_area(map, &states, &lanes);
     (
         drivable_area_compliance(map, &states, &lanes)
@@ -53,7 +53,7 @@ fn any_drivable_area_holds_a_corner_and_tolerates_beside_it() {
 }
 
 fn direction(map: &LaneMap, states: &[EgoState]) -> MetricResult {
-    driving_direction_compliance(map, states, &DrivenLanes::of(map, states).center)
+    driving_direction_compliance(map, states, &DrivenLanes::from_states(map, states).center)
 }
 
 #[test]
@@ -135,7 +135,7 @@ fn an_arc_length_of_exactly_zero_counts_as_a_missing_one() {
 }
 
 fn speeding(map: &LaneMap, states: &[EgoState]) -> MetricResult {
-    speed_limit_compliance(map, states, &DrivenLanes::of(map, states).center)
+    speed_limit_compliance(map, states, &DrivenLanes::from_states(map, states).center)
 }
 
 #[test]

@@ -22,7 +22,7 @@ fn between_a_lane_and_the_next_the_corners_still_agree() {
     road.link(a, b);
     let map = road.build();
     let states = cruise(3, 48.9, 0.0, 10.0);
-    let lanes = DrivenLanes::of(&map, &states);
+    let lanes = DrivenLanes::from_states(&map, &states);
     assert_eq!(lanes.corners[0], [vec![b], vec![a], vec![a], vec![b]]);
     assert!((0..3).all(|i| lanes.in_common(i)), "{:?}", lanes.agreement);
 }
@@ -31,7 +31,7 @@ fn between_a_lane_and_the_next_the_corners_still_agree() {
 fn unrelated_lanes_split_and_open_land_is_outside() {
     let map = two_lanes();
     let agreement = |y: f64| {
-        DrivenLanes::of(&map, &cruise(1, 0.0, y, 5.0))
+        DrivenLanes::from_states(&map, &cruise(1, 0.0, y, 5.0))
             .agreement
             .remove(0)
     };
@@ -63,7 +63,7 @@ fn a_lane_change_lasts_while_the_corners_disagree() {
     // The left side crosses y = 2 when the center passes 0.8515, the right side when it passes
     // 3.1485: steps of 0.1 m.
     let states = drift(0.0, 4.0, 40);
-    let lanes = DrivenLanes::of(&map, &states);
+    let lanes = DrivenLanes::from_states(&map, &states);
     let changes = find_lane_changes(&map, &states, &lanes.agreement);
     assert_eq!(changes.len(), 1);
     assert!(changes[0].success);
@@ -84,10 +84,10 @@ fn a_lane_change_lasts_while_the_corners_disagree() {
         s.time_us += 2_100_000;
         s
     }));
-    let lanes = DrivenLanes::of(&map, &aborted);
+    let lanes = DrivenLanes::from_states(&map, &aborted);
     assert!(!find_lane_changes(&map, &aborted, &lanes.agreement)[0].success);
     let open = drift(0.0, 2.0, 20);
-    let lanes = DrivenLanes::of(&map, &open);
+    let lanes = DrivenLanes::from_states(&map, &open);
     assert!(!find_lane_changes(&map, &open, &lanes.agreement)[0].success);
     assert_eq!(
         ego_lane_change(&map, &open, &lanes).statistic("ego_lane_change_fail_rate_below_threshold"),
@@ -162,7 +162,7 @@ fn where_lanes_overlap_the_best_by_heading_and_distance_counts() {
     assert_eq!(at(1.5), [north]);
     // A car on the crossing lanes is in common lanes all the way.
     let states = cruise(50, -20.0, 0.3, 10.0);
-    let lanes = DrivenLanes::of(&map, &states);
+    let lanes = DrivenLanes::from_states(&map, &states);
     assert!((0..50).all(|i| lanes.in_common(i)));
     assert!(lanes.center.iter().all(|l| l == &[east]));
 }
@@ -184,7 +184,7 @@ fn at_the_second_sample_what_one_corner_finds_binds_the_corners_after_it() {
             .enumerate()
             .map(|(k, &x)| ego(k as i64, x, 0.0, 0.0, 10.0))
             .collect();
-        let mut corners = DrivenLanes::of(&map, &states).corners;
+        let mut corners = DrivenLanes::from_states(&map, &states).corners;
         let [fl, rl, rr, fr] = corners.pop().unwrap();
         assert_eq!((fl, rl, rr), (vec![b], vec![a], vec![a]));
         fr
@@ -230,7 +230,7 @@ fn a_lane_change_that_leaves_the_road_fails_and_one_into_the_next_lane_of_the_sa
     // Off to the right: the corners disagree from −0.9 on (the right side passes −2) and are all
     // outside from −3.2 on.
     let states = drift(0.0, -8.0, 80);
-    let lanes = DrivenLanes::of(&map, &states);
+    let lanes = DrivenLanes::from_states(&map, &states);
     let changes = find_lane_changes(&map, &states, &lanes.agreement);
     assert_eq!(changes.len(), 1);
     assert!(!changes[0].success);
@@ -257,7 +257,7 @@ fn a_lane_change_that_leaves_the_road_fails_and_one_into_the_next_lane_of_the_sa
     road.link(a, b);
     let map = road.build();
     let states = cruise(40, 40.0, 0.0, 10.0);
-    let lanes = DrivenLanes::of(&map, &states);
+    let lanes = DrivenLanes::from_states(&map, &states);
     let changes = find_lane_changes(&map, &states, &lanes.agreement);
     assert_eq!(changes.len(), 2);
     assert!(

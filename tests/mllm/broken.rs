@@ -1,11 +1,10 @@
 //! Broken checkpoints give typed errors that name the cause, and never a panic.
 
+use super::{Copy, FIRST, free, prefix};
 use planagent_mllm::{Mllm, MllmError};
 use proptest::prelude::*;
 use safetensors::Dtype;
 use serde_json::{Value, json};
-
-use super::{Copy, FIRST, free, prefix};
 
 const GATE: &str = "language_model.model.layers.1.mlp.gate_proj.weight";
 
@@ -24,7 +23,7 @@ fn every_file_that_is_needed_is_missed() {
         ("tiny_cogvlm", &all[..3]),
     ] {
         for file in files {
-            let copy = Copy::of(name);
+            let copy = Copy::from_fixture(name);
             std::fs::remove_file(copy.path(file)).unwrap();
             match copy.error() {
                 MllmError::MissingFile { file: missing, .. } => {
@@ -82,7 +81,7 @@ fn a_missing_or_misshapen_tensor_of_any_family_is_named() {
             "model.layers.1.mlp.language_mlp.down_proj.weight",
         ),
     ] {
-        let copy = Copy::of(folder);
+        let copy = Copy::from_fixture(folder);
         copy.edit_tensors(|tensors| drop(tensors.remove(name).unwrap()));
         let canonical = name
             .replacen("model.", "", usize::from(name.starts_with("model.")))
@@ -92,7 +91,7 @@ fn a_missing_or_misshapen_tensor_of_any_family_is_named() {
             "{name}"
         );
 
-        let copy = Copy::of(folder);
+        let copy = Copy::from_fixture(folder);
         copy.edit_tensors(|tensors| tensors.get_mut(name).unwrap().1.push(1));
         assert!(
             matches!(copy.error(), MllmError::TensorShape { name: found, .. } if found == name),
@@ -210,7 +209,7 @@ fn wrong_keys_of_other_families_are_named() {
             "vision_config.image_size",
         ),
     ] {
-        let copy = Copy::of(folder);
+        let copy = Copy::from_fixture(folder);
         copy.edit("config.json", |config| set(config, key, value.clone()));
         match copy.error() {
             MllmError::Config { key: found, .. } => {
@@ -231,7 +230,7 @@ fn preprocessors_of_another_kind_or_size_are_named() {
         ("resample", json!(9)),
         ("image_std", json!([0, 1, 1])),
     ] {
-        let copy = Copy::of("tiny_llava_next");
+        let copy = Copy::from_fixture("tiny_llava_next");
         copy.edit("preprocessor_config.json", |config| config[key] = value);
         assert!(
             matches!(copy.error(), MllmError::Config { key: found, .. } if found == key),
@@ -415,7 +414,7 @@ fn sizes_that_the_weights_do_not_have_are_errors_before_anything_is_built() {
         ("vision_config.num_hidden_layers", json!(4_000_000)),
         ("vision_config.hidden_size", json!(3_000_000)),
     ] {
-        let copy = Copy::of("tiny_cogvlm");
+        let copy = Copy::from_fixture("tiny_cogvlm");
         copy.edit("config.json", |config| set(config, key, value));
         let error = copy.error();
         assert!(is_of_size(&error), "{key}: {error}");
@@ -573,7 +572,7 @@ proptest! {
             Just(json!([[32, 32]])), Just(json!([[1, 1], [32]])), Just(json!({})), Just(json!([])), Just(Value::Null),
         ],
     ) {
-        let copy = Copy::of(folder);
+        let copy = Copy::from_fixture(folder);
         copy.edit("config.json", |config| set(config, key, value));
         if let Ok(model) = copy.open() {
             let _ = model.converse(&prefix(), 0).and_then(|mut conversation| conversation.ask(FIRST, &free(2)));

@@ -1,9 +1,8 @@
 //! `planagent models`.
 
+use super::fixture;
 use assert_cmd::Command;
 use serde_json::Value;
-
-use super::fixture;
 
 fn planagent(arguments: &[&str]) -> Command {
     let mut command = Command::cargo_bin("planagent").unwrap();

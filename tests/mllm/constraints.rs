@@ -1,10 +1,9 @@
 //! Answers under a constraint.
 
+use super::{FIRST, open, prefix, request};
 use planagent_mllm::{
     Answer, Constraint, ConstraintUse, Deadline, FinishReason, Mllm, MllmError, Request, Sampling,
 };
-
-use super::{FIRST, open, prefix, request};
 
 fn answer(constraint: Constraint, max_new_tokens: usize) -> Result<Answer, MllmError> {
     let model = open();

@@ -1,10 +1,9 @@
 //! Conversations: rounds, marks, seeds, counts.
 
+use super::{FIRST, SECOND, free, open, prefix, request, tiny};
 use planagent_mllm::{
     Constraint, FinishReason, Mllm, MllmError, PromptPrefix, Sampling, prompt_hash,
 };
-
-use super::{FIRST, SECOND, free, open, prefix, request, tiny};
 
 /// The greedy answer that transformers gives in the reference.
 fn reference_answer(name: &str) -> String {

@@ -1,8 +1,6 @@
 //! Every family through the registry, in conversations with rounds and rethinks, and in the agent.
 
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
+use super::{Copy, FIRST, SECOND, fixture, free, request};
 use image::RgbImage;
 use planagent_agent::planner::{
     AfterMaxExec, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerName,
@@ -16,8 +14,8 @@ use planagent_mllm::{
 };
 use planagent_scenario::generator;
 use serde_json::json;
-
-use super::{Copy, FIRST, SECOND, fixture, free, request};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Every family's tiny checkpoint.
 const FAMILIES: [Tiny; 8] = [
@@ -290,7 +288,7 @@ fn images_of_any_shape_are_taken_and_empty_ones_refused() {
 
 #[test]
 fn an_image_takes_three_positions_of_cogvlm() {
-    let copy = Copy::of("tiny_cogvlm");
+    let copy = Copy::from_fixture("tiny_cogvlm");
     copy.edit("config.json", |config| {
         config["max_position_embeddings"] = json!(60)
     });
@@ -350,7 +348,7 @@ fn cogvlm_without_an_image_keeps_its_system_prompt() {
 
 #[test]
 fn a_tokenizer_may_lie_in_another_folder() {
-    let copy = Copy::of("tiny_cogvlm");
+    let copy = Copy::from_fixture("tiny_cogvlm");
     let expected = reference_answer(copy.folder(), "generated");
     let tokenizer = tempfile::tempdir().unwrap();
     std::fs::rename(
@@ -444,11 +442,8 @@ fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
         instruction: 64,
         code: 64,
     };
-    let mut settings = PlanAgentSettings {
-        plan_interval_s: 100.0,
-        blocked_interval_s: 100.0,
-        ..PlanAgentSettings::default()
-    };
+    let mut settings = PlanAgentSettings::default();
+    (settings.agent.interval_s, settings.agent.blocked_interval_s) = (100.0, 100.0);
     settings.reflection = ReflectionSettings {
         threshold: 1.0,
         lane_change_threshold: 1.0,

@@ -1,15 +1,13 @@
 //! Models as GGUF files, through what users have: the registry, folders, files.
 
-use std::fs::{self, File};
-use std::io::Write;
-use std::path::{Path, PathBuf};
-
+use super::{Copy, FIRST, fixture, free, prefix};
 use planagent_mllm::{
     GgufPart, HubAccess, LoadReport, MemoryCheck, Mllm, MllmError, ModelRegistry, ModelSource,
     Trust, WeightFormat,
 };
-
-use super::{Copy, FIRST, fixture, free, prefix};
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
 fn registry() -> ModelRegistry {
     ModelRegistry::new(

@@ -1,18 +1,16 @@
 //! Chat templates and tokenizers that hang, kill or grow without end. A child process tries them
 //! first, within limits.
 
-use std::fs::{self, File};
-use std::io::Write;
-use std::path::Path;
-use std::time::{Duration, Instant};
-
+use super::{Copy, fixture};
+use crate::outside::{Needy, data};
 use assert_cmd::Command;
 use planagent_mllm::trial::Trial;
 use planagent_mllm::{GgufPart, HubAccess, MllmError, ModelRegistry, Trust, WeightFormat};
 use serde_json::{Value, json};
-
-use super::{Copy, fixture};
-use crate::outside::{Needy, data};
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::Path;
+use std::time::{Duration, Instant};
 
 /// A check of any model ends within this time.
 const MAX_CHECK: Duration = Duration::from_secs(20);

@@ -1,17 +1,14 @@
 //! Downloads from a local server that implements a part of the hub's protocol.
 
-use std::io::{BufRead, BufReader, Write};
-use std::net::{TcpListener, TcpStream};
-
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
-
+use super::{FIRST, free, prefix, tiny};
 use planagent_mllm::{
     FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, Trust, WeightFormat,
 };
-
-use super::{FIRST, free, prefix, tiny};
+use std::io::{BufRead, BufReader, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
 const FILES: [&str; 7] = [

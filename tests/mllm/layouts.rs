@@ -1,11 +1,10 @@
 //! The same checkpoint gives the same answers in every layout of transformers.
 
+use super::{Copy, FIRST, Tensors, free, open, prefix};
 use half::{bf16, f16};
 use planagent_mllm::{LocalModel, Mllm};
 use safetensors::Dtype;
 use serde_json::json;
-
-use super::{Copy, FIRST, Tensors, free, open, prefix};
 
 fn answer(model: &LocalModel) -> String {
     model
@@ -51,7 +50,7 @@ fn names_of_older_and_newer_files_are_read() {
 #[test]
 fn names_of_llava_next_are_read_in_every_layout() {
     let renamed = |rename: &dyn Fn(&str) -> String| {
-        let copy = Copy::of("tiny_llava_next");
+        let copy = Copy::from_fixture("tiny_llava_next");
         copy.edit_tensors(|tensors| {
             *tensors = std::mem::take(tensors)
                 .into_iter()
@@ -76,7 +75,7 @@ fn names_of_llava_next_are_read_in_every_layout() {
 #[test]
 fn shards_are_joined_by_their_index() {
     for name in ["tiny_llava", "tiny_cogvlm"] {
-        let copy = Copy::of(name);
+        let copy = Copy::from_fixture(name);
         let whole = answer(&copy.open().unwrap());
         let tensors = copy.tensors();
         let names: Vec<&String> = tensors.keys().collect();

@@ -16,15 +16,14 @@ mod own_family;
 mod token_ids;
 mod unread;
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
 use image::RgbImage;
 use planagent_mllm::{
     Constraint, Deadline, LocalModel, MllmError, PromptPrefix, Request, Sampling,
 };
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 /// A committed checkpoint.
@@ -82,10 +81,10 @@ type Tensors = BTreeMap<String, (Dtype, Vec<usize>, Vec<u8>)>;
 
 impl Copy {
     fn new() -> Self {
-        Self::of("tiny_llava")
+        Self::from_fixture("tiny_llava")
     }
 
-    fn of(name: &str) -> Self {
+    fn from_fixture(name: &str) -> Self {
         Self::of_folder(&fixture(name))
     }
 

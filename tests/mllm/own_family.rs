@@ -1,15 +1,13 @@
 //! A model family from outside of the package.
 
-use std::ops::Range;
-
+use super::{Copy, FIRST, free, open, prefix};
 use image::RgbImage;
 use planagent_mllm::{
     Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, ImageFeatures,
     ImageLayout, LanguageModel, Mllm, MllmError, ModelFiles, ModelInfo, ModelRegistry, PlacedImage,
     Positions, Tiles, Trust, VisionLanguageModel,
 };
-
-use super::{Copy, FIRST, free, open, prefix};
+use std::ops::Range;
 
 /// A LLaVA whose tensors have other names and whose images are turned upside down.
 static TOY: Family = Family {

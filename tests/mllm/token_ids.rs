@@ -1,11 +1,10 @@
 //! The tokenizers of this build, which use the crate `fancy-regex`, against those of the Python
 //! package, which use Oniguruma.
 
+use super::fixture;
 use serde_json::Value;
 use std::path::Path;
 use tokenizers::Tokenizer;
-
-use super::fixture;
 
 #[test]
 fn regular_expressions_split_texts_as_oniguruma_does() {

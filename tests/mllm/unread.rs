@@ -1,13 +1,11 @@
 //! Checkpoints in forms that are not read: one sentence says what to take instead. Checks name all
 //! faults at once.
 
-use std::fs;
-
+use super::Copy;
 use planagent_mllm::{HubAccess, MemoryCheck, ModelRegistry, Trust};
 use safetensors::Dtype;
 use serde_json::json;
-
-use super::Copy;
+use std::fs;
 
 const POINTER: &str = "version https://git-lfs.github.com/spec/v1\noid sha256:0123\nsize 4\n";
 

@@ -119,7 +119,7 @@ struct Differences {
 }
 
 impl Differences {
-    fn of(simulation: &DevkitSimulation, names: &[String], ours: &Evaluation) -> Self {
+    fn from_simulation(simulation: &DevkitSimulation, names: &[String], ours: &Evaluation) -> Self {
         let own = columns(&ours.metrics);
         let mut found = Self::default();
         for (name, theirs) in names.iter().zip(&simulation.values) {
@@ -183,7 +183,7 @@ fn our_values_are_those_of_the_devkit() {
                 challenge(&one.challenge),
             );
             let place = format!("{} {} {}", one.scenario, one.planner, one.challenge);
-            (place, Differences::of(one, &columns, &ours))
+            (place, Differences::from_simulation(one, &columns, &ours))
         })
         .collect();
     let wrong = found
@@ -221,14 +221,14 @@ fn a_changed_value_is_found() {
     let exported = write_scenarios(&[scenario], &home.path().join("out"), &settings).unwrap();
     let (read, _) = read_back(&exported, &settings, home.path()).remove(0);
     let ours = simulated(&read, SimulatedPlanner::Simple, challenge(&one.challenge));
-    let before = Differences::of(one, &columns, &ours);
+    let before = Differences::from_simulation(one, &columns, &ours);
     let place = columns
         .iter()
         .position(|name| name == "ego_mean_speed/ego_mean_speed_value")
         .unwrap();
     let speed = one.values[place].as_ref().unwrap().number();
     one.values[place] = Some(Value::Finite(speed + 2e-6));
-    let after = Differences::of(one, &columns, &ours);
+    let after = Differences::from_simulation(one, &columns, &ours);
     assert_eq!(
         (after.apart, after.wrong.len(), before.wrong.len()),
         (before.apart + 1, 0, 0),
@@ -236,7 +236,7 @@ fn a_changed_value_is_found() {
     );
     one.values[place] = None;
     one.score += 2e-4;
-    let wrong = Differences::of(one, &columns, &ours).wrong;
+    let wrong = Differences::from_simulation(one, &columns, &ours).wrong;
     assert!(
         wrong.len() == 2 && wrong[0].starts_with("ego_mean_speed") && wrong[1].starts_with("score"),
         "{wrong:?}"

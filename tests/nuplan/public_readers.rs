@@ -85,7 +85,7 @@ fn map_of(scenario: &Scenario, log: &ExportedLog, settings: &ExportSettings) -> 
 /// The expected contents of the log.
 fn drive_of(scenario: &Scenario, log: &ExportedLog, settings: &ExportSettings) -> Value {
     let (map, origin) = (&*scenario.map, settings.origin);
-    let extraction = Extraction::of(&scenario.scenario_type);
+    let extraction = Extraction::for_type(&scenario.scenario_type);
     let frames = scenario.frames[scenario.start..].iter().map(|frame| {
         let (ego, at) = (&frame.ego, frame.ego.rear_axle);
         let objects = frame.objects.iter().map(|object| {

@@ -269,7 +269,7 @@ fn lanes_tile_the_road_or_leave_gaps() {
             from_s: 0.0,
             to_s: 100.0,
         });
-        DrivableLayers::of(&town.build(), &BTreeSet::from([right]), Point::origin())
+        DrivableLayers::from_map(&town.build(), &BTreeSet::from([right]), Point::origin())
     };
     assert_eq!(layers(0.0, LaneAreas::Derived), DrivableLayers::Lanes);
     assert_eq!(
@@ -288,7 +288,7 @@ fn lanes_tile_the_road_or_leave_gaps() {
     );
     town.link(a, b);
     assert_eq!(
-        DrivableLayers::of(&town.build(), &BTreeSet::from([a]), Point::origin()),
+        DrivableLayers::from_map(&town.build(), &BTreeSet::from([a]), Point::origin()),
         DrivableLayers::DrivableArea
     );
 }

@@ -45,13 +45,7 @@ fn another_prompt_or_model_file_is_named_and_must_be_accepted() {
         &set,
     ];
     let (code, _, stderr) = run(&[
-        &[
-            "simulate",
-            "--out",
-            folder,
-            "--set",
-            "reasoning.interval=1000",
-        ][..],
+        &["simulate", "--out", folder, "--set", "agent.interval_s=100"][..],
         &flags,
     ]
     .concat());

@@ -7,6 +7,7 @@ mod nuboard;
 mod nuplan_folders;
 mod parquet;
 mod pinned;
+mod renamed_settings;
 mod resume;
 mod splits;
 

@@ -267,7 +267,11 @@ fn a_study_of_a_user_is_a_file() {
     );
 
     let out = work.path().to_str().unwrap();
-    fs::write(&file, definition.replace("threshold = 0.5", "threshhold = 0.5")).unwrap();
+    fs::write(
+        &file,
+        definition.replace("threshold = 0.5", "threshhold = 0.5"),
+    )
+    .unwrap();
     let wrong = refused(&["study", file.to_str().unwrap(), "--out", out]);
     assert!(wrong.contains("threshhold"), "{wrong}");
     fs::write(&file, definition.replace("reference = 1", "reference = 2")).unwrap();

@@ -19,7 +19,7 @@ pub struct OccupancyGrid {
 impl OccupancyGrid {
     /// The cells that the boxes of objects touch, in the picture around `center` (the ego's box
     /// center).
-    pub fn of(objects: &[TrackedObject], view: &BevView, center: Pose) -> Self {
+    pub fn from_objects(objects: &[TrackedObject], view: &BevView, center: Pose) -> Self {
         let cell = view.meters() / CELLS as f64;
         let reach = view.meters() * std::f64::consts::FRAC_1_SQRT_2;
         let mut grid = Self::default();
@@ -83,10 +83,10 @@ mod tests {
     fn the_top_row_is_ahead_and_the_first_column_left() {
         let ego = Pose::new(100.0, 50.0, std::f64::consts::FRAC_PI_2);
         // 30 m ahead and 30 m to the left of an ego that looks along y.
-        let grid = OccupancyGrid::of(&[car(70.0, 80.0, 0.0)], &BevView::default(), ego);
+        let grid = OccupancyGrid::from_objects(&[car(70.0, 80.0, 0.0)], &BevView::default(), ego);
         assert!(grid.is_occupied(0, 0) && !grid.is_occupied(0, 1) && !grid.is_occupied(15, 0));
         assert_eq!(grid.to_string(), format!("8000{}", "0".repeat(60)));
-        let right = OccupancyGrid::of(&[car(130.0, 80.0, 0.0)], &BevView::default(), ego);
+        let right = OccupancyGrid::from_objects(&[car(130.0, 80.0, 0.0)], &BevView::default(), ego);
         assert_eq!(right.to_string(), format!("0001{}", "0".repeat(60)));
     }
 
@@ -94,7 +94,7 @@ mod tests {
     fn a_box_on_a_border_touches_all_its_cells_and_one_outside_none() {
         let ego = Pose::new(0.0, 0.0, 0.0);
         let touched = |object: TrackedObject| {
-            let grid = OccupancyGrid::of(&[object], &BevView::default(), ego);
+            let grid = OccupancyGrid::from_objects(&[object], &BevView::default(), ego);
             let cells = (0..CELLS).flat_map(|row| (0..CELLS).map(move |column| (row, column)));
             cells
                 .filter(|&(row, column)| grid.is_occupied(row, column))

@@ -40,7 +40,7 @@ pub struct AgentState {
     pub(super) calls: Vec<PlanningCall>,
     pub(super) clock: Clock,
     pub(super) builder: PlanBuilder,
-    plan_interval_s: f64,
+    interval_s: f64,
     blocked_interval_s: f64,
     node_length_m: f64,
     /// Whether its codes may name the oncoming lane.
@@ -65,8 +65,8 @@ impl AgentState {
                 lead_policy: settings.reflection.lead_policy,
                 horizon_s,
             },
-            plan_interval_s: settings.plan_interval_s,
-            blocked_interval_s: settings.blocked_interval_s,
+            interval_s: settings.agent.interval_s,
+            blocked_interval_s: settings.agent.blocked_interval_s,
             node_length_m: settings.environment.node_length_m,
             oncoming_lane: false,
             return_lane: None,
@@ -110,8 +110,7 @@ impl AgentState {
             self.lane_graph(scene)
                 .is_ok_and(|graph| graph.is_obstructed())
         };
-        clock.is_due(self.plan_interval_s)
-            || (clock.is_due(self.blocked_interval_s) && is_obstructed())
+        clock.is_due(self.interval_s) || (clock.is_due(self.blocked_interval_s) && is_obstructed())
     }
 
     /// Makes a planning call due at the next step.
@@ -127,7 +126,7 @@ impl AgentState {
             graph
         };
         Ok(match &self.return_lane {
-            Some(lane) => graph.with_way_back(scene, lane),
+            Some(lane) => graph.with_return_lane(scene, lane),
             None => graph,
         })
     }
@@ -143,7 +142,7 @@ impl AgentState {
         self.return_lane
             .take_if(|lane| lane.is_reached(scene, graph));
         if plan.oncoming().is_none() && begins_lane_change(plan, scene, graph, self) {
-            self.return_lane = ReturnLane::of(graph).or(self.return_lane.take());
+            self.return_lane = ReturnLane::from_graph(graph).or(self.return_lane.take());
         }
     }
 

@@ -196,10 +196,10 @@ fn best_trial<Q: Question>(
     if trace.proposals.is_empty() {
         return Ok((best, Vec::new()));
     }
-    let mut proposals = vec![Proposal::of(likeliest, best.as_ref())];
+    let mut proposals = vec![Proposal::from_trial(likeliest, best.as_ref())];
     for &answer in &trace.proposals {
         let trial = question.try_out(answer)?;
-        proposals.push(Proposal::of(answer, trial.as_ref()));
+        proposals.push(Proposal::from_trial(answer, trial.as_ref()));
         let rank =
             |trial: &Option<Trial<_>>| trial.as_ref().map(|trial| rank(trial.reflection.as_ref()));
         if rank(&trial) > rank(&best) {
@@ -210,7 +210,7 @@ fn best_trial<Q: Question>(
 }
 
 impl Proposal {
-    fn of<P>(answer: impl Into<PlannerAnswer>, trial: Option<&Trial<P>>) -> Self {
+    fn from_trial<P>(answer: impl Into<PlannerAnswer>, trial: Option<&Trial<P>>) -> Self {
         Self {
             answer: answer.into(),
             reflection: trial.and_then(|trial| trial.reflection.clone()),

@@ -21,7 +21,7 @@ pub(super) struct ModelInput<'a> {
 impl ModelInput<'_> {
     /// The BEV image and the lane-graph text of a scene, as far as the settings show them to the
     /// model.
-    pub(super) fn of(
+    pub(super) fn scenario_prompt(
         &self,
         scene: &SceneView<'_>,
         graph: &LaneGraph,
@@ -38,8 +38,8 @@ impl ModelInput<'_> {
                 .map(|pixels| self.bev(scene, pixels))
                 .transpose()?
                 .map(Arc::new),
-            text: form.map(|form| text::write(&Description::of(graph), form)),
-            names: Names::of(graph),
+            text: form.map(|form| text::write(&Description::from_graph(graph), form)),
+            names: Names::from_graph(graph),
             legend: bev::Palette::legend(),
         })
     }

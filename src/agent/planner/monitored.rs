@@ -8,7 +8,7 @@ use crate::reflection::{IdmPlan, MonitoredStep, PlanMonitor};
 use planagent_world::{SceneView, Trajectory};
 use std::time::Instant;
 
-/// An agent whose active plan is monitored. A lane change or a pass that needs hard braking or
+/// An agent whose active plan is monitored. A lane change or an overtake that needs hard braking or
 /// scores less than λ is aborted where the plan is better in the ego's present lane; the ego stays
 /// there until the next planning call.
 #[derive(Debug)]

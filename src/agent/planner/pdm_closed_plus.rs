@@ -3,8 +3,10 @@
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::lane_graph::Centerline;
 use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
-use crate::reflection::{PassRules, allowed_pass};
-use planagent_score::pdm::{DrivableLayers, Pass, PdmError, PdmMemory, ReferencePath, plan_among};
+use crate::reflection::{OvertakeRules, allowed_overtake};
+use planagent_score::pdm::{
+    DrivableLayers, Overtake, PdmError, PdmMemory, ReferencePath, plan_among,
+};
 use planagent_world::geometry::{OrientedBox, Polyline, Pose, Vector};
 use planagent_world::{
     ObjectKind, PACIFICA, RoadblockId, SceneView, TrackToken, TrackedObject, Trajectory,
@@ -58,24 +60,24 @@ impl Planner for PdmClosedPlus {
             return Ok(plan_among(own, &[], None, scene, collided)?.trajectory);
         };
         let graph = graph.with_oncoming_lane(scene);
-        let pass = allowed_pass(scene, &graph);
+        let oncoming = allowed_overtake(scene, &graph);
         let others = paths_along(
             scene,
             own,
             graph
                 .centerlines
                 .iter()
-                .chain(pass.map(|pass| &pass.centerline)),
+                .chain(oncoming.map(|lane| &lane.centerline)),
         );
-        let plan = if let Some(way) = pass {
-            let rules = PassRules::new(way, scene);
+        let plan = if let Some(oncoming) = oncoming {
+            let rules = OvertakeRules::new(oncoming, scene);
             let verdict = |poses: &[Pose]| rules.verdict(poses);
-            let pass = Pass {
-                lanes: &way.lanes,
-                steps: PassRules::STEPS,
+            let overtake = Overtake {
+                lanes: &oncoming.lanes,
+                steps: OvertakeRules::STEPS,
                 verdict: &verdict,
             };
-            plan_among(own, &others, Some(&pass), scene, collided)?
+            plan_among(own, &others, Some(&overtake), scene, collided)?
         } else {
             let stop = stop_before(scene, &graph);
             let objects: Vec<TrackedObject> = scene.objects.iter().copied().chain(stop).collect();

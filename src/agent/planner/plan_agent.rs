@@ -204,7 +204,7 @@ impl AgentLayer for PlanAgent {
             settings,
             shuffled_bev: shuffled_bev.as_ref(),
         };
-        let prompt = input.of(scene, &graph)?;
+        let prompt = input.scenario_prompt(scene, &graph)?;
         let environment_ms = milliseconds(started.elapsed());
         let seed = self.settings.call_seed(iteration);
         let (attempts, active) = self.attempt(

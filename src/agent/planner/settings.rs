@@ -20,19 +20,40 @@ pub enum AfterMaxExec {
 }
 
 /// Section `agent`: a planning call as a whole.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CallSettings {
+    /// Time between planning calls, seconds (the paper: 2).
+    /// Why: docs/decisions/109-paper-settings.md.
+    pub interval_s: f64,
+    /// Time between planning calls while something blocks the ego's lane or its lead agent stands,
+    /// seconds (the paper: 2).
+    /// Why: docs/decisions/122-before-what-stands.md.
+    pub blocked_interval_s: f64,
     /// Wall time after which a planning call is interrupted and the active plan is kept,
     /// milliseconds; `None` for no limit. The image and a running reflection are completed all the
     /// same.
     pub deadline_ms: Option<u64>,
     /// Predicted score of PDM-Closed from which on the model is not asked and PDM-Closed is
     /// executed; `None` always asks.
+    /// Why: docs/decisions/107-gate.md.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gate: Option<f64>,
     /// How long a planning call lasts in simulated time.
+    /// Why: docs/decisions/108-latency.md.
     pub latency: Latency,
+}
+
+impl Default for CallSettings {
+    fn default() -> Self {
+        Self {
+            interval_s: 2.0,
+            blocked_interval_s: 0.5,
+            deadline_ms: None,
+            gate: None,
+            latency: Latency::default(),
+        }
+    }
 }
 
 /// Section `environment`: the input of the model.
@@ -82,22 +103,27 @@ pub struct ReflectionSettings {
     /// lane changes that scored less than 0.98 lowered the score of the simulation. A change
     /// towards the goal's lane needs λ alone. A plan that stays in a blocked lane which the ego can
     /// leave needs this too, so that other lanes are tried.
+    /// Why: docs/decisions/102-lane-change-threshold.md.
     pub lane_change_threshold: f64,
     /// Maximum number of attempts of a planning call (the paper: 3).
     pub max_exec: usize,
     /// Length of the roll-outs, seconds. 4 s are PDM-Closed's.
     pub horizon_s: f64,
     /// Which plan becomes active when all attempts were refused.
+    /// Why: docs/decisions/109-paper-settings.md.
     pub after_max_exec: AfterMaxExec,
     /// Which objects a plan follows.
+    /// Why: docs/decisions/103-lead-policy.md.
     pub lead_policy: LeadPolicy,
     /// Whether the active plan is monitored between planning calls. At every step it is scored with
     /// its slower and lateral versions and a stop, and one of them is executed. A lane change whose
     /// score falls is aborted. Without monitoring the plan is executed as the model wrote it (the
     /// paper).
+    /// Why: docs/decisions/101-monitoring.md.
     pub monitoring: bool,
     /// Whether the ego may brake hard against the active plan: by PDM-Closed's emergency brake, and
     /// under monitoring by the stop.
+    /// Why: docs/decisions/104-emergency-brake.md.
     pub emergency_brake: bool,
 }
 
@@ -233,11 +259,6 @@ pub struct PlanAgentSettings {
     pub reflection: ReflectionSettings,
     /// Section `learned`.
     pub learned: LearnedSettings,
-    /// Time between planning calls, seconds (the paper: 2).
-    pub plan_interval_s: f64,
-    /// Time between planning calls while something blocks the ego's lane or its lead agent stands,
-    /// seconds (the paper: 2).
-    pub blocked_interval_s: f64,
     /// Seed of the simulation; each planning call draws from a stream of its own.
     pub seed: u64,
 }
@@ -251,8 +272,6 @@ impl Default for PlanAgentSettings {
             environment,
             reflection,
             learned,
-            plan_interval_s: 2.0,
-            blocked_interval_s: 0.5,
             seed: 0,
         }
     }

@@ -97,7 +97,7 @@ pub struct Names {
 
 impl Names {
     /// The names of a scene's lane graph.
-    pub fn of(graph: &LaneGraph) -> Self {
+    pub fn from_graph(graph: &LaneGraph) -> Self {
         Self {
             centerlines: graph.named().map(|centerline| centerline.name).collect(),
             lead_agents: graph.agents.iter().map(|agent| agent.name).collect(),

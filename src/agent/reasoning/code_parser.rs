@@ -23,7 +23,7 @@ impl<A> Parsed<A> {
     };
 
     /// An answer without errors.
-    pub fn of(answer: A) -> Self {
+    pub fn from_answer(answer: A) -> Self {
         Self {
             answer: Some(answer),
             errors: Vec::new(),

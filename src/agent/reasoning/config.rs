@@ -13,11 +13,6 @@ pub struct ReasoningConfig {
     pub prompt_set: Option<String>,
     /// The rounds in order; the last must be `code`.
     pub rounds: Vec<Round>,
-    /// Iterations of 0.1 s between planning calls (the paper: 20).
-    pub interval: usize,
-    /// Iterations of 0.1 s between planning calls while something blocks the ego's lane or its lead
-    /// agent stands (the paper: 20).
-    pub blocked_interval: usize,
     /// Sampling temperature of later attempts; 0 takes the most likely token. The model's
     /// description decides for the first.
     pub rethink_temperature: f64,
@@ -34,6 +29,7 @@ pub struct ReasoningConfig {
 }
 
 /// How many codes an attempt proposes, 1 to 4.
+/// Why: docs/decisions/112-refused-codes.md.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "usize", into = "usize")]
 pub struct Proposals(usize);
@@ -87,8 +83,6 @@ impl Default for ReasoningConfig {
         Self {
             prompt_set: None,
             rounds: Round::ALL.to_vec(),
-            interval: 20,
-            blocked_interval: 5,
             rethink_temperature: 0.7,
             grammar: true,
             speculation: None,

@@ -103,7 +103,7 @@ pub struct ReasoningTrace<A> {
 impl<A> ReasoningTrace<A> {
     /// An answer that no model gave.
     pub fn without_rounds(answer: A) -> Self {
-        Self::of_parsed(Parsed::of(answer))
+        Self::of_parsed(Parsed::from_answer(answer))
     }
 
     /// A line that no model gave, as it was read.

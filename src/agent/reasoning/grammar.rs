@@ -234,24 +234,24 @@ fn other_call(
     let values = slots.get(slot)?;
     let is_refused = |value: &&String| refused.iter().any(|code| code.first() == Some(value));
     let (same, other): (Vec<&String>, Vec<&String>) = values.iter().partition(is_refused);
-    let mut ways = Vec::new();
+    let mut alternatives = Vec::new();
     if !other.is_empty() {
-        ways.push([vec![any_of(other)], call(slots, slot + 1).collect()].concat());
+        alternatives.push([vec![any_of(other)], call(slots, slot + 1).collect()].concat());
     }
     for value in same {
         let begun = refused
             .iter()
             .filter_map(|code| code.split_first().filter(|(first, _)| *first == value));
         let rests: Vec<&[String]> = begun.map(|(_, rest)| rest).collect();
-        ways.extend(
+        alternatives.extend(
             other_call(slots, slot + 1, &rests).map(|rest| [vec![text(value)], rest].concat()),
         );
     }
-    // The text behind a value belongs to its way.
-    (!ways.is_empty()).then(|| {
+    // The text behind a value belongs to its alternative.
+    (!alternatives.is_empty()).then(|| {
         vec![
             around(slot),
-            Constraint::OneOf(ways.into_iter().map(Constraint::Sequence).collect()),
+            Constraint::OneOf(alternatives.into_iter().map(Constraint::Sequence).collect()),
         ]
     })
 }
@@ -280,7 +280,7 @@ mod tests {
     fn texts(constraint: &Constraint) -> BTreeSet<String> {
         match constraint {
             Constraint::Choice(texts) => texts.iter().cloned().collect(),
-            Constraint::OneOf(ways) => ways.iter().flat_map(texts).collect(),
+            Constraint::OneOf(alternatives) => alternatives.iter().flat_map(texts).collect(),
             Constraint::Sequence(parts) => {
                 parts
                     .iter()

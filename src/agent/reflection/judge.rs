@@ -1,14 +1,14 @@
 //! Scores plans by PDM's measure over a short horizon.
 
-use super::pass::PassRules;
+use super::overtake::OvertakeRules;
 use super::reach::{MIN_REACH, Reach, is_compared, reach_of_lanes};
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use super::rollout::{IdmPlan, Rollout, Version};
 use crate::environment::LaneGraph;
 use planagent_score::metrics::MetricError;
 use planagent_score::pdm::{
-    self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PassVerdict, PdmInstant, PdmMemory,
-    ProposalScore, ReferencePath, ScoringScene, no_at_fault_collisions, score_passing,
+    self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, OvertakeVerdict, PdmInstant,
+    PdmMemory, ProposalScore, ReferencePath, ScoringScene, no_at_fault_collisions, score_overtake,
     score_proposals, simulate_proposals,
 };
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
@@ -56,7 +56,7 @@ pub(super) fn observe<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmI
         return observe_along(reference_path, scene, collided);
     }
     let lanes = scene.route.lanes(scene.map);
-    let layers = DrivableLayers::of(scene.map, &lanes, scene.ego.center().position());
+    let layers = DrivableLayers::from_map(scene.map, &lanes, scene.ego.center().position());
     judged(scene, PdmInstant::new(scene, &lanes, layers, collided))
 }
 
@@ -269,7 +269,7 @@ impl<'a> Judge<'a> {
             .copied()
             .ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
         if self.reference == ProgressReference::Reach {
-            let own = Reach::of(&score, &states).reach_m;
+            let own = Reach::from_rollout(&score, &states).reach_m;
             score = score.with_progress(score.progress.min(own / self.rivals.reach_m.max(own)));
         }
         let verdict = if score.total >= threshold {
@@ -302,19 +302,19 @@ pub(super) fn score_versions(
     scoring: &ScoringScene<'_>,
     simulated: &[Vec<EgoState>],
 ) -> Result<Vec<ProposalScore>, MetricError> {
-    let Some(way) = plan.oncoming() else {
+    let Some(oncoming) = plan.oncoming() else {
         return score_proposals(scoring, simulated);
     };
-    let rules = PassRules::new(way, scene);
+    let rules = OvertakeRules::new(oncoming, scene);
     let verdict = |&version: &Version| {
         rules.verdict(
             &plan
-                .roll_out_version(version, scene, PassRules::STEPS)
+                .roll_out_version(version, scene, OvertakeRules::STEPS)
                 .poses,
         )
     };
-    let verdicts: Vec<PassVerdict> = versions.iter().map(verdict).collect();
-    score_passing(scoring, &way.lanes, &verdicts, simulated)
+    let verdicts: Vec<OvertakeVerdict> = versions.iter().map(verdict).collect();
+    score_overtake(scoring, &oncoming.lanes, &verdicts, simulated)
 }
 
 fn parts(score: &ProposalScore) -> SubScores {

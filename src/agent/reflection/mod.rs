@@ -3,7 +3,7 @@
 
 mod judge;
 mod monitor;
-mod pass;
+mod overtake;
 mod path;
 mod plan_builder;
 mod reach;
@@ -13,7 +13,7 @@ mod shift;
 
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
 pub use monitor::{Choice, MonitoredStep, PlanMonitor};
-pub use pass::{PassRules, allowed_pass};
+pub use overtake::{OvertakeRules, allowed_overtake};
 pub use plan_builder::PlanBuilder;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 pub use rollout::{IdmPlan, LeadPolicy, Rollout, Version};

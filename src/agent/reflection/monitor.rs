@@ -10,6 +10,7 @@ use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::{EgoState, SceneView, Trajectory};
 
 /// How a plan is monitored.
+/// Why: docs/decisions/101-monitoring.md.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlanMonitor {
     /// Length of the roll-outs, steps of 0.1 s.
@@ -29,7 +30,7 @@ pub struct Choice {
     pub score: f64,
     /// Whether PDM-Closed's emergency brake overrules it.
     pub emergency_brake: bool,
-    /// Whether it is a pass over the oncoming lane that breaks a rule.
+    /// Whether it is an overtake over the oncoming lane that breaks a rule.
     pub is_refused: bool,
 }
 
@@ -42,14 +43,14 @@ pub struct MonitoredStep {
     pub score: f64,
     /// Whether the ego brakes hard: the version is the stop, or the emergency brake overrules it.
     pub brakes: bool,
-    /// Whether the version is a pass over the oncoming lane that breaks a rule.
+    /// Whether the version is an overtake over the oncoming lane that breaks a rule.
     pub is_refused: bool,
 }
 
 impl MonitoredStep {
-    /// Whether it keeps the rules of a pass where `other` does not, or else avoids hard braking
-    /// where `other` does not, or else has the higher score. Scores of hard braking say little:
-    /// their progress is relative to versions that all collide.
+    /// Whether it keeps the rules of an overtake where `other` does not, or else avoids hard
+    /// braking where `other` does not, or else has the higher score. Scores of hard braking say
+    /// little: their progress is relative to versions that all collide.
     pub fn is_better_than(&self, other: &Self) -> bool {
         (!self.is_refused, !self.brakes, self.score)
             > (!other.is_refused, !other.brakes, other.score)
@@ -90,7 +91,7 @@ impl PlanMonitor {
     ///    of centimeters.
     /// 2. The best of all versions but the stop.
     /// 3. The stop, where that version would be at fault for a collision or come near one, or is a
-    ///    refused pass, and the stop scores more.
+    ///    refused overtake, and the stop scores more.
     ///
     /// Of equals the first is chosen. Where nothing avoids the collision, a slow ego brakes by
     /// PDM-Closed's rule, and a fast one executes the plan: such forecasts are often wrong.
@@ -144,10 +145,10 @@ impl PlanMonitor {
     fn best(
         &self,
         scored: &[(Version, ProposalScore)],
-        passes: bool,
+        overtakes: bool,
         ego: &EgoState,
     ) -> Option<Choice> {
-        let is_refused = |score: &ProposalScore| passes && score.driving_direction <= 0.0;
+        let is_refused = |score: &ProposalScore| overtakes && score.driving_direction <= 0.0;
         let best = |among: fn(Version) -> bool| {
             let among = scored.iter().filter(|&&(version, _)| among(version));
             among

@@ -17,11 +17,13 @@ const MIN_DECAY: f64 = 8.0;
 const MIN_DECAY_OF_OFFSET: f64 = 3.5;
 /// Maximum curvature that the decay of a slope may need, 1/m: that of one lane's offset in the
 /// shortest decay.
+/// Why: docs/decisions/118-path-of-a-turned-ego.md.
 const MAX_CURVATURE: f64 = OFFSET_BEND / (MIN_DECAY_OF_OFFSET * MIN_DECAY_OF_OFFSET * LANE_WIDTH);
 /// Largest |d''|·L²/d(0) of the quintic of an offset, and largest |d''|·L/d'(0) of that of a slope.
 const OFFSET_BEND: f64 = 5.77;
 const SLOPE_BEND: f64 = 3.94;
 /// Lateral acceleration that a path accepts to end its decay where an earlier path does, m/s².
+/// Why: docs/decisions/124-lane-changes-go-on.md.
 const MAX_LATERAL_ACCEL: f64 = 2.5;
 /// Distance between the vertices of the path, meters.
 const SPACING: f64 = 1.0;

@@ -1,6 +1,6 @@
 //! Builds plans from planner codes, and from plans that stay active.
 
-use super::pass::PassRules;
+use super::overtake::OvertakeRules;
 use super::rollout::{IdmPlan, LeadPolicy};
 use crate::environment::{AgentName, CenterlineName, LaneGraph};
 use crate::reasoning::PlannerCode;
@@ -81,8 +81,8 @@ impl PlanBuilder {
     }
 
     /// A plan that stays active: its path begins at the ego's present place, on the centerline that
-    /// it is bound for. A pass that has begun is completed, also where the graph no longer has its
-    /// way.
+    /// it is bound for. An overtake that has begun is completed, also where the graph no longer
+    /// has its lane.
     pub fn extend(
         &self,
         plan: &IdmPlan,
@@ -91,13 +91,13 @@ impl PlanBuilder {
     ) -> Result<IdmPlan, GeometryError> {
         let begun = plan
             .oncoming()
-            .filter(|pass| graph.oncoming.is_none() && PassRules::new(pass, scene).has_begun());
-        if let Some(pass) = begun {
-            let plan = plan.extended(scene, pass.centerline.path.clone(), self.horizon_s)?;
-            return Ok(plan.completing(pass));
+            .filter(|lane| graph.oncoming.is_none() && OvertakeRules::new(lane, scene).has_begun());
+        if let Some(lane) = begun {
+            let plan = plan.extended(scene, lane.centerline.path.clone(), self.horizon_s)?;
+            return Ok(plan.completing(lane));
         }
         let lane = plan.lane_now(scene);
-        let passes = graph
+        let overtakes = graph
             .oncoming
             .as_ref()
             .map(|oncoming| &oncoming.centerline)
@@ -108,7 +108,7 @@ impl PlanBuilder {
                 .iter()
                 .find(|centerline| centerline.path.lanes.contains(&lane))
         };
-        let bound_for = passes.or_else(beside).unwrap_or(graph.ego_lane());
+        let bound_for = overtakes.or_else(beside).unwrap_or(graph.ego_lane());
         let plan = plan.extended(scene, bound_for.path.clone(), self.horizon_s)?;
         Ok(plan.at_blocked_lane(graph, bound_for.name))
     }

@@ -9,6 +9,7 @@ use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::{EgoState, SceneView};
 
 /// Time beyond the horizon for which an ego is taken to keep its final speed, seconds.
+/// Why: docs/decisions/113-standing-progress.md.
 const BEYOND_S: f64 = 4.0;
 /// A shorter reach does not count, meters: an ego that waits may creep that far. About the length
 /// of the ego.
@@ -27,7 +28,7 @@ pub(super) struct Reach {
 }
 
 impl Reach {
-    pub(super) fn of(score: &ProposalScore, states: &[EgoState]) -> Self {
+    pub(super) fn from_rollout(score: &ProposalScore, states: &[EgoState]) -> Self {
         let progress_m = score.progress_m * score.multiplier();
         let beyond = states.last().map_or(0.0, EgoState::speed) * BEYOND_S;
         Self {
@@ -38,7 +39,7 @@ impl Reach {
 
     /// That of a rival: one that comes near a collision reaches nothing.
     pub(super) fn of_rival(score: &ProposalScore, states: &[EgoState]) -> Self {
-        let reach = Self::of(score, states);
+        let reach = Self::from_rollout(score, states);
         if score.time_to_collision < 1.0 {
             Self {
                 reach_m: 0.0,

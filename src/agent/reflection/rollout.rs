@@ -16,6 +16,7 @@ use planagent_world::{
 };
 
 /// Exponent δ of the plan's IDM (PDM-Closed's).
+/// Why: docs/decisions/103-lead-policy.md.
 const EXPONENT: i32 = 10;
 /// Gap at standstill s0, m (PDM-Closed's).
 const MIN_GAP: f64 = 1.0;
@@ -174,8 +175,8 @@ impl IdmPlan {
     }
 
     /// The same over the oncoming lane, past what another plan has begun to pass.
-    pub(super) fn completing(mut self, pass: &OncomingLane) -> Self {
-        (self.oncoming, self.stop_point) = (Some(Box::new(pass.clone())), None);
+    pub(super) fn completing(mut self, lane: &OncomingLane) -> Self {
+        (self.oncoming, self.stop_point) = (Some(Box::new(lane.clone())), None);
         self
     }
 

@@ -4,10 +4,12 @@ use planagent_world::geometry::{Corridor, Point, Polyline, Pose};
 use planagent_world::{LanePath, PACIFICA, SceneView, TrackedObject};
 
 /// Distance from what stands, meters.
+/// Why: docs/decisions/111-shift.md.
 const MARGIN: f64 = 0.3;
 /// Objects slower than this stand, m/s.
 const STANDING: f64 = 0.2;
 /// Time ahead in which objects matter, seconds: Reflection's horizon.
+/// Why: docs/decisions/111-shift.md.
 const REACH_S: f64 = 4.0;
 /// Minimum distance ahead in which they do, meters: a slow ego needs it to move over.
 const MIN_REACH: f64 = 20.0;
@@ -18,6 +20,7 @@ const STATION_STEP: f64 = 1.0;
 /// Distance between tested shifts, meters.
 const SHIFT_STEP: f64 = 0.05;
 /// Maximum shift, meters: the lateral offset of PDM-Closed's proposals.
+/// Why: docs/decisions/111-shift.md.
 const MAX_SHIFT: f64 = 1.0;
 /// Steps of time in which agents beside the lane are followed, seconds.
 const TIME_STEP: f64 = 0.5;
@@ -185,10 +188,10 @@ fn is_needed(scene: &SceneView<'_>, lanes: &LanePath, edges: &[Edge], shift: f64
     let (from, to) = (front - PACIFICA.length(), last + AROUND);
     let stations =
         (0..=((to - from) / STATION_STEP).ceil() as usize).map(|i| from + i as f64 * STATION_STEP);
-    let Ok(way) = Polyline::new(stations.map(|s| line.frenet_to_map(s, shift))) else {
+    let Ok(path) = Polyline::new(stations.map(|s| line.frenet_to_map(s, shift))) else {
         return true;
     };
-    let way = Corridor::new(way, PACIFICA.width / 2.0 + MARGIN);
+    let corridor = Corridor::new(path, PACIFICA.width / 2.0 + MARGIN);
     let in_lane = |point: Point| {
         lanes
             .lanes
@@ -200,7 +203,7 @@ fn is_needed(scene: &SceneView<'_>, lanes: &LanePath, edges: &[Edge], shift: f64
         let center = object.shape.center;
         times.any(|t| {
             let pose = Pose::at(center.position() + object.velocity * t, center.heading);
-            way.meets_box(&object.shape.moved_to(pose))
+            corridor.meets_box(&object.shape.moved_to(pose))
         })
     };
     let others = scene
@@ -238,7 +241,7 @@ mod tests {
             .objects(objects)
             .build()
             .unwrap();
-        let lanes = LanePath::of(&scene.map, vec![LaneId(0)]).unwrap();
+        let lanes = LanePath::from_lanes(&scene.map, vec![LaneId(0)]).unwrap();
         shift(&scene.view(), &lanes)
     }
 
@@ -283,7 +286,7 @@ mod tests {
             .objects(objects)
             .build()
             .unwrap();
-        let lanes = LanePath::of(&scene.map, vec![LaneId(0)]).unwrap();
+        let lanes = LanePath::from_lanes(&scene.map, vec![LaneId(0)]).unwrap();
         shift(&scene.view(), &lanes)
     }
 

@@ -69,7 +69,7 @@ impl AgentPolicy for ExecAgents {
                 )));
             }
         };
-        let message = ExecAgentsStep::of(
+        let message = ExecAgentsStep::new(
             (iteration, dt_s),
             ego,
             &self.objects,

@@ -101,7 +101,7 @@ impl ModelArguments {
             network,
             trust,
         } = self;
-        let rest = ModelFlags::of(Some(format), Some(memory), network, Some(trust));
+        let rest = ModelFlags::from_arguments(Some(format), Some(memory), network, Some(trust));
         ModelFlags {
             model: model.clone(),
             prompt_set: prompt_set.clone(),
@@ -112,7 +112,7 @@ impl ModelArguments {
 
 impl ModelFlags {
     /// What the options of a command say that has some of them.
-    pub(super) fn of(
+    pub(super) fn from_arguments(
         format: Option<&FormatArgument>,
         memory: Option<&MemoryArgument>,
         network: &NetworkArgument,

@@ -93,14 +93,14 @@ impl ModelsCommand {
                 network,
                 trust,
                 ..
-            } => ModelFlags::of(Some(format), Some(memory), network, Some(trust)),
-            Self::Fetch { network, .. } => ModelFlags::of(None, None, network, None),
+            } => ModelFlags::from_arguments(Some(format), Some(memory), network, Some(trust)),
+            Self::Fetch { network, .. } => ModelFlags::from_arguments(None, None, network, None),
             Self::Quantize(QuantizeArguments {
                 memory,
                 network,
                 trust,
                 ..
-            }) => ModelFlags::of(None, Some(memory), network, Some(trust)),
+            }) => ModelFlags::from_arguments(None, Some(memory), network, Some(trust)),
         }
     }
 }

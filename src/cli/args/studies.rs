@@ -8,7 +8,7 @@ use anyhow::bail;
 use clap::{Args, ValueEnum};
 #[cfg(feature = "learned")]
 use planagent_lab::dataset::imitation::ImitationPlanner;
-use planagent_lab::studies::StudiesRequest;
+use planagent_lab::study_runs::StudiesRequest;
 use planagent_planners::all_planners;
 use planagent_runs::worker::suite::RECORDED;
 use std::path::PathBuf;

@@ -144,7 +144,10 @@ fn lane_graph(
 ) -> anyhow::Result<String> {
     let graph =
         LaneGraph::build(scene, config.environment.node_length_m).context("--lane-graph")?;
-    Ok(write(&Description::of(&graph), prompts.forms().scene_text))
+    Ok(write(
+        &Description::from_graph(&graph),
+        prompts.forms().scene_text,
+    ))
 }
 
 /// What the answer cost, and whether it is cut off.

@@ -100,7 +100,7 @@ pub(crate) fn run(
     );
     committed?;
 
-    let figures = BenchFigures::of(folder.rows());
+    let figures = BenchFigures::from_rows(folder.rows());
     let machine = format!(
         "{}, {} threads, commit {}",
         metadata.cpu,
@@ -320,7 +320,7 @@ fn metadata(
     let models: Map<String, Value> = candidates
         .iter()
         .map(|candidate| {
-            let budget = CallBudget::of(candidate.prompts);
+            let budget = CallBudget::for_prompts(candidate.prompts);
             Ok((
                 candidate.name.clone(),
                 json!({"model": &candidate.model, "budget": budget}),

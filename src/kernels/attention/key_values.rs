@@ -1,13 +1,11 @@
 //! Cached keys and values in the layout that the attention kernel reads.
 
-use std::sync::Arc;
-
+use super::projected::{HeadShape, Projected};
+use crate::matrix::{LANES, Simd};
 use half::f16;
 use half::slice::{HalfBitsSliceExt, HalfFloatSliceExt};
 use rayon::prelude::*;
-
-use super::projected::{HeadShape, Projected};
-use crate::matrix::{LANES, Simd};
+use std::sync::Arc;
 
 /// Positions of a block.
 pub(super) const BLOCK_POSITIONS: usize = 64;

@@ -21,7 +21,7 @@ pub enum AttentionMask {
 
 impl AttentionMask {
     /// The positions that a token of the pass attends to.
-    pub(super) fn of(self, token: usize) -> Range<usize> {
+    pub(super) fn seen_by(self, token: usize) -> Range<usize> {
         match self {
             Self::All { positions } => 0..positions,
             Self::Causal { start, window } => {

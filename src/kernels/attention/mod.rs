@@ -20,13 +20,6 @@ mod unit;
 #[cfg(test)]
 mod tests;
 
-use std::ops::Range;
-use std::sync::Arc;
-
-use candle_core::{Device, Tensor};
-use rayon::prelude::*;
-
-use key_values::{BLOCK_POSITIONS, Block, Blocks, StoredFloat};
 pub use key_values::{KeyValues, Precision};
 pub use mask::AttentionMask;
 #[doc(hidden)]
@@ -35,9 +28,14 @@ pub use projected::{HeadShape, Projected};
 pub use rope::{Rope, RopeScaling, RotarySections};
 pub use rotary::Position;
 pub use rotary::{RotaryEmbedding, RotaryRows, frequency_factors};
-use unit::{PartialOutput, WorkUnit};
 
 use super::matrix::Instructions;
+use candle_core::{Device, Tensor};
+use key_values::{BLOCK_POSITIONS, Block, Blocks, StoredFloat};
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::Arc;
+use unit::{PartialOutput, WorkUnit};
 
 /// Maximum rows of a work unit, one for each token and query head. More rows read the keys fewer
 /// times; the sums of this many stay in the second-level cache.
@@ -62,7 +60,7 @@ pub fn attend(
 ) -> candle_core::Result<Tensor> {
     let tokens = rows.tokens();
     let shape = rows.shape();
-    if shape != held.shape || tokens > 0 && mask.of(tokens - 1).end > held.capacity() {
+    if shape != held.shape || tokens > 0 && mask.seen_by(tokens - 1).end > held.capacity() {
         let (capacity, cached) = (held.capacity(), held.shape);
         candle_core::bail!(
             "{tokens} tokens of {shape:?} cannot attend by {mask:?} to {capacity} positions of {cached:?}"
@@ -118,7 +116,7 @@ impl<N: StoredFloat> Attention<'_, N> {
         }
         let step = exact_tokens(shape);
         if tokens <= step {
-            let seen = self.mask.of(tokens - 1).end;
+            let seen = self.mask.seen_by(tokens - 1).end;
             self.attend_few(
                 0..tokens,
                 &mut out,
@@ -172,7 +170,7 @@ impl<N: StoredFloat> Attention<'_, N> {
 
     /// The positions that any of the tokens attends to.
     fn seen(&self, tokens: &Range<usize>) -> Range<usize> {
-        self.mask.of(tokens.start).start..self.mask.of(tokens.end.saturating_sub(1)).end
+        self.mask.seen_by(tokens.start).start..self.mask.seen_by(tokens.end.saturating_sub(1)).end
     }
 
     fn mix(&self, head: usize, tokens: Range<usize>, positions: Range<usize>) -> PartialOutput {

@@ -1,8 +1,7 @@
 //! One attention with a filled cache, for `benches/candle.rs`.
 
-use candle_core::{Result, Tensor};
-
 use super::{AttentionMask, HeadShape, KeyValues, Precision, Projected, attend};
+use candle_core::{Result, Tensor};
 
 /// Causal attention of the last tokens of a context over all of its positions.
 #[derive(Debug)]
@@ -36,7 +35,7 @@ impl AttentionProbe {
                 Precision::Single
             },
         );
-        Projected::of(all, shape, None, |rows| cached.write(rows, 0))?;
+        Projected::read(all, shape, None, |rows| cached.write(rows, 0))?;
         let start = all.dim(0)? - tokens;
         let mask = AttentionMask::Causal {
             start,
@@ -52,7 +51,7 @@ impl AttentionProbe {
 
     /// Attends; returns (tokens, query heads · head width).
     pub fn run(&self) -> Result<Tensor> {
-        Projected::of(&self.last, self.shape, None, |rows| {
+        Projected::read(&self.last, self.shape, None, |rows| {
             attend(rows, &self.cached, self.mask)
         })
     }

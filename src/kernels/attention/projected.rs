@@ -1,10 +1,9 @@
 //! Queries, keys and values as the projections of a layer leave them.
 
-use candle_core::Tensor;
-
 use super::rotary::RotaryRows;
 use crate::matrix::LANES;
 use crate::values::with_contiguous;
+use candle_core::Tensor;
 
 /// The heads of an attention.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,7 +45,7 @@ pub struct Projected<'a> {
 impl<'a> Projected<'a> {
     /// Runs `read` on the rows of a tensor. `rotary` has the angles of queries and keys; `None` for
     /// no rotary embedding.
-    pub fn of<T>(
+    pub fn read<T>(
         tensor: &Tensor,
         shape: HeadShape,
         rotary: Option<&'a RotaryRows>,

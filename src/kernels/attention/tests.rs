@@ -1,15 +1,14 @@
 //! Attention compared with plain sums in f64.
 
-use candle_core::{DType, Device, Tensor};
-use half::f16;
-use proptest::prelude::*;
-use rand::{RngExt, SeedableRng};
-
 use super::key_values::BLOCK_POSITIONS;
 use super::{
     AttentionMask, HeadShape, KeyValues, Precision, Projected, Rope, RotaryEmbedding, attend, mix,
 };
 use crate::matrix::Instructions;
+use candle_core::{DType, Device, Tensor};
+use half::f16;
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
 
 /// Random projections of tokens, between ±`scale`.
 fn projections(tokens: usize, shape: HeadShape, scale: f32, seed: u64) -> Tensor {
@@ -21,7 +20,7 @@ fn projections(tokens: usize, shape: HeadShape, scale: f32, seed: u64) -> Tensor
 }
 
 fn with<T>(tensor: &Tensor, shape: HeadShape, use_rows: impl FnOnce(&Projected<'_>) -> T) -> T {
-    Projected::of(tensor, shape, None, |rows| Ok(use_rows(rows))).unwrap()
+    Projected::read(tensor, shape, None, |rows| Ok(use_rows(rows))).unwrap()
 }
 
 /// Keys and values of tokens.
@@ -55,7 +54,7 @@ fn plain(
             for head in 0..shape.query_heads {
                 let query = rows.heads(rows.tokens() - tokens + token, head, 1);
                 let key_head = head / shape.group();
-                let seen = mask.of(token);
+                let seen = mask.seen_by(token);
                 let scores: Vec<f64> = seen
                     .clone()
                     .map(|position| {
@@ -275,7 +274,7 @@ fn shapes_that_do_not_fit_are_errors() {
         ..shape
     };
     let rows = projections(3, shape, 1.0, 6);
-    let of = |tensor: &Tensor, shape| Projected::of(tensor, shape, None, |_| Ok(()));
+    let of = |tensor: &Tensor, shape| Projected::read(tensor, shape, None, |_| Ok(()));
     assert!(of(&rows, HeadShape { width: 17, ..shape }).is_err());
     assert!(of(&rows.t().unwrap().contiguous().unwrap().t().unwrap(), shape).is_err());
     assert!(of(&rows.to_dtype(DType::F64).unwrap(), shape).is_err());
@@ -319,5 +318,5 @@ fn shapes_that_do_not_fit_are_errors() {
     let table = RotaryEmbedding::new(&Rope::default(), 16, context);
     assert!(table.rows(&[[0, context as u32, 0]]).is_err());
     let angles = table.rows(&[[0; 3], [1; 3]]).unwrap();
-    assert!(Projected::of(&rows, shape, Some(&angles), |_| Ok(())).is_err());
+    assert!(Projected::read(&rows, shape, Some(&angles), |_| Ok(())).is_err());
 }

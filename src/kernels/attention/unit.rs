@@ -1,12 +1,11 @@
 //! A work unit: the part of an attention that one thread computes.
 
-use std::ops::Range;
-use std::sync::Arc;
-
 use super::key_values::{BLOCK_POSITIONS, Block, StoredFloat};
 use super::mask::AttentionMask;
 use super::projected::{HeadShape, Projected};
 use crate::matrix::{Instructions, Kernel, LANES, Simd};
+use std::ops::Range;
+use std::sync::Arc;
 
 /// Minimum rows for which one conversion of an f16 block is cheaper than a conversion for every few
 /// rows.
@@ -222,7 +221,7 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
     fn seen(&self, row: usize, base: usize) -> Range<usize> {
         let seen = self
             .mask
-            .of(self.tokens.start + row / self.rows.shape().group());
+            .seen_by(self.tokens.start + row / self.rows.shape().group());
         let start = seen
             .start
             .max(self.positions.start)

@@ -1,13 +1,13 @@
 //! Products of f16 and f32 weights with f32 activations, summed in f32.
 
-use std::marker::PhantomData;
-
 use super::format::{Format, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
+use std::marker::PhantomData;
 
 /// Numbers in a span: the unpacked spans of two tiles fill half of a 32 KiB first-level cache. Each
 /// span has sums of its own, so that long rows round less.
+/// Why: docs/decisions/120-f32-weights-in-tiles.md.
 const SPAN: usize = 128;
 
 /// The differences between the floating-point formats.

@@ -18,12 +18,11 @@ mod stored_format;
 mod tests;
 mod weight_format;
 
-use std::io::{self, Write};
-use std::sync::Arc;
-
 use candle_core::quantized::QTensor;
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
+use std::io::{self, Write};
+use std::sync::Arc;
 
 // Tests of other crates compare with it.
 #[doc(hidden)]

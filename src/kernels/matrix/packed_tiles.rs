@@ -5,13 +5,11 @@
 //! original blocks can be written again bit for bit. The packed weights take hardly more memory
 //! than the file.
 
-use std::io::{self, Write};
-
-use rayon::prelude::*;
-
 use super::blocks::widen;
 use super::line::{CacheLine, LANES};
 use super::weight_format::WeightFormat;
+use rayon::prelude::*;
+use std::io::{self, Write};
 
 const LINE: usize = size_of::<CacheLine>();
 
@@ -76,7 +74,7 @@ fn move_bits(bytes: &mut [u8], place: impl Fn(u32) -> u32) {
 }
 
 impl Layout {
-    pub(super) fn of(weight_format: WeightFormat) -> Self {
+    pub(super) fn for_format(weight_format: WeightFormat) -> Self {
         use Change::{Bias, None, Spread};
         // Byte numbers come first, four of each row a cache line; then the scales of whole blocks.
         // Each entry is the first byte, the width and the count of runs, and their change. Two
@@ -206,7 +204,7 @@ impl PackedTiles {
         inputs: usize,
         bytes: &[u8],
     ) -> Self {
-        let layout = Layout::of(weight_format);
+        let layout = Layout::for_format(weight_format);
         let mut tiles = Self {
             weight_format,
             outputs,

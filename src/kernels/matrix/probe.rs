@@ -1,10 +1,9 @@
 //! Byte products from registers, for `benches/mllm.rs`: the bound of every product with quantized
 //! weights.
 
-use std::hint::black_box;
-
 use super::line::{CacheLine, LANES};
 use super::simd::{Instructions, Kernel, Simd};
+use std::hint::black_box;
 
 /// Multiplies and adds bytes that stay in registers, `rounds` times for each of several sums, on
 /// this thread. Returns the operations: two for each product.

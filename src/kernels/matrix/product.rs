@@ -1,10 +1,6 @@
 //! The product of row-major activations with packed tiles, over threads and instruction sets.
 #![allow(unsafe_code, reason = "threads write disjoint columns of one result")]
 
-use std::marker::PhantomData;
-
-use rayon::prelude::*;
-
 use super::float::{Float, Half, Single};
 use super::format::{Format, MAX_BATCH, TILES, TileSums};
 use super::line::{CacheLine, LANES};
@@ -12,6 +8,8 @@ use super::packed_tiles::PackedTiles;
 use super::quantized::{Q3K, Q4_0, Q4_1, Q4K, Q5_0, Q5_1, Q5K, Q6K, Q8_0};
 use super::simd::{Instructions, Kernel, Simd};
 use super::weight_format::WeightFormat;
+use rayon::prelude::*;
+use std::marker::PhantomData;
 
 /// Outputs that a kernel computes at once.
 const COLUMNS: usize = TILES * LANES;

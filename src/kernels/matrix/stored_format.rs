@@ -1,10 +1,9 @@
 //! Number formats of tensors in files, and how those without a product become `q8_0`.
 
+use super::blocks::widen;
 use candle_core::Result;
 use candle_core::quantized::GgmlDType;
 use half::f16;
-
-use super::blocks::widen;
 
 /// Number format of a tensor in a file (ggml, `ggml-common.h`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,6 +29,7 @@ const MXFP4_BIAS: i32 = 128;
 /// Largest exponent of a power of two in half precision.
 const MAX_HALF_EXPONENT: i32 = 15;
 /// Numbers in a block of `q8_0`.
+/// Why: docs/decisions/121-blocks-of-32.md.
 const BLOCK: usize = 32;
 
 impl From<GgmlDType> for StoredFormat {

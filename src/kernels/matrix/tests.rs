@@ -1,11 +1,10 @@
 //! Products compared with plain arithmetic, in every instruction set of this CPU.
 
+use super::*;
 use half::f16;
 use proptest::prelude::*;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-
-use super::*;
 
 /// Random blocks with scales below `largest`.
 fn random_blocks(

@@ -1,10 +1,9 @@
 //! The weight formats of matrices.
 
-use std::fmt;
-use std::str::FromStr;
-
 use candle_core::quantized::GgmlDType;
 use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
 
 /// Number format of a weight matrix, by ggml's names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

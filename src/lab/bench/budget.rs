@@ -103,7 +103,7 @@ pub enum Layout {
 
 impl CallBudget {
     /// The token counts of a prompt set; `docs/latency.md` explains them.
-    pub fn of(prompts: PromptSet) -> Self {
+    pub fn for_prompts(prompts: PromptSet) -> Self {
         let accepted = None;
         let part = |(fast_forwarded, sampled)| AnswerPart {
             fast_forwarded,
@@ -182,7 +182,7 @@ impl CallBudget {
             },
             // The words of the lane graph stay 47, and there are three more questions.
             PromptSet::Compact2 => {
-                let mut budget = Self::of(PromptSet::Compact);
+                let mut budget = Self::for_prompts(PromptSet::Compact);
                 if let Some(first) = budget.rounds.first_mut() {
                     first.answer = [(1, 1); 18].map(part).into();
                 }
@@ -368,7 +368,7 @@ mod tests {
             PromptSet::Compact,
             PromptSet::Compact2,
         ] {
-            let budget = CallBudget::of(prompts);
+            let budget = CallBudget::for_prompts(prompts);
             for accepted in 0..=DRAFTED {
                 let drafted = budget
                     .clone()
@@ -395,10 +395,10 @@ mod tests {
     fn tokens_are_counted_as_the_steps_append_them() {
         for budget in [
             small(),
-            CallBudget::of(PromptSet::Paper),
-            CallBudget::of(PromptSet::Brief),
-            CallBudget::of(PromptSet::Compact),
-            CallBudget::of(PromptSet::Compact2),
+            CallBudget::for_prompts(PromptSet::Paper),
+            CallBudget::for_prompts(PromptSet::Brief),
+            CallBudget::for_prompts(PromptSet::Compact),
+            CallBudget::for_prompts(PromptSet::Compact2),
         ] {
             let (mut length, mut longest, mut prompt) = (0, 0, 0);
             let steps = [

@@ -94,7 +94,9 @@ struct Ready {
 
 impl Bench<'_> {
     fn measure(&self) -> Result<Vec<Row>, EngineError> {
-        let mut workloads = vec![Workload::Call(CallBudget::of(self.candidate.prompts))];
+        let mut workloads = vec![Workload::Call(CallBudget::for_prompts(
+            self.candidate.prompts,
+        ))];
         let mut engines = Vec::new();
         match &self.settings.versus {
             None => engines.push(self.load(self.own()?, None)?),
@@ -144,8 +146,9 @@ impl Bench<'_> {
         } else {
             0..0
         } {
-            let workload =
-                Workload::Call(CallBudget::of(self.candidate.prompts).with_drafts(accepted));
+            let workload = Workload::Call(
+                CallBudget::for_prompts(self.candidate.prompts).with_drafts(accepted),
+            );
             let own = engines.get_mut(..1).expect("the own engine comes first");
             rows.extend(
                 self.alternate(&workload, own)?
@@ -153,7 +156,7 @@ impl Bench<'_> {
                     .map(Row::Iteration),
             );
         }
-        let prompt_tokens = CallBudget::of(self.candidate.prompts).prompt_tokens();
+        let prompt_tokens = CallBudget::for_prompts(self.candidate.prompts).prompt_tokens();
         rows.extend(engines.into_iter().map(|Ready { engine, loaded }| {
             let peak_memory = engine.peak_memory();
             let (model, engine) = (self.candidate.name.clone(), engine.name());

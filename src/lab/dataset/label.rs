@@ -128,7 +128,7 @@ pub(super) fn label(
     prompts: &PromptSet,
     feedback: Option<&str>,
 ) -> Result<LabeledState, PromptError> {
-    let scene_text = text::write(&Description::of(graph), prompts.forms().scene_text);
+    let scene_text = text::write(&Description::from_graph(graph), prompts.forms().scene_text);
     let instruction = instruction(graph, facts, best, limit(graph, prompts));
     let asked = prompts.forms().understanding.questions();
     let questions = if asked.is_empty() {
@@ -136,7 +136,7 @@ pub(super) fn label(
     } else {
         asked
     };
-    let names = Names::of(graph);
+    let names = Names::from_graph(graph);
     let mut conversation = vec![Message {
         role: "system",
         content: system_prompt(prompts, "")?,
@@ -287,7 +287,10 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, limit: f
         CenterlineName::EgoLane => Lateral::Keep,
         CenterlineName::RightLane => Lateral::ChangeRight,
         CenterlineName::OncomingLane
-            if graph.oncoming.as_ref().is_some_and(|way| way.border < 0.0) =>
+            if graph
+                .oncoming
+                .as_ref()
+                .is_some_and(|lane| lane.border < 0.0) =>
         {
             Lateral::ChangeRight
         }

@@ -30,7 +30,11 @@ pub(super) struct DecisionWeights {
 impl DecisionWeights {
     /// Gains of the best candidate over the others. Rejected candidates do not count, since another
     /// attempt would follow. `after_rejection` is true if the prompt already reports a rejection.
-    pub(super) fn of(best: &Candidate, tried: &[Candidate], after_rejection: bool) -> Self {
+    pub(super) fn from_candidates(
+        best: &Candidate,
+        tried: &[Candidate],
+        after_rejection: bool,
+    ) -> Self {
         let (lane, speed) = (best.code.centerline, best.code.target_speed);
         let accepted = || tried.iter().filter(|t| t.is_accepted());
         let in_lane = || accepted().filter(|t| t.code.centerline == lane);
@@ -134,7 +138,8 @@ pub(super) mod tests {
             ("ego_lane", 9.0, 0.7, true),
             ("ego_lane", 5.0, 0.9, true),
         ]);
-        let DecisionWeights { lane, speed, .. } = DecisionWeights::of(&tried[2], &tried, false);
+        let DecisionWeights { lane, speed, .. } =
+            DecisionWeights::from_candidates(&tried[2], &tried, false);
         assert!(
             (speed - 0.8).abs() < 1e-12 && (lane - DEFAULT_GAIN).abs() < 1e-12,
             "{lane} {speed}"
@@ -148,7 +153,9 @@ pub(super) mod tests {
             ("ego_lane", 9.0, 1.0, true),
             ("ego_lane", 5.0, 0.9, true),
         ]);
-        assert!((DecisionWeights::of(&tried[0], &tried, false).speed - 0.1).abs() < 1e-12);
+        assert!(
+            (DecisionWeights::from_candidates(&tried[0], &tried, false).speed - 0.1).abs() < 1e-12
+        );
     }
 
     #[test]
@@ -158,9 +165,14 @@ pub(super) mod tests {
             ("left_lane", 13.0, 0.6, true),
             ("right_lane", 13.0, 0.9, false),
         ]);
-        assert!((DecisionWeights::of(&tried[0], &tried, false).lane - 0.4).abs() < 1e-12);
         assert!(
-            DecisionWeights::of(&tried[1], &tried, false).lane.abs() < 1e-12,
+            (DecisionWeights::from_candidates(&tried[0], &tried, false).lane - 0.4).abs() < 1e-12
+        );
+        assert!(
+            DecisionWeights::from_candidates(&tried[1], &tried, false)
+                .lane
+                .abs()
+                < 1e-12,
             "a label that is not the best gains nothing"
         );
     }
@@ -172,9 +184,12 @@ pub(super) mod tests {
             ("ego_lane", 9.0, 0.7, true),
             ("ego_lane", 5.0, 0.3, true),
         ]);
-        assert!((DecisionWeights::of(&tried[1], &tried, false).speed - RETRY_GAIN).abs() < 1e-12);
         assert!(
-            (DecisionWeights::of(&tried[1], &tried, true).speed - 0.4).abs() < 1e-12,
+            (DecisionWeights::from_candidates(&tried[1], &tried, false).speed - RETRY_GAIN).abs()
+                < 1e-12
+        );
+        assert!(
+            (DecisionWeights::from_candidates(&tried[1], &tried, true).speed - 0.4).abs() < 1e-12,
             "the rejection is known"
         );
     }
@@ -187,13 +202,15 @@ pub(super) mod tests {
             ("ego_lane", 5.0, 0.2, true),
         ]);
         tried[1].code.decel_max += 1.0;
-        let weights = DecisionWeights::of(&tried[0], &tried, false);
+        let weights = DecisionWeights::from_candidates(&tried[0], &tried, false);
         assert!(
             (weights.accelerations - 0.1).abs() < 1e-12 && (weights.speed - 0.8).abs() < 1e-12,
             "{weights:?}"
         );
         assert!(
-            (DecisionWeights::of(&tried[2], &tried, false).accelerations - DEFAULT_GAIN).abs()
+            (DecisionWeights::from_candidates(&tried[2], &tried, false).accelerations
+                - DEFAULT_GAIN)
+                .abs()
                 < 1e-12,
             "no other pair was tried"
         );

@@ -31,9 +31,9 @@ pub(super) fn lessons<'a>(
         .filter(|t| t.is_accepted() || t.code == best.code)
         .collect();
     let lesson = |&candidate: &&'a Candidate| {
-        let lane = Decision::of(&codes, &candidate.code, |code| code.centerline);
-        let mut speed = Decision::of(&lane.codes, &candidate.code, |code| code.target_speed);
-        let accelerations = Decision::of(&speed.codes, &candidate.code, |code| {
+        let lane = Decision::among(&codes, &candidate.code, |code| code.centerline);
+        let mut speed = Decision::among(&lane.codes, &candidate.code, |code| code.target_speed);
+        let accelerations = Decision::among(&speed.codes, &candidate.code, |code| {
             (code.accel_max, code.decel_max)
         });
         if !after_rejection && rejects_faster(tried, &candidate.code) {
@@ -69,7 +69,7 @@ struct Decision<'a> {
 
 impl<'a> Decision<'a> {
     /// The decision among codes that agree on those before it. `option` is what a code decides.
-    fn of<T: PartialEq>(
+    fn among<T: PartialEq>(
         codes: &[&'a Candidate],
         own: &PlannerCode,
         option: impl Fn(&PlannerCode) -> T,

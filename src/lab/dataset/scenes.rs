@@ -91,7 +91,7 @@ pub(super) fn scenario(spec: &Spec, settings: &Settings<'_>) -> Option<Scenario>
     let first = random.random_range(0..kinds.len());
     let mut in_turn = kinds.iter().cycle().skip(first).take(kinds.len());
     let modified = |kind: &InteractionKind| {
-        ModifiedName::of(*kind)
+        ModifiedName::for_kind(*kind)
             .read()
             .ok()?
             .apply(base.clone())

@@ -61,7 +61,7 @@ pub(super) fn label_scenario(
         let Some(best) = search::best(&tried) else {
             break;
         };
-        let facts = SceneFacts::of(&scene, &graph);
+        let facts = SceneFacts::from_scene(&scene, &graph);
         let name = format!(
             "{}@{:.1}",
             scenario.id,
@@ -72,7 +72,7 @@ pub(super) fn label_scenario(
             break;
         };
         let mut label = |feedback: Option<Feedback>| -> Result<(), PromptError> {
-            let weights = DecisionWeights::of(best, &tried, feedback.is_some());
+            let weights = DecisionWeights::from_candidates(best, &tried, feedback.is_some());
             let lessons = lessons(best, &tried, feedback.is_some());
             let feedback = feedback
                 .map(|feedback| feedback_text(settings.prompts, &feedback))
@@ -173,7 +173,7 @@ pub(super) fn occupancy(
     if samples.len() < late {
         return None;
     }
-    let grid = |objects: &_| OccupancyGrid::of(objects, view, center).to_string();
+    let grid = |objects: &_| OccupancyGrid::from_objects(objects, view, center).to_string();
     Some([
         grid(&samples.first()?.objects),
         grid(&samples.get(soon)?.objects),

@@ -189,8 +189,8 @@ fn asked(
     } else {
         graph
     };
-    let names = Names::of(graph);
-    let scene_text = text::write(&Description::of(graph), form);
+    let names = Names::from_graph(graph);
+    let scene_text = text::write(&Description::from_graph(graph), form);
     let mut texts = vec![system_prompt(prompts, "")?];
     for &round in Round::ALL {
         let first = round == Round::Understanding;
@@ -360,8 +360,8 @@ pub(super) fn labeled(
             return Ok(None);
         };
         let scene = simulation.scene();
-        let facts = SceneFacts::of(&scene, graph);
-        let weights = DecisionWeights::of(best, tried, false);
+        let facts = SceneFacts::from_scene(&scene, graph);
+        let weights = DecisionWeights::from_candidates(best, tried, false);
         let state = format!("{}@0.0", simulation.scenario().id);
         let label = label::label(
             state,

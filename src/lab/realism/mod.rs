@@ -29,7 +29,7 @@ pub struct MeasuredScene {
 
 impl MeasuredScene {
     /// Measures a scene in its first seven seconds, the length of the shortest recordings.
-    pub fn of(scenario: &Scenario) -> Self {
+    pub fn from_scenario(scenario: &Scenario) -> Self {
         let (roads, agents) = (roads::figures(scenario), agents::figures(scenario));
         let values = FEATURES
             .iter()
@@ -83,7 +83,7 @@ pub struct SceneComparison {
 
 impl SceneComparison {
     /// Compares measured scenes; the same scenes in the same order give the same numbers.
-    pub fn of(a: Vec<MeasuredScene>, b: Vec<MeasuredScene>) -> Self {
+    pub fn from_sets(a: Vec<MeasuredScene>, b: Vec<MeasuredScene>) -> Self {
         let sample = |scene: &MeasuredScene, is_a| Sample {
             group: scene.group().to_owned(),
             values: scene.values.clone(),
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn a_generated_scene_has_what_its_map_says() {
         let scenario = generate(&Spec::new(types::changing_lane::TYPE, 3)).unwrap();
-        let measured = MeasuredScene::of(&scenario);
+        let measured = MeasuredScene::from_scenario(&scenario);
         let value = |key: &str| {
             let place = FEATURES
                 .iter()
@@ -226,7 +226,7 @@ mod tests {
     #[test]
     fn starts_of_one_recording_belong_together() {
         assert_eq!(scene("recording@3", 1.0).group(), "recording");
-        let few = SceneComparison::of(vec![scene("a", 1.0)], vec![scene("b", 0.0)]);
+        let few = SceneComparison::from_sets(vec![scene("a", 1.0)], vec![scene("b", 0.0)]);
         assert_eq!(few.classifier, None);
         assert!(
             few.features

@@ -230,7 +230,7 @@ impl Quick {
     };
 
     /// The first scenes of each type.
-    pub fn of(self, mut sources: Vec<ScenarioRef>) -> Vec<ScenarioRef> {
+    pub fn select(self, mut sources: Vec<ScenarioRef>) -> Vec<ScenarioRef> {
         let mut taken: BTreeMap<Option<String>, usize> = BTreeMap::new();
         sources.retain(|source| {
             let kind = source.scenario_type().map(str::to_owned);

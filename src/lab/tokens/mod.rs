@@ -87,13 +87,13 @@ impl SceneText {
         }
     }
 
-    pub fn of(self, scene: &SceneView<'_>, graph: &LaneGraph) -> String {
+    pub fn describe(self, scene: &SceneView<'_>, graph: &LaneGraph) -> String {
         let turn = graph.ego_lane().turn;
         match self {
-            Self::Paper => write(&Description::of(graph), TextForm::Paper),
-            Self::Compact => write(&Description::of(graph), TextForm::Compact),
-            Self::GptDriver => GptDriverText::of(scene, turn).whole(),
-            Self::GptDriverObjects => GptDriverText::of(scene, turn).objects,
+            Self::Paper => write(&Description::from_graph(graph), TextForm::Paper),
+            Self::Compact => write(&Description::from_graph(graph), TextForm::Compact),
+            Self::GptDriver => GptDriverText::from_scene(scene, turn).whole(),
+            Self::GptDriverObjects => GptDriverText::from_scene(scene, turn).objects,
             Self::LlmAssist => llm_assist_text(scene, graph),
         }
     }
@@ -149,7 +149,7 @@ fn count_at(
     }
     let scene = scenario.scene(frame, &history);
     let graph = LaneGraph::build(&scene, node_length_m)?;
-    let tokens = SceneText::ALL.map(|kind| counter.count(&kind.of(&scene, &graph)));
+    let tokens = SceneText::ALL.map(|kind| counter.count(&kind.describe(&scene, &graph)));
     Ok(TokenRow {
         scenario: scenario.id.clone(),
         iteration,

@@ -13,7 +13,7 @@ pub struct TokenMean {
 
 impl TokenMean {
     /// Of these counts; `None` of none.
-    fn of(mut counts: Vec<usize>) -> Option<Self> {
+    fn from_counts(mut counts: Vec<usize>) -> Option<Self> {
         counts.sort_unstable();
         let rank = (counts.len() as f64 * 0.95).ceil() as usize;
         let p95 = *counts.get(rank.max(1) - 1)?;
@@ -53,7 +53,7 @@ impl TokenTable {
     /// The table of counted states; `model` names the model whose tokenizer counted.
     pub fn new(rows: &[TokenRow], model: Option<&str>) -> Self {
         let column = |place: usize, of: fn(&Tokens) -> Option<usize>| {
-            TokenMean::of(
+            TokenMean::from_counts(
                 rows.iter()
                     .filter_map(|row| of(&row.tokens[place]))
                     .collect(),

@@ -1,8 +1,9 @@
 //! Functions without parameters.
 
+pub(crate) use planagent_kernels::pointwise::softmax;
+
 use candle_core::{Result, Tensor};
 use planagent_kernels::Activation;
-pub(crate) use planagent_kernels::pointwise::softmax;
 
 /// max(x, 0).
 pub(crate) fn relu(x: &Tensor) -> Result<Tensor> {

@@ -120,7 +120,7 @@ impl Memory {
             );
         }
         let bias = bias
-            .map(|bias| Bias::of(bias, [batch, self.heads, count, self.count]))
+            .map(|bias| Bias::from_tensor(bias, [batch, self.heads, count, self.count]))
             .transpose()?;
         with_values(queries, |values| {
             let mut out = vec![0f32; values.len()];
@@ -170,7 +170,7 @@ struct Bias {
 }
 
 impl Bias {
-    fn of(bias: &Tensor, shape: [usize; 4]) -> Result<Self> {
+    fn from_tensor(bias: &Tensor, shape: [usize; 4]) -> Result<Self> {
         let dims = bias.dims();
         let fits = dims.len() == 4
             && dims[3] == shape[3]

@@ -22,7 +22,7 @@ impl MultiheadAttention {
         let weight = weights.take(&format!("{name}.in_proj_weight"), &[3 * width, width])?;
         let bias = weights.take(&format!("{name}.in_proj_bias"), &[3 * width])?;
         let part = |i: usize| {
-            Linear::of(
+            Linear::from_tensors(
                 &weight.narrow(0, i * width, width)?,
                 Some(bias.narrow(0, i * width, width)?.contiguous()?),
             )

@@ -33,14 +33,14 @@ impl Linear {
         inputs: usize,
         outputs: usize,
     ) -> Result<Self> {
-        Self::of(
+        Self::from_tensors(
             &weights.take(&format!("{name}.weight"), &[outputs, inputs])?,
             None,
         )
     }
 
     /// Of a weight (outputs, inputs) and a bias.
-    pub(crate) fn of(weight: &Tensor, bias: Option<Tensor>) -> Result<Self> {
+    pub(crate) fn from_tensors(weight: &Tensor, bias: Option<Tensor>) -> Result<Self> {
         Ok(Self {
             weight: Matrix::from_tensor(weight)?,
             bias,
@@ -83,11 +83,11 @@ pub(crate) struct GroupLinear {
 
 impl GroupLinear {
     /// Of a weight (outputs, own + common) and a bias; both parts of a row have the same width.
-    pub(crate) fn of(weight: &Tensor, bias: Tensor) -> Result<Self> {
+    pub(crate) fn from_tensors(weight: &Tensor, bias: Tensor) -> Result<Self> {
         let width = weight.dim(1)? / 2;
         Ok(Self {
-            own: Linear::of(&weight.narrow(1, 0, width)?, None)?,
-            common: Linear::of(&weight.narrow(1, width, width)?, Some(bias))?,
+            own: Linear::from_tensors(&weight.narrow(1, 0, width)?, None)?,
+            common: Linear::from_tensors(&weight.narrow(1, width, width)?, Some(bias))?,
         })
     }
 

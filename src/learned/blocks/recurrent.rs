@@ -20,7 +20,7 @@ fn gates(
     let rows = gates * width;
     let mut part = |kind: &str, columns: usize| {
         let weight = weights.take(&format!("{name}.weight_{kind}_l{layer}"), &[rows, columns])?;
-        Linear::of(
+        Linear::from_tensors(
             &weight,
             Some(weights.take(&format!("{name}.bias_{kind}_l{layer}"), &[rows])?),
         )

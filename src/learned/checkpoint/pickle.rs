@@ -43,7 +43,7 @@ pub(super) enum Element {
 }
 
 impl Element {
-    fn of(class: &str) -> Option<Self> {
+    fn from_class(class: &str) -> Option<Self> {
         Some(match class {
             "FloatStorage" => Self::F32,
             "DoubleStorage" => Self::F64,
@@ -530,7 +530,7 @@ impl Machine<'_> {
             return None;
         };
         Some(Value::Storage {
-            element: Element::of(name)?,
+            element: Element::from_class(name)?,
             key: key.clone(),
         })
     }

@@ -50,7 +50,7 @@ impl Planner for DtppPlanner {
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let scene = &input.scene;
-        let inputs = ActorFeatures::of(scene, RADIUS)
+        let inputs = ActorFeatures::from_scene(scene, RADIUS)
             .inputs()
             .map_err(network_failed)?;
         let (paths, limit) = paths(scene);

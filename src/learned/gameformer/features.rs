@@ -46,7 +46,7 @@ pub struct ActorFeatures {
 impl ActorFeatures {
     /// Of a scene; the map is read in a square of this half side around the rear axle, meters. As
     /// upstream, states and points of the map pass through f32 in the frame of the map.
-    pub fn of(scene: &SceneView<'_>, radius: f64) -> Self {
+    pub fn from_scene(scene: &SceneView<'_>, radius: f64) -> Self {
         let samples = past::samples(scene, HISTORY_SAMPLES);
         let frame = rounded(scene.ego.rear_axle);
         let [lanes, crosswalks, route] = lines(scene, radius);

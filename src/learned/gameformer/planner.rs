@@ -65,7 +65,7 @@ impl Planner for GameFormerPlanner {
         input: &PlannerInput<'_>,
     ) -> std::result::Result<Trajectory, PlannerError> {
         let scene = &input.scene;
-        let features = ActorFeatures::of(scene, RADIUS);
+        let features = ActorFeatures::from_scene(scene, RADIUS);
         let run = || {
             let inputs = features.inputs()?;
             let outputs = self

@@ -18,7 +18,7 @@ pub struct Clusters {
 
 impl Clusters {
     /// Partitions rows into `count` clusters from centers that are random rows.
-    pub fn of(rows: &[Vec<f64>], count: usize, random: &mut impl Rng) -> Self {
+    pub fn from_rows(rows: &[Vec<f64>], count: usize, random: &mut impl Rng) -> Self {
         let mut places: Vec<usize> = (0..rows.len()).collect();
         let count = count.min(rows.len());
         for place in 0..count {

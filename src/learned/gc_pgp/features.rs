@@ -55,7 +55,7 @@ impl GcPgpFeatures {
     ///
     /// # Errors
     /// When the history cannot be filtered.
-    pub fn of(scene: &SceneView<'_>) -> std::result::Result<Self, MetricError> {
+    pub fn from_scene(scene: &SceneView<'_>) -> std::result::Result<Self, MetricError> {
         let samples: Vec<HistorySample> = past::samples(scene, (STEPS - 1) * STRIDE + 1)
             .into_iter()
             .step_by(STRIDE)
@@ -63,7 +63,7 @@ impl GcPgpFeatures {
         Ok(Self {
             ego: ego(scene, &samples),
             agents: agents(scene, &samples)?,
-            graph: LaneNodes::of(scene),
+            graph: LaneNodes::from_scene(scene),
         })
     }
 

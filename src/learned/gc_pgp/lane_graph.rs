@@ -51,7 +51,7 @@ pub struct LaneNodes {
 
 impl LaneNodes {
     /// Of a scene.
-    pub fn of(scene: &SceneView<'_>) -> Self {
+    pub fn from_scene(scene: &SceneView<'_>) -> Self {
         let (map, here) = (scene.map, scene.ego.rear_axle);
         let route = corrected_route(map, &scene.route.roadblocks, scene.ego.center());
         let mut lanes: Vec<&Lane> = map

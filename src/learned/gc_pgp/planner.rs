@@ -56,10 +56,11 @@ impl Planner for GcPgpPlanner {
         &mut self,
         input: &PlannerInput<'_>,
     ) -> std::result::Result<Trajectory, PlannerError> {
-        let features = GcPgpFeatures::of(&input.scene).map_err(|source| PlannerError::Failed {
-            doing: "filtering the history",
-            source: Box::new(source),
-        })?;
+        let features =
+            GcPgpFeatures::from_scene(&input.scene).map_err(|source| PlannerError::Failed {
+                doing: "filtering the history",
+                source: Box::new(source),
+            })?;
         let plans = features
             .inputs()
             .and_then(|inputs| self.network.plans(&features, &inputs))
@@ -131,7 +132,7 @@ impl GcPgp {
                 .collect()
         };
         let rows: Vec<Vec<f64>> = drawn.iter().map(row).collect();
-        let clusters = Clusters::of(&rows, CLUSTERS, &mut random);
+        let clusters = Clusters::from_rows(&rows, CLUSTERS, &mut random);
         Ok(clustered(&drawn, &clusters))
     }
 }

@@ -32,7 +32,10 @@ impl PdmFeatures {
     ///
     /// # Errors
     /// When the history cannot be filtered.
-    pub fn of(scene: &SceneView<'_>, path: &PdmPath) -> std::result::Result<Self, MetricError> {
+    pub fn from_scene(
+        scene: &SceneView<'_>,
+        path: &PdmPath,
+    ) -> std::result::Result<Self, MetricError> {
         let samples = past::samples(scene, (HISTORY - 1) * STRIDE + 1);
         let states: Vec<EgoState> = samples
             .iter()

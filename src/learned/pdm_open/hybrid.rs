@@ -66,10 +66,11 @@ impl Planner for PdmHybrid {
         let scene = &input.scene;
         let closed = plan(&mut self.memory, scene)?.trajectory;
         let path = self.route.path(scene)?.ok_or(PlannerError::EmptyRoute)?;
-        let features = PdmFeatures::of(scene, &path).map_err(|source| PlannerError::Failed {
-            doing: "filtering the history",
-            source: Box::new(source),
-        })?;
+        let features =
+            PdmFeatures::from_scene(scene, &path).map_err(|source| PlannerError::Failed {
+                doing: "filtering the history",
+                source: Box::new(source),
+            })?;
         let sampled = sampled(&closed, scene.ego.rear_axle, scene.ego.time_us)?;
         let inputs = features.inputs_with(&sampled).map_err(network_failed)?;
         let corrected = self

@@ -55,11 +55,12 @@ impl Planner for PdmOpen {
             .route
             .path(&input.scene)?
             .ok_or(PlannerError::EmptyRoute)?;
-        let features =
-            PdmFeatures::of(&input.scene, &path).map_err(|source| PlannerError::Failed {
+        let features = PdmFeatures::from_scene(&input.scene, &path).map_err(|source| {
+            PlannerError::Failed {
                 doing: "filtering the history",
                 source: Box::new(source),
-            })?;
+            }
+        })?;
         let inputs = features.inputs().map_err(network_failed)?;
         let plan = self
             .network

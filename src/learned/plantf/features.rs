@@ -48,7 +48,7 @@ pub struct PlanTfFeatures {
 
 impl PlanTfFeatures {
     /// Of a scene, on the route that was repaired at the first iteration.
-    pub fn of(scene: &SceneView<'_>, route: &[RoadblockId]) -> Self {
+    pub fn from_scene(scene: &SceneView<'_>, route: &[RoadblockId]) -> Self {
         let samples = past::samples(scene, HISTORY);
         let frame = scene.ego.rear_axle;
         let mut agents = vec![ego_history(&samples, frame)];
@@ -58,7 +58,7 @@ impl PlanTfFeatures {
             current_state: current_state(&samples),
             agents,
             tokens,
-            map: MapFeatures::of(scene, route),
+            map: MapFeatures::from_scene(scene, route),
         }
     }
 

@@ -100,11 +100,11 @@ impl PointsEncoder {
         let (wide, wide_bias) = normed(&second, 2 * WIDE, WIDE)?;
         Ok(Self {
             first: [
-                Linear::of(&narrow, Some(narrow_bias))?,
+                Linear::from_tensors(&narrow, Some(narrow_bias))?,
                 Linear::take(weights, &first[2], NARROW, WIDE)?,
             ],
             second: (
-                GroupLinear::of(&wide, wide_bias)?,
+                GroupLinear::from_tensors(&wide, wide_bias)?,
                 Linear::take(weights, &second[2], WIDE, dim)?,
             ),
         })

@@ -64,7 +64,7 @@ pub struct MapFeatures {
 
 impl MapFeatures {
     /// Those around the ego.
-    pub fn of(scene: &SceneView<'_>, route: &[RoadblockId]) -> Self {
+    pub fn from_scene(scene: &SceneView<'_>, route: &[RoadblockId]) -> Self {
         let (map, frame, center) = (
             scene.map,
             scene.ego.rear_axle,

@@ -49,7 +49,7 @@ impl Planner for PlanTfPlanner {
     ) -> std::result::Result<Trajectory, PlannerError> {
         let scene = &input.scene;
         let route = corrected_route(scene.map, &scene.route.roadblocks, scene.ego.rear_axle);
-        let inputs = PlanTfFeatures::of(scene, &route)
+        let inputs = PlanTfFeatures::from_scene(scene, &route)
             .inputs()
             .map_err(network_failed)?;
         let outputs = self

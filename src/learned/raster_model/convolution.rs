@@ -47,7 +47,7 @@ impl Convolution {
             .reshape((outputs, kernel * kernel * inputs))?;
         Ok(Self {
             shape,
-            weight: Linear::of(&weight, Some(bias))?,
+            weight: Linear::from_tensors(&weight, Some(bias))?,
         })
     }
 
@@ -162,7 +162,10 @@ mod tests {
                 .unwrap()
                 .reshape((5, ()))
                 .unwrap();
-            let found = Linear::of(&flat, None).unwrap().forward(&windows).unwrap();
+            let found = Linear::from_tensors(&flat, None)
+                .unwrap()
+                .forward(&windows)
+                .unwrap();
             assert_eq!(found.dims(), expected.dims());
             let off = (found - expected)
                 .unwrap()

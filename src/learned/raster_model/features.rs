@@ -31,7 +31,7 @@ pub struct Raster {
 
 impl Raster {
     /// Of a scene.
-    pub fn of(scene: &SceneView<'_>) -> Self {
+    pub fn from_scene(scene: &SceneView<'_>) -> Self {
         let mut ego = Canvas::new(SIDE);
         ego.rectangle(EGO_COLUMNS, EGO_ROWS, 1.0);
         Self {

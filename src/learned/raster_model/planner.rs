@@ -47,7 +47,9 @@ impl Planner for RasterModelPlanner {
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
-        let raster = Raster::of(&input.scene).inputs().map_err(network_failed)?;
+        let raster = Raster::from_scene(&input.scene)
+            .inputs()
+            .map_err(network_failed)?;
         let plan = self
             .network
             .forward(&raster, &Probe::off())

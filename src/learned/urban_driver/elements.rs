@@ -77,7 +77,7 @@ impl Elements {
     ///
     /// # Errors
     /// When there is no scene.
-    pub fn of(scenes: &[UrbanDriverFeatures], limits: ElementLimits) -> Result<Self> {
+    pub fn from_scenes(scenes: &[UrbanDriverFeatures], limits: ElementLimits) -> Result<Self> {
         let [a, b, c, d, e, f] = limits.layers;
         let counts = [1, limits.vehicles, a, b, c, d, e, f];
         let rows: usize = counts.iter().sum();

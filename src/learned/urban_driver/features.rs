@@ -25,7 +25,7 @@ const UNKNOWN: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 impl UrbanDriverFeatures {
     /// Of a scene. As upstream, states pass through f32 in the frame of the map before their
     /// differences are taken.
-    pub fn of(scene: &SceneView<'_>) -> Self {
+    pub fn from_scene(scene: &SceneView<'_>) -> Self {
         let samples: Vec<HistorySample> = past::samples(scene, (FRAMES - 1) * STRIDE + 1)
             .into_iter()
             .step_by(STRIDE)

@@ -192,7 +192,7 @@ impl SubgraphLayer {
         Ok(Self {
             inner: Linear::without_bias(weights, &format!("{name}.mlp.linear"), width, width)?,
             norm: LayerNorm::take(weights, &format!("{name}.mlp.norm"), width)?,
-            outer: GroupLinear::of(
+            outer: GroupLinear::from_tensors(
                 &remap,
                 weights.take(&format!("{name}.linear_remap.bias"), &[width])?,
             )?,

@@ -39,9 +39,9 @@ impl Planner for UrbanDriverPlanner {
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
-        let features = UrbanDriverFeatures::of(&input.scene);
+        let features = UrbanDriverFeatures::from_scene(&input.scene);
         let elements =
-            Elements::of(&[features], ElementLimits::PUBLISHED).map_err(network_failed)?;
+            Elements::from_scenes(&[features], ElementLimits::PUBLISHED).map_err(network_failed)?;
         let plan = self
             .network
             .forward(&elements, &Probe::off())

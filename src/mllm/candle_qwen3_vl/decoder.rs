@@ -2,20 +2,18 @@
 //! itself. So the input row of a token holds its id, and that of an image token also the image's
 //! grid and the token's patches.
 
-use std::collections::{BTreeMap, HashMap};
-use std::fmt::{self, Debug, Formatter};
-use std::sync::{Mutex, PoisonError};
-
-use candle_core::{DType, Device, Result, Tensor, TensorId};
-use candle_nn::VarBuilder;
-use candle_transformers::models::qwen3_vl::{Config, Qwen3VLModel};
-
 use super::weights;
 use crate::MllmError;
 use crate::checkpoint::{ModelFiles, Weights};
 use crate::decoder::{DecoderInput, KvCache, LanguageModel, Logits};
 use crate::family::ImageLayout;
 use crate::qwen3_vl::Qwen3VlConfig;
+use candle_core::{DType, Device, Result, Tensor, TensorId};
+use candle_nn::VarBuilder;
+use candle_transformers::models::qwen3_vl::{Config, Qwen3VLModel};
+use std::collections::{BTreeMap, HashMap};
+use std::fmt::{self, Debug, Formatter};
+use std::sync::{Mutex, PoisonError};
 
 /// Numbers of a row before its patches: the id, and the rows and columns of the image.
 const HEAD: usize = 3;

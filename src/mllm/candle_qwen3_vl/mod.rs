@@ -11,11 +11,6 @@ mod weights;
 #[cfg(test)]
 mod reference_tests;
 
-use candle_core::Tensor;
-use image::RgbImage;
-
-use decoder::CandleDecoder;
-
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::LanguageModel;
@@ -26,6 +21,9 @@ use super::family::{
 use super::qwen3_vl::{PatchProcessor, Qwen3VlConfig, canonical_name};
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
+use candle_core::Tensor;
+use decoder::CandleDecoder;
+use image::RgbImage;
 
 const NAME: &str = "candle-qwen3-vl";
 
@@ -87,7 +85,7 @@ fn open(files: &ModelFiles, weights: &mut Weights) -> OpenedModel {
         side: DRAWN_SIDE,
         max_tokens,
     };
-    let info = ModelInfo::of(NAME, &config.text, image, weights, before);
+    let info = ModelInfo::new(NAME, &config.text, image, weights, before);
     Ok(Box::new(CandleQwen3Vl {
         processor,
         decoder,
@@ -99,7 +97,7 @@ fn open(files: &ModelFiles, weights: &mut Weights) -> OpenedModel {
 impl Patches {
     /// The patches of whole tokens, (tokens, numbers of a token), from pixel values (3, height,
     /// width).
-    fn of(self, pixels: &Tensor) -> candle_core::Result<Tensor> {
+    fn cut(self, pixels: &Tensor) -> candle_core::Result<Tensor> {
         let Self {
             side,
             merge,
@@ -154,7 +152,9 @@ impl VisionLanguageModel for CandleQwen3Vl {
             rows,
             columns,
         };
-        let rows = self.decoder.image_rows(&self.patches.of(pixels)?, layout)?;
+        let rows = self
+            .decoder
+            .image_rows(&self.patches.cut(pixels)?, layout)?;
         Ok(ImageFeatures {
             rows,
             deep: Vec::new(),

@@ -2,8 +2,6 @@
 //! (`tests/fixtures/tiny_qwen3_vl`): how far its logits are from transformers'. docs/models.md has
 //! the figures.
 
-use candle_core::Tensor;
-
 use crate::checkpoint::ModelFiles;
 use crate::families::{Architecture, Families};
 use crate::family::{ImageFeatures, VisionLanguageModel};
@@ -11,6 +9,7 @@ use crate::local::test_prompts::Prompts;
 use crate::local::test_reference::{LOGIT_TOLERANCE, difference, greedy, logits_in_pieces};
 use crate::local::{Loading, LocalModel, Sequence};
 use crate::source::{Checkpoint, ModelPlace};
+use candle_core::Tensor;
 
 fn model(prompts: &Prompts, architecture: &str) -> Box<dyn VisionLanguageModel> {
     let families = Families::default().preferring(Architecture::named(architecture).unwrap());
@@ -60,7 +59,7 @@ fn deviation(
 
 #[test]
 fn candles_qwen3_vl_is_right_for_texts_and_wrong_for_images() {
-    let prompts = Prompts::of("tiny_qwen3_vl");
+    let prompts = Prompts::from_fixture("tiny_qwen3_vl");
     let [ours, candles] = ["qwen3-vl", "candle-qwen3-vl"].map(|name| model(&prompts, name));
     // The last two numbers stand in docs/models.md: difference of candle's logits, and greedy
     // tokens that are the same.
@@ -90,7 +89,7 @@ fn candles_qwen3_vl_is_right_for_texts_and_wrong_for_images() {
 
 #[test]
 fn a_description_chooses_candles_model() {
-    let prompts = Prompts::of("tiny_qwen3_vl");
+    let prompts = Prompts::from_fixture("tiny_qwen3_vl");
     let families = Families::default();
     let place = ModelPlace::Folder(prompts.folder.clone());
     let candles = Architecture::named("candle-qwen3-vl").unwrap();
@@ -108,5 +107,5 @@ fn a_description_chooses_candles_model() {
     );
     assert!(open(families.clone().preferring(candles)).is_ok());
     let files = ModelFiles::folder(&prompts.folder).unwrap();
-    assert_eq!(families.of(&files).unwrap().name(), "qwen3-vl");
+    assert_eq!(families.detect_in(&files).unwrap().name(), "qwen3-vl");
 }

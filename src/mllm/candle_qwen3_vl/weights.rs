@@ -1,14 +1,12 @@
 //! The configuration and the tensors of candle's model, under its names.
 
-use std::collections::HashMap;
-
-use candle_core::{DType, Device, Tensor};
-use candle_transformers::models::qwen3_vl::Config;
-use serde_json::json;
-
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, ModelFiles, Weights};
 use crate::qwen3_vl::{Qwen3VlConfig, canonical_name};
+use candle_core::{DType, Device, Tensor};
+use candle_transformers::models::qwen3_vl::Config;
+use serde_json::json;
+use std::collections::HashMap;
 
 /// The configuration in candle's form.
 pub(super) fn config(

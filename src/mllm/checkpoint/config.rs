@@ -1,13 +1,11 @@
 //! Configurations in JSON, read by serde. Every error names the file and the key.
 
-use std::fmt::Display;
-use std::path::Path;
-
+use crate::MllmError;
 use serde::de::{DeserializeOwned, Error};
 use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
-
-use crate::MllmError;
+use std::fmt::Display;
+use std::path::Path;
 
 /// Largest width, layer count or context of a configuration. No model that fits into a machine
 /// exceeds it.

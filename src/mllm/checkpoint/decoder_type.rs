@@ -1,9 +1,8 @@
 //! The classes of decoders, and what their keys mean where a file leaves them out.
 
+use super::neutral::Neutral;
 use serde::Deserialize;
 use serde_json::{Value, json};
-
-use super::neutral::Neutral;
 
 /// Which decoder a `text_config` describes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]

@@ -1,12 +1,10 @@
 //! The small files of a model: configurations, tokenizer, chat template.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
-use serde_json::Value;
-
 use super::{parse_json, read_text};
 use crate::MllmError;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// The files of a model folder, or their texts in the metadata of a GGUF file.
 #[derive(Debug, Clone)]

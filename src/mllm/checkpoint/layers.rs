@@ -1,11 +1,10 @@
 //! Layers of a checkpoint by their names.
 
+use super::weights::Weights;
+use crate::MllmError;
 use candle_core::Tensor;
 use planagent_kernels::matrix::Matrix;
 use planagent_kernels::{LayerNorm, Linear, RmsNorm};
-
-use super::weights::Weights;
-use crate::MllmError;
 
 impl Weights {
     /// Takes `NAME.weight` of shape (outputs, inputs), and `NAME.bias` if `bias` is set.

@@ -1,7 +1,5 @@
 //! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen 2 and Qwen 3.
 
-use serde::Deserialize;
-
 use super::config::{
     ConfigObject, MAX_WIDTH, check_ranges, check_width, count, optional_count, positive,
 };
@@ -10,6 +8,7 @@ use super::rope_config::read_rope;
 use super::weights::Weights;
 use crate::MllmError;
 use planagent_kernels::attention::{Rope, RotarySections};
+use serde::Deserialize;
 
 /// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a
 /// window, Qwen 2 (`Qwen2Config`) biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms

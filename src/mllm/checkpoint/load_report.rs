@@ -1,9 +1,8 @@
 //! In which formats the tensors of a checkpoint were loaded.
 
-use serde::{Deserialize, Serialize};
-
 use super::weight_format_plan::PlannedFormat;
 use planagent_kernels::matrix::{StoredFormat, WeightFormat};
+use serde::{Deserialize, Serialize};
 
 /// The formats of a model's weights in memory.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -16,10 +16,6 @@ mod weight_file;
 mod weight_format_plan;
 mod weights;
 
-use std::path::Path;
-
-use serde_json::Value;
-
 pub(crate) use config::{ConfigObject, OneOrMany, check_width, positive};
 pub(crate) use decoder_type::DecoderType;
 pub use files::ModelFiles;
@@ -36,6 +32,8 @@ pub use weights::Weights;
 pub(crate) use weights::in_four_dimensions;
 
 use super::MllmError;
+use serde_json::Value;
+use std::path::Path;
 
 /// Largest tokenizer.json, bytes. That of 262 thousand tokens has 34 MB.
 const MAX_TOKENIZER_BYTES: u64 = 128 << 20;

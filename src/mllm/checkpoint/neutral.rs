@@ -1,9 +1,8 @@
 //! Keys that change what a model computes and that no code reads.
 
-use serde_json::Value;
-
 use super::config::ConfigObject;
 use crate::MllmError;
+use serde_json::Value;
 
 /// The value with which a key changes nothing.
 #[derive(Debug, Clone, Copy)]

@@ -1,12 +1,11 @@
 //! The rotary embedding in a decoder's configuration.
 
-use serde::Deserialize;
-
 use super::config::ConfigObject;
 use super::decoder_type::DecoderType;
 use super::neutral::Neutral;
 use crate::MllmError;
 use planagent_kernels::attention::{Rope, RopeScaling, RotarySections};
+use serde::Deserialize;
 
 #[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -1,14 +1,5 @@
 //! The safetensors of a folder, in one file or in shards.
 
-use std::collections::BTreeMap;
-use std::io::Read;
-use std::path::{Path, PathBuf};
-
-use candle_core::quantized::GgmlDType;
-use safetensors::Dtype;
-use safetensors::tensor::Metadata;
-use serde_json::Value;
-
 use super::config::ConfigObject;
 use super::mistaken::{LOOKED_AT, what_instead_of_weights};
 use super::read_json;
@@ -17,7 +8,14 @@ use super::weight_file::{TensorPlace, TensorSource, WeightFile};
 use super::weight_format_plan::WeightFormatPlan;
 use super::weights::Weights;
 use crate::MllmError;
+use candle_core::quantized::GgmlDType;
 use planagent_kernels::matrix::WeightFormat;
+use safetensors::Dtype;
+use safetensors::tensor::Metadata;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 
 /// The file of a checkpoint that is not sharded.
 const WEIGHTS: &str = "model.safetensors";

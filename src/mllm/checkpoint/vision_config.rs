@@ -1,12 +1,11 @@
 //! The configuration of a vision transformer.
 
-use serde::Deserialize;
-use serde_json::json;
-
 use super::config::{ConfigObject, check_ranges, count, positive};
 use super::neutral::Neutral;
 use crate::MllmError;
 use planagent_kernels::Activation;
+use serde::Deserialize;
+use serde_json::json;
 
 /// A vision transformer over the patches of a square image. `CogVLM` and Qwen have other names for
 /// some keys.

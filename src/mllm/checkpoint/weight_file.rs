@@ -3,12 +3,11 @@
 //! Files are read, not mapped: pages of a mapped file count as the program's own memory, and a file
 //! that shrinks under a mapping ends the program.
 
+use crate::MllmError;
+use planagent_kernels::matrix::StoredFormat;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
-
-use crate::MllmError;
-use planagent_kernels::matrix::StoredFormat;
 
 /// Where and how a tensor lies in a file.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,7 +1,6 @@
 //! Which format each tensor of a checkpoint has in memory.
 
 use candle_core::quantized::GgmlDType;
-
 use planagent_kernels::matrix::{StoredFormat, WeightFormat};
 
 /// Chooses the format of tensors by the user's wish, their role, and their format in the file.

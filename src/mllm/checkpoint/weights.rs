@@ -1,18 +1,16 @@
 //! The tensors of a checkpoint under one set of names, from any kind of file.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
-use candle_core::quantized::GgmlDType;
-use candle_core::{Device, Tensor};
-use half::f16;
-
 use super::load_report::LoadReport;
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
 use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
 use crate::MllmError;
+use candle_core::quantized::GgmlDType;
+use candle_core::{Device, Tensor};
+use half::f16;
 use planagent_kernels::matrix::{Matrix, WeightFormat};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to
 /// be finite, and converted as the [`WeightFormatPlan`] says. So at most one tensor is in memory
@@ -29,19 +27,20 @@ pub struct Weights {
     plan: WeightFormatPlan,
     report: LoadReport,
     blake3: String,
-    taking: Taking,
+    access: TensorAccess,
 }
 
-/// What taking a tensor does.
+/// What asking for a tensor does.
 #[derive(Debug)]
-enum Taking {
+enum TensorAccess {
     Read,
     /// Checks that it exists and has the right shape; holds the errors so far.
     Look(Vec<MllmError>),
     /// Lists its name and shape, whether it exists or not.
     List(Vec<(String, Vec<usize>)>),
+    /// Makes it of random numbers.
     #[cfg(test)]
-    Invent(rand_pcg::Pcg64Mcg),
+    Random(rand_pcg::Pcg64Mcg),
 }
 
 /// Maximum number of tensors of a model: beyond it a configuration is taken for broken.
@@ -79,7 +78,7 @@ impl Weights {
                 ..LoadReport::default()
             },
             blake3: String::new(),
-            taking: Taking::Read,
+            access: TensorAccess::Read,
         }
     }
 
@@ -189,7 +188,7 @@ impl Weights {
 
     /// Whether the files of a model lack a tensor. A list of what a model takes has no files.
     pub(crate) fn lacks(&self, name: &str) -> bool {
-        !matches!(self.taking, Taking::List(_)) && !self.contains(name)
+        !matches!(self.access, TensorAccess::List(_)) && !self.contains(name)
     }
 
     /// Names and shapes of all tensors that are not taken yet.
@@ -201,26 +200,26 @@ impl Weights {
 
     /// From now on, gives placeholders for tensors without reading them, and collects errors.
     pub(crate) fn only_look(&mut self) {
-        self.taking = Taking::Look(Vec::new());
+        self.access = TensorAccess::Look(Vec::new());
     }
 
     /// The errors that were collected since [`Self::only_look`].
     pub(crate) fn problems(&self) -> &[MllmError] {
-        match &self.taking {
-            Taking::Look(problems) => problems,
+        match &self.access {
+            TensorAccess::Look(problems) => problems,
             _ => &[],
         }
     }
 
     /// From now on, gives placeholders for all tensors and lists them.
     pub(crate) fn only_list(&mut self) {
-        self.taking = Taking::List(Vec::new());
+        self.access = TensorAccess::List(Vec::new());
     }
 
     /// The tensors that were listed since [`Self::only_list`].
     pub(crate) fn listed(&self) -> &[(String, Vec<usize>)] {
-        match &self.taking {
-            Taking::List(asked) => asked,
+        match &self.access {
+            TensorAccess::List(asked) => asked,
             _ => &[],
         }
     }
@@ -232,7 +231,7 @@ impl Weights {
             .iter()
             .try_fold(1, |product: usize, side| product.checked_mul(*side));
         let small = elements.is_some_and(|elements| elements < most);
-        if let Taking::List(asked) = &mut self.taking {
+        if let TensorAccess::List(asked) = &mut self.access {
             if asked.len() >= MAX_LISTED {
                 let problem = format!("the configuration asks for more than {MAX_LISTED} tensors");
                 return Err(candle_core::Error::Msg(problem).into());
@@ -246,12 +245,14 @@ impl Weights {
             asked.push((name.to_string(), shape.to_vec()));
             return Ok(true);
         }
-        if !matches!(self.taking, Taking::Look(_)) {
+        if !matches!(self.access, TensorAccess::Look(_)) {
             return Ok(false);
         }
         let found = self.remove(name, shape).map(|_| true);
-        match (&mut self.taking, found) {
-            (Taking::Look(problems), Err(problem)) if small && problems.len() < MAX_PROBLEMS => {
+        match (&mut self.access, found) {
+            (TensorAccess::Look(problems), Err(problem))
+                if small && problems.len() < MAX_PROBLEMS =>
+            {
                 problems.push(problem);
                 Ok(true)
             }
@@ -322,7 +323,7 @@ impl Weights {
     pub(crate) fn take(&mut self, name: &str, shape: &[usize]) -> Result<Tensor, MllmError> {
         self.report.add(WeightFormat::F32, f32_bytes(shape));
         #[cfg(test)]
-        if let Taking::Invent(random) = &mut self.taking {
+        if let TensorAccess::Random(random) = &mut self.access {
             let count = shape.iter().product();
             let values: Vec<f32> = (0..count)
                 .map(|_| rand::RngExt::random_range(random, -0.1..0.1))
@@ -376,7 +377,7 @@ impl Weights {
     ) -> Result<Matrix, MllmError> {
         debug_assert!(is_matrix(name, &shape), "{name} is forecast to stay in f32");
         #[cfg(test)]
-        if matches!(self.taking, Taking::Invent(_)) {
+        if matches!(self.access, TensorAccess::Random(_)) {
             return Ok(Matrix::from_tensor(&self.take(name, &shape)?)?);
         }
         let [outputs, inputs] = shape;
@@ -528,7 +529,7 @@ impl Weights {
     pub(crate) fn random(seed: u64) -> Self {
         let random = rand::SeedableRng::seed_from_u64(seed);
         Self {
-            taking: Taking::Invent(random),
+            access: TensorAccess::Random(random),
             ..Self::empty(Path::new(""), WeightFormatPlan::default())
         }
     }

@@ -5,15 +5,13 @@
 //! says how each key is treated. A new version of transformers with further keys fails here until
 //! someone has decided about them.
 
-use std::collections::BTreeMap;
-use std::path::Path;
-
-use serde::Deserialize;
-use serde_json::{Map, Value, json};
-
 use crate::checkpoint::{ModelFiles, read_json};
 use crate::local::test_reference::fixture;
 use crate::{MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm};
+use serde::Deserialize;
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
 
 /// A class in `table.toml`.
 #[derive(Debug, Deserialize)]

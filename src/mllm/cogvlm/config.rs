@@ -1,13 +1,11 @@
 //! `config.json` of a `CogVLMForCausalLM` checkpoint, first version (such as
 //! `THUDM/cogvlm-chat-hf`).
 
-use std::path::Path;
-
-use serde::Deserialize;
-use serde_json::{Value, json};
-
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::path::Path;
 
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CogVlmConfig {

@@ -1,12 +1,11 @@
 //! The adapter from the vision tower to the decoder: a gated linear unit, and learned rows around
 //! the image.
 
-use candle_core::{Result, Tensor};
-
 use super::config::CogVlmConfig;
 use crate::MllmError;
 use crate::checkpoint::Weights;
 use crate::decoder::{SwiGlu, SwiGluShape};
+use candle_core::{Result, Tensor};
 use planagent_kernels::Activation;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;

@@ -1,14 +1,12 @@
 //! The decoder with visual experts, and the positions of an image's tokens.
 
-use std::ops::Range;
-
-use candle_core::Tensor;
-
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, Weights};
 use crate::decoder::{CausalAttention, DecoderLayer, KvCache, Pass, SwiGlu, rms_norm};
+use candle_core::Tensor;
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
+use std::ops::Range;
 
 /// Positions that an image takes: one for its beginning, one for all its patches, one for its end.
 pub(super) const IMAGE_POSITIONS: usize = 3;

@@ -12,15 +12,7 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
-use std::ops::Range;
-
-use image::RgbImage;
-
-use chat::QuestionFormat;
 pub(crate) use config::CogVlmConfig;
-use connector::GluAdapter;
-use language::{ExpertLayer, IMAGE_POSITIONS, positions, vision_rows};
-use vision::EvaVisionTower;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
@@ -30,6 +22,12 @@ use super::family::{
     Tiles, VisionLanguageModel,
 };
 use super::text::ChatTokenizer;
+use chat::QuestionFormat;
+use connector::GluAdapter;
+use image::RgbImage;
+use language::{ExpertLayer, IMAGE_POSITIONS, positions, vision_rows};
+use std::ops::Range;
+use vision::EvaVisionTower;
 
 const NAME: &str = "cogvlm";
 
@@ -70,7 +68,7 @@ impl CogVlm {
         };
         let info = ModelInfo {
             image_first: true,
-            ..ModelInfo::of(NAME, &config.text, image, weights, before)
+            ..ModelInfo::new(NAME, &config.text, image, weights, before)
         };
         Ok(Self {
             config,

@@ -1,10 +1,9 @@
 //! `CogVLM`'s preprocessing: the image stretched to a square.
 
-use candle_core::Tensor;
-use image::RgbImage;
-
 use crate::MllmError;
 use crate::vision::{Filter, PixelScale, check_not_empty, resize};
+use candle_core::Tensor;
+use image::RgbImage;
 
 /// Pixel values (3, side, side): bicubic, without a crop, with CLIP's mean and deviation
 /// (`image_transforms` in the model's code; its repositories have no preprocessor configuration).

@@ -1,11 +1,6 @@
 //! Parity with a torch implementation of the model
 //! (`tests/fixtures/tiny_cogvlm/make_tiny_cogvlm.py`).
 
-use std::path::PathBuf;
-
-use candle_core::{DType, Device, Tensor};
-use serde_json::json;
-
 use super::config::CogVlmConfig;
 use super::language::positions;
 use super::preprocess::pixel_values;
@@ -17,6 +12,9 @@ use crate::local::test_reference::{
     synthetic, whole,
 };
 use crate::vision::{Filter, resize};
+use candle_core::{DType, Device, Tensor};
+use serde_json::json;
+use std::path::PathBuf;
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> CogVlm {
@@ -27,7 +25,7 @@ fn assembled(parts: &Parts) -> CogVlm {
 /// The reference: its folder, the run, and the model without a fault.
 fn reference() -> (PathBuf, Run, CogVlm) {
     let folder = fixture("tiny_cogvlm");
-    let model = assembled(&Parts::of(&folder));
+    let model = assembled(&Parts::from_folder(&folder));
     let run = Run::open(
         &folder.join("reference.safetensors"),
         model.info.image_token,
@@ -52,7 +50,7 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_the_reference() {
     let pixels = pixel_values(&image, 56).unwrap();
     let found = difference(&pixels, reference.tensor("pixel_values"));
     assert!(found < 1e-5, "the pixels differ by {found}");
-    let model = assembled(&Parts::of(&folder));
+    let model = assembled(&Parts::from_folder(&folder));
     let found = feature_difference(
         &model.tower.forward(&pixels).unwrap(),
         reference.tensor("tower"),
@@ -122,14 +120,14 @@ const DECODER_FAULTS: [Fault; 1] = [("the experts of a layer swapped", |parts| {
 fn errors_that_are_easily_made_lead_far_away() {
     let (folder, run, right) = reference();
     Deviation::print_heading(&folder);
-    Deviation::of(&run, &right, &features(&right, &run)).assert_none("nothing wrong");
+    Deviation::from_run(&run, &right, &features(&right, &run)).assert_none("nothing wrong");
     for (what, fault) in IMAGE_FAULTS {
         let model = assembled(&Parts::wrong(&folder, fault));
-        Deviation::of(&run, &model, &features(&model, &run)).assert_far(what);
+        Deviation::from_run(&run, &model, &features(&model, &run)).assert_far(what);
     }
     for (what, fault) in DECODER_FAULTS {
         let model = assembled(&Parts::wrong(&folder, fault));
-        Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
+        Deviation::from_run(&run, &model, &features(&model, &run)).assert_logits_far(what);
     }
     let image = run.image(right.info.image_token);
     let own = positions(0..run.ids.len(), &image);

@@ -1,11 +1,10 @@
 //! The EVA2-CLIP vision transformer. Each branch ends with a norm, and the last layer's output has
 //! no further norm.
 
-use candle_core::Tensor;
-
 use crate::MllmError;
 use crate::checkpoint::{VisionConfig, Weights};
 use crate::vision::{Part, SelfAttention, embed, take_patch_embedding, unfold};
+use candle_core::Tensor;
 use planagent_kernels::Activation;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;

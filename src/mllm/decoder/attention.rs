@@ -1,10 +1,9 @@
 //! Causal attention of a layer over the key-value cache.
 
-use candle_core::Tensor;
-
 use super::cache::KvCache;
 use super::layer::Pass;
 use crate::checkpoint::LlamaConfig;
+use candle_core::Tensor;
 use planagent_kernels::attention::{AttentionMask, HeadShape, Projected, attend, exact_tokens};
 
 /// Causal attention of a layer, without the projections.
@@ -45,7 +44,7 @@ impl CausalAttention {
             start: cache.len(),
             window: self.window,
         };
-        Projected::of(qkv, self.shape, Some(&pass.rotary), |rows| {
+        Projected::read(qkv, self.shape, Some(&pass.rotary), |rows| {
             attend(rows, cache.write(pass.layer, rows)?, mask)
         })
     }

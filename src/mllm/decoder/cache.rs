@@ -1,7 +1,6 @@
 //! The key-value cache of a decoder.
 
 use candle_core::{Result, Tensor};
-
 use planagent_kernels::attention::{HeadShape, KeyValues, Precision, Projected};
 
 /// Keys and values of every layer. It only grows and truncates, so an earlier state is a length.

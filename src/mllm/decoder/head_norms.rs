@@ -1,9 +1,8 @@
 //! Normalization of each head's queries and keys.
 
-use candle_core::Tensor;
-
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, Weights};
+use candle_core::Tensor;
 use planagent_kernels::RmsNorm;
 
 /// RMS norms of the queries and keys of a layer, before their rotation (`q_norm`, `k_norm`).

@@ -1,16 +1,14 @@
 //! Shared parts of decoder layers.
 
-use std::ops::Range;
-
-use candle_core::Tensor;
-
 use super::cache::KvCache;
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, Weights};
+use candle_core::Tensor;
 use planagent_kernels::Activation;
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
 use planagent_kernels::attention::RotaryRows;
+use std::ops::Range;
 
 pub(crate) trait DecoderLayer: Sized {
     fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError>;

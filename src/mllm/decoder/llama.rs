@@ -1,13 +1,12 @@
 //! The layer of Llama, Mistral, Qwen 2 and Qwen 3.
 
-use candle_core::Tensor;
-
 use super::attention::CausalAttention;
 use super::cache::KvCache;
 use super::head_norms::HeadNorms;
 use super::layer::{DecoderLayer, Pass, SwiGlu, rms_norm};
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, Weights};
+use candle_core::Tensor;
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
 

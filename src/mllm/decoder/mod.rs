@@ -9,23 +9,21 @@ mod head_norms;
 mod layer;
 mod llama;
 
-use std::ops::Range;
-
-use candle_core::Tensor;
-
 pub(crate) use attention::CausalAttention;
 pub use cache::KvCache;
 pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
 pub(crate) use llama::LlamaLayer;
+pub use planagent_kernels::attention::Position;
 
 use super::MllmError;
 use super::checkpoint::{LlamaConfig, Weights};
+use candle_core::Tensor;
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
-pub use planagent_kernels::attention::Position;
 use planagent_kernels::attention::RopeScaling;
 use planagent_kernels::attention::{HeadShape, Precision, RotaryEmbedding};
 use planagent_kernels::matrix::{Matrix, WeightFormat};
+use std::ops::Range;
 
 #[derive(Debug)]
 pub(crate) struct Decoder<L> {

@@ -1,10 +1,9 @@
 //! A response that is read ahead, so that its reader can stop waiting for more.
 
+use super::reply::Body;
 use std::io::{self, Read};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
-
-use super::reply::Body;
 
 /// Time for what follows an answer that is complete: counts, and the mark of the end. Some servers
 /// send neither, and leave the connection open.

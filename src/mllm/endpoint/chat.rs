@@ -1,17 +1,15 @@
 //! The request for one chat completion.
 
-use std::io::Cursor;
-
-use base64::Engine;
-use base64::prelude::BASE64_STANDARD;
-use image::{ImageFormat, RgbImage};
-use serde_json::{Map, Value, json};
-
 use super::grammar::{gbnf, pattern};
 use crate::{
     Constraint, ConstraintUse, EndpointSettings, GrammarField, LimitField, MllmError, Request,
     Sampling, Turn,
 };
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use image::{ImageFormat, RgbImage};
+use serde_json::{Map, Value, json};
+use std::io::Cursor;
 
 /// The member of a JSON answer with the text.
 const ANSWER: &str = "answer";

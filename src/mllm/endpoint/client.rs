@@ -1,15 +1,5 @@
 //! One question to the server, with retries after transient failures.
 
-use std::cell::Cell;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
-
-use reqwest::Url;
-use reqwest::blocking::{RequestBuilder, Response};
-use reqwest::header::{AUTHORIZATION, LOCATION};
-use reqwest::redirect::Policy;
-use serde_json::Value;
-
 use super::ahead::Ahead;
 use super::hints::{Refusal, without_version};
 use super::image_form::{wants_text, with_text};
@@ -19,6 +9,14 @@ use super::reply::{Listen, MAX_BYTES, Reply, read, shortened};
 use super::trouble::Trouble;
 use super::waits::{Waits, asked};
 use crate::{Deadline, EndpointFailure, EndpointSettings, MllmError};
+use reqwest::Url;
+use reqwest::blocking::{RequestBuilder, Response};
+use reqwest::header::{AUTHORIZATION, LOCATION};
+use reqwest::redirect::Policy;
+use serde_json::Value;
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 /// Time limit of the list of models that explains a failure.
 const MAX_EXPLAINING: Duration = Duration::from_secs(5);

@@ -1,14 +1,13 @@
 //! A server on this machine that answers each request with the next text, and the last text again.
 
-use std::io::{Read, Write};
-use std::net::{TcpListener, TcpStream};
-use std::sync::{Arc, Mutex};
-
 use super::Endpoint;
 use crate::{
     Answer, Constraint, Deadline, EndpointSettings, Mllm, MllmError, PromptPrefix, Request,
     Sampling,
 };
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::sync::{Arc, Mutex};
 
 pub(super) struct FakeServer {
     address: String,

@@ -1,9 +1,8 @@
 //! Constraints in the grammar languages of servers: llama.cpp's GBNF, and regular expressions with
 //! plain groups and without anchors, which all of them know.
 
-use regex_syntax::hir::{Class, ClassUnicode, Hir, HirKind};
-
 use crate::Constraint;
+use regex_syntax::hir::{Class, ClassUnicode, Hir, HirKind};
 
 /// Characters with a special meaning in a regular expression.
 const META: &str = r"\^$.|?*+()[]{}";

@@ -1,9 +1,8 @@
 //! What a user can do about a refused request.
 
+use crate::EndpointSettings;
 use reqwest::Url;
 use serde_json::Value;
-
-use crate::EndpointSettings;
 
 /// Fields of a request whose refusal has its own advice, by the field that a server names.
 const ADVICE: [(&str, &str); 12] = [

@@ -2,13 +2,11 @@
 
 mod forms;
 
-use std::ffi::OsString;
-use std::fmt;
-
-use reqwest::header::HeaderValue;
-
 use crate::MllmError;
 use forms::Forms;
+use reqwest::header::HeaderValue;
+use std::ffi::OsString;
+use std::fmt;
 
 /// Replacement of the key in texts.
 const HIDDEN: &str = "[key]";
@@ -44,7 +42,7 @@ impl ApiKey {
             .map_err(|_| "has characters that a header cannot carry")?;
         header.set_sensitive(true);
         Ok(Self {
-            forms: Forms::of(&text),
+            forms: Forms::from_key(&text),
             header,
         })
     }

@@ -13,10 +13,6 @@ mod reply;
 mod trouble;
 mod waits;
 
-use std::time::Instant;
-
-use reqwest::Url;
-
 use super::sampling::answer_seed;
 use super::{
     Answer, Constraint, Conversation, EndpointSettings, GrammarField, LoadReport, Mark, Mllm,
@@ -26,6 +22,8 @@ use super::{
 use chat::Chat;
 use client::{Client, Question};
 use key::ApiKey;
+use reqwest::Url;
+use std::time::Instant;
 
 /// How llama.cpp's server names itself in its list of models.
 const LLAMA_CPP: &str = "llamacpp";

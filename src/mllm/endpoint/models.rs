@@ -1,8 +1,7 @@
 //! The models that a server offers, from its list `/v1/models`.
 
-use serde_json::Value;
-
 use super::reply::shortened;
+use serde_json::Value;
 
 /// Most names in a message.
 const MAX_NAMED: usize = 12;

@@ -1,11 +1,9 @@
 //! How long to wait before a request is sent again.
 
-use std::time::{Duration, Instant, SystemTime};
-
+use crate::{EndpointFailure, EndpointSettings};
 use backon::{BackoffBuilder, ExponentialBackoff, ExponentialBuilder};
 use reqwest::header::{HeaderMap, RETRY_AFTER};
-
-use crate::{EndpointFailure, EndpointSettings};
+use std::time::{Duration, Instant, SystemTime};
 
 /// Maximum wait before a retry, unless the server asks for a longer one.
 const MAX_WAIT: Duration = Duration::from_secs(30);

@@ -1,14 +1,12 @@
 //! Valid and hostile headers of GGUF files.
 
-use std::path::Path;
-
-use candle_core::quantized::{GgmlDType, gguf_file};
-use proptest::prelude::*;
-use serde_json::{Value, json};
-
 use super::writer::{Layout, PlannedTensor};
 use crate::MllmError;
 use crate::gguf::Header;
+use candle_core::quantized::{GgmlDType, gguf_file};
+use proptest::prelude::*;
+use serde_json::{Value, json};
+use std::path::Path;
 
 fn parse(bytes: &[u8]) -> Result<Header, MllmError> {
     Header::read(Path::new("m.gguf"), &mut &*bytes, bytes.len() as u64)

@@ -17,11 +17,6 @@ mod round_trip_tests;
 #[cfg(test)]
 mod stored_format_tests;
 
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
-
-use serde_json::json;
-
 use super::MllmError;
 use super::checkpoint::{LoadReport, ModelFiles, Weights, is_matrix, paired};
 use super::gguf::names::ROTARY;
@@ -31,6 +26,9 @@ use super::source::{Checkpoint, ModelPlace};
 use super::text::special_tokens;
 use planagent_kernels::attention::frequency_factors;
 use planagent_kernels::matrix::WeightFormat;
+use serde_json::json;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
 use writer::{Layout, PlannedTensor};
 
 const FILES: [&str; 8] = [
@@ -97,7 +95,11 @@ pub fn export_model(
         part.layout.write_header(&mut out).map_err(failed)?;
         for (tensor, canonical) in part.layout.tensors.iter().zip(&part.canonical) {
             let data = data(&mut checkpoint.weights, canonical, tensor)?;
-            let data = match part.heads.as_ref().and_then(|heads| heads.of(&tensor.name)) {
+            let data = match part
+                .heads
+                .as_ref()
+                .and_then(|heads| heads.for_tensor(&tensor.name))
+            {
                 Some(heads) => paired(&data, tensor.shape.first().copied().unwrap_or(1), heads),
                 None => data,
             };
@@ -128,7 +130,7 @@ struct Heads {
 
 impl Heads {
     /// The heads of a tensor, by llama.cpp's name, if it makes queries or keys.
-    fn of(self, name: &str) -> Option<usize> {
+    fn for_tensor(self, name: &str) -> Option<usize> {
         match llama::projection(name)? {
             "attn_q" => Some(self.queries),
             "attn_k" => Some(self.keys),

@@ -1,13 +1,11 @@
 //! GGUF files beside a model that are none.
 
-use std::path::Path;
-
-use candle_core::quantized::GgmlDType;
-use serde_json::{Value, json};
-
 use super::writer::{Layout, PlannedTensor};
 use crate::gguf::{find, open_header, tokenizer, tower_beside};
 use crate::source::ModelPlace;
+use candle_core::quantized::GgmlDType;
+use serde_json::{Value, json};
+use std::path::Path;
 
 fn write(path: &Path, metadata: &[(&str, Value)]) {
     let tensors = vec![PlannedTensor {

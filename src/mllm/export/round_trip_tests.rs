@@ -1,14 +1,5 @@
 //! Models exported as GGUF and opened again.
 
-use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::Write;
-use std::path::{Path, PathBuf};
-
-use candle_core::Tensor;
-use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
-use serde_json::{Value as Json, json};
-
 use super::writer::{Layout, PlannedTensor};
 use super::{GgufPart, export_model};
 use crate::checkpoint::paired;
@@ -21,7 +12,14 @@ use crate::local::test_reference::{assert_chat, fixture, synthetic};
 use crate::local::{Loading, LocalModel, Sequence};
 use crate::source::{Checkpoint, ModelPlace};
 use crate::{Constraint, Deadline, Mllm, PromptPrefix, Request, Sampling};
+use candle_core::Tensor;
 use planagent_kernels::matrix::{StoredFormat, WeightFormat};
+use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
+use serde_json::{Value as Json, json};
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
 /// Exports a model folder to `m.gguf` in another folder.
 pub(super) fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {
@@ -123,7 +121,7 @@ fn todays_families_from_gguf_compute_what_transformers_computes() {
         ("tiny_qwen3_vl", "."),
         ("tiny_qwen2_5_vl", "."),
     ] {
-        let prompts = Prompts::of(name);
+        let prompts = Prompts::from_fixture(name);
         let folder = tempfile::tempdir().unwrap();
         let model = export(
             prompts.in_layout(layout).path(),

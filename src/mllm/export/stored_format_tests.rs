@@ -1,12 +1,5 @@
 //! GGUF files in number formats and with tensors that this program does not write by itself.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-
-use candle_core::quantized::{GgmlDType, QTensor};
-use candle_core::{Device, Tensor};
-use serde_json::json;
-
 use super::round_trip_tests::{edit, export, logits, widened};
 use super::writer::{Layout, PlannedTensor};
 use crate::MllmError;
@@ -14,7 +7,12 @@ use crate::families::Families;
 use crate::gguf::{FILE, open_header};
 use crate::local::test_reference::fixture;
 use crate::source::{Checkpoint, ModelPlace};
+use candle_core::quantized::{GgmlDType, QTensor};
+use candle_core::{Device, Tensor};
 use planagent_kernels::matrix::{StoredFormat, WeightFormat, widen};
+use serde_json::json;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 /// Rewrites the layers' matrices of a decoder in f32 with what `convert` makes of their values: a
 /// format and its blocks.

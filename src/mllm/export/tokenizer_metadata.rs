@@ -1,10 +1,8 @@
 //! GGUF metadata of a `tokenizer.json` for llama.cpp. This program reads the packed file instead.
 
-use std::collections::{BTreeMap, HashMap};
-
-use serde_json::{Value as Json, json};
-
 use crate::gguf::{Entries, tokenizer::piece};
+use serde_json::{Value as Json, json};
+use std::collections::{BTreeMap, HashMap};
 
 /// The metadata of a byte-pair tokenizer for a model of `vocabulary` rows. `special` holds its
 /// special tokens by role (`bos_token`, ...). None for other kinds of tokenizers, for which

@@ -1,12 +1,10 @@
 //! The writer of GGUF files, version 3.
 
-use std::io::{self, Write};
-
-use candle_core::quantized::GgmlDType;
-use serde_json::Value;
-
 use crate::checkpoint::in_four_dimensions;
 use crate::gguf::{DEFAULT_ALIGNMENT, Entries, number_of};
+use candle_core::quantized::GgmlDType;
+use serde_json::Value;
+use std::io::{self, Write};
 
 /// A file without the tensors' data.
 #[derive(Debug, Default)]

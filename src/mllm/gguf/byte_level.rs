@@ -4,11 +4,10 @@
 //! The file has tokens and merges. How a text is split before that has only a name there
 //! (`tokenizer.ggml.pre`).
 
-use serde_json::{Map, Value as Json, json};
-
 use super::header::Header;
 use super::tokenizer::{Pieces, Special, TokenizerFiles, beginning, piece};
 use crate::MllmError;
+use serde_json::{Map, Value as Json, json};
 
 /// How texts are split (`llm_tokenizer_bpe` of llama.cpp, and the models' own files).
 const QWEN2: &str = r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{N}| ?[^\s\p{L}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";

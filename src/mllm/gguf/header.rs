@@ -7,16 +7,14 @@
 //! UTF-8, bounds lists by the file's size alone, and checks neither the product of a shape nor
 //! whether tensors overlap.
 
+use crate::MllmError;
+use crate::checkpoint::{TensorPlace, what_instead_of_weights};
+use candle_core::quantized::GgmlDType;
+use planagent_kernels::matrix::StoredFormat;
+use serde_json::{Number, Value};
 use std::collections::BTreeMap;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
-
-use candle_core::quantized::GgmlDType;
-use serde_json::{Number, Value};
-
-use crate::MllmError;
-use crate::checkpoint::{TensorPlace, what_instead_of_weights};
-use planagent_kernels::matrix::StoredFormat;
 
 const MAGIC: &[u8; 4] = b"GGUF";
 /// Supported versions. 3 allows big-endian files, which are not supported.

@@ -1,13 +1,12 @@
 //! The configuration of a decoder in the metadata of a GGUF file: any of Llama's kind is read,
 //! `llama` is written.
 
-use serde_json::{Value, json};
-
 use super::Entries;
 use super::header::Header;
 use crate::MllmError;
 use crate::checkpoint::LlamaConfig;
 use planagent_kernels::attention::RopeScaling;
+use serde_json::{Value, json};
 
 /// The value of `general.architecture` of the decoders that this program writes.
 pub(crate) const ARCHITECTURE: &str = "llama";

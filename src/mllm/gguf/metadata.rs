@@ -1,11 +1,10 @@
 //! Typed access to the metadata of a GGUF file, whose errors name file and key.
 
+use super::header::Header;
+use crate::MllmError;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-
-use super::header::Header;
-use crate::MllmError;
 
 /// Largest count in metadata, as in configurations.
 const MAX_COUNT: u64 = 1 << 22;

@@ -17,18 +17,16 @@ pub(crate) mod tokenizer;
 #[cfg(test)]
 pub(crate) mod tokenizer_tests;
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
 pub use header::Header;
 pub(crate) use header::{DEFAULT_ALIGNMENT, number_of};
 pub(crate) use read_only::{ReadOnlyLayout, VisionFiles, as_stored};
 pub(crate) use text_files::TextFiles;
 
-use serde_json::Value;
-
 use super::MllmError;
 use super::checkpoint::{ModelFiles, RowOrder, TensorPlace, WeightFile};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// Key of a small file of the model, before its name.
 pub(crate) const FILE: &str = "planagent.file.";

@@ -1,14 +1,12 @@
 //! Families whose files of llama.cpp are read but not written: a table of names, and how the
 //! tower's metadata becomes the small files.
 
-use std::collections::BTreeMap;
-
-use serde_json::{Value, json};
-
 use super::names::{Names, unswapped};
 use super::{Entries, GgufLayout, Header, TextFiles};
 use crate::MllmError;
 use crate::checkpoint::ModelFiles;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
 
 /// How llama.cpp's files hold a family that this program writes into a file of its own.
 pub(crate) struct ReadOnlyLayout {

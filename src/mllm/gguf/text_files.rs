@@ -1,11 +1,9 @@
 //! The small files of a decoder's part of a model, made from its metadata.
 
-use std::collections::BTreeMap;
-
-use serde_json::Value;
-
 use super::{Header, TEMPLATE, TOKENIZER, llama, tokenizer};
 use crate::MllmError;
+use serde_json::Value;
+use std::collections::BTreeMap;
 
 /// Tokenizer, chat template and `text_config` of a decoder.
 pub(crate) struct TextFiles {

@@ -4,15 +4,13 @@
 //! joint piece has the highest score are joined first. A byte-pair model with its merges in the
 //! order of the scores does the same. Byte-level tokenizers are in `byte_level`.
 
-use std::collections::{BTreeMap, HashMap};
-use std::path::PathBuf;
-
-use serde_json::{Value as Json, json};
-
 use super::header::Header;
 use super::{TOKENIZER, byte_level};
 use crate::MllmError;
 use crate::checkpoint::read_json;
+use serde_json::{Value as Json, json};
+use std::collections::{BTreeMap, HashMap};
+use std::path::PathBuf;
 
 /// Kinds of pieces (`llama_token_type`).
 pub(crate) mod piece {

@@ -1,15 +1,13 @@
 //! SentencePiece tokenizers in GGUF metadata, there and back.
 
-use std::collections::BTreeMap;
-use std::path::PathBuf;
-
-use proptest::prelude::*;
-use serde_json::{Value as Json, json};
-use tokenizers::Tokenizer;
-
 use super::header::Header;
 use super::tokenizer;
 use crate::export::tokenizer_metadata;
+use proptest::prelude::*;
+use serde_json::{Value as Json, json};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use tokenizers::Tokenizer;
 
 /// Words whose pieces overlap in many ways.
 const WORDS: [&str; 24] = [

@@ -1,13 +1,11 @@
 //! `config.json` of an `InternVLForConditionalGeneration` (`-hf`) or `InternVLChatModel`
 //! checkpoint.
 
-use std::path::Path;
-
-use serde_json::Value;
-
 use super::layout::Layout;
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig, check_width};
+use serde_json::Value;
+use std::path::Path;
 
 /// An `InternVL`: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,7 +52,7 @@ impl InternVlConfig {
             }
         }
         let root = ConfigObject::root(path, &value)?;
-        let layout = Layout::of(&root);
+        let layout = Layout::from_config(&root);
         root.only_neutral(layout.neutral())?;
         let vision = layout.vision(&root)?;
         let mut text = layout.text(&root)?;

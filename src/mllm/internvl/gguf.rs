@@ -1,13 +1,12 @@
 //! `InternVL` in llama.cpp's GGUF files, which its converter makes from the authors' layout.
 
-use serde_json::json;
-
 use super::config::IMAGE;
 use crate::MllmError;
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS,
 };
 use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
+use serde_json::json;
 
 const NAMES: Names = Names {
     single: &[

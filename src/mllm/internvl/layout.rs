@@ -1,10 +1,9 @@
 //! The two layouts of an `InternVL`'s configuration: the classes of transformers, and those of the
 //! authors' repositories.
 
-use serde_json::json;
-
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, DecoderType, LlamaConfig, Neutral, VisionConfig};
+use serde_json::json;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Layout {
@@ -19,7 +18,7 @@ pub(super) enum Layout {
 const ORIGINAL_TEXT: &str = "llm_config";
 
 impl Layout {
-    pub(super) fn of(root: &ConfigObject<'_>) -> Self {
+    pub(super) fn from_config(root: &ConfigObject<'_>) -> Self {
         if root.contains(ORIGINAL_TEXT) {
             Self::Original
         } else {

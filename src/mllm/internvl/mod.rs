@@ -12,15 +12,14 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
-use config::InternVlConfig;
-use names::canonical_name;
-use tiles::TileProcessor;
-use vision::ImageEncoder;
-
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::family::{Family, ImageLayout};
 use super::tiled::{TiledFamily, TiledModel};
+use config::InternVlConfig;
+use names::canonical_name;
+use tiles::TileProcessor;
+use vision::ImageEncoder;
 
 const NAME: &str = "internvl";
 

@@ -1,8 +1,5 @@
 //! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_internvl3`).
 
-use candle_core::Tensor;
-use serde_json::json;
-
 use super::config::InternVlConfig;
 use super::tiles::TileProcessor;
 use super::{FAMILY, InternVl, take};
@@ -11,6 +8,8 @@ use crate::local::test_faults::{Deviation, Fault, Parts};
 use crate::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
 use crate::local::test_reference::{Run, difference};
 use crate::tiled::Tiler;
+use candle_core::Tensor;
+use serde_json::json;
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> InternVl {
@@ -25,7 +24,7 @@ fn assembled(parts: &Parts) -> InternVl {
 
 #[test]
 fn features_logits_and_greedy_tokens_of_both_layouts_are_those_of_transformers() {
-    let prompts = Prompts::of("tiny_internvl3");
+    let prompts = Prompts::from_fixture("tiny_internvl3");
     for folder in [".", "original"] {
         prompts.check(&prompts.open(folder, ImageSettings::default()), |name| {
             !is_unsplit(name)
@@ -36,7 +35,7 @@ fn features_logits_and_greedy_tokens_of_both_layouts_are_those_of_transformers()
 
 #[test]
 fn llama_cpps_files_give_the_same() {
-    let prompts = Prompts::of("tiny_internvl3");
+    let prompts = Prompts::from_fixture("tiny_internvl3");
     prompts.check(&prompts.open_gguf(ImageSettings::default()), |name| {
         !is_unsplit(name)
     });
@@ -45,7 +44,7 @@ fn llama_cpps_files_give_the_same() {
 
 #[test]
 fn views_have_the_pixels_of_transformers() {
-    let prompts = Prompts::of("tiny_internvl3");
+    let prompts = Prompts::from_fixture("tiny_internvl3");
     for (name, index, most) in [("", 0, 12), ("second_", 1, 12), ("unsplit_", 0, 1)] {
         let views = TileProcessor::new(16, 1, most)
             .views(&prompts.image(index))
@@ -60,7 +59,7 @@ fn views_have_the_pixels_of_transformers() {
 
 #[test]
 fn grids_of_tiles_are_those_of_transformers() {
-    let prompts = Prompts::of("tiny_internvl3");
+    let prompts = Prompts::from_fixture("tiny_internvl3");
     let tiles = json_of(&prompts.folder, "tiles.json");
     let cases = tiles["cases"].as_array().unwrap();
     assert!(cases.len() > 20);
@@ -155,30 +154,31 @@ fn shuffled(model: &InternVl, views: &[Tensor], order: [usize; 5]) -> ImageFeatu
 
 #[test]
 fn errors_that_are_easily_made_lead_far_away() {
-    let Prompts { folder, .. } = Prompts::of("tiny_internvl3");
+    let Prompts { folder, .. } = Prompts::from_fixture("tiny_internvl3");
     let run = Run::open(&folder.join("reference.safetensors"), 0);
     Deviation::print_heading(&folder);
-    let right = assembled(&Parts::of(&folder));
-    Deviation::of(&run, &right, &encoded(&right, &run.pixels)).assert_none("nothing wrong");
+    let right = assembled(&Parts::from_folder(&folder));
+    Deviation::from_run(&run, &right, &encoded(&right, &run.pixels)).assert_none("nothing wrong");
     for (what, fault) in IMAGE_FAULTS {
         let model = assembled(&Parts::wrong(&folder, fault));
-        Deviation::of(&run, &model, &encoded(&model, &run.pixels)).assert_far(what);
+        Deviation::from_run(&run, &model, &encoded(&model, &run.pixels)).assert_far(what);
     }
     for (what, order) in WRONG_ORDERS {
-        Deviation::of(&run, &right, &shuffled(&right, &run.pixels, order)).assert_far(what);
+        Deviation::from_run(&run, &right, &shuffled(&right, &run.pixels, order)).assert_far(what);
     }
     let mut first = run.pixels.clone();
     first.rotate_right(1);
-    Deviation::of(&run, &right, &encoded(&right, &first)).assert_far("the whole view first");
+    Deviation::from_run(&run, &right, &encoded(&right, &first)).assert_far("the whole view first");
     let clip: Vec<Tensor> = run
         .pixels
         .iter()
         .map(|pixels| (pixels * 0.85).unwrap())
         .collect();
-    Deviation::of(&run, &right, &encoded(&right, &clip)).assert_far("pixels by CLIP's deviation");
+    Deviation::from_run(&run, &right, &encoded(&right, &clip))
+        .assert_far("pixels by CLIP's deviation");
     for (what, fault) in DECODER_FAULTS {
         let model = assembled(&Parts::wrong(&folder, fault));
-        Deviation::of(&run, &model, &encoded(&model, &run.pixels)).assert_logits_far(what);
+        Deviation::from_run(&run, &model, &encoded(&model, &run.pixels)).assert_logits_far(what);
     }
     assert_eq!(
         right.image_layout(40, 24).unwrap(),

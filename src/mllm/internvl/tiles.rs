@@ -1,15 +1,14 @@
 //! `GotOcr2ImageProcessor` and `dynamic_preprocess` of the authors: a grid of tiles that is nearest
 //! to the image's shape, then the whole image.
 
-use candle_core::Tensor;
-use image::RgbImage;
-use serde::Deserialize;
-use serde_json::json;
-
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, ModelFiles, Neutral};
 use crate::tiled::{Grid, Tiler};
 use crate::vision::{Filter, PixelScale, Side, Sides, check_picture, read_processor, resize};
+use candle_core::Tensor;
+use image::RgbImage;
+use serde::Deserialize;
+use serde_json::json;
 
 /// Maximum number of tiles of a configuration: a larger number means a broken one.
 const MAX_TILES: u32 = 64;

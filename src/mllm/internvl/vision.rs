@@ -1,12 +1,11 @@
 //! `InternViT` and the projector.
 
-use candle_core::Tensor;
-
 use super::config::InternVlConfig;
 use crate::MllmError;
 use crate::checkpoint::Weights;
 use crate::tiled::TileEncoder;
 use crate::vision::{Part, VisionLayer, embed, merge_blocks, take_patch_embedding, unfold};
+use candle_core::Tensor;
 use planagent_kernels::Activation;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;

@@ -1,18 +1,16 @@
 //! A model whose steps are timed.
 
-use std::time::Instant;
-
-use candle_core::Tensor;
-use image::RgbImage;
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64Mcg;
-
 use super::step::{Step, StepTime};
 use crate::decoder::Logits;
 use crate::family::{ImageFeatures, VisionLanguageModel};
 use crate::local::Sequence;
 use crate::sampling::Sampler;
 use crate::{Deadline, Loading, MllmError, ModelPlace, Sampling, WeightFormat, milliseconds};
+use candle_core::Tensor;
+use image::RgbImage;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use std::time::Instant;
 
 /// A model with one sequence of tokens, whose steps are timed.
 #[derive(Debug)]

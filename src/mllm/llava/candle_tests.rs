@@ -1,8 +1,11 @@
 //! candle-transformers' LLaVA on the fixture that checks ours: how far its logits are from
 //! transformers', and why.
 
-use std::collections::HashMap;
-
+use super::Llava;
+use crate::family::VisionLanguageModel;
+use crate::local::test_reference::{
+    LOGIT_TOLERANCE, Reference, difference, fixture, logits_deviation, open_checkpoint,
+};
 use candle_core::{DType, Device, IndexOp, Tensor};
 use candle_nn::VarBuilder;
 use candle_transformers::models::clip::text_model::Activation;
@@ -10,12 +13,7 @@ use candle_transformers::models::clip::vision_model::ClipVisionConfig;
 use candle_transformers::models::llama::Cache;
 use candle_transformers::models::llava::{LLaVA, config::LLaVAConfig};
 use serde_json::json;
-
-use super::Llava;
-use crate::family::VisionLanguageModel;
-use crate::local::test_reference::{
-    LOGIT_TOLERANCE, Reference, difference, fixture, logits_deviation, open_checkpoint,
-};
+use std::collections::HashMap;
 
 /// Hidden width of the fixture.
 const HIDDEN: usize = 32;

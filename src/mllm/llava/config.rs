@@ -4,17 +4,15 @@
 //! Absent keys take the defaults of transformers' `LlavaConfig`, `CLIPVisionConfig`, `LlamaConfig`
 //! and `MistralConfig`.
 
-use std::path::Path;
-
-use serde::Deserialize;
-use serde_json::Value;
-
 use crate::MllmError;
 use crate::checkpoint::{
     ConfigObject, DecoderType, LlamaConfig, ModelFiles, OneOrMany, TowerType, VisionConfig,
     check_width,
 };
 use planagent_kernels::Activation;
+use serde::Deserialize;
+use serde_json::Value;
+use std::path::Path;
 
 /// A LLaVA model: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,10 +1,9 @@
 //! The projector, from the vision tower's hidden states to input rows of the decoder.
 
-use candle_core::{Result, Tensor};
-
 use super::config::LlavaConfig;
 use crate::MllmError;
 use crate::checkpoint::Weights;
+use candle_core::{Result, Tensor};
 use planagent_kernels::Activation;
 use planagent_kernels::Linear;
 

@@ -11,8 +11,6 @@ mod candle_tests;
 #[cfg(test)]
 mod reference_tests;
 
-use image::RgbImage;
-
 pub(crate) use config::{FeatureSelect, LlavaConfig};
 pub(crate) use gguf::LlavaGguf;
 pub(crate) use vision::ImageEncoder;
@@ -27,6 +25,7 @@ use super::family::{
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
 use super::vision::ClipImageProcessor;
+use image::RgbImage;
 
 const NAME: &str = "llava";
 
@@ -101,7 +100,7 @@ impl LlavaCore {
             side: config.vision.image_size,
             max_tokens: config.image_tokens(),
         };
-        ModelInfo::of(architecture, &config.text, image, weights, before)
+        ModelInfo::new(architecture, &config.text, image, weights, before)
     }
 }
 

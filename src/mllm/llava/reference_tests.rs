@@ -4,10 +4,6 @@
 //! script. `tests/fixtures/tiny_llava` is a complete folder with tokenizer, preprocessor and chat
 //! template.
 
-use std::path::{Path, PathBuf};
-
-use serde_json::json;
-
 use super::config::LlavaConfig;
 use super::{FAMILY, Llava};
 use crate::checkpoint::TowerType;
@@ -21,6 +17,8 @@ use crate::local::test_reference::{
     difference, feature_difference, fixture, logits_deviation, open_checkpoint, whole,
 };
 use crate::vision::ClipImageProcessor;
+use serde_json::json;
+use std::path::{Path, PathBuf};
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> Llava {
@@ -48,7 +46,7 @@ fn features(model: &Llava, run: &Run) -> ImageFeatures {
 #[test]
 fn features_logits_and_greedy_tokens_are_those_of_transformers() {
     let (folder, run) = reference();
-    let model = assembled(&Parts::of(&folder));
+    let model = assembled(&Parts::from_folder(&folder));
     run.assert_same(&model, &features(&model, &run));
 }
 
@@ -56,11 +54,11 @@ fn features_logits_and_greedy_tokens_are_those_of_transformers() {
 fn errors_that_are_easily_made_lead_far_away() {
     let (folder, run) = reference();
     Deviation::print_heading(&folder);
-    let right = assembled(&Parts::of(&folder));
-    Deviation::of(&run, &right, &features(&right, &run)).assert_none("nothing wrong");
+    let right = assembled(&Parts::from_folder(&folder));
+    Deviation::from_run(&run, &right, &features(&right, &run)).assert_none("nothing wrong");
     for (what, fault) in LLAVA_IMAGE_FAULTS {
         let model = assembled(&Parts::wrong(&folder, fault));
-        Deviation::of(&run, &model, &features(&model, &run)).assert_far(what);
+        Deviation::from_run(&run, &model, &features(&model, &run)).assert_far(what);
     }
     let full = Parts::wrong(&folder, |parts| {
         parts.config["vision_feature_select_strategy"] = json!("full")
@@ -69,11 +67,11 @@ fn errors_that_are_easily_made_lead_far_away() {
         .rows
         .narrow(0, 0, run.features.dims()[0])
         .unwrap();
-    Deviation::of(&run, &right, &whole(with_class))
+    Deviation::from_run(&run, &right, &whole(with_class))
         .assert_far("the class token kept, the last patch lost");
     for (what, fault) in LLAVA_DECODER_FAULTS {
         let model = assembled(&Parts::wrong(&folder, fault));
-        Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
+        Deviation::from_run(&run, &model, &features(&model, &run)).assert_logits_far(what);
     }
     let image = run.image(right.info().image_token);
     let own: Vec<u32> = (0..run.ids.len() as u32).collect();
@@ -129,7 +127,7 @@ fn a_siglip_tower_and_a_qwen2_decoder_compute_what_transformers_computes() {
     let folder = fixture("tiny_llava_siglip");
     let path = folder.join("reference.safetensors");
     let (reference, run) = (Reference::open(&path), Run::open(&path, 0));
-    let parts = Parts::of(&folder);
+    let parts = Parts::from_folder(&folder);
     let model = assembled(&parts);
     assert_eq!(
         (model.core.config.tower, model.info().max_image_tokens),

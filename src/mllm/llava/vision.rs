@@ -1,12 +1,11 @@
 //! The image encoder: CLIP or `SigLIP` tower, selected hidden states, projector.
 
-use candle_core::{D, Tensor};
-
 use super::config::{FeatureSelect, LlavaConfig};
 use super::connector::Projector;
 use crate::MllmError;
 use crate::checkpoint::{TowerType, Weights};
 use crate::vision::{ClipVisionTower, SiglipVisionTower};
+use candle_core::{D, Tensor};
 
 /// Vision tower and projector, from pixel values to input rows of the decoder.
 #[derive(Debug)]

@@ -1,14 +1,12 @@
 //! `config.json` of a `LlavaNextForConditionalGeneration` checkpoint.
 
-use std::path::Path;
-
-use serde_json::Value;
-
 use super::grid::{Resolution, TileGrids};
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, ModelFiles, TowerType};
 use crate::llava::{FeatureSelect, LlavaConfig};
 use crate::vision::check_tiles;
+use serde_json::Value;
+use std::path::Path;
 
 /// A LLaVA-NeXT model: a LLaVA and the resolutions of its grids.
 #[derive(Debug, Clone, PartialEq)]

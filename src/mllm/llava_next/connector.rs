@@ -1,10 +1,9 @@
 //! The features of an image from those of its tiles.
 
-use candle_core::{Device, Result, Tensor};
-
 use super::grid::{TileGrids, Tiling};
 use crate::MllmError;
 use crate::checkpoint::Weights;
+use candle_core::{Device, Result, Tensor};
 
 /// Puts the features of tiles back into their grid, drops the border, and ends each row with a
 /// newline (`pack_image_features`).

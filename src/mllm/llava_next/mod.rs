@@ -9,12 +9,7 @@ mod preprocess;
 #[cfg(test)]
 mod reference_tests;
 
-use image::RgbImage;
-
 pub(crate) use config::LlavaNextConfig;
-use connector::TilePacker;
-use grid::{Resolution, TileGrids};
-use preprocess::AnyresImageProcessor;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
@@ -25,6 +20,10 @@ use super::family::{
 use super::llava::{LlavaCore, LlavaGguf, canonical_name};
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
+use connector::TilePacker;
+use grid::{Resolution, TileGrids};
+use image::RgbImage;
+use preprocess::AnyresImageProcessor;
 
 const NAME: &str = "llava-next";
 

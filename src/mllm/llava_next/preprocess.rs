@@ -1,13 +1,12 @@
 //! `LlavaNextImageProcessor`: the downscaled image, then its tiles at a higher resolution.
 
-use candle_core::Tensor;
-use image::{RgbImage, imageops};
-
 use super::config::{PINPOINTS, pinpoints};
 use super::grid::{TileGrids, Tiling};
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, ModelFiles};
 use crate::vision::{Filter, PixelScale, ProcessorKeys, check_not_empty, read_processor, resize};
+use candle_core::Tensor;
+use image::{RgbImage, imageops};
 
 /// Cuts images into tiles of the vision tower's size.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,10 +1,5 @@
 //! Parity with Hugging Face transformers: pixels of tiles, packed features, logits, greedy tokens.
 
-use std::path::{Path, PathBuf};
-
-use candle_core::{DType, Tensor};
-use serde_json::{Value, json};
-
 use super::config::LlavaNextConfig;
 use super::grid::{Resolution, TileGrids};
 use super::preprocess::AnyresImageProcessor;
@@ -20,6 +15,9 @@ use crate::local::test_reference::{
     Reference, Run, assert_chat, difference, fixture, open_checkpoint, synthetic, whole,
 };
 use crate::vision::{Filter, PixelScale};
+use candle_core::{DType, Tensor};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
 
 /// Opens a model from parts with a change of the validated configuration.
 fn assembled_after(parts: &Parts, change: impl FnOnce(&mut LlavaNextConfig)) -> LlavaNext {
@@ -103,7 +101,7 @@ fn complete_folders_give_the_pixels_ids_logits_and_tokens_of_transformers() {
 #[test]
 fn features_logits_and_greedy_tokens_are_those_of_transformers() {
     for case in Case::all() {
-        let model = assembled(&Parts::of(&case.folder));
+        let model = assembled(&Parts::from_folder(&case.folder));
         case.run.assert_same(&model, &case.features(&model));
     }
 }
@@ -113,27 +111,27 @@ fn errors_that_are_easily_made_lead_far_away() {
     for case in Case::all() {
         let Case { folder, run, .. } = &case;
         Deviation::print_heading(folder);
-        let right = assembled(&Parts::of(folder));
-        Deviation::of(run, &right, &case.features(&right)).assert_none("nothing wrong");
+        let right = assembled(&Parts::from_folder(folder));
+        Deviation::from_run(run, &right, &case.features(&right)).assert_none("nothing wrong");
         let no_newline: Fault = ("zeros in the place of the newline", |parts| {
             parts.change("image_newline", |newline| newline.zeros_like().unwrap());
         });
         for (what, fault) in LLAVA_IMAGE_FAULTS.into_iter().chain([no_newline]) {
             let model = assembled(&Parts::wrong(folder, fault));
-            Deviation::of(run, &model, &case.features(&model)).assert_far(what);
+            Deviation::from_run(run, &model, &case.features(&model)).assert_far(what);
         }
-        let with_class = assembled_after(&Parts::of(folder), |config| {
+        let with_class = assembled_after(&Parts::from_folder(folder), |config| {
             config.llava.feature_select = FeatureSelect::Full
         });
-        Deviation::of(run, &right, &case.features(&with_class))
+        Deviation::from_run(run, &right, &case.features(&with_class))
             .assert_far("the class tokens kept in the grid");
         let mut swapped = case.tiles();
         swapped.pixels.swap(1, 2);
         let swapped = right.encode(&swapped).unwrap();
-        Deviation::of(run, &right, &swapped).assert_far("two tiles swapped");
+        Deviation::from_run(run, &right, &swapped).assert_far("two tiles swapped");
         for (what, fault) in LLAVA_DECODER_FAULTS {
             let model = assembled(&Parts::wrong(folder, fault));
-            Deviation::of(run, &model, &case.features(&model)).assert_logits_far(what);
+            Deviation::from_run(run, &model, &case.features(&model)).assert_logits_far(what);
         }
         let image = run.image(right.info().image_token);
         let own: Vec<u32> = (0..run.ids.len() as u32).collect();
@@ -160,7 +158,7 @@ fn a_window_that_is_left_out_is_noticed() {
     let no_window = Parts::wrong(&folder, |parts| {
         parts.config["text_config"]["sliding_window"] = Value::Null
     });
-    Deviation::of(&run, &assembled(&no_window), &whole(run.features.clone()))
+    Deviation::from_run(&run, &assembled(&no_window), &whole(run.features.clone()))
         .assert_logits_far("no sliding window");
 }
 
@@ -173,7 +171,7 @@ fn size(name: &str) -> Option<(u32, u32)> {
 #[test]
 fn tiles_of_odd_images_have_the_pixels_of_transformers() {
     let folder = fixture("tiny_llava_next");
-    let model = assembled(&Parts::of(&folder));
+    let model = assembled(&Parts::from_folder(&folder));
     let expected = candle_core::safetensors::load(
         folder.join("anyres.safetensors"),
         &candle_core::Device::Cpu,

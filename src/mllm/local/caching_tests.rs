@@ -1,12 +1,5 @@
 //! The work of a conversation, counted in passes of the decoder and images of the tower.
 
-use std::ops::Range;
-use std::path::Path;
-use std::sync::{Arc, Mutex};
-
-use candle_core::Tensor;
-use image::RgbImage;
-
 use super::LocalModel;
 use super::test_reference::{fixture, open_checkpoint};
 use crate::checkpoint::ModelFiles;
@@ -17,6 +10,11 @@ use crate::family::{
 };
 use crate::text::ChatTokenizer;
 use crate::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
+use candle_core::Tensor;
+use image::RgbImage;
+use std::ops::Range;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
 
 /// Rows of each pass, and number of images.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]

@@ -1,7 +1,5 @@
 //! Checks of a model's files that do not read its weights.
 
-use serde::Serialize;
-
 use super::{Loading, LocalModel, MemoryCheck, MemoryNeed, end_tokens, memory};
 use crate::MllmError;
 use crate::checkpoint::{LoadReport, ModelFiles, WeightFormatPlan, Weights};
@@ -9,6 +7,7 @@ use crate::families::Architecture;
 use crate::family::VisionLanguageModel;
 use crate::source::{Checkpoint, ModelPlace};
 use crate::text::ChatTokenizer;
+use serde::Serialize;
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ModelCheck {
@@ -61,7 +60,7 @@ fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) {
             // The small files may have errors of their own.
             if let ModelPlace::Folder(folder) = place
                 && let Ok(files) = ModelFiles::folder(folder)
-                && let Ok(family) = loading.families.of(&files)
+                && let Ok(family) = loading.families.detect_in(&files)
             {
                 check.architecture = Some(family);
                 look_at_files(&files, family, loading, check);
@@ -82,7 +81,7 @@ fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut Mo
     let family = checkpoint.family;
     match (family.family().decoder_config)(&checkpoint.files) {
         Ok(decoder) => {
-            check.memory = Some(MemoryNeed::of(
+            check.memory = Some(MemoryNeed::estimate(
                 &checkpoint,
                 &decoder,
                 loading.quantize,

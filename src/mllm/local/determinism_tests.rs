@@ -1,18 +1,16 @@
 //! The same weights and prompt give bit-identical logits at any thread count.
 
-use std::fmt::Write as _;
-use std::path::Path;
-use std::process::Command;
-
-use candle_core::Tensor;
-use image::RgbImage;
-use serde_json::{Value, json};
-
 use super::Sequence;
 use crate::checkpoint::{ModelFiles, Weights};
 use crate::decoder::Logits;
 use crate::families::{Architecture, Families};
 use crate::family::VisionLanguageModel;
+use candle_core::Tensor;
+use image::RgbImage;
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::Command;
 
 /// Set in the child process of the test: the folder for its result.
 const FOLDER: &str = "PLANAGENT_TEST_FOLDER";

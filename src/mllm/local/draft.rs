@@ -2,10 +2,9 @@
 //! ahead of the model's choice (prompt lookup: A. Saxena, 2023; verification of drafts: Leviathan
 //! et al., arXiv:2211.17192).
 
-use std::ops::RangeInclusive;
-
 use super::draft_model::Drafting;
 use crate::{Deadline, MllmError};
+use std::ops::RangeInclusive;
 
 /// Longest draft, tokens.
 const MAX_DRAFT: usize = 16;

@@ -1,7 +1,5 @@
 //! A small model that drafts answers of a larger one.
 
-use std::sync::Arc;
-
 use super::{Loading, Sequence};
 use crate::decoder::Logits;
 use crate::family::VisionLanguageModel;
@@ -9,6 +7,7 @@ use crate::sampling::most_likely;
 use crate::source::ModelPlace;
 use crate::text::ChatTokenizer;
 use crate::{Deadline, MllmError};
+use std::sync::Arc;
 
 /// Longest draft of a model, tokens: each costs a pass of it.
 const MAX_DRAFT: usize = 8;

@@ -1,10 +1,5 @@
 //! The generation loop.
 
-use std::time::Instant;
-
-use candle_core::Tensor;
-use toktrie::SimpleVob;
-
 use super::ahead::Ahead;
 use super::draft::Drafter;
 use super::likeliest::Search;
@@ -14,6 +9,9 @@ use crate::family::{ImageFeatures, VisionLanguageModel};
 use crate::sampling::Sampler;
 use crate::text::GrammarState;
 use crate::{Deadline, FinishReason, MllmError, milliseconds};
+use candle_core::Tensor;
+use std::time::Instant;
+use toktrie::SimpleVob;
 
 /// The tokens of an answer. Times are milliseconds.
 #[derive(Debug)]

@@ -5,9 +5,8 @@
 //! search ends when the answers found are likelier than every beginning that is left: best-first
 //! search, as in A* with nothing to estimate.
 
-use toktrie::SimpleVob;
-
 use crate::Answer;
+use toktrie::SimpleVob;
 
 /// Alternatives to a chosen token that are kept: more than any choice in a planner code has.
 const MAX_ALTERNATIVES: usize = 64;

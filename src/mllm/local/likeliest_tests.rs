@@ -1,15 +1,13 @@
 //! The search against the probabilities of all answers, each computed from its beginning.
 
-use std::collections::BTreeMap;
-
-use candle_core::Tensor;
-
 use super::test_reference::fixture;
 use super::{Loading, LocalModel, Sequence};
 use crate::decoder::Logits;
 use crate::family::Chat;
 use crate::source::ModelPlace;
 use crate::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
+use candle_core::Tensor;
+use std::collections::BTreeMap;
 
 const PROMPT: &str = "What now?";
 

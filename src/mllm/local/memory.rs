@@ -1,11 +1,10 @@
 //! The memory that a model needs, and the memory that is free.
 
-use std::path::Path;
-
 use crate::MllmError;
 use crate::checkpoint::{LlamaConfig, in_bytes};
 use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
+use std::path::Path;
 
 /// What to do with a model that needs more memory than is free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -37,7 +36,7 @@ const ROWS: (u64, u64) = (8, 3);
 impl MemoryNeed {
     /// The need of a checkpoint with this decoder, weights in the format `quantize`, and chats of
     /// at most `context` tokens.
-    pub(crate) fn of(
+    pub(crate) fn estimate(
         checkpoint: &Checkpoint,
         decoder: &LlamaConfig,
         quantize: Option<WeightFormat>,
@@ -107,7 +106,7 @@ fn check_against(
     quantize: Option<WeightFormat>,
     context: Option<usize>,
 ) -> Result<(), MllmError> {
-    let need = MemoryNeed::of(checkpoint, decoder, quantize, context);
+    let need = MemoryNeed::estimate(checkpoint, decoder, quantize, context);
     if need.total() <= free {
         return Ok(());
     }
@@ -115,7 +114,7 @@ fn check_against(
         .map(|weight_format| {
             (
                 weight_format,
-                MemoryNeed::of(checkpoint, decoder, Some(weight_format), context).total(),
+                MemoryNeed::estimate(checkpoint, decoder, Some(weight_format), context).total(),
             )
         })
         .into_iter()
@@ -225,7 +224,7 @@ mod tests {
     fn a_model_that_does_not_fit_is_refused_with_what_would() {
         let checkpoint = open_checkpoint(&fixture("tiny_llava"));
         let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files).unwrap();
-        let need = MemoryNeed::of(&checkpoint, &decoder, None, None);
+        let need = MemoryNeed::estimate(&checkpoint, &decoder, None, None);
         // 299,352 bytes of f32, but for the header.
         assert!((280_000..299_352).contains(&need.weights), "{need:?}");
         // 256 positions, two layers, two heads of 8 numbers.
@@ -238,9 +237,9 @@ mod tests {
             error.contains("--quantize q8_0 would take") && error.contains("--ignore-memory"),
             "{error}"
         );
-        let rounded = MemoryNeed::of(&checkpoint, &decoder, Some(WeightFormat::Q8_0), None);
+        let rounded = MemoryNeed::estimate(&checkpoint, &decoder, Some(WeightFormat::Q8_0), None);
         assert!(rounded.weights < need.weights / 2 && rounded.cache == need.cache / 2);
-        let short = MemoryNeed::of(&checkpoint, &decoder, None, Some(64));
+        let short = MemoryNeed::estimate(&checkpoint, &decoder, None, Some(64));
         assert_eq!((short.cache, short.weights), (need.cache / 4, need.weights));
     }
 }

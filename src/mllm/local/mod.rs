@@ -28,16 +28,10 @@ pub(crate) mod test_prompts;
 #[cfg(test)]
 pub(crate) mod test_reference;
 
-use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
-
 pub use check::ModelCheck;
-use draft_model::DraftModel;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub use outline::{FormatOutline, ModelOutline};
 pub(crate) use sequence::Sequence;
-use session::LocalConversation;
 
 use super::checkpoint::{ConfigObject, LoadReport, ModelFiles, OneOrMany};
 use super::decoder::Logits;
@@ -46,7 +40,12 @@ use super::family::{Chat, ChatFormat, ImageLayout, ImageSettings, VisionLanguage
 use super::source::{Checkpoint, ModelPlace};
 use super::text::{ChatTokenizer, GrammarEngine};
 use super::{Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
+use draft_model::DraftModel;
 use planagent_kernels::matrix::WeightFormat;
+use session::LocalConversation;
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Number of system prompts whose keys and values are cached; a run uses one or two.
 const KEPT_PREFIXES: usize = 8;

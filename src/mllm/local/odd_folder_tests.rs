@@ -1,13 +1,11 @@
 //! Folders as they lie on disks: edited, incomplete or hostile.
 
-use std::path::Path;
-
-use serde_json::{Value, json};
-
 use super::test_reference::fixture;
 use super::{Loading, LocalModel};
 use crate::checkpoint::read_json;
 use crate::source::ModelPlace;
+use serde_json::{Value, json};
+use std::path::Path;
 
 /// A copy of a fixture's files.
 fn copy(name: &str) -> tempfile::TempDir {

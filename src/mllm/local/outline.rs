@@ -41,10 +41,13 @@ impl ModelOutline {
     ];
 
     /// The outline of a model whose images are shown as `image` says.
-    pub(crate) fn of(mut checkpoint: Checkpoint, image: ImageSettings) -> Result<Self, MllmError> {
+    pub(crate) fn from_checkpoint(
+        mut checkpoint: Checkpoint,
+        image: ImageSettings,
+    ) -> Result<Self, MllmError> {
         let config = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-        let memory =
-            Self::FORMATS.map(|format| MemoryNeed::of(&checkpoint, &config, Some(format), None));
+        let memory = Self::FORMATS
+            .map(|format| MemoryNeed::estimate(&checkpoint, &config, Some(format), None));
         checkpoint.weights.only_look();
         let mut model = checkpoint.open_model()?;
         model.set_images(image)?;
@@ -69,7 +72,7 @@ impl ModelOutline {
 
     /// The outline of a published model, without its files.
     pub fn of_shape(shape: &ModelShape) -> Result<Self, MllmError> {
-        Self::of(
+        Self::from_checkpoint(
             shape.checkpoint(&Families::default())?,
             ImageSettings::default(),
         )

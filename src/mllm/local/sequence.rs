@@ -1,10 +1,9 @@
 //! The computed tokens of a chat.
 
-use candle_core::Tensor;
-
 use crate::decoder::{DecoderInput, KvCache, Logits};
 use crate::family::{ImageFeatures, PlacedImage, Positions, VisionLanguageModel};
 use crate::{Deadline, MllmError};
+use candle_core::Tensor;
 
 /// Tokens of one pass: bounds the activations, and the time between two looks at the deadline.
 const MAX_TOKENS_IN_PASS: usize = 512;

@@ -1,10 +1,5 @@
 //! A conversation with a model.
 
-use std::sync::Arc;
-use std::time::Instant;
-
-use image::RgbImage;
-
 use super::LocalModel;
 use super::draft::Drafter;
 use super::draft_model::Drafting;
@@ -17,6 +12,9 @@ use crate::{
     Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, PromptPrefix, Request,
     RoundTime, Sampling, TokenCounts, Turn, milliseconds, prompt_hash,
 };
+use image::RgbImage;
+use std::sync::Arc;
+use std::time::Instant;
 
 /// A chat and its computed tokens.
 ///

@@ -1,8 +1,6 @@
 //! Drafts change no answer: the numbers of a pass of several tokens are those of passes of one, and
 //! so are the tokens.
 
-use std::path::{Path, PathBuf};
-
 use super::test_reference::fixture;
 use super::{Loading, LocalModel, Sequence};
 use crate::decoder::Logits;
@@ -12,6 +10,7 @@ use crate::{
     Answer, Constraint, Deadline, Mllm, ModelShape, PromptPrefix, Request, Sampling, TokenCounts,
     WeightFormat,
 };
+use std::path::{Path, PathBuf};
 
 const GREEDY: Sampling = Sampling::Greedy;
 const WARM: Sampling = Sampling::Sample {

@@ -3,19 +3,17 @@
 //!
 //! `cargo test --lib easily_made -- --nocapture` prints the deviations.
 
-use std::collections::HashMap;
-use std::ops::Range;
-use std::path::{Path, PathBuf};
-
-use candle_core::{Device, Tensor};
-use serde_json::{Value, json};
-
 use super::Sequence;
 use super::sequence::new_cache;
 use super::test_reference::{FEATURE_TOLERANCE, LOGIT_TOLERANCE, Run, feature_difference, whole};
 use crate::checkpoint::{Weights, read_json, safetensors_folder};
 use crate::decoder::{Decoder, DecoderInput, DecoderLayer, LanguageModel, Logits};
 use crate::family::{Family, ImageFeatures, Positions, VisionLanguageModel};
+use candle_core::{Device, Tensor};
+use serde_json::{Value, json};
+use std::collections::HashMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 
 /// Smallest deviation of an error, in multiples of the parity tests' tolerance.
 const FAR: f32 = 100.0;
@@ -32,7 +30,7 @@ pub(crate) type Fault = (&'static str, fn(&mut Parts));
 
 impl Parts {
     /// The parts of a folder.
-    pub(crate) fn of(folder: &Path) -> Self {
+    pub(crate) fn from_folder(folder: &Path) -> Self {
         let path = folder.join("config.json");
         let tensors =
             candle_core::safetensors::load(folder.join("model.safetensors"), &Device::Cpu).unwrap();
@@ -45,7 +43,7 @@ impl Parts {
 
     /// The parts of a folder with a fault.
     pub(crate) fn wrong(folder: &Path, fault: fn(&mut Self)) -> Self {
-        let mut parts = Self::of(folder);
+        let mut parts = Self::from_folder(folder);
         fault(&mut parts);
         parts
     }
@@ -162,7 +160,11 @@ impl Deviation {
     }
 
     /// The deviation of a model with these features.
-    pub(crate) fn of(run: &Run, model: &dyn VisionLanguageModel, features: &ImageFeatures) -> Self {
+    pub(crate) fn from_run(
+        run: &Run,
+        model: &dyn VisionLanguageModel,
+        features: &ImageFeatures,
+    ) -> Self {
         let mut sequence = Sequence::new(model);
         let logits = sequence
             .append(model, &run.ids, Some(features), Logits::All)

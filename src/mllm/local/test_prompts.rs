@@ -1,14 +1,6 @@
 //! Parity with the references of today's families (`tests/fixtures/make_modern.py`): two images,
 //! and several chats.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
-use std::fs;
-use std::path::{Path, PathBuf};
-
-use candle_core::{Device, Tensor};
-use image::RgbImage;
-use serde_json::Value;
-
 use super::test_faults::Deviation;
 use super::test_reference::{
     FEATURE_TOLERANCE, Reference, assert_greedy, assert_logits, difference, feature_difference,
@@ -20,6 +12,12 @@ use crate::decoder::{DecoderInput, Logits, Position};
 use crate::family::{Chat, ImageFeatures, ImageSettings, PlacedImage, VisionLanguageModel};
 use crate::source::ModelPlace;
 use crate::{MllmError, Turn};
+use candle_core::{Device, Tensor};
+use image::RgbImage;
+use serde_json::Value;
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::fs;
+use std::path::{Path, PathBuf};
 
 /// A reference folder.
 pub(crate) struct Prompts {
@@ -47,7 +45,7 @@ impl Worst {
 
 impl Prompts {
     /// The reference in a folder of `tests/fixtures`.
-    pub(crate) fn of(name: &str) -> Self {
+    pub(crate) fn from_fixture(name: &str) -> Self {
         let folder = fixture(name);
         let texts = read_json(&folder.join("prompts.json")).unwrap();
         let reference = Reference::open(&folder.join("reference.safetensors"));
@@ -359,7 +357,7 @@ pub(crate) struct SecondImage<'a> {
 }
 
 impl<'a> SecondImage<'a> {
-    pub(crate) fn of(prompts: &'a Prompts) -> Self {
+    pub(crate) fn from_prompts(prompts: &'a Prompts) -> Self {
         Deviation::print_heading(&prompts.folder);
         Self {
             reference: &prompts.reference,

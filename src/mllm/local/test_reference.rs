@@ -1,10 +1,6 @@
 //! Shared parts of the parity tests of all families: reference files, and ways to compute the same
 //! logits.
 
-use std::path::{Path, PathBuf};
-
-use candle_core::{Device, Tensor};
-
 use super::{LocalModel, Sequence};
 use crate::Turn;
 use crate::checkpoint::read_json;
@@ -12,6 +8,8 @@ use crate::decoder::Logits;
 use crate::families::Families;
 use crate::family::{Chat, ImageFeatures, VisionLanguageModel};
 use crate::source::{Checkpoint, ModelPlace};
+use candle_core::{Device, Tensor};
+use std::path::{Path, PathBuf};
 
 /// Tolerance for image features, relative to the largest feature. torch's own f32 results differ
 /// from its f64 results by up to 1e-5 where features reach 11 (`mllm_reference/llava_next`).

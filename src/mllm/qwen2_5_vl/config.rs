@@ -1,16 +1,14 @@
 //! `config.json` of a `Qwen2_5_VLForConditionalGeneration` checkpoint: with the decoder's keys at
 //! the root, as all published files, or under `text_config`.
 
-use std::path::Path;
-
-use serde_json::{Value, json};
-
 use crate::MllmError;
 use crate::checkpoint::{
     ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig, check_width,
 };
 use crate::qwen3_vl::{check_tower_rope, image_token, text_config};
 use planagent_kernels::Activation;
+use serde_json::{Value, json};
+use std::path::Path;
 
 /// A Qwen2.5-VL: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,11 +1,10 @@
 //! Qwen2.5-VL in llama.cpp's GGUF files.
 
-use serde_json::json;
-
 use crate::MllmError;
 use crate::gguf::names::{DECODER_LAYERS, Names};
 use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
 use crate::qwen3_vl::{IMAGE, LACKING, QWEN_NAMES, limits};
+use serde_json::json;
 
 const NAMES: Names = Names {
     single: &QWEN_NAMES,

@@ -8,13 +8,12 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
-use config::Qwen25VlConfig;
-use vision::ImageEncoder;
-
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::family::Family;
 use super::qwen3_vl::{PatchModel, PatchProcessor, canonical_name};
+use config::Qwen25VlConfig;
+use vision::ImageEncoder;
 
 const NAME: &str = "qwen2.5-vl";
 

@@ -1,8 +1,5 @@
 //! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_qwen2_5_vl`).
 
-use candle_core::Tensor;
-use serde_json::json;
-
 use super::config::Qwen25VlConfig;
 use super::{FAMILY, Qwen25Vl, take};
 use crate::checkpoint::ConfigObject;
@@ -11,6 +8,8 @@ use crate::local::test_faults::{Fault, Parts};
 use crate::local::test_prompts::{Prompts, SecondImage, assert_resized, raster_pixels};
 use crate::local::test_reference::difference;
 use crate::qwen3_vl::{PatchEncoder, PatchProcessor};
+use candle_core::Tensor;
+use serde_json::json;
 
 /// A processor for images of so many pixels in patches of this side.
 fn processor(pixels: [u64; 2], patch: u32) -> PatchProcessor {
@@ -31,7 +30,7 @@ fn assembled(parts: &Parts) -> Qwen25Vl {
 
 #[test]
 fn features_logits_and_greedy_tokens_of_both_layouts_are_those_of_transformers() {
-    let prompts = Prompts::of("tiny_qwen2_5_vl");
+    let prompts = Prompts::from_fixture("tiny_qwen2_5_vl");
     for folder in [".", "hub_style"] {
         prompts.check(&prompts.open(folder, ImageSettings::default()), |_| true);
     }
@@ -39,14 +38,14 @@ fn features_logits_and_greedy_tokens_of_both_layouts_are_those_of_transformers()
 
 #[test]
 fn llama_cpps_files_give_the_same() {
-    let prompts = Prompts::of("tiny_qwen2_5_vl");
+    let prompts = Prompts::from_fixture("tiny_qwen2_5_vl");
     let folder = prompts.gguf_with("preprocessor_config.json");
     prompts.check(&Prompts::open_at(folder.path()), |_| true);
 }
 
 #[test]
 fn pixels_and_sizes_are_those_of_transformers() {
-    let prompts = Prompts::of("tiny_qwen2_5_vl");
+    let prompts = Prompts::from_fixture("tiny_qwen2_5_vl");
     for (name, index) in [("", 0), ("second_", 1)] {
         let found = processor(TINY, PATCH)
             .process(&prompts.image(index))
@@ -99,10 +98,10 @@ const DECODER_FAULTS: [Fault; 3] = [
 
 #[test]
 fn errors_that_are_easily_made_lead_far_away() {
-    let prompts = Prompts::of("tiny_qwen2_5_vl");
-    let run = SecondImage::of(&prompts);
+    let prompts = Prompts::from_fixture("tiny_qwen2_5_vl");
+    let run = SecondImage::from_prompts(&prompts);
     let pixels = raster_pixels(&prompts.reference, "second_", PATCH);
-    let right = assembled(&Parts::of(&prompts.folder));
+    let right = assembled(&Parts::from_folder(&prompts.folder));
     let features = right.encoder.encode(&pixels).unwrap();
     run.logits(&right, &features).assert_none("nothing wrong");
     for (what, fault) in IMAGE_FAULTS {

@@ -1,7 +1,5 @@
 //! The vision tower of Qwen2.5-VL and its merger.
 
-use candle_core::{Device, Tensor};
-
 use super::config::Qwen25VlConfig;
 use crate::MllmError;
 use crate::checkpoint::{VisionConfig, Weights};
@@ -9,6 +7,7 @@ use crate::decoder::{SwiGlu, SwiGluShape};
 use crate::family::{ImageFeatures, ImageLayout};
 use crate::qwen3_vl::{PatchEncoder, PatchMerger, take_patch_embedding};
 use crate::vision::{Part, SelfAttention, merge_blocks, unfold};
+use candle_core::{Device, Tensor};
 use planagent_kernels::Linear;
 use planagent_kernels::RmsNorm;
 use planagent_kernels::attention::RotaryRows;

@@ -1,13 +1,11 @@
 //! `config.json` of a `Qwen3VLForConditionalGeneration` checkpoint.
 
-use std::path::Path;
-
-use serde_json::{Value, json};
-
 use crate::MllmError;
 use crate::checkpoint::{
     ConfigObject, DecoderType, LlamaConfig, ModelFiles, Neutral, VisionConfig, check_width,
 };
+use serde_json::{Value, json};
+use std::path::Path;
 
 /// A Qwen3-VL: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,13 +1,12 @@
 //! Qwen3-VL in llama.cpp's GGUF files.
 
-use serde_json::{Value, json};
-
 use super::patches::PatchProcessor;
 use crate::MllmError;
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, Pair, VISION_LAYERS,
 };
 use crate::gguf::{Header, ReadOnlyLayout, VisionFiles};
+use serde_json::{Value, json};
 
 /// The tensors outside of layers that Qwen's vision-language models share.
 pub(crate) const QWEN_NAMES: [Pair; 13] = [

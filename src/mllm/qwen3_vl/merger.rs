@@ -1,9 +1,8 @@
 //! The merger: blocks of patches to rows of the decoder's width.
 
-use candle_core::{Result, Tensor};
-
 use crate::MllmError;
 use crate::checkpoint::Weights;
+use candle_core::{Result, Tensor};
 use planagent_kernels::Activation;
 use planagent_kernels::Linear;
 

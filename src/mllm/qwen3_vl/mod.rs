@@ -20,11 +20,11 @@ pub(crate) use merger::PatchMerger;
 pub(crate) use model::{PatchEncoder, PatchModel};
 pub(crate) use names::canonical_name;
 pub(crate) use patches::{PatchProcessor, take_patch_embedding};
-use vision::ImageEncoder;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::family::Family;
+use vision::ImageEncoder;
 
 const NAME: &str = "qwen3-vl";
 

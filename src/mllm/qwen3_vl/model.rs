@@ -1,12 +1,6 @@
 //! Models whose tower takes images of any size and whose image tokens have positions on three axes,
 //! as Qwen's.
 
-use std::fmt::Debug;
-use std::ops::Range;
-
-use candle_core::Tensor;
-use image::RgbImage;
-
 use super::patches::PatchProcessor;
 use super::positions::positions;
 use crate::MllmError;
@@ -18,6 +12,10 @@ use crate::family::{
 };
 use crate::template_format::{ImageText, TemplateFormat};
 use crate::text::ChatTokenizer;
+use candle_core::Tensor;
+use image::RgbImage;
+use std::fmt::Debug;
+use std::ops::Range;
 
 /// Side of the image that is drawn for a tower that takes any size, pixels.
 const DRAWN_SIDE: usize = 448;
@@ -56,7 +54,7 @@ impl<E: PatchEncoder> PatchModel<E> {
             side: DRAWN_SIDE,
             max_tokens: processor.max_tokens(),
         };
-        let info = ModelInfo::of(name, text, image, weights, before);
+        let info = ModelInfo::new(name, text, image, weights, before);
         Ok(Self {
             processor,
             encoder,

@@ -1,17 +1,16 @@
 //! `Qwen2VLImageProcessor`, which resizes an image to whole tokens, and the embedding of its
 //! patches.
 
-use candle_core::Tensor;
-use image::RgbImage;
-use serde::Deserialize;
-use serde_json::json;
-
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, ModelFiles, Neutral, Weights};
 use crate::family::{ImageLayout, ImageSettings, ModelInfo};
 use crate::vision::{Filter, PixelScale, check_not_empty, check_picture, read_processor, resize};
+use candle_core::Tensor;
+use image::RgbImage;
 use planagent_kernels::Linear;
 use planagent_kernels::matrix::Matrix;
+use serde::Deserialize;
+use serde_json::json;
 
 /// Largest ratio of an image's sides (`smart_resize` in transformers).
 const MAX_RATIO: f64 = 200.0;

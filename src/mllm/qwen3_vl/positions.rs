@@ -1,8 +1,7 @@
 //! Positions on three axes (M-RoPE: Wang et al., arXiv:2409.12191).
 
-use std::ops::Range;
-
 use crate::family::{PlacedImage, Positions};
+use std::ops::Range;
 
 /// Where tokens of a chat with this image stand. An image takes one moment; its tokens stand at
 /// their rows and columns. The text behind it goes on after the longer side, not after the number

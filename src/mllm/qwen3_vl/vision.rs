@@ -1,7 +1,5 @@
 //! The vision tower of Qwen3-VL and its mergers.
 
-use candle_core::{Device, Tensor};
-
 use super::config::Qwen3VlConfig;
 use super::merger::PatchMerger;
 use super::model::PatchEncoder;
@@ -10,6 +8,7 @@ use crate::MllmError;
 use crate::checkpoint::Weights;
 use crate::family::{ImageFeatures, ImageLayout};
 use crate::vision::{Part, VisionLayer, merge_blocks, unfold};
+use candle_core::{Device, Tensor};
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;
 use planagent_kernels::attention::RotaryRows;

@@ -1,13 +1,11 @@
 //! Model descriptions, `models/NAME.toml`.
 
-use std::fmt;
-use std::path::{Path, PathBuf};
-
-use serde::{Deserialize, Serialize};
-
 use super::hub::{HubName, addressed, plain};
 use crate::checkpoint::read_text;
 use crate::{Architecture, EndpointSettings, ImageSettings, MllmError, Sampling, WeightFormat};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::path::{Path, PathBuf};
 
 /// The description of a model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -9,16 +9,15 @@ mod name;
 #[cfg(feature = "hub")]
 mod problem;
 
-use std::path::PathBuf;
-use std::sync::Arc;
-
-use crate::MllmError;
-use environment::Environment;
-
 pub(super) use cache::snapshot_in;
 pub use environment::offline_variable;
 pub(super) use files::{GgufChoice, GgufNames, HubFiles};
 pub(super) use name::{HubName, addressed, plain};
+
+use crate::MllmError;
+use environment::Environment;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FetchProgress {
@@ -130,7 +129,7 @@ impl HubAccess {
         &self,
         name: &HubName,
         files: &HubFiles,
-        cache: &std::path::Path,
+        cache: &Path,
         listener: Option<Arc<FetchListener>>,
     ) -> Result<HubPlace, String> {
         let endpoint = self.endpoint.clone();
@@ -144,7 +143,7 @@ impl HubAccess {
         &self,
         name: &HubName,
         files: &HubFiles,
-        cache: &std::path::Path,
+        cache: &Path,
         _: Option<Arc<FetchListener>>,
     ) -> Result<HubPlace, String> {
         cache::find(cache, name, files).map_err(|absent| {
@@ -155,6 +154,12 @@ impl HubAccess {
             )
         })
     }
+}
+
+/// Whether a path names a GGUF file.
+pub(super) fn is_gguf(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
 }
 
 /// Splits `organization/name`.

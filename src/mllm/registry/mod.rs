@@ -4,6 +4,7 @@
 mod address;
 mod built_in;
 mod description;
+mod find;
 mod folder;
 #[cfg_attr(
     not(feature = "hub"),
@@ -13,14 +14,9 @@ mod hub;
 mod inputs;
 mod own_settings;
 
-use std::fmt;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
 pub use folder::{data_folder, models_folder};
 pub use hub::{FetchListener, FetchProgress, HubAccess, offline_variable};
-use hub::{GgufChoice, HubFiles, HubName, HubPlace};
 pub use inputs::ModelInputs;
 pub use own_settings::{Asking, NamedBy};
 
@@ -31,6 +27,10 @@ use super::{
     MemoryCheck, Mllm, MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat,
     export_model,
 };
+use hub::{GgufChoice, HubFiles, HubName, HubPlace};
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Finds and opens models.
 #[derive(Clone)]
@@ -73,16 +73,6 @@ fn connect(_: &str, settings: &EndpointSettings) -> Result<Box<dyn Mllm>, MllmEr
     Err(MllmError::Request { problem })
 }
 
-/// A model of the hub without a description. Its name in results is the last part of its word.
-fn of_hub(named: HubName) -> ModelSpec {
-    let word = named.word();
-    let last = match (&named.file, named.id.split_once('/')) {
-        (None, Some((owner, _))) => word[owner.len() + 1..].replace('/', "-"),
-        _ => word.rsplit('/').next().unwrap_or(&word).to_owned(),
-    };
-    ModelSpec::plain(last, ModelSource::of_hub(named))
-}
-
 fn no_files(spec: &ModelSpec, settings: &EndpointSettings) -> MllmError {
     MllmError::NoFiles {
         name: spec.name.clone(),
@@ -106,24 +96,6 @@ fn without_panic<T>(
             message,
         })
     })
-}
-
-fn is_gguf(path: &Path) -> bool {
-    path.extension()
-        .is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
-}
-
-/// Whether a word can be nothing but a path.
-fn is_path(path: &Path) -> bool {
-    let is_description = || {
-        path.extension()
-            .is_some_and(|extension| extension == "toml")
-    };
-    path.has_root()
-        || path.starts_with(".")
-        || path.starts_with("..")
-        || is_gguf(path)
-        || is_description()
 }
 
 impl ModelRegistry {
@@ -173,115 +145,6 @@ impl ModelRegistry {
     pub fn with_listener(mut self, listener: Arc<FetchListener>) -> Self {
         self.listener = Some(listener);
         self
-    }
-
-    /// The names of the described models, in the folder and in the program, sorted.
-    pub fn names(&self) -> Result<Vec<String>, MllmError> {
-        let failed = |source| MllmError::Read {
-            path: self.models.clone(),
-            source,
-        };
-        let embedded = EmbeddedModel::all().iter().map(|model| model.name);
-        let mut names: Vec<String> = embedded
-            .chain(built_in::names())
-            .map(str::to_owned)
-            .collect();
-        if self.models.is_dir() {
-            for entry in std::fs::read_dir(&self.models).map_err(failed)? {
-                let path = entry.map_err(failed)?.path();
-                if path
-                    .extension()
-                    .is_some_and(|extension| extension == "toml")
-                {
-                    names.extend(
-                        path.file_stem()
-                            .map(|stem| stem.to_string_lossy().into_owned()),
-                    );
-                }
-            }
-        }
-        names.sort();
-        names.dedup();
-        Ok(names)
-    }
-
-    fn unknown(&self, name: &str) -> MllmError {
-        let known = self.names().unwrap_or_default().join(", ");
-        MllmError::UnknownModel {
-            name: name.to_string(),
-            models: self.models.clone(),
-            known,
-        }
-    }
-
-    /// Finds a model. `name` is, in this order:
-    /// 1. the name of a description in the folder, then of one in the program,
-    /// 2. the path of a description, a model folder or a GGUF file,
-    /// 3. the address of a page of the hub (`https://huggingface.co/org/name`, `hf.co/org/name`),
-    /// 4. the address of a server (`http://127.0.0.1:8080/v1`), perhaps with `#` and its name of
-    ///    the model,
-    /// 5. a hub id, perhaps with a revision (`org/name@v1`), and with a GGUF file
-    ///    (`org/name/file.gguf`) or its weight format (`org/name:Q4_K_M`).
-    ///
-    /// [`Self::asking`] says how it is asked.
-    pub fn find(&self, name: &str) -> Result<ModelSpec, MllmError> {
-        if let Some(described) = self.description(name) {
-            return ModelSpec::open(&described);
-        }
-        if let Some(model) = EmbeddedModel::find(name) {
-            let source = ModelSource::Embedded {
-                embedded: name.to_owned(),
-            };
-            return Ok(ModelSpec {
-                source,
-                ..ModelSpec::parse(Path::new(name), model.description)?
-            });
-        }
-        if let Some(text) = built_in::find(name) {
-            return ModelSpec::parse(Path::new(name), text);
-        }
-        let path = Path::new(name);
-        if path
-            .extension()
-            .is_some_and(|extension| extension == "toml")
-            && path.is_file()
-        {
-            return ModelSpec::open(path);
-        }
-        if let Some(named) = hub::addressed(name) {
-            let named = named.map_err(|problem| MllmError::HubName {
-                word: name.to_owned(),
-                problem,
-            })?;
-            return Ok(of_hub(named));
-        }
-        if let Some(server) = address::server(name) {
-            return server;
-        }
-        let source = if !name.is_empty() && path.is_dir() {
-            // A repository's folder in the hub's cache stands for its snapshot.
-            ModelSource::Folder {
-                folder: hub::snapshot_in(path).unwrap_or_else(|| path.to_path_buf()),
-            }
-        } else if is_gguf(path) && path.is_file() {
-            ModelSource::File {
-                file: path.to_path_buf(),
-                mmproj: None,
-            }
-        } else if let Some(named) = hub::plain(name) {
-            return Ok(of_hub(named));
-        } else if is_path(path) {
-            return Err(MllmError::AbsentModel {
-                path: path.to_path_buf(),
-            });
-        } else {
-            return Err(self.unknown(name));
-        };
-        let last = path.file_name().map_or_else(
-            || name.to_string(),
-            |last| last.to_string_lossy().into_owned(),
-        );
-        Ok(ModelSpec::plain(last, source))
     }
 
     /// Where a model's files are; a hub model is downloaded if it is missing and downloads are
@@ -396,13 +259,6 @@ impl ModelRegistry {
         .asking(spec)
     }
 
-    /// The description of a name, if `models/` has one.
-    pub fn description(&self, name: &str) -> Option<PathBuf> {
-        let described = self.models.join(format!("{name}.toml"));
-        (!name.is_empty() && !name.contains(['/', '\\']) && described.is_file())
-            .then_some(described)
-    }
-
     /// Opens a model, or a connection to the server that computes it.
     ///
     /// # Errors
@@ -494,7 +350,7 @@ impl ModelRegistry {
             ) => ModelShape::of_hub(hub).ok_or(error)?.checkpoint(families)?,
             (here, _) => here?,
         };
-        ModelOutline::of(checkpoint, spec.image)
+        ModelOutline::from_checkpoint(checkpoint, spec.image)
     }
 
     /// Writes a model as GGUF with weights in `weight_format`, and how it is asked; [`GgufPart`]
@@ -567,205 +423,4 @@ impl ModelRegistry {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn registry() -> (tempfile::TempDir, ModelRegistry) {
-        let models = tempfile::tempdir().unwrap();
-        let described = "name = 'Nano'\narchitecture = 'llava'\nsource = { folder = 'weights' }\nprompt_set = 'compact'\n";
-        std::fs::write(models.path().join("nano.toml"), described).unwrap();
-        std::fs::write(models.path().join("broken.toml"), "name = 3").unwrap();
-        let registry = ModelRegistry::new(
-            models.path(),
-            HubAccess {
-                offline: true,
-                ..HubAccess::default()
-            },
-        );
-        (models, registry)
-    }
-
-    #[test]
-    fn names_folders_and_ids_are_found() {
-        let (models, registry) = registry();
-        let names = registry.names().unwrap();
-        assert!(
-            names.is_sorted()
-                && ["broken", "nano", "openai"]
-                    .iter()
-                    .all(|name| names.iter().any(|n| n == name))
-        );
-        let nano = registry.find("nano").unwrap();
-        assert_eq!(
-            (nano.name.as_str(), nano.prompt_set),
-            ("Nano", Some(PromptSet::Compact))
-        );
-        assert_eq!(
-            registry.place(&nano).unwrap(),
-            ModelPlace::Folder(models.path().join("weights"))
-        );
-        let by_path = models.path().join("nano.toml");
-        assert_eq!(registry.find(by_path.to_str().unwrap()).unwrap(), nano);
-        let folder = registry.find(models.path().to_str().unwrap()).unwrap();
-        assert_eq!(
-            folder.source,
-            ModelSource::Folder {
-                folder: models.path().to_path_buf()
-            }
-        );
-        let hub = registry.find("llava-hf/llava-1.5-7b-hf").unwrap();
-        assert_eq!(hub.name, "llava-1.5-7b-hf");
-        assert!(matches!(hub.source, ModelSource::Hub { file: None, .. }));
-        let in_hub = registry.find("org/repo/sub/model-q4_k.gguf").unwrap();
-        match in_hub.source {
-            ModelSource::Hub {
-                hub,
-                file: Some(file),
-                ..
-            } => {
-                assert_eq!(
-                    (hub.as_str(), file.as_str()),
-                    ("org/repo", "sub/model-q4_k.gguf")
-                );
-            }
-            other => panic!("{other:?}"),
-        }
-        for (word, name, shown) in [
-            ("org/repo:Q4_K_M", "repo:Q4_K_M", "org/repo:Q4_K_M"),
-            ("hf.co/org/repo:q8_0", "repo:q8_0", "org/repo:q8_0"),
-            (
-                "org/repo@refs/pr/1",
-                "repo@refs-pr-1",
-                "org/repo (refs/pr/1)",
-            ),
-            ("https://huggingface.co/org/repo", "repo", "org/repo"),
-            (
-                "https://huggingface.co/org/repo/blob/main/m-q4_k.gguf",
-                "m-q4_k.gguf",
-                "org/repo/m-q4_k.gguf",
-            ),
-        ] {
-            let spec = registry.find(word).unwrap();
-            assert_eq!(
-                (spec.name.as_str(), spec.source.to_string().as_str()),
-                (name, shown),
-                "{word}"
-            );
-        }
-        assert!(matches!(
-            registry.find("https://huggingface.co/spaces/org/app"),
-            Err(MllmError::HubName { .. })
-        ));
-        let file = models.path().join("model.gguf");
-        std::fs::write(&file, "GGUF").unwrap();
-        let here = registry.find(file.to_str().unwrap()).unwrap();
-        assert_eq!(here.source, ModelSource::File { file, mmproj: None });
-    }
-
-    #[cfg(feature = "nano")]
-    #[test]
-    fn the_embedded_nano_is_that_of_the_folder() {
-        let open = |models: &Path| {
-            let registry = ModelRegistry::new(
-                models,
-                HubAccess {
-                    offline: true,
-                    ..HubAccess::default()
-                },
-            );
-            registry
-                .open(&registry.find("nano").unwrap())
-                .unwrap()
-                .describe()
-        };
-        let nowhere = tempfile::tempdir().unwrap();
-        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
-        assert_eq!(open(nowhere.path()), open(&repository));
-    }
-
-    #[test]
-    fn the_descriptions_in_the_program_are_those_of_the_folder() {
-        let nowhere = tempfile::tempdir().unwrap();
-        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
-        let [bare, full] = [nowhere.path(), repository.as_path()]
-            .map(|models| ModelRegistry::new(models, HubAccess::default()));
-        assert_eq!(bare.names().unwrap(), full.names().unwrap());
-        for name in built_in::names() {
-            assert_eq!(bare.find(name).unwrap(), full.find(name).unwrap());
-        }
-    }
-
-    #[test]
-    fn every_description_that_ships_is_read() {
-        let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
-        let registry = ModelRegistry::new(
-            &models,
-            HubAccess {
-                offline: true,
-                ..HubAccess::default()
-            },
-        );
-        let names = registry.names().unwrap();
-        let servers = names
-            .iter()
-            .filter(|name| match registry.find(name).unwrap().source {
-                ModelSource::Endpoint(settings) => settings.url().is_ok(),
-                _ => false,
-            });
-        assert_eq!(servers.collect::<Vec<_>>(), ["local-server", "openai"]);
-        let openai = registry.find("openai").unwrap();
-        assert!(
-            matches!(registry.open(&openai), Err(MllmError::Offline { .. })),
-            "the network is off"
-        );
-        assert!(matches!(
-            registry.place(&openai),
-            Err(MllmError::NoFiles { .. })
-        ));
-        let local = registry
-            .open(&registry.find("local-server").unwrap())
-            .unwrap();
-        assert_eq!(local.describe().server.unwrap().model, "default");
-    }
-
-    #[test]
-    fn unknown_and_broken_models_are_errors() {
-        let (_models, registry) = registry();
-        match registry.find("nanoo") {
-            Err(MllmError::UnknownModel { known, .. }) => {
-                assert!(
-                    known.starts_with("broken, ") && known.contains(", nano, "),
-                    "{known}"
-                );
-            }
-            other => panic!("{other:?}"),
-        }
-        for name in ["", "a b", "a/b/c", "a.example:80/v1"] {
-            assert!(
-                matches!(registry.find(name), Err(MllmError::UnknownModel { .. })),
-                "{name}"
-            );
-        }
-        for name in [
-            "../no-such-folder/nano",
-            "/nowhere/nano",
-            "a/b/../c.gguf",
-            "nowhere.gguf",
-            "nowhere.toml",
-        ] {
-            assert!(
-                matches!(registry.find(name), Err(MllmError::AbsentModel { .. })),
-                "{name}"
-            );
-        }
-        assert!(matches!(
-            registry.find("broken"),
-            Err(MllmError::Description { .. })
-        ));
-        let nano = registry.find("nano").unwrap();
-        assert!(matches!(
-            registry.open(&nano),
-            Err(MllmError::MissingFile { .. })
-        ));
-    }
-}
+mod tests;

@@ -2,13 +2,11 @@
 //! metadata of its GGUF file. Training and `models quantize` write it, so that a model without a
 //! description is asked as it was trained.
 
-use std::fmt;
-
-use serde::{Deserialize, Serialize};
-
 use super::description::{GenerationSettings, PromptSet, with_new_name};
 use crate::MllmError;
 use crate::source::ModelPlace;
+use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// Name of the file.
 pub(super) const OWN_SETTINGS: &str = "planagent.json";

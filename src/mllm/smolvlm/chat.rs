@@ -1,8 +1,7 @@
 //! The text of an image in a chat: separators around and between its tiles.
 
-use std::fmt::Write as _;
-
 use crate::family::ImageLayout;
+use std::fmt::Write as _;
 
 const FRAME: &str = "<fake_token_around_image>";
 const WHOLE: &str = "<global-img>";

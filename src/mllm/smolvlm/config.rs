@@ -1,14 +1,12 @@
 //! `config.json` of a `SmolVLMForConditionalGeneration` or `Idefics3ForConditionalGeneration`
 //! checkpoint.
 
-use std::path::Path;
-
-use serde_json::{Value, json};
-
 use crate::MllmError;
 use crate::checkpoint::{
     ConfigObject, DecoderType, LlamaConfig, ModelFiles, VisionConfig, check_width,
 };
+use serde_json::{Value, json};
+use std::path::Path;
 
 /// A `SmolVLM`: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,12 +1,11 @@
 //! `SmolVLM` in llama.cpp's GGUF files.
 
-use serde_json::json;
-
 use crate::MllmError;
 use crate::gguf::names::{
     DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS,
 };
 use crate::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
+use serde_json::json;
 
 const NAMES: Names = Names {
     single: &[

@@ -10,18 +10,16 @@ mod tiles;
 #[cfg(test)]
 mod reference_tests;
 
-use candle_core::Tensor;
-
-use chat::image_text;
-use config::SmolVlmConfig;
-use tiles::TileProcessor;
-
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::family::Family;
 use super::tiled::{TileEncoder, TiledFamily, TiledModel};
 use super::vision::{SiglipVisionTower, merge_blocks};
+use candle_core::Tensor;
+use chat::image_text;
+use config::SmolVlmConfig;
 use planagent_kernels::Linear;
+use tiles::TileProcessor;
 
 const NAME: &str = "smolvlm";
 

@@ -1,8 +1,5 @@
 //! Parity with Hugging Face transformers and llama.cpp's files (`tests/fixtures/tiny_smolvlm`).
 
-use candle_core::Tensor;
-use serde_json::json;
-
 use super::config::SmolVlmConfig;
 use super::tiles::TileProcessor;
 use super::{FAMILY, SmolVlm, take};
@@ -12,6 +9,8 @@ use crate::local::test_faults::{Deviation, Fault, Parts};
 use crate::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
 use crate::local::test_reference::{Run, difference};
 use crate::tiled::{Grid, Tiler};
+use candle_core::Tensor;
+use serde_json::json;
 
 /// A processor for these sizes, pixels.
 fn processor(longest: u64, tile: u32) -> TileProcessor {
@@ -28,7 +27,7 @@ fn assembled(parts: &Parts) -> SmolVlm {
 
 #[test]
 fn features_logits_and_greedy_tokens_are_those_of_transformers() {
-    let prompts = Prompts::of("tiny_smolvlm");
+    let prompts = Prompts::from_fixture("tiny_smolvlm");
     for folder in [".", "hub_style"] {
         prompts.check(&prompts.open(folder, ImageSettings::default()), |name| {
             !is_unsplit(name)
@@ -39,7 +38,7 @@ fn features_logits_and_greedy_tokens_are_those_of_transformers() {
 
 #[test]
 fn llama_cpps_files_give_the_same() {
-    let prompts = Prompts::of("tiny_smolvlm");
+    let prompts = Prompts::from_fixture("tiny_smolvlm");
     prompts.check(&prompts.open_gguf(ImageSettings::default()), |name| {
         !is_unsplit(name)
     });
@@ -48,7 +47,7 @@ fn llama_cpps_files_give_the_same() {
 
 #[test]
 fn views_have_the_pixels_of_transformers() {
-    let prompts = Prompts::of("tiny_smolvlm");
+    let prompts = Prompts::from_fixture("tiny_smolvlm");
     let mut one = processor(48, 16);
     one.set_tiles(1).unwrap();
     let split = processor(48, 16);
@@ -70,7 +69,7 @@ fn views_have_the_pixels_of_transformers() {
 
 #[test]
 fn grids_of_tiles_are_those_of_transformers() {
-    let prompts = Prompts::of("tiny_smolvlm");
+    let prompts = Prompts::from_fixture("tiny_smolvlm");
     let tiles = json_of(&prompts.folder, "tiles.json");
     let cases = tiles["cases"].as_array().unwrap();
     assert!(cases.len() > 40);
@@ -166,22 +165,22 @@ fn features(rows: Tensor) -> ImageFeatures {
 
 #[test]
 fn errors_that_are_easily_made_lead_far_away() {
-    let Prompts { folder, .. } = Prompts::of("tiny_smolvlm");
+    let Prompts { folder, .. } = Prompts::from_fixture("tiny_smolvlm");
     let run = Run::open(&folder.join("reference.safetensors"), 0);
     Deviation::print_heading(&folder);
-    let right = assembled(&Parts::of(&folder));
+    let right = assembled(&Parts::from_folder(&folder));
     let encoded = |model: &SmolVlm, views: &[Tensor]| features(model.encode_views(views).unwrap());
-    Deviation::of(&run, &right, &encoded(&right, &run.pixels)).assert_none("nothing wrong");
+    Deviation::from_run(&run, &right, &encoded(&right, &run.pixels)).assert_none("nothing wrong");
     for (what, fault) in IMAGE_FAULTS {
         let model = assembled(&Parts::wrong(&folder, fault));
-        Deviation::of(&run, &model, &encoded(&model, &run.pixels)).assert_far(what);
+        Deviation::from_run(&run, &model, &encoded(&model, &run.pixels)).assert_far(what);
     }
     for (what, order) in WRONG_ORDERS {
-        Deviation::of(&run, &right, &shuffled(&right, &run, order)).assert_far(what);
+        Deviation::from_run(&run, &right, &shuffled(&right, &run, order)).assert_far(what);
     }
     let mut first = run.pixels.clone();
     first.rotate_right(1);
-    Deviation::of(&run, &right, &encoded(&right, &first)).assert_far("the whole view first");
+    Deviation::from_run(&run, &right, &encoded(&right, &first)).assert_far("the whole view first");
     let picture = image::open(folder.join("image_0.png")).unwrap().into_rgb8();
     let bicubic = json!({"size": {"longest_edge": 48}, "max_image_size": {"longest_edge": 16}, "resample": 3});
     let root = ConfigObject::root("".as_ref(), &bicubic).unwrap();
@@ -189,7 +188,7 @@ fn errors_that_are_easily_made_lead_far_away() {
         .unwrap()
         .views(&picture)
         .unwrap();
-    Deviation::of(&run, &right, &encoded(&right, &views))
+    Deviation::from_run(&run, &right, &encoded(&right, &views))
         .assert_far("bicubic in the place of Lanczos");
     for (what, fault) in [
         (
@@ -203,7 +202,7 @@ fn errors_that_are_easily_made_lead_far_away() {
         }),
     ] {
         let model = assembled(&Parts::wrong(&folder, fault));
-        Deviation::of(&run, &model, &encoded(&model, &run.pixels)).assert_logits_far(what);
+        Deviation::from_run(&run, &model, &encoded(&model, &run.pixels)).assert_logits_far(what);
     }
     assert_eq!(
         right.image_layout(40, 24).unwrap(),

@@ -1,14 +1,13 @@
 //! `SmolVLMImageProcessor` and `Idefics3ImageProcessor`: the image enlarged and cut into tiles,
 //! then the whole of it.
 
-use candle_core::Tensor;
-use image::RgbImage;
-use serde::Deserialize;
-
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, ModelFiles, Neutral};
 use crate::tiled::{Grid, Tiler};
 use crate::vision::{Filter, PixelScale, Side, check_tiles, read_processor, resize};
+use candle_core::Tensor;
+use image::RgbImage;
+use serde::Deserialize;
 
 /// Longest side of an image before it is cut, pixels (`MAX_IMAGE_SIZE` in transformers).
 const MAX_SIDE: u32 = 4096;

@@ -1,13 +1,12 @@
 //! Models whose files are compiled into the program.
 
-use std::fmt;
-use std::path::Path;
-
 use super::Checkpoint;
 use crate::MllmError;
 use crate::checkpoint::{ModelFiles, safetensors_folder};
 use crate::families::Families;
 use planagent_kernels::matrix::WeightFormat;
+use std::fmt;
+use std::path::Path;
 
 /// A model whose files are compiled into the program.
 #[derive(PartialEq, Eq)]
@@ -78,7 +77,7 @@ impl EmbeddedModel {
             .map(|&(name, text)| (name.to_owned(), text.to_owned()))
             .collect();
         let files = ModelFiles::packed(Path::new(self.name), texts);
-        let family = families.of(&files)?;
+        let family = families.detect_in(&files)?;
         let canonical_name = family.family().canonical_name;
         let weights = safetensors_folder::of_bytes(
             Path::new(self.name),

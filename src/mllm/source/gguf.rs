@@ -1,7 +1,5 @@
 //! Opens GGUF files as a model of a family.
 
-use std::path::Path;
-
 use super::Checkpoint;
 use crate::MllmError;
 use crate::checkpoint::{FileKind, ModelFiles, RowOrder, WeightFile, WeightFormatPlan, Weights};
@@ -11,6 +9,7 @@ use crate::gguf::{
     tokenizer, tower_beside,
 };
 use planagent_kernels::matrix::WeightFormat;
+use std::path::Path;
 
 /// The small file that every model of this program's own has.
 const CONFIG: &str = "config.json";
@@ -84,7 +83,7 @@ fn open_whole(
         )?;
     }
     Ok(Checkpoint {
-        family: families.of(&files)?,
+        family: families.detect_in(&files)?,
         files,
         weights,
     })
@@ -125,7 +124,7 @@ fn open_pair(
     }
     let mut files = ModelFiles::packed(model, texts);
     files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;
-    let family = families.of(&files)?;
+    let family = families.detect_in(&files)?;
     let layout = family.family().gguf.map_err(|lacking| {
         decoder.error(
             "general.architecture",

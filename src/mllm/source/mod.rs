@@ -7,8 +7,6 @@ mod random;
 mod shape;
 mod unread;
 
-use std::path::{Path, PathBuf};
-
 pub use embedded::EmbeddedModel;
 pub use shape::ModelShape;
 
@@ -18,6 +16,7 @@ use super::families::{Architecture, Families};
 use super::family::VisionLanguageModel;
 use super::gguf::{files as gguf_files, find as find_gguf, open_header, packed_files};
 use planagent_kernels::matrix::WeightFormat;
+use std::path::{Path, PathBuf};
 
 /// Where the files of a model are.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -147,7 +146,7 @@ impl Checkpoint {
         }
         unread::check_folder(folder)?;
         unread::check_config(&files)?;
-        let family = families.of(&files)?;
+        let family = families.detect_in(&files)?;
         let weights = safetensors_folder::open(folder, quantize, family.family().canonical_name)?;
         Ok(Self {
             family,

@@ -1,13 +1,5 @@
 //! Checkpoints with random weights, for benchmarks.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
-
-use candle_core::quantized::GgmlDType;
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64Mcg;
-
 use super::Checkpoint;
 use crate::MllmError;
 use crate::checkpoint::{
@@ -15,7 +7,13 @@ use crate::checkpoint::{
     is_matrix,
 };
 use crate::families::Families;
+use candle_core::quantized::GgmlDType;
 use planagent_kernels::matrix::{Matrix, WeightFormat};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Rows that the matrices of one width and format are composed of.
 const POOL: usize = 256;
@@ -116,7 +114,7 @@ pub(super) fn checkpoint(
     seed: u64,
     families: &Families,
 ) -> Result<Checkpoint, MllmError> {
-    let family = families.of(&files)?;
+    let family = families.detect_in(&files)?;
     let plan = WeightFormatPlan {
         quantize: Some(weight_format),
         kind: FileKind::Gguf,

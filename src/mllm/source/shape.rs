@@ -1,15 +1,13 @@
 //! The shapes of known models, for benchmarks with random weights.
 
-use std::collections::BTreeMap;
-use std::path::Path;
-
-use serde_json::{Map, Value, json};
-
 use super::{Checkpoint, DEFAULT_RANDOM_FORMAT, random};
 use crate::MllmError;
 use crate::checkpoint::ModelFiles;
 use crate::families::Families;
 use crate::gguf::tokenizer::added_token;
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
 
 /// A published model's configuration without its weights. Its outputs mean nothing, but it takes
 /// the same time.
@@ -105,7 +103,7 @@ impl ModelShape {
             .map(|(name, value)| (name, value.to_string()))
             .collect();
         let files = ModelFiles::packed(place, texts.clone());
-        let vocabulary = (families.of(&files)?.family().decoder_config)(&files)?.vocabulary;
+        let vocabulary = (families.detect_in(&files)?.family().decoder_config)(&files)?.vocabulary;
         let config = files.required_json("config.json")?;
         let image = config["image_token_index"]
             .as_u64()

@@ -1,10 +1,9 @@
 //! Forms of checkpoints that are not read, each with what to take instead.
 
-use std::path::Path;
-
 use super::ModelFiles;
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, read_json};
+use std::path::Path;
 
 /// The configuration of a `LoRA` adapter.
 const ADAPTER: &str = "adapter_config.json";

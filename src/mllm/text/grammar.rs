@@ -1,18 +1,16 @@
 //! Constrained decoding: the tokens that a grammar allows or determines next.
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
-
+use super::tokenizer::ChatTokenizer;
+use crate::{Constraint, MllmError};
 use llguidance::api::TopLevelGrammar;
 use llguidance::panic_utils::catch_unwind;
 use llguidance::{Matcher, ParserFactory, regex_to_lark};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 use tokenizers::Tokenizer;
 use toktrie::{
     InferenceCapabilities, SimpleVob, TokEnv, TokRxInfo, TokTrie, TokenId, TokenizerEnv,
 };
-
-use super::tokenizer::ChatTokenizer;
-use crate::{Constraint, MllmError};
 
 /// Maximum compiled grammars in the cache. A run uses fewer than ten.
 const MAX_GRAMMARS: usize = 64;

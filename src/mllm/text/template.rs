@@ -1,18 +1,16 @@
 //! The chat template of a model, which renders messages as the text that the model was trained on.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
-use minijinja::syntax::SyntaxConfig;
-use minijinja::value::Value;
-use minijinja::{Environment, Error, ErrorKind, context};
-use serde::Deserialize;
-
 use super::template_bounds::{
     BoundedText, MAX_CALLS, MAX_SOURCE_BYTES, MAX_STEPS, MAX_TAG_BYTES, longest_tag, on_deep_stack,
 };
 use crate::checkpoint::{ConfigObject, ModelFiles};
 use crate::{MllmError, Turn};
+use minijinja::syntax::SyntaxConfig;
+use minijinja::value::Value;
+use minijinja::{Environment, Error, ErrorKind, context};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 #[derive(Debug)]
 pub(crate) struct ChatTemplate {

@@ -1,15 +1,13 @@
 //! Conversion of text to token ids and back, by a model's `tokenizer.json`.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
-use serde::Deserialize;
-use tokenizers::Tokenizer;
-
 use super::token_bytes::token_bytes;
 use crate::MllmError;
 use crate::checkpoint::{ConfigObject, ModelFiles};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tokenizers::Tokenizer;
 
 /// The tokenizer of a model with the special tokens of its chat template.
 #[derive(Debug, Clone)]

@@ -1,15 +1,13 @@
 //! The child process: its limits, and what it says.
 
+use super::TrialRequest;
+use serde::{Deserialize, Serialize};
 use std::io::{self, Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::{Duration, Instant};
-
-use serde::{Deserialize, Serialize};
-
-use super::TrialRequest;
 
 /// Memory of the child process, bytes of address space. The tokenizer of 262 thousand tokens takes
 /// a third of it.

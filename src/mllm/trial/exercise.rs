@@ -1,8 +1,6 @@
 //! What the child process does with the files: all that a model's start does but for the weights,
 //! and texts of many kinds.
 
-use std::io::{self, Write};
-
 use super::TrialRequest;
 use super::child::Line;
 use crate::family::Chat;
@@ -10,6 +8,7 @@ use crate::local::end_tokens;
 use crate::source::Checkpoint;
 use crate::text::{ChatTokenizer, GrammarEngine};
 use crate::{Constraint, MllmError, Turn};
+use std::io::{self, Write};
 
 /// Repetitions of a word in a sample: a prompt with many agents has as many words.
 const REPEATED: usize = 500;

@@ -11,16 +11,15 @@ mod exercise;
 mod request;
 mod verdicts;
 
-use std::fmt;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
 pub use child::limit_this_process;
 pub use exercise::exercise;
 pub use request::TrialRequest;
 pub(crate) use request::{hash_file, small_files};
 
 use super::{Loading, MllmError, ModelPlace};
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use verdicts::Verdicts;
 
 /// Why the chat template and the tokenizer of a model may be opened in this process.
@@ -105,7 +104,7 @@ impl Trust {
     /// When nobody vouches for them, or they went beyond the limits of the child process that tried
     /// them.
     pub(crate) fn admit(&self, place: &ModelPlace, loading: &Loading) -> Result<(), MllmError> {
-        let Some(request) = TrialRequest::of(place, loading) else {
+        let Some(request) = TrialRequest::for_model(place, loading) else {
             return Ok(());
         };
         match self {

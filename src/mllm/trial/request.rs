@@ -1,13 +1,11 @@
 //! What a trial opens, and the digest of its content.
 
-use std::path::{Path, PathBuf};
-
-use serde::{Deserialize, Serialize};
-
 use crate::checkpoint::{MAX_SMALL_FILES, safetensors_folder, small_file_limit};
 use crate::gguf::{files as gguf_files, find as find_gguf, open_header};
 use crate::{Loading, MllmError, ModelPlace};
 use planagent_files::serde_path;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 
 /// Incremented when a trial tries something else.
 const VERSION: u32 = 1;
@@ -33,7 +31,7 @@ pub struct TrialRequest {
 
 impl TrialRequest {
     /// The files of a model; none for one that the program holds, or whose files do not exist.
-    pub(super) fn of(place: &ModelPlace, loading: &Loading) -> Option<Self> {
+    pub(super) fn for_model(place: &ModelPlace, loading: &Loading) -> Option<Self> {
         let tokenizer = loading.tokenizer.clone();
         let request = match place.clone() {
             ModelPlace::Folder(folder) => Self {

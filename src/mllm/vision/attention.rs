@@ -1,9 +1,8 @@
 //! Attention and class tokens of vision transformers.
 
-use candle_core::{Result, Tensor};
-
 use crate::MllmError;
 use crate::checkpoint::Weights;
+use candle_core::{Result, Tensor};
 use planagent_kernels::Linear;
 use planagent_kernels::attention::{
     AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend,
@@ -91,7 +90,7 @@ impl SelfAttention {
         let mut mixed = Vec::with_capacity(parts.len());
         for Part { tokens, rotary } in parts {
             let rows = qkv.narrow(0, first, *tokens)?;
-            mixed.push(Projected::of(&rows, shape, rotary.as_ref(), |rows| {
+            mixed.push(Projected::read(&rows, shape, rotary.as_ref(), |rows| {
                 let mut held = KeyValues::new(shape, Precision::Single);
                 held.write(rows, 0)?;
                 attend(rows, &held, AttentionMask::All { positions: *tokens })

@@ -1,12 +1,11 @@
 //! The CLIP vision transformer.
 
-use candle_core::Tensor;
-
 use super::attention::embed;
 use super::layer::{VisionLayer, hidden_states, take_layers};
 use super::patches::{take_patch_embedding, unfold};
 use crate::MllmError;
 use crate::checkpoint::{VisionConfig, Weights};
+use candle_core::Tensor;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;
 

@@ -1,11 +1,10 @@
 //! The layer of vision transformers with a norm before each part (CLIP, `SigLIP`, `InternViT`,
 //! Qwen3-VL).
 
-use candle_core::Tensor;
-
 use super::attention::{Part, SelfAttention};
 use crate::MllmError;
 use crate::checkpoint::{VisionConfig, Weights};
+use candle_core::Tensor;
 use planagent_kernels::Activation;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;

@@ -1,9 +1,8 @@
 //! The patches of an image: from pixels to rows, and from blocks of rows to wider rows.
 
-use candle_core::{Result, Tensor};
-
 use crate::MllmError;
 use crate::checkpoint::Weights;
+use candle_core::{Result, Tensor};
 use planagent_kernels::Linear;
 use planagent_kernels::matrix::Matrix;
 

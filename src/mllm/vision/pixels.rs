@@ -1,11 +1,10 @@
 //! Conversion of 8-bit pixels to the input of a vision tower.
 
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, positive};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
 use serde::Deserialize;
-
-use crate::MllmError;
-use crate::checkpoint::{ConfigObject, positive};
 
 /// Mean of the RGB channels in CLIP's training (`OPENAI_CLIP_MEAN` in transformers).
 const CLIP_MEAN: [f32; 3] = [0.481_454_66, 0.457_827_5, 0.408_210_73];

@@ -1,17 +1,15 @@
 //! The image processor of CLIP, which converts an RGB image to the input of the vision tower.
 
-use std::path::{Path, PathBuf};
-
+use super::pixels::{PixelScale, check_not_empty, check_picture};
+use super::resample::{Filter, resize};
+use crate::MllmError;
+use crate::checkpoint::{ConfigObject, ModelFiles, Neutral};
 use candle_core::Tensor;
 use image::RgbImage;
 use image::imageops;
 use serde::Deserialize;
 use serde_json::json;
-
-use super::pixels::{PixelScale, check_not_empty, check_picture};
-use super::resample::{Filter, resize};
-use crate::MllmError;
-use crate::checkpoint::{ConfigObject, ModelFiles, Neutral};
+use std::path::{Path, PathBuf};
 
 /// Default side of `CLIPImageProcessor`.
 const DEFAULT_SIDE: u32 = 224;

@@ -1,13 +1,12 @@
 //! The `SigLIP` vision transformer (Zhai et al., arXiv:2303.15343), whose layers are CLIP's. It has
 //! no class token.
 
-use candle_core::Tensor;
-
 use super::attention::Part;
 use super::layer::{VisionLayer, hidden_states, take_layers};
 use super::patches::{take_patch_embedding, unfold};
 use crate::MllmError;
 use crate::checkpoint::{VisionConfig, Weights};
+use candle_core::Tensor;
 use planagent_kernels::LayerNorm;
 use planagent_kernels::Linear;
 

@@ -182,7 +182,7 @@ pub struct AttemptTimes {
 impl CallRecord {
     /// The record of a call that `planner` made in a scenario; without challenge for a call outside
     /// of a simulation.
-    pub fn of(
+    pub fn from_call(
         scenario: &str,
         planner: &str,
         challenge: Option<Challenge>,
@@ -196,12 +196,20 @@ impl CallRecord {
             at_s: call.at_s,
             image_blake3: call.image_hash.clone(),
             scene_text: call.scene_text.clone(),
-            attempts: call.attempts.iter().map(AttemptRecord::of).collect(),
-            decision: DecisionRecord::of(&call.decision),
+            attempts: call
+                .attempts
+                .iter()
+                .map(AttemptRecord::from_attempt)
+                .collect(),
+            decision: DecisionRecord::from_decision(&call.decision),
             emergency_brakes: call.emergency_brakes,
             time: TimeRecord {
-                call: CallTimes::of(call),
-                attempts: call.attempts.iter().map(AttemptTimes::of).collect(),
+                call: CallTimes::from_call(call),
+                attempts: call
+                    .attempts
+                    .iter()
+                    .map(AttemptTimes::from_attempt)
+                    .collect(),
             },
             active_from: call.active_from,
             aborted_lane_change: call.aborted_lane_change,
@@ -228,30 +236,40 @@ impl CallRecord {
 }
 
 impl AttemptRecord {
-    fn of(attempt: &Attempt) -> Self {
+    fn from_attempt(attempt: &Attempt) -> Self {
         Self {
             rounds: attempt.rounds.clone(),
             instruction: attempt.instruction,
-            code: attempt.answer.map(LineRecord::of),
+            code: attempt.answer.map(LineRecord::from_answer),
             errors: attempt.errors.clone(),
-            reflection: attempt.reflection.as_ref().map(ReflectionRecord::of),
-            proposals: attempt.proposals.iter().map(ProposalRecord::of).collect(),
+            reflection: attempt
+                .reflection
+                .as_ref()
+                .map(ReflectionRecord::from_report),
+            proposals: attempt
+                .proposals
+                .iter()
+                .map(ProposalRecord::from_proposal)
+                .collect(),
         }
     }
 }
 
 impl ProposalRecord {
-    fn of(proposal: &Proposal) -> Self {
-        let reflection = proposal.reflection.as_ref().map(ReflectionRecord::of);
+    fn from_proposal(proposal: &Proposal) -> Self {
+        let reflection = proposal
+            .reflection
+            .as_ref()
+            .map(ReflectionRecord::from_report);
         Self {
-            code: LineRecord::of(proposal.answer),
+            code: LineRecord::from_answer(proposal.answer),
             reflection,
         }
     }
 }
 
 impl LineRecord {
-    fn of(answer: PlannerAnswer) -> Self {
+    fn from_answer(answer: PlannerAnswer) -> Self {
         let text = answer.to_string();
         match answer {
             PlannerAnswer::Assistance(assistance) => {
@@ -278,7 +296,7 @@ impl LineRecord {
 }
 
 impl ReflectionRecord {
-    fn of(report: &ReflectionReport) -> Self {
+    fn from_report(report: &ReflectionReport) -> Self {
         let ReflectionReport {
             score,
             parts,
@@ -298,7 +316,7 @@ impl ReflectionRecord {
 }
 
 impl DecisionRecord {
-    pub(super) fn of(decision: &Decision) -> Self {
+    pub(super) fn from_decision(decision: &Decision) -> Self {
         let words = |why: &NoPlan| (why.cause().to_owned(), why.to_string());
         match decision.kind() {
             DecisionKind::Execute(attempt) => Self::Execute { attempt },
@@ -331,7 +349,7 @@ impl DecisionRecord {
 }
 
 impl AttemptTimes {
-    fn of(attempt: &Attempt) -> Self {
+    fn from_attempt(attempt: &Attempt) -> Self {
         let reasoning: f64 = attempt.rounds.iter().map(|round| round.time.total).sum();
         Self {
             rounds: attempt.rounds.iter().map(|round| round.time).collect(),
@@ -373,7 +391,7 @@ mod tests {
         let calls = planner.take_calls();
         assert!(calls.len() >= 7);
         for call in &calls {
-            let record = CallRecord::of(
+            let record = CallRecord::from_call(
                 &scenario.id,
                 name.as_str(),
                 Some(Challenge::NonReactive),

@@ -50,7 +50,7 @@ pub fn decision_words(call: &PlanningCall) -> String {
         one_code: is_one(call.attempts.iter().map(Attempt::line)),
     };
     refused.words(
-        &DecisionRecord::of(&call.decision),
+        &DecisionRecord::from_decision(&call.decision),
         call.aborted_lane_change == Some(call.iteration),
     )
 }

@@ -44,7 +44,7 @@ pub struct JudgedMetric {
 impl Judgement {
     /// The verdict of a report; `lane_change` says whether its λ is that of plans that begin a lane
     /// change or stay in a blocked lane.
-    pub fn of(report: &ReflectionReport, lane_change: bool) -> Self {
+    pub fn from_report(report: &ReflectionReport, lane_change: bool) -> Self {
         let metrics = metrics(report);
         let executed = report.verdict == Verdict::Execute;
         let reason = reason(report, &metrics, lane_change);
@@ -248,7 +248,7 @@ mod tests {
             time_to_collision: 0.0,
             ..GOOD
         };
-        let judged = Judgement::of(&report(slow, 0.333), false);
+        let judged = Judgement::from_report(&report(slow, 0.333), false);
         assert!(!judged.executed);
         assert_eq!(
             judged.reason,
@@ -260,7 +260,7 @@ mod tests {
             progress: 0.0,
             ..GOOD
         };
-        let judged = Judgement::of(&report(hit, 0.0), true);
+        let judged = Judgement::from_report(&report(hit, 0.0), true);
         assert!(
             judged
                 .reason
@@ -268,13 +268,13 @@ mod tests {
             "{}",
             judged.reason
         );
-        let good = Judgement::of(&report(GOOD, 1.0), false);
+        let good = Judgement::from_report(&report(GOOD, 1.0), false);
         assert_eq!(
             (good.executed, good.reason.as_str()),
             (true, "1.00 is not below 0.75, the threshold")
         );
         assert_eq!(good.metrics.len(), GOOD.named().len());
-        let scarcely = Judgement::of(&report(slow, 0.7496), false);
+        let scarcely = Judgement::from_report(&report(slow, 0.7496), false);
         assert!(
             scarcely
                 .reason

@@ -43,7 +43,7 @@ impl CompactParts {
     };
 
     /// Those of the planning calls of a simulation.
-    pub(super) fn of(calls: &[PlanningCall]) -> Self {
+    pub(super) fn from_calls(calls: &[PlanningCall]) -> Self {
         let forms = calls.iter().find_map(|call| call.forms);
         let asked = calls
             .iter()

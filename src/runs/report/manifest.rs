@@ -1,6 +1,7 @@
 //! `manifest.toml`: what a run consists of, written before its first simulation.
 
 use super::inputs::{AcceptedChanges, Inputs};
+use super::renamed;
 use planagent_files::serde_path;
 use planagent_scenario::MissingTokens;
 use schemars::JsonSchema;
@@ -51,7 +52,8 @@ pub struct Manifest {
     /// The prompts that the model is asked with; none if no planner needs one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prompts: Option<PromptList>,
-    /// The resolved configuration with its seed.
+    /// The resolved configuration with its seed; settings have the names of now.
+    #[serde(deserialize_with = "renamed::deserialize")]
     #[schemars(with = "Map<String, Value>")]
     pub config: toml::Table,
     /// Digests of what the run reads; none in runs of earlier versions.
@@ -165,7 +167,7 @@ impl Manifest {
     pub fn differences(&self, now: &Self) -> Vec<String> {
         let other_planners = self.planners != now.planners;
         let only_one_has_model = self.model.is_some() != now.model.is_some();
-        let (then, now) = (self.flat(), now.flat());
+        let (then, now) = (self.flat(&self.config), now.flat(&now.config));
         let mut keys: Vec<&String> = then.iter().map(|(key, _)| key).collect();
         keys.extend(
             now.iter()
@@ -215,14 +217,14 @@ impl Manifest {
     /// BLAKE3 of all settings. The inputs are compared file by file.
     pub fn digest(&self) -> String {
         ScenarioList::digest(
-            self.flat()
+            self.flat(&renamed::with_names_of_before(&self.config))
                 .into_iter()
                 .map(|(key, value)| format!("{key}={value}")),
         )
     }
 
-    /// Every value that determines the results, by its dotted key.
-    fn flat(&self) -> Vec<(String, String)> {
+    /// Every value that determines the results, by its dotted key, with this configuration.
+    fn flat(&self, config: &toml::Table) -> Vec<(String, String)> {
         let mut all = vec![
             ("result_version".to_owned(), self.result_version.to_string()),
             (PLANNERS.to_owned(), self.planners.join(",")),
@@ -253,10 +255,7 @@ impl Manifest {
             .shard
             .map(|shard| format!("{}/{}", shard.index, shard.of));
         all.extend(shard.map(|shard| ("scenarios.shard".to_owned(), shard)));
-        for (section, table) in [
-            ("model", self.model.as_ref()),
-            ("config", Some(&self.config)),
-        ] {
+        for (section, table) in [("model", self.model.as_ref()), ("config", Some(config))] {
             flatten(section, table.into_iter().flatten(), &mut all);
         }
         all
@@ -402,6 +401,34 @@ mod tests {
             newer.differences(&older)[1]
                 .starts_with("4 settings that only the run has: config.reflection.a")
         );
+    }
+
+    #[test]
+    fn a_run_with_settings_of_before_is_the_same_run() {
+        let mut now = manifest();
+        now.config = "[agent]\ninterval_s = 3.0\nblocked_interval_s = 0.5"
+            .parse()
+            .unwrap();
+        let written = toml::to_string(&now).unwrap();
+        let before = written
+            .replace("[config.agent]", "[config.reasoning]")
+            .replace("interval_s = 3.0", "interval = 30")
+            .replace("blocked_interval_s = 0.5", "blocked_interval = 5");
+        let before: Manifest = toml::from_str(&before).unwrap();
+        assert_eq!(before, now);
+        assert!(before.differences(&now).is_empty());
+        // Folders of study runs have this digest in their names.
+        let lines = [
+            "result_version=1",
+            "planners=idm",
+            "challenges=closed_loop_nonreactive_agents",
+            "scenarios.count=2",
+            &format!("scenarios.blake3={}", now.scenarios.blake3),
+            "config.reasoning.blocked_interval=5",
+            "config.reasoning.interval=30",
+        ];
+        // An empty section has no line.
+        assert_eq!(now.digest(), ScenarioList::digest(lines));
     }
 
     #[test]

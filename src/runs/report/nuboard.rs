@@ -28,7 +28,7 @@ struct NuBoardFile {
 }
 
 impl NuBoardFile {
-    fn of(challenge: Challenge) -> Self {
+    fn for_challenge(challenge: Challenge) -> Self {
         Self {
             simulation_main_path: challenge.to_string(),
             metric_main_path: format!("../{challenge}"),
@@ -43,7 +43,7 @@ impl NuBoardFile {
 /// is one `run_simulation` of the devkit.
 pub(super) fn write_nuboard(folder: &Path, challenge: Challenge) -> Result<(), ReportError> {
     let path = folder.join(NUBOARD);
-    let bytes = serde_pickle::to_vec(&NuBoardFile::of(challenge), SerOptions::new());
+    let bytes = serde_pickle::to_vec(&NuBoardFile::for_challenge(challenge), SerOptions::new());
     atomic::write(
         &path,
         &bytes

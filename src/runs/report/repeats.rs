@@ -14,7 +14,7 @@ pub(super) enum Repeat {
 
 impl Repeat {
     /// The first attempt that the attempt with this index repeats.
-    pub(super) fn of(attempts: &[Attempt], index: usize) -> Option<Self> {
+    pub(super) fn find(attempts: &[Attempt], index: usize) -> Option<Self> {
         let (attempt, before) = (attempts.get(index)?, attempts.get(..index)?);
         let code = attempt.line()?;
         let answers = |attempt: &Attempt| {

@@ -43,7 +43,7 @@ pub(super) fn write(
             metrics: outcome.metrics.iter().map(without_negative_zeros).collect(),
         };
         write_toml(&unfinished.join(METRICS), &metrics)?;
-        Replay::of(outcome).write(&unfinished)?;
+        Replay::from_outcome(outcome).write(&unfinished)?;
     }
     let row = SimulationRow {
         files: digests(&unfinished)?,
@@ -157,7 +157,7 @@ fn write_calls(
     let path = folder.join(CALLS);
     let mut lines = String::new();
     for call in &outcome.calls {
-        let value = CallRecord::of(
+        let value = CallRecord::from_call(
             &record.scenario,
             record.planner.as_str(),
             Some(record.challenge),

@@ -153,7 +153,7 @@ impl SimulationRow {
                 calls: calls
                     .iter()
                     .filter(|call| !call.is_gated())
-                    .map(CallTimes::of)
+                    .map(CallTimes::from_call)
                     .collect(),
             },
             metrics: metrics

@@ -15,7 +15,7 @@ pub struct Spread {
 
 impl Spread {
     /// `None` without values.
-    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+    pub fn from_values(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
         let (min, max) = (*values.first()?, *values.last()?);
         let middle = |place: usize| values.get(place).copied().unwrap_or(max);

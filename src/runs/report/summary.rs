@@ -173,7 +173,7 @@ pub(super) fn aggregated<'a>(
     rows: impl Iterator<Item = &'a SimulationRow>,
 ) -> Vec<AggregateRow> {
     let scored: Vec<_> = rows.filter_map(SimulationRow::scenario_row).collect();
-    aggregate(&scored, &Weighting::of(challenge.metric_list()))
+    aggregate(&scored, &Weighting::for_list(challenge.metric_list()))
 }
 
 fn mean(

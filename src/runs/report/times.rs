@@ -26,7 +26,7 @@ pub struct CallTimes {
 
 impl CallTimes {
     /// The times of one call.
-    pub fn of(call: &PlanningCall) -> Self {
+    pub fn from_call(call: &PlanningCall) -> Self {
         let rounds = || call.attempts.iter().flat_map(|attempt| &attempt.rounds);
         Self {
             environment: call.environment_ms,
@@ -69,7 +69,7 @@ pub struct Quantiles {
 
 impl Quantiles {
     /// Quantiles by nearest rank; `None` for an empty list.
-    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+    pub fn from_values(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
         let rank = |share: f64| {
             let place = (share * values.len() as f64).ceil() as usize;
@@ -88,11 +88,11 @@ mod tests {
 
     #[test]
     fn quantiles_are_values_that_occurred() {
-        let q = Quantiles::of((1..=20).map(f64::from).collect()).unwrap();
+        let q = Quantiles::from_values((1..=20).map(f64::from).collect()).unwrap();
         assert!((q.p50 - 10.0).abs() < 1e-12 && (q.p95 - 19.0).abs() < 1e-12);
-        assert_eq!(Quantiles::of(vec![]), None);
+        assert_eq!(Quantiles::from_values(vec![]), None);
         assert_eq!(
-            Quantiles::of(vec![3.0]),
+            Quantiles::from_values(vec![3.0]),
             Some(Quantiles { p50: 3.0, p95: 3.0 })
         );
     }

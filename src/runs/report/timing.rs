@@ -88,7 +88,8 @@ impl Timing {
             .flat_map(|row| &row.time.calls)
             .copied()
             .collect();
-        let part = |of: fn(&CallTimes) -> f64| Quantiles::of(calls.iter().map(of).collect());
+        let part =
+            |of: fn(&CallTimes) -> f64| Quantiles::from_values(calls.iter().map(of).collect());
         Self {
             session,
             planning_calls: calls.len(),
@@ -103,7 +104,7 @@ impl Timing {
             },
             planners: distinct(rows.iter().map(|row| &row.planner))
                 .into_iter()
-                .map(|planner| PlannerTiming::of(planner, rows))
+                .map(|planner| PlannerTiming::from_rows(planner, rows))
                 .collect(),
             simulation_times: rows
                 .iter()
@@ -113,7 +114,7 @@ impl Timing {
                     planner: row.planner.clone(),
                     challenge: row.challenge,
                     planner_s: row.time.planner_s.iter().sum(),
-                    iteration_ms: Quantiles::of(
+                    iteration_ms: Quantiles::from_values(
                         row.time.planner_s.iter().map(|s| s * 1e3).collect(),
                     ),
                 })
@@ -124,7 +125,7 @@ impl Timing {
 
 impl PlannerTiming {
     /// The times of a planner's simulations among `rows`.
-    pub(super) fn of(planner: &str, rows: &[SimulationRow]) -> Self {
+    pub(super) fn from_rows(planner: &str, rows: &[SimulationRow]) -> Self {
         let own = || rows.iter().filter(|row| row.planner == planner);
         let steps: Vec<f64> = own()
             .flat_map(|row| &row.time.planner_s)
@@ -139,9 +140,9 @@ impl PlannerTiming {
             iterations: steps.len(),
             mean_iteration_ms: (!steps.is_empty())
                 .then(|| steps.iter().sum::<f64>() / steps.len() as f64),
-            iteration_ms: Quantiles::of(steps),
+            iteration_ms: Quantiles::from_values(steps),
             planning_calls: calls.len(),
-            planning_call_ms: Quantiles::of(calls),
+            planning_call_ms: Quantiles::from_values(calls),
         }
     }
 }

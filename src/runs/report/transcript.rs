@@ -37,7 +37,7 @@ pub fn transcript(
     for part in &score.parts {
         let _ = writeln!(text, "| `{}` | {:.4} |", part.name, part.score);
     }
-    let key = CompactParts::of(&outcome.calls).key();
+    let key = CompactParts::from_calls(&outcome.calls).key();
     if !key.is_empty() {
         let _ = write!(
             text,
@@ -91,7 +91,7 @@ fn call_markdown(
             call.emergency_brakes
         );
     }
-    let time = CallTimes::of(call);
+    let time = CallTimes::from_call(call);
     let _ = writeln!(
         text,
         "Time: {:.1} ms (environment {:.1}, image {:.1}, prefill {:.1}, decode {:.1}, server {:.1}, reflection {:.1}).",
@@ -113,7 +113,7 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
         return String::new();
     };
     let mut text = String::new();
-    let repeat = Repeat::of(attempts, index);
+    let repeat = Repeat::find(attempts, index);
     if let Some(Repeat::Answers(of)) = repeat {
         for round in new_prompts(attempts, of, attempt) {
             let _ = writeln!(text, "*{}*\n\n{}\n", round.round, fenced(&round.prompt));

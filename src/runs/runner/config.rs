@@ -1,5 +1,6 @@
 //! The configuration of a run.
 
+use crate::report::RenamedSetting;
 use planagent_agent::environment::BevView;
 use planagent_agent::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use planagent_agent::planner::{
@@ -10,6 +11,10 @@ use planagent_mllm::{Trust, WeightFormat};
 use planagent_world::STEP_S;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use toml::de::DeTable;
+
+/// Longest time between two planning calls, seconds.
+const MAX_INTERVAL_S: f64 = 100.0;
 
 /// The configuration, in the sections of its file. `planagent.toml` at the root of the project has
 /// every key with its default.
@@ -119,6 +124,14 @@ impl Config {
         let place = path.display().to_string();
         let text = planagent_files::read_text(&path, planagent_files::MAX_SETTINGS_BYTES)
             .map_err(|source| ConfigError::Read { path, source })?;
+        if let Ok(settings) = text.parse::<toml::Table>() {
+            check_names(&settings, |old| line_of(&text, old.section, old.name)).map_err(
+                |fault| ConfigError::Value {
+                    place: place.clone(),
+                    fault,
+                },
+            )?;
+        }
         let parsed = toml::from_str::<Self>(&text);
         parsed
             .map_err(|source| ConfigError::Parse {
@@ -140,6 +153,10 @@ impl Config {
             place: place(),
             source: Box::new(source),
         };
+        check_names(settings, |_| None).map_err(|fault| ConfigError::Value {
+            place: place(),
+            fault,
+        })?;
         let mut table = toml::Table::try_from(self)?;
         overlay(&mut table, settings.clone());
         let mut config = table.try_into::<Self>().map_err(parse_error)?;
@@ -178,8 +195,6 @@ impl Config {
             },
             reflection: self.reflection.clone(),
             learned: self.learned.clone(),
-            plan_interval_s: self.reasoning.interval as f64 * STEP_S,
-            blocked_interval_s: self.reasoning.blocked_interval as f64 * STEP_S,
             seed: self.seed,
         }
     }
@@ -223,6 +238,13 @@ impl Config {
                     .to_owned(),
             );
         }
+        for (key, value) in [
+            ("agent.interval_s", self.agent.interval_s),
+            ("agent.blocked_interval_s", self.agent.blocked_interval_s),
+        ] {
+            within(key, value, STEP_S..=MAX_INTERVAL_S)?;
+            check_whole_iterations(key, value)?;
+        }
         within("agent.gate", self.agent.gate.unwrap_or(0.0), 0.0..=1.0)?;
         within(
             "environment.view_m",
@@ -247,16 +269,6 @@ impl Config {
             1.0..=100.0,
         )?;
         within(
-            "reasoning.interval",
-            reasoning.interval as f64,
-            1.0..=1000.0,
-        )?;
-        within(
-            "reasoning.blocked_interval",
-            reasoning.blocked_interval as f64,
-            1.0..=1000.0,
-        )?;
-        within(
             "reasoning.rethink_temperature",
             reasoning.rethink_temperature,
             0.0..=10.0,
@@ -270,6 +282,52 @@ impl Config {
         }
         Ok(())
     }
+}
+
+/// Refuses a duration that is no whole number of iterations: a planning call is made at one.
+fn check_whole_iterations(key: &str, value_s: f64) -> Result<(), String> {
+    /// Iterations that a decimal fraction may be off as a binary number.
+    const ROUNDING: f64 = 1e-6;
+    let iterations = value_s / STEP_S;
+    if (iterations - iterations.round()).abs() < ROUNDING {
+        return Ok(());
+    }
+    let [below, above] = [iterations.floor(), iterations.ceil()].map(|n| n * STEP_S);
+    Err(format!(
+        "{key} is {value_s} s; it must be a multiple of {STEP_S} s, the time between two iterations, \
+         for example {below:.1} or {above:.1}"
+    ))
+}
+
+/// Refuses settings by names that they no longer have; `line_of` knows the line of a key.
+fn check_names(
+    settings: &toml::Table,
+    line_of: impl Fn(&RenamedSetting) -> Option<usize>,
+) -> Result<(), String> {
+    let faults: Vec<String> = RenamedSetting::all_in(settings)
+        .iter()
+        .map(|setting| match line_of(setting) {
+            Some(line) => format!("line {line}: {setting}"),
+            None => setting.to_string(),
+        })
+        .collect();
+    if faults.is_empty() {
+        Ok(())
+    } else {
+        Err(faults.join("; "))
+    }
+}
+
+/// The line of a key of a section in a text of TOML, from 1.
+fn line_of(text: &str, section: &str, name: &str) -> Option<usize> {
+    let document = DeTable::parse(text).ok()?.into_inner();
+    let section = document
+        .iter()
+        .find(|(key, _)| key.get_ref().as_ref() == section)?
+        .1;
+    let mut keys = section.get_ref().as_table()?.keys();
+    let key = keys.find(|key| key.get_ref().as_ref() == name)?;
+    Some(text.get(..key.span().start)?.matches('\n').count() + 1)
 }
 
 /// Replaces values of a table by those of another; tables within are merged.
@@ -309,6 +367,7 @@ fn collect_changes(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use planagent_agent::reflection::steps_of;
 
     #[test]
     fn settings_are_laid_over_and_checked() {
@@ -323,11 +382,61 @@ mod tests {
         assert_eq!((other.seed, other.reflection.max_exec), (7, 1));
         for wrong in [
             "environment.bov = false",
-            "reasoning.interval = 'often'",
-            "reasoning.interval = 0",
+            "agent.interval_s = 'often'",
+            "agent.interval_s = 0",
+            "agent.interval_s = nan",
+            "agent.blocked_interval_s = 100.1",
         ] {
             assert!(overlaid(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn intervals_are_whole_numbers_of_iterations() {
+        let set = |value: &str| {
+            let settings = format!("agent.interval_s = {value}");
+            Config::default().overlaid(&settings.parse().unwrap())
+        };
+        for iterations in 1..=1000 {
+            let value = format!("{}.{}", iterations / 10, iterations % 10);
+            let config = set(&value).unwrap();
+            assert_eq!(steps_of(config.agent.interval_s), iterations, "{value}");
+        }
+        assert_eq!(set("3").unwrap().agent.interval_s, 3.0);
+        let refused = |value: &str| set(value).unwrap_err().to_string();
+        let text = refused("0.55");
+        assert!(
+            text.contains("agent.interval_s is 0.55 s")
+                && text.contains("multiple of 0.1 s")
+                && text.contains("0.5 or 0.6"),
+            "{text}"
+        );
+        for value in ["0.05", "2.001", "0.1001"] {
+            refused(value);
+        }
+    }
+
+    #[test]
+    fn an_old_name_is_refused_with_the_new_one_its_value_and_its_line() {
+        let text = "seed = 1\n[reasoning]\n# Two seconds.\ninterval = 20\nblocked_interval = 5\n";
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("planagent.toml");
+        std::fs::write(&file, text).unwrap();
+        let of_file = Config::load(Some(&file)).unwrap_err().to_string();
+        for part in [
+            "planagent.toml: line 4: reasoning.interval is agent.interval_s now",
+            "write agent.interval_s = 2.0;",
+            "line 5: reasoning.blocked_interval",
+            "write agent.blocked_interval_s = 0.5",
+        ] {
+            assert!(of_file.contains(part), "{part} in: {of_file}");
+        }
+        let overlaid = Config::default().overlaid(&text.parse().unwrap());
+        let overlaid = overlaid.unwrap_err().to_string();
+        assert!(
+            overlaid.contains("write agent.interval_s = 2.0"),
+            "{overlaid}"
+        );
     }
 
     #[test]

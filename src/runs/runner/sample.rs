@@ -26,7 +26,7 @@ pub struct NoSuchType {
 
 impl Sample {
     /// The scenarios that it takes of `found`.
-    pub(super) fn of(&self, found: Vec<ScenarioRef>) -> Result<Vec<ScenarioRef>, NoSuchType> {
+    pub(super) fn draw(&self, found: Vec<ScenarioRef>) -> Result<Vec<ScenarioRef>, NoSuchType> {
         let mut scenarios = self.of_types(found)?;
         if let Some(seed) = self.shuffle {
             // The order of two scenarios depends on nothing but the seed and their names.
@@ -185,7 +185,7 @@ mod tests {
                     limit: Some(limit),
                     ..Sample::default()
                 }
-                .of(scenarios())
+                .draw(scenarios())
                 .unwrap(),
             )
         };
@@ -202,7 +202,7 @@ mod tests {
                 types: vec![kind.to_owned()],
                 ..Sample::default()
             }
-            .of(scenarios())
+            .draw(scenarios())
         };
         assert_eq!(names(&of("c").unwrap()), ["c/0", "c/1", "c/2"]);
         let error = of("d").unwrap_err();
@@ -214,15 +214,15 @@ mod tests {
 
     #[test]
     fn modified_scenarios_are_found_by_both_types_and_taken_evenly_from_both() {
-        let modification = ModifiedName::of(InteractionKind::JaywalkingPedestrian)
+        let modification = ModifiedName::for_kind(InteractionKind::JaywalkingPedestrian)
             .read()
             .unwrap();
         let modified: Vec<ScenarioRef> = scenarios()
             .into_iter()
-            .map(|one| modification.of(one))
+            .map(|one| modification.modify(one))
             .collect();
         let taken = |sample: Sample| {
-            names(&sample.of(modified.clone()).unwrap())
+            names(&sample.draw(modified.clone()).unwrap())
                 .join(" ")
                 .replace("~jaywalking_pedestrian", "")
         };
@@ -250,7 +250,7 @@ mod tests {
                     shuffle: Some(seed),
                     ..Sample::default()
                 }
-                .of(found)
+                .draw(found)
                 .unwrap(),
             )
         };

@@ -307,7 +307,7 @@ pub fn select(
             "{count} scenarios are named more than once and simulated once, for example {first}"
         ));
     }
-    let sources = sample.of(sources)?;
+    let sources = sample.draw(sources)?;
     check_ids(&sources)?;
     if sources.is_empty() {
         return Err(RunnerError::NoScenario);

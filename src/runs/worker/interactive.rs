@@ -82,7 +82,7 @@ pub fn split(name: &str, readers: &Readers) -> Option<Result<Split, SplitError>>
     };
     if name == GENERATED {
         let scenarios = found(words.into_iter().map(str::to_owned).collect());
-        return Some(scenarios.map(Split::of).map_err(Into::into));
+        return Some(scenarios.map(Split::from_scenarios).map_err(Into::into));
     }
     let data = std::env::var_os(DATA)
         .filter(|folder| !folder.is_empty())
@@ -113,7 +113,7 @@ pub fn split(name: &str, readers: &Readers) -> Option<Result<Split, SplitError>>
     } else {
         Vec::new()
     };
-    let split = |scenarios| Split::of(scenarios).lacking(missing, notes);
+    let split = |scenarios| Split::from_scenarios(scenarios).lacking(missing, notes);
     Some(found(here).map(split).map_err(Into::into))
 }
 
@@ -185,12 +185,14 @@ pub fn draw_recorded(data: &Path, readers: &Readers) -> Result<Vec<String>, Read
 }
 
 fn modification(kind: InteractionKind) -> Result<ReadModification, ReaderError> {
-    ModifiedName::of(kind).read().map_err(ReaderError::new)
+    ModifiedName::for_kind(kind)
+        .read()
+        .map_err(ReaderError::new)
 }
 
 /// The word of a scenario that a modification fits, with so much road before the next intersection.
 fn fitting(modification: &ReadModification, base: ScenarioRef, road_m: f64) -> Option<String> {
-    let modified = modification.of(base);
+    let modified = modification.modify(base);
     let opened = modified.open().ok()?;
     to_intersection(&opened)
         .is_none_or(|road| road >= road_m)
@@ -237,7 +239,7 @@ mod tests {
         for (chunk, kind) in words.chunks(SCENARIOS).zip(InteractionKind::ALL) {
             for word in chunk {
                 let (base, name) = ModifiedName::in_word(word).unwrap();
-                assert_eq!(name, ModifiedName::of(kind));
+                assert_eq!(name, ModifiedName::for_kind(kind));
                 let spec: Spec = base.parse().unwrap();
                 assert!(
                     Seeds::Test.seeds().contains(&spec.seed) && seen.insert(spec),

@@ -59,6 +59,7 @@ const REFINEMENT_COST: f64 = 0.5;
 
 /// What each lane change costs that is left to the goal's lane after the horizon: what a modified
 /// scene's score loses where one was needed and none was made.
+/// Why: docs/decisions/116-goal-lane.md.
 const GOAL_COST: f64 = 0.2;
 
 /// A simulated planner.
@@ -274,7 +275,7 @@ impl Present<'_> {
         let Some(goal) = self.graph.goal else {
             return 0;
         };
-        let last = GoalLane::of(&future.scene());
+        let last = GoalLane::from_scene(&future.scene());
         last.map_or_else(
             || goal.left_after(centerline.lane_changes()),
             |last| last.changes.unsigned_abs(),

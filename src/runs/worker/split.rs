@@ -46,13 +46,13 @@ pub fn split(
         let scenarios = of_base
             .scenarios
             .iter()
-            .map(|scenario| modification.of(scenario.clone()))
+            .map(|scenario| modification.modify(scenario.clone()))
             .collect();
         return Ok(of_base.with(scenarios, file));
     }
     if let Some(suite) = Suite::named(name) {
         let scenarios = suite.specs().into_iter().map(Into::into).collect();
-        return Ok(Split::of(scenarios));
+        return Ok(Split::from_scenarios(scenarios));
     }
     if let Some(split) = interactive::split(name, readers) {
         return split;

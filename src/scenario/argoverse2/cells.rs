@@ -9,7 +9,7 @@ use arrow_array::types::{
 use arrow_array::{Array, ArrowPrimitiveType};
 
 /// Cells of a column of one primitive type.
-fn of<T: ArrowPrimitiveType, V>(
+fn cells_of<T: ArrowPrimitiveType, V>(
     column: &dyn Array,
     value: impl Fn(T::Native) -> Option<V>,
 ) -> Option<Vec<Option<V>>> {
@@ -23,14 +23,14 @@ fn of<T: ArrowPrimitiveType, V>(
 }
 
 pub(super) fn integers(column: &dyn Array) -> Option<Vec<Option<i64>>> {
-    of::<Int64Type, _>(column, Some)
-        .or_else(|| of::<Int32Type, _>(column, |value| Some(value.into())))
-        .or_else(|| of::<Int16Type, _>(column, |value| Some(value.into())))
-        .or_else(|| of::<Int8Type, _>(column, |value| Some(value.into())))
-        .or_else(|| of::<UInt64Type, _>(column, |value| value.try_into().ok()))
-        .or_else(|| of::<UInt32Type, _>(column, |value| Some(value.into())))
-        .or_else(|| of::<UInt16Type, _>(column, |value| Some(value.into())))
-        .or_else(|| of::<UInt8Type, _>(column, |value| Some(value.into())))
+    cells_of::<Int64Type, _>(column, Some)
+        .or_else(|| cells_of::<Int32Type, _>(column, |value| Some(value.into())))
+        .or_else(|| cells_of::<Int16Type, _>(column, |value| Some(value.into())))
+        .or_else(|| cells_of::<Int8Type, _>(column, |value| Some(value.into())))
+        .or_else(|| cells_of::<UInt64Type, _>(column, |value| value.try_into().ok()))
+        .or_else(|| cells_of::<UInt32Type, _>(column, |value| Some(value.into())))
+        .or_else(|| cells_of::<UInt16Type, _>(column, |value| Some(value.into())))
+        .or_else(|| cells_of::<UInt8Type, _>(column, |value| Some(value.into())))
 }
 
 pub(super) fn numbers(column: &dyn Array) -> Option<Vec<Option<f64>>> {
@@ -42,9 +42,9 @@ pub(super) fn numbers(column: &dyn Array) -> Option<Vec<Option<f64>>> {
                 .collect(),
         )
     };
-    of::<Float64Type, _>(column, Some)
-        .or_else(|| of::<Float32Type, _>(column, |value| Some(value.into())))
-        .or_else(|| of::<Float16Type, _>(column, |value| Some(value.into())))
+    cells_of::<Float64Type, _>(column, Some)
+        .or_else(|| cells_of::<Float32Type, _>(column, |value| Some(value.into())))
+        .or_else(|| cells_of::<Float16Type, _>(column, |value| Some(value.into())))
         .or_else(whole)
 }
 

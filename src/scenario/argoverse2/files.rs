@@ -22,7 +22,7 @@ pub(super) struct SensorFiles {
 
 impl LogFiles {
     /// The log in a folder. Fails if the folder is no log or a file of it is missing.
-    pub(super) fn of(folder: &Path) -> Result<Self, Argoverse2Error> {
+    pub(super) fn in_folder(folder: &Path) -> Result<Self, Argoverse2Error> {
         let missing = |file| Argoverse2Error::at(folder)(LogFault::Missing(file));
         let poses = folder.join(POSES);
         if poses.is_file() {

@@ -3,7 +3,7 @@
 //! * The recording car is the track `AV`. Its position is the origin of its frame, the rear axle,
 //!   since it does not move sideways in bends. The positions of other tracks are the centers of
 //!   their boxes.
-//! * The dataset has no sizes. They are those of typical road users ([`RoadUser::of`]).
+//! * The dataset has no sizes. They are those of typical road users ([`RoadUser::from_word`]).
 //! * Velocities are those recorded, also the ego's: its positions are smoothed and drift within the
 //!   first and last second of a scenario. Static kinds have no velocity, as in nuPlan.
 
@@ -34,7 +34,7 @@ struct RoadUser {
 
 impl RoadUser {
     /// By object type; `None` if unknown.
-    fn of(word: &str) -> Option<Self> {
+    fn from_word(word: &str) -> Option<Self> {
         let (kind, length, width) = match word {
             "vehicle" => (ObjectKind::Vehicle, 4.6, 2.0),
             "bus" => (ObjectKind::Vehicle, 12.0, 2.6),
@@ -70,7 +70,7 @@ impl Tracks {
             .into_iter()
             .enumerate()
             .map(|(row, word)| {
-                RoadUser::of(&word).ok_or(LogFault::Category {
+                RoadUser::from_word(&word).ok_or(LogFault::Category {
                     column: "object_type",
                     row,
                     word,

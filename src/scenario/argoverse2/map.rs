@@ -172,7 +172,7 @@ fn centerline(segment: &LaneSegment, origin: Vector) -> Result<Option<Trace>, Lo
     let mut longest: f64 = 0.0;
     for side in &sides {
         // Invalid points are an error, whatever the length of the boundary.
-        let trace = Trace::of(segment.id, side, origin)?;
+        let trace = Trace::from_points(segment.id, side, origin)?;
         longest = longest.max(trace.map_or(0.0, |trace| trace.line.length()));
     }
     let count = ((longest / SAMPLE_STEP).ceil() as usize + 1).max(MIN_SAMPLES);
@@ -185,7 +185,7 @@ fn centerline(segment: &LaneSegment, origin: Vector) -> Result<Option<Trace>, Lo
         .zip(&right)
         .map(|(l, r)| nalgebra::center(l, r))
         .collect();
-    Ok(Trace::of(segment.id, &middle, origin)?)
+    Ok(Trace::from_points(segment.id, &middle, origin)?)
 }
 
 /// `count` points at equal distances along a line, both ends included. All are equal if the line is
@@ -268,7 +268,7 @@ fn road_edges(
     for area in file.drivable_areas.values() {
         let ring = places(&area.area_boundary);
         for (from, to) in ring.iter().zip(ring.iter().cycle().skip(1)) {
-            let Some(trace) = Trace::of(area.id, &[*from, *to], origin)? else {
+            let Some(trace) = Trace::from_points(area.id, &[*from, *to], origin)? else {
                 continue;
             };
             let line: &Polyline = &trace.line;

@@ -46,14 +46,14 @@ use std::path::Path;
 
 pub fn open(folder: &Path) -> Result<Scenario, Argoverse2Error> {
     let id = name(folder);
-    match LogFiles::of(folder)? {
+    match LogFiles::in_folder(folder)? {
         LogFiles::Sensor(files) => sensor::scenario(&files, id),
         LogFiles::Forecasting { tracks, map } => forecasting::scenario(&tracks, &map, id),
     }
 }
 
 pub fn contents(folder: &Path) -> Result<Contents, Argoverse2Error> {
-    match LogFiles::of(folder)? {
+    match LogFiles::in_folder(folder)? {
         LogFiles::Sensor(files) => sensor::contents(&files),
         LogFiles::Forecasting { tracks, map } => forecasting::contents(&tracks, &map),
     }

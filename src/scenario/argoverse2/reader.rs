@@ -45,7 +45,7 @@ impl OpenScenario for Log {
     }
 
     fn files(&self) -> Vec<PathBuf> {
-        LogFiles::of(&self.0)
+        LogFiles::in_folder(&self.0)
             .map(LogFiles::paths)
             .unwrap_or_default()
     }

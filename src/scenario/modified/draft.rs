@@ -14,9 +14,9 @@ use planagent_world::{
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// The straight way of an actor across a lane.
+/// The straight path of an actor across a lane.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct CrossingWay {
+pub(super) struct CrossingPath {
     /// Where it meets the lane, meters ahead of the ego's center.
     pub(super) ahead_m: f64,
     pub(super) lane: LanePlace,
@@ -84,9 +84,10 @@ impl Draft {
         let first = scenario
             .frame(0)
             .ok_or_else(|| unfit("the scenario has no frames"))?;
-        let lanes = EgoLanes::of(&scenario.map, &scenario.route, &first.ego).ok_or_else(|| {
-            unfit("the ego starts on no lane, and places are relative to its lane")
-        })?;
+        let lanes =
+            EgoLanes::from_route(&scenario.map, &scenario.route, &first.ego).ok_or_else(|| {
+                unfit("the ego starts on no lane, and places are relative to its lane")
+            })?;
         let draws = Draws::new(
             &scenario.id,
             &modification.drawn_by,
@@ -162,23 +163,23 @@ impl Draft {
         &mut self,
         kind: ObjectKind,
         size: (f64, f64),
-        way: CrossingWay,
+        path: CrossingPath,
     ) -> Result<(), Fault> {
         let pose = self
             .lanes
-            .place(&self.scenario.map, way.ahead_m, way.lane)?
+            .place(&self.scenario.map, path.ahead_m, path.lane)?
             .pose;
         let beside = |left_m: f64| pose.translated(0.0, left_m).position();
         let actor = CrossingActor {
             token: self.token(),
             kind,
             size,
-            from: beside(way.from_left_m),
-            to: beside(way.to_left_m),
-            speed: way.speed,
+            from: beside(path.from_left_m),
+            to: beside(path.to_left_m),
+            speed: path.speed,
             along: Arc::new(self.lanes.path.centerline.clone()),
-            at_s: self.lanes.start_s + way.ahead_m,
-            trigger_m: way.trigger_m,
+            at_s: self.lanes.start_s + path.ahead_m,
+            trigger_m: path.trigger_m,
         };
         self.crossing.push(actor);
         Ok(())

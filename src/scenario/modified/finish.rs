@@ -53,7 +53,7 @@ pub(super) fn finish(draft: Draft, modification: &Modification) -> Result<Scenar
         }
     }
     set_ego(&mut draft);
-    remove_in_the_way(&mut draft);
+    remove_on_path(&mut draft);
     let moving = with_room(&draft);
     let behaviors = moving
         .iter()
@@ -154,7 +154,7 @@ fn set_ego(draft: &mut Draft) {
 }
 
 /// Leaves out logged vehicles that drive through what stands.
-fn remove_in_the_way(draft: &mut Draft) {
+fn remove_on_path(draft: &mut Draft) {
     let meets = |object: &&TrackedObject| {
         draft
             .standing

@@ -92,7 +92,7 @@ pub(super) struct EgoLanes {
 
 impl EgoLanes {
     /// The lanes around the ego; `None` where it is on no lane.
-    pub(super) fn of(map: &LaneMap, route: &Route, ego: &EgoState) -> Option<Self> {
+    pub(super) fn from_route(map: &LaneMap, route: &Route, ego: &EgoState) -> Option<Self> {
         let center = ego.center();
         let on_route: Vec<LaneId> = map
             .lanes_at(center.position())

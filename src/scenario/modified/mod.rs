@@ -37,7 +37,7 @@ use lanes::EgoLanes;
 /// `None` where there is none, or the ego is on no lane.
 pub fn to_intersection(scenario: &Scenario) -> Option<f64> {
     let ego = scenario.expert().next()?;
-    EgoLanes::of(&scenario.map, &scenario.route, ego)?.to_intersection(&scenario.map)
+    EgoLanes::from_route(&scenario.map, &scenario.route, ego)?.to_intersection(&scenario.map)
 }
 
 /// The scenario with the changes of a modification; `seed` beside that of the file draws other

@@ -129,7 +129,7 @@ fn goal(draft: &Draft, command: Command) -> Result<GoalPath, Fault> {
         })
         .count();
     lanes.truncate(count.max(1));
-    let path = LanePath::of(map, lanes).ok_or_else(unknown)?;
+    let path = LanePath::from_lanes(map, lanes).ok_or_else(unknown)?;
     let from_s = path.centerline.project(draft.ego().center().position()).s;
     let length = path.centerline.length() - from_s;
     let mut roadblocks: Vec<RoadblockId> =

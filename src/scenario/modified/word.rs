@@ -43,7 +43,7 @@ enum Source {
 
 impl ModifiedName {
     /// A built-in kind.
-    pub fn of(kind: InteractionKind) -> Self {
+    pub fn for_kind(kind: InteractionKind) -> Self {
         Self {
             source: Source::Kind(kind),
             seed: 0,
@@ -160,7 +160,7 @@ pub struct ReadModification {
 impl ReadModification {
     /// The modified scenario of a reference: its word ends in the modification, its id in the name
     /// of that.
-    pub fn of(&self, source: ScenarioRef) -> ScenarioRef {
+    pub fn modify(&self, source: ScenarioRef) -> ScenarioRef {
         let id = source.id().map(|id| self.id(id));
         let kind = self.modification.kind;
         let modified_source = ModifiedSource {

@@ -105,7 +105,7 @@ impl Extraction {
         duration_us: 20_000_000,
     };
 
-    pub fn of(scenario_type: &str) -> Self {
+    pub fn for_type(scenario_type: &str) -> Self {
         if MAPPED_TYPES.binary_search(&scenario_type).is_ok() {
             Self::MAPPED
         } else {
@@ -129,13 +129,13 @@ mod tests {
     fn the_mapping_covers_its_types_and_no_others() {
         assert!(MAPPED_TYPES.is_sorted(), "binary search needs order");
         assert_eq!(
-            Extraction::of("changing_lane").window(10_000_000),
+            Extraction::for_type("changing_lane").window(10_000_000),
             (7_000_000, 22_000_000)
         );
         assert_eq!(
-            Extraction::of(UNKNOWN_TYPE).window(10_000_000),
+            Extraction::for_type(UNKNOWN_TYPE).window(10_000_000),
             (10_000_000, 30_000_000)
         );
-        assert_eq!(Extraction::of("changing_lan"), Extraction::UNMAPPED);
+        assert_eq!(Extraction::for_type("changing_lan"), Extraction::UNMAPPED);
     }
 }

@@ -76,7 +76,7 @@ pub(super) fn read(
         "{location} {version}, EPSG:{}, origin ({}, {})",
         layers.epsg, origin.x, origin.y
     );
-    let ids = Ids::of(path, &layers)?;
+    let ids = Ids::from_layers(path, &layers)?;
     let mut lanes = ids.lanes(&mut layers)?;
     lanes.extend(ids.connectors(&mut layers)?);
     let open_ends = ids.link(&layers, &mut lanes);
@@ -128,7 +128,7 @@ struct Ids<'a> {
 }
 
 impl<'a> Ids<'a> {
-    fn of(path: &'a Path, layers: &Layers) -> Result<Self, NuPlanError> {
+    fn from_layers(path: &'a Path, layers: &Layers) -> Result<Self, NuPlanError> {
         let (lanes, blocks) = (layers.lanes.len(), layers.lane_groups.len());
         let lane_fids = layers.lanes.iter().map(|row| row.fid);
         let connector_fids = layers.connectors.iter().map(|row| row.fid);

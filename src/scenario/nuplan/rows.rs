@@ -45,7 +45,7 @@ impl Rows {
             token: found.token,
             fault,
         };
-        let (start, end) = Extraction::of(&found.scenario_type).window(found.timestamp_us);
+        let (start, end) = Extraction::for_type(&found.scenario_type).window(found.timestamp_us);
         let mut window = Vec::new();
         let inside = format!(
             "WHERE timestamp >= ?1 AND timestamp <= ?2 AND {OF_SENSOR} ORDER BY timestamp, lidar_pc.rowid"

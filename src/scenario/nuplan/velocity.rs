@@ -14,7 +14,7 @@ const MAX_SPAN_S: f64 = 1.0;
 
 /// A track in a frame.
 #[derive(Clone, Copy)]
-struct Sighted {
+struct TrackedCenter {
     frame: usize,
     time_us: i64,
     center: Point,
@@ -33,7 +33,7 @@ pub(super) fn derive_missing(frames: &mut [Frame]) -> usize {
     if tracks.is_empty() {
         return 0;
     }
-    let mut places: BTreeMap<TrackToken, Vec<Sighted>> = BTreeMap::new();
+    let mut places: BTreeMap<TrackToken, Vec<TrackedCenter>> = BTreeMap::new();
     for (number, frame) in frames.iter().enumerate() {
         for object in frame
             .objects
@@ -41,7 +41,7 @@ pub(super) fn derive_missing(frames: &mut [Frame]) -> usize {
             .filter(|object| tracks.contains(&object.token))
         {
             let center = object.shape.center.position();
-            let seen = Sighted {
+            let seen = TrackedCenter {
                 frame: number,
                 time_us: frame.ego.time_us,
                 center,
@@ -74,7 +74,7 @@ pub(super) fn derive_missing(frames: &mut [Frame]) -> usize {
 }
 
 /// The velocity of a track in a frame; `places` are in order of time.
-fn velocity(places: &[Sighted], frame: usize) -> Vector {
+fn velocity(places: &[TrackedCenter], frame: usize) -> Vector {
     let own = places.partition_point(|place| place.frame < frame);
     let at = |place: usize| places.get(place).copied();
     let before = own.checked_sub(1).and_then(at);
@@ -83,7 +83,7 @@ fn velocity(places: &[Sighted], frame: usize) -> Vector {
         (before, at(own)),
         (at(own), at(own + 1)),
     ];
-    let over = |(from, to): (Option<Sighted>, Option<Sighted>)| {
+    let over = |(from, to): (Option<TrackedCenter>, Option<TrackedCenter>)| {
         let (from, to) = (from?, to?);
         let seconds = (to.time_us - from.time_us) as f64 / MICROS_PER_SECOND;
         (seconds > 0.0 && seconds <= MAX_SPAN_S).then(|| (to.center - from.center) / seconds)

@@ -16,7 +16,7 @@ const CROSSING_ANGLE: f64 = std::f64::consts::PI / 12.0;
 
 /// Pairs of lanes (smaller index first) whose centerlines cross on one level at 15° to 165°.
 pub(crate) fn crossings(lanes: &[RecordedLane]) -> BTreeSet<(usize, usize)> {
-    let segments = Segments::of(lanes.iter().map(|lane| &lane.trace));
+    let segments = Segments::from_traces(lanes.iter().map(|lane| &lane.trace));
     let mut pairs = BTreeSet::new();
     for a in segments.list() {
         let along = a.to - a.from;
@@ -116,7 +116,7 @@ pub(crate) fn intersections(
     clusters: &[Cluster],
     areas: &[Polygon],
 ) -> Vec<Polygon> {
-    let edges = Segments::of(edges);
+    let edges = Segments::from_traces(edges);
     clusters
         .iter()
         .filter(|cluster| cluster.intersection)

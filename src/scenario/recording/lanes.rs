@@ -16,7 +16,7 @@ impl Side {
     pub(crate) const BOTH: [Self; 2] = [Self::Left, Self::Right];
 
     /// The unit vector to this side of a direction.
-    pub(crate) fn of(self, direction: Vector) -> Vector {
+    pub(crate) fn normal(self, direction: Vector) -> Vector {
         let left = Vector::new(-direction.y, direction.x);
         match self {
             Self::Left => left,

@@ -5,10 +5,12 @@ use planagent_world::{LaneId, LaneMap, RoadblockId};
 
 /// Minimum length of the route beyond the last recorded pose, meters: a trajectory of 8 s, from
 /// wherever a simulation of 15 s can have taken the ego.
+/// Why: docs/decisions/110-routes-of-recordings.md.
 const MIN_LENGTH: f64 = 200.0;
 /// Time at the speed limit that the route covers beyond that pose, seconds.
 const SECONDS: f64 = 20.0;
 /// Length over which the turns of two successors are compared, meters: across an intersection.
+/// Why: docs/decisions/110-routes-of-recordings.md.
 const COMPARED: f64 = 30.0;
 /// Maximum number of lanes over which they are compared.
 const MAX_COMPARED: usize = 6;

@@ -27,7 +27,7 @@ pub(crate) struct Trace {
 
 impl Trace {
     /// `None` without two distinct points; such features exist and bound nothing.
-    pub(crate) fn of(
+    pub(crate) fn from_points(
         feature: i64,
         points: &[Place],
         origin: Vector,
@@ -140,7 +140,7 @@ pub(crate) struct Segments {
 
 impl Segments {
     /// The segments of the n-th line have owner n.
-    pub(crate) fn of<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
+    pub(crate) fn from_traces<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
         let mut list = Vec::new();
         for (owner, trace) in traces.into_iter().enumerate() {
             for (i, pair) in trace.line.vertices().windows(2).enumerate() {
@@ -221,7 +221,9 @@ mod tests {
             .iter()
             .map(|&(x, y, z)| Place::new(x, y, z))
             .collect();
-        Trace::of(1, &points, Vector::zeros()).unwrap().unwrap()
+        Trace::from_points(1, &points, Vector::zeros())
+            .unwrap()
+            .unwrap()
     }
 
     #[test]
@@ -241,7 +243,7 @@ mod tests {
     fn rays_stop_at_the_first_line_of_their_level() {
         let near_bridge = trace(&[(-5.0, 2.0, 8.0), (5.0, 2.0, 8.0)]);
         let far = trace(&[(-5.0, 3.0, 0.0), (5.0, 3.0, 0.0)]);
-        let segments = Segments::of([&near_bridge, &far]);
+        let segments = Segments::from_traces([&near_bridge, &far]);
         let ray = Ray {
             from: Point::origin(),
             direction: Vector::y(),
@@ -260,7 +262,7 @@ mod tests {
     #[test]
     fn points_far_away_are_refused() {
         let points = [Place::origin(), Place::new(f64::NAN, 0.0, 0.0)];
-        let fault = Trace::of(9, &points, Vector::zeros()).unwrap_err();
+        let fault = Trace::from_points(9, &points, Vector::zeros()).unwrap_err();
         assert_eq!(
             fault,
             RecordingFault::NoPlace {
@@ -269,7 +271,7 @@ mod tests {
             }
         );
         assert!(
-            Trace::of(9, &points[..1], Vector::zeros())
+            Trace::from_points(9, &points[..1], Vector::zeros())
                 .unwrap()
                 .is_none()
         );

@@ -25,8 +25,8 @@ pub(super) fn beside_lanes(
     clusters: &[Cluster],
     areas: &[Polygon],
 ) -> Vec<Polygon> {
-    let edges = Segments::of(&map.edges);
-    let centerlines = Segments::of(map.lanes.iter().map(|lane| &lane.trace));
+    let edges = Segments::from_traces(&map.edges);
+    let centerlines = Segments::from_traces(map.lanes.iter().map(|lane| &lane.trace));
     let hulls: Vec<Option<Polygon>> = clusters
         .iter()
         .map(|cluster| hull(&cluster.lanes, areas))
@@ -71,7 +71,7 @@ fn width_of_road(
     hull: Option<&Polygon>,
 ) -> f64 {
     let from = lane.trace.line.point_at(s);
-    let direction = side.of(lane.trace.direction_at(s));
+    let direction = side.normal(lane.trace.direction_at(s));
     let ray = Ray {
         from,
         direction,

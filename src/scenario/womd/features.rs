@@ -70,19 +70,21 @@ impl MapFeatures {
                     local_points(id, &places_of(&lane.polyline), origin)?;
                 }
                 Some(FeatureData::Lane(lane)) => {
-                    match Trace::of(id, &places_of(&lane.polyline), origin)? {
+                    match Trace::from_points(id, &places_of(&lane.polyline), origin)? {
                         Some(trace) => drivable.push((id, lane, trace)),
                         None => drop(passages.insert(id, &lane.exit_lanes)),
                     }
                 }
                 Some(FeatureData::RoadLine(line)) => {
-                    if let Some(trace) = Trace::of(id, &places_of(&line.polyline), origin)? {
+                    if let Some(trace) = Trace::from_points(id, &places_of(&line.polyline), origin)?
+                    {
                         line_places.insert(id, lines.len());
                         lines.push(trace);
                     }
                 }
                 Some(FeatureData::RoadEdge(edge)) => {
-                    if let Some(trace) = Trace::of(id, &places_of(&edge.polyline), origin)? {
+                    if let Some(trace) = Trace::from_points(id, &places_of(&edge.polyline), origin)?
+                    {
                         line_places.insert(id, lines.len());
                         lines.push(trace.clone());
                         edges.push(trace);
@@ -141,7 +143,7 @@ pub(super) fn lane_count(features: &[MapFeature]) -> usize {
                 let origin = places
                     .first()
                     .map_or_else(Vector::zeros, |place| place.coords.xy());
-                Trace::of(feature.id, &places, origin).is_ok_and(|trace| trace.is_some())
+                Trace::from_points(feature.id, &places, origin).is_ok_and(|trace| trace.is_some())
             }
             _ => false,
         });

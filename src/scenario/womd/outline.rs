@@ -106,14 +106,14 @@ impl Strip {
         let line = &lane.trace.line;
         let stations = self.stations.iter().zip(self.reach.at(side));
         stations
-            .map(|(&s, &reach)| line.point_at(s) + side.of(lane.trace.direction_at(s)) * reach)
+            .map(|(&s, &reach)| line.point_at(s) + side.normal(lane.trace.direction_at(s)) * reach)
             .collect()
     }
 }
 
 pub(super) fn lane_areas(map: &MapFeatures, connector: &[bool]) -> Vec<Polygon> {
-    let centerlines = Segments::of(map.lanes.iter().map(|lane| &lane.trace));
-    let lines = Segments::of(&map.lines);
+    let centerlines = Segments::from_traces(map.lanes.iter().map(|lane| &lane.trace));
+    let lines = Segments::from_traces(&map.lines);
     let lane_strips: Vec<Option<Strip>> = (0..map.lanes.len())
         .map(|place| {
             (!connector[place]).then(|| lane_strip(map, place, connector, &centerlines, &lines))
@@ -155,7 +155,7 @@ fn lane_strip(
         let along = lane.trace.direction_at(s);
         let ray = Ray {
             from: lane.trace.line.point_at(s),
-            direction: side.of(along),
+            direction: side.normal(along),
             height: lane.trace.height_at(s),
             reach: MAX_HALF,
         };

@@ -1,13 +1,12 @@
 //! The bytes of a file of records: as they are, or unpacked from GZIP or ZLIB, the two compressions
 //! that TFRecord's own library writes.
 
+use super::tfrecord::is_header;
 use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 use planagent_files::{KIND_BYTES, kind_of};
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
-
-use super::tfrecord::is_header;
 
 /// First bytes of GZIP.
 const GZIP: &[u8] = b"\x1f\x8b";

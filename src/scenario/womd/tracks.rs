@@ -31,7 +31,7 @@ struct BoxState {
 }
 
 impl BoxState {
-    fn of(state: &ObjectState, origin: Vector) -> Option<Self> {
+    fn from_state(state: &ObjectState, origin: Vector) -> Option<Self> {
         let center = Pose::new(
             state.center_x.unwrap_or_default() - origin.x,
             state.center_y.unwrap_or_default() - origin.y,
@@ -71,7 +71,7 @@ pub(super) fn first_position(track: &Track) -> Option<Point> {
     let seen = track
         .states
         .iter()
-        .find_map(|state| BoxState::of(state, Vector::zeros()));
+        .find_map(|state| BoxState::from_state(state, Vector::zeros()));
     seen.map(|state| state.center.position())
 }
 
@@ -120,7 +120,7 @@ pub(super) fn ego_states(
     let seen: Vec<Option<BoxState>> = track
         .states
         .iter()
-        .map(|state| BoxState::of(state, origin))
+        .map(|state| BoxState::from_state(state, origin))
         .collect();
     let boxes = fill_gaps(&seen, times_us)?;
     let seconds: Vec<f64> = times_us
@@ -197,7 +197,7 @@ pub(super) fn objects_at(
 /// A state as nuPlan's object. Cyclists are bicycles. Other types are generic objects, which are
 /// static in nuPlan: their velocity is zero.
 fn object(track: &Track, state: &ObjectState, origin: Vector) -> Option<TrackedObject> {
-    let BoxState { center, velocity } = BoxState::of(state, origin)?;
+    let BoxState { center, velocity } = BoxState::from_state(state, origin)?;
     let (length, width) = (f64::from(state.length), f64::from(state.width));
     let has_size = length > 0.0 && length < MAX_BOX && width > 0.0 && width < MAX_BOX;
     let kind = match ObjectType::try_from(track.object_type) {

@@ -110,7 +110,7 @@ impl CollisionGroup {
     pub const ALL: [Self; 3] = [Self::Vru, Self::Vehicle, Self::Object];
 
     /// The group of a kind of object.
-    pub fn of(kind: ObjectKind) -> Self {
+    pub fn from_kind(kind: ObjectKind) -> Self {
         match kind {
             ObjectKind::Pedestrian | ObjectKind::Bicycle => Self::Vru,
             ObjectKind::Vehicle => Self::Vehicle,

@@ -34,7 +34,7 @@ pub struct DrivenLanes {
 
 impl DrivenLanes {
     /// The lanes along a sequence of ego states.
-    pub fn of(map: &LaneMap, states: &[EgoState]) -> Self {
+    pub fn from_states(map: &LaneMap, states: &[EgoState]) -> Self {
         let centers: Vec<Pose> = states.iter().map(EgoState::center).collect();
         let corners = corner_routes(map, states);
         let agreement = corners.iter().map(|lanes| agreement(map, lanes)).collect();

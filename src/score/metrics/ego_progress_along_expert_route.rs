@@ -36,7 +36,7 @@ pub fn ego_progress_along_expert_route(
     states: &[EgoState],
     expert: &[EgoState],
 ) -> MetricResult {
-    result(states, Progress::of(map, states, expert).as_ref())
+    result(states, Progress::from_states(map, states, expert).as_ref())
 }
 
 fn result(states: &[EgoState], progress: Option<&Progress>) -> MetricResult {

@@ -91,7 +91,7 @@ impl<'a> MetricInput<'a> {
 
     pub(super) fn lanes(&self) -> &DrivenLanes {
         self.lanes
-            .get_or_init(|| DrivenLanes::of(self.simulation.map, &self.states))
+            .get_or_init(|| DrivenLanes::from_states(self.simulation.map, &self.states))
     }
 
     pub(super) fn collisions(&self) -> &[Collision] {
@@ -103,7 +103,7 @@ impl<'a> MetricInput<'a> {
     pub(super) fn progress(&self) -> Option<&Progress> {
         let EvaluatedSimulation { map, expert, .. } = self.simulation;
         self.progress
-            .get_or_init(|| Progress::of(map, &self.states, expert))
+            .get_or_init(|| Progress::from_states(map, &self.states, expert))
             .as_ref()
     }
 

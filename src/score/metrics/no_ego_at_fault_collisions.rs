@@ -20,7 +20,7 @@ pub fn no_ego_at_fault_collisions(collisions: &[Collision]) -> MetricResult {
         .map(|group| {
             let own = collisions
                 .iter()
-                .filter(|c| c.at_fault && CollisionGroup::of(c.kind) == group);
+                .filter(|c| c.at_fault && CollisionGroup::from_kind(c.kind) == group);
             (group, own.map(|c| c.delta_v).collect())
         })
         .collect();

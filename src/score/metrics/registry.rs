@@ -59,7 +59,7 @@ impl MetricList {
 
 impl Weighting {
     /// nuPlan's weighting of a list of metrics; the same with non-reactive and reactive agents.
-    pub fn of(list: MetricList) -> Self {
+    pub fn for_list(list: MetricList) -> Self {
         Self::new(list.scored())
     }
 
@@ -132,7 +132,7 @@ impl MetricRegistry {
             metrics.extend((spec.compute)(&input)?);
         }
         Ok(Evaluation {
-            score: Score::of(list, &specs, &metrics)?,
+            score: Score::from_results(list, &specs, &metrics)?,
             metrics,
         })
     }

@@ -132,7 +132,11 @@ pub(super) struct Progress {
 
 impl Progress {
     /// The progress; `None` without an expert route.
-    pub(super) fn of(map: &LaneMap, states: &[EgoState], expert: &[EgoState]) -> Option<Self> {
+    pub(super) fn from_states(
+        map: &LaneMap,
+        states: &[EgoState],
+        expert: &[EgoState],
+    ) -> Option<Self> {
         let expert_centers: Vec<Pose> = expert.iter().map(EgoState::center).collect();
         let route = RouteProgress::along(map, &expert_centers);
         if route.is_empty() {

@@ -98,7 +98,7 @@ pub struct Score {
 
 impl Score {
     /// The score of the metrics of a list; other results are ignored.
-    pub fn of(
+    pub fn from_results(
         list: MetricList,
         specs: &[MetricSpec],
         results: &[MetricResult],
@@ -164,7 +164,7 @@ mod tests {
     }
 
     fn score<const N: usize>(list: MetricList, scores: [f64; N]) -> Score {
-        Score::of(list, &METRICS, &results(list, scores)).unwrap()
+        Score::from_results(list, &METRICS, &results(list, scores)).unwrap()
     }
 
     #[test]
@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn a_missing_metric_is_an_error() {
         let missing = &results(MetricList::ClosedLoop, [1.0; 8])[1..];
-        let error = Score::of(MetricList::ClosedLoop, &METRICS, missing);
+        let error = Score::from_results(MetricList::ClosedLoop, &METRICS, missing);
         assert_eq!(
             error,
             Err(MetricError::NoScore("no_ego_at_fault_collisions"))

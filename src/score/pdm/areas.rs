@@ -31,6 +31,7 @@ const TILING_STEP: f64 = 10.0;
 const TILING_WIDTH_STEP: f64 = 0.25;
 /// Lanes tile the road when at least this share of the points lies on lanes. Generated maps have
 /// 0.996 and more; of eleven maps derived from Waymo's recordings eight have 0.987 and less.
+/// Why: docs/decisions/106-drivable-area.md.
 const TILING_SHARE: f64 = 0.99;
 
 impl DrivableLayers {
@@ -39,7 +40,7 @@ impl DrivableLayers {
     /// decides: [`Self::Lanes`] if they tile the road. The tested points lie every 10 m along each
     /// lane, from its baseline across to that of its neighbors, and from its end into its
     /// successors. At least 99 % must lie on some lane.
-    pub fn of(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
+    pub fn from_map(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
         if map.lane_areas() == LaneAreas::Drawn {
             return Self::Lanes;
         }
@@ -234,7 +235,7 @@ impl<'a> DrivableMap<'a> {
 
     /// The area of an ego state.
     pub fn areas_of(&self, ego: &EgoState) -> EgoAreas {
-        let placed = Placed::of(ego);
+        let placed = Placed::from_state(ego);
         self.near(&placed.bounds()).areas_of(&placed)
     }
 

@@ -5,8 +5,9 @@ use super::emergency_brake::{emergency_brake, needs_emergency_brake, standing};
 use super::parameters::TRAJECTORY_STEPS;
 use super::proposals::{PROPOSAL_STEPS, Proposals};
 use super::{
-    Collided, DrivableLayers, DrivableMap, Forecast, NoReferencePath, PassVerdict, PdmParameters,
-    Proposal, ProposalScore, ReferencePath, ScoringScene, score_passing, score_proposals,
+    Collided, DrivableLayers, DrivableMap, Forecast, NoReferencePath, OvertakeVerdict,
+    PdmParameters, Proposal, ProposalScore, ReferencePath, ScoringScene, score_overtake,
+    score_proposals,
 };
 use crate::metrics::MetricError;
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
@@ -224,26 +225,26 @@ pub fn plan_tuned(
     })
 }
 
-/// A way past something over lanes against traffic.
-pub struct Pass<'a> {
+/// An overtake of something over lanes against traffic.
+pub struct Overtake<'a> {
     /// The lanes against traffic.
     pub lanes: &'a [LaneId],
     /// Length of the roll-outs that are judged, steps of 0.1 s.
     pub steps: usize,
     /// The verdict on the poses of a roll-out.
-    pub verdict: &'a dyn Fn(&[Pose]) -> PassVerdict,
+    pub verdict: &'a dyn Fn(&[Pose]) -> OvertakeVerdict,
 }
 
 /// One step of PDM-Closed along several reference paths at once: the best of all proposals is
 /// executed. Progress is measured along the first path, and the collisions and areas are those of
-/// its route. On the lanes of `pass`, a proposal needs its verdict.
+/// its route. On the lanes of `overtake`, a proposal needs its verdict.
 ///
 /// # Errors
 /// As [`plan_along`].
 pub fn plan_among(
     own: &ReferencePath,
     others: &[ReferencePath],
-    pass: Option<&Pass<'_>>,
+    overtake: Option<&Overtake<'_>>,
     scene: &SceneView<'_>,
     collided: &mut Collided,
 ) -> Result<PdmPlan, PdmError> {
@@ -258,9 +259,14 @@ pub fn plan_among(
         .flat_map(|set| simulate_proposals(ego, set.all()));
     let simulated: Vec<Vec<EgoState>> = all.collect();
     let scoring = instant.scoring(own.centerline().line(), 0.0);
-    let scores = match pass {
+    let scores = match overtake {
         None => score_proposals(&scoring, &simulated)?,
-        Some(pass) => score_passing(&scoring, pass.lanes, &verdicts(&mut sets, pass), &simulated)?,
+        Some(overtake) => score_overtake(
+            &scoring,
+            overtake.lanes,
+            &verdicts(&mut sets, overtake),
+            &simulated,
+        )?,
     };
     let best = best_of(&scores).ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
     let brake =
@@ -296,10 +302,10 @@ pub fn plan_among(
 }
 
 /// The verdicts on all proposals, rolled out as far as they have to be.
-fn verdicts(sets: &mut [Proposals<'_>], pass: &Pass<'_>) -> Vec<PassVerdict> {
-    let of_set = |set: &mut Proposals<'_>| -> Vec<PassVerdict> {
+fn verdicts(sets: &mut [Proposals<'_>], overtake: &Overtake<'_>) -> Vec<OvertakeVerdict> {
+    let of_set = |set: &mut Proposals<'_>| -> Vec<OvertakeVerdict> {
         (0..set.all().len())
-            .map(|place| (pass.verdict)(set.continued(place, pass.steps)))
+            .map(|place| (overtake.verdict)(set.continued(place, overtake.steps)))
             .collect()
     };
     sets.iter_mut().flat_map(of_set).collect()

@@ -34,7 +34,7 @@ pub fn no_at_fault_collisions(
     areas: &[EgoAreas],
     forecast: &Forecast,
 ) -> FirstTouch {
-    let batch: [Vec<Placed>; 1] = [states.iter().map(Placed::of).collect()];
+    let batch: [Vec<Placed>; 1] = [states.iter().map(Placed::from_state).collect()];
     let [placed] = &batch;
     collide(
         SimulatedProposal {
@@ -42,7 +42,7 @@ pub fn no_at_fault_collisions(
             placed,
             areas,
         },
-        &Encounters::of(forecast, &batch),
+        &Encounters::from_forecast(forecast, &batch),
     )
 }
 
@@ -60,7 +60,7 @@ pub(super) fn collide(proposal: SimulatedProposal<'_>, encounters: &Encounters<'
             }
             let off_lane = proposal.areas[i].in_multiple_lanes_or_off_road();
             if classify_collision(&proposal.states[i], &track).is_at_fault(off_lane) {
-                let left = if CollisionGroup::of(track.kind) == CollisionGroup::Object {
+                let left = if CollisionGroup::from_kind(track.kind) == CollisionGroup::Object {
                     0.5
                 } else {
                     0.0
@@ -85,7 +85,7 @@ pub fn time_to_collision(
     areas: &[EgoAreas],
     forecast: &Forecast,
 ) -> FirstTouch {
-    let batch: [Vec<Placed>; 1] = [states.iter().map(Placed::of).collect()];
+    let batch: [Vec<Placed>; 1] = [states.iter().map(Placed::from_state).collect()];
     let [placed] = &batch;
     approach(
         map,
@@ -94,7 +94,7 @@ pub fn time_to_collision(
             placed,
             areas,
         },
-        &Encounters::of(forecast, &batch),
+        &Encounters::from_forecast(forecast, &batch),
     )
 }
 

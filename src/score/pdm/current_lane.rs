@@ -22,7 +22,7 @@ struct Misfit {
 }
 
 impl Misfit {
-    fn of(lane: &Lane, pose: Pose) -> Self {
+    fn new(lane: &Lane, pose: Pose) -> Self {
         let poses = lane.centerline.vertex_poses();
         let distances = poses
             .iter()
@@ -64,7 +64,7 @@ pub fn starting_block(
         let misfits: Vec<Misfit> = block
             .lanes
             .iter()
-            .map(|&lane| Misfit::of(&map[lane], rear_axle))
+            .map(|&lane| Misfit::new(&map[lane], rear_axle))
             .collect();
         let ranked = if route.contains(&block.id) {
             &mut on_route
@@ -137,7 +137,7 @@ pub fn current_lane(map: &LaneMap, route_lanes: &[LaneId], ego: &EgoState) -> Op
         .lanes_at(rear_axle.position())
         .into_iter()
         .filter(|lane| route_lanes.contains(lane));
-    let misfits = under.map(|lane| (lane, Misfit::of(&map[lane], rear_axle).heading_error));
+    let misfits = under.map(|lane| (lane, Misfit::new(&map[lane], rear_axle).heading_error));
     if let Some((lane, _)) = misfits.min_by(|a, b| a.1.total_cmp(&b.1)) {
         return Some(lane);
     }

@@ -8,6 +8,7 @@ use planagent_world::{
 /// The brake acts on at-fault collisions up to this time from now, seconds.
 pub const EMERGENCY_TIME_S: f64 = 2.0;
 /// The brake overrules at this speed or below, m/s.
+/// Why: docs/decisions/104-emergency-brake.md.
 pub const EMERGENCY_SPEED: f64 = 5.0;
 
 /// Up to this speed the brake regulates the acceleration too, m/s.

@@ -17,7 +17,7 @@ pub(super) struct Encounters<'a> {
 
 impl<'a> Encounters<'a> {
     /// The objects near the proposals at each step and within 0.9 s of it straight ahead.
-    pub(super) fn of(forecast: &'a Forecast, batch: &[Vec<Placed>]) -> Self {
+    pub(super) fn from_forecast(forecast: &'a Forecast, batch: &[Vec<Placed>]) -> Self {
         let steps = batch.iter().map(Vec::len).max().unwrap_or(0);
         let last = PROJECTED_STEPS[PROJECTED_STEPS.len() - 1];
         let radius = PACIFICA.length().hypot(PACIFICA.width) / 2.0;

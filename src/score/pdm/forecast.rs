@@ -15,10 +15,12 @@ pub const MAX_DISTANCE: f64 = 50.0;
 pub const RESOLUTION_STEPS: usize = 2;
 
 /// A slower vehicle or bicycle keeps its direction, m/s.
+/// Why: docs/decisions/119-forecast-along-lanes.md.
 const MIN_LANE_SPEED: f64 = 2.0;
 /// Largest angle between an object's motion and the lane that it drives along, radians.
 const MAX_LANE_ANGLE: f64 = 0.35;
 /// Time over which the curvature of a lane is taken, seconds.
+/// Why: docs/decisions/119-forecast-along-lanes.md.
 const LANE_PREVIEW_S: f64 = 2.0;
 /// Distance between the headings of a lane, meters.
 const LANE_STEP: f64 = 2.0;
@@ -41,7 +43,7 @@ enum Sort {
 }
 
 impl Sort {
-    fn of(kind: ObjectKind) -> Self {
+    fn from_kind(kind: ObjectKind) -> Self {
         match kind {
             ObjectKind::Vehicle => Self::Vehicle,
             ObjectKind::Pedestrian => Self::Pedestrian,
@@ -185,7 +187,7 @@ impl Forecast {
         for (sort, cap) in CAPS {
             let seen = objects
                 .iter()
-                .filter(|o| Sort::of(o.kind) == sort && !collided.tracks.contains(&o.token));
+                .filter(|o| Sort::from_kind(o.kind) == sort && !collided.tracks.contains(&o.token));
             kept.extend(
                 nearest(seen, center, cap)
                     .into_iter()

@@ -33,7 +33,7 @@ mod search;
 pub use areas::{DrivableLayers, DrivableMap, EgoAreas, MAP_RADIUS};
 pub use centerline::{centerline_poses, lane_chain};
 pub use closed::{
-    Pass, PdmError, PdmInstant, PdmMemory, PdmPlan, best_of, plan, plan_along, plan_among,
+    Overtake, PdmError, PdmInstant, PdmMemory, PdmPlan, best_of, plan, plan_along, plan_among,
     plan_tuned, simulate_proposals,
 };
 pub use collision::{FirstTouch, no_at_fault_collisions, time_to_collision};
@@ -53,8 +53,8 @@ pub use proposals::{
 pub use reference_path::{NoReferencePath, ReferencePath};
 pub use route::corrected_route;
 pub use scorer::{
-    PassVerdict, ProposalScore, ScoringScene, WEIGHT_COMFORT, WEIGHT_PROGRESS, WEIGHT_TTC,
-    score_passing, score_proposals,
+    OvertakeVerdict, ProposalScore, ScoringScene, WEIGHT_COMFORT, WEIGHT_PROGRESS, WEIGHT_TTC,
+    score_overtake, score_proposals,
 };
 pub use search::{SearchDirection, roadblock_chain};
 

@@ -17,7 +17,7 @@ pub(super) struct Placed {
 }
 
 impl Placed {
-    pub(super) fn of(ego: &EgoState) -> Self {
+    pub(super) fn from_state(ego: &EgoState) -> Self {
         let rear = ego.rear_axle;
         let (sin, cos) = rear.heading.sin_cos();
         let at =
@@ -62,7 +62,7 @@ mod tests {
             Vector::new(5.0, 0.1),
             Vector::zeros(),
         );
-        let placed = Placed::of(&ego);
+        let placed = Placed::from_state(&ego);
         assert_eq!(placed.shape, ego.footprint());
         assert_eq!(placed.corners, ego.footprint().corners());
         let moved = placed.moved(0.3).center;

@@ -57,7 +57,7 @@ impl ReferencePath {
         let lanes = lanes_of(map, route);
         let lane_set: BTreeSet<LaneId> = lanes.iter().copied().collect();
         let center = PdmPath::new(centerline)?;
-        let layers = DrivableLayers::of(map, &lane_set, ego.center().position());
+        let layers = DrivableLayers::from_map(map, &lane_set, ego.center().position());
         let [_, right, left] = LATERAL_OFFSETS;
         let (right, left) = (center.offset(right)?, center.offset(left)?);
         Ok(Self {

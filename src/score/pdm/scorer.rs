@@ -93,7 +93,7 @@ pub fn score_proposals(
 
 /// Whether a proposal may use lanes against traffic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PassVerdict {
+pub enum OvertakeVerdict {
     /// It does not leave the lanes of its direction: there is nothing to allow.
     Stays,
     /// It may.
@@ -107,10 +107,10 @@ pub enum PassVerdict {
 ///
 /// # Errors
 /// As [`score_proposals`].
-pub fn score_passing(
+pub fn score_overtake(
     scene: &ScoringScene<'_>,
     against_traffic: &[LaneId],
-    verdicts: &[PassVerdict],
+    verdicts: &[OvertakeVerdict],
     proposals: &[Vec<EgoState>],
 ) -> Result<Vec<ProposalScore>, MetricError> {
     let drivable = scene.drivable.allowing(against_traffic);
@@ -126,9 +126,9 @@ pub fn score_passing(
         .zip(allowed)
         .zip(verdicts);
     let of_verdict = scores.map(|((usual, allowed), verdict)| match verdict {
-        PassVerdict::Stays => usual,
-        PassVerdict::Allowed => allowed,
-        PassVerdict::Refused => ProposalScore {
+        OvertakeVerdict::Stays => usual,
+        OvertakeVerdict::Allowed => allowed,
+        OvertakeVerdict::Refused => ProposalScore {
             driving_direction: 0.0,
             ..usual
         },
@@ -143,7 +143,7 @@ fn judge_all(
 ) -> Result<Vec<ProposalScore>, MetricError> {
     let batch: Vec<Vec<Placed>> = proposals
         .iter()
-        .map(|states| states.iter().map(Placed::of).collect())
+        .map(|states| states.iter().map(Placed::from_state).collect())
         .collect();
     let reach = batch
         .iter()
@@ -153,7 +153,7 @@ fn judge_all(
         });
     let around = Around {
         areas: scene.drivable.near(&reach),
-        encounters: Encounters::of(scene.forecast, &batch),
+        encounters: Encounters::from_forecast(scene.forecast, &batch),
     };
     proposals
         .iter()

@@ -57,7 +57,7 @@ impl Palette {
 }
 
 impl BevElement {
-    pub fn of(kind: ObjectKind) -> Self {
+    pub fn from_object_kind(kind: ObjectKind) -> Self {
         match kind {
             ObjectKind::Vehicle => Self::Vehicles,
             ObjectKind::Bicycle => Self::Bicycles,

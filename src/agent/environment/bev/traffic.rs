@@ -43,7 +43,7 @@ pub(super) fn draw(canvas: &mut Canvas, scene: &SceneView<'_>) {
         let drawn: Vec<&TrackedObject> = objects
             .iter()
             .copied()
-            .filter(|object| BevElement::of(object.kind) == element)
+            .filter(|object| BevElement::from_object_kind(object.kind) == element)
             .collect();
         if element == BevElement::Pedestrians {
             draw_discs(canvas, &drawn);

@@ -35,7 +35,7 @@ pub struct GptDriverText {
 
 impl GptDriverText {
     /// Describes a scene whose route goes this way at the next intersection.
-    pub fn of(scene: &SceneView<'_>, turn: Turn) -> Self {
+    pub fn from_scene(scene: &SceneView<'_>, turn: Turn) -> Self {
         Self {
             objects: objects(scene),
             ego: ego(scene, turn),
@@ -153,7 +153,7 @@ mod tests {
             .put(ObjectKind::Vehicle, 12.0, 0.0, 0.0, 5.0)
             .put(ObjectKind::Vehicle, -9.0, 0.0, 0.0, 1.0)
             .put(ObjectKind::TrafficCone, 19.0, -3.5, 0.0, 0.0);
-        let text = GptDriverText::of(&drawn.scene(), Turn::Left);
+        let text = GptDriverText::from_scene(&drawn.scene(), Turn::Left);
         let lines: Vec<&str> = text.objects.lines().collect();
         assert_eq!(
             lines.len(),

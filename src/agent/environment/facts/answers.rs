@@ -111,7 +111,7 @@ choice! {
 }
 
 impl LaneCount {
-    pub(super) fn of(count: usize) -> Self {
+    pub(super) fn from_count(count: usize) -> Self {
         match count {
             0 | 1 => Self::One,
             2 => Self::Two,
@@ -133,7 +133,7 @@ choice! {
 }
 
 impl LaneIndex {
-    pub(super) fn of(lanes_to_the_left: usize) -> Self {
+    pub(super) fn from_lanes_to_left(lanes_to_the_left: usize) -> Self {
         match lanes_to_the_left {
             0 => Self::First,
             1 => Self::Second,
@@ -165,7 +165,7 @@ impl Ahead {
     /// End of far, meters.
     pub const FAR: f64 = 32.0;
 
-    pub(super) fn of(distance: Option<f64>) -> Self {
+    pub(super) fn from_distance(distance: Option<f64>) -> Self {
         match distance {
             Some(d) if d < Self::NEAR => Self::Near,
             Some(d) if d < Self::MID => Self::Mid,
@@ -187,7 +187,7 @@ choice! {
 }
 
 impl LeadSpeed {
-    pub(super) fn of(lead: f64, ego: f64) -> Self {
+    pub(super) fn from_speeds(lead: f64, ego: f64) -> Self {
         if lead < STOPPED {
             Self::Stopped
         } else if lead < ego - SAME_SPEED {
@@ -220,7 +220,7 @@ choice! {
 }
 
 impl VehicleCount {
-    pub(super) fn of(count: usize) -> Self {
+    pub(super) fn from_count(count: usize) -> Self {
         match count {
             0 => Self::Zero,
             1 | 2 => Self::Few,
@@ -256,7 +256,7 @@ impl EgoSpeed {
     /// End of medium, m/s.
     pub const MEDIUM: f64 = 10.0;
 
-    pub(super) fn of(speed: f64) -> Self {
+    pub(super) fn from_speed(speed: f64) -> Self {
         if speed < STOPPED {
             Self::Stopped
         } else if speed < Self::SLOW {

@@ -72,7 +72,7 @@ pub struct SceneFacts {
 
 impl SceneFacts {
     /// The facts of a scene whose lane graph is `graph`.
-    pub fn of(scene: &SceneView<'_>, graph: &LaneGraph) -> Self {
+    pub fn from_scene(scene: &SceneView<'_>, graph: &LaneGraph) -> Self {
         let view = View {
             center: scene.ego.center(),
         };
@@ -98,7 +98,7 @@ impl SceneFacts {
             right_lane: traffic.right_lane,
             vehicle_count: traffic.vehicle_count,
             oncoming: road::oncoming(scene, graph),
-            ego_speed: EgoSpeed::of(scene.ego.speed()),
+            ego_speed: EgoSpeed::from_speed(scene.ego.speed()),
             turn: graph.ego_lane().turn,
             crossing_vehicle: traffic.crossing_vehicle,
             oncoming_vehicle: traffic.oncoming_vehicle,

@@ -149,7 +149,10 @@ pub(super) fn lanes_abreast(scene: &SceneView<'_>, graph: &LaneGraph) -> (LaneCo
     let lane = ego.path.lane_at(ego.ego_s);
     let left = count_beside(scene, lane, |lane| &lane.left);
     let right = count_beside(scene, lane, |lane| &lane.right);
-    (LaneCount::of(left + 1 + right), LaneIndex::of(left))
+    (
+        LaneCount::from_count(left + 1 + right),
+        LaneIndex::from_lanes_to_left(left),
+    )
 }
 
 fn count_beside(scene: &SceneView<'_>, from: LaneId, side: impl Fn(&Lane) -> &[Neighbor]) -> usize {
@@ -178,7 +181,7 @@ pub(super) fn crosswalk(scene: &SceneView<'_>, graph: &LaneGraph, view: View) ->
         .map(|d| (d, line.point_at(front + d)))
         .find(|&(_, point)| view.holds(point) && scene.map.on_crosswalk(point))
         .map(|(d, _)| d);
-    Ahead::of(distance)
+    Ahead::from_distance(distance)
 }
 
 pub(super) fn oncoming(scene: &SceneView<'_>, graph: &LaneGraph) -> Oncoming {

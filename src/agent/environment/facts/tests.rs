@@ -5,7 +5,7 @@ use planagent_world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Veh
 use std::f64::consts::{FRAC_PI_2, PI};
 
 fn facts(drawn: &Drawn) -> SceneFacts {
-    SceneFacts::of(
+    SceneFacts::from_scene(
         &drawn.scene(),
         &LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap(),
     )

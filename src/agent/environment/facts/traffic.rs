@@ -95,22 +95,22 @@ pub(super) fn seen(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> Traf
         .filter(|object| object.kind == ObjectKind::Vehicle);
     let side_lane = |name| side_lane(graph, name, &objects);
     Traffic {
-        lead_distance: Ahead::of(lead.map(|lead| lead.gap)),
+        lead_distance: Ahead::from_distance(lead.map(|lead| lead.gap)),
         lead_speed: lead.map_or(LeadSpeed::None, |lead| {
-            LeadSpeed::of(lead.along_speed, graph.ego_speed)
+            LeadSpeed::from_speeds(lead.along_speed, graph.ego_speed)
         }),
-        pedestrian: Ahead::of(pedestrian.map(|relation| relation.gap)),
-        blocked: Ahead::of(blocked.map(|relation| relation.gap)),
+        pedestrian: Ahead::from_distance(pedestrian.map(|relation| relation.gap)),
+        blocked: Ahead::from_distance(blocked.map(|relation| relation.gap)),
         left_lane: side_lane(CenterlineName::LeftLane),
         right_lane: side_lane(CenterlineName::RightLane),
-        vehicle_count: VehicleCount::of(
+        vehicle_count: VehicleCount::from_count(
             vehicles
                 .filter(|v| view.holds(v.shape.center.position()))
                 .count(),
         ),
-        crossing_vehicle: Ahead::of(crossing.map(|relation| relation.gap)),
-        oncoming_vehicle: Ahead::of(oncoming.map(|relation| relation.gap)),
-        person_on_path: Ahead::of(person.map(|relation| relation.gap)),
+        crossing_vehicle: Ahead::from_distance(crossing.map(|relation| relation.gap)),
+        oncoming_vehicle: Ahead::from_distance(oncoming.map(|relation| relation.gap)),
+        person_on_path: Ahead::from_distance(person.map(|relation| relation.gap)),
     }
 }
 

@@ -158,7 +158,7 @@ fn path_through(
         .rev()
         .chain(onward.lanes.iter().copied())
         .collect();
-    let path = LanePath::of(map, lanes).expect("the path leads through its lane");
+    let path = LanePath::from_lanes(map, lanes).expect("the path leads through its lane");
     let place = path
         .lanes
         .iter()

@@ -5,6 +5,7 @@ use planagent_world::geometry::Pose;
 use planagent_world::{LaneId, LanePath, SceneView};
 
 /// A goal further ahead is not reported, meters: there is time to change lanes later.
+/// Why: docs/decisions/116-goal-lane.md.
 pub const GOAL_REACH: f64 = 400.0;
 /// Lane changes to one side after which the goal's lane is not looked for any more.
 const MAX_CHANGES: i32 = 8;
@@ -20,7 +21,7 @@ pub struct GoalLane {
 
 impl GoalLane {
     /// Seen from the lane that holds the ego.
-    pub fn of(scene: &SceneView<'_>) -> Option<Self> {
+    pub fn from_scene(scene: &SceneView<'_>) -> Option<Self> {
         Self::from_lane(scene, ego_lane(scene)?)
     }
 
@@ -33,7 +34,7 @@ impl GoalLane {
             let (beside, _) = scene
                 .map
                 .beside(lane, scene.ego.rear_axle.position(), first)?;
-            let (entered, distance) = way_to_goal(scene, beside, goal_lane, goal)?;
+            let (entered, distance) = path_to_goal(scene, beside, goal_lane, goal)?;
             let reaches = |&then: &i32| {
                 scene
                     .map
@@ -68,7 +69,7 @@ impl GoalLane {
 
 /// Where the way along a lane enters the goal's roadblock, and the meters from the ego's rear axle
 /// to the goal. `None` where it does not.
-fn way_to_goal(
+fn path_to_goal(
     scene: &SceneView<'_>,
     lane: LaneId,
     goal_lane: LaneId,

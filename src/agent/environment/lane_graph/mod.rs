@@ -49,6 +49,7 @@ use planagent_world::geometry::Point;
 use planagent_world::{LaneId, SceneView};
 
 /// Distance before what blocks the lane at which an ego that stands can still leave it, meters.
+/// Why: docs/decisions/117-scenes-with-a-way.md.
 const PULL_OUT: f64 = 10.0;
 /// Meters.
 pub const DEFAULT_NODE_LENGTH: f64 = 20.0;
@@ -164,7 +165,7 @@ pub struct LaneGraph {
     /// ([`Self::with_oncoming_lane`]).
     pub oncoming: Option<OncomingLane>,
     /// The way to the goal's lane, where the route has a goal to reach, or else back to a lane that
-    /// was left ([`Self::with_way_back`]).
+    /// was left ([`Self::with_return_lane`]).
     pub goal: Option<GoalLane>,
 }
 
@@ -195,8 +196,8 @@ impl LaneGraph {
     /// The same with the way back to a lane that the ego left, where the route has no lane of a
     /// goal.
     #[must_use]
-    pub fn with_way_back(self, scene: &SceneView<'_>, to: &ReturnLane) -> Self {
-        let goal = self.goal.or_else(|| to.way_back(scene, &self));
+    pub fn with_return_lane(self, scene: &SceneView<'_>, to: &ReturnLane) -> Self {
+        let goal = self.goal.or_else(|| to.as_goal(scene, &self));
         Self { goal, ..self }
     }
 

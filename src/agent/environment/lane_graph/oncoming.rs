@@ -13,6 +13,7 @@ const MOVE_BACK_S: f64 = 2.0;
 const MIN_MOVE_OVER: f64 = 12.0;
 const MAX_MOVE_OVER: f64 = 30.0;
 /// Distance to what is passed, beside and behind it, meters.
+/// Why: docs/decisions/114-oncoming-lane.md.
 const CLEARANCE: f64 = 0.5;
 const CLEARANCE_BEHIND: f64 = 1.0;
 /// Distance from the border of the lanes at which the oncoming lane is looked for, and between two
@@ -24,6 +25,7 @@ const STATION_STEP: f64 = 4.0;
 const AGAINST: f64 = 0.2 * PI;
 /// Length of road ahead on which oncoming traffic is seen, meters. A shorter one would allow no
 /// pass at 50 km/h. The picture of the model shows 32 m; the planner knows all tracks.
+/// Why: docs/decisions/114-oncoming-lane.md.
 pub const ONCOMING_SIGHT: f64 = 150.0;
 /// Distance of the vertices of the way, meters.
 const SPACING: f64 = 1.0;
@@ -122,12 +124,12 @@ impl OncomingLane {
         let share = |s: f64| smooth((s - (beside - length)) / length) - smooth((s - past) / back);
         let count = (own.length() / SPACING).ceil() as usize;
         let stations = (0..=count).map(|i| (i as f64 * SPACING).min(own.length()));
-        let way = Polyline::new(stations.map(|s| own.frenet_to_map(s, aside * share(s)))).ok()?;
-        let ego_s = way.project(scene.ego.center().position()).s;
+        let path = Polyline::new(stations.map(|s| own.frenet_to_map(s, aside * share(s)))).ok()?;
+        let ego_s = path.project(scene.ego.center().position()).s;
         let traffic = traffic_line(scene, &lanes)?;
         let speed_limit = lanes.iter().find_map(|&lane| scene.map[lane].speed_limit);
         let path = LanePath {
-            centerline: way,
+            centerline: path,
             ..lane.path.clone()
         };
         let name = CenterlineName::OncomingLane;
@@ -138,7 +140,7 @@ impl OncomingLane {
             lead_agent: None,
             ..lane.clone()
         };
-        let way = Self {
+        let oncoming = Self {
             centerline,
             own: own.clone(),
             blocked,
@@ -149,8 +151,8 @@ impl OncomingLane {
             next: None,
         };
         Some(Self {
-            next: way.next_agent(scene),
-            ..way
+            next: oncoming.next_agent(scene),
+            ..oncoming
         })
     }
 

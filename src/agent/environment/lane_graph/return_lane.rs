@@ -1,4 +1,4 @@
-//! The lane that the ego left to pass what blocks it, and the way back.
+//! The lane that the ego left to pass what blocks it.
 
 use super::LaneGraph;
 use super::goal::{GoalLane, nearest_first};
@@ -6,6 +6,7 @@ use planagent_world::{LaneId, LanePath, PACIFICA, SceneView};
 
 /// The lane that the ego left to pass what blocks it. Past that, it becomes the goal's lane where
 /// the route has none.
+/// Why: docs/decisions/123-way-back.md.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReturnLane {
     path: LanePath,
@@ -15,7 +16,7 @@ pub struct ReturnLane {
 
 impl ReturnLane {
     /// The ego's lane; `None` where nothing blocks it.
-    pub fn of(graph: &LaneGraph) -> Option<Self> {
+    pub fn from_graph(graph: &LaneGraph) -> Option<Self> {
         let blocked = graph.blocked?;
         Some(Self {
             path: graph.ego_lane().path.clone(),
@@ -28,9 +29,9 @@ impl ReturnLane {
         self.ahead(scene).is_some() && self.path.lanes.contains(&ego_lane(graph))
     }
 
-    /// The way back, as that to a goal at the end of the known path; `None` before the ego is past
-    /// what blocks the lane, in the lane, and where no lane beside is of the path.
-    pub(super) fn way_back(&self, scene: &SceneView<'_>, graph: &LaneGraph) -> Option<GoalLane> {
+    /// The lane as a goal at the end of the known path; `None` before the ego is past what blocks
+    /// the lane, in the lane, and where no lane beside is of the path.
+    pub(super) fn as_goal(&self, scene: &SceneView<'_>, graph: &LaneGraph) -> Option<GoalLane> {
         let distance = self.ahead(scene)?;
         let (here, from) = (ego_lane(graph), scene.ego.rear_axle.position());
         let leads_there = |&changes: &i32| {

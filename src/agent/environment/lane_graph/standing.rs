@@ -12,14 +12,17 @@ pub(super) const STANDING: f64 = 0.2;
 /// meters.
 const MOVED: f64 = 0.3;
 /// Distance ahead of the ego's center in which a blocked lane matters, meters.
+/// Why: docs/decisions/113-standing-progress.md.
 const REACH: f64 = 60.0;
 /// Distance behind the ego's center, meters: beside what it passes, the ego is not yet past it.
 const BEHIND: f64 = 40.0;
 /// Maximum distance from the middle of its lane at which the ego is back in it, meters.
 const BACK_IN_LANE: f64 = 1.0;
 /// A vehicle this near to an intersection ahead of it waits there, meters.
+/// Why: docs/decisions/113-standing-progress.md.
 const JUNCTION: f64 = 15.0;
 /// A vehicle this near behind traffic waits for it, meters.
+/// Why: docs/decisions/115-past-what-stands.md.
 const QUEUE_GAP: f64 = 12.0;
 /// A person this near beside the lane's middle makes a vehicle wait, meters.
 const PERSON_ASIDE: f64 = 4.0;

@@ -311,8 +311,8 @@ proptest! {
     }
 }
 
-/// The lane graph of a road with one lane a direction, with the way over the oncoming one.
-fn with_way(drawn: &Drawn) -> LaneGraph {
+/// The lane graph of a road with one lane a direction, with the oncoming lane to overtake on.
+fn with_oncoming(drawn: &Drawn) -> LaneGraph {
     graph(drawn).with_oncoming_lane(&drawn.scene())
 }
 
@@ -321,7 +321,7 @@ fn the_oncoming_lane_is_named_only_where_it_leads_past_what_stands_for_good() {
     use ObjectKind::{Pedestrian, TrafficCone, Vehicle};
     let road = || sketch::straight(1, 1, 0, 8.0);
     let is_named = |drawn: Drawn| {
-        with_way(&drawn)
+        with_oncoming(&drawn)
             .centerline(CenterlineName::OncomingLane)
             .is_some()
     };
@@ -372,7 +372,7 @@ fn what_stands_as_in_a_queue_blocks_the_lane_and_is_not_passed_against_traffic()
             .put(Vehicle, 25.0, 0.0, turn, 0.0)
             .put(Vehicle, 32.0, 0.0, turn, 0.0)
     };
-    let (queue, crash) = (with_way(&pair(0.0)), with_way(&pair(0.6)));
+    let (queue, crash) = (with_oncoming(&pair(0.0)), with_oncoming(&pair(0.6)));
     let may_queue = |graph: &LaneGraph| graph.blocked.map(|blocked| blocked.may_queue);
     assert_eq!(
         (may_queue(&queue), may_queue(&crash)),
@@ -381,18 +381,18 @@ fn what_stands_as_in_a_queue_blocks_the_lane_and_is_not_passed_against_traffic()
     assert!(queue.oncoming.is_none() && crash.oncoming.is_some());
     let behind_traffic = pair(0.0).put(Vehicle, 40.0, 0.0, 0.0, 3.0);
     assert_eq!(
-        with_way(&behind_traffic).blocked,
+        with_oncoming(&behind_traffic).blocked,
         None,
         "the first waits for one that moves"
     );
 }
 
 #[test]
-fn the_way_over_the_oncoming_lane_leads_past_and_back() {
+fn the_path_over_the_oncoming_lane_leads_past_and_back() {
     let drawn = sketch::straight(1, 1, 0, 8.0).put(ObjectKind::Vehicle, 25.0, 0.0, 0.0, 0.0);
-    let graph = with_way(&drawn);
-    let way = graph.oncoming.as_ref().unwrap();
-    let line = &way.centerline.path.centerline;
+    let graph = with_oncoming(&drawn);
+    let oncoming = graph.oncoming.as_ref().unwrap();
+    let line = &oncoming.centerline.path.centerline;
     let left = |x: f64| line.project(Point::new(x, 0.0)).point.y;
     assert!(
         left(0.0).abs() < 0.1 && left(60.0).abs() < 0.1,
@@ -411,7 +411,7 @@ fn the_way_over_the_oncoming_lane_leads_past_and_back() {
         "{:?}",
         line.vertices()
     );
-    assert!((way.border - 1.8).abs() < 0.11 && way.traffic.length() > 60.0);
+    assert!((oncoming.border - 1.8).abs() < 0.11 && oncoming.traffic.length() > 60.0);
     assert_eq!(
         graph.centerlines.len(),
         1,
@@ -433,7 +433,7 @@ fn an_ego_on_the_oncoming_lane_belongs_to_the_lane_that_it_left() {
         drawn.ego.velocity,
         Vector::zeros(),
     );
-    let graph = with_way(&drawn);
+    let graph = with_oncoming(&drawn);
     assert_eq!(graph.nodes[0].lane, own);
     assert!(
         graph.oncoming.is_some(),
@@ -441,7 +441,7 @@ fn an_ego_on_the_oncoming_lane_belongs_to_the_lane_that_it_left() {
     );
     let followed = drawn.put(ObjectKind::Vehicle, -12.0, -3.2, 0.0, 5.0);
     assert!(
-        with_way(&followed).oncoming.is_some(),
+        with_oncoming(&followed).oncoming.is_some(),
         "who follows in the lane that it left does not block it"
     );
 }
@@ -479,7 +479,7 @@ fn the_goal_is_counted_in_lane_changes_from_the_ego() {
     recorded.route.goal_lane = None;
     assert_eq!(goal(recorded), None, "the end of a recording is no task");
     let [near, behind] =
-        [0.5, -0.5].map(|ahead| GoalLane::of(&with_goal(-1, ahead).scene()).unwrap());
+        [0.5, -0.5].map(|ahead| GoalLane::from_scene(&with_goal(-1, ahead).scene()).unwrap());
     assert!(
         near.changes == -1 && behind.changes == -1 && behind.distance < 0.0,
         "{near:?} {behind:?}"
@@ -487,7 +487,7 @@ fn the_goal_is_counted_in_lane_changes_from_the_ego() {
 }
 
 #[test]
-fn a_goal_beyond_the_ego_s_lane_is_counted_where_the_way_enters_its_roadblock() {
+fn a_goal_beyond_the_ego_s_lane_is_counted_where_the_path_enters_its_roadblock() {
     let (mut drawn, arms) = sketch::crossing(2, 0, 30.0, 7.0);
     let (ahead, right) = (&arms.outbound[0], &arms.outbound[3]);
     let mut found = |from: LaneId, to: LaneId, goal: LaneId| {
@@ -539,7 +539,7 @@ fn past_what_blocks_it_the_lane_that_the_ego_left_is_the_goal_s() {
     // A car that broke down 25 m ahead, in the right one of two lanes.
     let road = || sketch::straight(2, 0, 1, 8.0).put(Vehicle, 25.0, 0.0, 0.3, 0.0);
     let left_it = graph(&road());
-    let lane = ReturnLane::of(&left_it).unwrap();
+    let lane = ReturnLane::from_graph(&left_it).unwrap();
     let at = |ahead: f64, aside: f64| {
         let mut drawn = road();
         let (rear_axle, velocity) = (
@@ -549,7 +549,10 @@ fn past_what_blocks_it_the_lane_that_the_ego_left_is_the_goal_s() {
         drawn.ego = EgoState::from_log(0, rear_axle, velocity, Vector::zeros());
         let graph = graph(&drawn);
         let is_reached = lane.is_reached(&drawn.scene(), &graph);
-        (graph.with_way_back(&drawn.scene(), &lane).goal, is_reached)
+        (
+            graph.with_return_lane(&drawn.scene(), &lane).goal,
+            is_reached,
+        )
     };
     assert_eq!(at(0.0, 0.0), (None, false));
     assert_eq!(at(25.0, sketch::WIDTH), (None, false), "beside the car");
@@ -561,7 +564,7 @@ fn past_what_blocks_it_the_lane_that_the_ego_left_is_the_goal_s() {
     );
     assert_eq!(at(35.0, 0.0), (None, true));
     assert_eq!(
-        ReturnLane::of(&graph(&sketch::straight(2, 0, 1, 8.0))),
+        ReturnLane::from_graph(&graph(&sketch::straight(2, 0, 1, 8.0))),
         None,
         "nothing blocks the lane"
     );

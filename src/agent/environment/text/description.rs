@@ -38,7 +38,7 @@ pub struct NodeDescription {
     pub agents: Vec<AgentDescription>,
 }
 
-/// The way past what blocks the ego's lane.
+/// The path past what blocks the ego's lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OncomingDescription {
     /// From the ego's front bumper to where the blocked part of its lane begins, and to where it
@@ -49,7 +49,7 @@ pub struct OncomingDescription {
     pub next: Option<(u8, u8)>,
 }
 
-/// The way to the goal's lane.
+/// The path to the goal's lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GoalDescription {
     /// Lane changes to it, positive to the left; 0 on it.
@@ -77,14 +77,14 @@ pub struct Description {
     pub nodes: [Option<NodeDescription>; 9],
     /// How many agents on the nodes are not named; 0 unless reduced.
     pub rest: u8,
-    /// The way over the oncoming lane, where there is one.
+    /// The path over the oncoming lane, where there is one.
     pub oncoming: Option<OncomingDescription>,
-    /// The way to the goal's lane, where there is a goal.
+    /// The path to the goal's lane, where there is a goal.
     pub goal: Option<GoalDescription>,
 }
 
 impl Description {
-    pub fn of(graph: &LaneGraph) -> Self {
+    pub fn from_graph(graph: &LaneGraph) -> Self {
         let ego_lane = graph.ego_lane();
         let lights = std::array::from_fn(|i| {
             let name = CenterlineName::ALL[i];
@@ -117,15 +117,15 @@ impl Description {
             turn: ego_lane.turn,
             nodes,
             rest: 0,
-            oncoming: graph.oncoming.as_ref().map(|way| {
+            oncoming: graph.oncoming.as_ref().map(|lane| {
                 let front = ego_lane.ego_s + PACIFICA.length() / 2.0;
                 let blocked = (
-                    whole(way.blocked.from_s - front),
-                    whole(way.blocked.to_s - front),
+                    whole(lane.blocked.from_s - front),
+                    whole(lane.blocked.to_s - front),
                 );
                 OncomingDescription {
                     blocked,
-                    next: way.next.map(|(gap, speed)| (whole(gap), whole(speed))),
+                    next: lane.next.map(|(gap, speed)| (whole(gap), whole(speed))),
                 }
             }),
             goal: graph.goal.map(|goal| GoalDescription {

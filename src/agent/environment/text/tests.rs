@@ -14,7 +14,7 @@ use scene_text::{COMPACT_WORDS, parse};
 use std::path::Path;
 
 fn described(drawn: &Drawn) -> Description {
-    Description::of(&LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap())
+    Description::from_graph(&LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap())
 }
 
 fn road() -> Drawn {
@@ -95,7 +95,7 @@ fn described_facts_are_parsed_back() {
 fn all_agents_on_the_nodes_stand_in_the_paper_text_and_the_rest_is_counted_in_the_compact_one() {
     let drawn = road().put(ObjectKind::Vehicle, 26.0, -3.5, 0.0, 3.0);
     let graph = LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap();
-    let text = write(&Description::of(&graph), TextForm::Paper);
+    let text = write(&Description::from_graph(&graph), TextForm::Paper);
     assert!(graph.agents.len() >= 6);
     for agent in &graph.agents {
         assert!(
@@ -104,7 +104,7 @@ fn all_agents_on_the_nodes_stand_in_the_paper_text_and_the_rest_is_counted_in_th
             agent.name
         );
     }
-    let reduced = Description::of(&graph).reduced();
+    let reduced = Description::from_graph(&graph).reduced();
     let named: usize = reduced
         .nodes
         .iter()
@@ -139,22 +139,22 @@ fn blocked() -> Drawn {
 }
 
 #[test]
-fn the_way_over_the_oncoming_lane_stands_in_the_texts_that_may_name_it() {
+fn the_oncoming_lane_stands_in_the_texts_that_may_name_it() {
     let drawn = blocked();
     let graph = LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap();
-    let (plain, way) = (
-        Description::of(&graph),
-        Description::of(&graph.with_oncoming_lane(&drawn.scene())),
+    let (plain, oncoming) = (
+        Description::from_graph(&graph),
+        Description::from_graph(&graph.with_oncoming_lane(&drawn.scene())),
     );
     assert_eq!(
-        way.oncoming,
+        oncoming.oncoming,
         Some(OncomingDescription {
             blocked: (19, 24),
             next: Some((43, 9))
         })
     );
     for &form in TextForm::ALL {
-        let (without, with) = (write(&plain, form), write(&way, form));
+        let (without, with) = (write(&plain, form), write(&oncoming, form));
         let more = with.strip_prefix(&without).unwrap();
         match form {
             TextForm::Compact => assert_eq!(more, ""),
@@ -168,10 +168,10 @@ fn the_way_over_the_oncoming_lane_stands_in_the_texts_that_may_name_it() {
         }
         assert_eq!(form.names_oncoming_lane(), !more.is_empty());
         let expected = match form {
-            TextForm::Paper => way.clone(),
-            TextForm::Brief => way.nearest(),
-            TextForm::Compact => way.reduced(),
-            TextForm::Compact2 => way.reduced_with_estimate(),
+            TextForm::Paper => oncoming.clone(),
+            TextForm::Brief => oncoming.nearest(),
+            TextForm::Compact => oncoming.reduced(),
+            TextForm::Compact2 => oncoming.reduced_with_estimate(),
         };
         assert_eq!(parse(&with, form), Ok(expected));
     }

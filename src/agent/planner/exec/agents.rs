@@ -45,18 +45,19 @@ pub struct ExecAgent {
 
 impl ExecAgentsStep {
     /// The message of an iteration, `dt_s` seconds after the one before.
-    pub fn of(
+    pub fn new(
         (iteration, dt_s): (usize, f64),
         ego: &EgoState,
         objects: &[TrackedObject],
         next_lights: &TrafficLights,
         logged: &[TrackedObject],
     ) -> Self {
-        let listed = |objects: &[TrackedObject]| objects.iter().map(ExecObject::of).collect();
+        let listed =
+            |objects: &[TrackedObject]| objects.iter().map(ExecObject::from_object).collect();
         Self {
             iteration,
             dt_s,
-            ego: ExecEgo::of(ego),
+            ego: ExecEgo::from_state(ego),
             objects: listed(objects),
             lights: lights(next_lights),
             logged: listed(logged),

@@ -248,7 +248,7 @@ pub struct ExecState {
 
 impl ExecInitialization {
     /// The first message of a simulation.
-    pub(super) fn of(initialization: &PlannerInitialization<'_>) -> Self {
+    pub(super) fn from_initialization(initialization: &PlannerInitialization<'_>) -> Self {
         let PlannerInitialization { map, route } = initialization;
         let vehicle = ExecVehicle {
             width: PACIFICA.width,
@@ -266,14 +266,14 @@ impl ExecInitialization {
             version: VERSION,
             step_s: STEP_S,
             vehicle,
-            map: ExecMap::of(map),
+            map: ExecMap::from_map(map),
             route,
         }
     }
 }
 
 impl ExecMap {
-    fn of(map: &LaneMap) -> Self {
+    fn from_map(map: &LaneMap) -> Self {
         let rings = |polygons: &[Polygon]| polygons.iter().map(ring).collect::<Vec<_>>();
         let stop_lines = map.stop_lines().iter().map(|line| ExecStopLine {
             polygon: ring(&line.polygon),
@@ -282,7 +282,7 @@ impl ExecMap {
         });
         let areas = [map.road_segments(), map.generic_drivable(), map.carparks()];
         Self {
-            lanes: map.lanes().iter().map(ExecLane::of).collect(),
+            lanes: map.lanes().iter().map(ExecLane::from_lane).collect(),
             stop_lines: stop_lines.collect(),
             intersections: rings(map.intersections()),
             crosswalks: rings(map.crosswalks()),
@@ -292,7 +292,7 @@ impl ExecMap {
 }
 
 impl ExecLane {
-    fn of(lane: &Lane) -> Self {
+    fn from_lane(lane: &Lane) -> Self {
         Self {
             id: lane.id.0,
             connector: lane.is_connector(),
@@ -310,18 +310,18 @@ impl ExecLane {
 
 impl ExecStep {
     /// The message of an iteration; `first` adds the history.
-    pub(super) fn of(input: &PlannerInput<'_>, first: bool) -> Self {
+    pub(super) fn from_input(input: &PlannerInput<'_>, first: bool) -> Self {
         let scene = &input.scene;
         let past = scene.history.samples().len().saturating_sub(1);
         let history = scene
             .history
             .samples()
             .take(if first { past } else { 0 })
-            .map(ExecSample::of);
+            .map(ExecSample::from_sample);
         Self {
             iteration: input.iteration,
-            ego: ExecEgo::of(scene.ego),
-            objects: scene.objects.iter().map(ExecObject::of).collect(),
+            ego: ExecEgo::from_state(scene.ego),
+            objects: scene.objects.iter().map(ExecObject::from_object).collect(),
             lights: lights(scene.lights),
             history: history.collect(),
         }
@@ -329,16 +329,16 @@ impl ExecStep {
 }
 
 impl ExecSample {
-    fn of(sample: &HistorySample) -> Self {
+    fn from_sample(sample: &HistorySample) -> Self {
         Self {
-            ego: ExecEgo::of(&sample.ego),
-            objects: sample.objects.iter().map(ExecObject::of).collect(),
+            ego: ExecEgo::from_state(&sample.ego),
+            objects: sample.objects.iter().map(ExecObject::from_object).collect(),
         }
     }
 }
 
 impl ExecEgo {
-    pub(super) fn of(ego: &EgoState) -> Self {
+    pub(super) fn from_state(ego: &EgoState) -> Self {
         let Pose { x, y, heading } = ego.rear_axle;
         Self {
             time_us: ego.time_us,
@@ -354,7 +354,7 @@ impl ExecEgo {
 }
 
 impl ExecObject {
-    pub(super) fn of(object: &TrackedObject) -> Self {
+    pub(super) fn from_object(object: &TrackedObject) -> Self {
         let OrientedBox {
             center: Pose { x, y, heading },
             length,

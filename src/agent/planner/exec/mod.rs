@@ -186,7 +186,7 @@ impl ExecPlanner {
             return Ok(None);
         };
         let first = !std::mem::replace(stepped, true);
-        let request = ExecRequest::Step(Box::new(ExecStep::of(input, first)));
+        let request = ExecRequest::Step(Box::new(ExecStep::from_input(input, first)));
         match session.ask(&request)? {
             (ExecReply::Trajectory { states }, _) => trajectory(&states, input.scene.ego)
                 .map(Some)

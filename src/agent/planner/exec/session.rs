@@ -55,7 +55,9 @@ impl ExecSession {
         initialization: &PlannerInitialization<'_>,
     ) -> Result<Self, AnswerError> {
         let mut process = Process::start(command)?;
-        let request = ExecRequest::Initialize(Box::new(ExecInitialization::of(initialization)));
+        let request = ExecRequest::Initialize(Box::new(ExecInitialization::from_initialization(
+            initialization,
+        )));
         match ask(&mut process, &request, timeout.max(START_TIMEOUT))? {
             (ExecReply::Ready {}, _) => Ok(Self { process, timeout }),
             (_, answer) => Err(AnswerError::Other {

@@ -165,10 +165,10 @@ impl LlmAssist {
         let scene_text = match self.prompts.forms().scene_text {
             TextForm::Paper | TextForm::Brief => llm_assist_text(scene, graph),
             form @ (TextForm::Compact | TextForm::Compact2) => {
-                text::write(&Description::of(graph), form)
+                text::write(&Description::from_graph(graph), form)
             }
         };
-        let speed_limit = Names::of(graph).speed_limit;
+        let speed_limit = Names::from_graph(graph).speed_limit;
         AssistQuestion {
             scene_text,
             score: rules.scores[rules.best].total,
@@ -251,7 +251,7 @@ impl Planner for LlmAssist {
         self.clock.step(scene.ego.time_us);
         if self
             .clock
-            .is_due(self.settings.plan_interval_s.min(WAYPOINT_SECONDS as f64))
+            .is_due(self.settings.agent.interval_s.min(WAYPOINT_SECONDS as f64))
         {
             self.active = None;
             if rules.scores[rules.best].total < self.tau() {

@@ -21,7 +21,7 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
     let rows: Vec<Row> = registry
         .names()?
         .into_iter()
-        .map(|name| Row::of(name, registry))
+        .map(|name| Row::for_model(name, registry))
         .collect();
     if csv {
         printer.csv(&rows)?;
@@ -42,7 +42,7 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
         FORMATS.map(WeightFormat::name),
     ));
     for row in &rows {
-        printer.line(of(row));
+        printer.line(row_line(row));
     }
     let broken = rows.iter().filter(|row| row.source.is_none());
     broken.for_each(|row| {
@@ -73,7 +73,7 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
 }
 
 /// The line of a model.
-fn of(row: &Row) -> String {
+fn row_line(row: &Row) -> String {
     let unknown = || "-".to_owned();
     let weights = |format: WeightFormat| {
         row.memory

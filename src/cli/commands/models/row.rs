@@ -51,7 +51,7 @@ pub(super) struct Row {
 }
 
 impl Row {
-    pub(super) fn of(name: String, registry: &ModelRegistry) -> Self {
+    pub(super) fn for_model(name: String, registry: &ModelRegistry) -> Self {
         let spec = match registry.find(&name) {
             Ok(spec) => spec,
             Err(error) => {

@@ -8,7 +8,7 @@ use planagent_mllm::{ModelRegistry, WeightFormat, in_bytes};
 pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
     // A name that is no model is an error of the command, not a fact about a model.
     registry.find(model)?;
-    let row = Row::of(model.to_owned(), registry);
+    let row = Row::for_model(model.to_owned(), registry);
     if printer.is_json() {
         printer.json(&row)?;
         return Ok(Exit::Success);

@@ -62,7 +62,7 @@ pub(super) fn run(
             decision_words(call)
         );
     };
-    let judgement = Judgement::of(report, report.threshold > config.reflection.threshold);
+    let judgement = Judgement::from_report(report, report.threshold > config.reflection.threshold);
     let follows = names.followed(code, config.reflection.lead_policy);
     if let Some(file) = image {
         let words = vec![verdict(&judgement), code.to_string()];

@@ -140,7 +140,8 @@ fn with_trajectory(
     trajectory: &Trajectory,
 ) -> anyhow::Result<Value> {
     let mut record =
-        CallRecord::of(&scenario.id, PlannerName::PLAN_AGENT.as_str(), None, call).to_json()?;
+        CallRecord::from_call(&scenario.id, PlannerName::PLAN_AGENT.as_str(), None, call)
+            .to_json()?;
     let start = trajectory.start_us();
     let states = trajectory.states().iter().map(|state| {
         let pose = state.rear_axle;
@@ -174,7 +175,7 @@ fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, print
         let [forward, left, speed] = [at.x, at.y, state.velocity.x].map(|value| fixed(value, 2));
         printer.line(format!("{seconds:5.1} {forward:>8} {left:>7} {speed:>7}"));
     }
-    let time = CallTimes::of(call);
+    let time = CallTimes::from_call(call);
     let ms = |value: f64| fixed(value, 1);
     printer.line(format!(
         "\nTime {} ms: environment {}, image encode {}, prefill {},\n  decode {}, server {}, reflection {}",

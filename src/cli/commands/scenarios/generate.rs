@@ -30,7 +30,7 @@ pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Re
             let spec = Spec::new(kind, seed).with_traffic_seed(*traffic);
             match generate(&spec) {
                 Ok(scenario) => {
-                    let way: f64 = scenario
+                    let distance: f64 = scenario
                         .expert()
                         .zip(scenario.expert().skip(1))
                         .map(|(a, b)| a.rear_axle.distance(&b.rear_axle))
@@ -42,11 +42,11 @@ pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Re
                         .len();
                     printer.named(
                         &scenario.id,
-                        &format!("expert drives {way:6.1} m, {objects:>3} objects"),
+                        &format!("expert drives {distance:6.1} m, {objects:>3} objects"),
                     );
                     if printer.is_json() {
                         printer.json(
-                            &json!({"id": scenario.id, "expert_m": way, "objects": objects}),
+                            &json!({"id": scenario.id, "expert_m": distance, "objects": objects}),
                         )?;
                     }
                 }

@@ -24,7 +24,9 @@ pub(super) fn run(arguments: &StatisticsArguments, printer: Printer) -> anyhow::
     let measured = |list: &[ScenarioRef]| -> Result<Vec<MeasuredScene>, ReaderError> {
         list.par_iter()
             .map(|scenario| {
-                let measured = scenario.open().map(|opened| MeasuredScene::of(&opened));
+                let measured = scenario
+                    .open()
+                    .map(|opened| MeasuredScene::from_scenario(&opened));
                 progress.inc(1);
                 measured
             })
@@ -35,7 +37,7 @@ pub(super) fn run(arguments: &StatisticsArguments, printer: Printer) -> anyhow::
     for note in readers.take_notes() {
         printer.note(note);
     }
-    let comparison = SceneComparison::of(a_scenes, b_scenes);
+    let comparison = SceneComparison::from_sets(a_scenes, b_scenes);
     let names = [a, b].map(|words| shown(words));
     let names = names.each_ref().map(String::as_str);
     if let Some(file) = figure {

@@ -8,10 +8,9 @@
     reason = "the names of intrinsics say where they are from"
 )]
 
-use std::arch::x86_64::*;
-
 use super::{Kernel, Simd};
 use crate::matrix::line::{CacheLine, LANES};
+use std::arch::x86_64::*;
 
 /// A value exists only where the CPU has AVX2, FMA and F16C.
 #[derive(Debug, Clone, Copy)]

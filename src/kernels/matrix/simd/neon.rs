@@ -9,11 +9,10 @@
     reason = "the names of intrinsics say where they are from"
 )]
 
-use std::arch::aarch64::*;
-use std::arch::{asm, is_aarch64_feature_detected};
-
 use super::{Kernel, Simd};
 use crate::matrix::line::{CacheLine, LANES};
+use std::arch::aarch64::*;
+use std::arch::{asm, is_aarch64_feature_detected};
 
 /// A value exists only where the CPU has NEON and its dot products.
 #[derive(Debug, Clone, Copy)]

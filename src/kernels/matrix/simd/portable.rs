@@ -1,9 +1,8 @@
 //! Plain arrays: for CPUs without the other instruction sets, and the reference of their tests.
 
-use half::f16;
-
 use super::{Kernel, Simd};
 use crate::matrix::line::{CacheLine, LANES};
+use half::f16;
 
 #[derive(Debug, Clone, Copy)]
 pub(in crate::matrix) struct Portable;

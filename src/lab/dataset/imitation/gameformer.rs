@@ -21,7 +21,7 @@ const NEAR: [f32; 2] = [1.5, 4.0];
 
 /// Features of GameFormer, the ego's poses and those of its ten nearest agents (80, 3).
 pub(super) fn gameformer(moment: &Moment<'_>) -> Option<Columns> {
-    let features = ActorFeatures::of(&moment.scene, GAMEFORMER_RADIUS);
+    let features = ActorFeatures::from_scene(&moment.scene, GAMEFORMER_RADIUS);
     let route = features.route_input().ok()?;
     actors(moment, &features)?.with_tensor("route", &route)
 }
@@ -48,7 +48,7 @@ pub(super) fn dtpp(moment: &Moment<'_>) -> Option<Columns> {
     if one > NEAR[0] && two > NEAR[1] {
         return None;
     }
-    let features = ActorFeatures::of(scene, DTPP_RADIUS);
+    let features = ActorFeatures::from_scene(scene, DTPP_RADIUS);
     let columns = actors(moment, &features)?;
     Some(
         columns

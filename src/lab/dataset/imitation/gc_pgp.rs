@@ -17,7 +17,7 @@ const NONE: f32 = -1.0;
 /// Features, the target (16, 3), and the nodes and edges that the driver visited. `None` where a
 /// node has too many edges.
 pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
-    let features = GcPgpFeatures::of(&moment.scene).ok()?;
+    let features = GcPgpFeatures::from_scene(&moment.scene).ok()?;
     let GcPgpFeatures { ego, agents, graph } = &features;
     let target = futures::half_seconds(moment);
     let poses: Vec<[f64; 3]> = target

@@ -23,7 +23,7 @@ pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
         velocity,
         acceleration,
         centerline,
-    } = PdmFeatures::of(scene, &path).ok()?;
+    } = PdmFeatures::from_scene(scene, &path).ok()?;
     let target = futures::half_seconds(moment);
     let history = [position.len(), 3];
     Some(

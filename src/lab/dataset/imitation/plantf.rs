@@ -21,7 +21,7 @@ pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
         agents,
         tokens,
         map,
-    } = PlanTfFeatures::of(scene, &route);
+    } = PlanTfFeatures::from_scene(scene, &route);
     let step = |pose: Pose, from: Pose| {
         let (place, start) = (
             frame.to_local(pose.position()),

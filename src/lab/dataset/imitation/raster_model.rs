@@ -6,7 +6,7 @@ use planagent_learned::raster_model::{Raster, SIDE};
 
 /// The raster and the target (16, 3).
 pub(super) fn sample(moment: &Moment<'_>) -> Columns {
-    let raster = Raster::of(&moment.scene);
+    let raster = Raster::from_scene(&moment.scene);
     let pixels: Vec<u8> = raster
         .channels
         .iter()

@@ -18,7 +18,7 @@ pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
         ego,
         mut vehicles,
         layers,
-    } = UrbanDriverFeatures::of(&moment.scene);
+    } = UrbanDriverFeatures::from_scene(&moment.scene);
     let limits = ElementLimits::PUBLISHED;
     vehicles.truncate(limits.vehicles);
     let (mut points, mut available, mut kinds) = (Vec::new(), Vec::new(), Vec::new());

@@ -72,7 +72,7 @@ const CALL: &str = "call";
 const DRAFTED_CALL: &str = "call-accepted-";
 
 impl BenchFigures {
-    pub fn of(rows: &[Row]) -> Self {
+    pub fn from_rows(rows: &[Row]) -> Self {
         let iterations: Vec<&IterationRow> = rows
             .iter()
             .filter_map(|row| match row {
@@ -88,7 +88,9 @@ impl BenchFigures {
         for row in rows {
             match row {
                 Row::Model(about) => {
-                    figures.models.push(ModelFigures::of(about, &iterations));
+                    figures
+                        .models
+                        .push(ModelFigures::from_iterations(about, &iterations));
                     if about.engine == EngineName::PlanAgent {
                         figures
                             .comparisons
@@ -106,7 +108,7 @@ impl BenchFigures {
 }
 
 impl ModelFigures {
-    fn of(about: &ModelRow, iterations: &[&IterationRow]) -> Self {
+    fn from_iterations(about: &ModelRow, iterations: &[&IterationRow]) -> Self {
         let of = |workload: &str| -> Vec<&IterationRow> {
             let same = |row: &&&IterationRow| {
                 row.model == about.model && row.engine == about.engine && row.workload == workload
@@ -117,11 +119,12 @@ impl ModelFigures {
         let drafted_calls = (1..DRAFTED).filter_map(|accepted| {
             let acceptance = accepted as f64 / DRAFTED as f64;
             let calls = of(&format!("{DRAFTED_CALL}{acceptance}"));
-            let ms = Spread::of(calls.iter().map(|row| row.total_ms()).collect())?.median;
+            let ms = Spread::from_values(calls.iter().map(|row| row.total_ms()).collect())?.median;
             Some(DraftedCall { acceptance, ms })
         });
         let median = |of: &dyn Fn(&IterationRow) -> Option<f64>| {
-            Spread::of(calls.iter().filter_map(|row| of(row)).collect()).map(|spread| spread.median)
+            Spread::from_values(calls.iter().filter_map(|row| of(row)).collect())
+                .map(|spread| spread.median)
         };
         Self {
             about: about.clone(),
@@ -130,7 +133,7 @@ impl ModelFigures {
             prefill_tokens_per_s: median(&|row| row.prefill().rate()),
             first_token_ms: median(&IterationRow::first_token_ms),
             decode_tokens_per_s: median(&|row| row.decode().rate()),
-            call_ms: Quantiles::of(calls.iter().map(|row| row.total_ms()).collect()),
+            call_ms: Quantiles::from_values(calls.iter().map(|row| row.total_ms()).collect()),
             drafted_calls: drafted_calls.collect(),
         }
     }
@@ -166,7 +169,7 @@ fn comparisons(model: &str, iterations: &[&IterationRow]) -> Vec<Comparison> {
             .zip(of(EngineName::LlamaCpp))
             .collect();
         for (what, unit, read) in compared(workload) {
-            all.extend(Comparison::of(model, what, unit, read, &pairs));
+            all.extend(Comparison::from_pairs(model, what, unit, read, &pairs));
         }
     }
     all
@@ -191,7 +194,7 @@ fn compared(workload: &str) -> Vec<Compared> {
 }
 
 impl Comparison {
-    fn of(
+    fn from_pairs(
         model: &str,
         what: String,
         unit: &'static str,
@@ -213,9 +216,9 @@ impl Comparison {
             model: model.to_owned(),
             what,
             unit,
-            ours: Spread::of(values.iter().map(|pair| pair.0).collect())?.median,
-            theirs: Spread::of(values.iter().map(|pair| pair.1).collect())?.median,
-            ratio: Spread::of(values.iter().map(faster).collect())?,
+            ours: Spread::from_values(values.iter().map(|pair| pair.0).collect())?.median,
+            theirs: Spread::from_values(values.iter().map(|pair| pair.1).collect())?.median,
+            ratio: Spread::from_values(values.iter().map(faster).collect())?,
         })
     }
 }
@@ -245,7 +248,7 @@ mod tests {
 
     #[test]
     fn the_middle_of_an_even_number_is_a_mean() {
-        let spread = Spread::of(vec![3.0, 1.0, 2.0, 10.0]).unwrap();
+        let spread = Spread::from_values(vec![3.0, 1.0, 2.0, 10.0]).unwrap();
         assert_eq!(
             spread,
             Spread {
@@ -255,14 +258,14 @@ mod tests {
             }
         );
         assert_eq!(
-            Spread::of(vec![7.0]),
+            Spread::from_values(vec![7.0]),
             Some(Spread {
                 median: 7.0,
                 min: 7.0,
                 max: 7.0
             })
         );
-        assert_eq!(Spread::of(vec![]), None);
+        assert_eq!(Spread::from_values(vec![]), None);
     }
 
     #[test]

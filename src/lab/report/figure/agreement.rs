@@ -47,11 +47,11 @@ pub(super) fn draw(results: &StudyResults) -> Option<String> {
             "",
             &format!("{}{tau}", panel(agreement.challenge)),
         );
-        let across = Scale::of(
+        let across = Scale::for_values(
             agreement.planners.iter().map(|one| one.reported),
             [left, left + width],
         );
-        let upward = Scale::of(
+        let upward = Scale::for_values(
             agreement.planners.iter().map(|one| one.score),
             [top + HEIGHT, top],
         );

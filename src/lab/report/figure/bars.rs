@@ -32,7 +32,7 @@ pub(super) fn draw(results: &StudyResults, suite: &SuiteResults) -> String {
     let panel_width = (WIDTH - NAMES) / panels.len() as f64 - GAP;
     for (column, challenge) in panels.into_iter().enumerate() {
         let left = NAMES + (panel_width + GAP) * column as f64;
-        let scale = Scale::of([0.0, 100.0], [left, left + panel_width]);
+        let scale = Scale::for_values([0.0, 100.0], [left, left + panel_width]);
         picture.text([left, TOP - 18.0], Anchor::Start, "", panel(challenge));
         picture.columns(scale, TOP, bottom);
         for (place, kind) in kinds.iter().enumerate() {

@@ -62,7 +62,7 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) 
                 .flatten()
                 .chain(result.paper_difference)
         });
-        let scale = Scale::of(ends.chain([0.0]), [left, left + panel_width]);
+        let scale = Scale::for_values(ends.chain([0.0]), [left, left + panel_width]);
         picture.text([left, TOP - 18.0], Anchor::Start, "", panel(challenge));
         picture.columns(scale, TOP, bottom);
         for (place, result) in own.iter().enumerate() {

@@ -29,8 +29,8 @@ pub(super) fn draw(
 ) -> String {
     let curves = curves(study, suite);
     let all = || curves.iter().flat_map(|curve| &curve.points);
-    let across = Scale::of(all().map(|point| point[0]), [LEFT, RIGHT]);
-    let up = Scale::of(all().map(|point| point[1]), [BOTTOM, TOP]);
+    let across = Scale::for_values(all().map(|point| point[0]), [LEFT, RIGHT]);
+    let up = Scale::for_values(all().map(|point| point[1]), [BOTTOM, TOP]);
     let mut picture = Picture::new(WIDTH);
     let title = format!("{}: {}, {} scenes", results.title, suite.name, suite.scenes);
     picture.text([12.0, 24.0], Anchor::Start, "head", &title);

@@ -48,7 +48,7 @@ pub fn realism_figure(comparison: &SceneComparison, names: [&str; 2]) -> String 
         if !low.is_finite() {
             continue;
         }
-        let scale = Scale::of(ends(), [LEFT, RIGHT]);
+        let scale = Scale::for_values(ends(), [LEFT, RIGHT]);
         let decimals = usize::from(high.abs().max(low.abs()) < 20.0);
         picture.text(
             [LEFT - 8.0, y + 4.0],

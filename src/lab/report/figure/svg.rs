@@ -142,7 +142,7 @@ impl Picture {
 impl Scale {
     /// A scale from pixel to pixel that shows all values, with about five ticks; both ends are
     /// ticks.
-    pub(super) fn of(values: impl IntoIterator<Item = f64>, pixels: [f64; 2]) -> Self {
+    pub(super) fn for_values(values: impl IntoIterator<Item = f64>, pixels: [f64; 2]) -> Self {
         let mut ends = [f64::INFINITY, f64::NEG_INFINITY];
         for value in values.into_iter().filter(|value| value.is_finite()) {
             ends = [ends[0].min(value), ends[1].max(value)];
@@ -211,17 +211,17 @@ mod tests {
 
     #[test]
     fn scales_cover_their_values_and_end_at_ticks() {
-        let scale = Scale::of([-3.2, 7.9], [100.0, 200.0]);
+        let scale = Scale::for_values([-3.2, 7.9], [100.0, 200.0]);
         let ticks: Vec<String> = scale.ticks().map(|(_, label)| label).collect();
         assert_eq!(ticks, ["-5", "0", "5", "10"]);
         assert!((scale.at(-5.0) - 100.0).abs() < 1e-9 && (scale.at(10.0) - 200.0).abs() < 1e-9);
-        let small: Vec<String> = Scale::of([0.1, 0.4], [0.0, 1.0])
+        let small: Vec<String> = Scale::for_values([0.1, 0.4], [0.0, 1.0])
             .ticks()
             .map(|(_, label)| label)
             .collect();
         assert_eq!(small, ["0.1", "0.2", "0.3", "0.4"]);
         for values in [vec![], vec![2.0], vec![f64::NAN]] {
-            let scale = Scale::of(values, [0.0, 10.0]);
+            let scale = Scale::for_values(values, [0.0, 10.0]);
             assert!(scale.at(scale.values[1]).is_finite() && scale.ticks().count() >= 2);
         }
     }

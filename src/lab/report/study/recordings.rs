@@ -30,7 +30,7 @@ pub struct CallShares {
 }
 
 impl CallShares {
-    pub(super) fn of(rows: &[SimulationRow]) -> Self {
+    pub(super) fn from_rows(rows: &[SimulationRow]) -> Self {
         let sum = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum();
         let collides =
             |row: &&SimulationRow| row.metric(COLLISIONS).is_some_and(|score| score < 1.0);
@@ -86,14 +86,14 @@ pub(super) fn recordings(
     let recordings = names.into_iter().map(|recording| {
         let starts = distinct(
             rows.iter()
-                .flat_map(|rows| of(rows, &recording, None))
+                .flat_map(|rows| rows_of(rows, &recording, None))
                 .map(|row| &row.source),
         )
         .len();
         let challenges = Challenge::CLOSED_LOOP.map(|challenge| {
             let own: Vec<Vec<&SimulationRow>> = rows
                 .iter()
-                .map(|rows| of(rows, &recording, Some(challenge)).collect())
+                .map(|rows| rows_of(rows, &recording, Some(challenge)).collect())
                 .collect();
             let scores: Vec<Option<f64>> = own.iter().map(|rows| mean(rows)).collect();
             let at = |place: usize| scores.get(place).copied().flatten();
@@ -124,7 +124,7 @@ fn name(row: &SimulationRow) -> String {
     without_start(&row.scenario).to_owned()
 }
 
-fn of<'a>(
+fn rows_of<'a>(
     rows: &'a [SimulationRow],
     recording: &'a str,
     challenge: Option<Challenge>,

@@ -274,7 +274,7 @@ impl ResultSource<'_> {
             scenario_types,
             calls_per_simulation: (calls > 0 || self.study.columns.contains(&Column::Calls))
                 .then(|| calls as f64 / completed.count() as f64),
-            calls: (self.study.rows == Rows::Recordings).then(|| CallShares::of(rows)),
+            calls: (self.study.rows == Rows::Recordings).then(|| CallShares::from_rows(rows)),
             model: self
                 .study
                 .measures_models()
@@ -347,7 +347,7 @@ impl ResultSource<'_> {
             .flat_map(|row| &row.time.calls)
             .map(|call| call.total)
             .collect();
-        let simulated = Quantiles::of(calls).map(|quantiles| quantiles.p50);
+        let simulated = Quantiles::from_values(calls).map(|quantiles| quantiles.p50);
         let from_bench = benched
             .and_then(|model| model.call_ms)
             .map(|quantiles| quantiles.p50);

@@ -1,9 +1,8 @@
 //! The forms in which a text may repeat a key.
 
-use std::collections::BTreeSet;
-
 use base64::Engine;
 use base64::engine::general_purpose::{STANDARD_NO_PAD, URL_SAFE_NO_PAD};
+use std::collections::BTreeSet;
 
 /// Shortest part of a key that is hidden where the rest is missing, bytes. A shorter one tells
 /// nothing and can be a word.
@@ -33,7 +32,7 @@ struct Unit {
 }
 
 impl Forms {
-    pub(super) fn of(key: &str) -> Self {
+    pub(super) fn from_key(key: &str) -> Self {
         let mut forms = Vec::new();
         let mut add = |bytes: Vec<u8>, min_part: usize| {
             let min_part = min_part.min(bytes.len());
@@ -238,7 +237,7 @@ mod tests {
     const KEY: &str = "sk-proj/a+B_9-41.zXy~0123456789";
 
     fn hidden(text: &str) -> String {
-        Forms::of(KEY).replaced(text, "[key]")
+        Forms::from_key(KEY).replaced(text, "[key]")
     }
 
     #[test]
@@ -281,7 +280,7 @@ mod tests {
         }
         let with_escape = "sk-proj-%41-zXy0123456789";
         assert_eq!(
-            Forms::of(with_escape).replaced(with_escape, "[key]"),
+            Forms::from_key(with_escape).replaced(with_escape, "[key]"),
             "[key]"
         );
     }
@@ -318,7 +317,7 @@ mod tests {
     #[test]
     fn a_key_of_long_letters_takes_no_text_with_it() {
         const KEY: &str = "\u{e9}0123456789abcdef";
-        let shown = |text: &str| Forms::of(KEY).replaced(text, "[key]");
+        let shown = |text: &str| Forms::from_key(KEY).replaced(text, "[key]");
         assert_eq!(shown(&format!("a {KEY} z")), "a [key] z");
         // A letter that ends with the same byte.
         assert_eq!(shown("a \u{129}0123456789abcdef z"), "a [key] z");
@@ -326,7 +325,7 @@ mod tests {
 
     #[test]
     fn a_short_key_is_hidden_as_a_word() {
-        let forms = Forms::of("none");
+        let forms = Forms::from_key("none");
         assert_eq!(
             forms.replaced("key 'none' in nonesuch, Anone", "[key]"),
             "key '[key]' in nonesuch, Anone"

@@ -1,10 +1,9 @@
 //! The lines of a response: server-sent events as servers really write them, or a body in one
 //! piece.
 
-use std::io::BufRead;
-
 use super::MAX_BYTES;
 use crate::EndpointFailure;
+use std::io::BufRead;
 
 /// Fields of server-sent events; the empty one begins a comment. `error` is that of older servers
 /// of llama.cpp.

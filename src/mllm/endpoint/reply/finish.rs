@@ -1,8 +1,7 @@
 //! Why an answer ended, in the words of several servers.
 
-use serde_json::Value;
-
 use crate::{EndpointFailure, FinishReason};
+use serde_json::Value;
 
 /// Words for the limit of tokens that the request set.
 const LENGTH: [&str; 6] = [
@@ -58,7 +57,7 @@ impl Ending {
     ///
     /// A word that is not known means the end: servers invent words for it (`eos`, `eos_token`,
     /// `stop_sequence`, `end_turn`).
-    pub(super) fn of(choice: &Value) -> Option<Self> {
+    pub(super) fn from_choice(choice: &Value) -> Option<Self> {
         // The first GPT-4V had an object; others name only the reason to stop.
         let named = [
             choice.get("finish_reason"),
@@ -155,7 +154,7 @@ mod tests {
             (json!("MAX_TOKENS"), Length),
             (json!("model_length"), ContextFull),
         ] {
-            let ending = Ending::of(&json!({"finish_reason": word}));
+            let ending = Ending::from_choice(&json!({"finish_reason": word}));
             assert_eq!(ending, Some(Ending::Answer(reason)), "{word}");
         }
     }
@@ -186,7 +185,7 @@ mod tests {
             (json!({}), None),
         ] {
             assert_eq!(
-                Ending::of(&choice),
+                Ending::from_choice(&choice),
                 expected.map(Ending::Answer),
                 "{choice}"
             );
@@ -196,7 +195,7 @@ mod tests {
     #[test]
     fn an_end_without_an_answer_has_its_own_sentence() {
         let failure = |word: &str| {
-            let ending = Ending::of(&json!({"finish_reason": word})).unwrap();
+            let ending = Ending::from_choice(&json!({"finish_reason": word})).unwrap();
             ending.reason(&str::to_owned).unwrap_err()
         };
         for word in ["content_filter", "SAFETY", "sensitive", "refusal"] {

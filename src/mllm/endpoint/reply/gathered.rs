@@ -1,9 +1,5 @@
 //! The answer so far, from a body in one piece or from the events of a stream.
 
-use std::time::Instant;
-
-use serde_json::{Deserializer, Value};
-
 use super::finish::Ending;
 use super::message::Said;
 use super::thinking::{Found, after_end, answer};
@@ -11,6 +7,8 @@ use super::usage::counts;
 use super::{Listen, Reply, shortened};
 use crate::endpoint::trouble::{Trouble, in_words};
 use crate::{EndpointFailure, FinishReason, TokenCounts};
+use serde_json::{Deserializer, Value};
+use std::time::Instant;
 
 /// What to do against an answer that stands in the reasoning.
 const ALL_REASONING: &str = "the content is empty and the text is all in the reasoning; switch the model's thinking off, \
@@ -109,7 +107,7 @@ impl Gathered {
         let Some(choice) = part.pointer("/choices/0") else {
             return Ok(());
         };
-        let said = Said::of(choice).map_err(|problem| {
+        let said = Said::from_choice(choice).map_err(|problem| {
             EndpointFailure::InvalidReply(shortened(&(listen.hide)(&problem)))
         })?;
         self.chosen |= ["delta", "message", "text"]
@@ -128,7 +126,7 @@ impl Gathered {
         self.content.push_str(&said.text);
         self.reasoning.push_str(&said.reasoning);
         self.refusal.push_str(&said.refusal);
-        self.ending = Ending::of(choice).or(self.ending.take());
+        self.ending = Ending::from_choice(choice).or(self.ending.take());
         if !listen.whole
             && let Found::Answer(text) = answer(&self.content)
             && let Some(piece) = text.get(self.told..).filter(|piece| !piece.is_empty())

@@ -34,7 +34,7 @@ impl Said {
     ///
     /// # Errors
     /// When its content has a form that is nobody's; the text names it.
-    pub(super) fn of(choice: &Value) -> Result<Self, String> {
+    pub(super) fn from_choice(choice: &Value) -> Result<Self, String> {
         let mut said = Self::default();
         let message = [choice.get("delta"), choice.get("message")]
             .into_iter()
@@ -177,7 +177,7 @@ mod tests {
             ),
         ] {
             assert_eq!(
-                Said::of(&choice),
+                Said::from_choice(&choice),
                 Ok(Said {
                     text: "keep left".into(),
                     ..Said::default()
@@ -215,7 +215,7 @@ mod tests {
                 json!({"content": [{"type": "reasoning", "text": "Hm."}]}),
             ),
         ] {
-            let said = Said::of(&json!({"message": message}));
+            let said = Said::from_choice(&json!({"message": message}));
             assert_eq!(
                 said,
                 Ok(Said {
@@ -235,19 +235,21 @@ mod tests {
             json!({"message": {"content": []}}),
             json!(3),
         ] {
-            assert_eq!(Said::of(&choice), Ok(Said::default()), "{choice}");
+            assert_eq!(Said::from_choice(&choice), Ok(Said::default()), "{choice}");
         }
         for message in [
             json!({"refusal": "No."}),
             json!({"content": [{"type": "refusal", "refusal": "No."}]}),
         ] {
             assert_eq!(
-                Said::of(&json!({"message": message})).unwrap().refusal,
+                Said::from_choice(&json!({"message": message}))
+                    .unwrap()
+                    .refusal,
                 "No."
             );
         }
         for content in [json!(3), json!(true)] {
-            let problem = Said::of(&json!({"message": {"content": content}})).unwrap_err();
+            let problem = Said::from_choice(&json!({"message": {"content": content}})).unwrap_err();
             assert!(problem.contains(&content.to_string()), "{problem}");
         }
     }

@@ -8,12 +8,11 @@ mod message;
 mod thinking;
 mod usage;
 
-use std::io::{BufReader, Read};
-use std::time::Instant;
-
 use crate::{EndpointFailure, FinishReason, TokenCounts};
 use events::{Events, Line};
 use gathered::Gathered;
+use std::io::{BufReader, Read};
+use std::time::Instant;
 
 /// Maximum bytes of a response. The longest sensible one, with a stream event for each token, takes
 /// a tenth of it.

@@ -1,9 +1,8 @@
 //! Token counts, under the names of several servers. A count that is absent or odd is zero: it must
 //! never cost the answer.
 
-use serde_json::Value;
-
 use crate::TokenCounts;
+use serde_json::Value;
 
 /// The counts of a completion or an event; `None` where it has none.
 pub(super) fn counts(part: &Value) -> Option<TokenCounts> {

@@ -1,12 +1,10 @@
 //! What a server says about a failure, in every form, and whether a later request can succeed.
 
-use std::io::Read;
-
-use reqwest::StatusCode;
-use serde_json::Value;
-
 use crate::EndpointFailure;
 use crate::endpoint::reply::{Hide, MAX_BYTES, shortened};
+use reqwest::StatusCode;
+use serde_json::Value;
+use std::io::Read;
 
 /// Members with the words of a failure, in the order in which they are looked for.
 const WORDS: [&str; 10] = [
@@ -82,7 +80,7 @@ impl Trouble {
             .or_else(|| choice.and_then(|choice| choice.get("error")))
             .filter(|e| is_said(e));
         if let Some(error) = error {
-            return Some(Self::of(StatusCode::OK.as_u16(), error, reply));
+            return Some(Self::from_reply(StatusCode::OK.as_u16(), error, reply));
         }
         let kind = ["object", "type"]
             .iter()
@@ -93,7 +91,7 @@ impl Trouble {
                 .iter()
                 .filter_map(|name| reply.get(name))
                 .any(|told| is_said(told) && !told.is_object());
-        (kind || told).then(|| Self::of(StatusCode::OK.as_u16(), reply, reply))
+        (kind || told).then(|| Self::from_reply(StatusCode::OK.as_u16(), reply, reply))
     }
 
     /// The failure behind an error status.
@@ -113,7 +111,7 @@ impl Trouble {
                     .get("error")
                     .filter(|error| error.is_object())
                     .unwrap_or(whole);
-                Self::of(status.as_u16(), error, whole)
+                Self::from_reply(status.as_u16(), error, whole)
             }
             _ => {
                 let text = in_words(text.trim());
@@ -132,7 +130,7 @@ impl Trouble {
         }
     }
 
-    fn of(status: u16, error: &Value, whole: &Value) -> Self {
+    fn from_reply(status: u16, error: &Value, whole: &Value) -> Self {
         let message = message(error, 0).unwrap_or_else(|| error.to_string());
         let names = ["code", "type", "status"];
         let mut kinds = [error, whole]

@@ -3,10 +3,6 @@
 mod template;
 mod tower;
 
-use std::collections::BTreeMap;
-
-use serde_json::json;
-
 use super::config::{IMAGE_TOKEN_BEYOND, LlavaConfig};
 use crate::MllmError;
 use crate::checkpoint::ModelFiles;
@@ -15,6 +11,8 @@ use crate::gguf::names::{
 };
 use crate::gguf::{Entries, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, tokenizer};
 use crate::vision::{PixelScale, read_processor};
+use serde_json::json;
+use std::collections::BTreeMap;
 
 /// The names of a LLaVA's tensors, and the newline of a LLaVA-NeXT.
 const NAMES: Names = Names {
@@ -99,7 +97,7 @@ impl GgufLayout for LlavaGguf {
             &tower::preprocessor(tower, self.image_processor)?,
         );
         if !decoder.path.with_file_name(TEMPLATE).is_file() {
-            let template = template::of(decoder, notes)?;
+            let template = template::read(decoder, notes)?;
             files.insert(TEMPLATE.to_string(), template.to_string());
         }
         Ok(files)

@@ -26,7 +26,7 @@ const MISTRAL: &str = "\
 {%- endfor -%}";
 
 /// The chat template of a decoder: the file's own, else one by the model's name, which a note says.
-pub(super) fn of<'a>(decoder: &'a Header, notes: &mut Vec<String>) -> Result<&'a str, MllmError> {
+pub(super) fn read<'a>(decoder: &'a Header, notes: &mut Vec<String>) -> Result<&'a str, MllmError> {
     if let Some(template) = decoder.text("tokenizer.chat_template")? {
         return Ok(template);
     }

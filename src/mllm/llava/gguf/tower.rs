@@ -1,13 +1,12 @@
 //! The vision tower's configuration and preprocessor in the metadata of a `clip` GGUF file, in both
 //! directions.
 
-use serde_json::{Value, json};
-
 use crate::MllmError;
 use crate::checkpoint::TowerType;
 use crate::gguf::{Entries, Header};
 use crate::llava::LlavaConfig;
 use planagent_kernels::Activation;
+use serde_json::{Value, json};
 
 /// The tensor that LLaVA-NeXT adds to LLaVA's.
 const IMAGE_NEWLINE: &str = "model.image_newline";

@@ -1,9 +1,8 @@
 //! The cache of the `huggingface_hub` tools: refs, and snapshots that may be links or copies.
 
-use std::path::{Path, PathBuf};
-
 use super::files::listed;
 use super::{HubFiles, HubName, HubPlace};
+use std::path::{Path, PathBuf};
 
 /// Digits of a commit.
 const COMMIT_DIGITS: usize = 40;

@@ -1,18 +1,16 @@
 //! The client of the hub: fills the cache.
 
-use std::collections::{BTreeSet, HashMap};
-use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
-
-use hf_hub::progress::{DownloadEvent, Progress, ProgressEvent, ProgressHandler};
-use hf_hub::repository::RepoTreeEntry;
-use hf_hub::{HFClientSync, HFError};
-
 use super::environment::Environment;
 use super::files::offered;
 use super::problem::{in_words, is_about_the_revision};
 use super::{FetchListener, FetchProgress, HubFiles, HubName, HubPlace, cache, split_id};
+use hf_hub::progress::{DownloadEvent, Progress, ProgressEvent, ProgressHandler};
+use hf_hub::repository::RepoTreeEntry;
+use hf_hub::{HFClientSync, HFError};
+use std::collections::{BTreeSet, HashMap};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 /// Attempts of a request where the cache has all files.
 const ATTEMPTS_WITH_CACHE: usize = 2;

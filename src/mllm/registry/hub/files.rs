@@ -1,11 +1,9 @@
 //! The wanted part of a repository.
 
-use std::path::{Path, PathBuf};
-
-use super::HubName;
+use super::{HubName, is_gguf};
 use crate::MllmError;
 use crate::checkpoint::safetensors_folder::{has_safetensors, weight_files};
-use crate::registry::is_gguf;
+use std::path::{Path, PathBuf};
 
 /// Names of files that a message lists.
 const MAX_LISTED: usize = 20;

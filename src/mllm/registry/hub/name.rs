@@ -211,7 +211,7 @@ fn file_of(path: &str) -> Option<String> {
 }
 
 fn is_gguf(path: &str) -> bool {
-    crate::registry::is_gguf(Path::new(path))
+    super::is_gguf(Path::new(path))
 }
 
 /// A text without a prefix, whose case does not matter.

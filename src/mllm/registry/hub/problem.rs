@@ -1,12 +1,10 @@
 //! The hub's failures in words: the reason and the next step, each once.
 
-use std::error::Error;
-
-use hf_hub::HFError;
-
 use super::HubName;
 use super::cache::MAIN;
 use super::environment::PUBLIC_HUB;
+use hf_hub::HFError;
+use std::error::Error;
 
 /// Longest message of a server that is shown, characters.
 const MAX_SHOWN: usize = 200;

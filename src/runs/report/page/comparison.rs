@@ -96,7 +96,7 @@ fn comparison(challenge: Challenge, rows: &[(usize, &SimulationRow)]) -> Compari
     let entrants: Vec<Completed<'_>> =
         distinct(own.iter().map(|(run, row)| (*run, row.planner.as_str())))
             .into_iter()
-            .map(|(run, planner)| Completed::of(run, planner, &own))
+            .map(|(run, planner)| Completed::from_rows(run, planner, &own))
             .collect();
     let common = common(&entrants);
     let pairs: Vec<(usize, usize)> = (0..entrants.len())
@@ -136,7 +136,7 @@ fn common<'a>(entrants: &[Completed<'a>]) -> BTreeSet<Scene<'a>> {
 }
 
 impl<'a> Completed<'a> {
-    fn of(run: usize, planner: &'a str, rows: &[(usize, &'a SimulationRow)]) -> Self {
+    fn from_rows(run: usize, planner: &'a str, rows: &[(usize, &'a SimulationRow)]) -> Self {
         let own = rows
             .iter()
             .filter(|(of_run, row)| *of_run == run && row.planner == planner);
@@ -161,8 +161,8 @@ impl<'a> Completed<'a> {
         EntrantScores {
             run: self.run,
             planner: self.planner.to_owned(),
-            all: Scores::of(&all),
-            common: Scores::of(&shared),
+            all: Scores::from_scenes(&all),
+            common: Scores::from_scenes(&shared),
         }
     }
 
@@ -177,7 +177,7 @@ impl<'a> Completed<'a> {
 }
 
 impl Scores {
-    fn of(scenes: &[(f64, &str)]) -> Option<Self> {
+    fn from_scenes(scenes: &[(f64, &str)]) -> Option<Self> {
         let mut types: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
         for (score, kind) in scenes {
             types.entry(kind).or_default().push(*score);

@@ -127,7 +127,7 @@ struct Column {
 
 impl Index {
     /// The index of runs, without the elements of the replays.
-    pub(super) fn of(
+    pub(super) fn from_runs(
         runs: &[RunSimulations],
         parts: &[SimulationParts],
         wanted: impl Fn(&str) -> bool,
@@ -165,7 +165,7 @@ impl Index {
                 width: PACIFICA.width,
                 rear_axle_to_center: PACIFICA.rear_axle_to_center(),
             },
-            runs: runs.iter().map(RunEntry::of).collect(),
+            runs: runs.iter().map(RunEntry::from_run).collect(),
             metrics: metrics(),
             simulations: rows.zip(parts).map(entry).collect(),
             comparisons: comparisons(runs),
@@ -186,7 +186,7 @@ fn of_runs<T>(runs: &[RunSimulations], values: fn(&[SimulationRow]) -> Vec<T>) -
 }
 
 impl RunEntry {
-    fn of(run: &RunSimulations) -> Self {
+    fn from_run(run: &RunSimulations) -> Self {
         Self {
             name: run.name.clone(),
             version: run.manifest.planagent.clone(),
@@ -230,7 +230,7 @@ fn timings(rows: &[SimulationRow]) -> Vec<PlannerTiming> {
     let planners = distinct(rows.iter().map(|row| row.planner.as_str()));
     planners
         .into_iter()
-        .map(|planner| PlannerTiming::of(planner, rows))
+        .map(|planner| PlannerTiming::from_rows(planner, rows))
         .collect()
 }
 

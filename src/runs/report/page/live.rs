@@ -202,7 +202,7 @@ impl LivePage {
             .filter_map(|known| known.content.as_ref().ok())
             .map(|(_, parts)| parts.clone())
             .collect();
-        let mut index = Index::of(&runs, &parts, |_| true);
+        let mut index = Index::from_runs(&runs, &parts, |_| true);
         let mut with_replay = BTreeMap::new();
         for (entry, known) in index.simulations.iter_mut().zip(readable()) {
             if entry.absent.is_none() {

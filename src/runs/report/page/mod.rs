@@ -10,6 +10,9 @@ mod live;
 mod simulation;
 mod source;
 
+pub use super::layout::PAGE;
+pub use live::{LivePage, LiveState};
+
 use super::atomic;
 use super::error::{ReportError, ReportFault};
 use super::replay::packed;
@@ -23,9 +26,6 @@ use source::RunSimulations;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
-
-pub use super::layout::PAGE;
-pub use live::{LivePage, LiveState};
 
 /// Default maximum size of a page, bytes: a browser opens it at once, and most mail servers accept
 /// it.
@@ -115,7 +115,7 @@ pub fn write(
             Ok(parts)
         })
         .collect::<Result<_, ReportError>>()?;
-    let mut index = Index::of(&runs, &parts, wanted);
+    let mut index = Index::from_runs(&runs, &parts, wanted);
     let data = data(out, &mut index, &parts, settings.max_bytes)?;
     let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
     let page = assets::page(&format!("PlanAgent: {}", names.join(", ")), &data);

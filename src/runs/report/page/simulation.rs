@@ -159,7 +159,7 @@ fn simulation(
     calls: &[CallRecord],
     metrics: &[MetricResult],
 ) -> Result<Vec<u8>, ReportError> {
-    let series = metrics.iter().filter_map(Series::of).collect();
+    let series = metrics.iter().filter_map(Series::from_metric).collect();
     let key = CompactParts::seen_in(calls).tables();
     packed_json(
         folder,
@@ -173,7 +173,7 @@ fn simulation(
 }
 
 impl<'a> Series<'a> {
-    fn of(metric: &'a MetricResult) -> Option<Self> {
+    fn from_metric(metric: &'a MetricResult) -> Option<Self> {
         let series = metric.time_series.as_ref()?;
         let (low, high) =
             planagent_score::metrics::metric(&metric.name).map_or((None, None), |spec| spec.bounds);

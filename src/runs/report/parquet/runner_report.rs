@@ -38,7 +38,9 @@ fn columns(rows: &[&SimulationRow]) -> Columns {
         ),
         (
             "compute_trajectory_runtimes_median",
-            float(|row| Spread::of(row.time.planner_s.clone()).map(|spread| spread.median)),
+            float(|row| {
+                Spread::from_values(row.time.planner_s.clone()).map(|spread| spread.median)
+            }),
         ),
         (
             "compute_trajectory_runtimes_std",

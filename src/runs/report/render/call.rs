@@ -37,7 +37,7 @@ pub fn call_picture(
     call: &PlanningCall,
     plan: &Trajectory,
 ) -> RgbImage {
-    let layout = Layout::of(LOOK);
+    let layout = Layout::for_look(LOOK);
     // A refused plan that is executed all the same is among the refused ones.
     let is_accepted =
         |i: usize| matches!(call.decision, Decision::Execute(attempt) if attempt == i);
@@ -116,7 +116,7 @@ fn scene_picture(
 ) -> RgbImage {
     let ego = &frame.ego;
     let bounds = Bounds::around(&[ego.rear_axle.position()]).grown(LOOK.meters);
-    let map = DrawnMap::of(&scenario.map, &scenario.route, &bounds);
+    let map = DrawnMap::from_map(&scenario.map, &scenario.route, &bounds);
     let past = scenario
         .frames
         .iter()
@@ -134,8 +134,8 @@ fn scene_picture(
         refused,
         map: &map,
     };
-    let layout = Layout::of(LOOK);
-    let legend = Legend::new(&Entry::of(&scene), layout.letters, layout.width());
+    let layout = Layout::for_look(LOOK);
+    let legend = Legend::new(&Entry::all_in(&scene), layout.letters, layout.width());
     let height = caption.height(layout.letters, layout.width());
     picture(&scene, LOOK, Some(&legend), caption, height, layout)
 }

@@ -70,8 +70,8 @@ pub fn named(
     let by_number = |row: &SimulationRow| number == Some(row.number);
     let by_name = |row: &SimulationRow| row.scenario == word || row.scenario.ends_with(&end);
     let by_part = |row: &SimulationRow| !word.is_empty() && row.scenario.contains(word);
-    let ways: [&dyn Fn(&SimulationRow) -> bool; 3] = [&by_number, &by_name, &by_part];
-    let Some(is_meant) = ways.into_iter().find(|is_meant| rows.iter().any(is_meant)) else {
+    let rules: [&dyn Fn(&SimulationRow) -> bool; 3] = [&by_number, &by_name, &by_part];
+    let Some(is_meant) = rules.into_iter().find(|is_meant| rows.iter().any(is_meant)) else {
         return Err(no_simulation(word, run, rows));
     };
     let meant: Vec<SimulationRow> = rows.iter().filter(|row| is_meant(row)).cloned().collect();

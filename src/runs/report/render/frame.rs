@@ -59,7 +59,7 @@ impl Film {
         let replay = Replay::read(&folder)?.ok_or_else(|| RenderError::NoReplay(words(&row)))?;
         let simulation = ReplayedSimulation::new(&replay);
         let calls = calls_in(&folder)?;
-        let layout = Layout::of(look);
+        let layout = Layout::for_look(look);
         let legend = Legend::new(&[], layout.letters, layout.width());
         let mut film = Self {
             row,
@@ -75,10 +75,10 @@ impl Film {
 
     /// Sets legend and height of the caption, so that all frames have one size.
     fn measure(&mut self) {
-        let layout = Layout::of(self.look);
+        let layout = Layout::for_look(self.look);
         let moments = || self.simulation.moments().iter().enumerate();
         let mut entries: Vec<Entry> = moments()
-            .flat_map(|(i, moment)| Entry::of(&self.scene(i, moment)))
+            .flat_map(|(i, moment)| Entry::all_in(&self.scene(i, moment)))
             .collect();
         entries.sort_unstable();
         entries.dedup();
@@ -124,7 +124,7 @@ impl Film {
         let Some(moment) = moments.get(iteration) else {
             return RgbImage::new(self.look.pixels, self.look.pixels);
         };
-        let layout = Layout::of(self.look);
+        let layout = Layout::for_look(self.look);
         let caption = self.caption(iteration, moment);
         let legend = with_legend.then_some(&self.legend);
         picture(
@@ -146,7 +146,7 @@ impl Film {
             .map(|k| self.drawn(last * k as usize / (count as usize - 1), false))
             .collect();
         let (width, height) = frames.first().map_or((0, 0), RgbImage::dimensions);
-        let layout = Layout::of(self.look);
+        let layout = Layout::for_look(self.look);
         let gap = layout.margin.round() as u32;
         let wide = across * (width + gap) - gap;
         let legend = Legend::new(
@@ -246,7 +246,7 @@ pub(super) struct Layout {
 
 impl Layout {
     /// The layout of a size.
-    pub(super) fn of(look: Look) -> Self {
+    pub(super) fn for_look(look: Look) -> Self {
         let side = look.pixels as f32;
         let letters = Lettering::regular((LETTERS * side).clamp(LETTERS_PX.0, LETTERS_PX.1));
         Self {

@@ -35,7 +35,7 @@ pub(super) enum Entry {
 
 impl Entry {
     /// What a scene shows.
-    pub(super) fn of(scene: &DrawnScene<'_>) -> Vec<Self> {
+    pub(super) fn all_in(scene: &DrawnScene<'_>) -> Vec<Self> {
         let kind = |kinds: &[ObjectKind]| {
             scene
                 .objects

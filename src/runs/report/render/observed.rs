@@ -25,7 +25,7 @@ pub fn observed_picture(
     // The limits of a picture are those of the model's.
     BevView::new(look.pixels, look.meters)?;
     let bounds = Bounds::around(&[scene.ego.rear_axle.position()]).grown(look.meters);
-    let map = DrawnMap::of(scene.map, scene.route, &bounds);
+    let map = DrawnMap::from_map(scene.map, scene.route, &bounds);
     let plan = plan.map(planned_path).unwrap_or_default();
     let drawn = DrawnScene {
         ego: scene.ego,

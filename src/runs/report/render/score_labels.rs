@@ -127,7 +127,7 @@ fn place(end: Pixel, size: Pixel, away: f32, taken: &[Area], side: f32) -> Area 
             anchor.0 + right * (step * away + size.0 / 2.0),
             anchor.1 + down * (step * away + size.1 / 2.0),
         );
-        Area::of(center, size).inside(side, margin)
+        Area::centered(center, size).inside(side, margin)
     });
     let covered = |area: &Area| taken.iter().map(|other| area.overlap(other)).sum::<f32>();
     let mut best: Option<(f32, Area)> = None;
@@ -137,11 +137,11 @@ fn place(end: Pixel, size: Pixel, away: f32, taken: &[Area], side: f32) -> Area 
             best = Some((covers, area));
         }
     }
-    best.map_or_else(|| Area::of(anchor, size), |(_, area)| area)
+    best.map_or_else(|| Area::centered(anchor, size), |(_, area)| area)
 }
 
 impl Area {
-    fn of((x, y): Pixel, (width, height): Pixel) -> Self {
+    fn centered((x, y): Pixel, (width, height): Pixel) -> Self {
         Self {
             left: x - width / 2.0,
             top: y - height / 2.0,
@@ -206,7 +206,7 @@ mod tests {
             free.left > 100.0 && free.top < 100.0 && free.bottom > 100.0,
             "{free:?}"
         );
-        let vehicle = Area::of((130.0, 100.0), (50.0, 25.0));
+        let vehicle = Area::centered((130.0, 100.0), (50.0, 25.0));
         let aside = place((100.0, 100.0), SIZE, 8.0, &[vehicle], 400.0);
         assert!(
             aside.overlap(&vehicle) < 1e-3 && free.overlap(&vehicle) > 100.0,

@@ -14,7 +14,7 @@ pub(super) struct Deltas(Vec<i64>);
 
 impl Deltas {
     /// The numbers, rounded to multiples of `unit`.
-    pub(super) fn of(values: impl IntoIterator<Item = f64>, unit: f64) -> Self {
+    pub(super) fn from_values(values: impl IntoIterator<Item = f64>, unit: f64) -> Self {
         let mut last = 0;
         let delta = |value: f64| {
             let whole = (value / unit).round() as i64;
@@ -41,8 +41,8 @@ pub(super) struct Points {
 
 impl Points {
     /// The points, rounded.
-    pub(super) fn of(points: &[Point]) -> Self {
-        let along = |axis: fn(&Point) -> f64| Deltas::of(points.iter().map(axis), LENGTH);
+    pub(super) fn from_points(points: &[Point]) -> Self {
+        let along = |axis: fn(&Point) -> f64| Deltas::from_values(points.iter().map(axis), LENGTH);
         Self {
             x: along(|p| p.x),
             y: along(|p| p.y),
@@ -65,7 +65,7 @@ mod tests {
     #[test]
     fn numbers_come_back_rounded_and_errors_do_not_add_up() {
         let values: Vec<f64> = (0..1000).map(|i| f64::from(i) * 0.0333 - 7.0).collect();
-        let deltas = Deltas::of(values.iter().copied(), 0.01);
+        let deltas = Deltas::from_values(values.iter().copied(), 0.01);
         assert!(
             deltas
                 .values(0.01)
@@ -73,7 +73,7 @@ mod tests {
                 .all(|(got, want)| (got - want).abs() <= 0.005 + 1e-9)
         );
         assert_eq!(
-            serde_json::to_string(&Deltas::of([1.0, 1.5, 1.25], 0.01)).unwrap(),
+            serde_json::to_string(&Deltas::from_values([1.0, 1.5, 1.25], 0.01)).unwrap(),
             "[100,50,-25]"
         );
         let wild: Deltas =

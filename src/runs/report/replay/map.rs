@@ -32,7 +32,7 @@ struct ReplayLane {
 
 impl ReplayMap {
     /// The part of a map with a route within `bounds`.
-    pub(super) fn of(map: &LaneMap, route: &Route, bounds: &Bounds) -> Self {
+    pub(super) fn from_map(map: &LaneMap, route: &Route, bounds: &Bounds) -> Self {
         let near = |polygon: &&Polygon| polygon.bounds().overlaps(bounds);
         let lanes = map
             .lanes()
@@ -42,7 +42,7 @@ impl ReplayMap {
                 id: lane.id,
                 kind: lane.kind,
                 on_route: route.contains(lane.roadblock),
-                centerline: Points::of(&simplified(lane.centerline.vertices(), DETAIL_M)),
+                centerline: Points::from_points(&simplified(lane.centerline.vertices(), DETAIL_M)),
                 ring: ring(lane.polygon.ring()),
             });
         // A source without road polygons has the roadblocks instead, which the lanes show already.
@@ -113,8 +113,8 @@ pub(in crate::report) struct DrawnMap {
 
 impl DrawnMap {
     /// The part of a map with a route within `bounds`.
-    pub(in crate::report) fn of(map: &LaneMap, route: &Route, bounds: &Bounds) -> Self {
-        Self::from(&ReplayMap::of(map, route, bounds))
+    pub(in crate::report) fn from_map(map: &LaneMap, route: &Route, bounds: &Bounds) -> Self {
+        Self::from(&ReplayMap::from_map(map, route, bounds))
     }
 
     /// The first segment of a centerline.
@@ -165,5 +165,5 @@ fn ring(vertices: &[Point]) -> Points {
     let mut fewer = simplified(&closed, DETAIL_M);
     fewer.pop();
     // Simplification would reduce a thin ring, such as a stop line, to a line.
-    Points::of(if fewer.len() < 3 { vertices } else { &fewer })
+    Points::from_points(if fewer.len() < 3 { vertices } else { &fewer })
 }

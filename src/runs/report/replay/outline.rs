@@ -30,7 +30,7 @@ impl Replay {
             .map(|pair| (pair[1] - pair[0]).norm())
             .sum();
         Sketch {
-            path: Points::of(&simplified(&points, DETAIL_M)),
+            path: Points::from_points(&simplified(&points, DETAIL_M)),
             meters: meters.round() as u32,
             ms: self.times_ms.values(1.0).last().unwrap_or_default() as u32,
         }

@@ -15,7 +15,7 @@ const REACH_M: f64 = 80.0;
 
 impl Replay {
     /// The replay of a simulation.
-    pub(in crate::report) fn of(outcome: &SimulationOutcome) -> Self {
+    pub(in crate::report) fn from_outcome(outcome: &SimulationOutcome) -> Self {
         let (scenario, log) = (&outcome.scenario, &outcome.log);
         let samples = &log.samples;
         let expert: Vec<Point> = scenario
@@ -28,7 +28,7 @@ impl Replay {
             .map(|sample| sample.ego.rear_axle.position())
             .collect();
         path.extend(&expert);
-        let map = ReplayMap::of(
+        let map = ReplayMap::from_map(
             &scenario.map,
             &scenario.route,
             &Bounds::around(&path).grown(REACH_M),
@@ -41,15 +41,15 @@ impl Replay {
         });
         Self {
             format: FORMAT,
-            times_ms: Deltas::of(
+            times_ms: Deltas::from_values(
                 samples
                     .iter()
                     .map(|sample| (sample.ego.time_us - start) as f64),
                 1e3,
             ),
             map,
-            ego: EgoTrack::of(samples),
-            expert: Points::of(&expert),
+            ego: EgoTrack::from_samples(samples),
+            expert: Points::from_points(&expert),
             agents: AgentTrack::all(samples, REACH_M),
             lights,
             plans: samples
@@ -57,13 +57,13 @@ impl Replay {
                 .zip(&log.trajectories)
                 .map(|(s, plan)| plan_points(plan, s.ego.time_us))
                 .collect(),
-            calls: outcome.calls.iter().map(CallTrack::of).collect(),
+            calls: outcome.calls.iter().map(CallTrack::from_call).collect(),
         }
     }
 }
 
 impl CallTrack {
-    fn of(call: &PlanningCall) -> Self {
+    fn from_call(call: &PlanningCall) -> Self {
         Self {
             iteration: call.iteration,
             attempts: call.attempts.iter().map(rolled_out).collect(),
@@ -80,7 +80,7 @@ fn rolled_out(attempt: &Attempt) -> Option<Points> {
         .step_by(every)
         .map(|state| state.rear_axle.position())
         .collect();
-    Some(Points::of(&points))
+    Some(Points::from_points(&points))
 }
 
 /// A plan from `now_us` to its end, every half second.
@@ -90,5 +90,5 @@ fn plan_points(plan: &Trajectory, now_us: i64) -> Points {
         .map_while(|t| plan.at(t).ok())
         .map(|state| state.rear_axle.position())
         .collect();
-    Points::of(&points)
+    Points::from_points(&points)
 }

@@ -24,12 +24,12 @@ struct Poses {
 }
 
 impl Poses {
-    fn of(poses: &[Pose]) -> Self {
+    fn from_poses(poses: &[Pose]) -> Self {
         let headings: Vec<f64> = poses.iter().map(|pose| pose.heading).collect();
         Self {
-            x: Deltas::of(poses.iter().map(|pose| pose.x), LENGTH),
-            y: Deltas::of(poses.iter().map(|pose| pose.y), LENGTH),
-            heading: Deltas::of(unwrap_angles(&headings), ANGLE),
+            x: Deltas::from_values(poses.iter().map(|pose| pose.x), LENGTH),
+            y: Deltas::from_values(poses.iter().map(|pose| pose.y), LENGTH),
+            heading: Deltas::from_values(unwrap_angles(&headings), ANGLE),
         }
     }
 
@@ -56,13 +56,13 @@ pub(super) struct EgoTrack {
 
 impl EgoTrack {
     /// The ego of these samples.
-    pub(super) fn of(samples: &[HistorySample]) -> Self {
+    pub(super) fn from_samples(samples: &[HistorySample]) -> Self {
         let poses: Vec<Pose> = samples.iter().map(|sample| sample.ego.rear_axle).collect();
         let along = |of: fn(&EgoState) -> f64| {
-            Deltas::of(samples.iter().map(|sample| of(&sample.ego)), RATE)
+            Deltas::from_values(samples.iter().map(|sample| of(&sample.ego)), RATE)
         };
         Self {
-            poses: Poses::of(&poses),
+            poses: Poses::from_poses(&poses),
             speed: along(|ego| ego.velocity.x),
             acceleration: along(|ego| ego.acceleration.x),
             yaw_rate: along(|ego| ego.angular_velocity),
@@ -138,13 +138,13 @@ impl AgentTrack {
         let mut tracks: Vec<Self> = ended
             .into_iter()
             .filter(|(from, seen)| near(*from, seen))
-            .filter_map(|(f, s)| Self::of(f, &s))
+            .filter_map(|(f, s)| Self::from_objects(f, &s))
             .collect();
         tracks.sort_by_key(|track| (track.token, track.from));
         tracks
     }
 
-    fn of(from: usize, seen: &[TrackedObject]) -> Option<Self> {
+    fn from_objects(from: usize, seen: &[TrackedObject]) -> Option<Self> {
         let first = seen.first()?;
         let poses: Vec<Pose> = seen.iter().map(|object| object.shape.center).collect();
         let whole = |meters: f64| (meters / LENGTH).round() as i64;
@@ -154,9 +154,9 @@ impl AgentTrack {
             length: whole(first.shape.length),
             width: whole(first.shape.width),
             from,
-            poses: Poses::of(&poses),
-            vx: Deltas::of(seen.iter().map(|object| object.velocity.x), VELOCITY),
-            vy: Deltas::of(seen.iter().map(|object| object.velocity.y), VELOCITY),
+            poses: Poses::from_poses(&poses),
+            vx: Deltas::from_values(seen.iter().map(|object| object.velocity.x), VELOCITY),
+            vy: Deltas::from_values(seen.iter().map(|object| object.velocity.y), VELOCITY),
         })
     }
 
@@ -282,7 +282,7 @@ mod tests {
         assert!(
             (object.shape.center.x - 21.0).abs() < 1e-9 && (object.shape.length - 4.5).abs() < 1e-9
         );
-        let states: Vec<EgoState> = EgoTrack::of(&samples).states().collect();
+        let states: Vec<EgoState> = EgoTrack::from_samples(&samples).states().collect();
         assert!(states.len() == 4 && (states[3].rear_axle.x - 3.0).abs() < 1e-9);
     }
 

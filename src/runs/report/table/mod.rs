@@ -7,6 +7,10 @@ mod paired;
 mod simulations;
 pub mod terminal;
 
+pub use failures::failures;
+pub use paired::comparison_table;
+pub use terminal::fill;
+
 use super::number::fixed;
 use super::simulation_row::SimulationRow;
 use super::summary::Summary;
@@ -14,10 +18,6 @@ use super::timing::PlannerTiming;
 use super::visible::visible_line;
 use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::MetricList;
-
-pub use failures::failures;
-pub use paired::comparison_table;
-pub use terminal::fill;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Table {

@@ -17,7 +17,7 @@ pub(crate) const MAX_LANES: usize = 4;
 
 impl ExtraWidths {
     /// Of a lane by its index.
-    fn of(extra: Option<Self>, along: bool, lane: usize) -> f64 {
+    fn of_lane(extra: Option<Self>, along: bool, lane: usize) -> f64 {
         extra.map_or(0.0, |Self(widths)| {
             widths[usize::from(!along)]
                 .get(lane)
@@ -28,7 +28,9 @@ impl ExtraWidths {
 
     /// Sum over the first `lanes` lanes.
     pub(crate) fn before(extra: Option<Self>, along: bool, lanes: usize) -> f64 {
-        (0..lanes).map(|lane| Self::of(extra, along, lane)).sum()
+        (0..lanes)
+            .map(|lane| Self::of_lane(extra, along, lane))
+            .sum()
     }
 }
 
@@ -63,7 +65,7 @@ impl RoadPlan {
     /// Distance from the line to the middle of a lane.
     fn middle(&self, along: bool, lane: usize) -> f64 {
         let extra = ExtraWidths::before(self.extra, along, lane)
-            + ExtraWidths::of(self.extra, along, lane) / 2.0;
+            + ExtraWidths::of_lane(self.extra, along, lane) / 2.0;
         (lane as f64 + 0.5) * self.lane_width + extra
     }
 
@@ -250,7 +252,7 @@ impl Network {
             let along = road.forward.iter().position(|&one| one == lane);
             let against = road.backward.iter().position(|&one| one == lane);
             road.plan.lane_width
-                + ExtraWidths::of(
+                + ExtraWidths::of_lane(
                     road.plan.extra,
                     along.is_some(),
                     along.or(against).expect("the owner has the lane"),

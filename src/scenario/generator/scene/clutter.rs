@@ -56,8 +56,8 @@ impl TrafficBuilder<'_, '_> {
                 } else {
                     Departure::Never
                 };
-                let other_way = self.rng.bool(0.5);
-                self.wait_at(walk, departure, other_way);
+                let from_far_side = self.rng.bool(0.5);
+                self.wait_at(walk, departure, from_far_side);
             }
         }
         if self.rng.bool(0.12) {
@@ -126,9 +126,9 @@ impl TrafficBuilder<'_, '_> {
     }
 
     /// Adds a pedestrian who waits at a crosswalk.
-    pub(crate) fn wait_at(&mut self, walk: &Polygon, departure: Departure, other_way: bool) {
+    pub(crate) fn wait_at(&mut self, walk: &Polygon, departure: Departure, from_far_side: bool) {
         let (a, b) = ends(walk);
-        let (from, to) = if other_way { (b, a) } else { (a, b) };
+        let (from, to) = if from_far_side { (b, a) } else { (a, b) };
         let aside = Pose::at(from, 0.0)
             .translated(self.rng.uniform(-0.6, 0.6), self.rng.uniform(-0.6, 0.6));
         let pace = self.rng.uniform(1.0, 1.7);

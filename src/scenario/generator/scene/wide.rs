@@ -153,8 +153,8 @@ impl TrafficBuilder<'_, '_> {
                 } else {
                     Departure::Never
                 };
-                let other_way = self.rng.bool(0.5);
-                self.wait_at(&walk, departure, other_way);
+                let from_far_side = self.rng.bool(0.5);
+                self.wait_at(&walk, departure, from_far_side);
             }
         }
         if self.rng.bool(0.12) {

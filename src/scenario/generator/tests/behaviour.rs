@@ -56,7 +56,7 @@ fn cuts_in(scenario: &Scenario) -> bool {
 
 /// A vehicle stands through the whole scenario in a lane of the route that the ego passes, without
 /// a traffic light.
-fn stands_in_the_way(scenario: &Scenario) -> bool {
+fn stands_on_the_path(scenario: &Scenario) -> bool {
     let Scenario {
         map, route, frames, ..
     } = scenario;
@@ -123,7 +123,7 @@ fn crosses_on_foot(scenario: &Scenario) -> bool {
 fn difficult_situations_are_frequent_enough() {
     let shares = [
         ("cuts in", share(cuts_in), 0.02),
-        ("stands in the way", share(stands_in_the_way), 0.02),
+        ("stands in the way", share(stands_on_the_path), 0.02),
         ("breaks down", share(breaks_down), 0.03),
         ("crosses on foot", share(crosses_on_foot), 0.05),
     ];

@@ -53,7 +53,7 @@ impl Traffic<'_> {
         for walker in &self.walkers {
             if let Some(s) = walker
                 .crosses_in(self.time)
-                .and_then(|wait| me.give_way_to(walker, wait))
+                .and_then(|wait| me.yield_to(walker, wait))
             {
                 wanted = wanted.min(me.stopping(s - BEFORE_WALKER));
             }
@@ -189,7 +189,7 @@ impl Mover {
     /// Where this driver must stop for a pedestrian who starts to cross in `wait` seconds: the near
     /// edge of the crosswalk, or of the pedestrian's path where there is none. `None` if it need
     /// not stop.
-    fn give_way_to(&self, walker: &Walker, wait: f64) -> Option<f64> {
+    fn yield_to(&self, walker: &Walker, wait: f64) -> Option<f64> {
         let lookahead = self.lookahead().min(50.0);
         let position = walker.position();
         if (position - self.track.pose_at(self.s).position()).norm() > lookahead + 10.0 {

@@ -47,7 +47,7 @@ impl Track {
     /// The track along connected lanes; `None` when there are none.
     pub(crate) fn along(roads: &Roads, lanes: Vec<LaneId>) -> Option<Self> {
         let map = &roads.map;
-        let path = LanePath::of(map, lanes)?;
+        let path = LanePath::from_lanes(map, lanes)?;
         let length = path.centerline.length();
         let poses = sample(&path.centerline);
         let directions = poses.iter().map(Pose::direction).collect();

@@ -51,8 +51,8 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
         .copied();
     if let Some(walk) = first.and_then(|span| builder.crosswalk_at(span)) {
         for moment in [8.0, 9.0] {
-            let other_way = builder.rng.bool(0.5);
-            builder.wait_at(&walk, Departure::At(moment), other_way);
+            let from_far_side = builder.rng.bool(0.5);
+            builder.wait_at(&walk, Departure::At(moment), from_far_side);
         }
     }
     let density = builder.rng.uniform(0.3, 0.6);

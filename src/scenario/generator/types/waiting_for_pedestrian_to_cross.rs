@@ -66,8 +66,8 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
                 } else {
                     builder.rng.uniform(-2.0, 5.0)
                 };
-                let other_way = builder.rng.bool(0.5);
-                builder.wait_at(&walk, Departure::At(arrives - early), other_way);
+                let from_far_side = builder.rng.bool(0.5);
+                builder.wait_at(&walk, Departure::At(arrives - early), from_far_side);
             }
         }
     }

@@ -1,7 +1,7 @@
 //! `crossing`: a vehicle that drives straight across the ego's road from the start on.
 
 use crate::modified::change::{Change, Fault};
-use crate::modified::draft::{CrossingWay, Draft};
+use crate::modified::draft::{CrossingPath, Draft};
 use crate::modified::lanes::LanePlace;
 use crate::modified::number::Number;
 use planagent_world::ObjectKind;
@@ -47,7 +47,7 @@ impl Change for CrossingVehicle {
         // The speed is drawn in any case, so that one that waits changes no other draw.
         let speed = if self.waits { 0.0 } else { speed };
         let lane = self.lane;
-        let way = CrossingWay {
+        let path = CrossingPath {
             ahead_m,
             lane,
             from_left_m,
@@ -55,6 +55,6 @@ impl Change for CrossingVehicle {
             speed,
             trigger_m: AT_ONCE,
         };
-        draft.cross(ObjectKind::Vehicle, SIZE, way)
+        draft.cross(ObjectKind::Vehicle, SIZE, path)
     }
 }

@@ -1,7 +1,7 @@
 //! `jaywalker`: a person who crosses as the ego comes near.
 
 use crate::modified::change::{Change, Fault};
-use crate::modified::draft::{CrossingWay, Draft};
+use crate::modified::draft::{CrossingPath, Draft};
 use crate::modified::lanes::LanePlace;
 use crate::modified::number::Number;
 use planagent_world::{ObjectKind, WALKER_SIZE};
@@ -48,7 +48,7 @@ impl Change for CrossingPerson {
             self.speed,
         ]
         .map(|number| number.draw(&mut draft.draws));
-        let way = CrossingWay {
+        let path = CrossingPath {
             ahead_m,
             lane: self.lane,
             from_left_m,
@@ -56,6 +56,6 @@ impl Change for CrossingPerson {
             speed,
             trigger_m,
         };
-        draft.cross(ObjectKind::Pedestrian, WALKER_SIZE, way)
+        draft.cross(ObjectKind::Pedestrian, WALKER_SIZE, path)
     }
 }

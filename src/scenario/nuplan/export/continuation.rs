@@ -267,10 +267,13 @@ mod tests {
             .iter()
             .zip(after[FRAMES_AFTER - 1].objects.iter())
         {
-            let way = (end.shape.center.position() - first.shape.center.position()).norm();
-            assert!(way <= first.speed() * 9.0 + 4.0, "{first:?} moved {way} m");
+            let distance = (end.shape.center.position() - first.shape.center.position()).norm();
+            assert!(
+                distance <= first.speed() * 9.0 + 4.0,
+                "{first:?} moved {distance} m"
+            );
             assert!((end.speed() - first.speed()).abs() < 1e-9);
-            assert!(first.speed() >= STANDING || way < 1e-12);
+            assert!(first.speed() >= STANDING || distance < 1e-12);
         }
     }
 

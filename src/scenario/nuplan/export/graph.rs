@@ -103,7 +103,7 @@ enum End {
 
 impl Graph {
     /// Fails when an inserted piece has no extent.
-    pub(super) fn of(map: &LaneMap) -> Result<Self, GeometryError> {
+    pub(super) fn from_map(map: &LaneMap) -> Result<Self, GeometryError> {
         GraphBuilder::new(map).fit()
     }
 

@@ -63,7 +63,7 @@ pub(super) struct LogHeader<'a> {
 
 /// Token of the tagged row, which names the scenario.
 pub(super) fn anchor_token(log: &str, timeline: &Timeline) -> Token {
-    Tokens::new(log).of("lidar_pc", timeline.anchor as u64)
+    Tokens::new(log).token("lidar_pc", timeline.anchor as u64)
 }
 
 /// Writes a new database.
@@ -101,7 +101,7 @@ pub(super) fn write_log(
     transaction.execute(
         &SCENARIO_TAG.insert(),
         params![
-            writer.tokens.of("scenario_tag", 0),
+            writer.tokens.token("scenario_tag", 0),
             anchor,
             scenario.scenario_type,
             Null
@@ -121,7 +121,7 @@ struct Writer<'a> {
 impl Writer<'_> {
     /// Writes log, lidar, categories, scenes and goal.
     fn write_header(&self, scenario: &Scenario) -> rusqlite::Result<()> {
-        let log = self.tokens.of("log", 0);
+        let log = self.tokens.token("log", 0);
         let first_us = self
             .timeline
             .rows
@@ -141,7 +141,7 @@ impl Writer<'_> {
                 self.facts.location
             ],
         )?;
-        let lidar = self.tokens.of("lidar", 0);
+        let lidar = self.tokens.token("lidar", 0);
         self.transaction.execute(
             &LIDAR.insert(),
             params![lidar, log, CHANNEL, "none", NO_TRANSLATION, NO_ROTATION],
@@ -159,7 +159,7 @@ impl Writer<'_> {
             .transpose()?;
         let route: Vec<String> = self.facts.route.iter().map(ToString::to_string).collect();
         for (number, name) in SCENES.into_iter().enumerate() {
-            let token = self.tokens.of("scene", number as u64);
+            let token = self.tokens.token("scene", number as u64);
             self.transaction.execute(
                 &SCENE.insert(),
                 params![token, log, name, goal, route.join(" ")],
@@ -210,7 +210,7 @@ impl Writer<'_> {
 
     /// Writes a row with its ego, boxes and lights; `boxes` counts the boxes of the log.
     fn write_row(&self, number: usize, row: &Row, boxes: &mut u64) -> rusqlite::Result<()> {
-        let time = |number: usize| self.tokens.of("lidar_pc", number as u64);
+        let time = |number: usize| self.tokens.token("lidar_pc", number as u64);
         let token = time(number);
         let ego = self.write_ego(number, &row.ego)?;
         let next = if number + 1 < self.timeline.rows.len() {
@@ -219,9 +219,9 @@ impl Writer<'_> {
             NO_TOKEN
         };
         let previous = number.checked_sub(1).map_or(NO_TOKEN, time);
-        let scene = self.tokens.of("scene", self.scene_of(number) as u64);
+        let scene = self.tokens.token("scene", self.scene_of(number) as u64);
         let file = format!("{}/{CHANNEL}/{token}.pcd", self.facts.log);
-        let lidar = self.tokens.of("lidar", 0);
+        let lidar = self.tokens.token("lidar", 0);
         let mut insert = self.transaction.prepare_cached(&LIDAR_PC.insert())?;
         insert.execute(params![
             token,
@@ -235,7 +235,7 @@ impl Writer<'_> {
         ])?;
         let mut insert = self.transaction.prepare_cached(&LIDAR_BOX.insert())?;
         for object in row.objects.iter() {
-            let own = self.tokens.of("lidar_box", *boxes);
+            let own = self.tokens.token("lidar_box", *boxes);
             *boxes += 1;
             let (shape, at) = (object.shape, self.projected(object.shape.center));
             let (tall, velocity) = (height(object.kind), object.velocity);
@@ -260,19 +260,19 @@ impl Writer<'_> {
         for (connector, status) in lights {
             let own = self
                 .tokens
-                .of(&format!("traffic_light_status/{number}"), connector as u64);
+                .token(&format!("traffic_light_status/{number}"), connector as u64);
             insert.execute(params![own, token, connector, status.to_string()])?;
         }
         Ok(())
     }
 
     fn write_ego(&self, number: usize, ego: &EgoState) -> rusqlite::Result<Token> {
-        let token = self.tokens.of("ego_pose", number as u64);
+        let token = self.tokens.token("ego_pose", number as u64);
         let at = self.projected(ego.rear_axle);
         let (sin, cos) = (ego.rear_axle.heading / 2.0).sin_cos();
         let mut insert = self.transaction.prepare_cached(&EGO_POSE.insert())?;
         let (v, a, yaw_rate) = (ego.velocity, ego.acceleration, ego.angular_velocity);
-        let log = self.tokens.of("log", 0);
+        let log = self.tokens.token("log", 0);
         insert.execute(params![
             token,
             ego.time_us,
@@ -314,11 +314,11 @@ impl Writer<'_> {
     }
 
     fn track(&self, track: TrackToken) -> Token {
-        self.tokens.of("track", u64::from(track.0))
+        self.tokens.token("track", u64::from(track.0))
     }
 
     fn category(&self, kind: ObjectKind) -> Token {
-        self.tokens.of(&format!("category/{kind}"), 0)
+        self.tokens.token(&format!("category/{kind}"), 0)
     }
 }
 

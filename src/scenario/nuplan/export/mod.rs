@@ -295,8 +295,8 @@ impl Writer<'_> {
             scenario: id(),
             fault,
         };
-        let timeline = Timeline::of(scenario).map_err(|fault| failed(fault.into()))?;
-        let mut graph = Graph::of(&scenario.map).map_err(|fault| failed(fault.into()))?;
+        let timeline = Timeline::from_scenario(scenario).map_err(|fault| failed(fault.into()))?;
+        let mut graph = Graph::from_map(&scenario.map).map_err(|fault| failed(fault.into()))?;
         let location = self.write_map(&scenario.map, &mut graph, &scenario.id)?;
         let log = naming::log_name(&scenario.log_name, &scenario.id);
         if self.logs.iter().any(|written| written.log == log) {

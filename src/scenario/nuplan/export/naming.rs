@@ -17,7 +17,7 @@ impl<'a> Tokens<'a> {
 
     /// The token of the `number`-th row of a table: the first bytes of BLAKE3 over log, table and
     /// number.
-    pub(super) fn of(&self, table: &str, number: u64) -> Token {
+    pub(super) fn token(&self, table: &str, number: u64) -> Token {
         let mut hasher = blake3::Hasher::new();
         for part in [self.log.as_bytes(), table.as_bytes(), &number.to_le_bytes()] {
             hasher.update(&(part.len() as u64).to_le_bytes());
@@ -66,7 +66,7 @@ mod tests {
 
     #[test]
     fn tokens_differ_by_log_table_and_number() {
-        let token = |log, table, number| Tokens::new(log).of(table, number);
+        let token = |log, table, number| Tokens::new(log).token(table, number);
         assert_eq!(token("a", "track", 1), token("a", "track", 1));
         let all = [
             token("a", "track", 1),

@@ -89,7 +89,7 @@ fn successive_lanes_get_a_connector() {
         (L, 50.0, 90.0, &[2]),
         (L, 95.0, 99.0, &[]),
     ]);
-    let graph = Graph::of(&map).unwrap();
+    let graph = Graph::from_map(&map).unwrap();
     assert_eq!(joints(&graph), [(13, 10, 11), (14, 11, 12)]);
     assert_eq!(
         graph.changes,
@@ -131,7 +131,7 @@ fn connectors_lead_from_a_lane_to_a_lane() {
         (L, 20.0, 70.0, &[4]),
         (C, 70.0, 80.0, &[]),
     ]);
-    let graph = Graph::of(&map).unwrap();
+    let graph = Graph::from_map(&map).unwrap();
     let inserted = ExportChanges {
         inserted_lanes: 1,
         open_ends_closed: 2,
@@ -180,7 +180,7 @@ fn a_route_of_one_roadblock_is_extended() {
         (L, 70.0, 90.0, &[]),
         (C, 90.0, 99.0, &[]),
     ]);
-    let graph = Graph::of(&map).unwrap();
+    let graph = Graph::from_map(&map).unwrap();
     let extended = |blocks: &[u32]| {
         let mut route = route_ids(
             &map,
@@ -200,7 +200,7 @@ fn a_route_of_one_roadblock_is_extended() {
 fn of_several_connectors_the_straightest_extends_a_route() {
     let scenario = scenario(types::starting_left_turn::TYPE, 3);
     let map = &scenario.map;
-    let graph = Graph::of(map).unwrap();
+    let graph = Graph::from_map(map).unwrap();
     let turn = |id: LaneId| {
         let line = &map[id].centerline;
         planagent_world::geometry::wrap_angle(line.heading_at(line.length()) - line.heading_at(0.0))
@@ -246,7 +246,7 @@ fn a_light_without_a_stop_line_gets_one() {
         ..MapParts::default()
     })
     .unwrap();
-    let graph = Graph::of(&map).unwrap();
+    let graph = Graph::from_map(&map).unwrap();
     assert_eq!(graph.changes, ExportChanges::default());
     let stops = stop_rows(&map, &graph);
     assert_eq!(

@@ -57,7 +57,7 @@ pub enum TimelineError {
 }
 
 impl Timeline {
-    pub(super) fn of(scenario: &Scenario) -> Result<Self, TimelineError> {
+    pub(super) fn from_scenario(scenario: &Scenario) -> Result<Self, TimelineError> {
         let after = frames_after(scenario);
         let mut rows = rows(scenario.frames.iter().chain(&after))?;
         if let Some(anchor) = anchor(&rows, scenario) {
@@ -70,7 +70,7 @@ impl Timeline {
             });
         }
         rows.truncate(rows.len() - after.len() * ROWS_PER_STEP);
-        let extraction = Extraction::of(&scenario.scenario_type);
+        let extraction = Extraction::for_type(&scenario.scenario_type);
         let anchor = anchor(&rows, scenario).ok_or_else(|| TimelineError::Window {
             scenario_type: scenario.scenario_type.clone(),
             iterations: scenario.iterations(),
@@ -88,7 +88,7 @@ impl Timeline {
 
 /// Index of the row whose window is the scenario.
 fn anchor(rows: &[Row], scenario: &Scenario) -> Option<usize> {
-    let extraction = Extraction::of(&scenario.scenario_type);
+    let extraction = Extraction::for_type(&scenario.scenario_type);
     let times: Vec<i64> = rows.iter().map(|row| row.ego.time_us).collect();
     let start = scenario.start * ROWS_PER_STEP;
     let wanted = (start, scenario.iterations());
@@ -244,7 +244,7 @@ mod tests {
             (types::traversing_roundabout::TYPE, 0, 0),
         ] {
             let scenario = generate(&Spec::new(kind, 1)).unwrap();
-            let timeline = Timeline::of(&scenario).unwrap();
+            let timeline = Timeline::from_scenario(&scenario).unwrap();
             assert_eq!(timeline.anchor, scenario.start * 2 + apart);
             assert_eq!(timeline.scenario_rows, scenario.frames.len() * 2 - 1);
             assert_eq!(timeline.rows.len(), timeline.scenario_rows + after);
@@ -255,7 +255,8 @@ mod tests {
     fn a_window_that_nuplan_cannot_cut_is_an_error() {
         let mut scenario = generate(&Spec::new(types::changing_lane::TYPE, 1)).unwrap();
         scenario.future.clear();
-        let cut = |scenario: &Scenario| Timeline::of(scenario).map(|timeline| timeline.anchor);
+        let cut =
+            |scenario: &Scenario| Timeline::from_scenario(scenario).map(|timeline| timeline.anchor);
         scenario.frames.truncate(scenario.start + 31);
         assert_eq!(cut(&scenario), Ok((scenario.start + 30) * 2));
         scenario.frames.truncate(scenario.start + 20);
@@ -281,7 +282,7 @@ mod tests {
         };
         scenario.future = vec![later(1), later(2)];
         let rows = scenario.frames.len() * 2 - 1;
-        let timeline = Timeline::of(&scenario).unwrap();
+        let timeline = Timeline::from_scenario(&scenario).unwrap();
         assert_eq!(
             (timeline.scenario_rows, timeline.dropped_future_states),
             (rows, 0)
@@ -294,7 +295,7 @@ mod tests {
             last.time_us + 9_000_000
         );
         scenario.scenario_type = "unknown".to_owned();
-        let timeline = Timeline::of(&scenario).unwrap();
+        let timeline = Timeline::from_scenario(&scenario).unwrap();
         assert_eq!(
             (timeline.rows.len(), timeline.dropped_future_states),
             (rows, 2)

@@ -191,7 +191,7 @@ impl IdmAgent {
 
     /// The strip of its width from its center to the end of its path. At the very end it is the
     /// last piece of the path, which lies behind its center.
-    pub(super) fn way_ahead(&self) -> Option<Footprint> {
+    pub(super) fn path_ahead(&self) -> Option<Footprint> {
         Footprint::of_strip(
             &self.path.between(self.progress, self.path.length()),
             self.width / 2.0,

@@ -162,7 +162,7 @@ impl IdmTraffic {
             .iter()
             .chain(stop_lines)
             .map(|other| (Seen::Obstacle(other), &other.footprint));
-        nearest_in_way(agent, fellows.chain(rest)).map(|(gap, seen)| {
+        nearest_on_path(agent, fellows.chain(rest)).map(|(gap, seen)| {
             let (speed, direction) = match seen {
                 Seen::Agent(i) => (self.agents[i].speed(), self.agents[i].pose().heading),
                 Seen::Obstacle(other) => (other.speed, other.heading),
@@ -186,14 +186,14 @@ fn stop_lines_of(map: &LaneMap, agent: &IdmAgent, lights: &TrafficLights) -> Vec
 }
 
 /// The nearest of those footprints that meet the path of an agent, with its distance, meters.
-fn nearest_in_way<'a>(
+fn nearest_on_path<'a>(
     agent: &IdmAgent,
     seen: impl Iterator<Item = (Seen<'a>, &'a Footprint)>,
 ) -> Option<(f64, Seen<'a>)> {
-    let way = agent.way_ahead()?;
+    let path = agent.path_ahead()?;
     let own = agent.footprint();
     let mut candidates: Vec<(f64, Seen<'_>, &Footprint)> = seen
-        .filter(|(_, footprint)| footprint.bounds().overlaps(way.bounds()))
+        .filter(|(_, footprint)| footprint.bounds().overlaps(path.bounds()))
         .map(|(seen, footprint)| (own.distance_at_least(footprint), seen, footprint))
         .collect();
     candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -203,7 +203,7 @@ fn nearest_in_way<'a>(
         if nearest.is_some_and(|(best, _)| at_least >= best) {
             break;
         }
-        if way.meets(footprint) {
+        if path.meets(footprint) {
             let distance = own.distance(footprint);
             if nearest.is_none_or(|(best, _)| distance < best) {
                 nearest = Some((distance, seen));

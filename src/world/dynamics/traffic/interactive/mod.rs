@@ -2,13 +2,13 @@
 //! never move, and actors whose crossing the ego's progress triggers (interPlan
 //! `idm_modified_agent_manager.py`, `agents_modifier.py`).
 
+mod ego_path;
 mod lane_change;
-mod way;
 
 use super::agent::IdmAgent;
 use super::footprint::Footprint;
 use super::{
-    IDM_AGENT, Obstacle, RADIUS, Seen, build, is_open_loop, nearest_in_way, stop_lines_of,
+    IDM_AGENT, Obstacle, RADIUS, Seen, build, is_open_loop, nearest_on_path, stop_lines_of,
 };
 use crate::dynamics::idm::Lead;
 use crate::geometry::{Point, wrap_angle};
@@ -22,7 +22,7 @@ use std::sync::Arc;
 #[cfg(test)]
 mod tests;
 
-use way::EgoWay;
+use ego_path::EgoPath;
 
 /// The actors of a scene that cross when the ego triggers them, each with the time since then.
 #[derive(Debug, Clone, Default)]
@@ -165,7 +165,7 @@ impl InteractiveTraffic {
         let center = ego.center().position();
         self.drivers
             .retain(|driver| (driver.agent.pose().position() - center).norm() <= RADIUS);
-        let way = EgoWay::new(ego);
+        let path = EgoPath::new(ego);
         let things = self.others.iter().copied().chain(self.crossing.objects());
         let things: Vec<Obstacle> = things
             .map(|o| Obstacle::standing(Footprint::of_box(o.shape)))
@@ -176,7 +176,7 @@ impl InteractiveTraffic {
                 self.consider_lane_change(index, ego, dt);
             }
             let stop_lines = stop_lines_of(&self.map, &self.drivers[index].agent, lights);
-            let lead = self.lead_of(index, (ego, &way), &things, &stop_lines);
+            let lead = self.lead_of(index, (ego, &path), &things, &stop_lines);
             self.drivers[index].agent.propagate(lead, &self.map, dt);
         }
     }
@@ -184,7 +184,7 @@ impl InteractiveTraffic {
     fn lead_of(
         &self,
         index: usize,
-        (ego, way): (&EgoState, &EgoWay),
+        (ego, path): (&EgoState, &EgoPath),
         things: &[Obstacle],
         stop_lines: &[Obstacle],
     ) -> Option<Lead> {
@@ -201,9 +201,9 @@ impl InteractiveTraffic {
             heading,
             speed,
         }];
-        if way.counts_for(&self.map, agent, *behavior, ego) {
+        if path.counts_for(&self.map, agent, *behavior, ego) {
             of_ego.push(Obstacle {
-                footprint: way.footprint().clone(),
+                footprint: path.footprint().clone(),
                 heading,
                 speed,
             });
@@ -215,7 +215,7 @@ impl InteractiveTraffic {
             .chain(things)
             .chain(stop_lines)
             .map(|one| (Seen::Obstacle(one), &one.footprint));
-        let (gap, seen) = nearest_in_way(agent, fellows.chain(rest))?;
+        let (gap, seen) = nearest_on_path(agent, fellows.chain(rest))?;
         let (speed, direction) = match seen {
             Seen::Agent(i) => (
                 self.drivers[i].agent.speed(),

@@ -1,6 +1,6 @@
 //! The numbers of interPlan's own agents.
 
-use super::{EgoWay, Footprint, InteractiveTraffic};
+use super::{EgoPath, Footprint, InteractiveTraffic};
 use crate::geometry::{OrientedBox, Point, Pose, Vector};
 use crate::{
     DriverBehavior, EgoState, Interaction, Lane, LaneMap, MapBuilder, MapParts, ObjectKind,
@@ -157,7 +157,7 @@ fn vehicles_yield_to_the_ego_as_interplans_do() {
 }
 
 #[test]
-fn the_way_of_the_ego_is_interplans() {
+fn the_path_of_the_ego_is_interplans() {
     let mut compared = 0;
     for row in list(&vectors("ego_expanded.json")["rows"]) {
         let (center, velocity) = (numbers(&row["center"]), numbers(&row["rear_axle_velocity"]));
@@ -165,7 +165,7 @@ fn the_way_of_the_ego_is_interplans() {
         if velocity[1] != 0.0 || velocity[0] < 0.0 {
             continue;
         }
-        let way = EgoWay::new(&ego(&[center[0], center[1], center[2], velocity[0]]));
+        let path = EgoPath::new(&ego(&[center[0], center[1], center[2], velocity[0]]));
         let corners: Vec<Point> = list(&row["exterior"])
             .map(numbers)
             .map(|point| Point::new(point[0], point[1]))
@@ -176,7 +176,7 @@ fn the_way_of_the_ego_is_interplans() {
             / corners.len() as f64;
         let distance = |point: Point| {
             let probe = OrientedBox::new(Pose::at(point, 0.0), 1e-9, 1e-9);
-            way.footprint().distance(&Footprint::of_box(probe))
+            path.footprint().distance(&Footprint::of_box(probe))
         };
         for corner in corners {
             let outward = (corner.coords - middle).normalize();

@@ -3,6 +3,7 @@
 use super::suites::SelectedSuite;
 use crate::report::{StudyFolder, token_markdown};
 use crate::tokens::{TokenCounter, TokenRow, TokenTable, count};
+use planagent_agent::reflection::steps_of;
 use planagent_runs::report::json_value;
 use planagent_runs::runner::Config;
 use planagent_runs::runner::RunnerError;
@@ -82,7 +83,7 @@ fn counted(
         opened.map(|scenario| {
             count(
                 &scenario,
-                config.reasoning.interval,
+                steps_of(config.agent.interval_s),
                 config.environment.node_length_m,
                 &counter,
             )

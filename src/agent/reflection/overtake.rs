@@ -4,15 +4,17 @@ use super::plan_builder::PlanBuilder;
 use super::rollout::LeadPolicy;
 use crate::environment::lane_graph::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
 use crate::environment::{CenterlineName, LaneGraph};
-use planagent_score::pdm::{FALLBACK_LIMIT, PassVerdict};
+use planagent_score::pdm::{FALLBACK_LIMIT, OvertakeVerdict};
 use planagent_world::dynamics::IDM_AGENT;
 use planagent_world::geometry::{OrientedBox, Point, Pose};
 use planagent_world::{PACIFICA, STEP_S, SceneView};
 
-/// Time within which a pass has to be complete, steps of 0.1 s.
+/// Time within which an overtake has to be complete, steps of 0.1 s.
+/// Why: docs/decisions/114-oncoming-lane.md.
 const STEPS: usize = 120;
 /// Distance to an oncoming agent when the ego is back in its lane: at standstill, meters, and as a
 /// time at the agent's limit, seconds.
+/// Why: docs/decisions/114-oncoming-lane.md.
 const MIN_GAP: f64 = 2.0;
 const HEADWAY: f64 = 1.0;
 /// A corner of the ego this far over the border of its lane is on the oncoming one, meters.
@@ -23,55 +25,55 @@ const BEGUN: f64 = 2.0;
 /// Acceleration of oncoming traffic up to its limit, m/s²: that of nuPlan's IDM agents.
 const ACCELERATION: f64 = IDM_AGENT.accel_max;
 
-/// The rules of a pass at one instant.
+/// The rules of an overtake at one instant.
 #[derive(Debug)]
-pub struct PassRules<'a> {
-    way: &'a OncomingLane,
+pub struct OvertakeRules<'a> {
+    lane: &'a OncomingLane,
     scene: &'a SceneView<'a>,
     oncoming: Vec<OncomingAgent>,
 }
 
-impl<'a> PassRules<'a> {
+impl<'a> OvertakeRules<'a> {
     /// Length of the roll-outs that [`Self::verdict`] judges, steps of 0.1 s.
     pub const STEPS: usize = STEPS;
 
-    /// The rules for a way past.
-    pub fn new(way: &'a OncomingLane, scene: &'a SceneView<'a>) -> Self {
+    /// The rules on an oncoming lane.
+    pub fn new(lane: &'a OncomingLane, scene: &'a SceneView<'a>) -> Self {
         Self {
-            way,
+            lane,
             scene,
-            oncoming: way.agents(scene).collect(),
+            oncoming: lane.agents(scene).collect(),
         }
     }
 
-    /// Whether the ego is beside what it passes: it completes the pass, whatever comes.
+    /// Whether the ego is beside what it passes: it completes the overtake, whatever comes.
     pub fn has_begun(&self) -> bool {
         let front = self
-            .way
+            .lane
             .own
             .project(PACIFICA.front_of(self.scene.ego.rear_axle))
             .s;
-        is_over_border(self.way, &self.scene.ego.footprint())
-            && front > self.way.blocked.from_s - BEGUN
+        is_over_border(self.lane, &self.scene.ego.footprint())
+            && front > self.lane.blocked.from_s - BEGUN
     }
 
     /// The verdict on a roll-out: poses of the rear axle every 0.1 s, the present one first.
-    pub fn verdict(&self, poses: &[Pose]) -> PassVerdict {
+    pub fn verdict(&self, poses: &[Pose]) -> OvertakeVerdict {
         if self.has_begun() {
-            return PassVerdict::Allowed;
+            return OvertakeVerdict::Allowed;
         }
         match self.are_kept(poses) {
-            None => PassVerdict::Stays,
-            Some(true) => PassVerdict::Allowed,
-            Some(false) => PassVerdict::Refused,
+            None => OvertakeVerdict::Stays,
+            Some(true) => OvertakeVerdict::Allowed,
+            Some(false) => OvertakeVerdict::Refused,
         }
     }
 
-    /// Whether the rules way back, gap and sight are kept; `None` where the ego stays in its lane.
-    /// The ego must be back in its lane and before what is next there. It must keep a distance to
+    /// Whether the rules about return, gap and sight are kept; `None` where the ego stays in its
+    /// lane. The ego must be back in its lane and before what is next there. It must keep a distance to
     /// all that comes, seen or from beyond the sight.
     fn are_kept(&self, poses: &[Pose]) -> Option<bool> {
-        let is_out = |pose: &Pose| is_over_border(self.way, &PACIFICA.footprint(*pose));
+        let is_out = |pose: &Pose| is_over_border(self.lane, &PACIFICA.footprint(*pose));
         let first = poses.iter().position(is_out)?;
         let last = poses.iter().rposition(is_out).unwrap_or(first);
         let Some(back) = poses.get(last + 1) else {
@@ -79,7 +81,7 @@ impl<'a> PassRules<'a> {
         };
         let (leaves, returns) = (at(first), at(last + 1));
         let front = PACIFICA.front_of(*back);
-        let is_past = self.way.own.project(back.position()).s > self.way.blocked.to_s;
+        let is_past = self.lane.own.project(back.position()).s > self.lane.blocked.to_s;
         Some(
             is_past
                 && self.has_gap(front, returns)
@@ -89,13 +91,13 @@ impl<'a> PassRules<'a> {
 
     /// Whether there is room for the ego in its lane behind what it passes.
     fn has_gap(&self, front: Point, returns: f64) -> bool {
-        let way = self.way;
-        let needed = way.own.project(front).s + MIN_GAP;
+        let lane = self.lane;
+        let needed = lane.own.project(front).s + MIN_GAP;
         self.scene.objects.iter().all(|object| {
-            let foot = way.own.project(object.shape.center.position());
+            let foot = lane.own.project(object.shape.center.position());
             let half = object.shape.length / 2.0;
             let is_beyond =
-                foot.s - half > way.blocked.to_s && foot.lateral.abs() <= way.border.abs();
+                foot.s - half > lane.blocked.to_s && foot.lateral.abs() <= lane.border.abs();
             let along =
                 object.velocity.x * foot.heading.cos() + object.velocity.y * foot.heading.sin();
             !is_beyond || foot.s - half + along.max(0.0) * returns >= needed
@@ -106,13 +108,13 @@ impl<'a> PassRules<'a> {
     /// times of the ego. What comes may accelerate until then; whether it has passed before, its
     /// present speed says.
     fn is_clear(&self, (out, leaves): (Pose, f64), (front, returns): (Point, f64)) -> bool {
-        let line = &self.way.traffic;
+        let line = &self.lane.traffic;
         let here = line.project(PACIFICA.front_of(self.scene.ego.rear_axle)).s;
         let (out, back) = (
             line.project(PACIFICA.front_of(out)).s,
             line.project(front).s,
         );
-        let limit = self.way.speed_limit.unwrap_or(FALLBACK_LIMIT);
+        let limit = self.lane.speed_limit.unwrap_or(FALLBACK_LIMIT);
         // Whatever may come from beyond the sight. Nothing comes from before the start of a lane.
         let unseen = (here > ONCOMING_SIGHT).then_some(OncomingAgent {
             front_s: here - ONCOMING_SIGHT,
@@ -129,9 +131,12 @@ impl<'a> PassRules<'a> {
     }
 }
 
-/// The way past what blocks the ego's lane, if a plan at the limit may take it now.
-pub fn allowed_pass<'g>(scene: &SceneView<'_>, graph: &'g LaneGraph) -> Option<&'g OncomingLane> {
-    let way = graph.oncoming.as_ref()?;
+/// The oncoming lane past what blocks the ego's, if a plan at the limit may overtake there now.
+pub fn allowed_overtake<'g>(
+    scene: &SceneView<'_>,
+    graph: &'g LaneGraph,
+) -> Option<&'g OncomingLane> {
+    let lane = graph.oncoming.as_ref()?;
     let builder = PlanBuilder {
         lead_policy: LeadPolicy::Nearest,
         horizon_s: at(STEPS),
@@ -139,8 +144,8 @@ pub fn allowed_pass<'g>(scene: &SceneView<'_>, graph: &'g LaneGraph) -> Option<&
     let plan = builder
         .at_limit(scene, graph, CenterlineName::OncomingLane)
         .ok()??;
-    let verdict = PassRules::new(way, scene).verdict(&plan.roll_out(scene, STEPS).poses);
-    (verdict == PassVerdict::Allowed).then_some(way)
+    let verdict = OvertakeRules::new(lane, scene).verdict(&plan.roll_out(scene, STEPS).poses);
+    (verdict == OvertakeVerdict::Allowed).then_some(lane)
 }
 
 /// How far traffic comes in a time at most, meters: it accelerates up to the limit.
@@ -155,11 +160,11 @@ fn at(step: usize) -> f64 {
     step as f64 * STEP_S
 }
 
-fn is_over_border(way: &OncomingLane, ego: &OrientedBox) -> bool {
-    let side = way.border.signum();
+fn is_over_border(lane: &OncomingLane, ego: &OrientedBox) -> bool {
+    let side = lane.border.signum();
     ego.corners()
         .iter()
-        .any(|&corner| way.own.project(corner).lateral * side > way.border.abs() + OVER_BORDER)
+        .any(|&corner| lane.own.project(corner).lateral * side > lane.border.abs() + OVER_BORDER)
 }
 
 #[cfg(test)]
@@ -199,11 +204,11 @@ mod tests {
         )
     }
 
-    fn verdict(scene: SceneBuilder) -> PassVerdict {
+    fn verdict(scene: SceneBuilder) -> OvertakeVerdict {
         let scene = scene.build().unwrap();
         let (view, (plan, graph)) = (scene.view(), plan(&scene, CenterlineName::OncomingLane));
         let poses = plan.roll_out(&view, STEPS).poses;
-        PassRules::new(graph.oncoming.as_ref().unwrap(), &view).verdict(&poses)
+        OvertakeRules::new(graph.oncoming.as_ref().unwrap(), &view).verdict(&poses)
     }
 
     fn judged(scene: &Scene, name: CenterlineName) -> ReflectionReport {
@@ -215,71 +220,71 @@ mod tests {
     }
 
     #[test]
-    fn a_pass_needs_sight_a_gap_and_a_way_back() {
-        assert_eq!(verdict(road(13.0, 8.0)), PassVerdict::Allowed);
+    fn an_overtake_needs_sight_a_gap_and_room_to_return() {
+        assert_eq!(verdict(road(13.0, 8.0)), OvertakeVerdict::Allowed);
         assert_eq!(
             verdict(road(13.0, 8.0).vehicle([70.0, 3.5], PI, 8.0)),
-            PassVerdict::Refused,
+            OvertakeVerdict::Refused,
             "a car comes"
         );
         assert_eq!(
             verdict(road(13.0, 8.0).vehicle([140.0, 3.5], PI, 4.0)),
-            PassVerdict::Allowed,
+            OvertakeVerdict::Allowed,
             "it is far away"
         );
         assert_eq!(
             verdict(road(13.0, 8.0).vehicle([4.0, 3.5], PI, 8.0)),
-            PassVerdict::Allowed,
+            OvertakeVerdict::Allowed,
             "it has passed before"
         );
         assert_eq!(
             verdict(road(28.0, 1.0)),
-            PassVerdict::Refused,
+            OvertakeVerdict::Refused,
             "something fast may come from beyond the sight"
         );
         assert_eq!(
             verdict(road(13.0, 8.0).vehicle([43.0, 0.0], 0.0, 0.5)),
-            PassVerdict::Refused,
+            OvertakeVerdict::Refused,
             "no room behind it"
         );
         assert_eq!(
             verdict(road(13.0, 8.0).vehicle([35.0, 3.5], PI, 0.0)),
-            PassVerdict::Refused,
-            "no way back"
+            OvertakeVerdict::Refused,
+            "no room to return"
         );
     }
 
     #[test]
-    fn the_driving_direction_refuses_a_pass_only_where_a_rule_is_broken() {
+    fn the_driving_direction_refuses_an_overtake_only_where_a_rule_is_broken() {
         let free = road(13.0, 8.0).build().unwrap();
-        let (pass, own) = (
+        let (overtake, own) = (
             judged(&free, CenterlineName::OncomingLane),
             judged(&free, CenterlineName::EgoLane),
         );
         assert!(
-            pass.parts.driving_direction >= 1.0 && pass.score > own.score,
+            overtake.parts.driving_direction >= 1.0 && overtake.score > own.score,
             "{:?} {:?}",
-            pass.parts,
+            overtake.parts,
             own.parts
         );
         assert!(
-            pass.parts.progress > 0.95 && own.parts.progress < 0.7,
+            overtake.parts.progress > 0.95 && own.parts.progress < 0.7,
             "{:?} {:?}",
-            pass.parts,
+            overtake.parts,
             own.parts
         );
         let busy = road(13.0, 8.0)
             .vehicle([70.0, 3.5], PI, 8.0)
             .build()
             .unwrap();
-        let (pass, own) = (
+        let (overtake, own) = (
             judged(&busy, CenterlineName::OncomingLane),
             judged(&busy, CenterlineName::EgoLane),
         );
         assert!(
-            pass.parts.driving_direction <= 0.0 && pass.score <= 0.0,
+            overtake.parts.driving_direction <= 0.0 && overtake.score <= 0.0,
             "{:?}",
-            pass.parts
+            overtake.parts
         );
         assert!(own.parts.progress >= 1.0, "the ego waits: {:?}", own.parts);
     }
@@ -298,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn monitoring_gives_a_pass_up_when_a_rule_breaks_and_completes_one_that_has_begun() {
+    fn monitoring_gives_an_overtake_up_when_a_rule_breaks_and_completes_one_that_has_begun() {
         let monitor = PlanMonitor {
             steps: 40,
             threshold: 0.75,
@@ -326,14 +331,14 @@ mod tests {
         };
         assert_eq!(
             verdict(beside(2.9).vehicle([90.0, 3.5], PI, 8.0)),
-            PassVerdict::Allowed,
+            OvertakeVerdict::Allowed,
             "it has begun"
         );
         assert!(choice(beside(2.9)).score > 0.5);
     }
 
     #[test]
-    fn the_ego_gives_a_refused_pass_up_also_where_that_needs_hard_braking() {
+    fn the_ego_gives_a_refused_overtake_up_also_where_that_needs_hard_braking() {
         let monitor = PlanMonitor {
             steps: 40,
             threshold: 0.75,
@@ -352,19 +357,19 @@ mod tests {
                 )
                 .unwrap()
         };
-        let (pass, own) = (
+        let (overtake, own) = (
             step(CenterlineName::OncomingLane),
             step(CenterlineName::EgoLane),
         );
-        assert!(pass.is_refused && !pass.brakes && !own.is_refused);
-        assert!(own.is_better_than(&pass));
+        assert!(overtake.is_refused && !overtake.brakes && !own.is_refused);
+        assert!(own.is_better_than(&overtake));
         assert!(
             MonitoredStep {
                 brakes: true,
                 score: 0.0,
                 ..own
             }
-            .is_better_than(&pass)
+            .is_better_than(&overtake)
         );
     }
 
@@ -373,7 +378,7 @@ mod tests {
         let waits = road(13.0, 0.0).ego([17.5, 0.0], 0.0, 0.0);
         assert_ne!(
             verdict(waits.vehicle([60.0, 3.5], PI, 8.0)),
-            PassVerdict::Allowed
+            OvertakeVerdict::Allowed
         );
     }
 
@@ -381,10 +386,10 @@ mod tests {
     fn a_plan_that_stays_behind_what_blocks_its_lane_needs_no_verdict() {
         let scene = road(13.0, 0.0).build().unwrap();
         let (view, (plan, graph)) = (scene.view(), plan(&scene, CenterlineName::EgoLane));
-        let rules = PassRules::new(graph.oncoming.as_ref().unwrap(), &view);
+        let rules = OvertakeRules::new(graph.oncoming.as_ref().unwrap(), &view);
         assert_eq!(
             rules.verdict(&plan.roll_out(&view, STEPS).poses),
-            PassVerdict::Stays
+            OvertakeVerdict::Stays
         );
     }
 

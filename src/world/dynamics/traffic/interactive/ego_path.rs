@@ -1,4 +1,4 @@
-//! The way of the ego in the next seconds, and which vehicles yield to it (interPlan
+//! The path of the ego in the next seconds, and which vehicles yield to it (interPlan
 //! `agent_utils.py`, `idm_modified_agent_manager.py`).
 
 use super::super::agent::IdmAgent;
@@ -12,12 +12,12 @@ const HORIZON_S: f64 = 3.0;
 
 /// The box of the ego, and the strip that it covers at constant velocity.
 #[derive(Debug, Clone)]
-pub(super) struct EgoWay {
+pub(super) struct EgoPath {
     footprint: Footprint,
 }
 
-impl EgoWay {
-    /// The way from this state.
+impl EgoPath {
+    /// The path from this state.
     pub(super) fn new(ego: &EgoState) -> Self {
         let own = Footprint::of_box(ego.footprint());
         let line = line(ego.center(), ego.center_velocity(), PACIFICA.length());
@@ -33,7 +33,7 @@ impl EgoWay {
         &self.footprint
     }
 
-    /// Whether the way is an obstacle for a vehicle.
+    /// Whether the path is an obstacle for a vehicle.
     pub(super) fn counts_for(
         &self,
         map: &LaneMap,

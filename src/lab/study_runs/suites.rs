@@ -59,7 +59,7 @@ impl<'a> Suites<'a> {
 
     /// The suites of a study: those of the request, else its own; recordings only where there
     /// are some.
-    pub(super) fn of(
+    pub(super) fn select(
         &mut self,
         study: &str,
         own: &[impl AsRef<str>],
@@ -134,7 +134,7 @@ impl<'a> Suites<'a> {
             self.listener,
         )?;
         if self.request.quick {
-            sources = Quick::DEFAULT.of(sources);
+            sources = Quick::DEFAULT.select(sources);
             (words, splits) = (
                 sources.iter().map(ToString::to_string).collect(),
                 Vec::new(),

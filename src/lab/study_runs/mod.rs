@@ -80,7 +80,7 @@ impl<'a> Studies<'a> {
     /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
     pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
         check_writable(&self.folder(TOKENS))?;
-        let suites = self.suites.of(TOKENS, tokens::SUITES, None)?;
+        let suites = self.suites.select(TOKENS, tokens::SUITES, None)?;
         self.suites.note_lacking();
         let counted = tokens::count_all(&suites, self.config, self.listener)?;
         let folder = StudyFolder::new(self.folder(TOKENS));
@@ -124,7 +124,10 @@ impl<'a> Studies<'a> {
         let mut planned = Vec::new();
         for study in studies {
             let mut suites = Vec::new();
-            for suite in self.suites.of(&study.name, &study.suites, study.starts)? {
+            for suite in self
+                .suites
+                .select(&study.name, &study.suites, study.starts)?
+            {
                 let names = study
                     .variants
                     .iter()
@@ -190,7 +193,7 @@ impl<'a> Studies<'a> {
         let Some(path) = &self.request.bench else {
             return Ok(Vec::new());
         };
-        let figures = BenchFigures::of(&BenchFolder::read(path)?);
+        let figures = BenchFigures::from_rows(&BenchFolder::read(path)?);
         if figures.models.is_empty() {
             return Err(RunnerError::EmptyBench(path.clone()));
         }
