@@ -135,13 +135,17 @@ fn the_documented_messages_are_complete() {
 
 #[test]
 fn a_plan_has_two_states_and_starts_at_the_ego() {
-    for good in [
+    for plan_states in [
         &[(0.0, 1000.0), (8.0, 1000.0)][..],
         &[(0.1, 1000.2), (0.2, 1000.4)],
         &[(0.0, 1004.9), (1.0, 1100.0)],
         &[(-1.0, 980.0), (1.0, 1020.0)],
     ] {
-        assert!(plan(good).is_ok(), "{good:?}: {:?}", plan(good));
+        assert!(
+            plan(plan_states).is_ok(),
+            "{plan_states:?}: {:?}",
+            plan(plan_states)
+        );
     }
     for (states, expected) in [
         (&[][..], "at least 2 states, got 0"),
