@@ -87,16 +87,21 @@ impl<R: Read> Records<R> {
             return false;
         }
         let mut byte = [0];
-        match self.reader.read_exact(&mut byte) {
-            Ok(()) => self.ahead = Some(byte[0]),
-            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
-                self.total = Some(self.offset);
-                return true;
+        loop {
+            match self.reader.read(&mut byte) {
+                Ok(0) => {
+                    self.total = Some(self.offset);
+                    return true;
+                }
+                Ok(_) => {
+                    self.ahead = Some(byte[0]);
+                    return false;
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                // The record that begins here has this error: a cut archive has no end.
+                Err(_) => return false,
             }
-            // The record that begins here has this error.
-            Err(_) => {}
         }
-        false
     }
 
     /// The length of the next payload, whose own checksum is verified.
