@@ -7,7 +7,9 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use planagent_agent::environment::text::{self, Description};
-use planagent_agent::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, bev};
+use planagent_agent::environment::{
+    BevView, CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph, bev,
+};
 use planagent_agent::planner::{IdmPlanner, LogReplay, Planner, PlannerInput};
 use planagent_agent::reasoning::PlannerCode;
 use planagent_agent::reflection::{Judge, LeadPolicy, PlanBuilder};
@@ -221,7 +223,7 @@ fn engine(c: &mut Criterion) {
         lead_policy: LeadPolicy::Nearest,
         horizon_s: 4.0,
     }
-    .build(&scene, &graph, code)
+    .build(GraphedScene::new(&scene, &graph), code)
     .unwrap()
     .unwrap();
 

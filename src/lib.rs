@@ -58,9 +58,11 @@ pub use planagent_world::{EgoState, Scene, SceneBuilder, Trajectory};
 pub mod planning {
     pub use planagent_agent::planner::{
         AfterMaxExec, Attempt, CodeSource, Decision, IdmPlanner, Latency, LogReplay, NoPlan,
-        PdmClosed, PlanAgentSettings, PlannerEntry, PlannerError, PlannerInitialization,
-        PlannerInput, PlannerName, PlannerNeeds, PlannerParts, PlannerRegistry, PlanningCall,
-        SimplePlanner,
+        PdmClosed, PlanAgentSettings, PlannerError, PlannerInitialization, PlannerInput,
+        PlannerName, PlanningCall, SimplePlanner,
+    };
+    pub use planagent_agent::planner_registry::{
+        PlannerEntry, PlannerNeeds, PlannerParts, PlannerRegistry,
     };
     pub use planagent_agent::reflection::LeadPolicy;
     pub use planagent_planners::all_planners;

@@ -1,10 +1,11 @@
 //! The agent with a scripted model and answers of every kind.
 
-use planagent_agent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
+use planagent_agent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph};
 use planagent_agent::planner::{
     AfterMaxExec, AgentLayer, CodeSource, Decision, NoPlan, PlanAgent, PlanAgentSettings, Planner,
     PlannerInput, PlannerName, PlanningCall,
 };
+use planagent_agent::planner_registry::PlannerParts;
 use planagent_agent::reasoning::{
     Interruption, PlannerCode, PromptSet, Proposals, ReasoningSettings, Round, Speculation,
 };
@@ -16,6 +17,8 @@ use planagent_mllm::{
     Answer, ConstraintUse, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError,
     ModelDescription, PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
 };
+use planagent_planners::all_planners;
+use planagent_runs::worker::run::{AgentParts, SimulationTask, run};
 use planagent_scenario::{Scenario, generator};
 use planagent_score::pdm::PdmMemory;
 use planagent_world::{Route, SceneView};
@@ -382,7 +385,7 @@ pub(crate) fn planner_at<'a>(
         lead_policy,
         horizon_s: 4.0,
     }
-    .build(&drive.scene(), graph, code)
+    .build(GraphedScene::new(&drive.scene(), graph), code)
     .unwrap()
     .unwrap()
 }
@@ -521,11 +524,21 @@ fn a_roll_out_stops_before_a_red_light() {
 
 #[test]
 fn the_baselines_plan_without_a_model() {
-    let best = |code_source: CodeSource| {
-        let mut agent = PlanAgent::new(PlannerName::new("control"), code_source, settings());
+    let registry = all_planners();
+    let best = |name: &str| {
+        let entry = registry.find(name).unwrap();
+        let parts = PlannerParts {
+            name: entry.name,
+            settings: &settings(),
+            model: None,
+            recording: &[],
+            simulation: None,
+            shuffled_bev: None,
+        };
+        let mut agent = entry.build(&parts).unwrap();
         simulate(
             &scenario("generated/changing_lane/3"),
-            &mut agent,
+            agent.as_mut(),
             Challenge::NonReactive,
         )
         .unwrap();
@@ -545,7 +558,7 @@ fn the_baselines_plan_without_a_model() {
             .map(|attempt| attempt.answer.unwrap().code().unwrap())
             .collect()
     };
-    let fixed = best(CodeSource::Fixed);
+    let fixed = best("fixed-code");
     assert!(fixed.iter().all(|call| call.attempts.len() == 1));
     assert!(
         codes(&fixed)
@@ -554,17 +567,17 @@ fn the_baselines_plan_without_a_model() {
                 && (code.accel_max - 1.5).abs() < 1e-9)
     );
 
-    let random = best(CodeSource::Random);
+    let random = best("random-code");
     assert!(
         random
             .iter()
             .all(|call| (1..=3).contains(&call.attempts.len()))
     );
-    assert_eq!(codes(&random), codes(&best(CodeSource::Random)));
+    assert_eq!(codes(&random), codes(&best("random-code")));
     assert!(codes(&random).windows(2).any(|pair| pair[0] != pair[1]));
 
     // At the first call the three see the same scene, and the grid contains the fixed code.
-    let grid = best(CodeSource::Grid);
+    let grid = best("grid-code");
     let first = |calls: &[PlanningCall]| {
         calls[0]
             .accepted()
@@ -576,6 +589,37 @@ fn the_baselines_plan_without_a_model() {
     };
     assert!(first(&grid) >= first(&fixed));
     assert!(grid.iter().all(|call| call.attempts.len() == 1));
+}
+
+#[test]
+fn a_control_is_an_agent_of_the_library() {
+    let control = |name: &str| planagent::Agent::builder().planner(name).build();
+    let scenario = scenario("generated/changing_lane/3");
+    let mut agent = control("fixed-code").unwrap();
+    planagent::simulate(&scenario, &mut agent, Challenge::NonReactive).unwrap();
+    assert_eq!(agent.calls().len(), 8);
+    let error = control("oracle-code").unwrap_err().to_string();
+    assert!(error.contains("a simulation to look ahead in"), "{error}");
+}
+
+#[test]
+fn a_run_gives_the_oracle_its_simulation() {
+    let parts = AgentParts::default();
+    let task = SimulationTask {
+        source: generator::DEFAULT.into(),
+        planner: parts.registry.find("oracle-code").unwrap().name,
+        challenge: Challenge::Reactive,
+    };
+    let records = Mutex::new(Vec::new());
+    let outcome: Result<(), ()> = run(&[task], &[0], &parts, &|_| (), &|_, record| {
+        records.lock().unwrap().push(record);
+        Ok(())
+    });
+    outcome.unwrap();
+    let record = records.into_inner().unwrap().pop().unwrap();
+    let simulation = record.outcome.unwrap();
+    assert!(!simulation.calls.is_empty());
+    assert!(simulation.score.value > 0.0);
 }
 
 #[test]

@@ -9,7 +9,8 @@ use crate::womd::recordings;
 use planagent_agent::environment;
 use planagent_agent::environment::facts::Question;
 use planagent_agent::environment::{
-    BevView, DEFAULT_NODE_LENGTH, Description, LaneGraph, SceneFacts, TextForm, bev, text,
+    BevView, DEFAULT_NODE_LENGTH, Description, GraphedScene, LaneGraph, SceneFacts, TextForm, bev,
+    text,
 };
 use planagent_scenario::generator::{self, Spec, types};
 use planagent_scenario::{Frame, Scenario};
@@ -64,7 +65,7 @@ fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts
         image.pixels().any(|p| p.0 != bev::BACKGROUND),
         "{place}: an empty image"
     );
-    SceneFacts::from_scene(&scene, &graph)
+    SceneFacts::from_scene(GraphedScene::new(&scene, &graph))
 }
 
 #[test]

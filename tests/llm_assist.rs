@@ -3,6 +3,7 @@
 use crate::agent::{Script, reasoning, scenario, settings_with};
 use planagent_agent::planner::{
     AskedModel, Decision, LlmAssist, NoPlan, PdmClosed, PlanAgentSettings, Planner, PlannerName,
+    Unreadable,
 };
 use planagent_agent::reasoning::{
     AssistVariant, Assistance, PlannerAnswer, PromptSet, ReasoningSettings, Round,
@@ -64,11 +65,15 @@ fn pdm_closed_is_executed_where_no_answer_is_better_or_can_be_read() {
     let own = "Tune_PDM(v0=40, gap=1, headway=1.5, acc=1.5, dec=3, brake=on)";
     for (answer, variant, why) in [
         (own, AssistVariant::Parameters, NoPlan::Outscored),
-        ("drive on", AssistVariant::Parameters, NoPlan::Unreadable),
+        (
+            "drive on",
+            AssistVariant::Parameters,
+            NoPlan::Unreadable(Unreadable::NoLine),
+        ),
         (
             "Follow_Waypoints(x1=1)",
             AssistVariant::Unconstrained,
-            NoPlan::Unreadable,
+            NoPlan::Unreadable(Unreadable::WrongLine),
         ),
     ] {
         let (planner, log, asked) = drive(&[answer], variant, unreachable_threshold());

@@ -2,9 +2,9 @@
 //! like those that are built in.
 
 use planagent_agent::planner::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
-    PlannerNeeds, PlannerRegistry, SimplePlanner,
+    Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName, SimplePlanner,
 };
+use planagent_agent::planner_registry::{PlannerEntry, PlannerNeeds, PlannerRegistry};
 use planagent_agent::simulation::Challenge;
 use planagent_runs::report::{SimulationRow, Summary};
 use planagent_runs::worker::run::{AgentParts, SimulationTask, run};

@@ -7,13 +7,16 @@ True
 """
 
 from ._arrays import KINDS
-from ._core import __version__, set_threads, threads
+from ._core import __version__, threads
 from ._models import Answer, Model
 from ._observation import EgoState, Lane, Observation, Sample, Trajectory, TrajectoryScores
 from ._planners import Agent, Planner, planners
-from ._runs import Progress, Results, Table, merge, resume, shard_of_environment, simulate
-from ._scenario import Scenario, find, open
+from ._progress import Progress
+from ._results import Results, Table
+from ._runs import merge, open_run, resume, shard_of_environment, simulate
+from ._scenario import Scenario, find, open, scenario_types
 from ._simulation import Score, Simulation
+from ._threads import set_threads
 from .errors import PlanAgentError
 
 __all__ = [
@@ -39,8 +42,10 @@ __all__ = [
     "find",
     "merge",
     "open",
+    "open_run",
     "planners",
     "resume",
+    "scenario_types",
     "set_threads",
     "shard_of_environment",
     "simulate",

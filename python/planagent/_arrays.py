@@ -61,7 +61,10 @@ def poses(values: ArrayLike, dimensions: int = 2) -> NDArray[np.float64]:
     dimensions
         Number of dimensions that the array must have.
     """
-    array = np.ascontiguousarray(values, dtype=np.float64)
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"expected an array of poses (x, y, heading), got what is no array of numbers: {error}") from None
     if array.ndim != dimensions or array.shape[-1] != 3 or 0 in array.shape:
         shape = " x ".join(["N"] * (dimensions - 2) + ["T", "3"])
         raise ArgumentError(

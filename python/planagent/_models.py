@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from . import _arguments as arguments
 from . import _core
+from ._arguments import real, whole, wrong
 from ._planners import settings_json
 from .errors import ArgumentError
 
@@ -70,8 +73,11 @@ class Model:
 
     __slots__ = ("_arguments", "_native")
 
-    def __init__(self, name: str = "nano", *, settings: dict[str, Any] | None = None) -> None:
-        self._arguments = (name, settings)
+    def __init__(self, name: str | os.PathLike[str] = "nano", *, settings: Mapping[str, Any] | None = None) -> None:
+        if not isinstance(name, (str, os.PathLike)):
+            raise wrong("name", name, "expected the name of a model")
+        name = os.fspath(name)
+        self._arguments = (name, None if settings is None else dict(settings))
         self._native = _core.Model(settings_json(settings, mllm__model=name))
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
@@ -91,7 +97,7 @@ class Model:
 
     def count_tokens(self, text: str) -> int | None:
         """Number of tokens of a text; `None` for a model behind a server."""
-        return self._native.count_tokens(text)
+        return self._native.count_tokens(arguments.text("text", text))
 
     def ask(
         self,
@@ -100,7 +106,7 @@ class Model:
         *,
         system: str = "",
         max_tokens: int = 256,
-        choices: Sequence[str] | None = None,
+        choices: str | Iterable[str] | None = None,
         regex: str | None = None,
         deadline_s: float | None = None,
         seed: int | None = None,
@@ -118,7 +124,7 @@ class Model:
         max_tokens
             Maximum tokens of the answer.
         choices, regex
-            The answer is one of these texts, or matches this regular expression.
+            The answer is one of these texts (one or several), or matches this regular expression.
         deadline_s
             Time for the answer, seconds.
         seed
@@ -132,15 +138,18 @@ class Model:
                     f"expected a picture of height x width x 3 uint8 numbers, got {array.dtype} of shape {array.shape}"
                 )
             picture = (array.tobytes(), array.shape[0], array.shape[1])
+        wanted = None if choices is None else arguments.texts("choices", choices)
+        if wanted is not None and not wanted:
+            raise wrong("choices", choices, "there is nothing to choose from")
         asked = {
-            "system": system,
-            "max_tokens": max_tokens,
-            "choices": None if choices is None else list(choices),
-            "regex": regex,
-            "deadline_s": deadline_s,
-            "seed": seed,
+            "system": arguments.text("system", system),
+            "max_tokens": whole("max_tokens", max_tokens, 1),
+            "choices": wanted,
+            "regex": None if regex is None else arguments.text("regex", regex),
+            "deadline_s": None if deadline_s is None else real("deadline_s", deadline_s, 0.0, above=True),
+            "seed": None if seed is None else whole("seed", seed, 0, 2**64 - 1),
         }
-        answer, finish, tokens, milliseconds = self._native.ask(text, picture, asked)
+        answer, finish, tokens, milliseconds = self._native.ask(arguments.text("text", text), picture, asked)
         return Answer(answer, finish, json.loads(tokens), json.loads(milliseconds))
 
 

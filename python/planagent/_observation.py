@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -10,9 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays, _core
+from ._arguments import real, text, whole, wrong
 from .errors import ArgumentError
 
 __all__ = ["EgoState", "Lane", "Observation", "Sample", "Trajectory", "TrajectoryScores"]
+
+#: What the native half takes as a number of pixels; it says which of these are too many.
+MAX_PIXELS = 2**32 - 1
 
 
 class EgoState(NamedTuple):
@@ -225,6 +230,16 @@ class Observation:
         made._native = native
         return made
 
+    def __reduce__(self) -> tuple[Any, tuple[bytes]]:
+        return _observation, (self._native.to_bytes(),)
+
+    def __copy__(self) -> Observation:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Observation:
+        # It never changes.
+        return self
+
     def __repr__(self) -> str:
         return f"Observation(iteration={self.iteration}, objects={len(self.objects)})"
 
@@ -280,6 +295,12 @@ class Observation:
         within_m
             Half the side of a square around the ego, meters; `None` for the whole map.
         """
+        if within_m is not None:
+            try:
+                # All of the map lies within infinity.
+                within_m = None if float(within_m) == math.inf else real("within_m", within_m, 0.0)
+            except (TypeError, ValueError):
+                raise wrong("within_m", within_m, "expected a number of meters from 0 on, or None") from None
         return [Lane._of(lane) for lane in self._native.lanes(within_m)]
 
     def image(self, pixels: int = 128, meters: float = 64.0) -> NDArray[np.uint8]:
@@ -290,6 +311,7 @@ class Observation:
         numpy.ndarray
             Height x width x 3 numbers of type uint8.
         """
+        pixels, meters = whole("pixels", pixels, 1, MAX_PIXELS), real("meters", meters, 0.0, above=True)
         return _arrays.image(self._native.image(pixels, meters))
 
     def render(
@@ -310,6 +332,7 @@ class Observation:
             Height x width x 3 numbers of type uint8.
         """
         native = None if plan is None else self.trajectory(plan)._native
+        pixels, meters = whole("pixels", pixels, 1, MAX_PIXELS), real("meters", meters, 0.0, above=True)
         return _arrays.image(self._native.render(pixels, meters, native))
 
     def lane_graph(self, form: str = "paper") -> str:
@@ -320,7 +343,7 @@ class Observation:
         form
             `paper`, in short English lines, or `compact-2`, as `nano` reads it.
         """
-        return self._native.lane_graph(form)
+        return self._native.lane_graph(text("form", form))
 
     def centerlines(self) -> list[str]:
         """The centerlines that a planner code may follow, `ego_lane` first."""
@@ -343,7 +366,12 @@ class Observation:
         accelerations
             Maximum acceleration and deceleration, m/s².
         """
-        return Trajectory._of(self._native.plan_of_code(centerline, speed, accelerations))
+        try:
+            fastest, hardest = accelerations
+        except (TypeError, ValueError):
+            raise wrong("accelerations", accelerations, "expected two numbers: maximum acceleration and deceleration") from None
+        pair = real("accelerations[0]", fastest, 0.0, above=True), real("accelerations[1]", hardest, 0.0, above=True)
+        return Trajectory._of(self._native.plan_of_code(text("centerline", centerline), real("speed", speed, 0.0), pair))
 
     def trajectory(self, plan: Trajectory | ArrayLike, dt: float = 0.1) -> Trajectory:
         """A trajectory from the present state through poses.
@@ -358,7 +386,7 @@ class Observation:
         """
         if isinstance(plan, Trajectory):
             return plan
-        return Trajectory._of(self._native.trajectory(_arrays.poses(plan).tobytes(), dt))
+        return Trajectory._of(self._native.trajectory(_arrays.poses(plan).tobytes(), real("dt", dt, 0.0, above=True)))
 
     def score(self, trajectories: ArrayLike) -> TrajectoryScores:
         """Scores trajectories by PDM-Closed's measure, as Reflection does.
@@ -384,6 +412,10 @@ class Observation:
         array = _arrays.poses(trajectories, 3)
         packed = _core.score_trajectories(self._native, array.tobytes(), array.shape[1])
         return TrajectoryScores(*_arrays.unpacked(packed, 8).T)
+
+
+def _observation(data: bytes) -> Observation:
+    return Observation._of(_core.Observation.of_bytes(data))
 
 
 def native_observation(value: object) -> _core.Observation:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import copy
 import inspect
 import json
+import os
 import re
-from collections.abc import Callable
+import types
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _core
+from ._arguments import text, whole, wrong
 from ._observation import Observation, Trajectory, native_observation
 from .errors import ArgumentError
 
@@ -50,14 +54,15 @@ class Planner(Protocol):
 
 
 class Bound:
-    """A planner in Python for one simulation, as the native half calls it."""
+    """A planner in Python for one simulation, as a run calls it."""
 
     def __init__(self, planner: Any) -> None:
         self._planner = planner
         plan = getattr(planner, "plan", planner)
         if not callable(plan):
-            raise ArgumentError(f"{type(planner).__name__} is no planner: it has no method plan and cannot be called")
-        self._plan = plan
+            raise _no_planner(planner, "it has no method plan and cannot be called")
+        #: What plans.
+        self.function: Callable[[Observation], Any] = plan
 
     def reset(self) -> None:
         """Called before the first step."""
@@ -68,23 +73,98 @@ class Bound:
     def plan(self, native: _core.Observation) -> _core.Trajectory:
         """Called at each step."""
         observation = Observation._of(native)
-        planned = self._plan(observation)
+        planned = self.function(observation)
         if planned is None:
             raise ArgumentError("the planner returned None; it must return a Trajectory or an array of T x 3 poses")
         return observation.trajectory(planned)._native
 
 
 def as_factory(planner: Any) -> Callable[[], Bound]:
-    """What makes a planner of one simulation."""
+    """What makes a planner of one simulation. What is no planner is refused here, before a run begins."""
     if _is_of_nuplan(planner):
         from .nuplan import adapted
 
         return adapted(planner)
     if inspect.isclass(planner):
-        return lambda: Bound(planner())
-    if inspect.isroutine(planner) or not hasattr(planner, "plan"):
+        _check_call(planner, "a class", 0)
+        plan = getattr(planner, "plan", None) or (planner.__call__ if "__call__" in _members(planner) else None)
+        if plan is not None:
+            if callable(plan):
+                _check_call(plan, "its method plan", 2 if _is_of_instances(planner, plan) else 1)
+            elif not isinstance(plan, property) and not hasattr(plan, "__get__"):
+                raise _no_planner(planner, "its attribute plan cannot be called")
+            return lambda: Bound(planner())
+        # Only an object shows whether it has a method plan.
+        return _one_after_the_other([Bound(planner())], lambda: Bound(planner()))
+    if planner is None or isinstance(planner, (str, bytes, Mapping)):
+        raise _no_planner(planner, "expected a name, a function, a class or an object with a method plan")
+    plan = getattr(planner, "plan", planner)
+    if not callable(plan):
+        raise _no_planner(planner, "it has no method plan and cannot be called")
+    _check_call(plan, "the function" if plan is planner else "its method plan", 1)
+    owner = getattr(planner, "__self__", None)
+    if inspect.ismethod(planner) and not inspect.isclass(owner):
+        # The object of a method is copied as any other.
+        function = planner.__func__
+        return _copies(owner, lambda own: Bound(types.MethodType(function, own)))
+    if inspect.isroutine(planner):
         return lambda: Bound(planner)
-    return lambda: Bound(copy.deepcopy(planner))
+    return _copies(planner, Bound)
+
+
+def _copies(planner: Any, bound: Callable[[Any], Bound]) -> Callable[[], Bound]:
+    """A copy of an object for each simulation."""
+    try:
+        first = bound(copy.deepcopy(planner))
+    except Exception as error:
+        raise _no_planner(
+            planner, f"an object is copied for each simulation, and copy.deepcopy fails: {error}; give the class or a function"
+        ) from error
+    return _one_after_the_other([first], lambda: bound(copy.deepcopy(planner)))
+
+
+def _one_after_the_other(first: list[Bound], make: Callable[[], Bound]) -> Callable[[], Bound]:
+    """What tried a planner out serves its first simulation."""
+
+    def next_one() -> Bound:
+        try:
+            return first.pop()
+        except IndexError:
+            return make()
+
+    return next_one
+
+
+def _members(kind: type) -> set[str]:
+    return {name for base in kind.__mro__[:-1] for name in vars(base)}
+
+
+def _is_of_instances(kind: type, plan: Any) -> bool:
+    """Whether a function of a class takes the object first."""
+    own = inspect.getattr_static(kind, getattr(plan, "__name__", "plan"), None)
+    return inspect.isfunction(own)
+
+
+def _check_call(function: Any, what: str, arguments: int) -> None:
+    """Refuses what cannot be called with so many arguments, where its signature is known."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        return
+    try:
+        signature.bind(*[None] * arguments)
+    except TypeError as error:
+        taken = "no argument" if arguments == 0 else "an observation"
+        raise _no_planner(function, f"{what} is called with {taken}: {error}") from None
+
+
+def _no_planner(planner: Any, why: str) -> ArgumentError:
+    return wrong("planners", planner, f"this is no planner: {why}")
+
+
+def is_planner(value: Any) -> bool:
+    """Whether a value is one planner rather than a list of them."""
+    return callable(value) or hasattr(value, "plan") or _is_of_nuplan(value)
 
 
 def _is_of_nuplan(planner: Any) -> bool:
@@ -93,6 +173,11 @@ def _is_of_nuplan(planner: Any) -> bool:
 
 def name_of(planner: Any) -> str:
     """The name of a planner in tables and files."""
+    if isinstance(planner, Agent):
+        raise ArgumentError(
+            f"an Agent has the name of a planner of the library ({planner.name}); give it another one by a dictionary: "
+            f"planners={{'my-{planner.name}': agent}}"
+        )
     name = getattr(planner, "name", None)
     if callable(name) and not inspect.isclass(planner):
         name = name()
@@ -108,17 +193,19 @@ def name_of(planner: Any) -> str:
     return name
 
 
-def nested(settings: dict[str, Any]) -> dict[str, Any]:
+def nested(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings with keys such as `reflection.max_exec` as nested dictionaries."""
     whole: dict[str, Any] = {}
     for key, value in settings.items():
+        if not isinstance(key, str):
+            raise wrong("settings", settings, f"the key {key!r} is no text, such as 'reflection.max_exec'")
         *sections, last = key.split(".")
         place = whole
         for section in sections:
             place = place.setdefault(section, {})
             if not isinstance(place, dict):
-                raise ArgumentError(f"the setting {key} lies in {section}, which is no section")
-        value = nested(value) if isinstance(value, dict) else value
+                raise ArgumentError(f"settings[{key!r}] lies in {section}, which is no section")
+        value = nested(value) if isinstance(value, Mapping) else _plain(key, value)
         if isinstance(value, dict) and isinstance(place.get(last), dict):
             place[last].update(value)
         else:
@@ -126,18 +213,30 @@ def nested(settings: dict[str, Any]) -> dict[str, Any]:
     return whole
 
 
-def settings_json(settings: dict[str, Any] | None, **known: Any) -> str:
+def _plain(key: str, value: Any) -> Any:
+    """A value of a setting as TOML has it: numpy's numbers and paths are taken."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        value = value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, (list, tuple)):
+        return [_plain(key, one) for one in value]
+    if not isinstance(value, (bool, int, float, str)) or value != value:
+        raise wrong(f"settings[{key!r}]", value, "expected a number, a text, a truth value or a list of these")
+    return value
+
+
+def settings_json(settings: Mapping[str, Any] | None, **known: Any) -> str:
     """Settings for the native half; `None` leaves a value at its default."""
+    if settings is not None and not isinstance(settings, Mapping):
+        raise wrong("settings", settings, "expected a dictionary by the keys of planagent.toml")
     whole = nested(settings or {})
     for key, value in nested({k.replace("__", "."): v for k, v in known.items() if v is not None}).items():
         if isinstance(value, dict):
             whole.setdefault(key, {}).update(value)
         else:
             whole[key] = value
-    try:
-        return json.dumps(whole)
-    except TypeError as error:
-        raise ArgumentError(f"the settings: {error}") from None
+    return json.dumps(whole)
 
 
 def planners() -> dict[str, str]:
@@ -187,18 +286,26 @@ class Agent:
 
     def __init__(
         self,
-        model: str | None = None,
+        model: str | os.PathLike[str] | None = None,
         *,
         planner: str = "plan-agent",
         seed: int | None = None,
-        settings: dict[str, Any] | None = None,
+        settings: Mapping[str, Any] | None = None,
         scenario: Scenario | None = None,
     ) -> None:
+        if scenario is not None:
+            from ._scenario import Scenario
+
+            if not isinstance(scenario, Scenario):
+                raise wrong("scenario", scenario, "expected a Scenario, which planagent.open gives")
+        model = None if model is None else text("model", os.fspath(model) if isinstance(model, os.PathLike) else model)
+        seed = None if seed is None else whole("seed", seed, 0, 2**63 - 1)
+        text("planner", planner)
         self._arguments = {
             "model": model,
             "planner": planner,
             "seed": seed,
-            "settings": settings,
+            "settings": None if settings is None else dict(settings),
             "scenario": scenario,
         }
         merged = settings_json(settings, seed=seed, mllm__model=model)

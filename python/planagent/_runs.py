@@ -2,162 +2,45 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import json
 import os
 import shutil
-import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+import time
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, Protocol
 
-from . import _core
-from ._planners import Bound, as_factory, name_of, settings_json
+from . import _core, _threads
+from ._arguments import callback, many, path, real, text, texts, truth, whole, wrong
+from ._planners import Bound, as_factory, is_planner, name_of, settings_json
+from ._progress import Progress, printer_of
+from ._results import Results
 from ._scenario import Scenario
-from .errors import ArgumentError, RunNotFoundError
+from .errors import ArgumentError, RunNotFoundError, RunStoppedError
 
-if TYPE_CHECKING:
-    import pandas
-    import pyarrow
+__all__ = ["merge", "open_run", "resume", "shard_of_environment", "simulate"]
 
-__all__ = ["Progress", "Results", "Table", "merge", "resume", "shard_of_environment", "simulate"]
-
-
-@dataclass(frozen=True)
-class Progress:
-    """What a run has done so far.
-
-    Attributes
-    ----------
-    done, total, failed : int
-        Simulations that ended, that the run makes, and that failed. `total` is 0 before the first starts.
-    steps : int
-        Steps of 0.1 s that all simulations made.
-    notes : list of str
-        What the user should know; each comes once.
-    """
-
-    done: int
-    total: int
-    failed: int
-    steps: int
-    notes: list[str] = field(default_factory=list)
+#: Longest time between two looks at signals and progress, seconds.
+POLL_S = 0.02
+#: Time that a stopped run has to end before it is left behind, seconds.
+GRACE_S = 0.5
 
 
-class Table:
-    """A table of results. It has the Arrow PyCapsule interface, so pandas, polars, pyarrow and DuckDB read it.
+class Stop(Protocol):
+    """What tells a run to stop, for example a `threading.Event`."""
 
-    Examples
-    --------
-    >>> import planagent
-    >>> table = planagent.simulate("generated/changing_lane/2", ["idm", "simple"]).table()
-    >>> table.to_dict()["planner"]
-    ['idm', 'simple']
-    """
-
-    __slots__ = ("_native",)
-    _native: _core.Table
-
-    def __init__(self) -> None:
-        raise TypeError("tables come from Results.table")
-
-    @classmethod
-    def _of(cls, native: _core.Table) -> Table:
-        made = cls.__new__(cls)
-        made._native = native
-        return made
-
-    def __len__(self) -> int:
-        return len(self._native)
-
-    def __repr__(self) -> str:
-        return f"Table({len(self)} rows, {len(self.columns)} columns)"
-
-    @property
-    def columns(self) -> list[str]:
-        """Names of the columns."""
-        return self._native.columns
-
-    def to_dict(self) -> dict[str, list[Any]]:
-        """The columns as lists; a missing value is `None`."""
-        return self._native.to_dict()
-
-    def __arrow_c_schema__(self) -> Any:
-        """The schema as an Arrow capsule."""
-        return self._native.__arrow_c_schema__()
-
-    def __arrow_c_stream__(self, requested_schema: Any = None) -> Any:
-        """The rows as an Arrow capsule."""
-        return self._native.__arrow_c_stream__(requested_schema)
-
-    def to_pyarrow(self) -> pyarrow.Table:
-        """The table of pyarrow, which must be installed."""
-        import pyarrow
-
-        return pyarrow.table(self)
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """The frame of pandas, which must be installed."""
-        import pandas
-
-        return pandas.DataFrame(self.to_dict())
+    def is_set(self) -> bool:
+        """Whether the run shall stop."""
+        ...
 
 
-class Results:
-    """The results of a run.
-
-    Attributes
-    ----------
-    folder : pathlib.Path or None
-        The folder of the run; `None` for one whose files were not kept.
-    missing : int
-        How many scenarios of the splits the data lacks.
-    """
-
-    __slots__ = ("_native", "folder")
-
-    def __init__(self, native: _core.RunResults, is_kept: bool) -> None:
-        self._native = native
-        self.folder = Path(native.folder) if is_kept else None
-
-    def __repr__(self) -> str:
-        place = f", folder={str(self.folder)!r}" if self.folder is not None else ""
-        return f"Results({len(self.table())} simulations{place})"
-
-    @property
-    def missing(self) -> int:
-        """How many scenarios of the splits the data lacks."""
-        return self._native.missing
-
-    def table(self) -> Table:
-        """A row for each simulation: its score, the scores of the metrics, its error, and how it was planned."""
-        return Table._of(self._native.table())
-
-    def mean_scores(self) -> dict[tuple[str, str], float]:
-        """The mean score of each planner in each challenge; simulations that failed do not count.
-
-        Examples
-        --------
-        >>> import planagent
-        >>> results = planagent.simulate("generated/changing_lane/2", "log-replay")
-        >>> list(results.mean_scores())
-        [('log-replay', 'nonreactive')]
-        """
-        columns = self.table().to_dict()
-        scores: dict[tuple[str, str], list[float]] = {}
-        for planner, challenge, score in zip(columns["planner"], columns["challenge"], columns["score"]):
-            if score is not None:
-                scores.setdefault((planner, challenge), []).append(score)
-        return {key: sum(values) / len(values) for key, values in scores.items()}
-
-
-def _words(values: str | os.PathLike[str] | Scenario | Iterable[Any]) -> list[str]:
+def _words(values: Any) -> list[str]:
     """Names of scenarios."""
-    if isinstance(values, (str, os.PathLike, Scenario)):
-        values = [values]
     words = []
-    for value in values:
+    for value in many("scenarios", values, (str, os.PathLike, Scenario), "a Scenario or the name of one"):
         if isinstance(value, Scenario):
             if value.name is None:
                 raise ArgumentError(f"the scenario {value.id} has no name; a run needs names. Use Simulation, or export_nuplan")
@@ -167,55 +50,12 @@ def _words(values: str | os.PathLike[str] | Scenario | Iterable[Any]) -> list[st
     return words
 
 
-def _texts(values: str | Iterable[str]) -> list[str]:
-    return [values] if isinstance(values, str) else list(values)
-
-
-class _Printer:
-    """Shows progress in one line of a terminal or of a notebook."""
-
-    def __init__(self, out: TextIO) -> None:
-        self._out, self._width = out, 0
-
-    def __call__(self, progress: Progress) -> None:
-        for note in progress.notes:
-            self._line(note)
-            self._out.write("\n")
-            self._width = 0
-        failed = f", {progress.failed} failed" if progress.failed else ""
-        self._line(f"{progress.done} of {progress.total} simulations{failed}")
-
-    def _line(self, text: str) -> None:
-        self._out.write("\r" + text + " " * max(0, self._width - len(text)))
-        self._out.flush()
-        self._width = len(text)
-
-    def end(self) -> None:
-        """Ends the line."""
-        if self._width:
-            self._out.write("\n")
-
-
-def _callback(progress: bool | Callable[[Progress], None]) -> tuple[Any, Callable[[], None]]:
-    """What the native half calls, and what ends it."""
-    if progress is False:
-        return None, lambda: None
-    printer = _Printer(sys.stderr)
-    show = printer if progress is True else progress
-    end = printer.end if progress is True else lambda: None
-
-    def call(done: int, total: int, failed: int, steps: int, notes: list[str]) -> None:
-        show(Progress(done, total, failed, steps, notes))
-
-    return call, end
-
-
 def _planners(planners: Any) -> tuple[list[str], list[tuple[str, Callable[[], Bound]]]]:
     """Names of all planners, and those in Python."""
     if isinstance(planners, Mapping):
         pairs = [(str(name), planner) for name, planner in planners.items()]
     else:
-        is_one = isinstance(planners, str) or not isinstance(planners, Iterable)
+        is_one = isinstance(planners, str) or is_planner(planners) or not isinstance(planners, Iterable)
         pairs = [
             (planner if isinstance(planner, str) else name_of(planner), planner)
             for planner in ([planners] if is_one else planners)
@@ -254,40 +94,67 @@ def shard_of_environment(environment: Mapping[str, str] | None = None) -> str | 
 
 
 def simulate(
-    scenarios: str | os.PathLike[str] | Scenario | Sequence[Any] = (),
+    scenarios: str | os.PathLike[str] | Scenario | Iterable[str | os.PathLike[str] | Scenario] | None = None,
     planners: Any = "plan-agent",
     *,
-    challenge: str | Sequence[str] = "nonreactive",
+    challenge: str | Iterable[str] = "nonreactive",
     out: str | os.PathLike[str] | None = None,
-    splits: str | Sequence[str] = (),
-    types: str | Sequence[str] = (),
+    splits: str | Iterable[str] | None = None,
+    types: str | Iterable[str] | None = None,
     shuffle: bool = False,
     limit: int | None = None,
     shard: str | None = None,
     settings: Mapping[str, Any] | None = None,
     progress: bool | Callable[[Progress], None] = False,
+    stop: Stop | None = None,
+    agents: str | None = None,
+    exec_timeout: float | None = None,
 ) -> Results:
     """Simulates every scenario with every planner in every challenge, on all threads of `threads()`.
 
-    A simulation that fails is recorded with its error and is no exception. Ctrl-C stops a run; `resume` simulates the rest.
+    A simulation that fails is recorded with its error and is no exception; a warning counts them. Ctrl-C stops a run, in the main thread
+    and in others; `resume` simulates the rest. The exception has what was completed as its attribute `results`.
 
     Parameters
     ----------
     scenarios
-        Names as `open` takes them, folders, or scenarios that `open` gave.
+        Names as `open` takes them, folders, or scenarios that `open` gave; one or several. Without any, and without splits, the scene
+        `generated/changing_lane/2`.
     planners
         Names of `planners()`, commands (`exec:COMMAND`), and planners of your own (see `Planner`), also those of nuplan-devkit;
         one, a list, or a dictionary by name.
     challenge
         `nonreactive`, `reactive`, `open-loop`, or `both` for the first two; one or a list.
     out
-        Folder of the run, which must not exist; it has what `planagent simulate --out` writes. Without one, no file is kept.
-    splits, types, shuffle, limit, shard
-        As the options of `planagent simulate`. `shard` is `I/N`; see `shard_of_environment`.
+        Folder of the run, which must not exist; `open_run` reads it again. Without one, no file is kept.
+    splits
+        Names of suites and splits, or files of nuPlan's scenario filters.
+    types
+        Only scenarios of these types; see `scenario_types`.
+    shuffle
+        Whether the scenarios are taken in an order that the seed draws.
+    limit
+        Maximum number of scenarios, taken evenly from the types.
+    shard
+        `I/N`: only this part of the scenarios; see `shard_of_environment`.
     settings
         Settings by the keys of `planagent.toml`.
     progress
-        True shows a line on stderr, also in notebooks. A function is called with a `Progress`, in the calling thread.
+        True shows a line on stderr, also in notebooks, and lines where stderr is no terminal. A function is called with a `Progress`, in
+        the calling thread.
+    stop
+        Stops the run from another thread once its `is_set()` is true, for example a `threading.Event`. Then `RunStoppedError` is raised.
+    agents
+        A command that controls the other agents, as `exec:COMMAND` or `NAME=exec:COMMAND`.
+    exec_timeout
+        Time that a command may take for a step, seconds; 10 by default.
+
+    Raises
+    ------
+    ArgumentError
+        Where an argument cannot be used, or what stands for a planner is none; it is also a `ValueError`.
+    RunStoppedError
+        Where `stop` was set.
 
     Examples
     --------
@@ -298,24 +165,41 @@ def simulate(
     >>> [row for row in zip(results.table().to_dict()["planner"], results.table().to_dict()["challenge"])]
     [('idm', 'nonreactive'), ('idm', 'reactive'), ('brake', 'nonreactive'), ('brake', 'reactive')]
     """
-    if out is not None:
-        return _run(out, False, scenarios, planners, challenge, splits, types, shuffle, limit, shard, settings, progress)
-    folder = tempfile.mkdtemp(prefix="planagent-")
+    folder = None if out is None else path("out", out)
+    arguments = {
+        "scenarios": scenarios,
+        "planners": planners,
+        "challenge": challenge,
+        "splits": splits,
+        "types": types,
+        "shuffle": shuffle,
+        "limit": limit,
+        "shard": shard,
+        "settings": settings,
+        "agents": agents,
+        "exec_timeout": exec_timeout,
+    }
+    if folder is not None:
+        return _run(folder, False, progress, stop, **arguments)
+    asked = _asked(**arguments)
+    temporary = tempfile.mkdtemp(prefix="planagent-")
     try:
-        place = os.path.join(folder, "run")
-        arguments = (scenarios, planners, challenge, splits, types, shuffle, limit, shard, settings, progress)
-        return Results(_run(place, False, *arguments)._native, is_kept=False)
+        return _waited(os.path.join(temporary, "run"), False, progress, stop, asked, temporary)
     finally:
-        # Work that was interrupted may still write; TemporaryDirectory of Python 3.9 would fail then.
-        shutil.rmtree(folder, ignore_errors=True)
+        # Work that was interrupted may still write; it removes the folder at its end.
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def resume(
     out: str | os.PathLike[str],
-    planners: Any = (),
+    planners: Any = None,
     *,
     retry_failed: bool = False,
+    accept_changes: bool = False,
     progress: bool | Callable[[Progress], None] = False,
+    stop: Stop | None = None,
+    agents: str | None = None,
+    exec_timeout: float | None = None,
 ) -> Results:
     """Resumes a run that was stopped or killed. Its results are those of a run that was not.
 
@@ -324,58 +208,199 @@ def resume(
     out
         Folder of the run.
     planners
-        All planners of the run, where one of them is in Python: the folder holds its name alone.
+        All planners of the run, where one of them is in Python or a command: the folder holds its name alone.
     retry_failed
         Whether simulations that failed are repeated.
-    progress
-        As `simulate` takes it.
+    accept_changes
+        Whether the run is resumed although models, prompts or recordings changed; its manifest then says so.
+    progress, stop, agents, exec_timeout
+        As `simulate` takes them.
 
     Raises
     ------
     RunNotFoundError
         Where the folder holds no run; it is also a `FileNotFoundError`.
+
+    Examples
+    --------
+    >>> import os, planagent, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     out = os.path.join(folder, "run")
+    ...     first = planagent.simulate("generated/changing_lane/2", "idm", out=out)
+    ...     len(planagent.resume(out)) == len(first)
+    True
     """
-    if not Path(out, "manifest.toml").is_file():
-        raise RunNotFoundError(f"{os.fspath(out)} holds no run: there is no manifest.toml")
-    return _run(out, True, (), planners, (), (), (), False, None, None, None, progress, retry_failed)
+    folder = _existing(out)
+    arguments = {"planners": planners, "retry_failed": retry_failed, "accept_changes": accept_changes}
+    return _run(folder, True, progress, stop, agents=agents, exec_timeout=exec_timeout, **arguments)
 
 
-def _run(
-    out: str | os.PathLike[str],
-    is_resumed: bool,
-    scenarios: Any,
-    planners: Any,
-    challenge: str | Sequence[str],
-    splits: str | Sequence[str],
-    types: str | Sequence[str],
-    shuffle: bool,
-    limit: int | None,
-    shard: str | None,
-    settings: Mapping[str, Any] | None,
-    progress: bool | Callable[[Progress], None],
-    retry_failed: bool = False,
-) -> Results:
-    names, own = _planners(planners)
+def open_run(folder: str | os.PathLike[str]) -> Results:
+    """The results in the folder of a run, also of one that is not finished: then of what is completed.
+
+    Examples
+    --------
+    >>> import os, planagent, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     out = os.path.join(folder, "run")
+    ...     results = planagent.simulate("generated/changing_lane/2", "idm", out=out)
+    ...     planagent.open_run(out).table().to_dict() == results.table().to_dict()
+    True
+    """
+    return Results(_core.read_run(_existing(folder, "folder")), is_kept=True)
+
+
+def _existing(folder: Any, argument: str = "out") -> str:
+    place = path(argument, folder)
+    if not os.path.isfile(os.path.join(place, "manifest.toml")):
+        raise RunNotFoundError(f"{place} holds no run: there is no manifest.toml")
+    return place
+
+
+def merge(runs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], out: str | os.PathLike[str]) -> Results:
+    """Merges the shards of a run into a new folder, which is that of a run without shards."""
+    folders = [path("runs", run) for run in many("runs", runs, (str, os.PathLike), "the folder of a run")]
+    merged = Results(_core.merge(folders, path("out", out)), is_kept=True)
+    merged.warn()
+    return merged
+
+
+class _Asked:
+    """What a run is asked, checked."""
+
+    def __init__(self, json_text: str, names: list[str], factories: list[Callable[[], Bound]]) -> None:
+        self.json, self.names, self.factories = json_text, names, factories
+
+
+def _asked(
+    *,
+    scenarios: Any = None,
+    planners: Any = None,
+    challenge: Any = None,
+    splits: Any = None,
+    types: Any = None,
+    shuffle: Any = False,
+    limit: Any = None,
+    shard: Any = None,
+    settings: Any = None,
+    retry_failed: Any = False,
+    accept_changes: Any = False,
+    agents: Any = None,
+    exec_timeout: Any = None,
+) -> _Asked:
+    words = [] if scenarios is None else _words(scenarios)
+    named = _some("splits", splits)
+    if scenarios is not None and not words and not named:
+        raise wrong("scenarios", scenarios, "there is no scenario to simulate")
+    names, own = ([], []) if planners is None else _planners(planners)
+    if planners is not None and not names:
+        raise wrong("planners", planners, "there is no planner to simulate")
+    if shard is not None and not isinstance(shard, str):
+        raise wrong("shard", shard, "expected a text I/N, for example '1/4'")
     asked = {
-        "scenarios": _words(scenarios),
-        "splits": _texts(splits),
-        "types": _texts(types),
-        "shuffle": shuffle,
-        "limit": limit,
+        "scenarios": words,
+        "splits": named,
+        "types": _some("types", types),
+        "shuffle": truth("shuffle", shuffle),
+        "limit": None if limit is None else whole("limit", limit, 1),
         "shard": shard,
         "planners": names,
-        "challenges": _texts(challenge),
-        "settings": None if settings is None else settings_json(dict(settings)),
-        "retry_failed": retry_failed,
+        "challenges": _some("challenge", challenge),
+        "agents": None if agents is None else text("agents", agents),
+        "exec_timeout": None if exec_timeout is None else real("exec_timeout", exec_timeout, 0.0, above=True),
+        "settings": None if settings is None else settings_json(settings),
+        "retry_failed": truth("retry_failed", retry_failed),
+        "accept_changes": truth("accept_changes", accept_changes),
     }
-    call, end = _callback(progress)
+    return _Asked(json.dumps(asked), [name for name, _ in own], [make for _, make in own])
+
+
+def _some(argument: str, values: Any) -> list[str]:
+    """Texts; an empty list is no way to say that there is no choice."""
+    if values is None:
+        return []
+    named = texts(argument, values)
+    if not named:
+        raise wrong(argument, values, "it names nothing; leave it out or name something")
+    return named
+
+
+def _run(folder: str, is_resumed: bool, progress: Any, stop: Any, **arguments: Any) -> Results:
+    return _waited(folder, is_resumed, progress, stop, _asked(**arguments), None)
+
+
+#: Runs in progress, which the end of the interpreter stops.
+_running: set[_core.Run] = set()
+
+
+@atexit.register
+def _stop_all() -> None:
+    """Stops the runs of daemon threads: commands are ended, folders unlocked."""
+    running = list(_running)
+    for run in running:
+        run.stop()
+    for run in running:
+        _until_over(run)
+
+
+def _forget_running() -> None:
+    """The runs of the parent do not exist in a forked process."""
+    _running.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_running)
+
+
+def _waited(folder: str, is_resumed: bool, progress: Any, stop: Any, asked: _Asked, not_kept: str | None) -> Results:
+    """Runs, and waits for the end."""
+    shown = callback("progress", progress)
+    if stop is not None and not callable(getattr(stop, "is_set", None)):
+        raise wrong("stop", stop, "expected an object with a method is_set, for example a threading.Event")
+    show, end = printer_of(shown) if isinstance(shown, bool) else (shown, lambda: None)
+    tracebacks: dict[str, str] = {}
+    run = _core.Run(asked.json, folder, is_resumed, asked.names, not_kept)
+    _running.add(run)
+    last = Progress(0, 0, 0, 0)
     try:
-        native = _core.run(json.dumps(asked), os.fspath(out), is_resumed, own, call)
+        while True:
+            is_over, (done, total, failed, steps), notes, seats = run.wait(POLL_S)
+            for seat in seats:
+                _threads.serve(run, seat, asked.factories, tracebacks)
+            now = Progress(done, total, failed, steps, notes)
+            if show is not None and (notes or now != last):
+                show(now)
+                last = Progress(done, total, failed, steps)
+            if is_over:
+                break
+            if stop is not None and stop.is_set():
+                raise RunStoppedError(f"the run in {folder} was stopped; planagent.resume simulates the rest")
+        results = Results(run.result(), not_kept is None, tracebacks)
+    except BaseException as error:
+        if not run.is_stopped:
+            run.stop()
+        _until_over(run)
+        with contextlib.suppress(AttributeError, TypeError):
+            error.results = _so_far(folder, not_kept is None, tracebacks)  # type: ignore[attr-defined]
+        raise
     finally:
+        _running.discard(run)
         end()
-    return Results(native, is_kept=True)
+    results.warn()
+    return results
 
 
-def merge(runs: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]) -> Results:
-    """Merges the shards of a run into a new folder, which is that of a run without shards."""
-    return Results(_core.merge([os.fspath(run) for run in runs], os.fspath(out)), is_kept=True)
+def _until_over(run: _core.Run) -> None:
+    """Gives a stopped run a short time to end."""
+    until = time.monotonic() + GRACE_S
+    while time.monotonic() < until and not run.wait(POLL_S)[0]:
+        pass
+
+
+def _so_far(folder: str, is_kept: bool, tracebacks: dict[str, str]) -> Results | None:
+    """What a stopped run has completed."""
+    try:
+        return Results(_core.read_run(folder), is_kept, tracebacks)
+    except Exception:
+        # It had not begun.
+        return None

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _arrays, _core
+from ._arguments import path, real, truth, whole, wrong
 from ._observation import Lane, Observation
 from .errors import ScenarioError
 
 if TYPE_CHECKING:
     from ._simulation import Simulation
 
-__all__ = ["Scenario", "find", "open"]
+__all__ = ["Scenario", "find", "open", "scenario_types"]
 
 
 class Scenario:
@@ -85,7 +86,7 @@ class Scenario:
 
     def observe(self, iteration: int = 0) -> Observation:
         """The recorded scene of an iteration."""
-        return Observation._of(self._native.observe(iteration))
+        return Observation._of(self._native.observe(whole("iteration", iteration, 0, self.iterations - 1)))
 
     def simulation(self, challenge: str = "nonreactive") -> Simulation:
         """A simulation of this scenario; see `Simulation`."""
@@ -108,7 +109,7 @@ class Scenario:
         tuple of str
             The folders that `NUPLAN_DATA_ROOT` and `NUPLAN_MAPS_ROOT` shall name.
         """
-        data, maps = self._native.export_nuplan(os.fspath(folder), stand_in_maps)
+        data, maps = self._native.export_nuplan(path("folder", folder), truth("stand_in_maps", stand_in_maps))
         return os.fspath(data), os.fspath(maps)
 
     @classmethod
@@ -159,6 +160,7 @@ class Scenario:
         """
         from ._tables import native_arguments
 
+        history_s = real("history_s", history_s, 0.0)
         arguments = native_arguments(ego, agents, lanes, lights, (id, scenario_type), history_s, route)
         return _again(arguments)
 
@@ -189,7 +191,22 @@ def open(name: str | os.PathLike[str]) -> Scenario:
     >>> planagent.open("generated/changing_lane/2")
     Scenario('generated/changing_lane/2', type='changing_lane', iterations=151)
     """
-    return Scenario._of(_core.open(os.fspath(name)))
+    return Scenario._of(_core.open(_word(name)))
+
+
+def _word(name: Any) -> str:
+    if not isinstance(name, (str, os.PathLike)):
+        raise wrong("name", name, "expected the name of a scenario")
+    return os.fspath(name)
+
+
+def opened(argument: str, scenario: Any) -> Scenario:
+    """A scenario, or the one that a name stands for."""
+    if isinstance(scenario, Scenario):
+        return scenario
+    if not isinstance(scenario, (str, os.PathLike)):
+        raise wrong(argument, scenario, "expected a Scenario or the name of one")
+    return open(scenario)
 
 
 def find(name: str | os.PathLike[str]) -> list[str]:
@@ -201,4 +218,16 @@ def find(name: str | os.PathLike[str]) -> list[str]:
     >>> planagent.find("generated/changing_lane/2")
     ['generated/changing_lane/2']
     """
-    return _core.find(os.fspath(name))
+    return _core.find(_word(name))
+
+
+def scenario_types() -> list[str]:
+    """The scenario types of the generator; `generated/TYPE/SEED` names a scene of one.
+
+    Examples
+    --------
+    >>> import planagent
+    >>> "changing_lane" in planagent.scenario_types()
+    True
+    """
+    return _core.scenario_types()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays, _core
+from ._arguments import real, text, whole
 from ._observation import EgoState, Observation, Trajectory
 from ._planners import Agent, as_factory
-from ._scenario import Scenario
-from ._scenario import open as open_scenario
+from ._scenario import Scenario, opened
 
 __all__ = ["Score", "Simulation"]
 
@@ -69,10 +70,10 @@ class Simulation:
 
     __slots__ = ("_native", "scenario")
 
-    def __init__(self, scenario: Scenario | str, challenge: str = "nonreactive") -> None:
+    def __init__(self, scenario: Scenario | str | os.PathLike[str], challenge: str = "nonreactive") -> None:
         #: The scenario.
-        self.scenario = scenario if isinstance(scenario, Scenario) else open_scenario(scenario)
-        self._native = _core.Simulation(self.scenario._native, challenge)
+        self.scenario = opened("scenario", scenario)
+        self._native = _core.Simulation(self.scenario._native, text("challenge", challenge))
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
         # The plans that were followed lead to the same state again.
@@ -126,7 +127,7 @@ class Simulation:
         if isinstance(plan, Trajectory):
             self._native.step(plan._native)
         else:
-            self._native.step_poses(_arrays.poses(plan).tobytes(), dt)
+            self._native.step_poses(_arrays.poses(plan).tobytes(), real("dt", dt, 0.0, above=True))
         return self.observe()
 
     def clone(self) -> Simulation:
@@ -161,6 +162,8 @@ class Simulation:
         >>> planagent.Simulation("generated/changing_lane/2").run("pdm-closed").score().parts["no_ego_at_fault_collisions"]
         1.0
         """
+        if steps is not None:
+            steps = whole("steps", steps)
         if isinstance(planner, str):
             planner = Agent(planner=planner, scenario=self.scenario)
         if isinstance(planner, Agent):

@@ -11,23 +11,36 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from typing import Any
+import secrets
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Union
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from . import _arrays, _core
+from ._arguments import many, text, whole, wrong
+from ._extras import installed
+from ._features import FEATURES, Feature
 from ._observation import Observation
-from ._scenario import Scenario
-from ._scenario import open as open_scenario
+from ._scenario import Scenario, opened
 from .errors import ArgumentError
 
-__all__ = ["CodeEnv", "CodeVectorEnv", "TrajectoryEnv", "TrajectoryVectorEnv", "register"]
+installed("gymnasium", "planagent.envs")
+import gymnasium  # noqa: E402
+from gymnasium import spaces  # noqa: E402
+from gymnasium.vector import AutoresetMode  # noqa: E402
+from gymnasium.vector.utils import batch_space  # noqa: E402
+
+__all__ = [
+    "FEATURES",
+    "CodeEnv",
+    "CodeVectorEnv",
+    "Feature",
+    "TrajectoryEnv",
+    "TrajectoryVectorEnv",
+    "register",
+]
 
 #: What is simulated where no scenario is named: one of each of some types.
 DEFAULT_SCENARIOS = (
@@ -49,24 +62,35 @@ TRAJECTORY_STEPS, CODE_STEPS = 1, 20
 CODE_S, STEP_S = 8.0, 0.1
 
 
+#: Scenarios or their names; one or several.
+Scenarios = Union[str, os.PathLike[str], Scenario, Iterable[Union[str, os.PathLike[str], Scenario]]]
+
+
 class _Rules:
     """What both environments have in common."""
 
     def __init__(
         self,
-        scenarios: Sequence[str | os.PathLike[str] | Scenario],
+        scenarios: Scenarios,
         challenge: str,
         count: int,
         steps: int,
         pose_dt_s: float | None,
     ) -> None:
         longest = round((CODE_S if pose_dt_s is None else POSES * pose_dt_s) / STEP_S) - 1
+        steps = whole("steps", steps)
         if not 1 <= steps <= longest:
             raise ArgumentError(f"an action lasts 1 to {longest} steps, got {steps}")
-        self.scenarios = [one if isinstance(one, Scenario) else open_scenario(one) for one in scenarios]
+        kinds = (str, os.PathLike, Scenario)
+        named = many("scenarios", scenarios, kinds, "a Scenario or the name of one")
+        if not named:
+            raise wrong("scenarios", named, "an environment needs a scenario")
+        self.count = whole("num_envs", count, 1)
+        self.scenarios = [opened("scenarios", one) for one in named]
         native = [scenario._native for scenario in self.scenarios]
-        self.native = _core.Vector(native, challenge, count, steps, pose_dt_s)
-        self.count = count
+        self.native = _core.Vector(native, text("challenge", challenge), self.count, steps, pose_dt_s)
+        # Environments without a seed differ, as those of gymnasium do.
+        self.native.reset([secrets.randbits(63) for _ in range(self.count)], None)
 
     def reset(
         self, seeds: Sequence[int | None], options: Mapping[str, Any] | None
@@ -78,6 +102,23 @@ class _Rules:
                 raise ArgumentError(f"the scenario {options['scenario']} is none of {', '.join(names)}")
             scenario = names.index(options["scenario"])
         return self.observations(self.native.reset(list(seeds), scenario)), self.ids()
+
+    def infos(self) -> dict[str, Any]:
+        """What is beside the observations: a value for each episode."""
+        numbers, speeds, iterations, collisions, off_road, scores = self.native.infos()
+        return {
+            "scenario": [self.scenarios[number].id for number in numbers],
+            "speed": np.array(speeds),
+            "iteration": np.array(iterations),
+            "collision": np.array(collisions, dtype=np.bool_),
+            "off_road": np.array(off_road, dtype=np.bool_),
+            "score": np.array([np.nan if score is None else score for score in scores]),
+        }
+
+    def info(self) -> dict[str, Any]:
+        """The same of one episode."""
+        infos = {name: values[0] for name, values in self.infos().items()}
+        return {name: value.item() if isinstance(value, np.generic) else value for name, value in infos.items()}
 
     def ids(self) -> list[str]:
         return [self.scenarios[number].id for number in self.native.scenarios()]
@@ -106,8 +147,60 @@ def _poses_space() -> spaces.Box:
     return spaces.Box(low, high, dtype=np.float32)
 
 
-def _code_space() -> spaces.Dict:
-    return spaces.Dict({name: spaces.Discrete(size) for name, size in CODE.items()})
+class _Form:
+    """The form of an action that is a code."""
+
+    def __init__(self, name: str) -> None:
+        sizes = list(CODE.values())
+        forms: dict[str, Any] = {
+            "dict": lambda: spaces.Dict({name: spaces.Discrete(size) for name, size in CODE.items()}),
+            "multi": lambda: spaces.MultiDiscrete(sizes),
+            "discrete": lambda: spaces.Discrete(int(np.prod(sizes))),
+        }
+        if name not in forms:
+            raise wrong("actions", name, f"expected one of {', '.join(forms)}")
+        self.name, self.space = name, forms[name]()
+
+    def numbers(self, actions: Any, count: int | None) -> NDArray[np.float64]:
+        """The numbers of an action, or of `count` of them: a row each."""
+        shape = () if count is None else (count,)
+        if self.name == "dict":
+            if not isinstance(actions, Mapping) or set(actions) != set(CODE):
+                raise wrong("the action", actions, f"expected the keys {', '.join(CODE)}")
+            parts = [_whole_numbers(name, actions[name], shape, size) for name, size in CODE.items()]
+        elif self.name == "multi":
+            values = np.asarray(actions)
+            if values.shape != (*shape, len(CODE)):
+                raise wrong("the action", actions, f"expected the shape {(*shape, len(CODE))}, got {values.shape}")
+            parts = [_whole_numbers(name, values[..., i], shape, size) for i, (name, size) in enumerate(CODE.items())]
+        else:
+            left = _whole_numbers("the action", actions, shape, int(self.space.n))
+            parts = []
+            for size in reversed(CODE.values()):
+                left, part = np.divmod(left, size)
+                parts.insert(0, part)
+        return np.stack(parts, axis=-1).astype(np.float64)
+
+
+def _whole_numbers(name: str, values: Any, shape: tuple[int, ...], size: int) -> NDArray[np.int64]:
+    """Whole numbers below a size, checked."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise wrong(name, values, f"this is no code; expected whole numbers from 0 to {size - 1}") from None
+    if array.shape != shape:
+        raise wrong(name, values, f"expected the shape {shape}, got {array.shape}")
+    if not ((array == np.floor(array)) & (array >= 0) & (array < size)).all():
+        raise wrong(name, values, f"this is no code; expected whole numbers from 0 to {size - 1}")
+    return array.astype(np.int64)
+
+
+def _poses(actions: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """The poses of an action for each episode."""
+    poses = _arrays.poses(actions, len(shape))
+    if poses.shape != shape:
+        raise ArgumentError(f"expected actions of the shape {shape}, got {poses.shape}")
+    return poses
 
 
 class _Env(gymnasium.Env[NDArray[np.float32], Any]):
@@ -116,6 +209,8 @@ class _Env(gymnasium.Env[NDArray[np.float32], Any]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
 
     def __init__(self, rules: _Rules, action_space: spaces.Space[Any], render_mode: str | None) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise wrong("render_mode", render_mode, "expected 'rgb_array' or None")
         self._rules = rules
         self.observation_space = _observation_space()
         self.action_space = action_space
@@ -130,9 +225,9 @@ class _Env(gymnasium.Env[NDArray[np.float32], Any]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begins an episode; `options={"scenario": ID}` chooses its scenario, else `seed` does."""
         super().reset(seed=seed)
-        observations, ids = self._rules.reset([seed], options)
+        observations, _ = self._rules.reset([None if seed is None else whole("seed", seed)], options)
         self._is_ended = False
-        return observations[0], {"scenario": ids[0]}
+        return observations[0], self._rules.info()
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One action."""
@@ -140,8 +235,7 @@ class _Env(gymnasium.Env[NDArray[np.float32], Any]):
             raise gymnasium.error.ResetNeeded("the episode is over; call reset")
         observations, rewards, terminated, truncated = self._rules.step(self._action(action))
         self._is_ended = bool(terminated[0] or truncated[0])
-        info = {"scenario": self._rules.ids()[0]}
-        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
+        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), self._rules.info()
 
     def observe(self) -> Observation:
         """What a planner would see now: the picture, the lane graph, the objects."""
@@ -155,8 +249,9 @@ class _Env(gymnasium.Env[NDArray[np.float32], Any]):
 class TrajectoryEnv(_Env):
     """Acts by trajectories: 8 poses 0.5 s apart, relative to the ego (forward and left in meters, turn in radians).
 
-    The observation has 97 numbers: 5 of the ego, 10 points of the route's centerline, and 9 numbers of each of the 8 nearest
-    objects. The reward is 0.1 for a meter of progress along the route, and -10 for a collision or an ego off the road, which
+    The observation has 97 numbers, which `FEATURES` names with unit and scale: 5 of the ego, 10 points of the route's centerline, and 9
+    numbers of each of the 8 nearest objects. `info` has the scenario, the speed in m/s, the iteration, whether the ego collided or left the
+    road, and nuPlan's score at the end of the scenario (NaN before). The reward is 0.1 for a meter of progress along the route, and -10 for a collision or an ego off the road, which
     end the episode. It is truncated at the end of the scenario.
 
     Parameters
@@ -173,7 +268,7 @@ class TrajectoryEnv(_Env):
 
     def __init__(
         self,
-        scenarios: Sequence[str | Scenario] = DEFAULT_SCENARIOS,
+        scenarios: Scenarios = DEFAULT_SCENARIOS,
         challenge: str = "reactive",
         steps: int = TRAJECTORY_STEPS,
         render_mode: str | None = None,
@@ -181,7 +276,7 @@ class TrajectoryEnv(_Env):
         super().__init__(_Rules(scenarios, challenge, 1, steps, POSE_DT_S), _poses_space(), render_mode)
 
     def _action(self, action: Any) -> NDArray[np.float64]:
-        return _arrays.poses(action)
+        return _poses(action, (POSES, 3))
 
 
 class CodeEnv(_Env):
@@ -189,19 +284,36 @@ class CodeEnv(_Env):
 
     Observation, reward and parameters are those of `TrajectoryEnv`; an action lasts 2 s. Where the scene has no such centerline,
     the ego's lane is followed.
+
+    Parameters
+    ----------
+    actions
+        The form of an action: `dict` has the keys `centerline`, `speed` and `accelerations`; `multi` is a `MultiDiscrete` of the same
+        three numbers, and `discrete` one number of 132, both of which libraries of learning take.
+
+    Examples
+    --------
+    >>> import planagent.envs
+    >>> environment = planagent.envs.CodeEnv("generated/changing_lane/2", actions="multi")
+    >>> observation, info = environment.reset(seed=0)
+    >>> observation, reward, terminated, truncated, info = environment.step([0, 10, 0])
+    >>> info["collision"], info["speed"] > 0
+    (False, True)
     """
 
     def __init__(
         self,
-        scenarios: Sequence[str | Scenario] = DEFAULT_SCENARIOS,
+        scenarios: Scenarios = DEFAULT_SCENARIOS,
         challenge: str = "reactive",
         steps: int = CODE_STEPS,
         render_mode: str | None = None,
+        actions: str = "dict",
     ) -> None:
-        super().__init__(_Rules(scenarios, challenge, 1, steps, None), _code_space(), render_mode)
+        self._form = _Form(actions)
+        super().__init__(_Rules(scenarios, challenge, 1, steps, None), self._form.space, render_mode)
 
     def _action(self, action: Any) -> NDArray[np.float64]:
-        return np.array([float(action[name]) for name in CODE])
+        return self._form.numbers(action, None)
 
 
 class _VectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], Any, NDArray[np.float64]]):
@@ -224,19 +336,24 @@ class _VectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], Any, NDArray[np
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begins all episodes; a number seeds them by it and the following ones."""
-        if seed is None or isinstance(seed, int):
-            seeds = [None if seed is None else seed + i for i in range(self.num_envs)]
+        seeds: list[int | None]
+        if seed is None:
+            seeds = [None] * self.num_envs
+        elif isinstance(seed, Iterable):
+            seeds = [None if one is None else whole("seed", one) for one in seed]
+            if len(seeds) != self.num_envs:
+                raise wrong("seed", seeds, f"expected a number or {self.num_envs} of them")
         else:
-            seeds = list(seed)
+            seeds = [whole("seed", seed) + i for i in range(self.num_envs)]
         super().reset(seed=seeds[0])
         observations, _ = self._rules.reset(seeds, options)
-        return observations, {}
+        return observations, self._rules.infos()
 
     def step(  # type: ignore[override]
         self, actions: Any
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """One action for each episode."""
-        return (*self._rules.step(self._actions(actions)), {})
+        return (*self._rules.step(self._actions(actions)), self._rules.infos())
 
 
 class TrajectoryVectorEnv(_VectorEnv):
@@ -254,15 +371,14 @@ class TrajectoryVectorEnv(_VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        scenarios: Sequence[str | Scenario] = DEFAULT_SCENARIOS,
+        scenarios: Scenarios = DEFAULT_SCENARIOS,
         challenge: str = "reactive",
         steps: int = TRAJECTORY_STEPS,
-        **_: Any,
     ) -> None:
         super().__init__(_Rules(scenarios, challenge, num_envs, steps, POSE_DT_S), _poses_space())
 
     def _actions(self, actions: Any) -> NDArray[np.float64]:
-        return _arrays.poses(actions, 3)
+        return _poses(actions, (self.num_envs, POSES, 3))
 
 
 class CodeVectorEnv(_VectorEnv):
@@ -271,15 +387,16 @@ class CodeVectorEnv(_VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        scenarios: Sequence[str | Scenario] = DEFAULT_SCENARIOS,
+        scenarios: Scenarios = DEFAULT_SCENARIOS,
         challenge: str = "reactive",
         steps: int = CODE_STEPS,
-        **_: Any,
+        actions: str = "dict",
     ) -> None:
-        super().__init__(_Rules(scenarios, challenge, num_envs, steps, None), _code_space())
+        self._form = _Form(actions)
+        super().__init__(_Rules(scenarios, challenge, num_envs, steps, None), self._form.space)
 
     def _actions(self, actions: Any) -> NDArray[np.float64]:
-        return np.stack([np.asarray(actions[name], dtype=np.float64) for name in CODE], axis=1)
+        return self._form.numbers(actions, self.num_envs)
 
 
 def register() -> None:

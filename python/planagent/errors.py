@@ -5,6 +5,7 @@ from __future__ import annotations
 __all__ = [
     "ArgumentError",
     "InternalError",
+    "MissingPackageError",
     "ModelError",
     "ModelNotFoundError",
     "PlanAgentError",
@@ -12,10 +13,12 @@ __all__ = [
     "RunError",
     "RunLockedError",
     "RunNotFoundError",
+    "RunStoppedError",
     "ScenarioError",
     "ScenarioNotFoundError",
     "SceneError",
     "SimulationError",
+    "SimulationsFailedWarning",
 ]
 
 
@@ -65,6 +68,18 @@ class RunLockedError(RunError):
 
 class RunNotFoundError(RunError, FileNotFoundError):
     """A folder that holds no run."""
+
+
+class RunStoppedError(RunError):
+    """A run that was stopped. Its attribute `results` has what was completed."""
+
+
+class MissingPackageError(PlanAgentError, ModuleNotFoundError):
+    """A package that a function needs and that is not installed."""
+
+
+class SimulationsFailedWarning(UserWarning):
+    """Some simulations of a run failed."""
 
 
 class InternalError(PlanAgentError, RuntimeError):

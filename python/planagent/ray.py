@@ -10,15 +10,18 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import ray
-
 from . import _runs
-from ._runs import Progress, Results
+from ._extras import installed
+from ._progress import Progress
+from ._results import Results
 from .errors import ArgumentError, RunError, RunLockedError
+
+installed("ray", "planagent.ray")
+import ray  # noqa: E402
 
 __all__ = ["simulate"]
 
@@ -64,7 +67,7 @@ def _part(folder: Path, shard: str | None, arguments: dict[str, Any]) -> tuple[i
         is_resumed = (folder / "manifest.toml").is_file()
         try:
             # Settings of None would be those of the folder.
-            native = _runs._run(folder, is_resumed, shard=shard, progress=False, **arguments)
+            native = _runs._run(str(folder), is_resumed, False, None, shard=shard, **arguments)
             break
         except RunLockedError:
             if time.monotonic() - begun > LOCK_S:
@@ -75,13 +78,13 @@ def _part(folder: Path, shard: str | None, arguments: dict[str, Any]) -> tuple[i
 
 
 def simulate(
-    scenarios: Any = (),
+    scenarios: Any = None,
     planners: Any = "plan-agent",
     *,
     out: str | os.PathLike[str],
-    challenge: str | Sequence[str] = "nonreactive",
-    splits: str | Sequence[str] = (),
-    types: str | Sequence[str] = (),
+    challenge: str | Iterable[str] = "nonreactive",
+    splits: str | Iterable[str] | None = None,
+    types: str | Iterable[str] | None = None,
     shuffle: bool = False,
     limit: int | None = None,
     settings: Mapping[str, Any] | None = None,

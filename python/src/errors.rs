@@ -25,7 +25,7 @@ impl Failure {
     pub(crate) fn new(class: &'static str, text: impl Into<String>) -> Self {
         Self {
             class,
-            text: text.into(),
+            text: in_words_of_python(text.into()),
         }
     }
 
@@ -49,6 +49,74 @@ impl Failure {
             Err(error) => error,
         }
     }
+}
+
+/// What the errors of the library say of the command line, and what a user of Python does.
+const WORDS: &[(&str, &str)] = &[
+    ("resume it with --resume", "resume it with planagent.resume"),
+    (
+        "repeat it with --resume",
+        "repeat it with planagent.resume:",
+    ),
+    (
+        "start it again with --out",
+        "start it again with planagent.simulate",
+    ),
+    (
+        "continue with `planagent simulate --resume",
+        "continue with `planagent.resume",
+    ),
+    (
+        "resume it with --accept-changes",
+        "resume it with accept_changes=True",
+    ),
+    (
+        "`planagent scenarios list` names them",
+        "planagent.scenario_types() names them",
+    ),
+    (
+        "`planagent models fetch`",
+        "planagent.Model with its hub id",
+    ),
+    (
+        "is --data-root the folder",
+        "is NUPLAN_DATA_ROOT the folder",
+    ),
+    (
+        "give --data-root or set NUPLAN_DATA_ROOT",
+        "set NUPLAN_DATA_ROOT",
+    ),
+    ("--data-root or NUPLAN_DATA_ROOT", "NUPLAN_DATA_ROOT"),
+    (
+        "give --maps-root or set NUPLAN_MAPS_ROOT",
+        "set NUPLAN_MAPS_ROOT",
+    ),
+    ("--maps-root or NUPLAN_MAPS_ROOT", "NUPLAN_MAPS_ROOT"),
+    ("--checkpoint FILE, or by the setting", "the setting"),
+    ("or use simulate_with_agents", "as exec:COMMAND"),
+    ("--scenario", "scenarios"),
+    ("--planner", "planners"),
+    ("--challenge", "challenge"),
+    ("--type", "types"),
+    ("--quantize", "the setting mllm.quantize"),
+    ("--trust-model", "the setting mllm.trust"),
+    ("--context", "the setting mllm.context"),
+    ("--ignore-memory", "the setting mllm.ignore_memory"),
+];
+
+/// An error in the words of Python: what is left of options becomes names of arguments.
+fn in_words_of_python(text: String) -> String {
+    let text = WORDS
+        .iter()
+        .fold(text, |text, (before, after)| text.replace(before, after));
+    let mut words = text.split(' ').map(|word| match word.strip_prefix("--") {
+        Some(option) if option.starts_with(|c: char| c.is_ascii_lowercase()) => {
+            option.replace('-', "_")
+        }
+        _ => word.to_owned(),
+    });
+    let first = words.next().unwrap_or_default();
+    words.fold(first, |text, word| format!("{text} {word}"))
 }
 
 /// Whether a missing file is among the causes.
@@ -116,10 +184,19 @@ impl From<RunnerError> for Failure {
             RunnerError::LoadModel { .. } | RunnerError::FindModel(_) if is_missing(&error) => {
                 "ModelNotFoundError"
             }
-            RunnerError::LoadModel { .. } | RunnerError::FindModel(_) => "ModelError",
-            RunnerError::Planner(_) | RunnerError::Challenge { .. } | RunnerError::Config(_) => {
-                "ArgumentError"
-            }
+            RunnerError::LoadModel { .. }
+            | RunnerError::FindModel(_)
+            | RunnerError::AskModel { .. } => "ModelError",
+            RunnerError::Planner(_)
+            | RunnerError::Challenge { .. }
+            | RunnerError::Config(_)
+            | RunnerError::Command(_)
+            | RunnerError::Exec(_)
+            | RunnerError::Split(_)
+            | RunnerError::NoSuchType(_)
+            | RunnerError::NoScenario
+            | RunnerError::LimitZero
+            | RunnerError::Unsupported { .. } => "ArgumentError",
             _ if is_missing(&error) => "RunNotFoundError",
             _ => "RunError",
         };

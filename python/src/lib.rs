@@ -9,13 +9,18 @@
     reason = "PyO3 hands owned values over"
 )]
 
+mod command;
+mod episode;
 mod errors;
+mod interrupts;
 mod model;
 mod nuplan;
 mod observation;
 mod planner;
 mod python_planner;
+mod relay;
 mod run;
+mod run_results;
 mod scenario;
 mod settings;
 mod simulation;
@@ -31,6 +36,8 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
+    use crate::command::command;
+    #[pymodule_export]
     use crate::model::Model;
     #[pymodule_export]
     use crate::nuplan::NuPlanWorld;
@@ -39,9 +46,11 @@ mod _core {
     #[pymodule_export]
     use crate::planner::{Planner, planners};
     #[pymodule_export]
-    use crate::run::{RunResults, merge, run, shard_of_environment};
+    use crate::run::{Run, shard_of_environment};
     #[pymodule_export]
-    use crate::scenario::{Scenario, find, open};
+    use crate::run_results::{RunResults, merge, read_run, statistics, write_report};
+    #[pymodule_export]
+    use crate::scenario::{Scenario, find, open, scenario_types};
     #[pymodule_export]
     use crate::simulation::Simulation;
     #[pymodule_export]
@@ -53,7 +62,7 @@ mod _core {
     #[pymodule_export]
     use crate::vector::Vector;
     #[pymodule_export]
-    use crate::work::{set_threads, threads};
+    use crate::work::{after_fork, before_fork, set_threads, threads};
 
     use pyo3::prelude::*;
 

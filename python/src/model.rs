@@ -2,7 +2,7 @@
 
 use crate::errors::{Failure, Outcome, Raise};
 use crate::settings::{config, model};
-use crate::work::{long, quick};
+use crate::work::{computed, long, quick};
 use image::RgbImage;
 use planagent::runs::Config;
 use planagent_mllm::{Constraint, Deadline, PromptPrefix, Request as Question};
@@ -68,16 +68,14 @@ impl Model {
                 config,
             })
         };
-        long(py, work, &|| (), &|_| Ok(()))
+        long(py, work, &|| ())
     }
 
     /// The model as JSON: name, architecture, size.
-    fn about(&self) -> PyResult<String> {
+    fn about(&self, py: Python<'_>) -> PyResult<String> {
         let json = serde_json::to_string(&self.loaded.about);
-        Python::attach(|py| {
-            json.map_err(|error| Failure::panic(error.to_string()))
-                .or_raise(py)
-        })
+        json.map_err(|error| Failure::panic(error.to_string()))
+            .or_raise(py)
     }
 
     /// Number of tokens of a text; none where the model is behind a server.
@@ -100,7 +98,7 @@ impl Model {
         asked: Asked,
     ) -> PyResult<(String, String, String, String)> {
         let (loaded, config_seed) = (Arc::clone(&self.loaded), self.config.seed);
-        let work = move || {
+        let question = move || {
             let (model, _, reasoning) = loaded
                 .parts()
                 .ok_or_else(|| Failure::panic("there is no model to ask"))?;
@@ -141,6 +139,6 @@ impl Model {
                 json(serde_json::to_string(&answer.time))?,
             ))
         };
-        long(py, work, &|| (), &|_| Ok(()))
+        long(py, || computed(question), &|| ())
     }
 }

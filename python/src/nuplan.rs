@@ -3,7 +3,7 @@
 use crate::errors::{Failure, Outcome};
 use crate::observation::Observation;
 use crate::tables::object;
-use crate::work::{lock, long, quick};
+use crate::work::{computed, lock, long, quick};
 use planagent::planning::{History, HistorySample, SceneView};
 use planagent::road::{Pose, Route, Vector};
 use planagent::traffic::{SignalStatus, TrafficLights};
@@ -148,7 +148,7 @@ impl NuPlanWorld {
                 past: Mutex::default(),
             })
         };
-        long(py, read, &|| (), &|_| Ok(()))
+        long(py, || computed(read), &|| ())
     }
 
     /// Easting and northing of the map's (0, 0), meters.

@@ -3,24 +3,29 @@
 use crate::errors::{Failure, Outcome};
 use crate::scenario::{ego_numbers, lanes};
 use crate::trajectory::{Trajectory, array, packed, poses, through};
-use crate::work::{long, quick};
+use crate::work::{computed, long, quick};
 use image::RgbImage;
-use planagent::planning::LeadPolicy;
-use planagent::road::{Lane, Pose};
-use planagent::traffic::{ObjectKind, TrackedObject};
+use planagent::planning::{History, HistorySample, LeadPolicy, SceneView};
+use planagent::road::{Lane, LaneMap, Pose, Route};
+use planagent::traffic::{ObjectKind, TrackedObject, TrafficLights};
 use planagent::{EgoState, Scene};
 use planagent_agent::environment::bev::render as render_bev;
 use planagent_agent::environment::text::write as write_lane_graph;
-use planagent_agent::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
+use planagent_agent::environment::{
+    BevView, CenterlineName, Description, GraphedScene, LaneGraph, TextForm,
+};
 use planagent_agent::planner::planner_code;
 use planagent_agent::reflection::{Judge, PlanBuilder};
 use planagent_runs::report::render::{Look, observed_picture};
 use planagent_runs::worker::run::with_causes;
 use planagent_score::pdm::PdmMemory;
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
-use planagent_world::{HISTORY_SAMPLES, STEP_S};
+use planagent_world::{HISTORY_SAMPLES, MapParts, STEP_S};
 use pyo3::prelude::*;
-use pyo3::types::{PyByteArray, PyDict};
+use pyo3::types::{PyByteArray, PyBytes, PyDict};
+use serde::{Deserialize, Serialize};
+use serde_pickle::{DeOptions, SerOptions};
+use std::borrow::Cow;
 use std::sync::Arc;
 
 /// Length of the nodes of the lane graph, meters: that of the paper's settings.
@@ -36,6 +41,19 @@ const SCORED_STEPS: std::ops::RangeInclusive<usize> = 3..=80;
 pub(crate) struct Observation {
     pub(crate) scene: Arc<Scene>,
     pub(crate) iteration: usize,
+    start_us: i64,
+}
+
+/// An observation as bytes.
+#[derive(Serialize, Deserialize)]
+struct Stored<'a> {
+    map: Cow<'a, MapParts>,
+    route: Route,
+    lights: TrafficLights,
+    samples: Vec<(EgoState, Vec<TrackedObject>)>,
+    ego: EgoState,
+    objects: Vec<TrackedObject>,
+    iteration: usize,
     start_us: i64,
 }
 
@@ -270,8 +288,7 @@ impl Observation {
             let failed =
                 |error: &dyn std::error::Error| Failure::new("SceneError", with_causes(error));
             let plan = builder.build(
-                &scene,
-                &graph,
+                GraphedScene::new(&scene, &graph),
                 planner_code(&graph, name, speed, accelerations),
             );
             let plan = plan.map_err(|error| failed(&error))?;
@@ -298,6 +315,62 @@ impl Observation {
                 &crate::trajectory::poses(poses)?,
                 dt_s,
             )?))
+        })
+    }
+
+    /// The whole scene with its map as bytes.
+    fn to_bytes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let bytes = quick(py, || {
+            let scene = &self.scene;
+            let stored = Stored {
+                map: Cow::Borrowed(scene.map.parts()),
+                route: scene.route.clone(),
+                lights: scene.lights.clone(),
+                samples: scene
+                    .history
+                    .samples()
+                    .map(|sample| (sample.ego, sample.objects.to_vec()))
+                    .collect(),
+                ego: scene.ego,
+                objects: scene.objects.to_vec(),
+                iteration: self.iteration,
+                start_us: self.start_us,
+            };
+            serde_pickle::to_vec(&stored, SerOptions::new())
+                .map_err(|error| Failure::panic(format!("the scene as bytes: {error}")))
+        })?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    /// The observation of such bytes.
+    #[staticmethod]
+    fn of_bytes(py: Python<'_>, bytes: &[u8]) -> PyResult<Self> {
+        quick(py, || {
+            let wrong = |error: &dyn std::error::Error| {
+                Failure::argument(format!(
+                    "the bytes of an observation: {}",
+                    with_causes(error)
+                ))
+            };
+            let stored: Stored<'_> =
+                serde_pickle::from_slice(bytes, DeOptions::new()).map_err(|error| wrong(&error))?;
+            let map = LaneMap::new(stored.map.into_owned()).map_err(|error| wrong(&error))?;
+            let mut history = History::default();
+            for (ego, objects) in stored.samples {
+                let objects = objects.into();
+                history.push(HistorySample { ego, objects });
+            }
+            let map = Arc::new(map);
+            let view = SceneView {
+                map: &map,
+                route: &stored.route,
+                ego: &stored.ego,
+                objects: &stored.objects,
+                lights: &stored.lights,
+                history: &history,
+            };
+            let scene = Scene::of_view(Arc::clone(&map), &view);
+            Ok(Self::new(scene, stored.iteration, stored.start_us))
         })
     }
 
@@ -367,6 +440,6 @@ pub(crate) fn score_trajectories<'py>(
         }
         Ok(rows)
     };
-    let rows = long(py, work, &|| (), &|_| Ok(()))?;
+    let rows = long(py, || computed(work), &|| ())?;
     Ok(array(py, &packed(rows)))
 }

@@ -5,7 +5,7 @@ use crate::observation::Observation;
 use crate::scenario::Scenario;
 use crate::settings::{config, model};
 use crate::trajectory::Trajectory;
-use crate::work::{guarded, lock, long};
+use crate::work::{computed, lock, long, quick};
 use planagent::Planner as LibraryPlanner;
 use planagent::planning::{
     PlannerInitialization, PlannerInput, PlannerNeeds, PlannerParts, PlanningCall, all_planners,
@@ -94,9 +94,11 @@ impl Planner {
             let failed =
                 |error: &dyn std::error::Error| Failure::new("PlannerError", with_causes(error));
             let planner = match &scenario {
-                Some(scenario) => parts
-                    .planner(entry.name, scenario)
-                    .map_err(|error| failed(&error))?,
+                Some(scenario) => computed(|| {
+                    parts
+                        .planner(entry.name, scenario)
+                        .map_err(|error| failed(&error))
+                })?,
                 None if entry.needs == PlannerNeeds::Recording => {
                     return Err(Failure::argument(format!(
                         "{word} needs a scenario, whose recording it replays"
@@ -108,6 +110,7 @@ impl Planner {
                         settings: &parts.settings,
                         model: parts.model.as_ref(),
                         recording: &[],
+                        simulation: None,
                         shuffled_bev: None,
                     };
                     entry.build(&of_any_scene)?
@@ -121,7 +124,7 @@ impl Planner {
                 scenario,
             })
         };
-        let state = long(py, built, &|| (), &|_| Ok(()))?;
+        let state = long(py, built, &|| ())?;
         Ok(Self {
             name,
             state: Arc::new(Mutex::new(state)),
@@ -149,8 +152,10 @@ impl Planner {
         );
         let state = Arc::clone(&self.state);
         let work = move || {
-            guarded(|| {
-                let mut state = lock(&state);
+            // Whoever waits for this agent does so outside the pool.
+            let mut state = lock(&state);
+            let state = &mut *state;
+            computed(move || {
                 if !state
                     .map
                     .as_ref()
@@ -169,12 +174,12 @@ impl Planner {
                 Ok(Trajectory(state.planner.compute_trajectory(&input)?))
             })
         };
-        long(py, work, &|| (), &|_| Ok(()))
+        long(py, work, &|| ())
     }
 
     /// The planning calls of an agent since its last reset, each as JSON.
     fn calls(&self, py: Python<'_>) -> PyResult<Vec<String>> {
-        crate::work::quick(py, || {
+        quick(py, || {
             let state = lock(&self.state);
             let record = |call: &PlanningCall| {
                 let record =

@@ -3,7 +3,7 @@
 use crate::errors::{Failure, Outcome};
 use crate::observation::Observation;
 use crate::trajectory::{array, packed};
-use crate::work::{long, quick};
+use crate::work::{computed, long, quick};
 use planagent::Scenario as Opened;
 use planagent::planning::{History, HistorySample, SceneView};
 use planagent::road::{Lane, LaneId, Neighbor, Point};
@@ -48,7 +48,7 @@ pub(crate) fn open(py: Python<'_>, word: String) -> PyResult<Scenario> {
             word: Some(readers.absolute_word(&word)),
         })
     };
-    long(py, opened, &|| (), &|_| Ok(()))
+    long(py, || computed(opened), &|| ())
 }
 
 /// The words of all scenarios that a word names.
@@ -61,7 +61,16 @@ pub(crate) fn find(py: Python<'_>, word: String) -> PyResult<Vec<String>> {
             .map(ToString::to_string)
             .collect())
     };
-    long(py, found, &|| (), &|_| Ok(()))
+    long(py, || computed(found), &|| ())
+}
+
+/// The scenario types of the generator.
+#[pyfunction]
+pub(crate) fn scenario_types() -> Vec<String> {
+    planagent_scenario::generator::types::ALL
+        .iter()
+        .map(|kind| kind.name().to_owned())
+        .collect()
 }
 
 /// The numbers of an ego state: x, y, heading of the rear axle, vx, vy, ax, ay, steering angle and
@@ -227,6 +236,6 @@ impl Scenario {
                 exported.map_err(|error| Failure::new("ScenarioError", with_causes(&error)))?;
             Ok((exported.data, exported.maps))
         };
-        long(py, written, &|| (), &|_| Ok(()))
+        long(py, || computed(written), &|| ())
     }
 }

@@ -1,12 +1,13 @@
 //! Settings of Python as configurations, and loaded models, kept once a process.
 
 use crate::errors::{Failure, Outcome};
-use crate::work::lock;
+use crate::work::{computed, lock};
 use planagent::runs::{Config, Listener};
 use planagent_mllm::offline_variable;
 use planagent_runs::runner::{LoadedModel, RunnerError, load_model, silent};
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex};
+use std::process;
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// The configuration of settings as JSON, over the defaults and what `HF_HUB_OFFLINE` says.
 pub(crate) fn config(settings: &str) -> Outcome<Config> {
@@ -21,31 +22,64 @@ pub(crate) fn config(settings: &str) -> Outcome<Config> {
 }
 
 type Slot = Arc<Mutex<Option<Arc<LoadedModel>>>>;
+type Slots = HashMap<(u32, String), Slot>;
+
+static LOADED: Mutex<Option<Slots>> = Mutex::new(None);
+
+/// The lock of the models, held through a fork.
+pub(crate) type HeldModels = MutexGuard<'static, Option<Slots>>;
+
+pub(crate) fn held_models() -> HeldModels {
+    lock(&LOADED)
+}
+
+/// The slot of a model. A forked process shares what its parent had loaded; what another thread of
+/// the parent was loading, it loads itself.
+fn slot(key: String) -> Slot {
+    let pid = process::id();
+    let mut loaded = lock(&LOADED);
+    let slots = loaded.get_or_insert_default();
+    if let Some(own) = slots.get(&(pid, key.clone())) {
+        return Arc::clone(own);
+    }
+    let inherited = slots.iter().find_map(|((owner, name), slot)| {
+        let model = slot.try_lock().ok()?.clone()?;
+        (*owner != pid && *name == key).then_some(model)
+    });
+    let slot = Slot::new(Mutex::new(inherited));
+    slots.insert((pid, key), Arc::clone(&slot));
+    slot
+}
 
 /// The configured model with its prompts. It is loaded at its first use in a process.
 pub(crate) fn model(config: &Config) -> Outcome<Arc<LoadedModel>> {
-    Ok(shared_model(config, &silent())?)
+    let loaded = load(config, &silent(), |load| computed(|| Ok(load()?)))?;
+    loaded.probe(config, &silent())?;
+    Ok(loaded)
 }
 
-/// As [`model`], for runs; a listener hears of the loading.
+/// As [`model`], for runs; a listener hears of the loading. Not for threads of the common pool:
+/// whoever loads a model computes while others wait for it.
 pub(crate) fn shared_model(
     config: &Config,
     listener: &Listener,
 ) -> Result<Arc<LoadedModel>, RunnerError> {
-    static LOADED: Mutex<Option<HashMap<String, Slot>>> = Mutex::new(None);
-    let key = format!("{:?}", (&config.mllm, &config.reasoning));
-    let slot = Arc::clone(
-        lock(&LOADED)
-            .get_or_insert_default()
-            .entry(key)
-            .or_default(),
-    );
+    load(config, listener, |load| load())
+}
+
+/// The loaded model; `how` calls what loads it.
+fn load<E>(
+    config: &Config,
+    listener: &Listener,
+    how: impl FnOnce(&(dyn Fn() -> Result<LoadedModel, RunnerError> + Sync)) -> Result<LoadedModel, E>,
+) -> Result<Arc<LoadedModel>, E> {
+    let slot = slot(format!("{:?}", (&config.mllm, &config.reasoning)));
     // Threads that want the same model wait here.
     let mut slot = lock(&slot);
     if let Some(loaded) = &*slot {
         return Ok(Arc::clone(loaded));
     }
-    let loaded = Arc::new(load_model(config, listener)?);
+    let loaded = Arc::new(how(&|| load_model(config, listener))?);
     *slot = Some(Arc::clone(&loaded));
     Ok(loaded)
 }

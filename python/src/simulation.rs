@@ -5,7 +5,7 @@ use crate::observation::Observation;
 use crate::planner::Planner;
 use crate::scenario::{Scenario, ego_numbers};
 use crate::trajectory::{Trajectory, array, packed, poses, through};
-use crate::work::{guarded, lock, long, quick};
+use crate::work::{computed, lock, long, quick};
 use planagent::evaluation::{EvaluatedSimulation, Evaluation, MetricRegistry, Role};
 use planagent::planning::HistorySample;
 use planagent::{Challenge, EgoState, Scenario as Opened, Scene, Trajectory as Planned};
@@ -193,28 +193,29 @@ impl Simulation {
         let stopped = Arc::new(AtomicBool::new(false));
         let stop = Arc::clone(&stopped);
         let work = move || {
-            guarded(|| {
-                let (mut planner, mut state) = (lock(&planner), lock(&state));
+            // Whoever waits for these does so outside the pool.
+            let (mut planner, mut state) = (lock(&planner), lock(&state));
+            let (planner, state) = (&mut *planner, &mut *state);
+            computed(move || {
                 let name = planner.planner.name().to_owned();
                 if state.closed_loop.iteration() == 0 || !planner.is_initialized {
                     state.closed_loop.initialize(planner.planner.as_mut())?;
                     planner.is_initialized = true;
                 }
+                let was_over = state.closed_loop.is_over();
                 let mut left = steps.unwrap_or(usize::MAX);
                 while left > 0 && !state.closed_loop.is_over() && !stopped.load(Ordering::Relaxed) {
                     let plan = state.closed_loop.plan(planner.planner.as_mut())?;
                     state.step(plan, &name)?;
                     left -= 1;
                 }
+                if !was_over && state.closed_loop.is_over() {
+                    state.closed_loop.finish(planner.planner.as_mut())?;
+                }
                 Ok(())
             })
         };
-        long(
-            py,
-            work,
-            &move || stop.store(true, Ordering::Relaxed),
-            &|_| Ok(()),
-        )
+        long(py, work, &move || stop.store(true, Ordering::Relaxed))
     }
 
     /// nuPlan's score of the finished simulation.

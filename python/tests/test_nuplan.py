@@ -111,5 +111,6 @@ def test_a_planner_of_the_devkit_stands_in_our_runs(exported):
     columns = results.table().to_dict()
     assert columns["error"] == [None, None]
     assert columns["score"][0] == pytest.approx(columns["score"][1], abs=1e-9)
-    failed = planagent.simulate("generated/changing_lane/3", {"theirs": theirs})
+    with pytest.warns(planagent.errors.SimulationsFailedWarning):
+        failed = planagent.simulate("generated/changing_lane/3", {"theirs": theirs})
     assert "nuPlan's maps" in failed.table().to_dict()["error"][0]

@@ -61,7 +61,8 @@ def test_an_object_is_copied_for_each_simulation():
 
 
 def test_an_error_of_a_planner_is_recorded():
-    results = planagent.simulate(SCENES[0], [broken, lambda_named()])
+    with pytest.warns(planagent.errors.SimulationsFailedWarning, match="2 simulations, 2 failed"):
+        results = planagent.simulate(SCENES[0], [broken, lambda_named()])
     errors = results.table().to_dict()["error"]
     assert "ZeroDivisionError: at 0" in errors[0] and "test_runs.py, line" in errors[0]
     assert "returned None" in errors[1]

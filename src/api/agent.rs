@@ -3,8 +3,9 @@
 use super::Result;
 use planagent_agent::planner::{
     CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput,
-    PlannerName, PlannerParts, PlanningCall,
+    PlannerName, PlanningCall,
 };
+use planagent_agent::planner_registry::PlannerParts;
 use planagent_agent::reasoning::ReasoningConfig;
 use planagent_mllm::{HubAccess, Mllm, ModelRegistry, Trust, models_folder};
 use planagent_planners::all_planners;
@@ -95,6 +96,10 @@ impl Planner for Agent {
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         self.planner.compute_trajectory(input)
+    }
+
+    fn finish(&mut self) -> Result<(), PlannerError> {
+        self.planner.finish()
     }
 
     fn calls(&self) -> &[PlanningCall] {
@@ -231,6 +236,7 @@ impl AgentBuilder {
             settings,
             model,
             recording: &[],
+            simulation: None,
             shuffled_bev: None,
         };
         Ok(Agent {

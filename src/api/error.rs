@@ -1,6 +1,7 @@
 //! Why a call of the library fails.
 
-use planagent_agent::planner::{PlannerError, UnknownPlanner};
+use planagent_agent::planner::PlannerError;
+use planagent_agent::planner_registry::UnknownPlanner;
 use planagent_agent::reasoning::PromptError;
 use planagent_agent::simulation::SimulationError;
 use planagent_mllm::MllmError;

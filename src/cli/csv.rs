@@ -1,4 +1,5 @@
-//! Rows as CSV.
+//! Rows as CSV. A text that a spreadsheet would compute begins with an apostrophe, which
+//! spreadsheets take for the mark of a text.
 
 use planagent_runs::report::json_value;
 use serde::Serialize;
@@ -44,7 +45,7 @@ fn flatten(prefix: &str, value: &Value, fields: &mut Vec<(String, String)>) {
         Value::Object(inner) => {
             for (name, value) in inner {
                 let name = if prefix.is_empty() {
-                    name.clone()
+                    guarded(name.clone())
                 } else {
                     format!("{prefix}.{name}")
                 };
@@ -58,9 +59,37 @@ fn flatten(prefix: &str, value: &Value, fields: &mut Vec<(String, String)>) {
 fn cell(value: &Value) -> String {
     match value {
         Value::Null => String::new(),
-        Value::String(text) => text.clone(),
-        Value::Array(values) => values.iter().map(cell).collect::<Vec<_>>().join(" "),
+        Value::String(text) => guarded(text.clone()),
+        // A list of numbers stays one: only texts begin with the mark of a formula.
+        Value::Array(values) if values.iter().any(Value::is_string) => guarded(listed(values)),
+        Value::Array(values) => listed(values),
         other => other.to_string(),
+    }
+}
+
+fn listed(values: &[Value]) -> String {
+    let unguarded = |value: &Value| match value {
+        Value::String(text) => text.clone(),
+        other => cell(other),
+    };
+    values.iter().map(unguarded).collect::<Vec<_>>().join(" ")
+}
+
+/// A text with an apostrophe before it, if a spreadsheet would take it for a formula.
+fn guarded(text: String) -> String {
+    let is_mark = |c: char| {
+        matches!(
+            c,
+            '=' | '+' | '-' | '@' | '\u{ff1d}' | '\u{ff0b}' | '\u{ff0d}' | '\u{ff20}'
+        )
+    };
+    // Spreadsheets skip white space, or end a cell at a tab or at the end of a line.
+    let is_formula = |part: &str| part.trim_start().starts_with(is_mark);
+    let at_break = |c: char| matches!(c, '\t' | '\r' | '\n');
+    if text.starts_with(at_break) || text.split(at_break).any(is_formula) {
+        format!("'{text}")
+    } else {
+        text
     }
 }
 
@@ -80,5 +109,39 @@ mod tests {
             "id,score,by,error,d.n\n\"a,b\",0.5,x y,,\nc,,,,1\n"
         );
         assert_eq!(csv_text(&[Value::Null; 0]).unwrap(), "");
+    }
+
+    #[test]
+    fn a_spreadsheet_computes_no_text_and_takes_numbers_for_numbers() {
+        let cell = |value: Value| {
+            let text = csv_text(&[json!({ "a": value })]).unwrap();
+            let mut reader = csv::Reader::from_reader(text.as_bytes());
+            let row = reader.records().next().unwrap().unwrap();
+            row.get(0).unwrap().to_owned()
+        };
+        for formula in [
+            "=1+1",
+            "+1",
+            "-1+1",
+            "@SUM(A1)",
+            " =1",
+            "\t=1",
+            "\rx",
+            "\u{ff1d}1",
+            "x\t=1",
+            "x\n=1",
+        ] {
+            assert_eq!(cell(json!(formula)), format!("'{formula}"));
+            assert!(cell(json!([formula, "x"])).starts_with('\''), "{formula}");
+        }
+        for (value, text) in [
+            (json!(-0.5), "-0.5"),
+            (json!([-1, 2]), "-1 2"),
+            (json!("a-b=c"), "a-b=c"),
+            (json!(["a", "-b"]), "a -b"),
+        ] {
+            assert_eq!(cell(value), text);
+        }
+        assert_eq!(csv_text(&[json!({"=1": 2})]).unwrap(), "'=1\n2\n");
     }
 }

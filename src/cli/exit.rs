@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 /// Exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Exit {
+pub(crate) enum Exit {
     /// Everything succeeded.
     Success,
     /// The run ended, but a simulation or a planning call failed; its error is recorded.
@@ -13,13 +13,20 @@ pub enum Exit {
     Error,
 }
 
+impl Exit {
+    /// Its number.
+    pub(crate) fn code(self) -> u8 {
+        match self {
+            Self::Success => 0,
+            Self::SomeFailed => 1,
+            Self::Error => 2,
+        }
+    }
+}
+
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {
-        Self::from(match exit {
-            Exit::Success => 0,
-            Exit::SomeFailed => 1,
-            Exit::Error => 2,
-        })
+        Self::from(exit.code())
     }
 }
 

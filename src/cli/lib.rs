@@ -1,14 +1,17 @@
 //! The command line: flags, commands, printing, exit codes.
 
+mod again;
 mod args;
 mod commands;
 mod completed;
 mod csv;
 mod exit;
+mod explained;
 mod film;
 mod help;
 mod interrupt;
 mod llama_options;
+mod next_steps;
 mod picture;
 mod printer;
 mod progress;
@@ -16,7 +19,7 @@ mod settings;
 mod suggest;
 mod words;
 
-pub use exit::Exit;
+pub(crate) use exit::Exit;
 pub use printer::Printer;
 
 use anyhow::bail;
@@ -26,43 +29,70 @@ use clap::{CommandFactory, FromArgMatches};
 use planagent_runs::runner::set_build_commit;
 use planagent_runs::worker::panic_guard;
 use settings::Settings;
+use std::ffi::OsString;
 use std::process::ExitCode;
+use std::sync::OnceLock;
 
 const MAX_THREADS: usize = 512;
 
+/// What starts the program, where that is not the executable of the process alone.
+static LAUNCHER: OnceLock<Vec<OsString>> = OnceLock::new();
+
 /// Runs the program with the arguments of the process; `commit` is what it was built from.
 pub fn run(commit: Option<&'static str>) -> ExitCode {
+    run_with(std::env::args_os(), commit).into()
+}
+
+/// Runs the program inside another one, which `launcher` starts as this program: a command and its
+/// first arguments. The arguments begin with the name of the program. Gives the exit code.
+pub fn run_inside(
+    arguments: impl IntoIterator<Item = OsString>,
+    launcher: Vec<OsString>,
+    commit: Option<&'static str>,
+) -> u8 {
+    // The first call stays: a process is started in one way.
+    let _ = LAUNCHER.set(launcher);
+    run_with(arguments, commit).code()
+}
+
+/// A command that starts this program.
+fn this_program() -> std::io::Result<std::process::Command> {
+    let [program, first @ ..] = LAUNCHER.get().map_or(&[][..], Vec::as_slice) else {
+        return Ok(std::process::Command::new(std::env::current_exe()?));
+    };
+    let mut command = std::process::Command::new(program);
+    command.args(first);
+    Ok(command)
+}
+
+fn run_with(arguments: impl IntoIterator<Item = OsString>, commit: Option<&'static str>) -> Exit {
     panic_guard::install_hook();
     if let Some(commit) = commit {
         set_build_commit(commit);
     }
-    if let Some(advice) = llama_options::instead(std::env::args_os()) {
+    let words: Vec<OsString> = arguments.into_iter().collect();
+    again::remember(&words);
+    if let Some(advice) = llama_options::instead(&words) {
         let error = Arguments::command().error(ErrorKind::UnknownArgument, advice);
-        let _ = error.print();
-        return Exit::Error.into();
+        return Printer::arguments(error, &words);
     }
-    let matches = with_negative_numbers(Arguments::command()).try_get_matches();
+    let matches = with_negative_numbers(Arguments::command()).try_get_matches_from(&words);
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
+        // Help and version are no errors.
         Err(mut error) => {
             suggest::add_new_command(&mut error);
-            // Help and version are no errors; clap prints each where it belongs.
-            let _ = error.print();
-            return if error.use_stderr() {
-                Exit::Error.into()
-            } else {
-                Exit::Success.into()
-            };
+            return Printer::arguments(error, &words);
         }
     };
     let global = &arguments.global;
     let printer = Printer::new(global.json, global.quiet).with_details(global.verbose);
     let outcome = execute(&arguments, printer).and_then(|exit| printer.finish().map(|()| exit));
     match outcome {
-        Ok(exit) => exit.into(),
+        Ok(exit) => exit,
         Err(error) => {
             printer.error(&error);
-            Exit::Error.into()
+            Exit::Error
         }
     }
 }
@@ -106,7 +136,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Dataset(flags) => commands::dataset::run(flags, config, printer),
         Command::Study(flags) => commands::study::run(flags, config, printer),
         Command::Bench(flags) => commands::bench::run(flags, config, printer),
-        Command::Config(_) => commands::config::run(&settings, printer),
+        Command::Config(flags) => commands::config::run(flags, &settings, printer),
         Command::Completions { shell } => commands::completions::run(*shell, printer),
         Command::BenchProcess(_) => commands::bench::process(config, printer),
         Command::TrialProcess => commands::trial::run(),

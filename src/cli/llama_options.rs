@@ -7,9 +7,9 @@ const REPOSITORY: [&str; 3] = ["-hf", "-hfr", "--hf-repo"];
 const FILE: [&str; 2] = ["-hff", "--hf-file"];
 
 /// What to write in place of an option of llama.cpp, if the arguments have one.
-pub(super) fn instead(arguments: impl IntoIterator<Item = OsString>) -> Option<String> {
+pub(super) fn instead(arguments: &[OsString]) -> Option<String> {
     let words: Vec<String> = arguments
-        .into_iter()
+        .iter()
         .map(|word| word.to_string_lossy().into_owned())
         .take_while(|word| word != "--")
         .collect();
@@ -41,7 +41,10 @@ mod tests {
 
     #[test]
     fn options_of_llama_cpp_are_told_how_they_are_written_here() {
-        let said = |words: &str| instead(words.split(' ').map(OsString::from));
+        let said = |words: &str| {
+            let words: Vec<OsString> = words.split(' ').map(OsString::from).collect();
+            instead(&words)
+        };
         for (words, model) in [
             ("planagent ask x -hf org/n:Q8_0", "--model org/n:Q8_0"),
             ("planagent ask x --hf-repo=org/n", "--model org/n"),

@@ -1,19 +1,16 @@
 //! The only module that prints: data to stdout, notes and progress to stderr, colors only on
-//! terminals.
+//! terminals. stdout and stderr may be full or closed: the work goes on.
 
-#![allow(
-    clippy::print_stdout,
-    clippy::print_stderr,
-    reason = "this is the printer"
-)]
-
+use super::Exit;
 use super::csv::csv_text;
 use super::suggest;
+use clap::error::ContextValue;
 use console::{Style, Term, measure_text_width};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use planagent_files::shortened;
-use planagent_runs::report::{json_value, visible, visible_line};
+use planagent_runs::report::{LineWidth, json_value, visible, visible_line};
 use std::borrow::Cow;
+use std::ffi::OsString;
 use std::io::{ErrorKind, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -37,7 +34,7 @@ impl Printer {
     }
 
     /// With details on stderr.
-    pub fn with_details(self, details: bool) -> Self {
+    pub(crate) fn with_details(self, details: bool) -> Self {
         Self { details, ..self }
     }
 
@@ -49,12 +46,20 @@ impl Printer {
     }
 
     /// Whether stdout carries JSON.
-    pub fn is_json(&self) -> bool {
+    pub(crate) fn is_json(&self) -> bool {
         self.json
     }
 
     /// A line on stdout, unless stdout carries JSON.
     pub fn line(&self, text: impl AsRef<str>) {
+        if !self.json {
+            write_line(&visible(text.as_ref()));
+        }
+    }
+
+    /// Tables on stdout, unless stdout carries JSON. They have emphasis, and no text from outside
+    /// in it: [`planagent_runs::report::table::Table`] shows what a terminal would obey.
+    pub fn table(&self, text: impl AsRef<str>) {
         if !self.json {
             write_line(&shown(text.as_ref()));
         }
@@ -63,7 +68,7 @@ impl Printer {
     /// A piece of text on stdout at once, without the end of a line, unless stdout carries JSON.
     pub fn piece(&self, text: &str) {
         if !self.json {
-            let mut out = std::io::stdout().lock();
+            let (text, mut out) = (visible(text), std::io::stdout().lock());
             note_failure(&out.write_all(text.as_bytes()).and_then(|()| out.flush()));
         }
     }
@@ -95,13 +100,13 @@ impl Printer {
 
     /// A text of the program on stdout.
     pub fn text(&self, text: &str) {
-        write_line(text);
+        write_line(&visible(text));
     }
 
     /// A line on stderr.
     pub fn note(&self, text: impl AsRef<str>) {
         if !self.quiet {
-            eprintln!("{}", shown(&shortened(text.as_ref())));
+            write_note(&visible(&shortened(text.as_ref())));
         }
     }
 
@@ -117,19 +122,63 @@ impl Printer {
                 text = format!("{text}: {cause}");
             }
         }
-        eprintln!("{} {}", red.apply_to("error:"), visible(&shortened(&text)));
+        write_note(&format!(
+            "{} {}",
+            red.apply_to("error:"),
+            visible(&shortened(&text))
+        ));
         if let Some(tip) = suggest::tip(error) {
-            eprintln!(
+            write_note(&format!(
                 "  {} {}",
                 Style::new().for_stderr().green().apply_to("tip:"),
                 visible(&tip)
-            );
+            ));
         }
+    }
+
+    /// What clap says of the arguments: help and version on stdout, errors on stderr. The code that
+    /// the program ends with.
+    pub(crate) fn arguments(mut error: clap::Error, words: &[OsString]) -> Exit {
+        if !error.use_stderr() {
+            let written = error.print().and_then(|()| std::io::stdout().flush());
+            note_failure(&written);
+            return if STDOUT_FAILED.load(Ordering::Relaxed) {
+                write_note(INCOMPLETE);
+                Exit::Error
+            } else {
+                Exit::Success
+            };
+        }
+        let is_safe = |text: &str| matches!(visible(text), Cow::Borrowed(_));
+        if words.iter().all(|word| is_safe(&word.to_string_lossy())) {
+            // A stderr that cannot be written changes nothing.
+            let _ = error.print();
+            return Exit::Error;
+        }
+        // An argument may be the name of a file of others, by a pattern of the shell. clap repeats
+        // it as it is, and its own colors cannot be told from those of the name.
+        let shown = |text: &String| visible(text).into_owned();
+        let changed: Vec<_> = error
+            .context()
+            .filter_map(|(kind, value)| match value {
+                ContextValue::String(text) => Some((kind, ContextValue::String(shown(text)))),
+                ContextValue::Strings(texts) => {
+                    let texts = texts.iter().map(shown).collect();
+                    Some((kind, ContextValue::Strings(texts)))
+                }
+                _ => None,
+            })
+            .collect();
+        for (kind, value) in changed {
+            error.insert(kind, value);
+        }
+        write_note(visible(&error.render().to_string()).trim_end());
+        Exit::Error
     }
 
     /// A failure of a part of the work, on stderr even if quiet.
     pub fn failure(&self, text: impl AsRef<str>) {
-        eprintln!("{}", shown(&shortened(text.as_ref())));
+        write_note(&visible(&shortened(text.as_ref())));
     }
 
     /// Fails if some data could not be written to stdout, for example to a full disk; a closed pipe
@@ -139,7 +188,7 @@ impl Printer {
         if STDOUT_FAILED.load(Ordering::Relaxed)
             || flushed.is_err_and(|e| e.kind() != ErrorKind::BrokenPipe)
         {
-            anyhow::bail!("cannot write to stdout; the output is incomplete");
+            anyhow::bail!(INCOMPLETE);
         }
         Ok(())
     }
@@ -152,7 +201,7 @@ impl Printer {
             ProgressDrawTarget::stderr()
         };
         let bar = ProgressBar::with_draw_target(Some(length), target);
-        let template = format!("{{bar:30}} {{pos}}/{{len}} {unit} {{elapsed}} {{wide_msg}}");
+        let template = format!("{{pos}}/{{len}} {unit} {{elapsed}} {{msg}} {{wide_bar}}");
         if let Ok(style) = ProgressStyle::with_template(&template) {
             bar.set_style(style);
         }
@@ -160,24 +209,24 @@ impl Printer {
     }
 
     /// A progress bar of bytes on stderr; hidden when quiet or without a terminal.
-    pub fn byte_progress(&self, length: u64) -> ProgressBar {
+    pub(crate) fn byte_progress(&self, length: u64) -> ProgressBar {
         let bar = self.progress(length, "bytes");
         if let Ok(style) = ProgressStyle::with_template(
-            "{bar:24} {bytes}/{total_bytes} {bytes_per_sec} {eta} left {wide_msg}",
+            "{bytes}/{total_bytes} {bytes_per_sec} {eta} left {msg} {wide_bar}",
         ) {
             bar.set_style(style);
         }
         bar
     }
 
-    /// Whether nothing but errors may go to stderr.
-    pub fn is_quiet(&self) -> bool {
-        self.quiet
-    }
-
     /// Columns of the terminal on stdout; 80 when it is none.
     pub fn width(&self) -> u16 {
         self.columns().unwrap_or(80)
+    }
+
+    /// The width of tables on stdout.
+    pub fn line_width(&self) -> LineWidth {
+        self.columns().map_or(LineWidth::PIPE, LineWidth::terminal)
     }
 
     /// Columns of the terminal on stdout; none for a file or a pipe, whose lines stay whole.
@@ -221,12 +270,21 @@ fn named_within(name: &str, details: &str, columns: Option<u16>) -> String {
     }
 }
 
+/// The error of a stdout that could not be written.
+const INCOMPLETE: &str = "cannot write to stdout; the output is incomplete";
+
 /// Whether a line could not be written.
 static STDOUT_FAILED: AtomicBool = AtomicBool::new(false);
 
 /// Writes a line to stdout; a closed pipe ends the output, not the program.
 fn write_line(text: &str) {
     note_failure(&writeln!(std::io::stdout().lock(), "{text}"));
+}
+
+/// Writes a line to stderr. A stderr that is full or closed ends nothing: there is no other place to
+/// say so.
+fn write_note(text: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "{text}");
 }
 
 fn note_failure(written: &std::io::Result<()>) {

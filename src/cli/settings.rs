@@ -8,6 +8,7 @@ use planagent_agent::planner::LearnedSettings;
 use planagent_agent::reasoning::built_in_prompts;
 use planagent_mllm::trial::Trial;
 use planagent_mllm::{Trust, offline_variable};
+use planagent_planners::all_planners;
 use planagent_runs::report::RenamedSetting;
 use planagent_runs::runner::Config;
 use planagent_scenario::absolute_path;
@@ -15,8 +16,9 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
-/// Keys without a default value; the others are those of [`Config::default`].
-pub(super) const OPTIONAL: [&str; 19] = [
+/// Keys without a default value, beside the checkpoints of learned planners; the others are those of
+/// [`Config::default`].
+const OPTIONAL: [&str; 8] = [
     "mllm.quantize",
     "mllm.context",
     "agent.deadline_ms",
@@ -25,17 +27,6 @@ pub(super) const OPTIONAL: [&str; 19] = [
     "reasoning.prompt_set",
     "reasoning.proposals",
     "reasoning.speculation",
-    "learned.pdm_open",
-    "learned.pdm_hybrid",
-    "learned.plantf",
-    "learned.urban_driver",
-    "learned.raster_model",
-    "learned.raster_model_small",
-    "learned.gc_pgp",
-    "learned.gameformer",
-    "learned.gameformer_small",
-    "learned.dtpp",
-    "learned.dtpp_small",
 ];
 
 /// The settings of a command.
@@ -148,10 +139,9 @@ impl Settings {
             return Ok(());
         };
         for word in &flags.checkpoint {
-            let learned = &mut self.config.learned;
             let named = word
                 .split_once('=')
-                .filter(|(planner, _)| learned.checkpoint_mut(planner).is_some());
+                .filter(|(planner, _)| is_learned(planner));
             let (planner, file) = match named {
                 Some((planner, _))
                     if flags.resume.is_none()
@@ -164,15 +154,12 @@ impl Settings {
                     )
                 }
                 Some((planner, file)) => (planner.to_owned(), file),
-                None => (the_learned(flags, learned, word)?, word.as_str()),
+                None => (the_learned(flags, word)?, word.as_str()),
             };
             let file = absolute_path(file);
-            let key = format!("learned.{}", planner.replace('-', "_"));
-            if let Some(place) = learned.checkpoint_mut(&planner) {
-                self.layers
-                    .push(("--checkpoint".to_owned(), nested(&key, file.clone().into())));
-                *place = Some(file);
-            }
+            let table = nested(&checkpoint_key(&planner), file.clone().into());
+            self.layers.push(("--checkpoint".to_owned(), table));
+            self.config.learned.set(&planner, file);
         }
         Ok(())
     }
@@ -196,14 +183,22 @@ impl Settings {
     }
 }
 
+/// Whether a planner needs a checkpoint.
+fn is_learned(planner: &str) -> bool {
+    all_planners()
+        .learned()
+        .any(|learned| learned.as_str() == planner)
+}
+
+/// The key of a learned planner's checkpoint.
+fn checkpoint_key(planner: &str) -> String {
+    format!("learned.{}", LearnedSettings::key(planner))
+}
+
 /// The one learned planner of a command, for the value of `--checkpoint` that names none.
-fn the_learned(
-    flags: &SimulateArguments,
-    learned: &mut LearnedSettings,
-    word: &str,
-) -> anyhow::Result<String> {
+fn the_learned(flags: &SimulateArguments, word: &str) -> anyhow::Result<String> {
     let mut planners = planner_words(&flags.planner);
-    planners.retain(|planner| learned.checkpoint_mut(planner).is_some());
+    planners.retain(|planner| is_learned(planner));
     match <[String; 1]>::try_from(planners) {
         Ok([planner]) => Ok(planner),
         Err(planners) if planners.is_empty() => {
@@ -309,18 +304,19 @@ pub(super) fn keys() -> anyhow::Result<Vec<String>> {
             keys.push(format!("{section}{key}"));
         }
     }
-    for optional in OPTIONAL {
+    let checkpoints = all_planners();
+    let checkpoints = checkpoints
+        .learned()
+        .map(|planner| checkpoint_key(planner.as_str()));
+    for optional in OPTIONAL.into_iter().map(str::to_owned).chain(checkpoints) {
         let section = optional
             .split('.')
             .next()
             .expect("a split gives one part at least");
         let last = keys
             .iter()
-            .rposition(|key| key.split('.').next() == Some(section));
-        keys.insert(
-            last.map_or(keys.len(), |place| place + 1),
-            optional.to_owned(),
-        );
+            .rposition(|key: &String| key.split('.').next() == Some(section));
+        keys.insert(last.map_or(keys.len(), |place| place + 1), optional);
     }
     Ok(keys)
 }

@@ -12,7 +12,7 @@ pub use cache::cache_folder;
 pub use kind::{KIND_BYTES, is_hidden, is_unfinished, kind_of};
 pub use quoted::quoted;
 pub use regular::{open, read, read_text, target};
-pub use shortened::{MAX_SHOWN_BYTES, shortened};
+pub use shortened::shortened;
 pub use word::{path_of, serde_path, word_of};
 
 /// Largest file of settings, prompts or a study, bytes.

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 /// Most bytes of a text from outside that a message shows.
-pub const MAX_SHOWN_BYTES: usize = 4096;
+pub(crate) const MAX_SHOWN_BYTES: usize = 4096;
 /// Bytes of a mark in the place of what is left out.
 const MARK_BYTES: usize = 64;
 

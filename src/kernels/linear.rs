@@ -1,9 +1,9 @@
-//! Affine layers; each row is a token.
+//! Affine layers.
 
 use super::matrix::Matrix;
-use candle_core::{Result, Tensor};
+use candle_core::{Result, Tensor, bail};
 
-/// y = x Wᵀ + b with x of shape (tokens, inputs).
+/// y = x Wᵀ + b over the last dimension.
 #[derive(Debug, Clone)]
 pub struct Linear {
     weight: Matrix,
@@ -16,14 +16,79 @@ impl Linear {
         Self { weight, bias }
     }
 
-    /// Applies the layer to (tokens, inputs).
-    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.weight.forward_onto(x, self.bias.as_ref(), None)
+    /// Of a weight (outputs, inputs), which stays in f32, and a bias.
+    ///
+    /// # Errors
+    /// When the weight is no matrix of f32.
+    pub fn from_tensors(weight: &Tensor, bias: Option<Tensor>) -> Result<Self> {
+        Ok(Self::from_matrix(Matrix::from_tensor(weight)?, bias))
     }
 
-    /// residual + layer(x), with a residual of shape (tokens, outputs).
+    /// Numbers of a row of the result.
+    pub fn outputs(&self) -> usize {
+        self.weight.outputs()
+    }
+
+    /// Applies the layer to (…, inputs).
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        self.sum(x, None)
+    }
+
+    /// residual + layer(x), with a residual of shape (…, outputs).
     pub fn forward_onto(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
+        self.sum(x, Some(residual))
+    }
+
+    fn sum(&self, x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
+        let bias = self.bias.as_ref();
+        if x.rank() == 2 {
+            return self.weight.forward_onto(x, bias, residual);
+        }
+        let mut shape = x.dims().to_vec();
+        match shape.last_mut() {
+            Some(last) if *last == self.weight.inputs() => *last = self.outputs(),
+            _ => bail!(
+                "cannot apply a layer of {} inputs to {:?}",
+                self.weight.inputs(),
+                x.shape()
+            ),
+        }
+        let rows = x.elem_count() / self.weight.inputs();
+        let x = x.reshape((rows, self.weight.inputs()))?;
+        let residual = residual
+            .map(|residual| residual.reshape((rows, self.outputs())))
+            .transpose()?;
         self.weight
-            .forward_onto(x, self.bias.as_ref(), Some(residual))
+            .forward_onto(&x, bias, residual.as_ref())?
+            .reshape(shape)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    #[test]
+    fn rows_of_any_shape_are_those_of_a_table() {
+        let numbers = |shape: &[usize], step: usize| {
+            let count: usize = shape.iter().product();
+            let values: Vec<f32> = (0..count).map(|i| (i * step % 17) as f32 - 8.0).collect();
+            Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
+        };
+        let layer = Linear::from_tensors(&numbers(&[3, 5], 7), Some(numbers(&[3], 5))).unwrap();
+        let (x, residual) = (numbers(&[2, 4, 5], 3), numbers(&[2, 4, 3], 11));
+        let flat = |x: &Tensor| x.reshape((8, ())).unwrap();
+        let values = |x: Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        let whole = layer.forward_onto(&x, &residual).unwrap();
+        assert_eq!(whole.dims(), [2, 4, 3]);
+        let table = layer.forward_onto(&flat(&x), &flat(&residual)).unwrap();
+        assert_eq!(values(whole), values(table));
+        // A part of a tensor lies in pieces.
+        let part = x.narrow(1, 1, 2).unwrap();
+        let found = layer.forward(&part).unwrap();
+        let copied = layer.forward(&part.contiguous().unwrap()).unwrap();
+        assert_eq!(values(found), values(copied));
+        assert!(layer.forward(&numbers(&[2, 4, 3], 1)).is_err());
     }
 }

@@ -65,7 +65,7 @@ impl Kernel for SoftmaxKernel<'_> {
 
 /// Softmax of one row, for kernels.
 #[inline(always)]
-pub fn softmax_in_place(row: &mut [f32]) {
+pub(crate) fn softmax_in_place(row: &mut [f32]) {
     let largest = reduced(row, f32::NEG_INFINITY, |a, b| if a > b { a } else { b });
     for value in row.iter_mut() {
         *value = exp_or_zero(*value - largest);

@@ -5,8 +5,7 @@
 pub mod bench;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod dataset;
-#[allow(missing_docs, reason = "the root names little of it")]
-pub mod rank_correlation;
+mod rank_correlation;
 #[allow(missing_docs, reason = "the root names little of it")]
 pub mod realism;
 #[allow(missing_docs, reason = "the root names little of it")]

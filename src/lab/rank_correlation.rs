@@ -18,7 +18,7 @@ pub struct RankCorrelation {
 /// Tau-b of two lists of equal length: 1 for the same order, -1 for the opposite one. Pairs that
 /// are equal in a list count in neither direction. `None` where all are equal in a list (Kendall,
 /// *The treatment of ties in ranking problems*, 1945).
-pub fn tau_b(a: &[f64], b: &[f64]) -> Option<f64> {
+pub(crate) fn tau_b(a: &[f64], b: &[f64]) -> Option<f64> {
     let sign = |x: f64, y: f64| {
         if x > y {
             1.0
@@ -42,7 +42,7 @@ pub fn tau_b(a: &[f64], b: &[f64]) -> Option<f64> {
 /// Tau-b of the mean scores of planners (one list of scores a planner, of the same scenes) and of
 /// `other`, one value a planner. The interval is that of draws of scenes. `None` with fewer than
 /// three planners or without a scene.
-pub fn rank_correlation(
+pub(crate) fn rank_correlation(
     bootstrap: &Bootstrap,
     scores: &[Vec<f64>],
     other: &[f64],

@@ -25,7 +25,8 @@ pub use blocks::{Mismatch, Probe, Weights};
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use prediction::trajectory;
 
-use planagent_agent::planner::{PlannerEntry, PlannerError};
+use planagent_agent::planner::PlannerError;
+use planagent_agent::planner_registry::PlannerEntry;
 
 /// The learned planners.
 pub fn entries() -> impl Iterator<Item = PlannerEntry> {

@@ -3,8 +3,9 @@
 use super::blocks::Weights;
 use super::checkpoint::{Checkpoint, CheckpointError};
 use planagent_agent::planner::{
-    PlanAgentSettings, Planner, PlannerEntry, PlannerError, PlannerName, PlannerNeeds,
+    LearnedSettings, PlanAgentSettings, Planner, PlannerError, PlannerName,
 };
+use planagent_agent::planner_registry::{PlannerEntry, PlannerNeeds};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -59,7 +60,7 @@ pub(super) fn learned_entry<M: Send + Sync + 'static>(
                 let checkpoint = settings.learned.checkpoint(name.as_str()).ok_or(
                     PlannerError::NoCheckpoint {
                         planner: name,
-                        key: format!("learned.{}", name.as_str().replace('-', "_")),
+                        key: format!("learned.{}", LearnedSettings::key(name.as_str())),
                     },
                 )?;
                 Ok::<_, PlannerError>(slot.network(&planagent_files::path_of(checkpoint))?)

@@ -16,6 +16,27 @@ pub trait Mllm: Send + Sync {
     /// Identity and size of the model.
     fn describe(&self) -> ModelDescription;
 
+    /// Asks a model that others run at most two short questions, to find out whether it can be
+    /// asked as `question` says. Gives remarks on what is odd in its answers. A model that answered
+    /// before is not asked again; one in this process needs no question. `on_wait` hears why it
+    /// takes long.
+    ///
+    /// # Errors
+    /// When the model cannot be asked.
+    fn probe(
+        &self,
+        _question: &ProbeQuestion,
+        _on_wait: &dyn Fn(&str),
+    ) -> Result<Vec<String>, MllmError> {
+        Ok(Vec::new())
+    }
+
+    /// How long an answer of `new` tokens to `text` tokens and a picture takes on this machine, by a
+    /// short measurement; `None` where it takes no time worth a word, or is not known.
+    fn answer_time(&self, _text: usize, _new: usize) -> Option<AnswerTime> {
+        None
+    }
+
     /// Opens a conversation. The same prefix, seed and requests give the same answers at any thread
     /// count, unless a deadline ends one early. A server's answers are as repeatable as the server.
     ///
@@ -82,6 +103,27 @@ pub trait Conversation: Send {
     /// Drops the turns after a mark; what was computed before it stays cached. A mark after the
     /// current point changes nothing.
     fn rewind(&mut self, mark: Mark);
+}
+
+/// The time that an answer is expected to take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct AnswerTime {
+    /// Until its first token.
+    pub first_token: Duration,
+    /// Until its last token, if it has as many as it may.
+    pub whole: Duration,
+}
+
+/// How a model will be asked, for [`Mllm::probe`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ProbeQuestion {
+    /// Whether prompts come with a picture.
+    pub picture: bool,
+    /// Whether answers are constrained.
+    pub constrained: bool,
+    /// Maximum tokens of an answer.
+    pub max_new_tokens: usize,
+    pub sampling: Sampling,
 }
 
 /// The prompt prefix of a conversation.

@@ -15,10 +15,6 @@ impl Deadline {
         Self(start.checked_add(limit))
     }
 
-    pub fn is_set(self) -> bool {
-        self.0.is_some()
-    }
-
     /// The remaining time, zero after the deadline; `None` without a deadline.
     pub fn left(self) -> Option<Duration> {
         self.0
@@ -48,11 +44,7 @@ mod tests {
         ));
         let later = Deadline::after(now, Duration::from_hours(1));
         assert!(later.check().is_ok() && later.left().unwrap() > Duration::from_secs(3500));
-        assert!(
-            Deadline::NONE.check().is_ok()
-                && Deadline::NONE.left().is_none()
-                && !Deadline::NONE.is_set()
-        );
+        assert!(Deadline::NONE.check().is_ok() && Deadline::NONE.left().is_none());
         assert_eq!(Deadline::after(now, Duration::MAX), Deadline::NONE);
     }
 }

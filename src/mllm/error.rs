@@ -122,7 +122,7 @@ pub enum MllmError {
     Request { problem: String },
     #[error(
         "the prompt has {tokens} tokens and the model's context {context}; raise --context where it is lower than the \
-         model allows, or shorten the prompt (reasoning.prompt_set)"
+         model allows, or choose a prompt set in fewer tokens (--prompt-set)"
     )]
     PromptTooLong { tokens: usize, context: usize },
     #[error("the logit of token {token} at position {position} is {value}")]

@@ -2,9 +2,7 @@
 
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
-use super::{
-    MllmError, candle_qwen3_vl, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm,
-};
+use super::{MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::path::Path;
@@ -18,9 +16,6 @@ const BUILT_IN: &[&Family] = &[
     &qwen3_vl::FAMILY,
     &qwen2_5_vl::FAMILY,
 ];
-
-/// Families that only a description chooses: others open the same checkpoints, and better.
-const FOR_COMPARISON: &[&Family] = &[&candle_qwen3_vl::FAMILY];
 
 /// The families that models are looked for in: those that are built in, and those of a program that
 /// uses this one.
@@ -40,14 +35,6 @@ impl Default for Families {
 impl Families {
     pub fn with(mut self, family: &'static Family) -> Self {
         self.0.push(Architecture(family));
-        self
-    }
-
-    /// The same families, and `chosen` before them if it is not among them.
-    pub(crate) fn preferring(mut self, chosen: Architecture) -> Self {
-        if !self.0.contains(&chosen) {
-            self.0.insert(0, chosen);
-        }
         self
     }
 
@@ -102,10 +89,8 @@ impl Families {
 impl Architecture {
     /// The built-in family of this name.
     pub fn named(name: &str) -> Option<Self> {
-        let compared = FOR_COMPARISON.iter().map(|family| Self(family));
         Families::default()
             .iter()
-            .chain(compared)
             .find(|family| family.name() == name)
     }
 

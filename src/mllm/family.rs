@@ -75,6 +75,18 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
     /// How an image of this width and height, pixels, lies in a chat.
     fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError>;
 
+    /// Pixels of all tiles that an image of this width and height becomes.
+    fn tower_pixels(&self, width: u32, height: u32) -> Result<usize, MllmError> {
+        let ImageLayout { rows, columns, .. } = self.image_layout(width, height)?;
+        let side = self.info().image_size;
+        // Beside its tiles stands the image in one piece.
+        let views = match rows.saturating_mul(columns) {
+            0 | 1 => 1,
+            tiles => tiles.saturating_add(1),
+        };
+        Ok(side.saturating_mul(side).saturating_mul(views))
+    }
+
     /// Cuts and scales an image to the tiles that the vision tower takes.
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError>;
 

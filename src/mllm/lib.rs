@@ -17,7 +17,6 @@
     reason = "many names say all; the root describes what users see"
 )]
 
-mod candle_qwen3_vl;
 mod checkpoint;
 #[cfg(test)]
 mod class_keys;
@@ -50,14 +49,15 @@ mod tiled;
 pub mod trial;
 mod vision;
 
-pub use checkpoint::in_bytes;
 pub use checkpoint::{
     LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights,
 };
+pub use checkpoint::{in_bytes, parameter_count};
 pub use conversation::milliseconds;
 pub use conversation::{
-    Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription,
-    PromptPrefix, Request, RoundTime, Sampling, Server, TokenCounts, Turn, image_hash, prompt_hash,
+    Answer, AnswerTime, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm,
+    ModelDescription, ProbeQuestion, PromptPrefix, Request, RoundTime, Sampling, Server,
+    TokenCounts, Turn, image_hash, prompt_hash,
 };
 pub use deadline::Deadline;
 pub use decoder::{DecoderInput, KvCache, LanguageModel, Logits, Position};
@@ -78,10 +78,10 @@ pub use local::{
 };
 pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub use registry::{
-    Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs,
-    ModelRegistry, ModelSource, ModelSpec, NamedBy, PromptSet, RoundTokens,
+    Asking, DescribedPrompts, FetchListener, FetchProgress, GenerationSettings, HubAccess,
+    ModelInputs, ModelRegistry, ModelSource, ModelSpec, NamedBy, PromptSet, RoundTokens,
 };
 pub use registry::{data_folder, models_folder, offline_variable};
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
-pub use text::ChatTokenizer;
+pub use text::{ChatTokenizer, TemplateEngine};
 pub use trial::Trust;

@@ -11,8 +11,7 @@ pub mod argoverse2;
 #[allow(missing_docs, reason = "the root names none of it")]
 pub mod generator;
 mod held;
-#[allow(missing_docs, reason = "the root names none of it")]
-pub mod interplan;
+mod interplan;
 mod later_start;
 #[allow(missing_docs, reason = "the root names none of it")]
 pub mod modified;
@@ -40,6 +39,12 @@ pub use reader::{
 pub use recording::error::{FileError, FilePlace, RecordingFault};
 pub use registry::{RECORDINGS, Readers};
 pub use split::{ExcludedToken, MissingTokens, Split};
+
+/// The scenario that commands take where none is named: cones close the ego's lane, and the agent has
+/// to leave it in time. Planner codes decide the score, so a model that reads the scene is clearly
+/// better than one that does not (`tests/default_scenario.rs`).
+pub const DEFAULT_SCENARIO: &str =
+    "generated/near_multiple_vehicles/2~approaching_construction_zone";
 
 /// nuPlan's type of a scenario without a tag (devkit `DEFAULT_SCENARIO_NAME`).
 pub const UNKNOWN_TYPE: &str = "unknown";

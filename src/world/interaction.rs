@@ -126,7 +126,7 @@ pub const WALKER_SIZE: (f64, f64) = (0.900_003, 0.791_390);
 
 impl CrossingActor {
     /// Whether the center of an ego makes it start.
-    pub fn starts_for(&self, ego: Point) -> bool {
+    pub(crate) fn starts_for(&self, ego: Point) -> bool {
         self.at_s - self.along.project(ego).s <= self.trigger_m
     }
 

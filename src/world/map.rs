@@ -45,7 +45,7 @@ pub enum LaneKind {
 }
 
 /// Where the areas of a map's lanes come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub enum LaneAreas {
     /// The source draws them, and they cover the road, as nuPlan's do.
     Drawn,
@@ -55,7 +55,7 @@ pub enum LaneAreas {
 }
 
 /// A neighboring lane of the same direction, along a part of this lane.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Neighbor {
     /// The lane beside.
     pub lane: LaneId,
@@ -66,7 +66,7 @@ pub struct Neighbor {
 }
 
 /// A lane or a lane connector.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Lane {
     /// Its place in the map.
     pub id: LaneId,
@@ -122,7 +122,7 @@ fn neighbor_at(neighbors: &[Neighbor], s: f64) -> Option<LaneId> {
 }
 
 /// Lanes side by side in one direction, or the connectors that join two such sets.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Roadblock {
     /// Its place in the map.
     pub id: RoadblockId,
@@ -141,7 +141,7 @@ pub struct Roadblock {
 }
 
 /// A stop line as a thin polygon across the lane.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct StopLine {
     /// Its area.
     pub polygon: Polygon,
@@ -152,7 +152,7 @@ pub struct StopLine {
 }
 
 /// The layers of a map before their relations are checked.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
 pub struct MapParts {
     /// Name of the map or its origin.
     pub name: String,

@@ -5,7 +5,7 @@ use crate::geometry::Pose;
 use std::collections::BTreeSet;
 
 /// The route that the ego shall follow.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Route {
     /// The chain of roadblocks, from the start on.
     pub roadblocks: Vec<RoadblockId>,

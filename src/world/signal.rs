@@ -32,7 +32,7 @@ impl fmt::Display for SignalStatus {
 }
 
 /// The lights of one instant, by the lane connector that they govern.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub struct TrafficLights {
     by_connector: BTreeMap<LaneId, SignalStatus>,
 }

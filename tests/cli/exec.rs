@@ -160,7 +160,7 @@ fn a_command_that_is_dead_silent_or_wrong_fails_its_simulation() {
     );
     let nan = failing(
         work.path(),
-        "echo '{\"type\": \"ready\"}'; echo '{\"type\": \"trajectory\", \"states\": [{\"t\": 0.0, \"x\": NaN}]}'; cat > /dev/null",
+        "read first; echo '{\"type\": \"ready\"}'; read step; echo '{\"type\": \"trajectory\", \"states\": [{\"t\": 0.0, \"x\": NaN}]}'; cat > /dev/null",
     );
     assert!(
         nan.contains("states[0].x is NaN") && nan.contains("\"x\": NaN}"),
@@ -168,7 +168,7 @@ fn a_command_that_is_dead_silent_or_wrong_fails_its_simulation() {
     );
     let far = failing(
         work.path(),
-        "echo '{\"type\": \"ready\"}'; echo '{\"type\": \"trajectory\", \"states\": [\
+        "read first; echo '{\"type\": \"ready\"}'; read step; echo '{\"type\": \"trajectory\", \"states\": [\
          {\"t\": 0.0, \"x\": 9e5, \"y\": 0, \"heading\": 0, \"speed\": 0}, \
          {\"t\": 8.0, \"x\": 9e5, \"y\": 0, \"heading\": 0, \"speed\": 0}]}'; cat > /dev/null",
     );
@@ -185,7 +185,7 @@ fn a_command_that_is_dead_silent_or_wrong_fails_its_simulation() {
     );
     let empty = failing(
         work.path(),
-        "echo '{\"type\": \"ready\"}'; echo '{\"type\": \"trajectory\", \"states\": []}'; cat > /dev/null",
+        "read first; echo '{\"type\": \"ready\"}'; read step; echo '{\"type\": \"trajectory\", \"states\": []}'; cat > /dev/null",
     );
     assert!(empty.contains("at least 2 states"), "{empty}");
     let error = failing(
@@ -193,6 +193,61 @@ fn a_command_that_is_dead_silent_or_wrong_fails_its_simulation() {
         "echo '{\"type\": \"error\", \"message\": \"no route\"}'; cat > /dev/null",
     );
     assert!(error.contains("the command says: no route"), "{error}");
+}
+
+/// Answers each step with a straight trajectory; `answers` says how often, by the number of the step.
+fn straight(work: &Path, name: &str, answers: &str, end: &str) -> Result<String, Missing> {
+    let lines = format!(
+        "import math\nsys.stdin.readline()\nready()\nfor n, line in enumerate(sys.stdin):\n    ego = json.loads(line)['ego']\n    \
+         v, h = ego['velocity'][0], ego['heading']\n    states = [{{'t': t / 2, 'x': ego['x'] + v * t / 2 * math.cos(h), \
+         'y': ego['y'] + v * t / 2 * math.sin(h), 'heading': h, 'speed': v}} for t in range(17)]\n    \
+         for _ in range({answers}):\n        print(json.dumps({{'type': 'trajectory', 'states': states}}), flush=True)\n{end}"
+    );
+    script(work, name, &lines)
+}
+
+#[test]
+fn a_command_that_answers_ahead_or_too_often_fails_its_simulation() -> Needy {
+    let work = TempDir::new().unwrap();
+    let right = straight(work.path(), "right.py", "1", "")?;
+    let (code, _, stderr) = run(&[
+        "simulate",
+        "--scenario",
+        SCENE,
+        "--planner",
+        &format!("right=exec:{right}"),
+        "--out",
+        work.path().join("right").to_str().unwrap(),
+    ]);
+    assert_eq!(code, 0, "{stderr}");
+    for (name, answers) in [
+        ("twice.py", "2"),
+        ("once_too_often.py", "2 if n == 0 else 1"),
+    ] {
+        let error = failing(work.path(), &straight(work.path(), name, answers, "")?);
+        assert!(
+            error.contains("wrote a line that answers no message") && error.contains("trajectory"),
+            "{error}"
+        );
+    }
+    let late = straight(work.path(), "late.py", "2 if n == 148 else 1", "")?;
+    let error = failing(work.path(), &late);
+    assert!(
+        error.contains("answers no message") || error.contains("after the answer to its last"),
+        "{error}"
+    );
+    let goodbye = straight(
+        work.path(),
+        "goodbye.py",
+        "1",
+        "print('goodbye', flush=True)\n",
+    )?;
+    let error = failing(work.path(), &goodbye);
+    assert!(
+        error.contains("after the answer to its last message") && error.contains("goodbye"),
+        "{error}"
+    );
+    Ok(())
 }
 
 #[test]

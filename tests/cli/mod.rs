@@ -1,7 +1,10 @@
 //! The program as its user runs it: output, exit codes, files.
 
+mod advice;
 mod agents;
 mod ask;
+#[cfg(unix)]
+mod children;
 mod code;
 mod columns;
 mod errors;
@@ -17,6 +20,9 @@ mod results;
 mod scenarios;
 mod settings;
 mod shards;
+#[cfg(unix)]
+mod streams;
+mod wild;
 
 use crate::outside::{Missing, Needy, data};
 use assert_cmd::Command;

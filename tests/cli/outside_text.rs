@@ -1,7 +1,8 @@
 //! Text, files and paths that others chose: nothing of them reaches the terminal unseen, waits
 //! forever or is written over.
 
-use super::{refused, run};
+use super::{SCENE, refused, run};
+use crate::endpoint::server::{Server, stream};
 use crate::outside::{Needy, data};
 use std::fs;
 use std::path::Path;
@@ -24,8 +25,130 @@ fn quick_run(out: &Path) {
 
 /// Whether a terminal would obey something in a text.
 fn is_obeyed(text: &str) -> bool {
-    text.chars()
-        .any(|c| c.is_control() && c != '\n' || ('\u{202a}'..='\u{202e}').contains(&c))
+    text.chars().any(|c| {
+        c.is_control() && !matches!(c, '\n' | '\t')
+            || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    })
+}
+
+/// What a terminal, a browser or Markdown would obey.
+const HOSTILE: &str = "ok\u{1b}]0;owned\u{7}\u{1b}[2J\u{9b}1m\u{1b}[1m\u{202e}\u{2066}\u{61c}<img src=x>|[a](http://b)";
+
+#[test]
+fn the_pieces_of_an_answer_are_shown() {
+    // An escape may be split between two pieces.
+    let pieces = [
+        "ok\u{1b}",
+        "[2J\u{1b}]0;x\u{7}",
+        "\u{202e}\u{2067}\r",
+        "\u{1b}[1mbold",
+    ];
+    let server = Server::always(move || stream(&pieces, true));
+    let work = TempDir::new().unwrap();
+    let description = work.path().join("m.toml");
+    let text = format!(
+        "name = 'm'\nprompt_set = 'paper'\n[source]\nendpoint = '{}'\nmodel = 'm'\ngrammar = 'none'\nimage_size = 336\n",
+        server.url()
+    );
+    fs::write(&description, text).unwrap();
+    for more in [&[][..], &["--json"]] {
+        let flags = ["ask", "What is ahead?", "--scenario", SCENE, "--model"];
+        let (code, stdout, stderr) =
+            run(&[&flags[..], &[description.to_str().unwrap()], more].concat());
+        assert_eq!(code, 0, "{stderr}");
+        assert!(
+            !is_obeyed(&stdout) && !is_obeyed(&stderr),
+            "{}",
+            stdout.escape_debug()
+        );
+        assert!(
+            stdout.contains("ok\\u001b[2J") && stdout.contains("\\u202e\\u2067"),
+            "{stdout}"
+        );
+    }
+}
+
+#[test]
+fn an_argument_is_shown_in_each_kind_of_error() {
+    let option = format!("--{HOSTILE}");
+    let value = format!("seed={HOSTILE}");
+    for arguments in [
+        &[HOSTILE][..],
+        &[option.as_str()],
+        &["simulate", &option],
+        &["simulate", HOSTILE],
+        &["simulate", "--limit", HOSTILE],
+        &["simulate", "--shard", HOSTILE],
+        &["simulate", "--quantize", HOSTILE],
+        &["simulate", "--planner", HOSTILE],
+        &["simulate", "--model", HOSTILE],
+        &["simulate", "--prompt-set", HOSTILE],
+        &["simulate", "--challenge", HOSTILE],
+        &["simulate", "--scenario", HOSTILE],
+        &["simulate", "--split", HOSTILE],
+        &["simulate", "--resume", HOSTILE],
+        &["simulate", "--set", HOSTILE],
+        &["simulate", "--set", &value],
+        &["report", HOSTILE],
+        &["render", HOSTILE, "--png", "x.png"],
+        &["compare", HOSTILE, HOSTILE],
+        &["scenarios", "show", HOSTILE],
+        &["study", HOSTILE],
+        &["completions", HOSTILE],
+        &["models", "show", HOSTILE],
+    ] {
+        let said = refused(arguments);
+        assert!(!is_obeyed(&said), "{arguments:?}: {}", said.escape_debug());
+        assert!(
+            said.contains("\\u001b") || !said.contains("owned"),
+            "{said}"
+        );
+    }
+}
+
+#[test]
+fn tables_of_markdown_and_csv_hold_text_and_nothing_else() {
+    let work = TempDir::new().unwrap();
+    let out = work.path().join("run");
+    quick_run(&out);
+    // The planner of a stranger's record is any text.
+    let folder = crate::runner::simulations(&out).remove(0);
+    let record = folder.join("record.toml");
+    let text = fs::read_to_string(&record).unwrap();
+    let formula = format!("=1+1{HOSTILE}");
+    let hostile: String = text
+        .lines()
+        .map(|line| match line.split_once(" = ") {
+            Some(("scenario" | "scenario_type" | "log_name", _)) => {
+                let (key, _) = line.split_once(' ').unwrap();
+                format!("{key} = {}\n", toml::Value::String(formula.clone()))
+            }
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    fs::write(&record, hostile).unwrap();
+    let out = out.to_str().unwrap();
+    for arguments in [
+        &["compare", out, out][..],
+        &["compare", out, out, "--csv"],
+        &["compare", out, out, "--json"],
+        &["compare", out, out, "--by-type"],
+        &["report", out],
+        &["simulate", "--resume", out],
+    ] {
+        let (_, stdout, stderr) = run(arguments);
+        assert!(
+            !is_obeyed(&stdout) && !is_obeyed(&stderr),
+            "{arguments:?}: {}",
+            stdout.escape_debug()
+        );
+        if arguments.contains(&"--csv") {
+            assert!(
+                stdout.contains("'=1+1") && !stdout.contains(",=1"),
+                "{stdout}"
+            );
+        }
+    }
 }
 
 #[test]

@@ -102,15 +102,15 @@ fn sources_name_decisions_that_exist_and_every_research_decision_is_named() {
             }
         }
     }
-    // Those that explain a format or a process, and no constant or setting.
-    let of_no_constant = ["105-", "125-"];
+    // It explains the format of a dataset, and no constant or setting.
+    let of_no_source = ["125-"];
     for page in markdown(&root().join("docs/decisions")) {
         let page = page.file_name().unwrap().to_str().unwrap().to_owned();
         let needs_name =
-            page.starts_with('1') && !of_no_constant.iter().any(|number| page.starts_with(number));
+            page.starts_with('1') && !of_no_source.iter().any(|number| page.starts_with(number));
         assert!(
             !needs_name || named.contains(&page),
-            "no constant names docs/decisions/{page}"
+            "no source names docs/decisions/{page}"
         );
     }
 }

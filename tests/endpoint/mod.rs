@@ -3,6 +3,7 @@
 mod deadline;
 mod key;
 mod llama_cpp;
+mod probe;
 mod questions;
 pub(crate) mod server;
 mod simulation;

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -35,10 +35,26 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// `react` gets the index of each request.
+    /// `react` gets the index of each request. The short questions before a run are answered well,
+    /// and not counted.
     pub(crate) fn start(
         react: impl Fn(usize, &Received) -> Reaction + Send + Sync + 'static,
     ) -> Self {
+        Self::listening(react, true)
+    }
+
+    /// A server whose `react` gets the short questions before a run, too.
+    pub(crate) fn probed(
+        react: impl Fn(usize, &Received) -> Reaction + Send + Sync + 'static,
+    ) -> Self {
+        Self::listening(react, false)
+    }
+
+    fn listening(
+        react: impl Fn(usize, &Received) -> Reaction + Send + Sync + 'static,
+        answers_probes: bool,
+    ) -> Self {
+        let probes = answers_probes.then(|| Arc::new(AtomicUsize::new(0)));
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap().to_string();
         let received = Arc::new(Mutex::new(Vec::new()));
@@ -53,7 +69,16 @@ impl Server {
                     }
                     let (received, stop, react) =
                         (Arc::clone(&received), Arc::clone(&stop), Arc::clone(&react));
-                    std::thread::spawn(move || serve(stream.unwrap(), &received, &stop, &*react));
+                    let probes = probes.clone();
+                    std::thread::spawn(move || {
+                        serve(
+                            stream.unwrap(),
+                            &received,
+                            &stop,
+                            &*react,
+                            probes.as_deref(),
+                        );
+                    });
                 }
             })
         };
@@ -97,10 +122,19 @@ fn serve(
     received: &Mutex<Vec<Received>>,
     stop: &AtomicBool,
     react: &(dyn Fn(usize, &Received) -> Reaction + Send + Sync),
+    probes: Option<&AtomicUsize>,
 ) {
     let Some(request) = read(&mut stream) else {
         return;
     };
+    if let Some(probes) = probes.filter(|_| is_probe(&request)) {
+        let number = probes.fetch_add(1, Ordering::SeqCst);
+        let color = ["red", "blue"][number % 2];
+        if let Reaction::Send(bytes) = completion(color) {
+            let _ = stream.write_all(&bytes);
+        }
+        return;
+    }
     let number = {
         let mut received = received.lock().unwrap();
         received.push(request.clone());
@@ -120,6 +154,11 @@ fn serve(
             }
         }
     }
+}
+
+/// Whether a request is one of the short questions that come before a run.
+pub(crate) fn is_probe(request: &Received) -> bool {
+    request.body["messages"][0]["content"] == "You answer with one word."
 }
 
 /// Reads head and body; `None` if the client disconnected.

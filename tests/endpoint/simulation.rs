@@ -8,30 +8,30 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 /// A generated scene of 15 s; a planning call every 2 s.
-const SCENE: &str = "generated/high_magnitude_speed/1";
+pub(super) const SCENE: &str = "generated/high_magnitude_speed/1";
 /// An answer that parses in every round.
-const ANSWER: &str = "Longitudinal: maintain, because the road is free\nLateral: keep, because it serves\n\
+pub(super) const ANSWER: &str = "Longitudinal: maintain, because the road is free\nLateral: keep, because it serves\n\
     Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1.0, dec=3.0)";
 /// The API key, which no file and no message may contain.
 const KEY: &str = "sk-test-3f9a-secret";
 
 /// A run folder with its inputs.
-struct Run {
+pub(super) struct Run {
     folder: TempDir,
-    code: i32,
-    stderr: String,
+    pub(super) code: i32,
+    pub(super) stderr: String,
 }
 
 impl Run {
     /// Simulates the scene with this description and configuration.
-    fn with(description: &str, config: &str) -> Self {
+    pub(super) fn with(description: &str, config: &str) -> Self {
         let folder = TempDir::new().unwrap();
         let model = folder.path().join("server.toml");
         fs::write(&model, description).unwrap();
         Self::finished(folder, model.to_str().unwrap(), config)
     }
 
-    fn finished(folder: TempDir, model: &str, config: &str) -> Self {
+    pub(super) fn finished(folder: TempDir, model: &str, config: &str) -> Self {
         let path = folder.path().join("planagent.toml");
         fs::write(&path, config).unwrap();
         let output = planagent()
@@ -57,15 +57,15 @@ impl Run {
         }
     }
 
-    fn path(&self) -> PathBuf {
+    pub(super) fn path(&self) -> PathBuf {
         self.folder.path().join("run")
     }
 
-    fn summary(&self) -> Value {
+    pub(super) fn summary(&self) -> Value {
         read_json(&self.path().join("summary.json"))
     }
 
-    fn calls(&self) -> Vec<Value> {
+    pub(super) fn calls(&self) -> Vec<Value> {
         let text = fs::read_to_string(self.path().join("calls.jsonl")).unwrap();
         text.lines()
             .map(|line| serde_json::from_str(line).unwrap())
@@ -90,7 +90,7 @@ impl Run {
     }
 }
 
-fn description(server: &Server, more: &str) -> String {
+pub(super) fn description(server: &Server, more: &str) -> String {
     format!(
         "name = 'server'\nprompt_set = 'compact'\nsource = {{ endpoint = '{}', model = 'm', grammar = 'gbnf', \
          key_env = 'TEST_KEY', first_wait_ms = 1{more} }}\n",
@@ -192,14 +192,16 @@ fn retries_complete_a_simulation() {
 }
 
 #[test]
-fn a_refused_key_fails_the_simulation_and_a_missing_one_the_start() {
-    let server = Server::always(|| {
+fn a_refused_key_fails_the_start_or_the_simulation_and_a_missing_one_the_start() {
+    let refusal = || {
         error(
             "401 Unauthorized",
             "",
             &format!("Incorrect API key provided: {KEY}"),
         )
-    });
+    };
+    // The key that expires after the run began.
+    let server = Server::always(refusal);
     let run = Run::with(&description(&server, ""), "");
     assert_eq!(run.code, 1, "{}", run.stderr);
     let row = &run.summary()["scenarios"][0];
@@ -210,6 +212,17 @@ fn a_refused_key_fails_the_simulation_and_a_missing_one_the_start() {
         "{error}"
     );
     assert!(!run.everything().contains(KEY));
+
+    let server = Server::probed(move |_, _| refusal());
+    let run = Run::with(&description(&server, ""), "");
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    assert!(
+        run.stderr
+            .contains("status 401: Incorrect API key provided: [key]"),
+        "{}",
+        run.stderr
+    );
+    assert!(!run.path().exists() && server.received().len() == 1);
 
     let other = description(&server, "").replace("TEST_KEY", "PLANAGENT_NO_SUCH_KEY");
     let run = Run::with(&other, "");

@@ -311,7 +311,7 @@ fn paths_trees_and_plans_are_those_of_the_original() {
         }
         let inputs = ActorFeatures::from_scene(&view, 80.0).inputs().unwrap();
         let start = [view.ego.velocity.x as f32, view.ego.acceleration.x as f32];
-        let tree = scored_tree(&network, &inputs, (&courses, limit), start, 0).unwrap();
+        let tree = scored_tree(&network, &inputs, &courses, limit, start, 0).unwrap();
         for (stage, (branches, scores)) in [("stage1", &tree.first), ("stage2", &tree.second)] {
             let expected = file
                 .get(&format!("{name}.{stage}.leaf_trajectories"))

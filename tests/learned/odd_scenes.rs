@@ -259,7 +259,7 @@ fn plans_are_finite() {
         let (courses, limit) = paths(scene);
         assert!(courses.len() <= 3, "{name}");
         let start = [scene.ego.velocity.x as f32, scene.ego.acceleration.x as f32];
-        if let Ok(tree) = scored_tree(&dtpp, &inputs, (&courses, limit), start, 1) {
+        if let Ok(tree) = scored_tree(&dtpp, &inputs, &courses, limit, start, 1) {
             assert!(
                 tree.best.len() == 80
                     && tree

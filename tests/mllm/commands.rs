@@ -248,6 +248,59 @@ fn what_cannot_be_done_says_why() {
 }
 
 #[test]
+fn what_says_how_a_model_is_asked_is_checked_too() {
+    let folder = tempfile::tempdir().unwrap();
+    for entry in std::fs::read_dir(fixture("tiny_llava")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_file() {
+            std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
+        }
+    }
+    let place = folder.path().to_str().unwrap();
+    for (settings, expected) in [
+        ("{\"prompts\": \"compact\"}", "planagent.json"),
+        ("{\"prompt_set\": \"no-such-set\"}", "no-such-set"),
+    ] {
+        std::fs::write(folder.path().join("planagent.json"), settings).unwrap();
+        let checked = &lines(&["models", "check", place, "--json"], 1)[0];
+        let problems = checked["problems"].as_array().unwrap();
+        assert!(
+            problems.len() == 1 && problems[0].as_str().unwrap().contains(expected),
+            "{checked}"
+        );
+    }
+}
+
+#[test]
+fn a_refused_file_says_what_it_is_and_how_large() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("tiny.gguf");
+    let (from, to) = (fixture("tiny_llava"), file.to_str().unwrap());
+    let quantize = ["models", "quantize", from.to_str().unwrap(), "--to", "f16"];
+    planagent(&[&quantize[..], &["--out", to]].concat())
+        .assert()
+        .success();
+    // A decoder alone is a language model that sees nothing.
+    std::fs::remove_file(folder.path().join("mmproj-tiny.gguf")).unwrap();
+    let checked = planagent(&["models", "check", to]).assert().code(1);
+    let said = String::from_utf8_lossy(&checked.get_output().stdout).into_owned();
+    assert!(
+        said.contains("GGUF of architecture llama") && said.contains(" K parameters"),
+        "{said}"
+    );
+    assert!(
+        said.contains("a language model alone cannot be used here"),
+        "{said}"
+    );
+    let shown = planagent(&["models", "show", to]).assert().code(1);
+    let said = String::from_utf8_lossy(&shown.get_output().stdout).into_owned();
+    assert!(
+        said.contains("GGUF of architecture llama") && said.contains("K\n"),
+        "{said}"
+    );
+}
+
+#[test]
 fn a_plan_with_quantised_weights_says_how_they_are_held() {
     let output = planagent(&[
         "plan",

@@ -6,6 +6,8 @@ mod browser;
 mod chromium;
 mod files;
 #[cfg(unix)]
+mod hostile;
+#[cfg(unix)]
 mod layout;
 #[cfg(unix)]
 mod live;

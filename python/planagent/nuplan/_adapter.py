@@ -64,7 +64,7 @@ class _Adapter(Bound):
     """A planner of the devkit in one simulation."""
 
     def __init__(self, planner: Any) -> None:
-        self._planner = planner
+        self._planner, self.function = planner, planner.compute_trajectory
         self.reset()
 
     def reset(self) -> None:

@@ -25,9 +25,9 @@ mod sketch;
 pub use bev::{BevError, BevView};
 pub use choice::UnknownChoice;
 pub use facts::SceneFacts;
+pub use lane_graph::GraphedScene;
 pub use lane_graph::{
-    AgentName, CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph, LaneGraphError,
-    NodePlace,
+    AgentName, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, LaneGraphError, NodePlace,
 };
 pub use occupancy::OccupancyGrid;
 pub use text::{Description, TextForm};

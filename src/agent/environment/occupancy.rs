@@ -47,7 +47,8 @@ impl OccupancyGrid {
     }
 
     /// Whether an object touches a cell; not outside the grid.
-    pub fn is_occupied(&self, row: usize, column: usize) -> bool {
+    #[cfg(test)]
+    pub(crate) fn is_occupied(&self, row: usize, column: usize) -> bool {
         column < CELLS
             && self
                 .rows

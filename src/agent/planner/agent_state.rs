@@ -6,7 +6,7 @@ use super::code_question::begins_lane_change;
 use super::record::{Decision, NoPlan, PlanningCall};
 use super::{PlanAgentSettings, PlannerError, PlannerName};
 use crate::environment::lane_graph::ReturnLane;
-use crate::environment::{LaneGraph, LaneGraphError};
+use crate::environment::{GraphedScene, LaneGraph, LaneGraphError};
 use crate::reflection::{IdmPlan, PlanBuilder};
 use planagent_score::pdm::{PdmMemory, TRAJECTORY_STEPS};
 use planagent_world::{STEP_S, SceneView};
@@ -133,23 +133,20 @@ impl AgentState {
 
     /// Remembers the ego's lane where it leaves that to pass what blocks it, and forgets it when
     /// the ego is back.
-    pub(super) fn note_lane_change(
-        &mut self,
-        plan: &IdmPlan,
-        scene: &SceneView<'_>,
-        graph: &LaneGraph,
-    ) {
-        self.return_lane
-            .take_if(|lane| lane.is_reached(scene, graph));
-        if plan.oncoming().is_none() && begins_lane_change(plan, scene, graph, self) {
-            self.return_lane = ReturnLane::from_graph(graph).or(self.return_lane.take());
+    pub(super) fn note_lane_change(&mut self, plan: &IdmPlan, seen: GraphedScene<'_>) {
+        self.return_lane.take_if(|lane| lane.is_reached(seen));
+        if plan.oncoming().is_none() && begins_lane_change(plan, seen, self) {
+            self.return_lane = ReturnLane::from_graph(seen.graph).or(self.return_lane.take());
         }
     }
 
     /// Extends the path of the active plan from the ego's present place, if there is a lane graph.
     pub(super) fn extend(&mut self, scene: &SceneView<'_>) -> Result<(), PlannerError> {
         if let (Some(plan), Ok(graph)) = (self.active_plan(), self.lane_graph(scene)) {
-            self.active = self.builder.extend(plan, scene, &graph)?.into();
+            self.active = self
+                .builder
+                .extend(plan, GraphedScene::new(scene, &graph))?
+                .into();
         }
         Ok(())
     }

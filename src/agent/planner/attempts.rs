@@ -2,6 +2,7 @@
 
 use super::PlannerError;
 use super::record::{Attempt, Proposal};
+use super::unreadable::Unreadable;
 use crate::reasoning::{Feedback, Interruption, PlannerAnswer, ReasoningError, ReasoningTrace};
 use crate::reflection::{ReflectionReport, Verdict};
 use planagent_mllm::milliseconds;
@@ -143,6 +144,13 @@ impl<P> Attempts<P> {
     /// The first attempt whose plan is accepted.
     pub(super) fn accepted(&self) -> Option<usize> {
         self.tried.iter().position(Tried::is_accepted)
+    }
+
+    /// What is wrong with the last attempt, where none has a plan.
+    pub(super) fn unreadable(&self) -> Unreadable {
+        self.tried.last().map_or(Unreadable::NoAttempt, |tried| {
+            Unreadable::in_attempt(&tried.record)
+        })
     }
 
     /// The last attempt with a plan.

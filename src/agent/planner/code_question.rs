@@ -4,10 +4,9 @@ use super::PlannerError;
 use super::agent_state::AgentState;
 use super::attempts::{Question, Trial};
 use super::code_source::Codes;
-use crate::environment::{GraphedScene, LaneGraph};
+use crate::environment::GraphedScene;
 use crate::reasoning::{Feedback, PlannerCode, ReasoningError, ReasoningTrace};
 use crate::reflection::{IdmPlan, Judge};
-use planagent_world::SceneView;
 
 /// The planner codes of a planning call, and Reflection on their plans.
 pub(super) struct CodeQuestion<'a> {
@@ -31,17 +30,20 @@ impl Question for CodeQuestion<'_> {
         self.codes.next(feedback)
     }
 
+    /// Builds the plan of a code and judges it. It ends a lane change where the active plan does
+    /// (docs/decisions/124-lane-changes-go-on.md). A lane change, and a plan that stays in a
+    /// blocked lane, need a higher score (docs/decisions/122-before-what-stands.md).
     fn try_out(&mut self, code: PlannerCode) -> Result<Option<Trial<IdmPlan>>, PlannerError> {
         let builder = &self.state.builder;
         let GraphedScene { scene, graph } = self.seen;
-        let Some(mut plan) = builder.build(scene, graph, code)? else {
+        let Some(mut plan) = builder.build(self.seen, code)? else {
             return Ok(None);
         };
         if let Some(active) = self.state.active_plan() {
             plan = plan.after(active, scene, builder.horizon_s)?;
         }
         let (lane_kept, lane_changed) = self.thresholds;
-        let changes_lane = begins_lane_change(&plan, scene, graph, self.state);
+        let changes_lane = begins_lane_change(&plan, self.seen, self.state);
         let is_towards_goal = graph
             .goal
             .is_some_and(|goal| goal.is_towards(code.centerline.lane_changes()));
@@ -68,10 +70,10 @@ impl Question for CodeQuestion<'_> {
 /// Whether a plan is bound for another lane than the ego's and the active plan's.
 pub(super) fn begins_lane_change(
     plan: &IdmPlan,
-    scene: &SceneView<'_>,
-    graph: &LaneGraph,
+    seen: GraphedScene<'_>,
     state: &AgentState,
 ) -> bool {
+    let GraphedScene { scene, graph } = seen;
     if plan.oncoming().is_some() {
         return state
             .active_plan()

@@ -1,28 +1,13 @@
-//! Where the agent's planner codes come from: a vision-language model, or a baseline without one.
+//! Where the agent's planner codes come from: a vision-language model, a person, or a list without a
+//! model.
 
-use crate::environment::{AgentName, CenterlineName, LaneGraph};
+use crate::environment::LaneGraph;
 use crate::reasoning::{
-    ACCELERATIONS, AnswerHistory, DECELERATIONS, Feedback, Names, Parsed, PlannerCode, PromptSet,
-    Reasoning, ReasoningError, ReasoningSettings, ReasoningTrace, ScenarioPrompt, parse,
-    target_speeds,
+    AnswerHistory, Feedback, Names, Parsed, PlannerCode, PromptSet, Reasoning, ReasoningError,
+    ReasoningSettings, ReasoningTrace, ScenarioPrompt, parse,
 };
 use planagent_mllm::{Deadline, Mllm};
-use rand::seq::IndexedRandom;
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64Mcg;
-use std::sync::{Arc, Mutex, PoisonError};
-
-/// acc and dec of the fixed code, m/s²; the label search of nano prefers them too.
-pub const DEFAULT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
-/// Desired speeds of the grid, as fractions of the limit.
-const GRID_SPEEDS: [f64; 7] = [1.0, 0.85, 0.7, 0.55, 0.4, 0.2, 0.0];
-/// Pairs of acc and dec of the grid, m/s²: default, gentle, firm, emergency.
-const GRID_ACCELERATIONS: [(f64, f64); 4] =
-    [DEFAULT_ACCELERATIONS, (1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
-/// Maximum number of codes that a model proposes.
-const FOUR: usize = 4;
-/// Limit where the map has none, m/s.
-const FALLBACK_LIMIT: f64 = 15.0;
+use std::sync::Arc;
 
 /// The source of an agent's planner codes.
 #[derive(Clone)]
@@ -35,38 +20,35 @@ pub enum CodeSource {
         prompts: Arc<PromptSet>,
         reasoning: ReasoningSettings,
     },
-    /// A baseline: each attempt is drawn uniformly from the codes that the grammar allows.
-    Random,
-    /// A baseline: the best of four random codes, as many as a model proposes at most.
-    RandomFour,
-    /// A baseline: always the ego's lane at the speed limit, in one attempt.
-    Fixed,
-    /// A baseline: the code of a grid that Reflection scores best. Earlier codes win ties: the
-    /// ego's lane before others, fast before slow.
-    Grid,
-    /// A baseline: the best of four codes that do not look: each lane at the limit, then the ego's
-    /// lane more slowly.
-    GridFour,
     /// One line that a person wrote, in one attempt.
     Written(String),
-    /// A baseline: a code that was found outside of the agent, in one attempt; the fixed one where
-    /// none was.
-    Handed(HandedCode),
+    /// Codes without a model, as controls give them.
+    Listed(Arc<dyn CodeList>),
 }
 
-/// A code that is handed to an agent before its next planning call.
-#[derive(Debug, Clone, Default)]
-pub struct HandedCode(Arc<Mutex<Option<PlannerCode>>>);
+/// Lists the planner codes of a planning call without a model.
+pub trait CodeList: Send + Sync {
+    /// The codes in order, one for each attempt.
+    fn codes(&self, call: &CodeCall<'_>) -> Vec<PlannerCode>;
 
-impl HandedCode {
-    /// Hands a code over, or none.
-    pub fn hand(&self, code: Option<PlannerCode>) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = code;
+    /// Whether all codes are tried out and the best one is taken, the earlier of equals. Otherwise
+    /// the first one that Reflection accepts is taken.
+    fn compares(&self) -> bool {
+        false
     }
+}
 
-    fn take(&self) -> Option<PlannerCode> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
-    }
+/// The planning call that a list of codes is for.
+#[derive(Debug, Clone, Copy)]
+pub struct CodeCall<'a> {
+    /// The lane graph of the scene.
+    pub graph: &'a LaneGraph,
+    /// What a code may name in the scene.
+    pub names: &'a Names,
+    /// Seed of the call.
+    pub seed: u64,
+    /// Maximum number of attempts of an agent that does not compare.
+    pub attempts: usize,
 }
 
 impl CodeSource {
@@ -88,7 +70,7 @@ impl CodeSource {
 
     /// Whether all of its codes are tried out and the best one is taken.
     pub(super) fn compares(&self) -> bool {
-        matches!(self, Self::Grid | Self::GridFour | Self::RandomFour)
+        matches!(self, Self::Listed(list) if list.compares())
     }
 
     /// Whether its codes may name the oncoming lane. A model's prompt set says so, unless the
@@ -102,8 +84,7 @@ impl CodeSource {
         }
     }
 
-    /// Begins a planning call; a grid gives all of its codes. `history` has the answers of the
-    /// simulation so far.
+    /// Begins a planning call. `history` has the answers of the simulation so far.
     pub(super) fn open<'a>(
         &'a self,
         scenario: &'a ScenarioPrompt,
@@ -115,7 +96,7 @@ impl CodeSource {
         }: CodesAsked,
         history: &'a mut AnswerHistory,
     ) -> Result<Codes<'a>, ReasoningError> {
-        let codes = match self {
+        Ok(match self {
             Self::Model {
                 model,
                 prompts,
@@ -130,19 +111,19 @@ impl CodeSource {
                     deadline,
                     history,
                 )?;
-                return Ok(Codes::Reasoned(Box::new(reasoning)));
+                Codes::Reasoned(Box::new(reasoning))
             }
-            Self::Random => random_codes(&scenario.names, seed, attempts),
-            Self::Fixed => fixed_code(graph),
-            Self::RandomFour => random_codes(&scenario.names, seed, FOUR),
-            Self::Grid => grid(graph),
-            Self::GridFour => grid_of_four(graph),
-            Self::Handed(code) => code
-                .take()
-                .map_or_else(|| fixed_code(graph), |code| vec![code]),
-            Self::Written(line) => return Ok(Codes::Written(Some(parse(line, &scenario.names)))),
-        };
-        Ok(Codes::Listed(codes.into_iter()))
+            Self::Written(line) => Codes::Written(Some(parse(line, &scenario.names))),
+            Self::Listed(list) => {
+                let call = CodeCall {
+                    graph,
+                    names: &scenario.names,
+                    seed,
+                    attempts,
+                };
+                Codes::Listed(list.codes(&call).into_iter())
+            }
+        })
     }
 }
 
@@ -173,80 +154,5 @@ impl Codes<'_> {
             Self::Listed(codes) => Ok(codes.next().map(ReasoningTrace::without_rounds)),
             Self::Written(parsed) => Ok(parsed.take().map(ReasoningTrace::of_parsed)),
         }
-    }
-}
-
-fn random_codes(names: &Names, seed: u64, attempts: usize) -> Vec<PlannerCode> {
-    let mut random = Pcg64Mcg::seed_from_u64(seed);
-    let lead_agents: Vec<Option<AgentName>> = names
-        .lead_agents
-        .iter()
-        .copied()
-        .map(Some)
-        .chain([None])
-        .collect();
-    let draw = |_| {
-        Some(PlannerCode {
-            centerline: *names.centerlines.choose(&mut random)?,
-            lead_agent: *lead_agents.choose(&mut random)?,
-            target_speed: f64::from(random.random_range(target_speeds(names))),
-            accel_max: *ACCELERATIONS.choose(&mut random)?,
-            decel_max: *DECELERATIONS.choose(&mut random)?,
-        })
-    };
-    (0..attempts).map_while(draw).collect()
-}
-
-fn fixed_code(graph: &LaneGraph) -> Vec<PlannerCode> {
-    vec![planner_code(
-        graph,
-        CenterlineName::EgoLane,
-        1.0,
-        DEFAULT_ACCELERATIONS,
-    )]
-}
-
-fn grid(graph: &LaneGraph) -> Vec<PlannerCode> {
-    let mut centerlines: Vec<CenterlineName> =
-        graph.named().map(|centerline| centerline.name).collect();
-    centerlines.sort_by_key(|&name| name != CenterlineName::EgoLane);
-    let mut codes = Vec::new();
-    for centerline in centerlines {
-        for fraction in GRID_SPEEDS {
-            for accelerations in GRID_ACCELERATIONS {
-                codes.push(planner_code(graph, centerline, fraction, accelerations));
-            }
-        }
-    }
-    codes.dedup();
-    codes
-}
-
-/// Each lane at the limit, then the ego's lane more slowly: the first four.
-fn grid_of_four(graph: &LaneGraph) -> Vec<PlannerCode> {
-    let lanes = graph.named().map(|centerline| (centerline.name, 1.0));
-    let slower = GRID_SPEEDS[1..]
-        .iter()
-        .step_by(2)
-        .map(|&fraction| (CenterlineName::EgoLane, fraction));
-    let code = |(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS);
-    lanes.chain(slower).map(code).take(FOUR).collect()
-}
-
-/// The code for a centerline of the scene behind its lead agent, at a fraction of the speed limit
-/// (whole m/s).
-pub fn planner_code(
-    graph: &LaneGraph,
-    centerline: CenterlineName,
-    fraction: f64,
-    (accel_max, decel_max): (f64, f64),
-) -> PlannerCode {
-    let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
-    PlannerCode {
-        centerline,
-        lead_agent: graph.lead_agent(centerline).map(|agent| agent.name),
-        target_speed: (fraction * limit).round(),
-        accel_max,
-        decel_max,
     }
 }

@@ -5,6 +5,7 @@ use super::agent_state::ActivePlan;
 use super::latency::Latency;
 use super::layer::{AgentLayer, forward};
 use super::{PlannerError, PlannerInput};
+use crate::environment::GraphedScene;
 use planagent_world::Trajectory;
 use std::time::Instant;
 
@@ -76,7 +77,8 @@ impl<A: AgentLayer> AgentLayer for Delayed<A> {
         let scene = &input.scene;
         let state = self.inner.state_mut();
         if let (ActivePlan::None, Ok(graph)) = (&state.active, state.lane_graph(scene)) {
-            let plan = state.builder.keep_lane_and_speed(scene, &graph)?;
+            let seen = GraphedScene::new(scene, &graph);
+            let plan = state.builder.keep_lane_and_speed(seen)?;
             state.active = plan.map_or(ActivePlan::None, ActivePlan::from);
         }
         let plan = self.inner.plan(input, started)?;

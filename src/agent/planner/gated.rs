@@ -40,7 +40,8 @@ impl<A: AgentLayer> AgentLayer for Gated<A> {
         };
         let at_s = state.clock.elapsed_s(input.scene.ego.time_us);
         let call = PlanningCall::without_attempts(
-            (input.iteration, at_s),
+            input.iteration,
+            at_s,
             Decision::Gated(score),
             milliseconds(started.elapsed()),
         );

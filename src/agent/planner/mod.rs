@@ -6,6 +6,7 @@ mod attempts;
 mod clock;
 mod code_question;
 mod code_source;
+mod codes;
 mod delayed;
 mod error;
 mod exec;
@@ -24,13 +25,15 @@ mod pdm_closed_plus;
 mod plan_agent;
 mod plan_bounds;
 mod record;
-mod registry;
 mod settings;
 mod simple;
 mod stop;
+mod stop_switch;
+mod unreadable;
 
 pub use agent_state::{ActivePlan, AgentState};
-pub use code_source::{CodeSource, DEFAULT_ACCELERATIONS, HandedCode, planner_code};
+pub use code_source::{CodeCall, CodeList, CodeSource};
+pub use codes::{DEFAULT_ACCELERATIONS, fixed_code, grid_codes, plain_codes, planner_code};
 pub use delayed::Delayed;
 pub use error::PlannerError;
 pub use exec::{
@@ -50,14 +53,13 @@ pub use pdm_closed_plus::PdmClosedPlus;
 pub use plan_agent::PlanAgent;
 pub use plan_bounds::{PlanJump, check_plan};
 pub use record::{Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal, feedback};
-pub use registry::{
-    PlannerEntry, PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner, UsedSettings,
-};
 pub use settings::{
     AfterMaxExec, CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings,
     ReflectionSettings,
 };
 pub use simple::SimplePlanner;
+pub use stop_switch::StopSwitch;
+pub use unreadable::Unreadable;
 
 use crate::environment::BevView;
 use image::RgbImage;
@@ -112,6 +114,15 @@ pub trait Planner: Send {
     /// # Errors
     /// When no trajectory can be given.
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError>;
+
+    /// Called once after the last iteration of a simulation.
+    ///
+    /// # Errors
+    /// When the planner finds only now that its trajectories were wrong; the simulation fails with
+    /// it.
+    fn finish(&mut self) -> Result<(), PlannerError> {
+        Ok(())
+    }
 
     /// The planning calls since the last initialization; none for a planner that makes none.
     fn calls(&self) -> &[PlanningCall] {

@@ -4,7 +4,7 @@ use super::code_source::CodeSource;
 use super::settings::PlanAgentSettings;
 use super::{BevSource, PlannerError, PlannerName};
 use crate::environment::text::{self, Description};
-use crate::environment::{BevView, LaneGraph, bev};
+use crate::environment::{BevView, GraphedScene, bev};
 use crate::reasoning::{Names, ScenarioPrompt};
 use image::RgbImage;
 use planagent_world::SceneView;
@@ -23,22 +23,26 @@ impl ModelInput<'_> {
     /// model.
     pub(super) fn scenario_prompt(
         &self,
-        scene: &SceneView<'_>,
-        graph: &LaneGraph,
+        seen: GraphedScene<'_>,
     ) -> Result<ScenarioPrompt, PlannerError> {
+        let GraphedScene { scene, graph } = seen;
         let environment = &self.settings.environment;
         let form = self
             .source
             .prompts()
             .map(|prompts| prompts.forms().scene_text)
             .filter(|_| environment.lane_graph);
+        let description = form.map(|_| Description::from_graph(graph));
         let pixels = self.source.image_size().filter(|_| environment.bev);
         Ok(ScenarioPrompt {
             image: pixels
                 .map(|pixels| self.bev(scene, pixels))
                 .transpose()?
                 .map(Arc::new),
-            text: form.map(|form| text::write(&Description::from_graph(graph), form)),
+            text: form
+                .zip(description.as_ref())
+                .map(|(form, description)| text::write(description, form)),
+            description,
             names: Names::from_graph(graph),
             legend: bev::Palette::legend(),
         })

@@ -4,6 +4,7 @@
 use super::agent_state::ActivePlan;
 use super::layer::{AgentLayer, forward};
 use super::{PlannerError, PlannerInput};
+use crate::environment::GraphedScene;
 use crate::reflection::{IdmPlan, MonitoredStep, PlanMonitor};
 use planagent_world::{SceneView, Trajectory};
 use std::time::Instant;
@@ -35,7 +36,8 @@ impl<A: AgentLayer> Monitored<A> {
         let (Some(plan), Ok(graph)) = (state.active_plan(), state.lane_graph(scene)) else {
             return Ok(None);
         };
-        let Some(back) = state.builder.back_to_ego_lane(plan, scene, &graph)? else {
+        let seen = GraphedScene::new(scene, &graph);
+        let Some(back) = state.builder.back_to_ego_lane(plan, seen)? else {
             return Ok(None);
         };
         let step = self.monitor.step(scene, &back, &mut state.memory)?;

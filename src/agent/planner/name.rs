@@ -12,8 +12,6 @@ impl PlannerName {
     pub const PLAN_AGENT: Self = Self("plan-agent");
     /// PDM-Closed.
     pub const PDM_CLOSED: Self = Self("pdm-closed");
-    /// The control whose codes are tried out in the simulation itself.
-    pub const ORACLE_CODE: Self = Self("oracle-code");
 
     /// A name; it becomes part of file names.
     pub const fn new(name: &'static str) -> Self {

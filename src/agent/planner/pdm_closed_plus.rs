@@ -2,7 +2,7 @@
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::lane_graph::Centerline;
-use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
+use crate::environment::{DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph};
 use crate::reflection::{OvertakeRules, allowed_overtake};
 use planagent_score::pdm::{
     DrivableLayers, Overtake, PdmError, PdmMemory, ReferencePath, plan_among,
@@ -60,7 +60,8 @@ impl Planner for PdmClosedPlus {
             return Ok(plan_among(own, &[], None, scene, collided)?.trajectory);
         };
         let graph = graph.with_oncoming_lane(scene);
-        let oncoming = allowed_overtake(scene, &graph);
+        let seen = GraphedScene::new(scene, &graph);
+        let oncoming = allowed_overtake(seen);
         let others = paths_along(
             scene,
             own,
@@ -79,7 +80,7 @@ impl Planner for PdmClosedPlus {
             };
             plan_among(own, &others, Some(&overtake), scene, collided)?
         } else {
-            let stop = stop_before(scene, &graph);
+            let stop = stop_before(seen);
             let objects: Vec<TrackedObject> = scene.objects.iter().copied().chain(stop).collect();
             plan_among(
                 own,
@@ -132,7 +133,8 @@ const STOP_SIZE: (f64, f64) = (0.2, 1.0);
 
 /// What stands for the end of the way in a blocked lane: a barrier that makes the proposals stop
 /// where the ego can still leave the lane. None where the ego is beyond that place already.
-fn stop_before(scene: &SceneView<'_>, graph: &LaneGraph) -> Option<TrackedObject> {
+fn stop_before(seen: GraphedScene<'_>) -> Option<TrackedObject> {
+    let GraphedScene { scene, graph } = seen;
     let lane = &graph.ego_lane().path.centerline;
     let foot = lane.project(graph.stop_point()?);
     let is_ahead = foot.s > lane.project(PACIFICA.front_of(scene.ego.rear_axle)).s;

@@ -120,7 +120,7 @@ impl PlanAgent {
                 if attempts.accepted().is_none()
                     && settings.reflection.after_max_exec == AfterMaxExec::Best =>
             {
-                let extended = state.builder.extend(active, scene, graph)?;
+                let extended = state.builder.extend(active, seen)?;
                 Some(judge.reflect(&extended, threshold)?.score)
             }
             _ => None,
@@ -142,7 +142,9 @@ impl PlanAgent {
                 Decision::KeepActivePlan(NoPlan::Worse)
             }
             (None, None, Some(index)) => Decision::Exhausted(index),
-            (None, None, None) => self.state.keep_or_brake(NoPlan::Unreadable),
+            (None, None, None) => self
+                .state
+                .keep_or_brake(NoPlan::Unreadable(attempts.unreadable())),
         }
     }
 }
@@ -165,6 +167,9 @@ impl AgentLayer for PlanAgent {
         Ok(())
     }
 
+    /// One planning call. A refused plan that becomes active after the last attempt begins no lane
+    /// change: its code is executed in the ego's lane.
+    /// Why: docs/decisions/102-lane-change-threshold.md.
     fn plan(
         &mut self,
         input: &PlannerInput<'_>,
@@ -184,9 +189,7 @@ impl AgentLayer for PlanAgent {
                     .keep_or_brake(NoPlan::NoLaneGraph(error.to_string()));
                 let total_ms = milliseconds(started.elapsed());
                 self.state.calls.push(PlanningCall::without_attempts(
-                    (iteration, at_s),
-                    decision,
-                    total_ms,
+                    iteration, at_s, decision, total_ms,
                 ));
                 return Ok(None);
             }
@@ -204,34 +207,24 @@ impl AgentLayer for PlanAgent {
             settings,
             shuffled_bev: shuffled_bev.as_ref(),
         };
-        let prompt = input.scenario_prompt(scene, &graph)?;
+        let seen = GraphedScene::new(scene, &graph);
+        let prompt = input.scenario_prompt(seen)?;
         let environment_ms = milliseconds(started.elapsed());
         let seed = self.settings.call_seed(iteration);
-        let (attempts, active) = self.attempt(
-            GraphedScene {
-                scene,
-                graph: &graph,
-            },
-            &prompt,
-            seed,
-            deadline,
-        )?;
+        let (attempts, active) = self.attempt(seen, &prompt, seed, deadline)?;
         let decision = self.decide(&attempts, active);
         let (attempts, mut plan) = attempts.into_records(decision.attempt());
         let mut aborted_lane_change = None;
         // A refused plan may become active, but must not begin a lane change.
         if let (Decision::Exhausted(_), AfterMaxExec::Best, Some(refused)) =
             (&decision, self.settings.reflection.after_max_exec, &plan)
-            && begins_lane_change(refused, scene, &graph, &self.state)
-            && let Some(back) = self
-                .state
-                .builder
-                .back_to_ego_lane(refused, scene, &graph)?
+            && begins_lane_change(refused, seen, &self.state)
+            && let Some(back) = self.state.builder.back_to_ego_lane(refused, seen)?
         {
             (plan, aborted_lane_change) = (Some(back), Some(iteration));
         }
         if let Some(plan) = &plan {
-            self.state.note_lane_change(plan, scene, &graph);
+            self.state.note_lane_change(plan, seen);
         }
         self.state.calls.push(PlanningCall {
             iteration,

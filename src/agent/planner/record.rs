@@ -1,5 +1,6 @@
 //! The record that every planning call leaves.
 
+use super::unreadable::Unreadable;
 use crate::reasoning::{
     Feedback, Interruption, MotionInstruction, ParseError, PlannerAnswer, PromptForms, RoundRecord,
 };
@@ -80,7 +81,7 @@ pub enum NoPlan {
     /// The scene has no lane graph. The text says why.
     NoLaneGraph(String),
     /// No attempt gave a plan that can be read.
-    Unreadable,
+    Unreadable(Unreadable),
     /// PDM-Closed's own proposal scores no less than any answer.
     Outscored,
     /// All attempts were refused, and the active plan scores more than each of them.
@@ -90,11 +91,19 @@ pub enum NoPlan {
 }
 
 impl NoPlan {
+    /// What is wrong with the answer that could not be read.
+    pub fn unreadable(&self) -> Option<Unreadable> {
+        match self {
+            Self::Unreadable(why) => Some(*why),
+            _ => None,
+        }
+    }
+
     /// Its name in records.
     pub fn cause(&self) -> &'static str {
         match self {
             Self::NoLaneGraph(_) => "no_lane_graph",
-            Self::Unreadable => "unreadable",
+            Self::Unreadable(_) => "unreadable",
             Self::Outscored => "outscored",
             Self::Worse => "worse",
             Self::Interrupted(Interruption::Deadline) => "deadline",
@@ -106,7 +115,9 @@ impl NoPlan {
 impl fmt::Display for NoPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unreadable => f.write_str("no attempt gave a plan that can be read"),
+            Self::Unreadable(why) => {
+                write!(f, "no attempt gave a plan that can be read: {why}")
+            }
             Self::Outscored => {
                 f.write_str("PDM-Closed's own proposal scores no less than any answer")
             }
@@ -248,7 +259,8 @@ impl PlanningCall {
     /// A call at an iteration and a time that ended before the first attempt.
     #[doc(hidden)]
     pub fn without_attempts(
-        (iteration, at_s): (usize, f64),
+        iteration: usize,
+        at_s: f64,
         decision: Decision,
         total_ms: f64,
     ) -> Self {
@@ -298,6 +310,11 @@ impl PlanningCall {
             Some(NoPlan::Interrupted(why)) => Some(why),
             _ => None,
         }
+    }
+
+    /// What is wrong with the answers of a call that gave no plan for them.
+    pub fn unreadable(&self) -> Option<Unreadable> {
+        self.decision.no_plan().and_then(NoPlan::unreadable)
     }
 
     /// The attempt whose plan becomes active, if one does.

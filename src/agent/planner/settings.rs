@@ -5,6 +5,7 @@ use super::latency::Latency;
 use crate::environment::DEFAULT_NODE_LENGTH;
 use crate::reflection::{LeadPolicy, PlanMonitor, steps_of};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Which plan becomes active when all attempts were refused.
@@ -143,108 +144,48 @@ impl Default for ReflectionSettings {
     }
 }
 
-/// Section `learned`: the checkpoint of each learned planner, a file.
+/// Section `learned`: the checkpoint of each learned planner, a file. A key is the planner's name
+/// with `_` for `-`. Which planners there are, the registry knows.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LearnedSettings {
-    /// PDM-Open's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub pdm_open: Option<String>,
-    /// PDM-Hybrid's, of PDM-Offset.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub pdm_hybrid: Option<String>,
-    /// PlanTF's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub plantf: Option<String>,
-    /// UrbanDriver's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub urban_driver: Option<String>,
-    /// RasterModel's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub raster_model: Option<String>,
-    /// That of `raster-model-small`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub raster_model_small: Option<String>,
-    /// GC-PGP's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gc_pgp: Option<String>,
-    /// GameFormer's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gameformer: Option<String>,
-    /// That of `gameformer-small`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gameformer_small: Option<String>,
-    /// DTPP's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub dtpp: Option<String>,
-    /// That of `dtpp-small`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub dtpp_small: Option<String>,
-}
+#[serde(transparent)]
+pub struct LearnedSettings(BTreeMap<String, String>);
 
 impl LearnedSettings {
-    /// The checkpoint of a planner, by the planner's name; `None` where none is set, or the planner
-    /// needs none.
+    /// The key of a planner, by the planner's name.
+    pub fn key(planner: &str) -> String {
+        planner.replace('-', "_")
+    }
+
+    /// The checkpoint of a planner, by the planner's name; `None` where none is set.
     pub fn checkpoint(&self, planner: &str) -> Option<&str> {
-        match planner {
-            "pdm-open" => self.pdm_open.as_deref(),
-            "pdm-hybrid" => self.pdm_hybrid.as_deref(),
-            "plantf" => self.plantf.as_deref(),
-            "urban-driver" => self.urban_driver.as_deref(),
-            "raster-model" => self.raster_model.as_deref(),
-            "raster-model-small" => self.raster_model_small.as_deref(),
-            "gc-pgp" => self.gc_pgp.as_deref(),
-            "gameformer" => self.gameformer.as_deref(),
-            "gameformer-small" => self.gameformer_small.as_deref(),
-            "dtpp" => self.dtpp.as_deref(),
-            "dtpp-small" => self.dtpp_small.as_deref(),
-            _ => None,
-        }
+        self.0.get(&Self::key(planner)).map(String::as_str)
     }
 
-    /// The place for each planner's checkpoint, with the planner's name.
-    fn places(&mut self) -> [(&'static str, &mut Option<String>); 11] {
-        [
-            ("pdm-open", &mut self.pdm_open),
-            ("pdm-hybrid", &mut self.pdm_hybrid),
-            ("plantf", &mut self.plantf),
-            ("urban-driver", &mut self.urban_driver),
-            ("raster-model", &mut self.raster_model),
-            ("raster-model-small", &mut self.raster_model_small),
-            ("gc-pgp", &mut self.gc_pgp),
-            ("gameformer", &mut self.gameformer),
-            ("gameformer-small", &mut self.gameformer_small),
-            ("dtpp", &mut self.dtpp),
-            ("dtpp-small", &mut self.dtpp_small),
-        ]
-    }
-
-    /// The place for a planner's checkpoint; `None` for a planner that needs none.
-    pub fn checkpoint_mut(&mut self, planner: &str) -> Option<&mut Option<String>> {
-        self.places()
-            .into_iter()
-            .find_map(|(name, place)| (name == planner).then_some(place))
+    /// Sets the checkpoint of a planner, by the planner's name.
+    pub fn set(&mut self, planner: &str, file: String) {
+        self.0.insert(Self::key(planner), file);
     }
 
     /// The checkpoint of one planner alone.
     pub fn only(mut self, planner: &str) -> Self {
-        self.places()
-            .into_iter()
-            .filter(|(name, _)| *name != planner)
-            .for_each(|(_, place)| *place = None);
+        let own = Self::key(planner);
+        self.0.retain(|key, _| *key == own);
         self
+    }
+
+    /// The keys that are set.
+    pub fn keys(&self) -> impl Iterator<Item = &str> {
+        self.0.keys().map(String::as_str)
     }
 
     /// All checkpoints.
     pub fn all_mut(&mut self) -> impl Iterator<Item = &mut String> {
-        self.places()
-            .into_iter()
-            .filter_map(|(_, place)| place.as_mut())
+        self.0.values_mut()
     }
 
     /// Whether no checkpoint is set.
     pub fn is_empty(&self) -> bool {
-        *self == Self::default()
+        self.0.is_empty()
     }
 }
 

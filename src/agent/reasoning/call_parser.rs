@@ -17,6 +17,16 @@ pub struct ParseError {
     pub hint: String,
 }
 
+/// Begins the message about an answer without a call.
+const NO_CALL: &str = "no call of";
+
+impl ParseError {
+    /// Whether the answer has no call of the function at all.
+    pub(crate) fn is_of_no_call(&self) -> bool {
+        self.message.starts_with(NO_CALL)
+    }
+}
+
 impl fmt::Display for ParseError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
@@ -65,7 +75,7 @@ impl<'a> Call<'a> {
         let is_name = |s: &Spanned| matches!(&s.token, Token::Word(w) if w.eq_ignore_ascii_case(signature.function));
         let end = text.len();
         let Some(place) = tokens.iter().rposition(is_name) else {
-            let message = format!("no call of {}", signature.function);
+            let message = format!("{NO_CALL} {}", signature.function);
             return Err(ParseError {
                 span: end..end,
                 message,

@@ -35,19 +35,19 @@ pub struct Range {
 }
 
 /// `v0`: from standstill to more than any speed limit of nuPlan's maps.
-pub const TARGET_SPEED: Range = Range {
+pub(crate) const TARGET_SPEED: Range = Range {
     min: 0.0,
     max: 40.0,
     unit: "m/s",
 };
 /// `acc`: up to what a passenger car can give.
-pub const ACCEL_MAX: Range = Range {
+pub(crate) const ACCEL_MAX: Range = Range {
     min: 0.1,
     max: 5.0,
     unit: "m/s²",
 };
 /// `dec`: up to a full brake on dry road.
-pub const DECEL_MAX: Range = Range {
+pub(crate) const DECEL_MAX: Range = Range {
     min: 0.1,
     max: 9.0,
     unit: "m/s²",

@@ -10,6 +10,7 @@ mod code_parser;
 mod config;
 mod engine;
 mod error;
+mod fitting;
 mod grammar;
 mod history;
 mod instruction;
@@ -26,12 +27,13 @@ pub use assist::{
     Waypoint, Waypoints, parse_assistance,
 };
 pub use call_parser::ParseError;
-pub use code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range, TARGET_SPEED};
+pub use code::{FUNCTION, Names, PlannerCode, Range};
 pub use code_parser::{Parsed, parse};
 pub use config::{Proposals, ReasoningConfig};
+pub(crate) use engine::ReasoningTrace;
 pub use engine::{
-    Feedback, Interruption, Reasoning, ReasoningSettings, ReasoningTrace, RoundRecord,
-    ScenarioPrompt, feedback_text, round_prompt, system_prompt,
+    Feedback, Interruption, Reasoning, ReasoningSettings, RoundRecord, ScenarioPrompt,
+    feedback_text, round_prompt, system_prompt,
 };
 pub use error::{PromptError, ReasoningError};
 pub use grammar::{ACCELERATIONS, DECELERATIONS, target_speeds};

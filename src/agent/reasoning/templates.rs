@@ -1,13 +1,14 @@
 //! Compiled prompt templates.
 
 use super::error::PromptError;
-use minijinja::{Environment, UndefinedBehavior, Value};
+use minijinja::Value;
+use planagent_mllm::TemplateEngine;
 
 /// The templates of one set. A template that names a missing value cannot be rendered.
 #[derive(Debug)]
 pub(super) struct Templates {
     set: String,
-    environment: Environment<'static>,
+    engine: TemplateEngine,
 }
 
 impl Templates {
@@ -16,11 +17,10 @@ impl Templates {
         set: &str,
         templates: impl IntoIterator<Item = (&'static str, String)>,
     ) -> Result<Self, PromptError> {
-        let mut environment = Environment::new();
-        environment.set_undefined_behavior(UndefinedBehavior::Strict);
+        let mut engine = TemplateEngine::of_prompts();
         for (name, source) in templates {
-            environment
-                .add_template_owned(name, source)
+            engine
+                .add(name, source)
                 .map_err(|source| PromptError::Template {
                     set: set.to_owned(),
                     name,
@@ -29,7 +29,7 @@ impl Templates {
         }
         Ok(Self {
             set: set.to_owned(),
-            environment,
+            engine,
         })
     }
 
@@ -39,11 +39,8 @@ impl Templates {
 
     /// The text of a template, without white space around it.
     pub(super) fn render(&self, name: &'static str, context: Value) -> Result<String, PromptError> {
-        let rendered = self
-            .environment
-            .get_template(name)
-            .and_then(|template| template.render(context));
-        rendered
+        self.engine
+            .render(name, context, 0)
             .map(|text| text.trim().to_owned())
             .map_err(|source| PromptError::Template {
                 set: self.set.clone(),

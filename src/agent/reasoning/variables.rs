@@ -61,7 +61,8 @@ pub(super) fn assist_system(signature: &str, compact: bool) -> Value {
 /// Variables of LLM-ASSIST's `question`: the scene and the score of PDM-Closed's best proposal, and
 /// feedback on the last answer.
 pub(super) fn assist_question(
-    (scene_text, score): (&str, f64),
+    scene_text: &str,
+    score: f64,
     feedback: Option<&str>,
     compact: bool,
 ) -> Value {
@@ -147,7 +148,7 @@ mod tests {
             ),
             (
                 "LLM-ASSIST's question",
-                [Some(last), None].map(|last| assist_question((scene, 0.414), last, false)),
+                [Some(last), None].map(|last| assist_question(scene, 0.414, last, false)),
             ),
         ]
     }

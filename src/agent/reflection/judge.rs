@@ -249,6 +249,9 @@ impl<'a> Judge<'a> {
         self.assess_along(states, None, threshold)
     }
 
+    /// The report on the states of a roll-out. Progress is relative to PDM-Closed's proposals, as a
+    /// plan alone has no rivals.
+    /// Why: docs/decisions/105-progress-reference.md.
     fn assess_along(
         &self,
         states: Vec<EgoState>,

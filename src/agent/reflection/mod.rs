@@ -13,7 +13,8 @@ mod shift;
 
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
 pub use monitor::{Choice, MonitoredStep, PlanMonitor};
-pub use overtake::{OvertakeRules, allowed_overtake};
+pub use overtake::OvertakeRules;
+pub(crate) use overtake::allowed_overtake;
 pub use plan_builder::PlanBuilder;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 pub use rollout::{IdmPlan, LeadPolicy, Rollout, Version};

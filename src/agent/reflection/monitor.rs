@@ -51,7 +51,7 @@ impl MonitoredStep {
     /// Whether it keeps the rules of an overtake where `other` does not, or else avoids hard
     /// braking where `other` does not, or else has the higher score. Scores of hard braking say
     /// little: their progress is relative to versions that all collide.
-    pub fn is_better_than(&self, other: &Self) -> bool {
+    pub(crate) fn is_better_than(&self, other: &Self) -> bool {
         (!self.is_refused, !self.brakes, self.score)
             > (!other.is_refused, !other.brakes, other.score)
     }
@@ -142,6 +142,10 @@ impl PlanMonitor {
             }))
     }
 
+    /// The version to execute: the best one on the plan's own path where it scores λ, else the best
+    /// of all but the stop. The stop where that one is in danger or refused, and the stop scores
+    /// more.
+    /// Why: docs/decisions/101-monitoring.md.
     fn best(
         &self,
         scored: &[(Version, ProposalScore)],

@@ -3,7 +3,7 @@
 use super::plan_builder::PlanBuilder;
 use super::rollout::LeadPolicy;
 use crate::environment::lane_graph::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
-use crate::environment::{CenterlineName, LaneGraph};
+use crate::environment::{CenterlineName, GraphedScene};
 use planagent_score::pdm::{FALLBACK_LIMIT, OvertakeVerdict};
 use planagent_world::dynamics::IDM_AGENT;
 use planagent_world::geometry::{OrientedBox, Point, Pose};
@@ -47,7 +47,7 @@ impl<'a> OvertakeRules<'a> {
     }
 
     /// Whether the ego is beside what it passes: it completes the overtake, whatever comes.
-    pub fn has_begun(&self) -> bool {
+    pub(crate) fn has_begun(&self) -> bool {
         let front = self
             .lane
             .own
@@ -85,7 +85,7 @@ impl<'a> OvertakeRules<'a> {
         Some(
             is_past
                 && self.has_gap(front, returns)
-                && self.is_clear((poses[first], leaves), (front, returns)),
+                && self.is_clear(poses[first], leaves, front, returns),
         )
     }
 
@@ -104,10 +104,10 @@ impl<'a> OvertakeRules<'a> {
         })
     }
 
-    /// Whether nothing that comes is near when the ego is back. `leaves` and `returns`: places and
-    /// times of the ego. What comes may accelerate until then; whether it has passed before, its
+    /// Whether nothing that comes is near when the ego is back. The ego leaves its lane at `out` and
+    /// has its front back in it at `front`, after `leaves` and `returns` seconds. What comes may accelerate until then; whether it has passed before, its
     /// present speed says.
-    fn is_clear(&self, (out, leaves): (Pose, f64), (front, returns): (Point, f64)) -> bool {
+    fn is_clear(&self, out: Pose, leaves: f64, front: Point, returns: f64) -> bool {
         let line = &self.lane.traffic;
         let here = line.project(PACIFICA.front_of(self.scene.ego.rear_axle)).s;
         let (out, back) = (
@@ -132,17 +132,15 @@ impl<'a> OvertakeRules<'a> {
 }
 
 /// The oncoming lane past what blocks the ego's, if a plan at the limit may overtake there now.
-pub fn allowed_overtake<'g>(
-    scene: &SceneView<'_>,
-    graph: &'g LaneGraph,
-) -> Option<&'g OncomingLane> {
+pub(crate) fn allowed_overtake(seen: GraphedScene<'_>) -> Option<&OncomingLane> {
+    let GraphedScene { scene, graph } = seen;
     let lane = graph.oncoming.as_ref()?;
     let builder = PlanBuilder {
         lead_policy: LeadPolicy::Nearest,
         horizon_s: at(STEPS),
     };
     let plan = builder
-        .at_limit(scene, graph, CenterlineName::OncomingLane)
+        .at_limit(seen, CenterlineName::OncomingLane)
         .ok()??;
     let verdict = OvertakeRules::new(lane, scene).verdict(&plan.roll_out(scene, STEPS).poses);
     (verdict == OvertakeVerdict::Allowed).then_some(lane)
@@ -170,7 +168,7 @@ fn is_over_border(lane: &OncomingLane, ego: &OrientedBox) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::environment::DEFAULT_NODE_LENGTH;
+    use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
     use crate::reflection::{IdmPlan, Judge, MonitoredStep, PlanMonitor, ReflectionReport};
     use planagent_score::pdm::PdmMemory;
     use planagent_world::{Scene, SceneBuilder};
@@ -199,7 +197,10 @@ mod tests {
             .unwrap()
             .with_oncoming_lane(&view);
         (
-            BUILDER.at_limit(&view, &graph, name).unwrap().unwrap(),
+            BUILDER
+                .at_limit(GraphedScene::new(&view, &graph), name)
+                .unwrap()
+                .unwrap(),
             graph,
         )
     }

@@ -2,10 +2,9 @@
 
 use super::overtake::OvertakeRules;
 use super::rollout::{IdmPlan, LeadPolicy};
-use crate::environment::{AgentName, CenterlineName, LaneGraph};
+use crate::environment::{AgentName, CenterlineName, GraphedScene, LaneGraph};
 use crate::reasoning::PlannerCode;
 use planagent_score::pdm::FALLBACK_LIMIT;
-use planagent_world::SceneView;
 use planagent_world::geometry::GeometryError;
 
 /// Maximum acceleration and deceleration of an ego that keeps its lane and speed, m/s².
@@ -28,10 +27,10 @@ impl PlanBuilder {
     /// The plan of a code; `None` when the scene has no such centerline.
     pub fn build(
         &self,
-        scene: &SceneView<'_>,
-        graph: &LaneGraph,
+        seen: GraphedScene<'_>,
         code: PlannerCode,
     ) -> Result<Option<IdmPlan>, GeometryError> {
+        let GraphedScene { scene, graph } = seen;
         let Some(centerline) = graph.centerline(code.centerline) else {
             return Ok(None);
         };
@@ -57,19 +56,14 @@ impl PlanBuilder {
     /// The plan at the speed limit along a centerline.
     pub(super) fn at_limit(
         &self,
-        scene: &SceneView<'_>,
-        graph: &LaneGraph,
+        seen: GraphedScene<'_>,
         centerline: CenterlineName,
     ) -> Result<Option<IdmPlan>, GeometryError> {
         let (accel_max, decel_max) = LIMIT_ACCELERATIONS;
-        let target_speed = graph
-            .ego_lane()
-            .speed_limit
-            .unwrap_or(FALLBACK_LIMIT)
-            .round();
+        let limit = seen.graph.ego_lane().speed_limit;
+        let target_speed = limit.unwrap_or(FALLBACK_LIMIT).round();
         self.build(
-            scene,
-            graph,
+            seen,
             PlannerCode {
                 centerline,
                 lead_agent: None,
@@ -83,12 +77,8 @@ impl PlanBuilder {
     /// A plan that stays active: its path begins at the ego's present place, on the centerline that
     /// it is bound for. An overtake that has begun is completed, also where the graph no longer
     /// has its lane.
-    pub fn extend(
-        &self,
-        plan: &IdmPlan,
-        scene: &SceneView<'_>,
-        graph: &LaneGraph,
-    ) -> Result<IdmPlan, GeometryError> {
+    pub fn extend(&self, plan: &IdmPlan, seen: GraphedScene<'_>) -> Result<IdmPlan, GeometryError> {
+        let GraphedScene { scene, graph } = seen;
         let begun = plan
             .oncoming()
             .filter(|lane| graph.oncoming.is_none() && OvertakeRules::new(lane, scene).has_begun());
@@ -115,20 +105,19 @@ impl PlanBuilder {
 
     /// The plan of the same code in the ego's present lane; `None` when the plan is bound for that
     /// lane already.
-    pub fn back_to_ego_lane(
+    pub(crate) fn back_to_ego_lane(
         &self,
         plan: &IdmPlan,
-        scene: &SceneView<'_>,
-        graph: &LaneGraph,
+        seen: GraphedScene<'_>,
     ) -> Result<Option<IdmPlan>, GeometryError> {
-        if plan.oncoming().is_none() && graph.ego_lane().path.lanes.contains(&plan.lane_now(scene))
-        {
+        let GraphedScene { scene, graph } = seen;
+        let own = &graph.ego_lane().path.lanes;
+        if plan.oncoming().is_none() && own.contains(&plan.lane_now(scene)) {
             return Ok(None);
         }
         let (centerline, lead_agent) = ego_lane(graph);
         self.build(
-            scene,
-            graph,
+            seen,
             PlannerCode {
                 centerline,
                 lead_agent,
@@ -138,21 +127,20 @@ impl PlanBuilder {
     }
 
     /// The plan of an ego that keeps its lane and its speed behind the lead agent.
-    pub fn keep_lane_and_speed(
+    pub(crate) fn keep_lane_and_speed(
         &self,
-        scene: &SceneView<'_>,
-        graph: &LaneGraph,
+        seen: GraphedScene<'_>,
     ) -> Result<Option<IdmPlan>, GeometryError> {
-        let (centerline, lead_agent) = ego_lane(graph);
+        let (centerline, lead_agent) = ego_lane(seen.graph);
         let (accel_max, decel_max) = KEEP_LANE_ACCELERATIONS;
         let code = PlannerCode {
             centerline,
             lead_agent,
-            target_speed: scene.ego.speed(),
+            target_speed: seen.scene.ego.speed(),
             accel_max,
             decel_max,
         };
-        self.build(scene, graph, code)
+        self.build(seen, code)
     }
 }
 

@@ -3,7 +3,7 @@
 use super::judge::{ReflectionError, score_versions};
 use super::plan_builder::PlanBuilder;
 use super::rollout::{LeadPolicy, Version};
-use crate::environment::{CenterlineName, LaneGraph};
+use crate::environment::{CenterlineName, GraphedScene, LaneGraph};
 use planagent_score::pdm::{ProposalScore, ScoringScene};
 use planagent_world::dynamics::{JerkPenalty, simulate_proposal};
 use planagent_world::{EgoState, SceneView};
@@ -92,7 +92,7 @@ pub(super) fn reach_of_lanes(
         if lane.name != CenterlineName::EgoLane && graph.blocked.is_none() {
             continue;
         }
-        let Some(plan) = builder.at_limit(scene, graph, lane.name)? else {
+        let Some(plan) = builder.at_limit(GraphedScene::new(scene, graph), lane.name)? else {
             continue;
         };
         let simulated = [simulate_proposal(
@@ -139,7 +139,7 @@ mod tests {
             horizon_s: 4.0,
         };
         let plan = builder
-            .at_limit(&view, &graph, centerline)
+            .at_limit(GraphedScene::new(&view, &graph), centerline)
             .unwrap()
             .unwrap();
         Judge::new(&view, &graph, 4.0, &mut PdmMemory::default())

@@ -53,7 +53,7 @@ pub struct SubScores {
 
 impl SubScores {
     /// Whether nothing but progress is missing.
-    pub fn lacks_only_progress(&self) -> bool {
+    pub(crate) fn lacks_only_progress(&self) -> bool {
         *self
             == Self {
                 no_collision: 1.0,

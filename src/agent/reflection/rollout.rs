@@ -121,7 +121,7 @@ impl IdmPlan {
         lead_policy: LeadPolicy,
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
-        let (paths, settled) = lay_paths(scene, (&code, &lanes), horizon_s, None)?;
+        let (paths, settled) = lay_paths(scene, &code, &lanes, horizon_s, None)?;
         Ok(Self {
             code,
             lanes,
@@ -152,7 +152,8 @@ impl IdmPlan {
         }
         let (paths, settled) = lay_paths(
             scene,
-            (&self.code, &self.lanes),
+            &self.code,
+            &self.lanes,
             horizon_s,
             Some(active.settled),
         )?;
@@ -205,8 +206,7 @@ impl IdmPlan {
         lanes: LanePath,
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
-        let (paths, settled) =
-            lay_paths(scene, (&self.code, &lanes), horizon_s, Some(self.settled))?;
+        let (paths, settled) = lay_paths(scene, &self.code, &lanes, horizon_s, Some(self.settled))?;
         Ok(Self {
             lanes,
             paths,
@@ -258,6 +258,9 @@ impl IdmPlan {
         self.roll_out_along(&Road::new(self, path, scene, steps), version, scene, steps)
     }
 
+    /// Simulates a version on its road: IDM towards the nearest lead object of it, whatever the code
+    /// names.
+    /// Why: docs/decisions/103-lead-policy.md.
     fn roll_out_along(
         &self,
         road: &Road<'_>,
@@ -314,7 +317,8 @@ impl IdmPlan {
 /// the first has come onto its line.
 fn lay_paths(
     scene: &SceneView<'_>,
-    (code, lanes): (&PlannerCode, &LanePath),
+    code: &PlannerCode,
+    lanes: &LanePath,
     horizon_s: f64,
     settled: Option<Point>,
 ) -> Result<([Polyline; LATERAL_OFFSETS.len()], Point), GeometryError> {
@@ -385,6 +389,8 @@ struct Road<'a> {
 }
 
 impl<'a> Road<'a> {
+    /// The road of a path: what may come onto it, but for what stands beside it.
+    /// Why: docs/decisions/115-past-what-stands.md.
     fn new(plan: &IdmPlan, path: &'a Polyline, scene: &SceneView<'_>, steps: usize) -> Self {
         let corridor = Corridor::new(path.clone(), PACIFICA.width / 2.0);
         let seconds = steps as f64 * STEP_S;

@@ -31,6 +31,14 @@ pub trait AgentPolicy: Debug + Send + Sync {
     /// When the policy fails; the simulation fails with it.
     fn step(&mut self, ego: &EgoState, next: &Frame, dt_s: f64) -> Result<(), AgentPolicyError>;
 
+    /// Called once after the last iteration of a simulation.
+    ///
+    /// # Errors
+    /// When the policy finds only now that its steps were wrong; the simulation fails with it.
+    fn finish(&mut self) -> Result<(), AgentPolicyError> {
+        Ok(())
+    }
+
     /// A copy in the same state. A simulation can be cloned at any iteration.
     fn boxed_clone(&self) -> Box<dyn AgentPolicy>;
 }

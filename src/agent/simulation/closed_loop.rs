@@ -165,6 +165,28 @@ impl<'a> ClosedLoop<'a> {
             })
     }
 
+    /// Ends a simulation that is over: planner and agents may say that something was wrong.
+    ///
+    /// # Errors
+    /// When they do.
+    pub fn finish(&mut self, planner: &mut dyn Planner) -> Result<(), SimulationError> {
+        planner
+            .finish()
+            .map_err(|source| SimulationError::Planner {
+                planner: planner.name().to_owned(),
+                scenario: self.scenario.id.clone(),
+                iteration: self.iteration,
+                source: Box::new(source),
+            })?;
+        self.agents
+            .finish()
+            .map_err(|source| SimulationError::Agents {
+                scenario: self.scenario.id.clone(),
+                iteration: self.iteration,
+                source,
+            })
+    }
+
     /// Moves to the next iteration: the ego along `trajectory`, the agents by their policy. Does
     /// nothing after the last iteration. `planner` is the name for errors.
     ///

@@ -4,7 +4,8 @@
 use super::agent_name::AgentPolicyName;
 use super::agents::{AgentPolicy, AgentPolicyError};
 use crate::planner::{
-    AnswerError, ExecAgentsStep, ExecReply, ExecRequest, ExecSession, PlannerInitialization, moved,
+    AnswerError, ExecAgentsStep, ExecReply, ExecRequest, ExecSession, PlannerInitialization,
+    StopSwitch, moved,
 };
 use planagent_scenario::{Frame, Scenario};
 use planagent_world::{EgoState, TrackedObject};
@@ -25,13 +26,18 @@ pub struct AgentCommand {
 impl AgentCommand {
     /// Starts the command for a simulation. It controls the agents from the first step on; at
     /// iteration 0, they are where they were recorded. A command that cannot be started fails the
-    /// first step.
-    pub fn policy(&self, scenario: &Scenario, first: &Frame) -> Box<dyn AgentPolicy> {
+    /// first step. It is waited for until `stop`.
+    pub fn policy(
+        &self,
+        scenario: &Scenario,
+        first: &Frame,
+        stop: Option<&StopSwitch>,
+    ) -> Box<dyn AgentPolicy> {
         let initialization = PlannerInitialization {
             map: &scenario.map,
             route: &scenario.route,
         };
-        let session = ExecSession::start(&self.command, self.timeout, &initialization);
+        let session = ExecSession::start(&self.command, self.timeout, stop, &initialization);
         Box::new(ExecAgents {
             session: Mutex::new(session),
             objects: first.objects.clone(),
@@ -70,7 +76,8 @@ impl AgentPolicy for ExecAgents {
             }
         };
         let message = ExecAgentsStep::new(
-            (iteration, dt_s),
+            iteration,
+            dt_s,
             ego,
             &self.objects,
             &next.lights,
@@ -90,6 +97,18 @@ impl AgentPolicy for ExecAgents {
         self.objects = answer.map_err(AgentPolicyError::new)?.into();
         self.iteration = iteration;
         Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), AgentPolicyError> {
+        let state = self
+            .session
+            .get_mut()
+            .unwrap_or_else(PoisonError::into_inner);
+        match std::mem::replace(state, Err(AnswerError::Copied)) {
+            Ok(session) => session.finish().map_err(AgentPolicyError::new),
+            // Without a step, nobody needed the command.
+            Err(_) => Ok(()),
+        }
     }
 
     fn boxed_clone(&self) -> Box<dyn AgentPolicy> {

@@ -27,7 +27,4 @@ pub use challenge::{Challenge, UnknownChallenge};
 pub use closed_loop::ClosedLoop;
 pub use error::SimulationError;
 pub use exec_agents::AgentCommand;
-pub use run::{
-    Progress, SimulationLog, simulate, simulate_prepared, simulate_with_agents,
-    simulate_with_progress,
-};
+pub use run::{Progress, SimulationLog, simulate, simulate_prepared, simulate_with_agents};

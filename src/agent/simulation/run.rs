@@ -77,7 +77,7 @@ pub fn simulate(
 ///
 /// # Errors
 /// As [`simulate`].
-pub fn simulate_with_progress(
+pub(crate) fn simulate_with_progress(
     scenario: &Scenario,
     planner: &mut dyn Planner,
     challenge: Challenge,
@@ -142,5 +142,6 @@ pub fn simulate_prepared(
             total,
         });
     }
+    simulation.finish(planner)?;
     Ok(log)
 }

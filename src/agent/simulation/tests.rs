@@ -1,3 +1,4 @@
+use super::run::simulate_with_progress;
 use super::*;
 use crate::planner::{LogReplay, Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::test_road::{Stretch, ego_at, object, straight_road, whole_route};

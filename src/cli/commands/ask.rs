@@ -6,18 +6,24 @@ use crate::picture::check_output;
 use crate::progress::listener;
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
+use indicatif::HumanDuration;
 use planagent_agent::environment::bev::{Palette, render};
 use planagent_agent::environment::text::write;
 use planagent_agent::environment::{BevView, Description, LaneGraph};
 use planagent_agent::reasoning::{FreeQuestion, PromptSet, question_prompt};
 use planagent_mllm::{
-    Answer, Constraint, Deadline, FinishReason, Mllm, PromptPrefix, Request, TokenCounts,
+    Answer, AnswerTime, Constraint, Deadline, FinishReason, Mllm, PromptPrefix, Request,
+    TokenCounts,
 };
 use planagent_runs::report::fixed;
 use planagent_runs::runner::{Config, load_model};
 use planagent_world::{STEP_S, SceneView};
 use serde::Serialize;
 use std::sync::Arc;
+use std::time::Duration;
+
+/// An answer that takes longer is announced with its time.
+const LONG: Duration = Duration::from_mins(1);
 
 /// An answer as JSON.
 #[derive(Debug, Serialize)]
@@ -93,6 +99,7 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
         system: system.clone(),
         image: Some(image),
     };
+    tell_time(model, &[&system, &prompt], request.max_new_tokens, printer);
     let answer = match asked(model, &prefix, &prompt, &request, config.seed, printer) {
         Ok(answer) => answer,
         Err(error) if error.is_transient() => {
@@ -118,7 +125,11 @@ pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> an
         })?;
     }
     tell(&answer, flags, printer);
-    Ok(Exit::Success)
+    Ok(if answer.text.trim().is_empty() {
+        Exit::SomeFailed
+    } else {
+        Exit::Success
+    })
 }
 
 /// The answer; unless stdout carries JSON, its pieces are printed as they come.
@@ -134,6 +145,30 @@ fn asked(
     let answer = conversation.ask_aloud(prompt, request, &mut |piece| printer.piece(piece))?;
     printer.piece("\n");
     Ok(answer)
+}
+
+/// Says how long an answer takes, where that is long.
+fn tell_time(model: &dyn Mllm, texts: &[&str], new: usize, printer: Printer) {
+    let text = texts
+        .iter()
+        .filter_map(|text| model.count_tokens(text))
+        .sum();
+    if let Some(time) = model.answer_time(text, new)
+        && let Some(note) = time_note(time, new)
+    {
+        printer.note(note);
+    }
+}
+
+fn time_note(AnswerTime { first_token, whole }: AnswerTime, new: usize) -> Option<String> {
+    (whole > LONG).then(|| {
+        format!(
+            "an answer of {new} tokens takes about {} on this machine, and its first word comes after about {}; --max-tokens \
+             makes it shorter",
+            HumanDuration(whole),
+            HumanDuration(first_token)
+        )
+    })
 }
 
 /// The lane-graph text in the form of the model's prompts.
@@ -160,7 +195,9 @@ fn tell(answer: &Answer, flags: &AskArguments, printer: Printer) {
         tokens.sampled
     ));
     match answer.finish {
-        _ if answer.text.trim().is_empty() => printer.note("the model gave an empty answer"),
+        _ if answer.text.trim().is_empty() => {
+            printer.failure("the model gave an empty answer");
+        }
         FinishReason::Length => {
             printer.note(format!(
                 "the answer is cut off at --max-tokens {}",
@@ -171,5 +208,25 @@ fn tell(answer: &Answer, flags: &AskArguments, printer: Printer) {
             printer.note("the answer is cut off at the end of the model's context")
         }
         _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_long_answer_is_announced() {
+        let time = |seconds| AnswerTime {
+            first_token: Duration::from_secs(seconds / 2),
+            whole: Duration::from_secs(seconds),
+        };
+        assert_eq!(time_note(time(60), 200), None);
+        let note = time_note(time(600), 200).unwrap();
+        assert!(
+            note.starts_with("an answer of 200 tokens takes about 10 minutes")
+                && note.contains("after about 5 minutes"),
+            "{note}"
+        );
     }
 }

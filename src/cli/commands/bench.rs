@@ -3,9 +3,8 @@
 use crate::args::{BENCH_PROCESS, BenchArguments, OtherEngine};
 use crate::commands::models::quantize::write as write_gguf;
 use crate::progress::listener;
-use crate::{Exit, Printer, interrupt};
+use crate::{Exit, Printer, again, interrupt};
 use anyhow::{Context, bail};
-use planagent_files::{quoted, word_of};
 use planagent_lab::bench::protocol::{GgufPair, ModelChoice};
 use planagent_lab::bench::{
     BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve,
@@ -51,9 +50,7 @@ pub(crate) fn run(
         Some(path) => BenchFolder::resume(path, &metadata)?,
         None => BenchFolder::create(&out, &metadata)?,
     };
-    let own = quoted(&word_of(folder.path().as_os_str()));
-    let advice = format!("`planagent bench --resume {own}` with the same options goes on");
-    interrupt::advise(advice, printer)?;
+    advise(&folder, printer)?;
     let mut left: Vec<Candidate> = candidates
         .into_iter()
         .filter(|candidate| !folder.done().contains(candidate.name.as_str()))
@@ -76,10 +73,10 @@ pub(crate) fn run(
         speculation: flags.speculation,
         versus: llama_cpp(flags),
     };
-    let program = std::env::current_exe()
+    crate::this_program()
         .context("cannot find the path of this program to start the measuring process")?;
     let own = || {
-        let mut command = Command::new(&program);
+        let mut command = crate::this_program().unwrap_or_else(|_| Command::new("planagent"));
         command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
         if let Some(context) = config.mllm.context {
             command.args(["--context", &context.to_string()]);
@@ -93,7 +90,13 @@ pub(crate) fn run(
         &left,
         &settings,
         &own,
-        &mut |rows| folder.commit(rows),
+        &mut |rows| {
+            folder.commit(rows)?;
+            if let Err(error) = advise(&folder, printer) {
+                printer.error(&error);
+            }
+            Ok(())
+        },
         &|progress| {
             printer.note(progress_line(progress));
         },
@@ -114,7 +117,7 @@ pub(crate) fn run(
     if printer.is_json() {
         printer.json(&figures)?;
     } else {
-        printer.line(bench_table(&figures));
+        printer.table(bench_table(&figures, printer.line_width()));
     }
     if folder.has_measurements() {
         printer.note(format!("results in {}", folder.path().display()));
@@ -128,12 +131,18 @@ pub(crate) fn run(
     })
 }
 
+/// Says at Ctrl-C how the bench goes on: its folder exists from the first measured model on.
+fn advise(folder: &BenchFolder, printer: Printer) -> anyhow::Result<()> {
+    let advice = if folder.has_measurements() {
+        format!("`{}` goes on", again::resume_this(folder.path()))
+    } else {
+        "no model is measured yet; the same command starts again".to_owned()
+    };
+    interrupt::advise(advice, printer)
+}
+
 /// The measuring process; runs until stdin ends.
 pub(crate) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    // It measures nothing for a caller that was killed.
-    #[cfg(target_os = "linux")]
-    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))
-        .context("cannot follow the end of the caller")?;
     serve(
         &model_registry(config, &listener(printer)),
         io::stdin().lock(),
@@ -152,14 +161,12 @@ fn candidates(
     let none = flags.models.is_empty() && flags.random_weights.is_empty();
     let named = if none { &configured[..] } else { &flags.models };
     let mut all = Vec::new();
-    for name in named {
-        let spec = registry.find(name)?;
+    let specs = named.iter().map(|name| registry.find(name));
+    let specs = specs.collect::<Result<Vec<_>, _>>()?;
+    let shown = shown_names(named, specs.iter().map(|spec| spec.name.as_str()));
+    for ((name, spec), shown) in named.iter().zip(specs).zip(&shown) {
         let sets = prompt_sets(flags, config, || Ok(registry.asking(&spec)?.prompt_set))?;
-        all.extend(of_sets(
-            &spec.name,
-            &ModelChoice::Named(name.clone()),
-            &sets,
-        ));
+        all.extend(of_sets(shown, &ModelChoice::Named(name.clone()), &sets));
     }
     for name in &flags.random_weights {
         let shape = ModelShape::find(name)?;
@@ -168,9 +175,10 @@ fn candidates(
                 .find(name)
                 .ok()
                 .and_then(|spec| spec.prompt_set)
-                .unwrap_or(PromptSet::Paper)
-                .name()
-                .to_owned())
+                .map_or_else(
+                    || PromptSet::Paper.name().to_owned(),
+                    |prompts| prompts.opened_by(),
+                ))
         };
         let sets = prompt_sets(flags, config, own)?;
         all.extend(of_sets(
@@ -192,6 +200,23 @@ fn candidates(
         }
     }
     Ok(all)
+}
+
+/// The names of models in the table: their own, or the words that name them where two have one
+/// name, as files called alike in two folders.
+fn shown_names<'a>(words: &[String], names: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
+    let is_shared = |name: &str| names.clone().filter(|other| *other == name).count() > 1;
+    words
+        .iter()
+        .zip(names.clone())
+        .map(|(word, name)| {
+            if is_shared(name) {
+                word.clone()
+            } else {
+                name.to_owned()
+            }
+        })
+        .collect()
 }
 
 /// The prompt sets whose tokens are measured: those of the flag, else that of the settings, else
@@ -224,7 +249,8 @@ fn of_sets(name: &str, model: &ModelChoice, sets: &[PromptSet]) -> Vec<Candidate
         } else {
             name.to_owned()
         },
-        weights: name.to_owned(),
+        // It becomes the name of a file.
+        weights: name.replace(['/', '\\'], "-"),
         model: model.clone(),
         prompts: *prompts,
     };
@@ -369,5 +395,20 @@ fn progress_line(progress: Progress<'_>) -> String {
                 row.total_ms()
             )
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_models_never_share_a_name() {
+        let words = ["a/m.gguf", "b/m.gguf", "nano"].map(str::to_owned);
+        let names = ["m.gguf", "m.gguf", "nano"];
+        assert_eq!(
+            shown_names(&words, names.into_iter()),
+            ["a/m.gguf", "b/m.gguf", "nano"]
+        );
     }
 }

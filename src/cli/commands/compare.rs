@@ -30,10 +30,11 @@ pub(crate) fn run(flags: &CompareArguments, printer: Printer) -> anyhow::Result<
         printer.json(&comparison)?;
     } else {
         let names = [first.display().to_string(), second.display().to_string()];
-        printer.line(comparison_table(
+        printer.table(comparison_table(
             &comparison,
             [&names[0], &names[1]],
             flags.by_type,
+            printer.line_width(),
         ));
     }
     Ok(Exit::Success)

@@ -39,11 +39,18 @@ pub(crate) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<E
     });
     bar.finish_and_clear();
     let contents = written?;
-    if flags.open {
-        open::that_detached(&contents.page)
-            .with_context(|| format!("cannot open {} in a browser", contents.page.display()))?;
+    if flags.open
+        && let Err(error) = open::that_detached(&contents.page)
+    {
+        // The page is written all the same, and its path is on stdout.
+        printer.note(format!("cannot open a browser: {error}"));
     }
     note_damage(&contents.damaged, printer);
+    for problem in &contents.unread {
+        printer.failure(format!(
+            "{problem}; the page has the scores of its simulation alone"
+        ));
+    }
     if printer.is_json() {
         printer.json(&contents)?;
         return Ok(Exit::Success);

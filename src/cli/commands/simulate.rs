@@ -1,6 +1,7 @@
 //! `planagent simulate`.
 
 use crate::args::SimulateArguments;
+use crate::next_steps::next_steps;
 use crate::progress::listener;
 use crate::{Exit, Printer};
 use anyhow::anyhow;
@@ -37,11 +38,16 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
     } else if printer.is_json() {
         printer.json(summary)?;
     } else {
-        printer.line(main_table(summary, &timing.planners, rows, printer.width()));
+        printer.table(main_table(
+            summary,
+            &timing.planners,
+            rows,
+            printer.line_width(),
+        ));
         if let Some(total) = timing.planning_call_ms.total {
             let count = timing.planning_calls;
             printer.line(format!(
-                "\n{count} planning calls: p50 {:.0} ms, p95 {:.0} ms",
+                "\n{count} planning calls: median {:.0} ms, 95th percentile {:.0} ms",
                 total.p50, total.p95
             ));
         }
@@ -82,10 +88,23 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
             calls_file.display()
         ));
     }
+    let without_plan = rows.iter().filter(|row| row.is_without_plan()).count();
+    if without_plan > 0 {
+        printer.failure(format!(
+            "in {without_plan} of {} simulations no planning call gave a plan: their scores say nothing about the model's driving",
+            rows.len()
+        ));
+    }
     for list in missing {
         printer.error(&anyhow!("not simulated: {list}"));
     }
-    let succeeded = failed == 0 && lost == 0 && missing.is_empty();
+    if !csv && !printer.is_json() {
+        for line in next_steps(folder, rows) {
+            printer.note(line);
+        }
+    }
+    let answered = lost == 0 && without_plan == 0;
+    let succeeded = failed == 0 && answered && missing.is_empty();
     Ok(if succeeded {
         Exit::Success
     } else {

@@ -103,7 +103,7 @@ fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<E
         if printer.is_json() {
             printer.json(results)?;
         } else if !csv {
-            printer.line(study_table(study, results));
+            printer.table(study_table(study, results, printer.line_width()));
             printer.line("");
         }
         printer.note(format!("results in {}", folder.display()));
@@ -117,10 +117,17 @@ fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<E
             "{lost} planning calls got no answer; calls.jsonl of the runs says why"
         ));
     }
+    let without_plan = outcome.without_plan;
+    if without_plan > 0 {
+        printer.failure(format!(
+            "in {without_plan} simulations no planning call gave a plan; calls.jsonl of the runs says why"
+        ));
+    }
     for list in &outcome.missing {
         printer.error(&anyhow!("not simulated: {list}"));
     }
-    let succeeded = outcome.failed.is_empty() && lost == 0 && outcome.missing.is_empty();
+    let answered = lost == 0 && without_plan == 0;
+    let succeeded = outcome.failed.is_empty() && answered && outcome.missing.is_empty();
     Ok(if succeeded {
         Exit::Success
     } else {
@@ -137,7 +144,10 @@ fn show_tokens(counted: &[SuiteTokens], folder: &Path, printer: Printer) -> anyh
                 "{TOKENS_TITLE}\n\n{}: {} states of {} scenes",
                 suite.suite, suite.table.states, suite.scenes
             );
-            printer.line(format!("{heading}\n{}\n", token_table(&suite.table)));
+            printer.line(format!(
+                "{heading}\n{}\n",
+                token_table(&suite.table, printer.line_width())
+            ));
         }
     }
     printer.note(format!("results in {}", folder.display()));
@@ -155,7 +165,11 @@ fn show_twins(results: &[TwinResults], folder: &Path, printer: Printer) -> anyho
         printer.json(&results)?;
     } else {
         for list in results {
-            printer.line(format!("{}\n{}", list.list, twin_table(list)));
+            printer.line(format!(
+                "{}\n{}",
+                list.list,
+                twin_table(list, printer.line_width())
+            ));
         }
     }
     printer.note(format!("results in {}", folder.display()));

@@ -9,6 +9,7 @@
     reason = "kernels must be inlined into the functions that enable the instructions"
 )]
 
+mod biased;
 mod key_values;
 mod mask;
 mod probe;
@@ -20,6 +21,7 @@ mod unit;
 #[cfg(test)]
 mod tests;
 
+pub use biased::PackedKeyValues;
 pub use key_values::{KeyValues, Precision};
 pub use mask::AttentionMask;
 #[doc(hidden)]

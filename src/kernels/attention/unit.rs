@@ -257,7 +257,7 @@ fn widen_all<S: Simd, N: StoredFloat>(simd: S, from: &[[N; LANES]], to: &mut Vec
 /// Adds A·B to sums. `columns` are the columns of A; B has rows of `stride` vectors, of which the
 /// first `C` count.
 #[inline(always)]
-fn add_product<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
+pub(super) fn add_product<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     simd: S,
     columns: impl Iterator<Item = [f32; R]>,
     b: &[[N; LANES]],

@@ -26,7 +26,7 @@ pub struct CallBudget {
 }
 
 /// Tokens of a draft; fewer where the answer ends before.
-pub const DRAFTED: usize = 4;
+pub(crate) const DRAFTED: usize = 4;
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -193,7 +193,7 @@ impl CallBudget {
 
     /// The same call with drafts.
     #[must_use]
-    pub fn with_drafts(self, accepted: usize) -> Self {
+    pub(crate) fn with_drafts(self, accepted: usize) -> Self {
         Self {
             accepted: Some(accepted),
             ..self
@@ -201,13 +201,13 @@ impl CallBudget {
     }
 
     /// The share of drafted tokens that is accepted; `None` for answers without drafts.
-    pub fn acceptance(&self) -> Option<f64> {
+    pub(crate) fn acceptance(&self) -> Option<f64> {
         self.accepted
             .map(|accepted| accepted as f64 / DRAFTED as f64)
     }
 
     /// Steps before the first call.
-    pub fn prefix_steps(&self, layout: Layout) -> Vec<Step> {
+    pub(crate) fn prefix_steps(&self, layout: Layout) -> Vec<Step> {
         match layout {
             Layout::PrefixFirst => vec![Step::Keep(0), Step::Text(self.prefix), Step::Compute],
             Layout::ImageFirst => vec![Step::Keep(0)],
@@ -215,7 +215,7 @@ impl CallBudget {
     }
 
     /// The steps of a call for a model whose image has `image` tokens.
-    pub fn call_steps(&self, layout: Layout, image: usize) -> Vec<Step> {
+    pub(crate) fn call_steps(&self, layout: Layout, image: usize) -> Vec<Step> {
         let mut steps = match layout {
             Layout::PrefixFirst => vec![Step::Keep(self.prefix), Step::Encode, Step::Image],
             Layout::ImageFirst => vec![
@@ -255,7 +255,7 @@ impl CallBudget {
     }
 
     /// Text tokens of the prompts of a call, computed or cached.
-    pub fn prompt_tokens(&self) -> usize {
+    pub(crate) fn prompt_tokens(&self) -> usize {
         let questions: usize = self.rounds.iter().map(|round| round.question).sum();
         self.prefix + self.scene + questions + self.rethinks * (self.feedback + questions)
     }

@@ -1,11 +1,12 @@
 //! A process that measures one model.
 
 use super::protocol::{LoadRequest, Loaded, Reply, Request};
+use planagent_child::BoundChild;
 use planagent_mllm::{Step, StepTime};
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::io::{BufRead, BufReader, Write};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::process::{ChildStdin, ChildStdout, Command, Stdio};
 
 /// The program that computes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -41,28 +42,30 @@ pub enum EngineError {
     Failed { engine: EngineName, problem: String },
 }
 
-/// A running process that measures one model. The drop of this value ends it.
+/// A running process that measures one model. The drop of this value, and the end of the program,
+/// ends it.
 #[derive(Debug)]
 pub struct Engine {
     name: EngineName,
-    child: Child,
+    child: BoundChild,
     requests: ChildStdin,
     replies: BufReader<ChildStdout>,
 }
 
 /// Maximum characters of an invalid reply in an error.
 const MAX_SHOWN: usize = 200;
+/// Longest reply, bytes. The times of all steps of a call take a few kilobytes.
+const MAX_REPLY_BYTES: u64 = 4 << 20;
 
 impl Engine {
     /// Starts a process that reads requests and writes replies. It shares our stderr.
     pub fn start(name: EngineName, command: &mut Command) -> Result<Self, EngineError> {
         let program = command.get_program().to_string_lossy().into_owned();
-        let mut child = command
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .map_err(|source| EngineError::Start { program, source })?;
-        match (child.stdin.take(), child.stdout.take()) {
+        let command = command.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child =
+            BoundChild::spawn(command).map_err(|source| EngineError::Start { program, source })?;
+        let pipes = child.process();
+        match (pipes.stdin.take(), pipes.stdout.take()) {
             (Some(requests), Some(replies)) => Ok(Self {
                 name,
                 child,
@@ -98,7 +101,7 @@ impl Engine {
 
     /// Peak memory of the process so far, bytes (`VmHWM`); `None` where the system does not report
     /// it.
-    pub fn peak_memory(&self) -> Option<u64> {
+    pub(crate) fn peak_memory(&self) -> Option<u64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
         let line = status
             .lines()
@@ -116,7 +119,11 @@ impl Engine {
             .write_all(line.as_bytes())
             .and_then(|()| self.requests.flush());
         let mut answer = String::new();
-        let read = sent.and_then(|()| self.replies.read_line(&mut answer));
+        let read = sent.and_then(|()| {
+            (&mut self.replies)
+                .take(MAX_REPLY_BYTES)
+                .read_line(&mut answer)
+        });
         if !read.is_ok_and(|bytes| bytes > 0) {
             return Err(self.ended());
         }
@@ -133,6 +140,7 @@ impl Engine {
     fn ended(&mut self) -> EngineError {
         let status = self
             .child
+            .process()
             .wait()
             .map_or_else(|_| String::new(), |status| format!(" ({status})"));
         EngineError::Ended {
@@ -146,13 +154,5 @@ impl Engine {
             engine: self.name,
             found: found.chars().take(MAX_SHOWN).collect(),
         }
-    }
-}
-
-impl Drop for Engine {
-    fn drop(&mut self) {
-        // The process may have ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }

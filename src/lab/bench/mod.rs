@@ -13,7 +13,10 @@ mod run;
 mod serve;
 mod workload;
 
-pub use budget::{AnswerPart, CallBudget, DRAFTED, RoundBudget};
+pub(crate) use budget::DRAFTED;
+#[cfg(test)]
+pub(crate) use budget::Layout;
+pub use budget::{AnswerPart, CallBudget, RoundBudget};
 pub use engine::{Engine, EngineError, EngineName};
 pub use llama_cpp::LlamaCpp;
 pub use row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};

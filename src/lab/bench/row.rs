@@ -66,7 +66,7 @@ impl IterationRow {
     }
 
     /// Wall time of image encoding, milliseconds; `None` without an image.
-    pub fn image_encode_ms(&self) -> Option<f64> {
+    pub(crate) fn image_encode_ms(&self) -> Option<f64> {
         let encodings = self.steps.iter().filter(|timed| timed.step == Step::Encode);
         encodings
             .map(|timed| timed.time.ms)

@@ -93,6 +93,8 @@ struct Ready {
 }
 
 impl Bench<'_> {
+    /// Measures the engines in turns: their steps alternate, each in a process of its own.
+    /// Why: docs/decisions/006-bench-processes.md.
     fn measure(&self) -> Result<Vec<Row>, EngineError> {
         let mut workloads = vec![Workload::Call(CallBudget::for_prompts(
             self.candidate.prompts,

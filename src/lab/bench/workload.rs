@@ -29,7 +29,7 @@ impl Workload {
     }
 
     /// Steps before the first iteration, and again after another workload.
-    pub fn first_steps(&self, layout: Layout) -> Vec<Step> {
+    pub(crate) fn first_steps(&self, layout: Layout) -> Vec<Step> {
         match self {
             Self::Call(budget) => budget.prefix_steps(layout),
             Self::Depth(_) => Vec::new(),

@@ -9,7 +9,7 @@ use planagent_agent::reasoning::{
     Lateral, LateralReason, Longitudinal, LongitudinalReason, Names, PromptError, PromptSet, Round,
     round_prompt, system_prompt,
 };
-use planagent_runs::worker::search::{Candidate, NEAR_LIMIT};
+use planagent_controls::search::{Candidate, NEAR_LIMIT};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -23,7 +23,7 @@ const MIN_WEIGHT: f64 = 0.05;
 
 /// One turn of the conversation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Message {
+pub(crate) struct Message {
     role: &'static str,
     content: String,
     /// Of an answer: spans of characters that the grammar does not fast-forward.
@@ -36,7 +36,7 @@ pub struct Message {
 
 /// A line of a shard.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct LabeledState {
+pub(crate) struct LabeledState {
     /// Scenario and time.
     pub state: String,
     /// Index of the image in the shard's PNG.
@@ -61,7 +61,7 @@ pub struct LabeledState {
 
 /// A code that the search tried, with the answers that lead to it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct TriedCode {
+pub(crate) struct TriedCode {
     /// Chance of being the one to learn. The chances of a state sum up to 1.
     chance: f64,
     /// nuPlan's score over the search's horizon, with the terms that break ties.
@@ -124,7 +124,8 @@ pub(super) fn label(
     state: String,
     graph: &LaneGraph,
     facts: &SceneFacts,
-    (best, weights): (&Candidate, DecisionWeights),
+    best: &Candidate,
+    weights: DecisionWeights,
     prompts: &PromptSet,
     feedback: Option<&str>,
 ) -> Result<LabeledState, PromptError> {

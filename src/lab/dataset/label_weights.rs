@@ -5,7 +5,7 @@
 //! their gains, the likeliest answer is the best on average.
 
 use planagent_agent::reasoning::PlannerCode;
-use planagent_runs::worker::search::Candidate;
+use planagent_controls::search::Candidate;
 
 /// Gain of a decision without a tried alternative: about the progress bonus of a third of the
 /// limit.
@@ -105,7 +105,7 @@ pub(super) mod tests {
     use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
     use planagent_agent::reflection::Verdict;
     use planagent_agent::simulation::{Challenge, ClosedLoop};
-    use planagent_runs::worker::search::search;
+    use planagent_controls::search::search;
     use planagent_scenario::generator::{self, Spec, types};
 
     /// Candidates with these lanes, desired speeds and values, accepted by Reflection or not.

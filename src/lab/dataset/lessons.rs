@@ -7,7 +7,7 @@
 
 use super::label_weights::{DEFAULT_GAIN, DecisionWeights, MAX_GAIN, RETRY_GAIN, rejects_faster};
 use planagent_agent::reasoning::PlannerCode;
-use planagent_runs::worker::search::Candidate;
+use planagent_controls::search::Candidate;
 
 /// A code that may be the one to learn.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -118,7 +118,7 @@ impl<'a> Decision<'a> {
 mod tests {
     use super::*;
     use crate::dataset::label_weights::tests::tried as tried_of;
-    use planagent_runs::worker::search;
+    use planagent_controls::search;
 
     fn all(tried: &[Candidate], after_rejection: bool) -> Vec<Lesson<'_>> {
         lessons(search::best(tried).unwrap(), tried, after_rejection)

@@ -15,7 +15,7 @@ mod states;
 pub mod twins;
 
 pub use count::Counts;
-pub use label::LabeledState;
+pub(crate) use label::LabeledState;
 pub use shard::{FORMAT, Meta, ShardError};
 
 use image::RgbImage;

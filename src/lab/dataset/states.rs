@@ -5,12 +5,14 @@ use super::label_weights::DecisionWeights;
 use super::lessons::lessons;
 use super::{Settings, scenes};
 use image::RgbImage;
-use planagent_agent::environment::{BevView, LaneGraph, OccupancyGrid, SceneFacts, bev};
+use planagent_agent::environment::{
+    BevView, GraphedScene, LaneGraph, OccupancyGrid, SceneFacts, bev,
+};
 use planagent_agent::planner::{AgentLayer, Attempt, Planner, PlannerInput};
 use planagent_agent::reasoning::{Feedback, PromptError, feedback_text};
 use planagent_agent::reflection::Verdict;
 use planagent_agent::simulation::{Challenge, ClosedLoop};
-use planagent_runs::worker::search::{self, Candidate};
+use planagent_controls::search::{self, Candidate};
 use planagent_scenario::generator::Spec;
 use planagent_score::pdm::PdmMemory;
 use rand::seq::IndexedRandom;
@@ -61,7 +63,7 @@ pub(super) fn label_scenario(
         let Some(best) = search::best(&tried) else {
             break;
         };
-        let facts = SceneFacts::from_scene(&scene, &graph);
+        let facts = SceneFacts::from_scene(GraphedScene::new(&scene, &graph));
         let name = format!(
             "{}@{:.1}",
             scenario.id,
@@ -81,7 +83,8 @@ pub(super) fn label_scenario(
                 name.clone(),
                 &graph,
                 &facts,
-                (best, weights),
+                best,
+                weights,
                 settings.prompts,
                 feedback.as_deref(),
             )?;

@@ -11,13 +11,14 @@ use super::{DatasetError, Settings, Split, states};
 use image::RgbImage;
 use planagent_agent::environment::text::{self, Description};
 use planagent_agent::environment::{
-    BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, SceneFacts, TextForm, bev,
+    BevView, CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph, SceneFacts, TextForm,
+    bev,
 };
 use planagent_agent::reasoning::{
     Names, PlannerCode, PromptError, PromptSet, Round, round_prompt, system_prompt,
 };
 use planagent_agent::simulation::{Challenge, ClosedLoop};
-use planagent_runs::worker::search::{self, Candidate};
+use planagent_controls::search::{self, Candidate};
 use planagent_scenario::Scenario;
 use planagent_scenario::generator::{self, ScenarioType, Spec, types};
 use planagent_scenario::modified::{MARK, ModifiedName, Twin, TwinKind, TwinPart, TwinSide};
@@ -28,9 +29,9 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 /// Minimum gain of the best code of a scene over that of its twin, in the search's value.
-pub const MIN_GAIN: f64 = 0.1;
+pub(crate) const MIN_GAIN: f64 = 0.1;
 /// A code is right if its value is within this of the best.
-pub const RIGHT_WITHIN: f64 = 0.05;
+pub(crate) const RIGHT_WITHIN: f64 = 0.05;
 /// Candidates of a shard. Most of them are no pairs.
 const CANDIDATES_PER_SHARD: u64 = 80;
 /// Types of the scenarios: roads with two lanes on which the ego drives.
@@ -146,7 +147,7 @@ impl TwinScene {
     }
 
     /// Whether a code is as good as the best one, but for [`RIGHT_WITHIN`].
-    pub fn is_right(&self, code: PlannerCode) -> bool {
+    pub(crate) fn is_right(&self, code: PlannerCode) -> bool {
         self.value(code)
             .is_some_and(|value| value >= self.best.value - RIGHT_WITHIN)
     }
@@ -230,7 +231,7 @@ pub fn open(
 ///
 /// # Errors
 /// As [`open`].
-pub fn open_first(
+pub(crate) fn open_first(
     names: &[PairName; 2],
     prompts: &[PromptSet],
     view: &BevView,
@@ -360,17 +361,10 @@ pub(super) fn labeled(
             return Ok(None);
         };
         let scene = simulation.scene();
-        let facts = SceneFacts::from_scene(&scene, graph);
+        let facts = SceneFacts::from_scene(GraphedScene::new(&scene, graph));
         let weights = DecisionWeights::from_candidates(best, tried, false);
         let state = format!("{}@0.0", simulation.scenario().id);
-        let label = label::label(
-            state,
-            graph,
-            &facts,
-            (best, weights),
-            settings.prompts,
-            None,
-        )?;
+        let label = label::label(state, graph, &facts, best, weights, settings.prompts, None)?;
         let label = LabeledState {
             occupancy,
             twin: Some(name.to_string()),

@@ -1,6 +1,6 @@
 //! Features of the agents near the ego.
 
-use super::{REACH, mean, spread};
+use super::distribution::{REACH, mean, spread};
 use planagent_scenario::{Frame, Scenario};
 use planagent_world::geometry::{OrientedBox, wrap_angle};
 use planagent_world::{LaneKind, LaneMap, ObjectKind, TrackToken, TrackedObject};

@@ -1,13 +1,14 @@
 //! A logistic regression that tells scenes of two sets apart, and how often it is right about
 //! unseen scenes.
 
+use super::distribution::{distribution, mean};
 use nalgebra::{DMatrix, DVector};
 use planagent_runs::worker::statistics::{Bootstrap, PairedDifference};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// Parts of the cross-validation.
-pub const FOLDS: usize = 10;
+pub(crate) const FOLDS: usize = 10;
 /// Weight of the squared coefficients against the log loss: as strong as one scene. scikit-learn's
 /// default.
 const RIDGE: f64 = 1.0;
@@ -70,7 +71,7 @@ pub(super) fn cross_validated(samples: &[Sample]) -> Option<Accuracy> {
         }
     }
     let clusters = right.map(|groups| groups.into_values().collect::<Vec<_>>());
-    let share = |set: &[Vec<f64>]| super::mean(set.iter().flatten().copied());
+    let share = |set: &[Vec<f64>]| mean(set.iter().flatten().copied());
     let PairedDifference {
         mean, low, high, ..
     } = Bootstrap::default().balanced(&clusters)?;
@@ -112,7 +113,7 @@ pub(super) fn fitted<S: std::borrow::Borrow<Sample>>(samples: &[S]) -> Classifie
             .iter()
             .filter_map(|sample| sample.borrow().values[feature])
             .collect();
-        let found = super::distribution(&known);
+        let found = distribution(&known);
         means.push(found.map_or(0.0, |found| found.mean));
         deviations.push(
             found

@@ -3,20 +3,20 @@
 
 mod agents;
 mod classifier;
+mod distribution;
 mod feature;
 mod roads;
 
-pub use classifier::{Accuracy, FOLDS};
+pub use classifier::Accuracy;
+pub(crate) use classifier::FOLDS;
+pub use distribution::Distribution;
 pub use feature::Feature;
 
 use classifier::{Sample, cross_validated, fitted};
+use distribution::distribution;
 use feature::FEATURES;
 use planagent_scenario::{Scenario, without_start};
 use serde::Serialize;
-
-/// Distance from the ego within which roads and agents count, meters. Recordings are complete that
-/// far.
-const REACH: f64 = 50.0;
 
 /// The features of a scene.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -44,17 +44,6 @@ impl MeasuredScene {
     fn group(&self) -> &str {
         without_start(&self.id)
     }
-}
-
-/// Distribution of a feature over the scenes of a set that have it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Distribution {
-    pub scenes: usize,
-    pub mean: f64,
-    /// Standard deviation.
-    pub deviation: f64,
-    /// The 10th, 25th, 50th, 75th and 90th percentile.
-    pub percentiles: [f64; 5],
 }
 
 /// A feature in both sets.
@@ -131,48 +120,6 @@ impl SceneComparison {
     }
 }
 
-fn distribution(values: &[f64]) -> Option<Distribution> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let count = sorted.len() as f64;
-    let last = sorted.len().checked_sub(1)?;
-    let mean = sorted.iter().sum::<f64>() / count;
-    let deviation = (sorted
-        .iter()
-        .map(|value| (value - mean).powi(2))
-        .sum::<f64>()
-        / count)
-        .sqrt();
-    let percentiles = [0.1, 0.25, 0.5, 0.75, 0.9].map(|share| {
-        let place = share * last as f64;
-        let low = sorted[place.floor() as usize];
-        low + (sorted[place.ceil() as usize] - low) * place.fract()
-    });
-    Some(Distribution {
-        scenes: sorted.len(),
-        mean,
-        deviation,
-        percentiles,
-    })
-}
-
-/// Mean of the values that exist.
-fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values
-        .into_iter()
-        .fold((0.0, 0_usize), |(sum, count), value| {
-            (sum + value, count + 1)
-        });
-    (count > 0).then(|| sum / count as f64)
-}
-
-/// Standard deviation of at least two values.
-fn spread(values: &[f64]) -> Option<f64> {
-    (values.len() >= 2)
-        .then(|| distribution(values).map(|found| found.deviation))
-        .flatten()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -210,17 +157,6 @@ mod tests {
             (4.2..13.0).contains(&value("box_length").unwrap()),
             "{measured:?}"
         );
-    }
-
-    #[test]
-    fn distributions_are_those_of_the_values() {
-        let found = distribution(&[4.0, 0.0, 2.0]).unwrap();
-        assert_eq!(
-            (found.scenes, found.mean, found.percentiles[2]),
-            (3, 2.0, 2.0)
-        );
-        assert!((found.deviation - (8.0f64 / 3.0).sqrt()).abs() < 1e-12);
-        assert_eq!(distribution(&[]), None);
     }
 
     #[test]

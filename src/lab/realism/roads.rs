@@ -1,6 +1,6 @@
 //! Features of the roads around the start.
 
-use super::{REACH, mean, spread};
+use super::distribution::{REACH, mean, spread};
 use planagent_scenario::Scenario;
 use planagent_world::geometry::wrap_angle;
 use planagent_world::{Lane, LaneKind};

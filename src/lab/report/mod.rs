@@ -6,6 +6,8 @@ mod study;
 mod table;
 mod twins;
 
+#[cfg(test)]
+use bench::DraftedCall;
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures};
 pub use figure::realism_figure;
 pub use study::{
@@ -14,7 +16,8 @@ pub use study::{
     VariantSimulations,
 };
 pub use table::{
-    bench_markdown, bench_table, realism_table, study_markdown, study_table, token_markdown,
-    token_table, twin_markdown, twin_table,
+    bench_markdown, bench_table, realism_table, study_table, token_markdown, token_table,
+    twin_table,
 };
+pub(crate) use table::{study_markdown, twin_markdown};
 pub use twins::TwinRecords;

@@ -6,7 +6,8 @@ mod catalogue;
 mod paper;
 
 pub use catalogue::{StudyError, all, find, names};
-pub use paper::{Benchmark, Published, PublishedModel, Reported, benchmark, reported_benchmarks};
+pub use paper::{Benchmark, Published, PublishedModel, Reported};
+pub(crate) use paper::{benchmark, reported_benchmarks};
 
 use planagent_scenario::ScenarioRef;
 use serde::{Deserialize, Serialize};
@@ -155,7 +156,7 @@ impl Study {
     }
 
     /// Whether it compares the cost of models.
-    pub fn measures_models(&self) -> bool {
+    pub(crate) fn measures_models(&self) -> bool {
         self.columns.iter().any(|column| *column != Column::Calls)
     }
 

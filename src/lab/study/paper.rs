@@ -29,7 +29,7 @@ impl Benchmark {
 }
 
 /// The benchmark of the paper that a suite stands for.
-pub fn benchmark(suite: &str) -> Option<Benchmark> {
+pub(crate) fn benchmark(suite: &str) -> Option<Benchmark> {
     match suite {
         "generated-test14" | "generated" | "val14" | "reduced-val14" => Some(Benchmark::Val14),
         "generated-test14-hard" | "test14-hard" => Some(Benchmark::Test14Hard),
@@ -38,7 +38,7 @@ pub fn benchmark(suite: &str) -> Option<Benchmark> {
 }
 
 /// The benchmarks whose reported scores a suite is compared with.
-pub fn reported_benchmarks(suite: &str) -> &'static [Benchmark] {
+pub(crate) fn reported_benchmarks(suite: &str) -> &'static [Benchmark] {
     match benchmark(suite) {
         Some(Benchmark::Val14) => &[Benchmark::Test14Random, Benchmark::Val14],
         Some(Benchmark::Test14Hard) => &[Benchmark::Test14Hard],
@@ -62,7 +62,7 @@ pub struct Reported {
 
 impl Reported {
     /// All benchmarks, in the order of tables.
-    pub const BENCHMARKS: [Benchmark; 3] = [
+    pub(crate) const BENCHMARKS: [Benchmark; 3] = [
         Benchmark::Test14Hard,
         Benchmark::Test14Random,
         Benchmark::Val14,

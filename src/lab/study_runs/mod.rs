@@ -52,6 +52,8 @@ pub struct StudyOutcome {
     pub failed: Vec<SimulationRow>,
     /// Planning calls without an answer.
     pub failed_calls: usize,
+    /// Simulations with planning calls of which none gave a plan.
+    pub without_plan: usize,
     /// Scenarios that the suites name and the data does not hold.
     pub missing: Vec<MissingTokens>,
 }
@@ -150,6 +152,7 @@ impl<'a> Studies<'a> {
             left,
         });
         if left > 0 {
+            open.probe()?;
             open.simulate_first()?;
             let left = open.counts().2;
             if left > 0 {
@@ -184,6 +187,7 @@ impl<'a> Studies<'a> {
             studies: results,
             failed: all().filter(|row| row.error.is_some()).cloned().collect(),
             failed_calls: all().map(|row| row.failed_calls).sum(),
+            without_plan: all().filter(|row| row.is_without_plan()).count(),
             missing,
         })
     }

@@ -1,6 +1,6 @@
 //! What studies are asked for.
 
-use planagent_agent::planner::PlannerRegistry;
+use planagent_agent::planner_registry::PlannerRegistry;
 use planagent_scenario::DataRoots;
 use std::path::PathBuf;
 

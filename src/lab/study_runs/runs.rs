@@ -3,9 +3,8 @@
 
 use super::suites::SelectedSuite;
 use crate::study::Variant;
-use planagent_agent::planner::{
-    DEFAULT_EXEC_TIMEOUT, ExecCommand, LearnedSettings, PlannerNeeds, PlannerRegistry, UsedSettings,
-};
+use planagent_agent::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand};
+use planagent_agent::planner_registry::{PlannerNeeds, PlannerRegistry, UsedSettings};
 use planagent_agent::simulation::Challenge;
 use planagent_runs::report::{MANIFEST, RunFolder, SUMMARY, SimulationRow};
 use planagent_runs::runner::RunnerError;
@@ -76,9 +75,8 @@ impl<'a> PlannedRuns<'a> {
         variant: &Variant,
     ) -> Result<RunName, RunnerError> {
         let config = self.config.overlaid(&variant.settings)?;
-        let is_learned = LearnedSettings::default()
-            .checkpoint_mut(&variant.planner)
-            .is_some();
+        let mut learned = self.registry.learned();
+        let is_learned = learned.any(|planner| planner.as_str() == variant.planner);
         if is_learned && config.learned.checkpoint(&variant.planner).is_none() {
             return Ok(Err(NO_CHECKPOINT));
         }
@@ -219,6 +217,13 @@ impl OpenRuns<'_> {
         (self.open.len() + self.ended.len(), total - left, left)
     }
 
+    /// Asks the servers of the runs' models what the simulations that are left will ask.
+    pub(super) fn probe(&self) -> Result<(), RunnerError> {
+        self.open
+            .values()
+            .try_for_each(|run| run.probe(self.listener))
+    }
+
     /// Simulates the first scenario of those runs whose time is not known.
     pub(super) fn simulate_first(&mut self) -> Result<(), RunnerError> {
         let unknown = |run: &&mut Run| run.seconds_per_simulation().is_none();
@@ -305,21 +310,10 @@ mod tests {
 
     #[test]
     fn a_checkpoint_of_another_planner_changes_no_run() {
-        let learned = LearnedSettings {
-            plantf: Some("a.ckpt".to_owned()),
-            ..LearnedSettings::default()
-        };
-        let one = Config {
-            learned: learned.clone(),
-            ..Config::default()
-        };
-        let both = Config {
-            learned: LearnedSettings {
-                dtpp: Some("b.pth".to_owned()),
-                ..learned
-            },
-            ..Config::default()
-        };
+        let mut one = Config::default();
+        one.learned.set("plantf", "a.ckpt".to_owned());
+        let mut both = one.clone();
+        both.learned.set("dtpp", "b.pth".to_owned());
         assert_eq!(
             relevant(one.clone(), "plantf", PlannerNeeds::Checkpoint),
             relevant(both.clone(), "plantf", PlannerNeeds::Checkpoint)

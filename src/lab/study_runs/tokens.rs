@@ -4,7 +4,7 @@ use super::suites::SelectedSuite;
 use crate::report::{StudyFolder, token_markdown};
 use crate::tokens::{TokenCounter, TokenRow, TokenTable, count};
 use planagent_agent::reflection::steps_of;
-use planagent_runs::report::json_value;
+use planagent_runs::report::{json_value, markdown_block, markdown_line};
 use planagent_runs::runner::Config;
 use planagent_runs::runner::RunnerError;
 use planagent_runs::runner::model::OpenModel;
@@ -109,13 +109,14 @@ fn counted(
 }
 
 fn markdown(suites: &[SuiteTokens], command: &str) -> String {
-    let mut text = format!("# {TITLE}\n\n```console\n$ {command}\n```\n");
+    let command = markdown_block("console", &format!("$ {command}"));
+    let mut text = format!("# {TITLE}\n\n{command}\n");
     for suite in suites {
         // Writing to a text cannot fail.
         let _ = write!(
             text,
             "\n## {}: {} scenes\n\n{}",
-            suite.suite,
+            markdown_line(&suite.suite),
             suite.scenes,
             token_markdown(&suite.table)
         );

@@ -5,8 +5,9 @@ use super::runs::{DIGEST, relevant};
 use crate::dataset::twins::PairName;
 use crate::report::{StudyFolder, TwinRecords, twin_markdown};
 use crate::twins::{self, NAMES, PairRecord, TwinResults};
-use planagent_agent::planner::{PlannerName, PlannerNeeds};
-use planagent_runs::report::{ScenarioList, json_value};
+use planagent_agent::planner::PlannerName;
+use planagent_agent::planner_registry::PlannerNeeds;
+use planagent_runs::report::{ScenarioList, json_value, markdown_block, markdown_line};
 use planagent_runs::runner::Config;
 use planagent_runs::runner::RunnerError;
 use planagent_runs::runner::commands::Commands;
@@ -103,6 +104,9 @@ pub(super) fn judge(
         .filter(|pair| !known.contains_key(&pair.to_string()))
         .collect();
     let (total, done) = (pairs.len(), AtomicUsize::new(pairs.len() - left.len()));
+    if !left.is_empty() {
+        loaded.probe(config, listener)?;
+    }
     listener(Event::Note(format!(
         "{name}: {total} pairs; {} are answered, {} are left",
         total - left.len(),
@@ -135,10 +139,13 @@ pub(super) fn write(
     results: &[TwinResults],
     command: &str,
 ) -> Result<(), RunnerError> {
-    let of_list =
-        |results: &TwinResults| format!("\n## {}\n\n{}", results.list, twin_markdown(results));
+    let of_list = |results: &TwinResults| {
+        let list = markdown_line(&results.list);
+        format!("\n## {list}\n\n{}", twin_markdown(results))
+    };
     let lists: String = results.iter().map(of_list).collect();
-    let markdown = format!("# {TITLE}\n\n```console\n$ {command}\n```\n{lists}");
+    let command = markdown_block("console", &format!("$ {command}"));
+    let markdown = format!("# {TITLE}\n\n{command}\n{lists}");
     let json = serde_json::to_string_pretty(&json_value(&results)?)? + "\n";
     Ok(folder.write_files(&[("results.md", markdown), ("results.json", json)])?)
 }

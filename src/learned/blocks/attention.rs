@@ -1,6 +1,6 @@
 //! PyTorch's `MultiheadAttention`, batch first.
 
-use super::{Linear, Memory, Weights};
+use super::{Linear, PackedKeyValues, Weights};
 use candle_core::{Device, Result, Tensor};
 
 /// Attention of several heads with projections of queries, keys, values and the result.
@@ -31,7 +31,7 @@ impl MultiheadAttention {
         Ok(Self {
             heads,
             projections,
-            output: Linear::take(weights, &format!("{name}.out_proj"), width, width)?,
+            output: weights.linear(&format!("{name}.out_proj"), width, width)?,
         })
     }
 
@@ -46,8 +46,8 @@ impl MultiheadAttention {
     }
 
     /// Keys and values (B, K, E) that several queries may hear.
-    pub(crate) fn memory(&self, key: &Tensor, value: &Tensor) -> Result<Memory> {
-        Memory::pack(
+    pub(crate) fn memory(&self, key: &Tensor, value: &Tensor) -> Result<PackedKeyValues> {
+        PackedKeyValues::pack(
             &self.projected(1, key)?,
             &self.projected(2, value)?,
             self.heads,
@@ -58,10 +58,10 @@ impl MultiheadAttention {
     pub(crate) fn hear(
         &self,
         query: &Tensor,
-        memory: &Memory,
+        memory: &PackedKeyValues,
         bias: Option<&Tensor>,
     ) -> Result<Tensor> {
-        self.output(&memory.hear(&self.projected(0, query)?, bias)?)
+        self.output(&memory.attend(&self.projected(0, query)?, bias)?)
     }
 
     /// Rows (…, E) as queries (0), keys (1) or values (2) of all heads.

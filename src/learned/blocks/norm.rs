@@ -1,31 +1,10 @@
-//! Normalizations.
+//! Batch normalization.
 
 use super::Weights;
 use candle_core::{Result, Tensor};
 
-/// PyTorch's default ε of both.
-const EPSILON: f64 = 1e-5;
-
-/// Normalizes the last dimension.
-#[derive(Debug, Clone)]
-pub(crate) struct LayerNorm(planagent_kernels::LayerNorm);
-
-impl LayerNorm {
-    /// Takes `NAME.weight` and `NAME.bias`.
-    pub(crate) fn take(weights: &mut Weights, name: &str, width: usize) -> Result<Self> {
-        let mut vector = |part: &str| weights.take(&format!("{name}.{part}"), &[width])?.to_vec1();
-        Ok(Self(planagent_kernels::LayerNorm::new(
-            vector("weight")?,
-            vector("bias")?,
-            EPSILON,
-        )))
-    }
-
-    /// Applies the norm to (…, width).
-    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.0.forward(x)
-    }
-}
+/// PyTorch's default ε, of layer normalization too.
+pub(super) const EPSILON: f64 = 1e-5;
 
 /// Batch normalization with its running statistics, as one factor and one summand a channel.
 #[derive(Debug, Clone)]

@@ -1,6 +1,8 @@
 //! The tensors of a checkpoint while a network takes them.
 
-use candle_core::{DType, Device, Tensor};
+use super::norm::EPSILON;
+use super::{LayerNorm, Linear};
+use candle_core::{DType, Device, Result, Tensor};
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -36,7 +38,7 @@ impl Weights {
 
     /// The tensor of this name as f32. A missing one is noted, and zeros take its place until
     /// [`Weights::finish`].
-    pub(crate) fn take(&mut self, name: &str, shape: &[usize]) -> candle_core::Result<Tensor> {
+    pub(crate) fn take(&mut self, name: &str, shape: &[usize]) -> Result<Tensor> {
         self.manifest.push((name.to_owned(), shape.to_vec()));
         match self.left.remove(name) {
             Some(tensor) if tensor.dims() == shape => {
@@ -52,8 +54,33 @@ impl Weights {
         Tensor::zeros(shape, DType::F32, &Device::Cpu)
     }
 
+    /// The affine layer of `NAME.weight` and `NAME.bias`.
+    pub(crate) fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
+        let weight = self.take(&format!("{name}.weight"), &[outputs, inputs])?;
+        let bias = self.take(&format!("{name}.bias"), &[outputs])?;
+        Linear::from_tensors(&weight, Some(bias))
+    }
+
+    /// The affine layer of `NAME.weight`.
+    pub(crate) fn linear_without_bias(
+        &mut self,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Linear> {
+        let weight = self.take(&format!("{name}.weight"), &[outputs, inputs])?;
+        Linear::from_tensors(&weight, None)
+    }
+
+    /// The layer normalization of `NAME.weight` and `NAME.bias`.
+    pub(crate) fn layer_norm(&mut self, name: &str, width: usize) -> Result<LayerNorm> {
+        let mut vector = |part: &str| self.take(&format!("{name}.{part}"), &[width])?.to_vec1();
+        let (weight, bias) = (vector("weight")?, vector("bias")?);
+        Ok(LayerNorm::new(weight, bias, EPSILON))
+    }
+
     /// Takes a tensor that the network computes by itself; only its name and shape are checked.
-    pub(crate) fn skip(&mut self, name: &str, shape: &[usize]) -> candle_core::Result<()> {
+    pub(crate) fn skip(&mut self, name: &str, shape: &[usize]) -> Result<()> {
         self.take(name, shape).map(|_| ())
     }
 
@@ -66,7 +93,7 @@ impl Weights {
     ///
     /// # Errors
     /// When a tensor was missing or had another shape, or one is left over.
-    pub fn finish(mut self) -> Result<(), Mismatch> {
+    pub fn finish(mut self) -> std::result::Result<(), Mismatch> {
         self.mismatch.left_over = self.left.into_keys().collect();
         if self.mismatch == Mismatch::default() {
             Ok(())

@@ -115,12 +115,12 @@ impl Dtpp {
             environment,
             condition,
             futures: [
-                Linear::take(weights, &format!("{futures}.0"), 2 * dim, dim / 2)?,
-                Linear::take(weights, &format!("{futures}.2"), dim / 2, 3 * TOKEN_STEPS)?,
+                weights.linear(&format!("{futures}.0"), 2 * dim, dim / 2)?,
+                weights.linear(&format!("{futures}.2"), dim / 2, 3 * TOKEN_STEPS)?,
             ],
             regularization: [
-                Linear::take(weights, "decoder.ego_traj_decoder.0", dim, dim)?,
-                Linear::take(weights, "decoder.ego_traj_decoder.2", dim, 3 * STEPS)?,
+                weights.linear("decoder.ego_traj_decoder.0", dim, dim)?,
+                weights.linear("decoder.ego_traj_decoder.2", dim, 3 * STEPS)?,
             ],
             scorer: Scorer::take(weights, dim)?,
         })

@@ -6,9 +6,8 @@ use super::tree::{TreeError, scored_tree};
 use crate::gameformer::ActorFeatures;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
-use planagent_agent::planner::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
-};
+use planagent_agent::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner_registry::PlannerEntry;
 use planagent_world::{STEP_US, Trajectory};
 use std::sync::Arc;
 
@@ -56,7 +55,7 @@ impl Planner for DtppPlanner {
         let (paths, limit) = paths(scene);
         let start = [scene.ego.velocity.x as f32, scene.ego.acceleration.x as f32];
         let seed = scene.ego.time_us.unsigned_abs();
-        let plan = match scored_tree(&self.network, &inputs, (&paths, limit), start, seed) {
+        let plan = match scored_tree(&self.network, &inputs, &paths, limit, start, seed) {
             Ok(tree) => tree.best,
             // As upstream, which catches every exception.
             Err(TreeError::NoTrajectory) => vec![[0.0; 3]; STEPS],

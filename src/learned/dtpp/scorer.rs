@@ -33,13 +33,8 @@ impl Scorer {
     pub(super) fn take(weights: &mut Weights, dim: usize) -> Result<Self> {
         let mut two = |name: &str, outputs: usize| -> Result<[Linear; 2]> {
             Ok([
-                Linear::take(weights, &format!("decoder.scorer.{name}.0"), dim, dim / 4)?,
-                Linear::take(
-                    weights,
-                    &format!("decoder.scorer.{name}.2"),
-                    dim / 4,
-                    outputs,
-                )?,
+                weights.linear(&format!("decoder.scorer.{name}.0"), dim, dim / 4)?,
+                weights.linear(&format!("decoder.scorer.{name}.2"), dim / 4, outputs)?,
             ])
         };
         let latent = two("interaction_feature_decoder", LATENT)?;

@@ -56,7 +56,8 @@ pub struct ScoredTree {
 pub fn scored_tree(
     network: &Dtpp,
     inputs: &SceneInputs,
-    (paths, limit): (&[Course], f64),
+    paths: &[Course],
+    limit: f64,
     start: [f32; 2],
     seed: u64,
 ) -> Result<ScoredTree, TreeError> {

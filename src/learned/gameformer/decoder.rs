@@ -36,17 +36,12 @@ impl Gaussians {
     fn take(weights: &mut Weights, name: &str, dim: usize) -> Result<Self> {
         Ok(Self {
             gaussian: [
-                Linear::take(weights, &format!("{name}.gaussian.0"), dim, 2 * dim)?,
-                Linear::take(
-                    weights,
-                    &format!("{name}.gaussian.3"),
-                    2 * dim,
-                    POSES * GAUSSIAN,
-                )?,
+                weights.linear(&format!("{name}.gaussian.0"), dim, 2 * dim)?,
+                weights.linear(&format!("{name}.gaussian.3"), 2 * dim, POSES * GAUSSIAN)?,
             ],
             score: [
-                Linear::take(weights, &format!("{name}.score.0"), dim, dim / 4)?,
-                Linear::take(weights, &format!("{name}.score.2"), dim / 4, 1)?,
+                weights.linear(&format!("{name}.score.0"), dim, dim / 4)?,
+                weights.linear(&format!("{name}.score.2"), dim / 4, 1)?,
             ],
         })
     }

@@ -1,8 +1,8 @@
 //! The encoder of GameFormer and DTPP: actors and pieces of map lines as tokens of one transformer.
 
 use crate::blocks::{
-    LayerNorm, Linear, Lstm, Memory, Mlp, MultiheadAttention, Probe, Weights, gelu, key_bias,
-    largest,
+    LayerNorm, Linear, Lstm, Mlp, MultiheadAttention, PackedKeyValues, Probe, Weights, gelu,
+    key_bias, largest,
 };
 use candle_core::{D, Device, Result, Tensor};
 
@@ -36,7 +36,7 @@ pub struct SceneInputs {
 
 /// A scene as tokens: the ego, the other actors, pieces of lanes, pieces of crosswalks.
 #[derive(Debug, Clone)]
-pub struct EncodedScene {
+pub(crate) struct EncodedScene {
     /// Present states (B, 1 + A, 5).
     pub current: Tensor,
     /// Tokens (B, T, dim).
@@ -222,12 +222,12 @@ impl Layer {
         Ok(Self {
             attention: MultiheadAttention::take(weights, &format!("{name}.self_attn"), dim, HEADS)?,
             linear: [
-                Linear::take(weights, &format!("{name}.linear1"), dim, 4 * dim)?,
-                Linear::take(weights, &format!("{name}.linear2"), 4 * dim, dim)?,
+                weights.linear(&format!("{name}.linear1"), dim, 4 * dim)?,
+                weights.linear(&format!("{name}.linear2"), 4 * dim, dim)?,
             ],
             norms: [
-                LayerNorm::take(weights, &format!("{name}.norm1"), dim)?,
-                LayerNorm::take(weights, &format!("{name}.norm2"), dim)?,
+                weights.layer_norm(&format!("{name}.norm1"), dim)?,
+                weights.layer_norm(&format!("{name}.norm2"), dim)?,
             ],
         })
     }
@@ -262,12 +262,12 @@ impl Block {
                 HEADS,
             )?,
             norms: [
-                LayerNorm::take(weights, &format!("{name}.norm_1"), dim)?,
-                LayerNorm::take(weights, &format!("{name}.norm_2"), dim)?,
+                weights.layer_norm(&format!("{name}.norm_1"), dim)?,
+                weights.layer_norm(&format!("{name}.norm_2"), dim)?,
             ],
             mlp: [
-                Linear::take(weights, &format!("{name}.ffn.0"), dim, inner)?,
-                Linear::take(weights, &format!("{name}.ffn.3"), inner, dim)?,
+                weights.linear(&format!("{name}.ffn.0"), dim, inner)?,
+                weights.linear(&format!("{name}.ffn.3"), inner, dim)?,
             ],
         })
     }
@@ -278,12 +278,17 @@ impl Block {
     }
 
     /// A memory that several queries may hear.
-    pub(crate) fn memory(&self, memory: &Tensor) -> Result<Memory> {
+    pub(crate) fn memory(&self, memory: &Tensor) -> Result<PackedKeyValues> {
         self.attention.memory(memory, memory)
     }
 
     /// As [`Self::cross`].
-    pub(crate) fn hear(&self, query: &Tensor, memory: &Memory, bias: &Tensor) -> Result<Tensor> {
+    pub(crate) fn hear(
+        &self,
+        query: &Tensor,
+        memory: &PackedKeyValues,
+        bias: &Tensor,
+    ) -> Result<Tensor> {
         self.rest(&self.attention.hear(query, memory, Some(bias))?)
     }
 

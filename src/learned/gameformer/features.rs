@@ -88,7 +88,7 @@ impl ActorFeatures {
     }
 
     /// The present states of the other actors.
-    pub fn present_neighbors(&self) -> Vec<[f32; 11]> {
+    pub(crate) fn present_neighbors(&self) -> Vec<[f32; 11]> {
         let last =
             |steps: &[f32]| std::array::from_fn(|column| steps[(STEPS - 1) * NEIGHBOR + column]);
         self.neighbors

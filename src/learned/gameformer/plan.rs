@@ -31,8 +31,8 @@ impl PlanHead {
                 [dim, 4 * dim],
             )?,
             controls: [
-                Linear::take(weights, "planner.plan_decoder.0", 2 * dim, dim)?,
-                Linear::take(weights, "planner.plan_decoder.3", dim, 2 * POSES)?,
+                weights.linear("planner.plan_decoder.0", 2 * dim, dim)?,
+                weights.linear("planner.plan_decoder.3", dim, 2 * POSES)?,
             ],
         })
     }

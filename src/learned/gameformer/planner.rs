@@ -10,9 +10,8 @@ use crate::lattice::ROW;
 use crate::slot::{Slot, learned_entry};
 use crate::{network_failed, prediction};
 use candle_core::{IndexOp, Result};
-use planagent_agent::planner::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput,
-};
+use planagent_agent::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use planagent_agent::planner_registry::PlannerEntry;
 use planagent_world::{STEP_S, STEP_US, Trajectory};
 use std::sync::Arc;
 

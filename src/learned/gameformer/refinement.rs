@@ -5,7 +5,7 @@ use super::occupancy::{CELLS, Occupancy, STEPS};
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 /// Speeds that are sought, 0.1 s apart.
-pub const SPEEDS: usize = 80;
+pub(crate) const SPEEDS: usize = 80;
 const STEP_S: f64 = 0.1;
 /// Room in front of the rear axle, meters.
 const FRONT: f64 = 4.049;

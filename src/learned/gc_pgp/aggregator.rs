@@ -30,7 +30,7 @@ impl Aggregator {
     pub(super) fn take(weights: &mut Weights) -> Result<Self> {
         weights.skip("aggregator.pos_enc.inv_freq", &[WIDTH / 2])?;
         let mut embed =
-            |part: &str| Linear::take(weights, &format!("aggregator.{part}"), WIDTH, ATTENTION);
+            |part: &str| weights.linear(&format!("aggregator.{part}"), WIDTH, ATTENTION);
         let embed = [embed("query_emb")?, embed("key_emb")?, embed("val_emb")?];
         Ok(Self {
             embed,

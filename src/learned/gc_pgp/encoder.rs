@@ -25,7 +25,7 @@ struct Sequence {
 impl Sequence {
     fn take(weights: &mut Weights, [embed, encode]: [&str; 2], inputs: usize) -> Result<Self> {
         Ok(Self {
-            embed: Linear::take(weights, embed, inputs, STEP)?,
+            embed: weights.linear(embed, inputs, STEP)?,
             encode: Gru::take(weights, encode, STEP, WIDTH)?,
         })
     }
@@ -68,7 +68,7 @@ struct Attention {
 impl Attention {
     fn take(weights: &mut Weights, name: &str, attention: &str) -> Result<Self> {
         let embed = ["query_emb", "key_emb", "val_emb"]
-            .map(|part| Linear::take(weights, &format!("{name}{part}"), WIDTH, WIDTH));
+            .map(|part| weights.linear(&format!("{name}{part}"), WIDTH, WIDTH));
         let [query, key, value] = embed;
         Ok(Self {
             embed: [query?, key?, value?],
@@ -122,7 +122,7 @@ impl Encoder {
             nodes: Sequence::take(weights, ["encoder.node_emb", "encoder.node_encoder"], POSE)?,
             agents: Sequence::take(weights, ["encoder.nbr_emb", "encoder.nbr_enc"], AGENT)?,
             near: Attention::take(weights, "encoder.", "a_n_att")?,
-            mix: Linear::take(weights, "encoder.mix", 2 * WIDTH, WIDTH)?,
+            mix: weights.linear("encoder.mix", 2 * WIDTH, WIDTH)?,
         })
     }
 

@@ -121,9 +121,9 @@ impl GcPgp {
         let mut layers = |names: [&str; 3], inputs: usize| -> Result<[Linear; 3]> {
             let [first, second, last] = names;
             Ok([
-                Linear::take(weights, first, inputs, WIDTH)?,
-                Linear::take(weights, second, WIDTH, WIDTH)?,
-                Linear::take(weights, last, WIDTH, 1)?,
+                weights.linear(first, inputs, WIDTH)?,
+                weights.linear(second, WIDTH, WIDTH)?,
+                weights.linear(last, WIDTH, 1)?,
             ])
         };
         let edge = layers(
@@ -144,8 +144,8 @@ impl GcPgp {
             edge,
             goal,
             aggregator,
-            hidden: Linear::take(weights, "decoder.hidden", CONTEXT + LATENT, HIDDEN)?,
-            output: Linear::take(weights, "decoder.op_traj", HIDDEN, 2 * POSES)?,
+            hidden: weights.linear("decoder.hidden", CONTEXT + LATENT, HIDDEN)?,
+            output: weights.linear("decoder.op_traj", HIDDEN, 2 * POSES)?,
         })
     }
 

@@ -10,4 +10,5 @@ pub use bent::{bent, curvature};
 pub use course::{Course, course};
 pub(crate) use course::{MAX_ROWS, ROW, every_tenth, relative_course};
 pub(crate) use route::long_enough;
-pub use route::{Candidate, candidates, starting_block, starting_lanes};
+pub(crate) use route::starting_lanes;
+pub use route::{Candidate, candidates, starting_block};

@@ -55,7 +55,7 @@ pub fn starting_block(scene: &SceneView<'_>) -> Option<(RoadblockId, f64)> {
 }
 
 /// The lanes of a roadblock near the rear axle; where none is near, the nearest.
-pub fn starting_lanes(scene: &SceneView<'_>, block: RoadblockId) -> Vec<LaneId> {
+pub(crate) fn starting_lanes(scene: &SceneView<'_>, block: RoadblockId) -> Vec<LaneId> {
     let here = scene.ego.rear_axle.position();
     let distance = |lane: LaneId| scene.map[lane].polygon.distance_to(here);
     let lanes = &scene.map[block].lanes;

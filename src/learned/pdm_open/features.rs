@@ -95,7 +95,7 @@ impl PdmFeatures {
     ///
     /// # Errors
     /// When tensors cannot be made.
-    pub fn inputs_with(&self, trajectory: &[[f32; 3]; POSES]) -> Result<PdmInputs> {
+    pub(crate) fn inputs_with(&self, trajectory: &[[f32; 3]; POSES]) -> Result<PdmInputs> {
         let trajectory =
             Tensor::from_slice(trajectory.as_flattened(), (1, POSES, 3), &Device::Cpu)?;
         Ok(PdmInputs {

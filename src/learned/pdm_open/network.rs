@@ -57,22 +57,17 @@ impl PdmNetwork {
     }
 
     fn take(weights: &mut Weights, hidden: usize, offset: bool) -> Result<Self> {
-        let state = Linear::take(weights, "state_encoding.0", 9 * HISTORY, hidden)?;
-        let centerline = Linear::take(weights, "centerline_encoding.0", 3 * CENTERLINE, hidden)?;
+        let state = weights.linear("state_encoding.0", 9 * HISTORY, hidden)?;
+        let centerline = weights.linear("centerline_encoding.0", 3 * CENTERLINE, hidden)?;
         let trajectory = if offset {
-            Some(Linear::take(
-                weights,
-                "trajectory_encoding.0",
-                3 * POSES,
-                hidden,
-            )?)
+            Some(weights.linear("trajectory_encoding.0", 3 * POSES, hidden)?)
         } else {
             None
         };
         let encodings = if offset { 3 } else { 2 };
-        let first = Linear::take(weights, "planner_head.0", encodings * hidden, hidden)?;
-        let second = Linear::take(weights, "planner_head.3", hidden, hidden)?;
-        let last = Linear::take(weights, "planner_head.5", hidden, 3 * POSES)?;
+        let first = weights.linear("planner_head.0", encodings * hidden, hidden)?;
+        let second = weights.linear("planner_head.3", hidden, hidden)?;
+        let last = weights.linear("planner_head.5", hidden, 3 * POSES)?;
         Ok(Self {
             state,
             centerline,

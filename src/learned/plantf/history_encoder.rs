@@ -2,7 +2,7 @@
 //! coarse to fine.
 
 use super::network::{PlanTfInputs, names};
-use crate::blocks::{Conv1d, LayerNorm, Linear, Memory, Probe, Weights, gelu};
+use crate::blocks::{Conv1d, LayerNorm, Linear, PackedKeyValues, Probe, Weights, gelu};
 use candle_core::{D, DType, Device, Result, Tensor};
 
 /// Columns of a step: Δposition, Δvelocity, cosine and sine of the turn, width, length, seen.
@@ -56,16 +56,12 @@ impl HistoryEncoder {
                         width(level),
                         width(level + 1),
                     )?,
-                    LayerNorm::take(
-                        weights,
-                        &format!("{within}.downsample.norm"),
-                        width(level + 1),
-                    )?,
+                    weights.layer_norm(&format!("{within}.downsample.norm"), width(level + 1))?,
                 ))
             } else {
                 None
             };
-            let norm = LayerNorm::take(weights, &format!("{name}.norm{level}"), width(level))?;
+            let norm = weights.layer_norm(&format!("{name}.norm{level}"), width(level))?;
             levels.push(Level {
                 blocks,
                 norm,
@@ -212,9 +208,8 @@ struct Block {
 impl Block {
     fn take(weights: &mut Weights, name: &str, width: usize, level: usize) -> Result<Self> {
         let (heads, window) = (HEADS[level], WINDOWS[level]);
-        let norm = |weights: &mut Weights, i: usize| {
-            LayerNorm::take(weights, &format!("{name}.norm{i}"), width)
-        };
+        let norm =
+            |weights: &mut Weights, i: usize| weights.layer_norm(&format!("{name}.norm{i}"), width);
         Ok(Self {
             norms: [norm(weights, 1)?, norm(weights, 2)?],
             heads,
@@ -223,21 +218,11 @@ impl Block {
                 .take(&format!("{name}.attn.rpb"), &[heads, 2 * window - 1])?
                 .flatten_all()?
                 .to_vec1()?,
-            projections: Linear::take(weights, &format!("{name}.attn.qkv"), width, 3 * width)?,
-            output: Linear::take(weights, &format!("{name}.attn.proj"), width, width)?,
+            projections: weights.linear(&format!("{name}.attn.qkv"), width, 3 * width)?,
+            output: weights.linear(&format!("{name}.attn.proj"), width, width)?,
             mlp: [
-                Linear::take(
-                    weights,
-                    &format!("{name}.mlp.fc1"),
-                    width,
-                    MLP_RATIO * width,
-                )?,
-                Linear::take(
-                    weights,
-                    &format!("{name}.mlp.fc2"),
-                    MLP_RATIO * width,
-                    width,
-                )?,
+                weights.linear(&format!("{name}.mlp.fc1"), width, MLP_RATIO * width)?,
+                weights.linear(&format!("{name}.mlp.fc2"), MLP_RATIO * width, width)?,
             ],
         })
     }
@@ -255,8 +240,8 @@ impl Block {
         let (_, length, width) = x.dims3()?;
         let parts = self.projections.forward(x)?;
         let [query, key, value] = [0, 1, 2].map(|i| parts.narrow(2, i * width, width));
-        let mixed =
-            Memory::pack(&key?, &value?, self.heads)?.hear(&query?, Some(&self.bias(length)?))?;
+        let mixed = PackedKeyValues::pack(&key?, &value?, self.heads)?
+            .attend(&query?, Some(&self.bias(length)?))?;
         self.output.forward(&mixed)
     }
 

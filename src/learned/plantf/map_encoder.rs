@@ -101,11 +101,11 @@ impl PointsEncoder {
         Ok(Self {
             first: [
                 Linear::from_tensors(&narrow, Some(narrow_bias))?,
-                Linear::take(weights, &first[2], NARROW, WIDE)?,
+                weights.linear(&first[2], NARROW, WIDE)?,
             ],
             second: (
                 GroupLinear::from_tensors(&wide, wide_bias)?,
-                Linear::take(weights, &second[2], WIDE, dim)?,
+                weights.linear(&second[2], WIDE, dim)?,
             ),
         })
     }

@@ -131,7 +131,7 @@ impl PlanTf {
             layers: (0..depth)
                 .map(|i| Layer::take(weights, &format!("encoder_blocks.{i}"), config))
                 .collect::<Result<_>>()?,
-            norm: LayerNorm::take(weights, "norm", dim)?,
+            norm: weights.layer_norm("norm", dim)?,
             decoder: Decoder::take(weights, config)?,
             predictor: Head::take(weights, "agent_predictor", [dim, 2 * dim, 2 * POSES], false)?,
         })
@@ -236,8 +236,7 @@ impl StateAttention {
     fn take(weights: &mut Weights, name: &str, dim: usize) -> Result<Self> {
         let position = weights.take(&format!("{name}.pos_embed"), &[1, STATE, dim])?;
         let query = weights.take(&format!("{name}.query"), &[1, 1, dim])?;
-        let quantities =
-            (0..STATE).map(|i| Linear::take(weights, &format!("{name}.linears.{i}"), 1, dim));
+        let quantities = (0..STATE).map(|i| weights.linear(&format!("{name}.linears.{i}"), 1, dim));
         let quantities = quantities.collect::<Result<_>>()?;
         let attention =
             MultiheadAttention::take(weights, &format!("{name}.attn"), dim, STATE_HEADS)?;
@@ -283,12 +282,12 @@ impl Layer {
         Ok(Self {
             attention: MultiheadAttention::take(weights, &format!("{name}.attn"), dim, heads)?,
             norms: [
-                LayerNorm::take(weights, &format!("{name}.norm1"), dim)?,
-                LayerNorm::take(weights, &format!("{name}.norm2"), dim)?,
+                weights.layer_norm(&format!("{name}.norm1"), dim)?,
+                weights.layer_norm(&format!("{name}.norm2"), dim)?,
             ],
             mlp: [
-                Linear::take(weights, &format!("{name}.mlp.fc1"), dim, 4 * dim)?,
-                Linear::take(weights, &format!("{name}.mlp.fc2"), 4 * dim, dim)?,
+                weights.linear(&format!("{name}.mlp.fc1"), dim, 4 * dim)?,
+                weights.linear(&format!("{name}.mlp.fc2"), 4 * dim, dim)?,
             ],
         })
     }
@@ -322,12 +321,12 @@ impl Head {
         let [first, norm, last] = names(name, [0, 1, 3]);
         Ok(Self {
             first: if bias {
-                Linear::take(weights, &first, inputs, inner)?
+                weights.linear(&first, inputs, inner)?
             } else {
-                Linear::without_bias(weights, &first, inputs, inner)?
+                weights.linear_without_bias(&first, inputs, inner)?
             },
-            norm: LayerNorm::take(weights, &norm, inner)?,
-            last: Linear::take(weights, &last, inner, outputs)?,
+            norm: weights.layer_norm(&norm, inner)?,
+            last: weights.linear(&last, inner, outputs)?,
         })
     }
 
@@ -348,12 +347,7 @@ struct Decoder {
 impl Decoder {
     fn take(weights: &mut Weights, PlanTfConfig { dim, modes, .. }: PlanTfConfig) -> Result<Self> {
         Ok(Self {
-            modes: Linear::take(
-                weights,
-                "trajectory_decoder.multimodal_proj",
-                dim,
-                modes * dim,
-            )?,
+            modes: weights.linear("trajectory_decoder.multimodal_proj", dim, modes * dim)?,
             trajectory: Head::take(
                 weights,
                 "trajectory_decoder.loc",

@@ -68,7 +68,7 @@ impl RasterModel {
         Ok(Self {
             stem,
             stages,
-            output: Linear::take(weights, "_model.fc", inputs, 3 * POSES)?,
+            output: weights.linear("_model.fc", inputs, 3 * POSES)?,
         })
     }
 

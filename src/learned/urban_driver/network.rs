@@ -70,7 +70,7 @@ impl UrbanDriver {
         Ok(Self {
             width,
             layers,
-            points: Linear::take(weights, "feature_embedding", COLUMNS, width)?,
+            points: weights.linear("feature_embedding", COLUMNS, width)?,
             kinds: weights.take("type_embedding.embedding.weight", &[KIND_ROWS, width])?,
             attention: MultiheadAttention::take(weights, "global_head.encoder", width, HEADS)?,
             output: Mlp::take(weights, &outputs, &[width, 4 * width, 4 * width, 3 * POSES])?,
@@ -190,8 +190,8 @@ impl SubgraphLayer {
     fn take(weights: &mut Weights, name: &str, width: usize) -> Result<Self> {
         let remap = weights.take(&format!("{name}.linear_remap.weight"), &[width, 2 * width])?;
         Ok(Self {
-            inner: Linear::without_bias(weights, &format!("{name}.mlp.linear"), width, width)?,
-            norm: LayerNorm::take(weights, &format!("{name}.mlp.norm"), width)?,
+            inner: weights.linear_without_bias(&format!("{name}.mlp.linear"), width, width)?,
+            norm: weights.layer_norm(&format!("{name}.mlp.norm"), width)?,
             outer: GroupLinear::from_tensors(
                 &remap,
                 weights.take(&format!("{name}.linear_remap.bias"), &[width])?,

@@ -2,6 +2,7 @@
 
 use super::{parse_json, read_text};
 use crate::MllmError;
+use crate::gguf::OwnKeys;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,6 +13,8 @@ pub struct ModelFiles {
     place: PathBuf,
     /// Texts of files outside of a folder, by name, each with the path that messages show.
     packed: Option<BTreeMap<String, (PathBuf, String)>>,
+    /// The GGUF files that the texts were made from, where they do not hold them.
+    made_from: Option<OwnKeys>,
 }
 
 impl ModelFiles {
@@ -20,6 +23,7 @@ impl ModelFiles {
             return Ok(Self {
                 place: folder.to_path_buf(),
                 packed: None,
+                made_from: None,
             });
         }
         Err(MllmError::MissingFile {
@@ -37,6 +41,23 @@ impl ModelFiles {
         Self {
             place: place.to_path_buf(),
             packed: Some(packed),
+            made_from: None,
+        }
+    }
+
+    /// The same texts, made from the metadata of GGUF files.
+    pub(crate) fn made_from(self, files: OwnKeys) -> Self {
+        Self {
+            made_from: Some(files),
+            ..self
+        }
+    }
+
+    /// An error about a key of these files by the name that the key has on the disk.
+    pub(crate) fn by_own_key(&self, error: MllmError) -> MllmError {
+        match &self.made_from {
+            Some(files) => files.rename(error),
+            None => error,
         }
     }
 

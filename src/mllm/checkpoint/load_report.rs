@@ -142,12 +142,24 @@ impl LoadReport {
 }
 
 /// The name of a tensor with the number of its layer as `*`.
-fn any_layer(name: &str) -> String {
+pub(crate) fn any_layer(name: &str) -> String {
     let is_number = |part: &str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
     name.split('.')
         .map(|part| if is_number(part) { "*" } else { part })
         .collect::<Vec<_>>()
         .join(".")
+}
+
+/// A number of weights for people: thousands, millions or billions.
+pub fn parameter_count(parameters: u64) -> String {
+    let count = parameters as f64;
+    match parameters {
+        0..1_000 => parameters.to_string(),
+        1_000..1_000_000 => format!("{:.0} K", count / 1e3),
+        1_000_000..10_000_000 => format!("{:.1} M", count / 1e6),
+        10_000_000..1_000_000_000 => format!("{:.0} M", count / 1e6),
+        _ => format!("{:.2} B", count / 1e9),
+    }
 }
 
 /// A number of bytes for people: GiB from 1 GiB on, else MiB.
@@ -193,5 +205,10 @@ mod tests {
         );
         assert_eq!(report.bytes(), 502);
         assert_eq!(in_bytes(3 << 29), "1.5 GiB");
+        let counts = [7, 74_900, 4_020_000, 256_500_000, 7_060_000_000];
+        assert_eq!(
+            counts.map(parameter_count),
+            ["7", "75 K", "4.0 M", "256 M", "7.06 B"]
+        );
     }
 }

@@ -20,8 +20,10 @@ pub(crate) use config::{ConfigObject, OneOrMany, check_width, positive};
 pub(crate) use decoder_type::DecoderType;
 pub use files::ModelFiles;
 pub use llama_config::LlamaConfig;
-pub use load_report::in_bytes;
-pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
+pub(crate) use load_report::any_layer;
+pub use load_report::{
+    LoadReport, WeightFormatException, WeightFormatShare, in_bytes, parameter_count,
+};
 pub(crate) use mistaken::what_instead_of_weights;
 pub(crate) use neutral::Neutral;
 pub(crate) use row_order::{RowOrder, paired};

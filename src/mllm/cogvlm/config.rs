@@ -38,8 +38,8 @@ impl CogVlmConfig {
     }
 
     /// Reads a configuration; `path` is for messages. Absent keys take the defaults of
-    /// `CogVLMConfig` in the repository of `cogvlm-chat-hf`, which are Llama's; its towers say all
-    /// keys.
+    /// `CogVLMConfig` in the repository of `cogvlm-chat-hf`, which are Llama's: `rms_norm_eps` is
+    /// 1e-6 there, though the configuration of that model says 1e-5. Its towers say all keys.
     pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
         let root = ConfigObject::root(path, value)?;
         if root.contains("num_multi_query_heads") {
@@ -119,6 +119,7 @@ mod tests {
         assert_eq!((config.bos, config.style), (1, AnswerStyle::Chat));
         // The defaults are this model's, but for one.
         assert_eq!(parse(&json!({"rms_norm_eps": 1e-5})).unwrap(), config);
+        assert!((parse(&json!({})).unwrap().text.rms_norm_eps - 1e-6).abs() < f64::EPSILON);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The key-value cache of a decoder.
 
-use candle_core::{Result, Tensor};
+use candle_core::Result;
 use planagent_kernels::attention::{HeadShape, KeyValues, Precision, Projected};
 
 /// Keys and values of every layer. It only grows and truncates, so an earlier state is a length.
@@ -8,8 +8,6 @@ use planagent_kernels::attention::{HeadShape, KeyValues, Precision, Projected};
 #[derive(Debug, Clone)]
 pub struct KvCache {
     layers: Vec<KeyValues>,
-    /// The input rows of the positions, for a decoder that keeps keys and values elsewhere.
-    inputs: Vec<Tensor>,
     len: usize,
     limit: usize,
 }
@@ -19,37 +17,9 @@ impl KvCache {
     pub(crate) fn new(depth: usize, shape: HeadShape, precision: Precision, limit: usize) -> Self {
         Self {
             layers: vec![KeyValues::new(shape, precision); depth],
-            inputs: Vec::new(),
             len: 0,
             limit,
         }
-    }
-
-    /// An empty cache of input rows, for a decoder that keeps keys and values elsewhere.
-    pub(crate) fn of_inputs(limit: usize) -> Self {
-        Self {
-            layers: Vec::new(),
-            inputs: Vec::new(),
-            len: 0,
-            limit,
-        }
-    }
-
-    /// Adds input rows (tokens, width) as positions.
-    pub(crate) fn append_inputs(&mut self, rows: &Tensor) -> Result<()> {
-        let tokens = rows.dim(0)?;
-        self.check_room(tokens)?;
-        let rows = (0..tokens)
-            .map(|row| rows.narrow(0, row, 1))
-            .collect::<Result<Vec<_>>>()?;
-        self.inputs.extend(rows);
-        self.advance(tokens);
-        Ok(())
-    }
-
-    /// The input rows of all positions, (1, width) each.
-    pub(crate) fn inputs(&self) -> &[Tensor] {
-        &self.inputs
     }
 
     /// Number of positions.
@@ -59,7 +29,6 @@ impl KvCache {
 
     pub(crate) fn truncate(&mut self, len: usize) {
         self.len = self.len.min(len);
-        self.inputs.truncate(len);
     }
 
     pub(crate) fn check_room(&self, tokens: usize) -> Result<()> {

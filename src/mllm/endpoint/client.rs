@@ -45,6 +45,8 @@ pub(super) struct Question<'a> {
     /// Determines the random parts of the waits.
     pub(super) seed: u64,
     pub(super) deadline: Deadline,
+    /// Hears once that the server loads its model, which takes long.
+    pub(super) on_wait: &'a dyn Fn(&str),
 }
 
 #[derive(Debug)]
@@ -142,7 +144,9 @@ impl Client {
             body,
             seed,
             deadline,
+            on_wait,
         } = question;
+        let told = Cell::new(false);
         let spoken = Cell::new(false);
         // A piece of an answer may end within the key, and nobody needs pieces who does not listen.
         let whole = self.key.is_some() || !listens;
@@ -153,7 +157,16 @@ impl Client {
                     pass_on(text);
                 }
             };
-            self.ask_once(body, deadline, whole, &mut tell)
+            let answer = self.ask_once(body, deadline, whole, &mut tell);
+            if let Err(Failed {
+                failure: EndpointFailure::Loading { message, .. },
+                ..
+            }) = &answer
+                && !told.replace(true)
+            {
+                on_wait(&format!("the server says: {message}; waiting for it"));
+            }
+            answer
         };
         let waits = Waits::new(settings, seed, self.waited.load(Ordering::Relaxed));
         let result = patiently(waits, deadline, &spoken, &mut once)?;

@@ -9,6 +9,7 @@ mod hints;
 mod image_form;
 mod key;
 mod models;
+mod probe;
 mod reply;
 mod trouble;
 mod waits;
@@ -16,13 +17,14 @@ mod waits;
 use super::sampling::answer_seed;
 use super::{
     Answer, Constraint, Conversation, EndpointSettings, GrammarField, LoadReport, Mark, Mllm,
-    MllmError, ModelDescription, PromptPrefix, Request, RoundTime, Server, Turn, milliseconds,
-    prompt_hash,
+    MllmError, ModelDescription, ProbeQuestion, PromptPrefix, Request, RoundTime, Server, Turn,
+    milliseconds, prompt_hash,
 };
 use chat::Chat;
 use client::{Client, Question};
 use key::ApiKey;
 use reqwest::Url;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// How llama.cpp's server names itself in its list of models.
@@ -33,6 +35,8 @@ pub struct Endpoint {
     name: String,
     settings: EndpointSettings,
     client: Client,
+    /// Whether a probe was answered.
+    probed: AtomicBool,
 }
 
 impl Endpoint {
@@ -69,6 +73,7 @@ impl Endpoint {
             name: name.to_string(),
             settings,
             client,
+            probed: AtomicBool::new(false),
         })
     }
 }
@@ -122,6 +127,14 @@ impl Mllm for Endpoint {
                 model: self.settings.model.clone(),
             }),
         }
+    }
+
+    fn probe(
+        &self,
+        question: &ProbeQuestion,
+        on_wait: &dyn Fn(&str),
+    ) -> Result<Vec<String>, MllmError> {
+        self.probe_once(question, on_wait)
     }
 
     fn converse<'a>(
@@ -204,6 +217,7 @@ impl EndpointConversation<'_> {
             body: &body,
             seed,
             deadline: request.deadline,
+            on_wait: &|_| (),
         };
         let reply = self.endpoint.client.ask(question, on_text)?;
         let remote = milliseconds(asked.elapsed());

@@ -7,14 +7,16 @@
 //! UTF-8, bounds lists by the file's size alone, and checks neither the product of a shape nor
 //! whether tensors overlap.
 
+use super::parts::PartsOfTensors;
 use crate::MllmError;
 use crate::checkpoint::{TensorPlace, what_instead_of_weights};
 use candle_core::quantized::GgmlDType;
 use planagent_kernels::matrix::StoredFormat;
 use serde_json::{Number, Value};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 
 const MAGIC: &[u8; 4] = b"GGUF";
 /// Supported versions. 3 allows big-endian files, which are not supported.
@@ -43,9 +45,28 @@ pub struct Header {
     pub(crate) path: PathBuf,
     pub(crate) metadata: BTreeMap<String, Value>,
     pub(crate) tensors: BTreeMap<String, TensorPlace>,
+    /// The file of each tensor that is not in the first.
+    pub(super) parts: PartsOfTensors,
+    /// The keys that some code asked for.
+    pub(super) asked: Mutex<BTreeSet<String>>,
 }
 
 impl Header {
+    /// A header of these entries and tensors.
+    pub(crate) fn new(
+        path: &Path,
+        metadata: BTreeMap<String, Value>,
+        tensors: BTreeMap<String, TensorPlace>,
+    ) -> Self {
+        Self {
+            path: path.to_path_buf(),
+            metadata,
+            tensors,
+            parts: PartsOfTensors::new(),
+            asked: Mutex::default(),
+        }
+    }
+
     /// Reads the header of a file of `file_bytes` bytes. Errors name the byte.
     pub(crate) fn read(
         path: &Path,
@@ -127,11 +148,7 @@ impl Reader<'_> {
             self.position.next_multiple_of(alignment),
             alignment,
         )?;
-        Ok(Header {
-            path: self.path.to_path_buf(),
-            metadata,
-            tensors,
-        })
+        Ok(Header::new(self.path, metadata, tensors))
     }
 
     fn alignment(&self, metadata: &BTreeMap<String, Value>) -> Result<u64, MllmError> {

@@ -5,6 +5,7 @@ use crate::MllmError;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
+use std::sync::PoisonError;
 
 /// Largest count in metadata, as in configurations.
 const MAX_COUNT: u64 = 1 << 22;
@@ -18,26 +19,63 @@ impl Header {
         }
     }
 
+    /// Number of weights of its tensors.
+    pub(crate) fn parameters(&self) -> u64 {
+        let elements = |sides: &[usize]| {
+            sides
+                .iter()
+                .fold(1_u64, |product, side| product.saturating_mul(*side as u64))
+        };
+        self.tensors
+            .values()
+            .map(|place| elements(&place.shape))
+            .fold(0, u64::saturating_add)
+    }
+
     fn missing(&self, key: &str) -> MllmError {
         self.error(key, "is missing from the metadata")
     }
 
     /// A key's value, converted by `read`; none if it is absent.
-    fn typed<'a, T>(
+    pub(super) fn typed<'a, T>(
         &'a self,
         key: &str,
         expected: &str,
         read: impl FnOnce(&'a Value) -> Option<T>,
     ) -> Result<Option<T>, MllmError> {
-        /// Longest part of a value in a message, characters.
-        const SHOWN: usize = 60;
-        let Some(value) = self.metadata.get(key) else {
+        let Some(value) = self.asked(key) else {
             return Ok(None);
         };
         read(value).map(Some).ok_or_else(|| {
-            let found: String = value.to_string().chars().take(SHOWN).collect();
+            let found = shown(value);
             self.error(key, format!("expected {expected}, found {found}"))
         })
+    }
+
+    /// A key's value; that it was asked for is remembered.
+    fn asked(&self, key: &str) -> Option<&Value> {
+        let value = self.metadata.get(key)?;
+        self.asked
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .insert(key.to_owned());
+        Some(value)
+    }
+
+    /// The keys that nobody asked for, with their values.
+    pub(super) fn unread(&self) -> Vec<(&str, &Value)> {
+        let asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
+        let unread = self
+            .metadata
+            .iter()
+            .filter(|(key, _)| !asked.contains(*key));
+        unread.map(|(key, value)| (key.as_str(), value)).collect()
+    }
+
+    /// A whole number; 0 means that there is none.
+    pub(crate) fn whole(&self, key: &str) -> Result<Option<u64>, MllmError> {
+        let found = self.typed(key, "a whole number", Value::as_u64)?;
+        Ok(found.filter(|number| *number > 0))
     }
 
     pub(crate) fn count(&self, key: &str) -> Result<Option<usize>, MllmError> {
@@ -61,7 +99,7 @@ impl Header {
 
     /// A count whose 0 means that there is none.
     pub(crate) fn count_or_none(&self, key: &str) -> Result<Option<usize>, MllmError> {
-        if self.metadata.get(key).and_then(Value::as_u64) == Some(0) {
+        if self.asked(key).and_then(Value::as_u64) == Some(0) {
             Ok(None)
         } else {
             self.count(key)
@@ -70,7 +108,7 @@ impl Header {
 
     /// A number whose 0 means that there is none.
     pub(crate) fn number_or_none(&self, key: &str) -> Result<Option<f64>, MllmError> {
-        if self.metadata.get(key).and_then(Value::as_f64) == Some(0.0) {
+        if self.asked(key).and_then(Value::as_f64) == Some(0.0) {
             Ok(None)
         } else {
             self.number(key)
@@ -136,6 +174,23 @@ impl Header {
         }))
     }
 
+    /// Checks that a tower has the activation that its family takes for granted.
+    pub(crate) fn check_activation(&self, expected: &str) -> Result<(), MllmError> {
+        const GELU: &str = "clip.use_gelu";
+        const SILU: &str = "clip.use_silu";
+        let found = match (self.flag(GELU)?, self.flag(SILU)?) {
+            (None, None) => return Ok(()),
+            (_, Some(true)) => "silu",
+            (Some(true), _) => "gelu",
+            _ => "quick_gelu",
+        };
+        if found == expected {
+            return Ok(());
+        }
+        let problem = format!("the activation is {found}; {expected} is supported for this model");
+        Err(self.error(if found == "silu" { SILU } else { GELU }, problem))
+    }
+
     /// The value of `general.architecture`. Parts of a split model after the first have none, nor
     /// has what is no model.
     pub(crate) fn architecture(&self) -> Result<&str, MllmError> {
@@ -143,7 +198,14 @@ impl Header {
         if let Some(architecture) = self.text(KEY)? {
             return Ok(architecture);
         }
-        self.check_one_file()?;
+        if let Some(part) = self.part()? {
+            let problem = format!(
+                "is missing from the metadata; this is part {} of {}, and the first part has it",
+                part.number + 1,
+                part.count
+            );
+            return Err(self.error(KEY, problem));
+        }
         match self.text("general.type")? {
             Some(kind) if kind != "model" => Err(self.error(
                 "general.type",
@@ -152,19 +214,11 @@ impl Header {
             _ => Err(self.missing(KEY)),
         }
     }
+}
 
-    /// Refuses a part of a model that is split into several files.
-    pub(crate) fn check_one_file(&self) -> Result<(), MllmError> {
-        const COUNT: &str = "split.count";
-        let number = |key: &str| self.typed(key, "a whole number", Value::as_u64);
-        let Some(parts) = number(COUNT)?.filter(|parts| *parts > 1) else {
-            return Ok(());
-        };
-        let part = number("split.no")?.unwrap_or(0).saturating_add(1);
-        let problem = format!(
-            "this is part {part} of {parts}, and models in several files are not supported; join them with llama-gguf-split \
-             --merge, which takes the first part (...-00001-of-{parts:05}.gguf)"
-        );
-        Err(self.error(COUNT, problem))
-    }
+/// The beginning of a value, for a message.
+pub(super) fn shown(value: &Value) -> String {
+    /// Longest part of a value in a message, characters.
+    const SHOWN: usize = 60;
+    value.to_string().chars().take(SHOWN).collect()
 }

@@ -10,15 +10,20 @@ mod header;
 pub(crate) mod llama;
 mod metadata;
 pub(crate) mod names;
+mod own_keys;
+mod parts;
 mod read_only;
 mod text_files;
 pub(crate) mod tokenizer;
+pub(crate) mod unread_keys;
 
 #[cfg(test)]
 pub(crate) mod tokenizer_tests;
 
 pub use header::Header;
 pub(crate) use header::{DEFAULT_ALIGNMENT, number_of};
+pub(crate) use own_keys::OwnKeys;
+pub(crate) use parts::{named_parts, open_model};
 pub(crate) use read_only::{ReadOnlyLayout, VisionFiles, as_stored};
 pub(crate) use text_files::TextFiles;
 
@@ -76,8 +81,8 @@ pub(crate) fn open_header(path: &Path) -> Result<(Header, WeightFile), MllmError
 
 /// The files of a model: the whole of it, or decoder and vision tower.
 pub(crate) fn files(model: &Path, mmproj: Option<&Path>) -> Result<Vec<PathBuf>, MllmError> {
-    let (header, _) = open_header(model)?;
-    let mut files = vec![model.to_path_buf()];
+    let (header, _) = open_model(model)?;
+    let mut files = parts::part_paths(model)?;
     if header.architecture()? != WHOLE_MODEL {
         files.push(mmproj.map_or_else(|| tower_beside(model), |mmproj| Ok(mmproj.to_path_buf()))?);
     }
@@ -117,7 +122,8 @@ pub(crate) fn tower_beside(model: &Path) -> Result<PathBuf, MllmError> {
         [] => Err(unreadable.unwrap_or_else(|| MllmError::MissingFile {
             folder: folder.to_path_buf(),
             file: "vision tower (a GGUF file of architecture clip, 'mmproj'); put it beside the decoder, or name it under \
-                   mmproj in the model's description"
+                   mmproj in the model's description; a language model alone cannot be used here, since it sees nothing: \
+                   `planagent models list` has models that see"
                 .into(),
         })),
         [tower] => Ok(tower.clone()),
@@ -162,13 +168,23 @@ fn files_of(
     paths.retain(|path| is_gguf(path));
     paths.sort();
     for path in paths {
-        match open_header(&path).and_then(|(header, _)| Ok(wanted(header.architecture()?))) {
+        match is_first_of(&path, &wanted) {
             Ok(true) => found.push(path),
             Ok(false) => {}
             Err(error) => unreadable.push(error),
         }
     }
     Ok((found, all_of(folder, unreadable)))
+}
+
+/// Whether a file is a model of a wanted architecture, or the first part of one. Later parts belong
+/// to the first.
+fn is_first_of(path: &Path, wanted: impl Fn(&str) -> bool) -> Result<bool, MllmError> {
+    let (header, _) = open_header(path)?;
+    match header.part()?.filter(|part| part.number > 0) {
+        None => Ok(wanted(header.architecture()?)),
+        Some(part) => parts::lacks_first(&header, part).map_or(Ok(false), Err),
+    }
 }
 
 /// Whether a file is one by its name. The file that macOS writes beside each on other disks

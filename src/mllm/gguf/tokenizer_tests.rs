@@ -6,7 +6,7 @@ use crate::export::tokenizer_metadata;
 use proptest::prelude::*;
 use serde_json::{Value as Json, json};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::Path;
 use tokenizers::Tokenizer;
 
 /// Words whose pieces overlap in many ways.
@@ -132,11 +132,7 @@ pub(crate) fn metadata(json: &Json, vocabulary: usize) -> BTreeMap<String, Json>
 
 fn header(json: &Json) -> Header {
     let metadata = metadata(json, VOCABULARY);
-    Header {
-        path: PathBuf::from("m.gguf"),
-        metadata,
-        tensors: BTreeMap::new(),
-    }
+    Header::new(Path::new("m.gguf"), metadata, BTreeMap::new())
 }
 
 /// A tokenizer before and after GGUF.

@@ -70,7 +70,7 @@ pub struct StepTime {
 }
 
 impl StepTime {
-    pub fn add_pass(&mut self, tokens: usize, ms: f64) {
+    pub(crate) fn add_pass(&mut self, tokens: usize, ms: f64) {
         match tokens {
             0 => {}
             1 => self.single.add(1, ms),

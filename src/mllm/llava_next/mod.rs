@@ -116,6 +116,16 @@ impl VisionLanguageModel for LlavaNext {
         ))
     }
 
+    fn tower_pixels(&self, width: u32, height: u32) -> Result<usize, MllmError> {
+        self.image_layout(width, height)?;
+        let (down, across) = self.grids.tiling(Resolution { height, width }).tiles;
+        let views = (down as usize).saturating_mul(across as usize);
+        let side = self.info.image_size;
+        Ok(side
+            .saturating_mul(side)
+            .saturating_mul(views.saturating_add(1)))
+    }
+
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
         let (width, height) = image.dimensions();
         let tiling = self.grids.tiling(Resolution { height, width });

@@ -1,18 +1,28 @@
 //! Checks of a model's files that do not read its weights.
 
-use super::{Loading, LocalModel, MemoryCheck, MemoryNeed, end_tokens, memory};
-use crate::MllmError;
+use super::grouped::grouped;
+use super::{Loading, LocalModel, MemoryCheck, MemoryNeed, PictureNeed, end_tokens, memory};
 use crate::checkpoint::{LoadReport, ModelFiles, WeightFormatPlan, Weights};
 use crate::families::Architecture;
-use crate::family::VisionLanguageModel;
+use crate::family::{Chat, ChatFormat, ImageLayout, VisionLanguageModel};
 use crate::source::{Checkpoint, ModelPlace};
-use crate::text::ChatTokenizer;
+use crate::text::{ChatTokenizer, GrammarEngine};
+use crate::{MllmError, Turn};
+use image::RgbImage;
 use serde::Serialize;
+
+/// System prompt, prompt and answer of the chats that a check writes.
+const WORDS: [&str; 3] = ["You drive a car.", "Which lane?", "The lane of the ego."];
+/// Earlier rounds of the longest of them: a planning call has three rounds.
+const EARLIER_ROUNDS: usize = 2;
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ModelCheck {
     /// The family of the model, if its files name one.
     pub architecture: Option<Architecture>,
+    /// What the files call the model, where that is no known family.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kind: Option<String>,
     /// Number of weights in its files.
     pub parameters: u64,
     /// The formats of its weights in memory.
@@ -25,13 +35,28 @@ pub struct ModelCheck {
 
 impl ModelCheck {
     /// The check of a model that is not opened because of an error.
-    pub(crate) fn refused(error: &MllmError) -> Self {
+    pub(crate) fn refused(place: &ModelPlace, error: &MllmError) -> Self {
+        let mut check = Self::empty();
+        check.add_facts(place);
+        check.problems.push(error.to_string());
+        check
+    }
+
+    fn empty() -> Self {
         Self {
             architecture: None,
+            kind: None,
             parameters: 0,
             load: LoadReport::default(),
             memory: None,
-            problems: vec![error.to_string()],
+            problems: Vec::new(),
+        }
+    }
+
+    /// What a refused model says of itself: nobody can tell two refused files apart without it.
+    fn add_facts(&mut self, place: &ModelPlace) {
+        if let Some((kind, parameters)) = place.facts() {
+            (self.kind, self.parameters) = (Some(kind), parameters);
         }
     }
 }
@@ -39,16 +64,34 @@ impl ModelCheck {
 impl LocalModel {
     /// Opens the small files of a model and the headers of its weights, and collects the errors.
     pub fn check(place: &ModelPlace, loading: &Loading) -> ModelCheck {
-        let mut check = ModelCheck {
-            architecture: None,
-            parameters: 0,
-            load: LoadReport::default(),
-            memory: None,
-            problems: Vec::new(),
-        };
+        let mut check = ModelCheck::empty();
         look(place, loading, &mut check);
         check
     }
+
+    /// Why a model cannot draft for another, where each can be opened alone.
+    pub(crate) fn check_draft(
+        [place, draft_place]: [&ModelPlace; 2],
+        [loading, draft_loading]: [&Loading; 2],
+    ) -> Result<(), MllmError> {
+        let own = tokenizer_of(place, loading)?;
+        match tokenizer_of(draft_place, draft_loading)?.vocabulary_difference(&own) {
+            None => Ok(()),
+            Some(problem) => Err(MllmError::DraftModel {
+                place: draft_place.path().to_path_buf(),
+                problem,
+            }),
+        }
+    }
+}
+
+fn tokenizer_of(place: &ModelPlace, loading: &Loading) -> Result<ChatTokenizer, MllmError> {
+    let mut checkpoint = Checkpoint::open(place, loading.quantize, &loading.families)?;
+    let files = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
+    checkpoint.weights.only_look();
+    let model = checkpoint.open_model()?;
+    let info = model.info();
+    ChatTokenizer::open(&files, info.vocabulary, info.image_token)
 }
 
 /// Collects the errors of a model.
@@ -57,6 +100,7 @@ fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) {
         Ok(checkpoint) => checkpoint,
         Err(error) => {
             check.problems.push(error.to_string());
+            check.add_facts(place);
             // The small files may have errors of their own.
             if let ModelPlace::Folder(folder) = place
                 && let Ok(files) = ModelFiles::folder(folder)
@@ -79,18 +123,26 @@ fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) {
 /// Checks the weights, then the files that chats need.
 fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut ModelCheck) {
     let family = checkpoint.family;
-    match (family.family().decoder_config)(&checkpoint.files) {
+    match checkpoint.decoder_config() {
         Ok(decoder) => {
+            let picture = PictureNeed::estimate(&checkpoint, loading.image);
             check.memory = Some(MemoryNeed::estimate(
                 &checkpoint,
                 &decoder,
+                picture,
                 loading.quantize,
                 loading.context,
             ));
             if loading.memory == MemoryCheck::Refuse {
                 note(
                     check,
-                    memory::check(&checkpoint, &decoder, loading.quantize, loading.context),
+                    memory::check(
+                        &checkpoint,
+                        &decoder,
+                        picture,
+                        loading.quantize,
+                        loading.context,
+                    ),
                 );
             }
         }
@@ -102,13 +154,9 @@ fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut Mo
         .load
         .notes
         .clone_from(&checkpoint.weights.report().notes);
-    check.problems.extend(
-        checkpoint
-            .weights
-            .problems()
-            .iter()
-            .map(ToString::to_string),
-    );
+    check
+        .problems
+        .extend(grouped(checkpoint.weights.problems()));
     match model {
         Ok(model) => look_at_chats(model, &checkpoint.files, family, loading, check),
         Err(error) => {
@@ -151,14 +199,73 @@ fn look_at_chats(
     check: &mut ModelCheck,
 ) {
     note(check, model.set_images(loading.image));
+    let layout = look_at_image(&*model, loading);
+    let image = layout.as_ref().ok().copied();
+    note(check, layout);
     let info = model.info();
     let open = |files: ModelFiles| ChatTokenizer::open(&files, info.vocabulary, info.image_token);
     match loading.tokenizer(files, family).and_then(open) {
         Ok(tokenizer) => {
-            note(check, model.chat_format(files, &tokenizer));
-            note(check, end_tokens(files, &tokenizer, info.vocabulary));
+            match model.chat_format(files, &tokenizer) {
+                Ok(format) => look_at_rounds(&*format, &tokenizer, image, check),
+                Err(error) => note::<()>(check, Err(error)),
+            }
+            let ends = end_tokens(files, &tokenizer, info.vocabulary);
+            let grammars = ends.and_then(|ends| GrammarEngine::new(&tokenizer, &ends));
+            note(check, grammars);
         }
         Err(error) => note::<()>(check, Err(error)),
+    }
+}
+
+/// Prepares a picture of the side that is drawn for the model, and checks that its tokens leave
+/// room for a chat.
+fn look_at_image(
+    model: &dyn VisionLanguageModel,
+    loading: &Loading,
+) -> Result<ImageLayout, MllmError> {
+    let side = model.info().image_size as u32;
+    let layout = model.image_layout(side, side)?;
+    let context = model.context(layout.tokens);
+    let context = loading.context.map_or(context, |limit| limit.min(context));
+    if layout.tokens >= context {
+        let tokens = layout.tokens;
+        let problem = format!(
+            "a picture of {side} x {side} pixels becomes {tokens} tokens, and the context has {context}"
+        );
+        return Err(MllmError::Image { problem });
+    }
+    model.preprocess(&RgbImage::new(side, side))?;
+    Ok(layout)
+}
+
+/// Writes the chats of all rounds: a template may refuse a system prompt, or a second question.
+fn look_at_rounds(
+    format: &dyn ChatFormat,
+    tokenizer: &ChatTokenizer,
+    image: Option<ImageLayout>,
+    check: &mut ModelCheck,
+) {
+    let [system, prompt, answer] = WORDS;
+    let turn = Turn {
+        prompt: prompt.to_owned(),
+        answer: answer.to_owned(),
+    };
+    let turns = vec![turn; EARLIER_ROUNDS];
+    for earlier in 0..=turns.len() {
+        let chat = Chat {
+            system,
+            image,
+            turns: turns.get(..earlier).unwrap_or_default(),
+            prompt,
+        };
+        let written = format.ids(tokenizer, &chat);
+        let failed = written.is_err();
+        note(check, written);
+        if failed {
+            // Later rounds fail for the same reason, in words that differ by numbers.
+            break;
+        }
     }
 }
 

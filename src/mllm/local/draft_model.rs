@@ -1,6 +1,7 @@
 //! A small model that drafts answers of a larger one.
 
-use super::{Loading, Sequence};
+use super::loading::Loading;
+use super::sequence::Sequence;
 use crate::decoder::Logits;
 use crate::family::VisionLanguageModel;
 use crate::sampling::most_likely;

@@ -1,7 +1,8 @@
 //! The memory that a model needs, and the memory that is free.
 
 use crate::MllmError;
-use crate::checkpoint::{LlamaConfig, in_bytes};
+use crate::checkpoint::{LlamaConfig, WeightFormatPlan, Weights, in_bytes};
+use crate::family::ImageSettings;
 use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
 use std::path::Path;
@@ -24,14 +25,98 @@ pub struct MemoryNeed {
     pub cache: u64,
     /// Activations of a prompt, or a tensor during quantization, whichever is larger.
     pub work: u64,
+    /// The picture, its tiles and patches, and the activations of the vision tower.
+    pub picture: u64,
 }
 
-/// Tokens of a planning call with the long prompt set and the largest image (2928 tokens), rounded
-/// up.
+/// The drawn picture on its way to the decoder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct PictureNeed {
+    /// Tokens that it becomes.
+    tokens: u64,
+    /// Patches that the tower reads.
+    pub(super) patches: u64,
+    /// Bytes of its pixels and patches, and of the activations that are alive at once.
+    bytes: u64,
+}
+
+/// Tokens of a planning call with the long prompt set and the largest image of published models
+/// (2928 tokens), rounded up.
 const CALL_TOKENS: u64 = 4096;
+/// Those of them that are text.
+const TEXT_TOKENS: u64 = CALL_TOKENS - 2928;
 /// Activations of a token that are alive at once: rows of the hidden width, and of the feed-forward
 /// width.
 const ROWS: (u64, u64) = (8, 3);
+
+impl PictureNeed {
+    /// The need of the picture that is drawn for the model of a checkpoint. Nothing for a
+    /// configuration that cannot be opened: opening the model says why.
+    pub(crate) fn estimate(checkpoint: &Checkpoint, image: ImageSettings) -> Self {
+        let mut listed = Weights::empty(checkpoint.files.place(), WeightFormatPlan::default());
+        listed.only_list();
+        let opened = (checkpoint.family.family().open)(&checkpoint.files, &mut listed);
+        let Ok(mut model) = opened else {
+            return Self::default();
+        };
+        // Opening the model says which settings the family refuses.
+        let _ = model.set_images(image);
+        let side = model.info().image_size as u32;
+        let (Ok(layout), Ok(pixels)) = (
+            model.image_layout(side, side),
+            model.tower_pixels(side, side),
+        ) else {
+            return Self::default();
+        };
+        let (values, tower) = (3 * pixels as u64, Tower::from_tensors(listed.listed()));
+        let patches = pixels as u64 / tower.patch.max(1);
+        let row = ROWS.0 * tower.hidden + ROWS.1 * tower.intermediate;
+        // The values once in rows of pixels, once in patches.
+        let numbers = patches.saturating_mul(row).saturating_add(2 * values);
+        Self {
+            tokens: layout.tokens as u64,
+            patches,
+            bytes: numbers.saturating_mul(size_of::<f32>() as u64),
+        }
+    }
+}
+
+/// Sizes of a vision tower, by its tensors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Tower {
+    /// Pixels of a patch.
+    patch: u64,
+    hidden: u64,
+    intermediate: u64,
+}
+
+impl Tower {
+    fn from_tensors(tensors: &[(String, Vec<usize>)]) -> Self {
+        let vision = || {
+            tensors
+                .iter()
+                .filter(|(name, _)| name.starts_with("vision"))
+        };
+        let kernel = vision()
+            .find(|(name, _)| name.contains("patch_embedding") && name.ends_with(".weight"))
+            .map(|(_, shape)| shape.as_slice());
+        let (hidden, patch) = match kernel {
+            Some([hidden, .., rows, columns]) if *rows == *columns => (*hidden, rows * columns),
+            Some([hidden, values]) => (*hidden, values / 3),
+            _ => (0, 0),
+        };
+        let wide = vision().filter_map(|(_, shape)| match shape.as_slice() {
+            [outputs, inputs] if *inputs == hidden => Some(*outputs),
+            _ => None,
+        });
+        Self {
+            patch: patch as u64,
+            hidden: hidden as u64,
+            // The table of positions is no layer, and wider than one only for tiny patches.
+            intermediate: wide.max().unwrap_or(hidden) as u64,
+        }
+    }
+}
 
 impl MemoryNeed {
     /// The need of a checkpoint with this decoder, weights in the format `quantize`, and chats of
@@ -39,6 +124,7 @@ impl MemoryNeed {
     pub(crate) fn estimate(
         checkpoint: &Checkpoint,
         decoder: &LlamaConfig,
+        picture: PictureNeed,
         quantize: Option<WeightFormat>,
         context: Option<usize>,
     ) -> Self {
@@ -56,8 +142,9 @@ impl MemoryNeed {
         } else {
             size_of::<half::f16>() as u64
         };
+        let call = CALL_TOKENS.max(picture.tokens.saturating_add(TEXT_TOKENS));
         let tokens = context
-            .map_or(CALL_TOKENS, |context| context as u64)
+            .map_or(call, |context| context as u64)
             .min(decoder.context as u64);
         let elements = |shape: &[usize]| shape.iter().product::<usize>() as u64;
         let shapes = || checkpoint.weights.shapes().map(|(_, shape)| shape);
@@ -73,11 +160,12 @@ impl MemoryNeed {
             cache: 2 * key_value * tokens * width(decoder.kv_heads * decoder.head_dim) * layers,
             // Once as in the file, once in f32.
             work: (float * tokens * alive).max(2 * float * largest),
+            picture: picture.bytes,
         }
     }
 
     pub fn total(&self) -> u64 {
-        [self.cache, self.work]
+        [self.cache, self.work, self.picture]
             .into_iter()
             .fold(self.weights, u64::saturating_add)
     }
@@ -90,33 +178,31 @@ impl MemoryNeed {
 pub(super) fn check(
     checkpoint: &Checkpoint,
     decoder: &LlamaConfig,
+    picture: PictureNeed,
     quantize: Option<WeightFormat>,
     context: Option<usize>,
 ) -> Result<(), MllmError> {
     let Some(free) = free_memory() else {
         return Ok(());
     };
-    check_against(free, checkpoint, decoder, quantize, context)
+    check_against(free, checkpoint, decoder, picture, quantize, context)
 }
 
 fn check_against(
     free: u64,
     checkpoint: &Checkpoint,
     decoder: &LlamaConfig,
+    picture: PictureNeed,
     quantize: Option<WeightFormat>,
     context: Option<usize>,
 ) -> Result<(), MllmError> {
-    let need = MemoryNeed::estimate(checkpoint, decoder, quantize, context);
+    let need_as = |quantize| MemoryNeed::estimate(checkpoint, decoder, picture, quantize, context);
+    let need = need_as(quantize);
     if need.total() <= free {
         return Ok(());
     }
     let smaller = [WeightFormat::Q8_0, WeightFormat::Q4K]
-        .map(|weight_format| {
-            (
-                weight_format,
-                MemoryNeed::estimate(checkpoint, decoder, Some(weight_format), context).total(),
-            )
-        })
+        .map(|weight_format| (weight_format, need_as(Some(weight_format)).total()))
         .into_iter()
         .filter(|(_, total)| *total < need.total());
     let hints: Vec<String> = smaller
@@ -132,11 +218,12 @@ fn check_against(
     Err(MllmError::Memory {
         place: checkpoint.files.place().to_path_buf(),
         problem: format!(
-            "it needs about {} (weights {}, cache {}, work {}), but {} are free; {hint}; --ignore-memory loads it anyway",
+            "it needs about {} (weights {}, cache {}, work {}, picture {}), but {} are free; {hint}; --ignore-memory loads it anyway",
             in_bytes(need.total()),
             in_bytes(need.weights),
             in_bytes(need.cache),
             in_bytes(need.work),
+            in_bytes(need.picture),
             in_bytes(free)
         ),
     })
@@ -224,22 +311,30 @@ mod tests {
     fn a_model_that_does_not_fit_is_refused_with_what_would() {
         let checkpoint = open_checkpoint(&fixture("tiny_llava"));
         let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files).unwrap();
-        let need = MemoryNeed::estimate(&checkpoint, &decoder, None, None);
+        let picture = PictureNeed::estimate(&checkpoint, ImageSettings::default());
+        // 32 x 32 pixels in patches of 8.
+        assert_eq!(picture.tokens, 16);
+        let need_as = |quantize, context| {
+            MemoryNeed::estimate(&checkpoint, &decoder, picture, quantize, context)
+        };
+        let need = need_as(None, None);
+        assert_eq!(need.picture, picture.bytes);
+        assert!(need.picture > 4 * 6 * 32 * 32, "{need:?}");
         // 299,352 bytes of f32, but for the header.
         assert!((280_000..299_352).contains(&need.weights), "{need:?}");
         // 256 positions, two layers, two heads of 8 numbers.
         assert_eq!(need.cache, 2 * 4 * 256 * 16 * 2);
-        assert!(check_against(need.total(), &checkpoint, &decoder, None, None).is_ok());
-        let error = check_against(need.total() - 1, &checkpoint, &decoder, None, None)
+        assert!(check_against(need.total(), &checkpoint, &decoder, picture, None, None).is_ok());
+        let error = check_against(need.total() - 1, &checkpoint, &decoder, picture, None, None)
             .unwrap_err()
             .to_string();
         assert!(
             error.contains("--quantize q8_0 would take") && error.contains("--ignore-memory"),
             "{error}"
         );
-        let rounded = MemoryNeed::estimate(&checkpoint, &decoder, Some(WeightFormat::Q8_0), None);
+        let rounded = need_as(Some(WeightFormat::Q8_0), None);
         assert!(rounded.weights < need.weights / 2 && rounded.cache == need.cache / 2);
-        let short = MemoryNeed::estimate(&checkpoint, &decoder, None, Some(64));
+        let short = need_as(None, Some(64));
         assert_eq!((short.cache, short.weights), (need.cache / 4, need.weights));
     }
 }

@@ -1,11 +1,14 @@
 //! Models that run in this process on the CPU.
 
 mod ahead;
+mod answer_time;
 mod check;
 mod draft;
 mod draft_model;
 mod generate;
+mod grouped;
 mod likeliest;
+mod loading;
 mod memory;
 mod outline;
 mod sequence;
@@ -29,22 +32,23 @@ pub(crate) mod test_prompts;
 pub(crate) mod test_reference;
 
 pub use check::ModelCheck;
+pub use loading::Loading;
+pub(crate) use memory::PictureNeed;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub use outline::{FormatOutline, ModelOutline};
 pub(crate) use sequence::Sequence;
 
 use super::checkpoint::{ConfigObject, LoadReport, ModelFiles, OneOrMany};
 use super::decoder::Logits;
-use super::families::{Architecture, Families};
-use super::family::{Chat, ChatFormat, ImageLayout, ImageSettings, VisionLanguageModel};
+use super::family::{Chat, ChatFormat, ImageLayout, VisionLanguageModel};
 use super::source::{Checkpoint, ModelPlace};
 use super::text::{ChatTokenizer, GrammarEngine};
-use super::{Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
+use super::{AnswerTime, Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
+use answer_time::AnswerWork;
 use draft_model::DraftModel;
-use planagent_kernels::matrix::WeightFormat;
 use session::LocalConversation;
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Number of system prompts whose keys and values are cached; a run uses one or two.
@@ -65,6 +69,8 @@ pub struct LocalModel {
     /// Longest chat that the user allows, tokens; none for that of the model.
     limit: Option<usize>,
     draft_model: Option<Arc<DraftModel>>,
+    /// The work of an answer; none for a small model.
+    work: Option<AnswerWork>,
     prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
 }
 
@@ -74,72 +80,6 @@ struct CallPrefix {
     system: String,
     image: Option<ImageLayout>,
     sequence: Sequence,
-}
-
-/// How a model is loaded.
-#[derive(Debug, Clone, Default)]
-pub struct Loading {
-    /// Format of the weights in memory; none for that of the files.
-    pub quantize: Option<WeightFormat>,
-    /// The folder of the tokenizer, for models whose files have none.
-    pub tokenizer: Option<PathBuf>,
-    /// What to do when memory seems too small.
-    pub memory: MemoryCheck,
-    /// The family that the model must have, and the description that requires it; none for any.
-    pub expected: Option<(Architecture, String)>,
-    /// The families that it may have.
-    pub families: Families,
-    /// How images are shown to it.
-    pub image: ImageSettings,
-    /// Longest chat, tokens, which bounds the memory of keys and values; none for that of the
-    /// model.
-    pub context: Option<usize>,
-}
-
-impl Loading {
-    /// Opens a model's small files and the headers of its weights; checks its family and the
-    /// memory.
-    pub(crate) fn checkpoint(&self, place: &ModelPlace) -> Result<Checkpoint, MllmError> {
-        let checkpoint = Checkpoint::open(place, self.quantize, &self.families)?;
-        self.check_family(&checkpoint)?;
-        if self.memory == MemoryCheck::Refuse {
-            let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-            memory::check(&checkpoint, &decoder, self.quantize, self.context)?;
-        }
-        Ok(checkpoint)
-    }
-
-    pub(crate) fn check_family(&self, checkpoint: &Checkpoint) -> Result<(), MllmError> {
-        let found = checkpoint.family;
-        match &self.expected {
-            Some((expected, by)) if *expected != found => Err(MllmError::Config {
-                path: checkpoint.files.path("config.json"),
-                key: "model_type".into(),
-                problem: format!(
-                    "this is a {} model, but the description '{by}' says {}",
-                    found.name(),
-                    expected.name()
-                ),
-            }),
-            _ => Ok(()),
-        }
-    }
-
-    /// The files of a model's tokenizer.
-    pub(crate) fn tokenizer(
-        &self,
-        files: &ModelFiles,
-        family: Architecture,
-    ) -> Result<ModelFiles, MllmError> {
-        let tokenizer = match &self.tokenizer {
-            Some(folder) => ModelFiles::folder(folder)?,
-            None => files.clone(),
-        };
-        if tokenizer.text("tokenizer.json")?.is_some() {
-            return Ok(tokenizer);
-        }
-        Err(tokenizer.missing(family.family().missing_tokenizer))
-    }
 }
 
 impl LocalModel {
@@ -163,6 +103,7 @@ impl LocalModel {
         // Before the weights are read, which takes minutes: a missing tokenizer is found at once.
         let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
         checkpoint.weights.hash()?;
+        let work = AnswerWork::from_checkpoint(&checkpoint, loading.image);
         let mut model = checkpoint.open_model()?;
         model.set_images(loading.image)?;
         let Checkpoint { files, weights, .. } = checkpoint;
@@ -180,13 +121,14 @@ impl LocalModel {
             load: weights.report().clone(),
             limit: loading.context,
             draft_model: None,
+            work,
             prefixes: Mutex::new(VecDeque::new()),
         })
     }
 
     /// Lets another model draft answers, whose vocabulary must be the same. Answers stay as they
     /// are.
-    pub fn with_draft_model(
+    pub(crate) fn with_draft_model(
         mut self,
         place: &ModelPlace,
         loading: &Loading,
@@ -291,6 +233,10 @@ impl Mllm for LocalModel {
             load: self.load.clone(),
             server: None,
         }
+    }
+
+    fn answer_time(&self, text: usize, new: usize) -> Option<AnswerTime> {
+        self.time_answer(text, new)
     }
 
     fn converse<'a>(

@@ -217,6 +217,99 @@ fn heads_and_widths_that_are_both_allowed_are_bounded_by_their_product() {
 }
 
 #[test]
+fn a_picture_that_no_question_could_have_is_a_problem() {
+    let folder = copy("tiny_llava");
+    change(folder.path(), PROCESSOR, "/do_center_crop", json!(false));
+    change(
+        folder.path(),
+        PROCESSOR,
+        "/size",
+        json!({"shortest_edge": 40}),
+    );
+    let (_, problems) = told(folder.path());
+    assert!(
+        problems
+            .iter()
+            .any(|problem| problem.contains("the vision tower takes 32 x 32")),
+        "{problems:?}"
+    );
+    let folder = copy("tiny_llava");
+    change(
+        folder.path(),
+        CONFIG,
+        "/text_config/max_position_embeddings",
+        json!(16),
+    );
+    let (_, problems) = told(folder.path());
+    assert!(
+        problems
+            .iter()
+            .any(|problem| problem.contains("becomes 16 tokens")),
+        "{problems:?}"
+    );
+}
+
+/// Templates that write the first question, and no second one, or no system prompt.
+#[test]
+fn a_template_is_checked_for_all_rounds() {
+    let own = "{% for m in messages %}{{ m.role }}: {% for part in m.content %}{% if part.type == 'image' %}<image>\n\
+               {% else %}{{ part.text }}{% endif %}{% endfor %}{% endfor %}{% if add_generation_prompt %}assistant:{% endif %}";
+    for (before, said) in [
+        ("", None),
+        (
+            "{% if messages | length > 3 %}{{ raise_exception('one question only') }}{% endif %}",
+            Some("one question only"),
+        ),
+        (
+            "{% if messages | length > 5 %}{{ raise_exception('two questions only') }}{% endif %}",
+            Some("two questions only"),
+        ),
+    ] {
+        let folder = copy("tiny_llava");
+        std::fs::write(
+            folder.path().join("chat_template.jinja"),
+            format!("{before}{own}"),
+        )
+        .unwrap();
+        let (_, problems) = told(folder.path());
+        match said {
+            None => assert_eq!(problems, [] as [&str; 0]),
+            Some(said) => assert!(
+                problems.len() == 1 && problems[0].contains(said),
+                "{said}: {problems:?}"
+            ),
+        }
+    }
+}
+
+#[test]
+fn a_refused_folder_says_what_it_is_and_many_faults_are_one_line() {
+    let folder = copy("tiny_llava");
+    change(folder.path(), CONFIG, "/model_type", json!("next_year"));
+    let check = |folder: &Path| {
+        LocalModel::check(
+            &ModelPlace::Folder(folder.to_path_buf()),
+            &Loading::default(),
+        )
+    };
+    let refused = check(folder.path());
+    assert_eq!(refused.kind.as_deref(), Some("next_year"));
+    assert!(refused.parameters > 70_000, "{}", refused.parameters);
+    let folder = copy("tiny_llava");
+    change(
+        folder.path(),
+        CONFIG,
+        "/text_config/num_hidden_layers",
+        json!(100),
+    );
+    let problems = check(folder.path()).problems;
+    assert!(
+        problems.len() == 1 && problems[0].contains("tensors are missing"),
+        "{problems:?}"
+    );
+}
+
+#[test]
 fn a_byte_order_mark_changes_nothing() {
     let folder = copy("tiny_smolvlm");
     let before = told(folder.path());

@@ -1,10 +1,9 @@
 //! What a model is and needs, from its configuration and the headers of its weights alone.
 
-use super::MemoryNeed;
+use super::{MemoryNeed, PictureNeed};
 use crate::MllmError;
-use crate::families::Families;
 use crate::family::ImageSettings;
-use crate::source::{Checkpoint, ModelShape};
+use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
 
 /// A model as it is known before its weights are read.
@@ -45,9 +44,10 @@ impl ModelOutline {
         mut checkpoint: Checkpoint,
         image: ImageSettings,
     ) -> Result<Self, MllmError> {
-        let config = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
+        let config = checkpoint.decoder_config()?;
+        let picture = PictureNeed::estimate(&checkpoint, image);
         let memory = Self::FORMATS
-            .map(|format| MemoryNeed::estimate(&checkpoint, &config, Some(format), None));
+            .map(|format| MemoryNeed::estimate(&checkpoint, &config, picture, Some(format), None));
         checkpoint.weights.only_look();
         let mut model = checkpoint.open_model()?;
         model.set_images(image)?;
@@ -68,13 +68,5 @@ impl ModelOutline {
                 })
                 .collect(),
         })
-    }
-
-    /// The outline of a published model, without its files.
-    pub fn of_shape(shape: &ModelShape) -> Result<Self, MllmError> {
-        Self::from_checkpoint(
-            shape.checkpoint(&Families::default())?,
-            ImageSettings::default(),
-        )
     }
 }

@@ -50,9 +50,13 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
+    tower.check_activation("silu")?;
     let sizes = tower.vision_config()?;
     let layers = tower.required_count("clip.vision.block_count")?;
     let every = tower.required_count(WHOLE_EVERY)?;
+    let merge = tower
+        .count_or_none("clip.vision.spatial_merge_size")?
+        .unwrap_or(MERGE);
     let config = json!({
         "vision_config": {
             "depth": layers,
@@ -61,13 +65,13 @@ fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmEr
             "num_heads": sizes["num_attention_heads"],
             "patch_size": sizes["patch_size"],
             "hidden_act": "silu",
-            "spatial_merge_size": MERGE,
-            "window_size": WINDOW,
+            "spatial_merge_size": merge,
+            "window_size": tower.count_or_none("clip.vision.window_size")?.unwrap_or(WINDOW),
             "fullatt_block_indexes": (0..layers).filter(|layer| (layer + 1).is_multiple_of(every)).collect::<Vec<_>>(),
         },
     });
     Ok(VisionFiles {
         config,
-        processor: limits(tower, PIXELS, MERGE, notes)?,
+        processor: limits(tower, PIXELS, merge, notes)?,
     })
 }

@@ -77,22 +77,28 @@ fn deep_layers(tower: &Header) -> Result<Vec<usize>, MllmError> {
         .collect())
 }
 
-/// The image processor of a tower whose file has no limits of an image's pixels, and a note of
-/// that.
+/// The image processor of a tower, and a note where its file has no limits of an image's pixels.
 pub(crate) fn limits(
     tower: &Header,
     pixels: [u64; 2],
     merge: usize,
     notes: &mut Vec<String>,
 ) -> Result<Value, MllmError> {
-    let [least, most] = pixels;
-    notes.push(format!(
-        "the vision tower's file has no limits of an image's pixels; {least} to {most} are taken, those of the published \
-         processor (a preprocessor_config.json beside the file replaces them)"
-    ));
+    let named = [
+        tower.whole("clip.vision.image_min_pixels")?,
+        tower.whole("clip.vision.image_max_pixels")?,
+    ];
+    let [(least, own_least), (most, own_most)] = [(pixels[0], named[0]), (pixels[1], named[1])];
+    let [least, most] = [own_least.unwrap_or(least), own_most.unwrap_or(most)];
+    if named.contains(&None) {
+        notes.push(format!(
+            "the vision tower's file has no limits of an image's pixels; {least} to {most} are taken, those of the published \
+             processor (a preprocessor_config.json beside the file replaces them)"
+        ));
+    }
     let mut processor = tower.pixel_scale()?;
     processor["image_processor_type"] = json!("Qwen2VLImageProcessor");
-    processor["size"] = PatchProcessor::limits(pixels);
+    processor["size"] = PatchProcessor::limits([least, most]);
     processor["patch_size"] = json!(tower.required_count("clip.vision.patch_size")?);
     processor["merge_size"] = json!(merge);
     Ok(processor)
@@ -111,6 +117,7 @@ pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
 };
 
 fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
+    tower.check_activation("gelu")?;
     let sizes = tower.vision_config()?;
     let patch = tower.required_count("clip.vision.patch_size")?;
     let side = tower.required_count("clip.vision.image_size")? / patch.max(1);

@@ -77,6 +77,12 @@ impl<E: PatchEncoder> VisionLanguageModel for PatchModel<E> {
         self.processor.layout(width, height)
     }
 
+    fn tower_pixels(&self, width: u32, height: u32) -> Result<usize, MllmError> {
+        let block = self.processor.token_side();
+        let tokens = self.image_layout(width, height)?.tokens;
+        Ok(tokens.saturating_mul(block).saturating_mul(block))
+    }
+
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
         Ok(Tiles {
             pixels: vec![self.processor.process(image)?],

@@ -121,6 +121,11 @@ impl PatchProcessor {
         })
     }
 
+    /// Side of a token, pixels.
+    pub(crate) fn token_side(&self) -> usize {
+        self.token as usize
+    }
+
     /// Takes the side of the drawn image. Images of this family have no tiles.
     pub(crate) fn set_images(
         &self,

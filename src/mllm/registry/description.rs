@@ -1,5 +1,6 @@
 //! Model descriptions, `models/NAME.toml`.
 
+use super::described_prompts::DescribedPrompts;
 use super::hub::{HubName, addressed, plain};
 use crate::checkpoint::read_text;
 use crate::{Architecture, EndpointSettings, ImageSettings, MllmError, Sampling, WeightFormat};
@@ -32,7 +33,7 @@ pub struct ModelSpec {
     /// The prompts that it is asked with; a description names them. None for a model without one,
     /// whose files may say it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub prompt_set: Option<PromptSet>,
+    pub prompt_set: Option<DescribedPrompts>,
     #[serde(default)]
     pub generation: GenerationSettings,
     /// How images are shown to it.
@@ -189,7 +190,7 @@ pub enum PromptSet {
 }
 
 impl PromptSet {
-    const ALL: [Self; 4] = [Self::Brief, Self::Compact, Self::Compact2, Self::Paper];
+    pub(super) const ALL: [Self; 4] = [Self::Brief, Self::Compact, Self::Compact2, Self::Paper];
 
     /// Its name in `prompts/`.
     pub fn name(self) -> &'static str {
@@ -291,8 +292,14 @@ impl ModelSpec {
         }
         if spec.prompt_set.is_none() {
             return Err(broken(
-                "prompt_set is missing; choose brief, compact, compact-2 or paper".into(),
+                "prompt_set is missing; choose brief, compact, compact-2 or paper, or name a folder of \
+                 templates"
+                    .into(),
             ));
+        }
+        let base = path.parent().unwrap_or(Path::new(""));
+        if let Some(prompts) = &mut spec.prompt_set {
+            prompts.start_at(base).map_err(broken)?;
         }
         let tokens = spec.generation.max_new_tokens;
         if [tokens.understanding, tokens.instruction, tokens.code].contains(&0) {
@@ -345,7 +352,7 @@ impl ModelSpec {
             source
                 .take_hub_name()
                 .map_err(|problem| broken(format!("source.hub: {problem}")))?;
-            source.start_at(path.parent().unwrap_or(Path::new("")));
+            source.start_at(base);
         }
         Ok(spec)
     }

@@ -3,6 +3,7 @@
 
 mod address;
 mod built_in;
+mod described_prompts;
 mod description;
 mod find;
 mod folder;
@@ -14,6 +15,7 @@ mod hub;
 mod inputs;
 mod own_settings;
 
+pub use described_prompts::DescribedPrompts;
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
 pub use folder::{data_folder, models_folder};
 pub use hub::{FetchListener, FetchProgress, HubAccess, offline_variable};
@@ -23,7 +25,7 @@ pub use own_settings::{Asking, NamedBy};
 use super::source::Checkpoint;
 use super::trial::Trust;
 use super::{
-    CreateFile, EmbeddedModel, EndpointSettings, Families, Family, LoadReport, Loading, LocalModel,
+    CreateFile, EmbeddedModel, EndpointSettings, Family, LoadReport, Loading, LocalModel,
     MemoryCheck, Mllm, MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat,
     export_model,
 };
@@ -234,9 +236,9 @@ impl ModelRegistry {
     /// prompts. A hub model without a description is downloaded if it is missing and downloads are
     /// allowed.
     pub fn asking(&self, spec: &ModelSpec) -> Result<Asking, MllmError> {
-        match spec.prompt_set {
-            Some(set) => Ok(Asking {
-                prompt_set: set.name().to_owned(),
+        match &spec.prompt_set {
+            Some(prompts) => Ok(Asking {
+                prompt_set: prompts.opened_by(),
                 named_by: NamedBy::Description,
                 generation: spec.generation,
             }),
@@ -310,18 +312,25 @@ impl ModelRegistry {
             Ok(()) => None,
             // The check names all errors, and not the first one alone.
             Err(MllmError::Unopened { problem }) => Some(problem),
-            Err(error) => return Ok(ModelCheck::refused(&error)),
+            Err(error) => return Ok(ModelCheck::refused(&place, &error)),
         };
         let checked = without_panic(&place, || Ok(LocalModel::check(&place, &loading)));
-        let mut check = checked.unwrap_or_else(|error| ModelCheck::refused(&error));
+        let mut check = checked.unwrap_or_else(|error| ModelCheck::refused(&place, &error));
         if check.problems.is_empty() {
             check.problems.extend(unopened);
         }
         if let Some(draft) = spec.draft() {
-            let problems = match self.check(&draft) {
+            let mut problems = match self.check(&draft) {
                 Ok(checked) => checked.problems,
                 Err(error) => vec![error.to_string()],
             };
+            if problems.is_empty() && check.problems.is_empty() {
+                let (drafts, how) = (self.place_here(&draft)?, self.loading(&draft)?);
+                let fits = without_panic(&drafts, || {
+                    LocalModel::check_draft([&place, &drafts], [&loading, &how])
+                });
+                problems.extend(fits.err().map(|error| error.to_string()));
+            }
             check.problems.extend(
                 problems
                     .into_iter()
@@ -334,7 +343,7 @@ impl ModelRegistry {
     /// What a model is and needs, by the headers of its files on this machine, else by the known
     /// shape of the repository that it comes from.
     pub fn outline(&self, spec: &ModelSpec) -> Result<ModelOutline, MllmError> {
-        let families = &self.families(spec);
+        let families = &self.loading.families;
         let here = self
             .place_here(spec)
             .and_then(|place| Checkpoint::open(&place, None, families));
@@ -377,15 +386,6 @@ impl ModelRegistry {
         self.loading.clone()
     }
 
-    /// The families that may open a model, with one that only its description chooses.
-    fn families(&self, spec: &ModelSpec) -> Families {
-        let families = self.loading.families.clone();
-        match spec.architecture {
-            Some(architecture) => families.preferring(architecture),
-            None => families,
-        }
-    }
-
     /// The settings for a described model.
     pub fn loading(&self, spec: &ModelSpec) -> Result<Loading, MllmError> {
         let tokenizer = match &spec.tokenizer {
@@ -410,7 +410,10 @@ impl ModelRegistry {
         let expected = spec
             .architecture
             .map(|architecture| (architecture, spec.name.clone()));
-        let (quantize, families) = (self.loading.quantize.or(spec.quantize), self.families(spec));
+        let (quantize, families) = (
+            self.loading.quantize.or(spec.quantize),
+            self.loading.families.clone(),
+        );
         Ok(Loading {
             quantize,
             tokenizer,

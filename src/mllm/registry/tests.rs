@@ -30,7 +30,7 @@ fn names_folders_and_ids_are_found() {
     let nano = registry.find("nano").unwrap();
     assert_eq!(
         (nano.name.as_str(), nano.prompt_set),
-        ("Nano", Some(PromptSet::Compact))
+        ("Nano", Some(DescribedPrompts::Known(PromptSet::Compact)))
     );
     assert_eq!(
         registry.place(&nano).unwrap(),

@@ -5,8 +5,8 @@ use crate::MllmError;
 use crate::checkpoint::{FileKind, ModelFiles, RowOrder, WeightFile, WeightFormatPlan, Weights};
 use crate::families::Families;
 use crate::gguf::{
-    GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, packed_files, row_order,
-    tokenizer, tower_beside,
+    GgufLayout, Header, OwnKeys, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, open_model,
+    packed_files, row_order, tokenizer, tower_beside, unread_keys,
 };
 use planagent_kernels::matrix::WeightFormat;
 use std::path::Path;
@@ -28,18 +28,20 @@ pub(super) fn open(
     families: &Families,
 ) -> Result<Checkpoint, MllmError> {
     const ARCHITECTURE: &str = "general.architecture";
-    let (header, file) = open_header(model)?;
-    header.check_one_file()?;
+    let (header, parts) = open_model(model)?;
     match header.architecture()? {
-        WHOLE_MODEL => open_whole(&header, file, quantize, families),
+        WHOLE_MODEL => open_whole(&header, parts, quantize, families),
         decoder if llama::architectures().any(|known| known == decoder) => {
-            let beside =
-                mmproj.map_or_else(|| tower_beside(model), |mmproj| Ok(mmproj.to_path_buf()))?;
+            let beside = mmproj.map_or_else(
+                || tower_beside(&header.path),
+                |mmproj| Ok(mmproj.to_path_buf()),
+            )?;
             let (tower, tower_file) = open_header(&beside)?;
             if tower.architecture()? != TOWER {
                 return Err(tower.error(ARCHITECTURE, "this is no vision tower (clip)"));
             }
-            open_pair([(&header, file), (&tower, tower_file)], quantize, families)
+            let pair = [(&header, parts), (&tower, vec![tower_file])];
+            open_pair(pair, quantize, families)
         }
         TOWER => Err(header.error(
             ARCHITECTURE,
@@ -66,17 +68,17 @@ fn plan(quantize: Option<WeightFormat>) -> WeightFormatPlan {
 /// A file that this program wrote, with the whole model under its canonical names.
 fn open_whole(
     header: &Header,
-    file: WeightFile,
+    parts: Vec<WeightFile>,
     quantize: Option<WeightFormat>,
     families: &Families,
 ) -> Result<Checkpoint, MllmError> {
     let files = ModelFiles::packed(&header.path, packed_files(header)?);
     let mut weights = Weights::empty(&header.path, plan(quantize));
-    let index = weights.add_file(file);
+    let first = add_parts(&mut weights, parts);
     for (name, place) in &header.tensors {
         weights.add(
             name.clone(),
-            index,
+            first + header.part_of(name),
             name.clone(),
             place.clone(),
             RowOrder::Plain,
@@ -91,7 +93,7 @@ fn open_whole(
 
 /// A decoder and a tower, from llama.cpp or from this program.
 fn open_pair(
-    pair: [(&Header, WeightFile); 2],
+    pair: [(&Header, Vec<WeightFile>); 2],
     quantize: Option<WeightFormat>,
     families: &Families,
 ) -> Result<Checkpoint, MllmError> {
@@ -99,8 +101,9 @@ fn open_pair(
     let model = decoder.path.as_path();
     let mut notes = Vec::new();
     let mut texts = packed_files(decoder)?;
+    let is_made = !texts.contains_key(CONFIG);
     // A file of llama.cpp may say how the model is asked, and nothing else.
-    if !texts.contains_key(CONFIG) {
+    if is_made {
         let layouts = families
             .iter()
             .filter_map(|family| family.family().gguf.ok());
@@ -121,8 +124,18 @@ fn open_pair(
         };
         texts.extend(layout.small_files(decoder, tower, &mut notes)?);
         notes.extend(tokenizer::note(decoder)?);
+        for header in [decoder, tower] {
+            unread_keys::check(header, &mut notes)?;
+        }
     }
     let mut files = ModelFiles::packed(model, texts);
+    if is_made {
+        files = files.made_from(OwnKeys {
+            architecture: decoder.architecture()?.to_owned(),
+            decoder: model.to_path_buf(),
+            tower: tower.path.clone(),
+        });
+    }
     files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;
     let family = families.detect_in(&files)?;
     let layout = family.family().gguf.map_err(|lacking| {
@@ -132,8 +145,8 @@ fn open_pair(
         )
     })?;
     let mut weights = Weights::empty(model, plan(quantize));
-    for (header, file) in pair {
-        add_tensors(&mut weights, layout, header, file)?;
+    for (header, parts) in pair {
+        add_tensors(&mut weights, layout, header, parts)?;
     }
     for note in notes {
         weights.note(note);
@@ -145,18 +158,28 @@ fn open_pair(
     })
 }
 
+/// Adds the files of a model, and gives the index of the first.
+fn add_parts(weights: &mut Weights, parts: Vec<WeightFile>) -> usize {
+    let indices: Vec<usize> = parts
+        .into_iter()
+        .map(|part| weights.add_file(part))
+        .collect();
+    indices.first().copied().unwrap_or(0)
+}
+
 /// Adds the tensors of a file of llama.cpp under their canonical names.
 fn add_tensors(
     weights: &mut Weights,
     layout: &dyn GgufLayout,
     header: &Header,
-    file: WeightFile,
+    parts: Vec<WeightFile>,
 ) -> Result<(), MllmError> {
-    let index = weights.add_file(file);
+    let first = add_parts(weights, parts);
     for (name, place) in &header.tensors {
         match layout.canonical_name(header, name)? {
             Some(canonical) => {
                 let rows = row_order(header, name, place)?;
+                let index = first + header.part_of(name);
                 weights.add(canonical, index, name.clone(), place.clone(), rows)?;
             }
             None => weights.note(format!(

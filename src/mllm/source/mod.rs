@@ -11,10 +11,10 @@ pub use embedded::EmbeddedModel;
 pub use shape::ModelShape;
 
 use super::MllmError;
-use super::checkpoint::{ModelFiles, Weights, safetensors_folder};
+use super::checkpoint::{LlamaConfig, ModelFiles, Weights, safetensors_folder};
 use super::families::{Architecture, Families};
 use super::family::VisionLanguageModel;
-use super::gguf::{files as gguf_files, find as find_gguf, open_header, packed_files};
+use super::gguf::{files as gguf_files, find as find_gguf, open_model, packed_files};
 use planagent_kernels::matrix::WeightFormat;
 use std::path::{Path, PathBuf};
 
@@ -75,7 +75,34 @@ impl ModelPlace {
             Self::Gguf { model, .. } => model.clone(),
             Self::Embedded(_) | Self::Random { .. } => return Ok(None),
         };
-        Ok(packed_files(&open_header(&model)?.0)?.remove(name))
+        Ok(packed_files(&open_model(&model)?.0)?.remove(name))
+    }
+
+    /// What the files call the model, and the number of their weights; none where they cannot be
+    /// read. They tell refused models apart.
+    pub fn facts(&self) -> Option<(String, u64)> {
+        let gguf = |path: &Path| {
+            let header = open_model(path).ok()?.0;
+            let kind = format!("GGUF of architecture {}", header.architecture().ok()?);
+            Some((kind, header.parameters()))
+        };
+        match self {
+            Self::Folder(folder) if safetensors_folder::has_safetensors(folder) => {
+                let config = ModelFiles::folder(folder)
+                    .ok()?
+                    .json("config.json")
+                    .ok()??;
+                let named = config
+                    .get("model_type")
+                    .or(config.pointer("/architectures/0"));
+                let kind = named?.as_str()?.to_owned();
+                let weights = safetensors_folder::open(folder, None, |name| Some(name.to_owned()));
+                Some((kind, weights.map_or(0, |weights| weights.elements() as u64)))
+            }
+            Self::Folder(folder) => gguf(&find_gguf(folder).ok()??),
+            Self::Gguf { model, .. } => gguf(model),
+            Self::Embedded(_) | Self::Random { .. } => None,
+        }
     }
 
     pub fn weight_bytes(&self) -> Result<u64, MllmError> {
@@ -155,8 +182,15 @@ impl Checkpoint {
         })
     }
 
+    /// The configuration of the decoder.
+    pub(crate) fn decoder_config(&self) -> Result<LlamaConfig, MllmError> {
+        (self.family.family().decoder_config)(&self.files)
+            .map_err(|error| self.files.by_own_key(error))
+    }
+
     /// Opens the model and takes its weights.
     pub(crate) fn open_model(&mut self) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
         (self.family.family().open)(&self.files, &mut self.weights)
+            .map_err(|error| self.files.by_own_key(error))
     }
 }

@@ -1,8 +1,6 @@
 //! The chat template of a model, which renders messages as the text that the model was trained on.
 
-use super::template_bounds::{
-    BoundedText, MAX_CALLS, MAX_SOURCE_BYTES, MAX_STEPS, MAX_TAG_BYTES, longest_tag, on_deep_stack,
-};
+use super::template_engine::TemplateEngine;
 use crate::checkpoint::{ConfigObject, ModelFiles};
 use crate::{MllmError, Turn};
 use minijinja::syntax::SyntaxConfig;
@@ -14,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug)]
 pub(crate) struct ChatTemplate {
-    environment: Environment<'static>,
+    engine: TemplateEngine,
     path: PathBuf,
     special: BTreeMap<String, String>,
     content: Content,
@@ -42,9 +40,9 @@ impl ChatTemplate {
         image_token: &str,
     ) -> Result<Self, MllmError> {
         let (path, source) = find_source(files)?;
-        let environment = compiled(&source).map_err(|error| failure(&path, &error))?;
+        let engine = compiled(&source).map_err(|error| failure(&path, &error))?;
         let mut template = Self {
-            environment,
+            engine,
             path,
             special: special.clone(),
             content: Content::Parts,
@@ -100,14 +98,8 @@ impl ChatTemplate {
         let texts = turns
             .iter()
             .map(|turn| turn.prompt.len() + turn.answer.len());
-        let mut text = BoundedText::of_chat(system.len() + prompt.len() + texts.sum::<usize>());
-        let template = self.environment.get_template(NAME)?;
-        let rendered = on_deep_stack(|| template.render_captured_to(chat, &mut text).map(drop))
-            .map_err(|error| no_thread(&error))?;
-        match text.into_text() {
-            Ok(text) => rendered.map(|()| text),
-            Err(problem) => Err(Error::new(ErrorKind::InvalidOperation, problem)),
-        }
+        let bytes = system.len() + prompt.len() + texts.sum::<usize>();
+        self.engine.render(NAME, chat, bytes)
     }
 
     fn content(&self, content: Content, image: bool, text: &str) -> Value {
@@ -157,31 +149,15 @@ impl ChatTemplate {
 }
 
 /// The template of a source within the bounds.
-fn compiled(source: &str) -> Result<Environment<'static>, Error> {
-    if source.len() > MAX_SOURCE_BYTES {
-        let problem = format!(
-            "it has {} bytes; at most {MAX_SOURCE_BYTES} are read",
-            source.len()
-        );
-        return Err(Error::new(ErrorKind::InvalidOperation, problem));
-    }
-    let tag = longest_tag(source);
-    if tag > MAX_TAG_BYTES {
-        let problem = format!("a tag has {tag} bytes of code; at most {MAX_TAG_BYTES} are read");
-        return Err(Error::new(ErrorKind::InvalidOperation, problem));
-    }
-    on_deep_stack(|| environment(source)).map_err(|error| no_thread(&error))?
-}
-
-fn no_thread(error: &std::io::Error) -> Error {
-    Error::new(ErrorKind::InvalidOperation, error.to_string())
+fn compiled(source: &str) -> Result<TemplateEngine, Error> {
+    let mut engine = TemplateEngine::of_chats(environment()?);
+    engine.add(NAME, without_generation_tags(source))?;
+    Ok(engine)
 }
 
 /// The template engine, set up as in transformers.
-fn environment(source: &str) -> Result<Environment<'static>, Error> {
+fn environment() -> Result<Environment<'static>, Error> {
     let mut environment = Environment::new();
-    environment.set_fuel(Some(MAX_STEPS));
-    environment.set_recursion_limit(MAX_CALLS);
     environment.set_syntax(
         SyntaxConfig::builder()
             .trim_blocks(true)
@@ -193,7 +169,6 @@ fn environment(source: &str) -> Result<Environment<'static>, Error> {
         Err::<Value, Error>(Error::new(ErrorKind::InvalidOperation, message))
     });
     environment.add_function("strftime_now", |format: String| fixed_date(&format));
-    environment.add_template_owned(NAME, without_generation_tags(source))?;
     Ok(environment)
 }
 
@@ -299,9 +274,6 @@ fn describe(error: &Error) -> String {
     let line = error
         .line()
         .map_or_else(String::new, |line| format!("line {line}: "));
-    if error.kind() == ErrorKind::OutOfFuel {
-        return format!("{line}it takes more than {MAX_STEPS} steps");
-    }
     let detail = error
         .detail()
         .map_or_else(|| error.kind().to_string(), ToString::to_string);
@@ -310,6 +282,7 @@ fn describe(error: &Error) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::template_bounds::MAX_SOURCE_BYTES;
     use super::*;
 
     fn open(source: &str) -> Result<ChatTemplate, MllmError> {
@@ -403,6 +376,12 @@ mod tests {
             nest("", "{% if 1 %}", ""),
             "{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}probe<image>".to_owned(),
             "{% for a in range(99999) %}0123456789{% endfor %}probe<image>".to_owned(),
+            // A loop that is left ends the inner one alone.
+            "{% for a in range(99999) %}{% for b in range(99999) %}{% if b > 90 %}{% break %}{% endif %}{% endfor %}{% endfor %}\
+             probe<image>"
+                .to_owned(),
+            "{% for a in range(99999) %}{% for b in range(99999) %}{% continue %}{% endfor %}{% break %}{% endfor %}probe<image>"
+                .to_owned(),
             "{% macro m() %}{{ m() }}{% endmacro %}{{ m() }}probe<image>".to_owned(),
             "{% set n = namespace(x=[]) %}{% for i in range(60000) %}{% set n.x = [n.x] %}{% endfor %}{{ n.x }}"
                 .to_owned(),
@@ -423,9 +402,19 @@ mod tests {
             steps.to_string().contains("more than 500000 steps"),
             "{steps}"
         );
+        for left in [
+            "{% break %}",
+            "{% if b > 90 %}{% break %}{% endif %}{% continue %}",
+        ] {
+            let hostile = format!(
+                "{{% for a in range(99999) %}}{{% for b in range(99999) %}}{left}{{% endfor %}}{{% for c in range(99) %}}{{% endfor %}}{{% endfor %}}"
+            );
+            let steps = open(&hostile).unwrap_err().to_string();
+            assert!(steps.contains("more than 500000 steps"), "{left}: {steps}");
+        }
         let long = open("{% for a in range(99999) %}0123456789{% endfor %}").unwrap_err();
         assert!(
-            long.to_string().contains("the rendered chat has more than"),
+            long.to_string().contains("the rendered text has more than"),
             "{long}"
         );
     }

@@ -1,5 +1,5 @@
-//! Bounds of chat templates. They come with downloaded models, and they are programs: they may
-//! nest, loop and repeat texts.
+//! Bounds of templates. They come with downloaded models and with prompt sets of others, and they
+//! are programs: they may nest, loop and repeat texts.
 
 use std::io::{self, Write};
 use std::thread;
@@ -13,9 +13,9 @@ pub(super) const MAX_TAG_BYTES: usize = 4 << 10;
 pub(super) const MAX_STEPS: u64 = 500_000;
 /// Calls of macros inside each other.
 pub(super) const MAX_CALLS: usize = 50;
-/// Bytes that a template may add to the texts of a chat.
+/// Bytes that a template may add to the texts of its context.
 const MAX_ADDED_BYTES: usize = 256 << 10;
-/// How often a template may write the texts of a chat.
+/// How often a template may write the texts of its context.
 const MAX_COPIES: usize = 4;
 /// Stack of the thread that compiles and renders, bytes: nesting takes up to 4 KB of stack a level,
 /// and a level at least a byte of the template, or two instructions.
@@ -28,7 +28,7 @@ const STACK_BYTES: usize = MAX_SOURCE_BYTES * (4 << 10);
 pub(super) fn on_deep_stack<T: Send>(work: impl FnOnce() -> T + Send) -> io::Result<T> {
     thread::scope(|scope| {
         let builder = thread::Builder::new()
-            .name("chat template".to_owned())
+            .name("template".to_owned())
             .stack_size(STACK_BYTES);
         builder
             .spawn_scoped(scope, work)?
@@ -37,43 +37,62 @@ pub(super) fn on_deep_stack<T: Send>(work: impl FnOnce() -> T + Send) -> io::Res
     })
 }
 
+/// A tag of a template.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Tag {
+    /// Whether it is a statement; else it writes a value.
+    pub(super) is_statement: bool,
+    /// Its code without strings and the braces of maps.
+    pub(super) code: String,
+}
+
 /// Bytes of code in the longest tag of a template, without its strings.
 pub(super) fn longest_tag(source: &str) -> usize {
-    let mut longest = 0;
+    tags(source)
+        .iter()
+        .map(|tag| tag.code.len())
+        .max()
+        .unwrap_or(0)
+}
+
+/// The tags of a template.
+pub(super) fn tags(source: &str) -> Vec<Tag> {
+    let mut found = Vec::new();
     let mut rest = source;
     while let Some(at) = rest.find('{') {
         rest = &rest[at + 1..];
         if let Some(comment) = rest.strip_prefix('#') {
             rest = comment.split_once("#}").map_or("", |(_, after)| after);
         } else if let Some(tag) = rest.strip_prefix(['{', '%']) {
-            let (length, after) = tag_length(tag);
-            longest = longest.max(length);
+            let is_statement = rest.starts_with('%');
+            let (code, after) = code_of(tag);
+            found.push(Tag { is_statement, code });
             rest = after;
         }
     }
-    longest
+    found
 }
 
-/// Bytes of code up to the end of a tag, without its strings, and what follows. Braces inside a tag
-/// are those of a map.
-fn tag_length(tag: &str) -> (usize, &str) {
-    let (mut length, mut braces) = (0, 0_usize);
+/// The code up to the end of a tag, without its strings, and what follows. Braces inside a tag are
+/// those of a map.
+fn code_of(tag: &str) -> (String, &str) {
+    let (mut code, mut braces) = (String::new(), 0_usize);
     let mut quote = None;
     let mut escaped = false;
-    for (at, byte) in tag.bytes().enumerate() {
-        match (quote, byte) {
+    for (at, c) in tag.char_indices() {
+        match (quote, c) {
             (Some(_), _) if escaped => escaped = false,
-            (Some(_), b'\\') => escaped = true,
-            (Some(open), _) if open == byte => quote = None,
+            (Some(_), '\\') => escaped = true,
+            (Some(open), _) if open == c => quote = None,
             (Some(_), _) => {}
-            (None, b'"' | b'\'') => quote = Some(byte),
-            (None, b'{') => braces += 1,
-            (None, b'}') if braces > 0 => braces -= 1,
-            (None, b'}') => return (length, &tag[at + 1..]),
-            (None, _) => length += 1,
+            (None, '"' | '\'') => quote = Some(c),
+            (None, '{') => braces += 1,
+            (None, '}') if braces > 0 => braces -= 1,
+            (None, '}') => return (code, &tag[at + 1..]),
+            (None, _) => code.push(c),
         }
     }
-    (length, "")
+    (code, "")
 }
 
 /// A text of limited length.
@@ -85,8 +104,8 @@ pub(super) struct BoundedText {
 }
 
 impl BoundedText {
-    /// For a chat whose texts have `bytes` bytes.
-    pub(super) fn of_chat(bytes: usize) -> Self {
+    /// For a template whose texts have `bytes` bytes.
+    pub(super) fn of_texts(bytes: usize) -> Self {
         let most = bytes
             .saturating_mul(MAX_COPIES)
             .saturating_add(MAX_ADDED_BYTES);
@@ -101,7 +120,7 @@ impl BoundedText {
     pub(super) fn into_text(self) -> Result<String, String> {
         if self.is_exceeded {
             return Err(format!(
-                "the rendered chat has more than {} bytes",
+                "the rendered text has more than {} bytes",
                 self.most
             ));
         }
@@ -114,7 +133,7 @@ impl Write for BoundedText {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if self.bytes.len().saturating_add(bytes.len()) > self.most {
             self.is_exceeded = true;
-            return Err(io::Error::other("the rendered chat is too long"));
+            return Err(io::Error::other("the rendered text is too long"));
         }
         self.bytes.extend_from_slice(bytes);
         Ok(bytes.len())

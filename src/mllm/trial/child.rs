@@ -1,6 +1,7 @@
 //! The child process: its limits, and what it says.
 
 use super::TrialRequest;
+use planagent_child::BoundChild;
 use serde::{Deserialize, Serialize};
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -83,13 +84,14 @@ pub(super) fn run(
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
-    let mut child = command.spawn().map_err(failed)?;
+    let mut child = BoundChild::spawn(&mut command).map_err(failed)?;
+    let child = child.process();
     let (stdout, stderr) = (reader(child.stdout.take()), reader(child.stderr.take()));
     if let Some(mut stdin) = child.stdin.take() {
         // A child that reads nothing must not block this thread.
         thread::spawn(move || stdin.write_all(&text));
     }
-    let ended = wait(&mut child).map_err(failed)?;
+    let ended = wait(child).map_err(failed)?;
     let lines: Vec<Line> = stdout
         .recv()
         .unwrap_or_default()

@@ -6,7 +6,9 @@ use super::layout::CALLS;
 use super::number::json_value;
 use super::times::CallTimes;
 use planagent_agent::environment::CenterlineName;
-use planagent_agent::planner::{Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal};
+use planagent_agent::planner::{
+    Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal, Unreadable,
+};
 use planagent_agent::reasoning::{
     Assistance, MotionInstruction, ParseError, PlannerAnswer, RoundRecord,
 };
@@ -148,13 +150,31 @@ pub enum DecisionRecord {
     /// All attempts were refused; the plan of this attempt becomes active all the same.
     Exhausted { attempt: usize },
     /// There is no new plan; the active one is kept.
-    KeepActivePlan { cause: String, why: String },
+    KeepActivePlan {
+        cause: String,
+        /// Of the cause `unreadable`: what is wrong with the last answer.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        sub_cause: Option<Unreadable>,
+        why: String,
+    },
     /// There is no plan; the ego brakes.
-    Brake { cause: String, why: String },
+    Brake {
+        cause: String,
+        /// Of the cause `unreadable`: what is wrong with the last answer.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        sub_cause: Option<Unreadable>,
+        why: String,
+    },
     /// The predicted score of PDM-Closed passes the gate; the model was not asked.
     Gated { score: f64 },
     /// There is no answer that is better than PDM-Closed.
-    RuleBased { cause: String, why: String },
+    RuleBased {
+        cause: String,
+        /// Of the cause `unreadable`: what is wrong with the last answer.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        sub_cause: Option<Unreadable>,
+        why: String,
+    },
 }
 
 /// Measured times of a planning call, milliseconds.
@@ -317,22 +337,34 @@ impl ReflectionRecord {
 
 impl DecisionRecord {
     pub(super) fn from_decision(decision: &Decision) -> Self {
-        let words = |why: &NoPlan| (why.cause().to_owned(), why.to_string());
+        let words = |why: &NoPlan| (why.cause().to_owned(), why.unreadable(), why.to_string());
         match decision.kind() {
             DecisionKind::Execute(attempt) => Self::Execute { attempt },
             DecisionKind::Exhausted(attempt) => Self::Exhausted { attempt },
             DecisionKind::Gated(score) => Self::Gated { score },
             DecisionKind::KeepActivePlan(why) => {
-                let (cause, why) = words(why);
-                Self::KeepActivePlan { cause, why }
+                let (cause, sub_cause, why) = words(why);
+                Self::KeepActivePlan {
+                    cause,
+                    sub_cause,
+                    why,
+                }
             }
             DecisionKind::Brake(why) => {
-                let (cause, why) = words(why);
-                Self::Brake { cause, why }
+                let (cause, sub_cause, why) = words(why);
+                Self::Brake {
+                    cause,
+                    sub_cause,
+                    why,
+                }
             }
             DecisionKind::RuleBased(why) => {
-                let (cause, why) = words(why);
-                Self::RuleBased { cause, why }
+                let (cause, sub_cause, why) = words(why);
+                Self::RuleBased {
+                    cause,
+                    sub_cause,
+                    why,
+                }
             }
         }
     }

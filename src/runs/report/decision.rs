@@ -181,6 +181,7 @@ impl Refused<'_> {
 mod tests {
     use super::*;
     use planagent_agent::environment::CenterlineName;
+    use planagent_agent::planner::Unreadable;
     use planagent_agent::reasoning::PlannerCode;
     use planagent_agent::reflection::{ProgressReference, ReflectionReport};
     use planagent_score::pdm::DrivableLayers;
@@ -224,7 +225,7 @@ mod tests {
             attempt.reflection = score.map(reflection);
             attempt
         };
-        let mut call = PlanningCall::without_attempts((20, 2.0), decision, 0.0);
+        let mut call = PlanningCall::without_attempts(20, 2.0, decision, 0.0);
         call.attempts = scores.iter().map(attempt).collect();
         call
     }
@@ -292,7 +293,7 @@ mod tests {
         )));
         assert!(!all_refused(&call(Decision::Execute(0), &[Some(0.9)])));
         assert!(!all_refused(&call(
-            Decision::KeepActivePlan(NoPlan::Unreadable),
+            Decision::KeepActivePlan(NoPlan::Unreadable(Unreadable::Empty)),
             &[None]
         )));
     }

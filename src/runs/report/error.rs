@@ -46,6 +46,14 @@ pub enum ReportFault {
     #[error("there is no run in this folder; name the folder of a run")]
     NoRuns,
     #[error(
+        "every simulation failed in each run of this folder; name one to see it all the same, for example {}",
+        last.display()
+    )]
+    OnlyFailures {
+        /// The run that started last.
+        last: PathBuf,
+    },
+    #[error(
         "the run has format version {found}, this program reads version {FORMAT_VERSION}; start a new run, or use the \
          version of planagent that wrote it"
     )]

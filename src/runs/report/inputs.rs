@@ -52,7 +52,7 @@ pub struct AcceptedChanges {
 
 impl DataFile {
     /// Whether size and time are equal, so that nothing has to be read.
-    pub fn same_stamp(&self, other: &Self) -> bool {
+    pub(crate) fn same_stamp(&self, other: &Self) -> bool {
         (self.size, self.modified_ns) == (other.size, other.modified_ns)
     }
 

@@ -35,7 +35,7 @@ pub(super) const METRICS: &str = "metrics.toml";
 /// Tracks, map and plans.
 pub(super) const REPLAY: &str = "replay.json.gz";
 /// The planning calls as Markdown.
-pub(super) const TRANSCRIPT: &str = "transcript.md";
+pub const TRANSCRIPT: &str = "transcript.md";
 /// Parent of the BEV maps.
 pub(super) const BEV: &str = "bev";
 

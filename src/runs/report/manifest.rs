@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// The format of run folders that this program reads and writes.
-pub const FORMAT_VERSION: u32 = 2;
+pub(crate) const FORMAT_VERSION: u32 = 2;
 
 /// Key of the planners in [`Manifest::flat`], and the start of the keys of the model.
 const PLANNERS: &str = "planners";
@@ -207,7 +207,7 @@ impl Manifest {
     }
 
     /// The inputs in which another run differs that may have other recordings, one a line.
-    pub fn conflicting_inputs(&self, other: &Self) -> Vec<String> {
+    pub(crate) fn conflicting_inputs(&self, other: &Self) -> Vec<String> {
         self.inputs
             .as_ref()
             .zip(other.inputs.as_ref())
@@ -406,15 +406,16 @@ mod tests {
     #[test]
     fn a_run_with_settings_of_before_is_the_same_run() {
         let mut now = manifest();
-        now.config = "[agent]\ninterval_s = 3.0\nblocked_interval_s = 0.5"
+        now.config = "agent = { interval_s = 3.0, blocked_interval_s = 0.5 }\n\
+            reasoning = { grammar = true }"
             .parse()
             .unwrap();
-        let written = toml::to_string(&now).unwrap();
-        let before = written
-            .replace("[config.agent]", "[config.reasoning]")
-            .replace("interval_s = 3.0", "interval = 30")
-            .replace("blocked_interval_s = 0.5", "blocked_interval = 5");
-        let before: Manifest = toml::from_str(&before).unwrap();
+        let mut written = toml::Table::try_from(&now).unwrap();
+        let before =
+            "agent = {}\nreasoning = { interval = 30, blocked_interval = 5, grammar = true }";
+        let before: toml::Table = before.parse().unwrap();
+        written.insert("config".to_owned(), before.into());
+        let before: Manifest = written.try_into().unwrap();
         assert_eq!(before, now);
         assert!(before.differences(&now).is_empty());
         // Folders of study runs have this digest in their names.
@@ -425,9 +426,9 @@ mod tests {
             "scenarios.count=2",
             &format!("scenarios.blake3={}", now.scenarios.blake3),
             "config.reasoning.blocked_interval=5",
+            "config.reasoning.grammar=true",
             "config.reasoning.interval=30",
         ];
-        // An empty section has no line.
         assert_eq!(now.digest(), ScenarioList::digest(lines));
     }
 

@@ -20,6 +20,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::Duration;
 
 /// The folder of a run, locked against other processes as long as this lives.
 #[derive(Debug)]
@@ -41,13 +43,15 @@ pub struct CompletedSimulations {
 /// What a run has before its first simulation.
 const BEGUN: [&str; 3] = [MANIFEST, CONFIG, SIMULATIONS];
 
+/// How often a locked folder is tried again, and the time between two tries.
+const LOCK_TRIES: usize = 3;
+const LOCK_PAUSE: Duration = Duration::from_millis(10);
+
 /// The part of a manifest that every format has.
 #[derive(Deserialize)]
 struct AnyManifest {
     #[serde(default)]
     format_version: u32,
-    #[serde(default)]
-    started: String,
 }
 
 impl RunFolder {
@@ -76,7 +80,7 @@ impl RunFolder {
     /// # Errors
     /// When the folder holds a run or other files, something else stands where it should be, or it
     /// cannot be written.
-    pub fn check_new(path: Option<&Path>) -> Result<(), ReportError> {
+    pub(crate) fn check_new(path: Option<&Path>) -> Result<(), ReportError> {
         let path = &path.map_or_else(next_free, Path::to_owned);
         check_holds_no_run(path)?;
         check_writable(path)?;
@@ -101,7 +105,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// When the folder cannot be written, or another process runs in it.
-    pub fn check_resumable(path: &Path) -> Result<(), ReportError> {
+    pub(crate) fn check_resumable(path: &Path) -> Result<(), ReportError> {
         check_writable(path)?;
         Self::locked(path.to_owned()).map(|_| ())
     }
@@ -199,11 +203,27 @@ impl RunFolder {
             .append(true)
             .open(&file)
             .map_err(ReportError::write(&file))?;
-        match lock.try_lock() {
+        let mut locked = lock.try_lock();
+        // A page that asks whether somebody works here holds the lock for an instant.
+        for _ in 0..LOCK_TRIES {
+            if !matches!(locked, Err(TryLockError::WouldBlock)) {
+                break;
+            }
+            thread::sleep(LOCK_PAUSE);
+            locked = lock.try_lock();
+        }
+        match locked {
             Ok(()) => Ok(Self { path, _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(ReportError::at(&path)(ReportFault::Locked)),
             Err(TryLockError::Error(error)) => Err(ReportError::write(&file)(error)),
         }
+    }
+
+    /// Whether a process works in the folder of a run. It is asked by a lock that many may share,
+    /// for an instant.
+    pub fn is_running(path: &Path) -> bool {
+        let lock = File::open(path.join(LOCK));
+        lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
     /// The path of the folder.
@@ -273,12 +293,12 @@ impl RunFolder {
     }
 
     /// Copies the folder of a completed simulation from another run: all of it, or nothing.
-    pub fn adopt(&self, simulation: &Path) -> Result<(), ReportError> {
+    pub(crate) fn adopt(&self, simulation: &Path) -> Result<(), ReportError> {
         simulation_folder::copy(simulation, &self.path.join(SIMULATIONS))
     }
 
     /// Deletes completed simulations, so that they run again.
-    pub fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
+    pub(crate) fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
         let discarded = folders(&self.path)?
             .into_iter()
             .filter(|(number, _)| numbers.contains(number));
@@ -357,15 +377,13 @@ fn read_manifest(run: &Path) -> Result<Manifest, ReportError> {
     match read_toml(&file)? {
         AnyManifest {
             format_version: FORMAT_VERSION,
-            ..
         } => read_toml(&file),
         // The first formats had no number.
-        AnyManifest {
-            format_version: 0, ..
-        } if is_blank(&file) => Err(ReportError::at(run)(ReportFault::DamagedManifest)),
+        AnyManifest { format_version: 0 } if is_blank(&file) => {
+            Err(ReportError::at(run)(ReportFault::DamagedManifest))
+        }
         AnyManifest {
             format_version: found,
-            ..
         } => Err(ReportError::at(run)(ReportFault::FormatVersion { found })),
     }
 }
@@ -416,32 +434,6 @@ pub(super) fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, ReportErr
     let text = planagent_files::read_text(path, planagent_files::MAX_LIST_BYTES)
         .map_err(ReportError::read(path))?;
     toml::from_str(&text).map_err(|error| ReportError::at(path)(Box::new(error)))
-}
-
-/// The run of `runs/` that started last.
-///
-/// # Errors
-/// When there is none, or the folder cannot be read.
-pub fn last_run() -> Result<PathBuf, ReportError> {
-    let runs = Path::new(RUNS);
-    let entries = fs::read_dir(runs).map(|entries| {
-        entries
-            .flatten()
-            .map(|entry| entry.path())
-            .collect::<Vec<_>>()
-    });
-    let started = |path: &PathBuf| {
-        read_toml::<AnyManifest>(&path.join(MANIFEST))
-            .ok()
-            .map(|run| run.started)
-    };
-    // Runs of one second are ordered by their names, which count up.
-    let runs_with_start = entries
-        .unwrap_or_default()
-        .into_iter()
-        .filter_map(|path| Some((started(&path)?, path)));
-    let last = runs_with_start.max().map(|(_, path)| path);
-    last.ok_or_else(|| ReportError::at(runs)(ReportFault::NoRuns))
 }
 
 /// The first `runs/NNNN` that does not exist.

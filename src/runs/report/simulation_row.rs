@@ -2,9 +2,10 @@
 
 use super::decision::{all_are_zero, all_refused, first_refused};
 use super::number::positive_zero;
+use super::recorded;
 use super::times::{CallTimes, SimulationTime};
 use crate::worker::run::SimulationRecord;
-use planagent_agent::planner::PlanningCall;
+use planagent_agent::planner::{NoPlan, PlanningCall, Unreadable};
 use planagent_agent::reasoning::Interruption;
 use planagent_agent::simulation::Challenge;
 use planagent_score::metrics::{ScenarioRow, scored_names};
@@ -36,41 +37,70 @@ pub struct SimulationRow {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
     /// nuPlan's score in [0, 1]; none if the simulation failed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::score",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub score: Option<f64>,
     /// The multipliers that made the score 0.
     #[serde(default)]
     pub zeroed_by: Vec<String>,
     /// Planning calls, without the gated ones.
+    #[serde(deserialize_with = "recorded::count")]
     pub planning_calls: usize,
     /// Planning calls that the gate skipped.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::count",
+        skip_serializing_if = "is_zero"
+    )]
     pub gated_calls: usize,
     /// Planning calls in which Reflection refused all attempts.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "recorded::count")]
     pub refused_calls: usize,
     /// Planning calls in which Reflection refused the first attempt.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::count",
+        skip_serializing_if = "is_zero"
+    )]
     pub first_refused_calls: usize,
     /// Planning calls in which every plan leaves the drivable area.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::count",
+        skip_serializing_if = "is_zero"
+    )]
     pub off_area_calls: usize,
     /// Planning calls in which every plan leaves the route for more than 6 m.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::count",
+        skip_serializing_if = "is_zero"
+    )]
     pub off_route_calls: usize,
     /// Attempts after the first of their call.
+    #[serde(deserialize_with = "recorded::count")]
     pub rethinks: usize,
     /// Parse errors of the answers.
+    #[serde(deserialize_with = "recorded::count")]
     pub parse_errors: usize,
     /// Planning calls that ended at their deadline.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "recorded::count")]
     pub deadlines: usize,
     /// Planning calls that ended by an error of the model.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "recorded::count")]
     pub failed_calls: usize,
+    /// Planning calls in a scene without a lane graph.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub unmapped_calls: usize,
     /// What `pdm-closed` counted as drivable.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drivable_layers: Option<DrivableLayers>,
+    /// Planning calls whose answers gave no plan, by what was wrong with the last of them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub unreadable_calls: BTreeMap<Unreadable, usize>,
     /// BLAKE3 of the other files of the simulation, by name: a damaged one counts as no simulation.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, String>,
@@ -90,6 +120,15 @@ pub(super) fn is_zero(count: &usize) -> bool {
     *count == 0
 }
 
+/// How many calls gave no plan for each cause.
+fn counted(calls: &[PlanningCall]) -> BTreeMap<Unreadable, usize> {
+    let mut counts = BTreeMap::new();
+    for why in calls.iter().filter_map(PlanningCall::unreadable) {
+        *counts.entry(why).or_default() += 1;
+    }
+    counts
+}
+
 /// The score of one metric.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -97,7 +136,11 @@ pub struct MetricScore {
     /// nuPlan's name.
     pub name: String,
     /// The score in [0, 1]; none for metrics outside the score.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "recorded::score",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub score: Option<f64>,
 }
 
@@ -144,6 +187,11 @@ impl SimulationRow {
             parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
             deadlines: interrupted(|why| matches!(why, Interruption::Deadline)),
             failed_calls: interrupted(|why| matches!(why, Interruption::Model(_))),
+            unreadable_calls: counted(calls),
+            unmapped_calls: calls
+                .iter()
+                .filter(|call| matches!(call.decision.no_plan(), Some(NoPlan::NoLaneGraph(_))))
+                .count(),
             drivable_layers: outcome.and_then(|outcome| outcome.drivable_layers),
             files: BTreeMap::new(),
             time: SimulationTime {
@@ -164,6 +212,18 @@ impl SimulationRow {
                 })
                 .collect(),
         }
+    }
+
+    /// Planning calls whose answers gave no plan.
+    pub fn unreadable(&self) -> usize {
+        self.unreadable_calls.values().sum()
+    }
+
+    /// Whether it had planning calls, and none gave a plan. Calls that ended at their deadline and
+    /// gated ones do not count.
+    pub fn is_without_plan(&self) -> bool {
+        let asked = self.planning_calls.saturating_sub(self.deadlines);
+        asked > 0 && asked <= self.failed_calls + self.unreadable() + self.unmapped_calls
     }
 
     /// Source, planner and challenge in words.
@@ -244,6 +304,8 @@ impl SimulationRow {
             parse_errors: 0,
             deadlines: 0,
             failed_calls: 0,
+            unreadable_calls: BTreeMap::new(),
+            unmapped_calls: 0,
             drivable_layers: None,
             files: BTreeMap::new(),
             time: SimulationTime::default(),

@@ -1,6 +1,7 @@
 //! `summary.json`: the scores, without wall times; equal seeds give equal bytes.
 
 use super::simulation_row::{SimulationRow, is_zero};
+use planagent_agent::planner::Unreadable;
 use planagent_agent::simulation::Challenge;
 use planagent_mllm::ModelDescription;
 use planagent_scenario::MissingTokens;
@@ -9,6 +10,7 @@ use planagent_score::pdm::DrivableLayers;
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
 
 /// One simulation.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
@@ -52,6 +54,12 @@ pub struct ScenarioSummary {
     pub deadlines: usize,
     /// Planning calls that ended by an error of the model.
     pub failed_calls: usize,
+    /// Planning calls whose answers gave no plan, by what was wrong with the last of them.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub unreadable_calls: BTreeMap<Unreadable, usize>,
+    /// Whether it had planning calls and none gave a plan.
+    #[serde(skip_serializing_if = "is_false")]
+    pub without_plan: bool,
     /// What `pdm-closed` counted as drivable.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drivable_layers: Option<DrivableLayers>,
@@ -80,9 +88,20 @@ impl From<&SimulationRow> for ScenarioSummary {
             parse_errors: row.parse_errors,
             deadlines: row.deadlines,
             failed_calls: row.failed_calls,
+            unreadable_calls: row.unreadable_calls.clone(),
+            without_plan: row.is_without_plan(),
             drivable_layers: row.drivable_layers,
         }
     }
+}
+
+/// Lets serde omit what is true of few simulations.
+#[allow(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
+fn is_false(flag: &bool) -> bool {
+    !*flag
 }
 
 /// Mean score of one planner in one challenge over the completed simulations (nuPlan's rule).
@@ -99,6 +118,9 @@ pub struct Aggregate {
     pub scenarios: usize,
     /// Simulations that failed and do not count.
     pub failed: usize,
+    /// Simulations that count although no planning call gave a plan.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub without_plan: usize,
     /// Mean score in [0, 1]; none if no simulation counts.
     pub score: Option<f64>,
 }
@@ -191,12 +213,15 @@ fn mean(
         .iter()
         .filter(|row| scenario_type.is_none_or(|wanted| row.scenario_type == *wanted));
     let failed = counted.clone().filter(|row| row.score.is_none()).count();
+    let without_plan = counted.clone().filter(|row| row.is_without_plan());
+    let without_plan = without_plan.count();
     Aggregate {
         planner: planner.to_owned(),
         challenge,
         scenario_type: scenario_type.cloned(),
         scenarios: counted.count() - failed,
         failed,
+        without_plan,
         score: row.map(|row| row.score),
     }
 }

@@ -1,5 +1,6 @@
 //! Wall times of simulations and planning calls.
 
+use super::recorded;
 use planagent_agent::planner::PlanningCall;
 use serde::{Deserialize, Serialize};
 
@@ -8,19 +9,25 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields)]
 pub struct CallTimes {
     /// Lane graph, text and BEV map.
+    #[serde(deserialize_with = "recorded::time")]
     pub environment: f64,
     /// Vision tower and projector.
+    #[serde(deserialize_with = "recorded::time")]
     pub image_encode: f64,
     /// Prompts of all rounds and attempts.
+    #[serde(deserialize_with = "recorded::time")]
     pub prefill: f64,
     /// Answers of all rounds and attempts.
+    #[serde(deserialize_with = "recorded::time")]
     pub decode: f64,
     /// Waiting for the model's server, in rounds that it answered.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "recorded::time")]
     pub remote: f64,
     /// Roll-outs and their scores, all attempts.
+    #[serde(deserialize_with = "recorded::time")]
     pub reflection: f64,
     /// The whole call.
+    #[serde(deserialize_with = "recorded::time")]
     pub total: f64,
 }
 
@@ -49,10 +56,13 @@ impl CallTimes {
 #[serde(deny_unknown_fields)]
 pub struct SimulationTime {
     /// Start, seconds since 1970.
+    #[serde(deserialize_with = "recorded::time")]
     pub started_s: f64,
     /// End, seconds since 1970.
+    #[serde(deserialize_with = "recorded::time")]
     pub ended_s: f64,
     /// Planner time of each iteration, seconds.
+    #[serde(deserialize_with = "recorded::times")]
     pub planner_s: Vec<f64>,
     /// The planning calls by part.
     pub calls: Vec<CallTimes>,

@@ -5,7 +5,7 @@ use super::key::CompactParts;
 use super::number::fixed;
 use super::repeats::Repeat;
 use super::times::CallTimes;
-use super::visible::{in_markdown, visible, visible_line};
+use super::visible::{in_markdown, markdown_block, markdown_cell, markdown_line, visible_line};
 use crate::worker::run::{SimulationOutcome, SimulationRecord};
 use planagent_agent::planner::{Attempt, PlanningCall};
 use planagent_agent::reasoning::RoundRecord;
@@ -21,9 +21,9 @@ pub fn transcript(
 ) -> String {
     let mut text = format!(
         "# {} · {} · {}\n\n",
-        one_line(&record.scenario),
-        record.planner,
-        record.challenge
+        markdown_line(&record.scenario),
+        markdown_line(record.planner.as_str()),
+        markdown_line(&record.challenge.to_string())
     );
     let score = &outcome.score;
     // Writing to a string cannot fail.
@@ -73,7 +73,11 @@ fn call_markdown(
         let _ = writeln!(text, "### Attempt {}\n", i + 1);
         text.push_str(&attempt_markdown(&call.attempts, i));
     }
-    let _ = writeln!(text, "**Decision:** {}.\n", one_line(&decision_words(call)));
+    let _ = writeln!(
+        text,
+        "**Decision:** {}.\n",
+        markdown_line(&decision_words(call))
+    );
     if let Some(iteration) = call.active_from {
         let _ = writeln!(text, "Active from {:.1} s on.\n", seconds(iteration));
     }
@@ -141,7 +145,11 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
         );
     }
     for error in &attempt.errors {
-        let _ = writeln!(text, "- not understood: {}", one_line(&error.to_string()));
+        let _ = writeln!(
+            text,
+            "- not understood: {}",
+            markdown_line(&error.to_string())
+        );
     }
     if !attempt.proposals.is_empty() {
         text.push_str("| proposal | score |\n|---|---:|\n");
@@ -150,7 +158,11 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
                 .reflection
                 .as_ref()
                 .map_or_else(|| "-".to_owned(), |report| fixed(report.score, 2));
-            let _ = writeln!(text, "| {} | {score} |", code(&proposal.answer.to_string()));
+            let _ = writeln!(
+                text,
+                "| {} | {score} |",
+                markdown_cell(&proposal.answer.to_string())
+            );
         }
         text.push('\n');
     }
@@ -200,15 +212,8 @@ fn new_prompts<'a>(
         .map(|(_, round)| round)
 }
 
-/// A fenced block; its fence is longer than any run of backticks inside.
 fn fenced(text: &str) -> String {
-    let longest = text
-        .split(|c| c != '`')
-        .map(str::len)
-        .max()
-        .expect("a split gives one part at least");
-    let fence = "`".repeat(longest.max(2) + 1);
-    format!("{fence}text\n{}\n{fence}", visible(text))
+    markdown_block("text", text)
 }
 
 fn quoted(text: &str) -> String {
@@ -217,11 +222,6 @@ fn quoted(text: &str) -> String {
         .map(|line| format!("> {line}"))
         .collect::<Vec<_>>()
         .join("\n")
-}
-
-/// A text that ends no line and begins no element.
-fn one_line(text: &str) -> String {
-    in_markdown(&visible_line(text))
 }
 
 /// A code span; its marks are longer than any run of backticks inside.

@@ -8,8 +8,10 @@ use planagent_agent::planner::{
 };
 use planagent_agent::reasoning::{PromptSet, ReasoningConfig, Round};
 use planagent_mllm::{Trust, WeightFormat};
+use planagent_planners::all_planners;
 use planagent_world::STEP_S;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
 
@@ -91,6 +93,16 @@ pub enum ConfigError {
     },
     #[error("in the configuration {place}: {fault}")]
     Value { place: String, fault: String },
+    #[error(
+        "in the configuration {place}{}: learned.{key} is the key of no learned planner; known keys are {known}",
+        line.map_or_else(String::new, |line| format!(", line {line}"))
+    )]
+    Learned {
+        place: String,
+        line: Option<usize>,
+        key: String,
+        known: String,
+    },
     #[error("cannot serialize the configuration")]
     Serialize(#[from] toml::ser::Error),
 }
@@ -133,12 +145,30 @@ impl Config {
             )?;
         }
         let parsed = toml::from_str::<Self>(&text);
-        parsed
-            .map_err(|source| ConfigError::Parse {
-                place: place.clone(),
-                source: Box::new(source),
-            })?
-            .checked(place)
+        let config = parsed.map_err(|source| ConfigError::Parse {
+            place: place.clone(),
+            source: Box::new(source),
+        })?;
+        match config.unknown_learned() {
+            Some(unknown) => Err(ConfigError::Learned {
+                line: line_of(&text, "learned", &unknown),
+                place,
+                known: known_learned(),
+                key: unknown,
+            }),
+            None => config.checked(place),
+        }
+    }
+
+    /// A key of `learned` that is no planner's.
+    fn unknown_learned(&self) -> Option<String> {
+        let registry = all_planners();
+        let known: BTreeSet<String> = registry
+            .learned()
+            .map(|planner| LearnedSettings::key(planner.as_str()))
+            .collect();
+        let unknown = self.learned.keys().find(|key| !known.contains(*key));
+        unknown.map(str::to_owned)
     }
 
     /// This configuration with some keys replaced.
@@ -179,6 +209,14 @@ impl Config {
     }
 
     fn checked(self, place: String) -> Result<Self, ConfigError> {
+        if let Some(key) = self.unknown_learned() {
+            return Err(ConfigError::Learned {
+                place,
+                line: None,
+                key,
+                known: known_learned(),
+            });
+        }
         match self.check() {
             Ok(()) => Ok(self),
             Err(fault) => Err(ConfigError::Value { place, fault }),
@@ -282,6 +320,18 @@ impl Config {
         }
         Ok(())
     }
+}
+
+/// The keys of section `learned`, in the order of the registry.
+fn known_learned() -> String {
+    let keys: Vec<String> = all_planners()
+        .learned()
+        .map(|planner| LearnedSettings::key(planner.as_str()))
+        .collect();
+    if keys.is_empty() {
+        return "none, as this program was built without learned planners".to_owned();
+    }
+    keys.join(", ")
 }
 
 /// Refuses a duration that is no whole number of iterations: a planning call is made at one.
@@ -388,6 +438,41 @@ mod tests {
             "agent.blocked_interval_s = 100.1",
         ] {
             assert!(overlaid(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_checkpoint_belongs_to_a_planner_of_the_registry() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("own.toml");
+        let load = |text: &str| {
+            std::fs::write(&file, text).unwrap();
+            Config::load(Some(&file))
+        };
+        let text = "seed = 1\n\n[learned]\nplantf = 'a.ckpt'\nplan_tf = 'b.ckpt'\n";
+        let error = load(text).unwrap_err().to_string();
+        let place = format!(
+            "{}, line 5: learned.plan_tf is the key of no",
+            file.display()
+        );
+        assert!(error.contains(&place), "{error}");
+        assert!(
+            error.contains("known keys are pdm_open, pdm_hybrid, plantf"),
+            "{error}"
+        );
+        let overlay = "learned.pdm-open = 'a.ckpt'".parse().unwrap();
+        let error = Config::default()
+            .overlaid(&overlay)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("learned.pdm-open is the key of no"),
+            "{error}"
+        );
+        for planner in all_planners().learned() {
+            let key = LearnedSettings::key(planner.as_str());
+            let config = load(&format!("[learned]\n{key} = 'a.ckpt'")).unwrap();
+            assert_eq!(config.learned.checkpoint(planner.as_str()), Some("a.ckpt"));
         }
     }
 

@@ -5,9 +5,11 @@ use super::config::ConfigError;
 use super::sample::NoSuchType;
 use crate::report::ReportError;
 use crate::worker::split::SplitError;
-use planagent_agent::planner::{ExecError, PlannerError, PlannerName, UnknownPlanner};
+use planagent_agent::planner::{ExecError, PlannerError, PlannerName};
+use planagent_agent::planner_registry::UnknownPlanner;
 use planagent_agent::reasoning::PromptError;
 use planagent_agent::simulation::UnknownChallenge;
+use planagent_files::{quoted, word_of};
 use planagent_mllm::MllmError;
 use planagent_scenario::ReaderError;
 use std::path::PathBuf;
@@ -28,7 +30,7 @@ pub enum MergeError {
         other: PathBuf,
         differences: Vec<String>,
     },
-    #[error("{}: the record of a simulation is damaged; repeat it with --resume {}", record.display(), run.display())]
+    #[error("{}: the record of a simulation is damaged; `planagent simulate --resume {}` repeats it", record.display(), quoted(&word_of(run.as_os_str())))]
     Damaged { record: PathBuf, run: PathBuf },
     #[error(
         "{}: the folder of simulation {number} vanished while it was read; merge again when nothing else writes there",
@@ -99,6 +101,11 @@ pub enum RunnerError {
     FindModel(Box<MllmError>),
     #[error("cannot load the model '{name}'")]
     LoadModel {
+        name: String,
+        source: Box<MllmError>,
+    },
+    #[error("the model '{name}' cannot be asked, so nothing is simulated")]
+    AskModel {
         name: String,
         source: Box<MllmError>,
     },

@@ -1,5 +1,6 @@
 //! What a run reports while it works.
 
+use crate::worker::FailedCall;
 use planagent_mllm::FetchProgress;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -44,6 +45,9 @@ pub enum Event {
     },
     /// A simulation advanced by one step of 0.1 s. Sent from every thread.
     Stepped,
+    /// The first planning call of a run that got no answer, or the first whose answer gave no plan.
+    /// Sent at once, from any thread.
+    CallFailed(FailedCall),
     /// A simulation ended.
     Ended {
         /// Whether it failed.

@@ -10,6 +10,7 @@ pub mod inputs;
 mod machine;
 mod merge;
 pub mod model;
+mod probe;
 mod request;
 mod result_version;
 pub mod run;

@@ -3,13 +3,15 @@
 use super::config::Config;
 use super::error::RunnerError;
 use super::event::{Event, Listener};
+use super::probe;
 use crate::report::{Inputs, PromptList};
 use crate::worker::run::AgentParts;
-use planagent_agent::planner::{CodeSource, PlannerRegistry};
+use planagent_agent::planner::CodeSource;
+use planagent_agent::planner_registry::PlannerRegistry;
 use planagent_agent::reasoning::{PromptPlace, PromptSet, ReasoningSettings};
 use planagent_mllm::{
     Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry,
-    models_folder,
+    models_folder, parameter_count,
 };
 use planagent_planners::all_planners;
 use std::sync::Arc;
@@ -55,6 +57,14 @@ pub fn load_model(config: &Config, listener: &Listener) -> Result<LoadedModel, R
 }
 
 impl LoadedModel {
+    /// Asks a server what it must be able to do. A model in this process needs no such question.
+    ///
+    /// # Errors
+    /// When the server cannot be asked as the configuration says.
+    pub fn probe(&self, config: &Config, listener: &Listener) -> Result<(), RunnerError> {
+        probe::probe(&self.code_source, config.environment.bev, listener)
+    }
+
     /// The parts of an agent with this model.
     pub fn agent_parts(&self, config: &Config) -> AgentParts {
         agent_parts(config, all_planners(), Some(self))
@@ -73,7 +83,7 @@ impl LoadedModel {
     }
 
     /// Where its prompts come from, for records.
-    pub fn prompt_list(&self) -> Option<PromptList> {
+    pub(crate) fn prompt_list(&self) -> Option<PromptList> {
         let (_, prompts, _) = self.parts()?;
         let place = match prompts.place() {
             PromptPlace::Folder(folder) => std::path::absolute(folder)
@@ -191,6 +201,7 @@ pub fn agent_parts(
         settings: config.agent_settings(),
         agents: None,
         stop: None,
+        on_failed_call: None,
     }
 }
 
@@ -221,9 +232,9 @@ fn in_words(about: &ModelDescription, load_s: f64) -> String {
             about.name, server.model, server.endpoint
         ),
         None => format!(
-            "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
+            "model {}: {} parameters, {}, {} image tokens, loaded in {load_s:.2} s",
             about.name,
-            about.parameters / 1_000_000,
+            parameter_count(about.parameters),
             about
                 .load
                 .weight_formats

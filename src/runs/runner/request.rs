@@ -7,7 +7,8 @@ use super::event::Listener;
 use super::model::{LoadedModel, load_model};
 use super::shard::Shard;
 use crate::worker::StopSwitch;
-use planagent_agent::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, PlannerRegistry};
+use planagent_agent::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand};
+use planagent_agent::planner_registry::PlannerRegistry;
 use planagent_planners::all_planners;
 use planagent_scenario::{DataRoots, Readers};
 use std::collections::BTreeMap;
@@ -103,7 +104,11 @@ impl Request {
             if commands.get(word.as_str()) == Some(&command.command) {
                 continue;
             }
-            request.registry = request.registry.with_command(&command, self.exec_timeout)?;
+            request.registry = request.registry.with_stoppable_command(
+                &command,
+                self.exec_timeout,
+                self.stop.as_ref(),
+            )?;
             commands.insert(word.clone(), command.command);
         }
         let agents = self

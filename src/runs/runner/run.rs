@@ -3,12 +3,14 @@
 use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::machine::cpu;
+use super::probe;
 use crate::report::{Manifest, RunFolder, SUMMARY, Session, SimulationRow, Summary, Timing};
-use crate::worker::StopSwitch;
 use crate::worker::run::{self, AgentParts, SimulationTask};
+use crate::worker::{FailedCall, StopSwitch};
 use planagent_scenario::MissingTokens;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// How a run is resumed.
@@ -30,6 +32,17 @@ pub struct RunPlan {
     pub agent: AgentParts,
     /// Time that the model took to load, seconds.
     pub load_s: Option<f64>,
+}
+
+impl RunPlan {
+    /// Asks the server of its model, if it has one, what simulations will ask.
+    pub(super) fn probe(&self, listener: &Listener) -> Result<(), RunnerError> {
+        let bev = self.agent.settings.environment.bev;
+        match &self.agent.model {
+            Some(source) => probe::probe(source, bev, listener),
+            None => Ok(()),
+        }
+    }
 }
 
 /// The results of a run whose simulations are all completed.
@@ -60,6 +73,8 @@ pub struct Run {
     simulated: usize,
     /// How many failed ones were discarded to be repeated.
     pub(super) retried: usize,
+    /// The causes of failed planning calls that were told: of each the first.
+    told: Arc<Mutex<BTreeSet<&'static str>>>,
 }
 
 impl Run {
@@ -75,6 +90,7 @@ impl Run {
             rows: Vec::new(),
             simulated: 0,
             retried: 0,
+            told: Arc::default(),
         })
     }
 
@@ -134,6 +150,7 @@ impl Run {
             rows,
             simulated: 0,
             retried: discarded.len(),
+            told: Arc::default(),
         })
     }
 
@@ -185,6 +202,15 @@ impl Run {
         (!self.rows.is_empty()).then(|| seconds / self.rows.len() as f64)
     }
 
+    /// Asks the server of its model what the simulations that are left will ask.
+    #[doc(hidden)]
+    pub fn probe(&self, listener: &Listener) -> Result<(), RunnerError> {
+        if self.left.is_empty() {
+            return Ok(());
+        }
+        self.plan.probe(listener)
+    }
+
     /// Simulates some of the tasks that are left, and writes each as it ends.
     #[doc(hidden)]
     pub fn simulate(&mut self, numbers: &[usize], listener: &Listener) -> Result<(), RunnerError> {
@@ -196,10 +222,24 @@ impl Run {
                 .as_ref()
                 .is_some_and(StopSwitch::is_stopped)
         };
+        let (told, hearing) = (Arc::clone(&self.told), Arc::clone(listener));
+        let on_failed_call = move |call: FailedCall| {
+            let is_first = told
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .insert(call.cause);
+            if is_first {
+                hearing(Event::CallFailed(call));
+            }
+        };
+        let agent = AgentParts {
+            on_failed_call: Some(Arc::new(on_failed_call)),
+            ..self.plan.agent.clone()
+        };
         run::run(
             &self.plan.tasks,
             numbers,
-            &self.plan.agent,
+            &agent,
             &|_| listener(Event::Stepped),
             &|number, record| {
                 // A simulation that was cut short is none.

@@ -9,11 +9,12 @@ use crate::report::{Manifest, ScenarioList};
 use crate::worker::run::SimulationTask;
 use crate::worker::split::split;
 use crate::worker::suite::Suite;
-use planagent_agent::planner::{PlannerName, PlannerRegistry};
+use planagent_agent::planner::PlannerName;
+use planagent_agent::planner_registry::PlannerRegistry;
 use planagent_agent::simulation::{AgentPolicyName, Challenge};
 use planagent_files::word_of;
 use planagent_scenario::{
-    DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator,
+    DEFAULT_SCENARIO, DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path,
 };
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -46,7 +47,8 @@ impl Selection {
     /// The tasks of a request with the policy of its own agents; `seed` draws the order of shuffled
     /// scenarios.
     pub(super) fn new(
-        (request, agents): (&Request, Option<AgentPolicyName>),
+        request: &Request,
+        agents: Option<AgentPolicyName>,
         resumed: Option<&Manifest>,
         seed: u64,
         listener: &Listener,
@@ -296,7 +298,7 @@ pub fn select(
         found.extend(readers.find(word)?);
     }
     if splits.is_empty() && words.is_empty() {
-        found.push(generator::DEFAULT.into());
+        found.extend(readers.find(DEFAULT_SCENARIO)?);
     }
     readers.take_notes().into_iter().for_each(note);
     // A scenario that is named twice is simulated once, or it would count twice in the means.

@@ -27,14 +27,15 @@ pub fn start(
 ) -> Result<RunResults, RunnerError> {
     let started = Instant::now();
     let (request, commands) = &request.with_commands()?;
-    let selection = Selection::new((request, commands.policy()), None, config.seed, listener)?;
+    let selection = Selection::new(request, commands.policy(), None, config.seed, listener)?;
     // Loading a model takes long: what is wrong with the folder is said before.
     RunFolder::check_new(folder)?;
     let data = data_files(selection.own_sources(), None);
-    let run = Run::create(
-        folder,
-        plan(request, commands, &selection, data, config, listener)?,
-    )?;
+    let plan = plan(request, commands, &selection, data, config, listener)?;
+    if !plan.numbers.is_empty() {
+        plan.probe(listener)?;
+    }
+    let run = Run::create(folder, plan)?;
     complete(run, &selection, started, listener)
 }
 
@@ -52,7 +53,8 @@ pub fn resume(
     let (request, commands) = &request.with_commands()?;
     let is_plain = request.is_plain_resume();
     let selected = Selection::new(
-        (request, commands.policy()),
+        request,
+        commands.policy(),
         Some(&before),
         config.seed,
         listener,
@@ -107,6 +109,7 @@ pub fn resume(
         accept_changes: request.accept_changes,
     };
     let run = Run::resume(folder, plan, how, listener)?;
+    run.probe(listener)?;
     if let (Some(then), Some(now)) = (before.commit.as_deref(), build_commit())
         && then != now
         && !run.left().is_empty()

@@ -1,11 +1,10 @@
 //! Stage 9: many simulations in parallel, the studies behind the paper's tables, datasets, benches,
 //! and token counts.
 
+mod failed_call;
 pub mod interactive;
-mod oracle;
 pub mod panic_guard;
 pub mod run;
-pub mod search;
 pub mod seeds;
 mod shuffled_bev;
 pub mod split;
@@ -13,4 +12,5 @@ pub mod statistics;
 mod stoppable;
 pub mod suite;
 
-pub use stoppable::StopSwitch;
+pub use failed_call::{FailedCall, FailedCallListener};
+pub use planagent_agent::planner::StopSwitch;

@@ -1,20 +1,23 @@
 //! Many simulations on all cores: scenarios x planners x challenges, each with its score or its
 //! error.
 
-use super::oracle::OracleAgent;
+use super::failed_call::{FailedCallListener, Reporting};
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
-use super::stoppable::{StopSwitch, Stoppable};
+use super::stoppable::Stoppable;
 use planagent_agent::planner::{
     AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError,
-    PlannerName, PlannerNeeds, PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
+    PlannerName, PlanningCall, StopSwitch,
+};
+use planagent_agent::planner_registry::{
+    PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner,
 };
 use planagent_agent::simulation::{
     AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared,
 };
 use planagent_files::shortened;
 use planagent_planners::all_planners;
-use planagent_scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
+use planagent_scenario::{HeldScenario, Scenario, ScenarioRef, UNKNOWN_TYPE};
 use planagent_score::metrics::{Evaluation, MetricResult, Score};
 use planagent_score::pdm::DrivableLayers;
 use planagent_world::EgoState;
@@ -34,28 +37,41 @@ pub struct AgentParts {
     pub agents: Option<AgentCommand>,
     /// Ends the simulations early.
     pub stop: Option<StopSwitch>,
+    /// Hears of planning calls that give no plan, as they happen.
+    pub on_failed_call: Option<FailedCallListener>,
 }
 
 impl Default for AgentParts {
     fn default() -> Self {
-        let (model, settings, agents, stop) = Default::default();
+        let (model, settings, agents, stop, on_failed_call) = Default::default();
         Self {
             registry: all_planners(),
             model,
             settings,
             agents,
             stop,
+            on_failed_call,
         }
     }
 }
 
 impl AgentParts {
-    /// The planner of one simulation. The scenario's name goes into the seed, so that no simulation
+    /// The planner of one scenario. The scenario's name goes into the seed, so that no simulation
     /// depends on another.
     pub fn planner(
         &self,
         name: PlannerName,
         scenario: &Scenario,
+    ) -> Result<Box<dyn Planner>, BuildError> {
+        self.planner_in(name, scenario, None)
+    }
+
+    /// The same, for a simulation that the planner may look ahead in.
+    fn planner_in(
+        &self,
+        name: PlannerName,
+        scenario: &Scenario,
+        simulation: Option<&ClosedLoop<'static>>,
     ) -> Result<Box<dyn Planner>, BuildError> {
         let entry = self.registry.find(name.as_str())?;
         let recording: Vec<EgoState> = match entry.needs {
@@ -69,9 +85,10 @@ impl AgentParts {
             settings: &settings,
             model: self.model.as_ref(),
             recording: &recording,
+            simulation,
             shuffled_bev: shuffled_bev.as_ref(),
         })?;
-        Ok(self.stoppable(planner))
+        Ok(self.wrapped(planner, &scenario.id))
     }
 
     /// PlanAgent for one scenario; `None` without a model.
@@ -81,8 +98,12 @@ impl AgentParts {
         Some(agent.with_shuffled_bev(self.shuffled_bev()).layered())
     }
 
-    /// The planner under the switch of the run.
-    fn stoppable<'a>(&self, planner: Box<dyn Planner + 'a>) -> Box<dyn Planner + 'a> {
+    /// The planner under the switch of the run, and with reports of its failed calls.
+    fn wrapped(&self, planner: Box<dyn Planner>, scenario: &str) -> Box<dyn Planner> {
+        let planner: Box<dyn Planner> = match &self.on_failed_call {
+            Some(listener) => Box::new(Reporting::new(planner, scenario, Arc::clone(listener))),
+            None => planner,
+        };
         match &self.stop {
             Some(switch) => Box::new(Stoppable {
                 planner,
@@ -270,30 +291,21 @@ fn simulate_task(
         .agents
         .as_ref()
         .filter(|agents| Some(agents.name) == challenge.own_agents());
+    let held = || HeldScenario::Shared(Arc::clone(scenario));
     let prepared = || match own {
-        Some(agents) => {
-            ClosedLoop::with_agents(scenario, challenge, |first| agents.policy(scenario, first))
-        }
-        None => ClosedLoop::new(scenario, challenge),
+        Some(agents) => ClosedLoop::with_agents(held(), challenge, |first| {
+            agents.policy(scenario, first, parts.stop.as_ref())
+        }),
+        None => ClosedLoop::new(held(), challenge),
     };
-    let needs = parts
-        .registry
-        .find(planner.as_str())
-        .map_err(|error| with_causes(&error))?
-        .needs;
-    let mut planner: Box<dyn Planner + '_> = match needs {
-        PlannerNeeds::Simulation => {
-            let ahead = prepared().map_err(|error| with_causes(&error))?;
-            parts.stoppable(Box::new(OracleAgent::new(
-                planner,
-                parts.settings_for(&scenario.id),
-                ahead,
-            )))
-        }
-        _ => parts
-            .planner(planner, scenario)
-            .map_err(|error| with_causes(&error))?,
+    let entry = parts.registry.find(planner.as_str());
+    let ahead = match entry.map_err(|error| with_causes(&error))?.needs {
+        PlannerNeeds::Simulation => Some(prepared().map_err(|error| with_causes(&error))?),
+        _ => None,
     };
+    let mut planner = parts
+        .planner_in(planner, scenario, ahead.as_ref())
+        .map_err(|error| with_causes(&error))?;
     let log = prepared()
         .and_then(|simulation| {
             simulate_prepared(simulation, planner.as_mut(), challenge, &mut |p| {

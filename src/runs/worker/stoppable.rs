@@ -1,28 +1,10 @@
 //! Ends the simulations of a run that its user stops.
 
 use planagent_agent::planner::{
-    Planner, PlannerError, PlannerInitialization, PlannerInput, PlanningCall,
+    Planner, PlannerError, PlannerInitialization, PlannerInput, PlanningCall, StopSwitch,
 };
 use planagent_score::pdm::DrivableLayers;
 use planagent_world::Trajectory;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-
-/// A switch that ends a run: its simulations fail at their next step, and no further one starts.
-#[derive(Debug, Clone, Default)]
-pub struct StopSwitch(Arc<AtomicBool>);
-
-impl StopSwitch {
-    /// Stops the run.
-    pub fn stop(&self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-
-    /// Whether the run is to stop.
-    pub fn is_stopped(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
-    }
-}
 
 /// Why a stopped simulation has no trajectory.
 #[derive(Debug, thiserror::Error)]
@@ -55,6 +37,10 @@ impl Planner for Stoppable<'_> {
             });
         }
         self.planner.compute_trajectory(input)
+    }
+
+    fn finish(&mut self) -> Result<(), PlannerError> {
+        self.planner.finish()
     }
 
     fn calls(&self) -> &[PlanningCall] {

@@ -92,7 +92,7 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
 }
 
 /// True if a folder is a log, complete or not.
-pub fn is_log(folder: &Path) -> bool {
+pub(crate) fn is_log(folder: &Path) -> bool {
     folder.join(POSES).is_file()
         || matches!(first_named(folder, "scenario_", ".parquet"), Ok(Some(_)))
 }

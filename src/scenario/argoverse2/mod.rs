@@ -37,8 +37,9 @@ mod test_log;
 mod tests;
 
 pub use error::{Argoverse2Error, LogFault};
-pub use files::{is_log, logs_in};
-pub use reader::Argoverse2Reader;
+pub(crate) use files::is_log;
+pub use files::logs_in;
+pub(crate) use reader::Argoverse2Reader;
 
 use super::{Contents, Scenario};
 use files::LogFiles;

@@ -7,7 +7,7 @@ use planagent_files::{path_of, word_of};
 use std::path::PathBuf;
 
 /// Takes folders that hold a log.
-pub struct Argoverse2Reader;
+pub(crate) struct Argoverse2Reader;
 
 impl ScenarioReader for Argoverse2Reader {
     fn recognizes(&self, word: &str) -> bool {

@@ -141,7 +141,7 @@ impl GeneratedLog {
     }
 
     /// True if the ego drives on a connector with traffic lights.
-    pub fn crosses_a_light(&self) -> bool {
+    pub(crate) fn crosses_a_light(&self) -> bool {
         self.simulated()
             .any(|(i, frame)| self.map[self.lanes[i]].has_traffic_lights && frame.ego.speed() > 1.0)
     }
@@ -171,7 +171,7 @@ impl GeneratedLog {
     }
 
     /// True if the ego drives and then stops, or nearly so, behind a vehicle.
-    pub fn stops_behind_lead(&self) -> bool {
+    pub(crate) fn stops_behind_lead(&self) -> bool {
         let (mut moved, mut stopped) = (false, false);
         for (_, frame) in self.simulated() {
             moved |= frame.ego.speed() > 3.0;
@@ -193,7 +193,7 @@ impl GeneratedLog {
     }
 
     /// True if the ego is within 25 m behind a vehicle longer than 8 m for two seconds in all.
-    pub fn behind_long(&self) -> bool {
+    pub(crate) fn behind_long(&self) -> bool {
         let long = |frame: &Frame| {
             Self::lead(frame).is_some_and(|(gap, o)| gap < 25.0 && o.shape.length > 8.0)
         };
@@ -201,14 +201,14 @@ impl GeneratedLog {
     }
 
     /// True if the ego stands with at least four vehicles within 25 m in the first 6 s.
-    pub fn stands_in_traffic(&self) -> bool {
+    pub(crate) fn stands_in_traffic(&self) -> bool {
         self.simulated()
             .take(60)
             .any(|(_, frame)| frame.ego.speed() < 0.1 && vehicles_within(frame, 25.0) >= 4)
     }
 
     /// True if the ego moves faster than 3 m/s with at least `count` vehicles within 25 m.
-    pub fn near_vehicles(&self, count: usize) -> bool {
+    pub(crate) fn near_vehicles(&self, count: usize) -> bool {
         self.simulated()
             .any(|(_, frame)| frame.ego.speed() > 3.0 && vehicles_within(frame, 25.0) >= count)
     }
@@ -238,7 +238,7 @@ impl GeneratedLog {
     }
 
     /// True if the ego drives slower than 1.5 m/s while a pedestrian walks within 20 m ahead.
-    pub fn waits_for_pedestrian(&self) -> bool {
+    pub(crate) fn waits_for_pedestrian(&self) -> bool {
         self.simulated().any(|(_, frame)| {
             let front = frame.ego.center();
             frame.ego.speed() < 1.5
@@ -253,7 +253,7 @@ impl GeneratedLog {
     }
 
     /// True if the ego drives and later stands on a lane within 6 m before a red light.
-    pub fn stops_before_red(&self) -> bool {
+    pub(crate) fn stops_before_red(&self) -> bool {
         let mut moved = false;
         self.simulated().any(|(i, frame)| {
             moved |= frame.ego.speed() > 5.0;
@@ -274,7 +274,7 @@ impl GeneratedLog {
     }
 
     /// True if the ego is within 14 m of a bay at the curb for 1.5 s in all.
-    pub fn passes_bay(&self) -> bool {
+    pub(crate) fn passes_bay(&self) -> bool {
         let near = |frame: &Frame| {
             let point = frame.ego.center().position();
             self.map

@@ -27,9 +27,10 @@ mod traffic;
 pub mod types;
 
 pub use log::{Discard, GeneratedLog};
-pub use reader::GeneratedReader;
+pub(crate) use reader::GeneratedReader;
 pub use scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-pub use spec::{GeneratorError, SOURCE, Spec};
+pub(crate) use spec::SOURCE;
+pub use spec::{GeneratorError, Spec};
 
 use super::Scenario;
 use expert::Expert;
@@ -41,9 +42,10 @@ use scene::builder::{TrafficBuilder, prepare};
 use std::sync::Arc;
 
 /// Maximum number of draws for a scenario.
-pub const MAX_DRAWS: usize = 60;
+pub(crate) const MAX_DRAWS: usize = 60;
 
-/// A scenario worth a first look: a slow lead vehicle, and a free lane beside it.
+/// The generated scenario that modifications change where none is named: a slow lead vehicle, and
+/// a free lane beside it.
 pub const DEFAULT: Spec = Spec::new(types::changing_lane::TYPE, 2);
 
 /// A generated scenario and the draws before it.
@@ -69,7 +71,7 @@ pub fn generate(spec: &Spec) -> Result<Scenario, GeneratorError> {
 ///
 /// # Errors
 /// When [`MAX_DRAWS`] draws were discarded.
-pub fn generate_with_record(spec: &Spec) -> Result<Generated, GeneratorError> {
+pub(crate) fn generate_with_record(spec: &Spec) -> Result<Generated, GeneratorError> {
     let (own, rng) = first_kept(&spec.with_traffic_seed(0), |number| {
         rng_of(spec, spec.seed, number)
     })?;

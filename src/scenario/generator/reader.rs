@@ -4,7 +4,7 @@ use super::{SOURCE, Spec, generate};
 use crate::{ReaderError, ScenarioReader, ScenarioRef};
 
 /// Takes words of the form `generated/TYPE/SEED[.TRAFFIC]`.
-pub struct GeneratedReader;
+pub(crate) struct GeneratedReader;
 
 impl ScenarioReader for GeneratedReader {
     fn recognizes(&self, word: &str) -> bool {

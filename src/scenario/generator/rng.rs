@@ -62,7 +62,7 @@ impl SeededRng {
     }
 
     /// A draw of the situation.
-    pub fn situation<T>(&mut self, draw: impl FnOnce(&mut Self) -> T) -> T {
+    pub(crate) fn situation<T>(&mut self, draw: impl FnOnce(&mut Self) -> T) -> T {
         let then = match &mut self.situation {
             Situation::Recorded(recorded) => {
                 recorded.push(self.source.clone());

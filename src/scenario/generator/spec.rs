@@ -7,7 +7,7 @@ use std::fmt;
 use std::str::FromStr;
 
 /// First part of the id of every generated scenario.
-pub const SOURCE: &str = "generated";
+pub(crate) const SOURCE: &str = "generated";
 
 /// Second part of the id of a scenario that is drawn from wider ranges.
 const WIDE: &str = "wide";

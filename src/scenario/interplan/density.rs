@@ -4,7 +4,7 @@ use super::python_random::PythonRandom;
 
 /// How close together vehicles drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Density {
+pub(crate) enum Density {
     Low,
     Medium,
     High,
@@ -29,7 +29,7 @@ const FALLBACK_SPEED: f64 = 10.0;
 
 /// A lane that gets vehicles.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Row {
+pub(crate) struct Row {
     /// Length of the lane as it was extended, meters.
     pub length: f64,
     /// The ego's progress on it, meters.
@@ -47,7 +47,7 @@ pub struct Row {
 
 /// A place of the row.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PlacedCar {
+pub(crate) struct PlacedCar {
     /// Progress on the lane, meters.
     pub s: f64,
     /// m/s.
@@ -57,7 +57,7 @@ pub struct PlacedCar {
 }
 
 /// The places of a row, from its far end back.
-pub fn fill_row(random: &mut PythonRandom, density: Density, row: &Row) -> Vec<PlacedCar> {
+pub(crate) fn fill_row(random: &mut PythonRandom, density: Density, row: &Row) -> Vec<PlacedCar> {
     let (accel, decel) = row.accelerations;
     let alpha = (accel + decel) / (2.0 * decel);
     let mut places: Vec<PlacedCar> = Vec::new();

@@ -11,6 +11,7 @@ mod python_random;
 #[cfg(test)]
 mod tests;
 
-pub use density::{Density, PlacedCar, Row, fill_row};
-pub use name::{Command, InterPlanName, NameFault, Observation};
-pub use python_random::PythonRandom;
+pub(crate) use density::Row;
+pub(crate) use density::{Density, fill_row};
+pub(crate) use name::{Command, InterPlanName};
+pub(crate) use python_random::PythonRandom;

@@ -8,7 +8,7 @@ use std::fmt;
 /// What is wrong with a name. interPlan raises `IndexError`, `KeyError` and `ValueError`.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
-pub enum NameFault {
+pub(crate) enum NameFault {
     #[error("the letter '{0}' has no value behind it")]
     NoValue(char),
     #[error("the letter '{0}' is none of a, d, g, o, s")]
@@ -25,7 +25,7 @@ pub enum NameFault {
 
 /// Where the route turns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Command {
+pub(crate) enum Command {
     Left,
     Straight,
     Right,
@@ -33,7 +33,7 @@ pub enum Command {
 
 /// How other drivers behave.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Observation {
+pub(crate) enum Observation {
     Assertive,
     Cautious,
     Mixed,
@@ -52,7 +52,7 @@ impl From<Observation> for DriverBehavior {
 /// A name behind its token. Values are as written: interPlan does not check them where it reads
 /// them.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct InterPlanName {
+pub(crate) struct InterPlanName {
     pub(super) amount: Option<u8>,
     pub(super) density: Option<char>,
     pub(super) goal: Option<char>,
@@ -65,7 +65,7 @@ impl InterPlanName {
     ///
     /// # Errors
     /// When a letter is unknown or lacks its value.
-    pub fn parse(text: &str) -> Result<Self, NameFault> {
+    pub(crate) fn parse(text: &str) -> Result<Self, NameFault> {
         let chars: Vec<char> = text.chars().collect();
         let mut name = Self::default();
         let mut at = 0;
@@ -99,7 +99,8 @@ impl InterPlanName {
     }
 
     /// Whether it changes the agents.
-    pub fn changes_agents(&self) -> bool {
+    #[cfg(test)]
+    pub(crate) fn changes_agents(&self) -> bool {
         self.amount.is_some() || self.density.is_some() || self.special.is_some()
     }
 
@@ -107,7 +108,7 @@ impl InterPlanName {
     ///
     /// # Errors
     /// When it is none of interPlan's.
-    pub fn density(&self) -> Result<Option<Density>, NameFault> {
+    pub(crate) fn density(&self) -> Result<Option<Density>, NameFault> {
         let known = |value| match value {
             'l' => Ok(Density::Low),
             'm' => Ok(Density::Medium),
@@ -125,7 +126,7 @@ impl InterPlanName {
     ///
     /// # Errors
     /// When it is none of interPlan's.
-    pub fn goal(&self) -> Result<Option<Command>, NameFault> {
+    pub(crate) fn goal(&self) -> Result<Option<Command>, NameFault> {
         let known = |value| match value {
             'l' => Ok(Command::Left),
             's' => Ok(Command::Straight),
@@ -144,7 +145,7 @@ impl InterPlanName {
     ///
     /// # Errors
     /// When it is none of interPlan's.
-    pub fn observation(&self) -> Result<Observation, NameFault> {
+    pub(crate) fn observation(&self) -> Result<Observation, NameFault> {
         match self.observation {
             None | Some('a') => Ok(Observation::Assertive),
             Some('c') => Ok(Observation::Cautious),
@@ -158,12 +159,12 @@ impl InterPlanName {
     }
 
     /// The number of a special scene.
-    pub fn special(&self) -> Option<&str> {
+    pub(crate) fn special(&self) -> Option<&str> {
         self.special.as_deref()
     }
 
     /// The kind of a scene of traffic.
-    pub fn kind(&self) -> Option<InteractionKind> {
+    pub(crate) fn kind(&self) -> Option<InteractionKind> {
         match self.density {
             Some('l') => Some(InteractionKind::LowTrafficDensity),
             Some('m') => Some(InteractionKind::MediumTrafficDensity),

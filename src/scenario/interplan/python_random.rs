@@ -9,7 +9,7 @@ const SHIFT: usize = 397;
 
 /// The generator that `random.seed(TEXT)` makes.
 #[derive(Clone)]
-pub struct PythonRandom {
+pub(crate) struct PythonRandom {
     state: [u32; WORDS],
     next: usize,
     /// The second value of the last pair of normal draws.
@@ -18,7 +18,7 @@ pub struct PythonRandom {
 
 impl PythonRandom {
     /// `random.seed(text)`, version 2: the text and its SHA-512 as one large number.
-    pub fn seeded(text: &str) -> Self {
+    pub(crate) fn seeded(text: &str) -> Self {
         let mut bytes = text.as_bytes().to_vec();
         bytes.extend(Sha512::digest(text.as_bytes()));
         bytes.reverse();
@@ -89,7 +89,7 @@ impl PythonRandom {
     }
 
     /// `getrandbits(bits)`, for 1 to 96 bits.
-    pub fn bits(&mut self, bits: u32) -> u128 {
+    pub(crate) fn bits(&mut self, bits: u32) -> u128 {
         let (mut value, mut left, mut at) = (0u128, bits, 0);
         while left > 0 {
             let word = if left < 32 {
@@ -104,7 +104,7 @@ impl PythonRandom {
     }
 
     /// `random()`: a number in [0, 1).
-    pub fn unit(&mut self) -> f64 {
+    pub(crate) fn unit(&mut self) -> f64 {
         let (a, b) = (self.word() >> 5, self.word() >> 6);
         (f64::from(a) * 67_108_864.0 + f64::from(b)) / 9_007_199_254_740_992.0
     }
@@ -120,17 +120,12 @@ impl PythonRandom {
     }
 
     /// `randrange(low, high)`: `high` is excluded.
-    pub fn range(&mut self, low: u64, high: u64) -> u64 {
+    pub(crate) fn range(&mut self, low: u64, high: u64) -> u64 {
         low + self.below(u128::from(high.saturating_sub(low).max(1))) as u64
     }
 
-    /// `randrange(2 ** 64)`, as nuPlan draws ids.
-    pub fn id(&mut self) -> u64 {
-        self.below(1 << 64) as u64
-    }
-
     /// `gauss(mean, deviation)`; the second value of a pair is kept for the next call.
-    pub fn gauss(&mut self, mean: f64, deviation: f64) -> f64 {
+    pub(crate) fn gauss(&mut self, mean: f64, deviation: f64) -> f64 {
         let z = self.gauss.take().unwrap_or_else(|| {
             let angle = self.unit() * TAU;
             let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
@@ -141,7 +136,7 @@ impl PythonRandom {
     }
 
     /// `sample(range(count), count)`: a permutation.
-    pub fn permutation(&mut self, count: usize) -> Vec<usize> {
+    pub(crate) fn permutation(&mut self, count: usize) -> Vec<usize> {
         let mut pool: Vec<usize> = (0..count).collect();
         let draw = |i: usize| {
             let place = self.below((count - i) as u128) as usize;

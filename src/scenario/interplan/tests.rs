@@ -1,6 +1,7 @@
 //! The numbers of interPlan's own functions.
 
-use super::{Density, InterPlanName, NameFault, PythonRandom, Row, fill_row};
+use super::name::NameFault;
+use super::{Density, InterPlanName, PythonRandom, Row, fill_row};
 use planagent_world::geometry::{Point, Polyline};
 use serde_json::Value;
 use std::path::Path;

@@ -1,6 +1,7 @@
 //! What a kind of change is.
 
 use super::draft::Draft;
+use super::fault::Fault;
 use std::fmt;
 
 /// One change of a scenario, as a table of the file names it.
@@ -12,26 +13,19 @@ pub(super) trait Change: fmt::Debug + Send + Sync {
     fn apply(&self, draft: &mut Draft) -> Result<(), Fault>;
 }
 
-/// Why a change cannot be made.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Fault {
-    /// The field.
-    pub field: &'static str,
-    /// What is wrong, and what would be right.
-    pub text: String,
+/// A change with its place in the file.
+#[derive(Debug)]
+pub(super) struct PlacedChange {
+    pub(super) key: &'static str,
+    /// From 1.
+    pub(super) line: usize,
+    pub(super) change: Box<dyn Change>,
 }
 
-impl Fault {
-    pub(super) fn new(field: &'static str, text: impl Into<String>) -> Self {
-        Self {
-            field,
-            text: text.into(),
-        }
-    }
-}
-
-impl fmt::Display for Fault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {}", self.field, self.text)
-    }
+/// The head of the file; the tables beside it are the changes.
+#[derive(Debug)]
+pub(super) struct Head {
+    pub(super) name: Option<String>,
+    pub(super) kind: Option<String>,
+    pub(super) seed: u64,
 }

@@ -1,9 +1,7 @@
 //! A scenario while its changes are made.
 
-use super::change::Fault;
 use super::draws::Draws;
-use super::error::ModifyError;
-use super::file::Modification;
+use super::fault::Fault;
 use super::lanes::{EgoLanes, LanePlace};
 use crate::Scenario;
 use planagent_world::geometry::{OrientedBox, Pose, Vector};
@@ -71,34 +69,14 @@ pub(super) struct Draft {
 }
 
 impl Draft {
-    pub(super) fn new(
-        scenario: Scenario,
-        modification: &Modification,
-        seed: u64,
-    ) -> Result<Self, ModifyError> {
-        let unfit = |fault: &str| ModifyError::Unfit {
-            place: modification.place.clone(),
-            scenario: scenario.id.clone(),
-            fault: fault.to_owned(),
-        };
-        let first = scenario
-            .frame(0)
-            .ok_or_else(|| unfit("the scenario has no frames"))?;
-        let lanes =
-            EgoLanes::from_route(&scenario.map, &scenario.route, &first.ego).ok_or_else(|| {
-                unfit("the ego starts on no lane, and places are relative to its lane")
-            })?;
-        let draws = Draws::new(
-            &scenario.id,
-            &modification.drawn_by,
-            [modification.seed, seed],
-        );
+    /// A scenario without changes, and the lanes around its ego at the start.
+    pub(super) fn new(scenario: Scenario, lanes: EgoLanes, draws: Draws) -> Self {
         let tokens = scenario
             .frames
             .iter()
             .flat_map(|frame| frame.objects.iter().map(|object| object.token.0));
         let next_token = tokens.max().map_or(0, |token| token.saturating_add(1));
-        Ok(Self {
+        Self {
             scenario,
             lanes,
             draws,
@@ -111,7 +89,7 @@ impl Draft {
             behavior: DriverBehavior::Default,
             lane_changes: false,
             next_token,
-        })
+        }
     }
 
     /// The ego at the start.

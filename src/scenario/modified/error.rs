@@ -1,6 +1,6 @@
 //! Why a scenario cannot be modified.
 
-use super::change::Fault;
+use super::fault::Fault;
 use planagent_world::InteractionKind;
 
 /// Why a modification cannot be read, or does not fit a scenario.

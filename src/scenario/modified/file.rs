@@ -1,8 +1,9 @@
 //! The TOML file of a modification.
 
-use super::change::{Change, Fault};
+use super::change::{Change as _, Head, PlacedChange};
 use super::changes::Changes;
 use super::error::ModifyError;
+use super::fault::Fault;
 use crate::interplan::InterPlanName;
 use planagent_world::InteractionKind;
 use std::path::Path;
@@ -22,23 +23,6 @@ pub(super) struct Modification {
     pub(super) seed: u64,
     /// In the order in which they apply.
     pub(super) changes: Vec<PlacedChange>,
-}
-
-/// A change with its place in the file.
-#[derive(Debug)]
-pub(super) struct PlacedChange {
-    pub(super) key: &'static str,
-    /// From 1.
-    pub(super) line: usize,
-    pub(super) change: Box<dyn Change>,
-}
-
-/// The head of the file; the tables beside it are the changes.
-#[derive(Debug)]
-pub(super) struct Head {
-    pub(super) name: Option<String>,
-    pub(super) kind: Option<String>,
-    pub(super) seed: u64,
 }
 
 impl Modification {

@@ -1,6 +1,6 @@
 //! Places relative to the ego's lane.
 
-use super::change::Fault;
+use super::fault::Fault;
 use planagent_world::geometry::{Point, Polyline, Pose, wrap_angle};
 use planagent_world::{EgoState, LaneId, LaneMap, LanePath, Route};
 use serde::{Deserialize, Deserializer, de};

@@ -11,6 +11,7 @@ mod changes;
 mod draft;
 mod draws;
 mod error;
+mod fault;
 mod file;
 mod finish;
 mod kinds;
@@ -30,6 +31,7 @@ pub use word::{MARK, ModifiedName, ReadModification};
 
 use super::Scenario;
 use draft::Draft;
+use draws::Draws;
 use file::Modification;
 use lanes::EgoLanes;
 
@@ -51,7 +53,19 @@ fn modified(
     seed: u64,
 ) -> Result<Scenario, ModifyError> {
     let id = base.id.clone();
-    let mut draft = Draft::new(base, modification, seed)?;
+    let unfit = |fault: &str| ModifyError::Unfit {
+        place: modification.place.clone(),
+        scenario: id.clone(),
+        fault: fault.to_owned(),
+    };
+    let first = base
+        .frame(0)
+        .ok_or_else(|| unfit("the scenario has no frames"))?;
+    let lanes = EgoLanes::from_route(&base.map, &base.route, &first.ego)
+        .ok_or_else(|| unfit("the ego starts on no lane, and places are relative to its lane"))?;
+    let seeds = [modification.seed, seed];
+    let draws = Draws::new(&id, &modification.drawn_by, seeds);
+    let mut draft = Draft::new(base, lanes, draws);
     for change in &modification.changes {
         change
             .change

@@ -1,7 +1,8 @@
 //! interPlan's names as modifications: `LOG.db#TOKEN~dhgloa`.
 
-use super::change::{Change, Fault};
+use super::change::Change;
 use super::draft::{Draft, GoalPath};
+use super::fault::Fault;
 use super::lanes::whole_lanes;
 use crate::interplan::{Command, Density, InterPlanName, PythonRandom, Row, fill_row};
 use planagent_world::dynamics::IDM_AGENT;

@@ -1,7 +1,7 @@
 //! Numbers of a modification: fixed, or drawn for each scene.
 
-use super::change::Fault;
 use super::draws::Draws;
+use super::fault::Fault;
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;

@@ -2,7 +2,7 @@
 
 /// The scenario types of nuPlan's scenario mapping, in alphabetical order (devkit
 /// `nuplan_scenario_mapping.yaml`; the challenge's mapping is the same).
-pub const MAPPED_TYPES: [&str; 73] = [
+pub(crate) const MAPPED_TYPES: [&str; 73] = [
     "accelerating_at_crosswalk",
     "accelerating_at_stop_sign",
     "accelerating_at_stop_sign_no_crosswalk",
@@ -79,7 +79,7 @@ pub const MAPPED_TYPES: [&str; 73] = [
 ];
 
 /// Rows per iteration: every second row of 20 Hz (mapping: `subsample_ratio_override` 0.5).
-pub const ROWS_PER_STEP: usize = 2;
+pub(crate) const ROWS_PER_STEP: usize = 2;
 
 /// Nominal time between rows, s (the devkit's database interval).
 pub(super) const ROW_S: f64 = 0.05;
@@ -95,12 +95,12 @@ pub struct Extraction {
 
 impl Extraction {
     /// Of the types in the mapping: 15 s, from 3 s before the tag.
-    pub const MAPPED: Self = Self {
+    pub(crate) const MAPPED: Self = Self {
         offset_us: -3_000_000,
         duration_us: 15_000_000,
     };
     /// Of all other types: 20 s, from the row on.
-    pub const UNMAPPED: Self = Self {
+    pub(crate) const UNMAPPED: Self = Self {
         offset_us: 0,
         duration_us: 20_000_000,
     };

@@ -73,7 +73,7 @@ pub struct ScenarioFilter {
 }
 
 /// Name of [`ScenarioFilter::timestamp_threshold_s`] in an [`super::Exclusion`].
-pub const THRESHOLD_KEY: &str = "timestamp_threshold_s";
+pub(crate) const THRESHOLD_KEY: &str = "timestamp_threshold_s";
 
 /// Default of [`ScenarioFilter::speed_noise_tolerance`], m/s (devkit `_check_for_speed_edge`).
 pub(super) const SPEED_NOISE: f64 = 0.1;

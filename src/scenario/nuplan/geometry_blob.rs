@@ -59,7 +59,7 @@ pub enum BlobError {
 }
 
 /// The one line of a blob in reference system `srs_id`.
-pub fn decode_line(blob: &[u8], srs_id: i32) -> Result<LineString<f64>, BlobError> {
+pub(crate) fn decode_line(blob: &[u8], srs_id: i32) -> Result<LineString<f64>, BlobError> {
     let mut lines = decode(blob, srs_id, GeometryKind::Line)?.lines;
     match (lines.pop(), lines.len()) {
         (Some(line), 0) => Ok(line),
@@ -69,7 +69,7 @@ pub fn decode_line(blob: &[u8], srs_id: i32) -> Result<LineString<f64>, BlobErro
 }
 
 /// The polygons of a blob in reference system `srs_id`, at least one, each with its holes.
-pub fn decode_polygons(blob: &[u8], srs_id: i32) -> Result<Vec<Polygon<f64>>, BlobError> {
+pub(crate) fn decode_polygons(blob: &[u8], srs_id: i32) -> Result<Vec<Polygon<f64>>, BlobError> {
     let polygons = decode(blob, srs_id, GeometryKind::Polygon)?.polygons;
     if polygons.is_empty() {
         Err(BlobError::Empty)

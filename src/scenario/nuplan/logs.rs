@@ -16,7 +16,7 @@ const LOG_ENDING: &str = "db";
 /// Folders that hold no logs, but very many files, or macOS's copies of their names.
 const WITHOUT_LOGS: [&str; 3] = ["sensor_blobs", "maps", "__MACOSX"];
 /// Depth to which folders are searched for logs; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
-pub const MAX_FOLDER_DEPTH: usize = 5;
+pub(crate) const MAX_FOLDER_DEPTH: usize = 5;
 
 /// A log: one database file.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]

@@ -66,7 +66,7 @@ impl Utm {
     }
 
     /// The zone that the layer `meta` of a map names: `epsg:32611`, in upper or lower case.
-    pub fn from_name(name: &str) -> Result<Self, ProjectionError> {
+    pub(crate) fn from_name(name: &str) -> Result<Self, ProjectionError> {
         let unknown = || ProjectionError::Name(name.to_owned());
         let (authority, code) = name.trim().split_once(':').ok_or_else(unknown)?;
         if !authority.eq_ignore_ascii_case("epsg") {
@@ -81,7 +81,7 @@ impl Utm {
     }
 
     /// Easting and northing, m, of a longitude and latitude, degrees.
-    pub fn to_utm(&self, lon_deg: f64, lat_deg: f64) -> Result<(f64, f64), ProjectionError> {
+    pub(crate) fn to_utm(&self, lon_deg: f64, lat_deg: f64) -> Result<(f64, f64), ProjectionError> {
         let start = (lon_deg.to_radians(), lat_deg.to_radians());
         project(&self.degrees, &self.meters, start)
             .map_err(|reason| self.failed(lon_deg, lat_deg, reason))

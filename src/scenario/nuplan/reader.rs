@@ -37,7 +37,7 @@ pub struct NuPlanReader {
 /// Why a word names no scenario of a nuPlan log.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
-pub enum LogWordError {
+pub(crate) enum LogWordError {
     #[error(transparent)]
     Read(#[from] NuPlanError),
     #[error("there is no log {}; name it by its path: only splits are looked for in the data root", .0.display())]

@@ -113,7 +113,7 @@ pub fn search(
 
 /// All types among the tags of these logs, in alphabetical order. Logs that cannot be read are
 /// skipped, unless all are: [`search`] reports them.
-pub fn tag_types(logs: &[Arc<Log>]) -> Result<Vec<String>, NuPlanError> {
+pub(crate) fn tag_types(logs: &[Arc<Log>]) -> Result<Vec<String>, NuPlanError> {
     let of_log = |log: &Arc<Log>| {
         let tags = tags(&log.open()?, None)?;
         Ok(tags.into_values().collect::<BTreeSet<String>>())

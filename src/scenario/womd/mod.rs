@@ -27,7 +27,7 @@ mod tfrecord;
 mod tracks;
 
 pub use error::{WomdError, WomdFault};
-pub use reader::WomdReader;
+pub(crate) use reader::WomdReader;
 pub use tfrecord::FramingFault;
 
 use super::recording::window;

@@ -12,7 +12,7 @@ const MARK: &str = ".tfrecord";
 
 /// Takes TFRecord files.
 #[derive(Debug, Default)]
-pub struct WomdReader {
+pub(crate) struct WomdReader {
     notes: Mutex<Vec<String>>,
 }
 

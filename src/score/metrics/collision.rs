@@ -8,11 +8,11 @@ use std::collections::BTreeSet;
 use std::f64::consts::PI;
 
 /// Up to this speed an agent stands in the classification of collisions, m/s.
-pub const STOPPED_SPEED: f64 = 0.05;
+pub(crate) const STOPPED_SPEED: f64 = 0.05;
 /// Largest bearing of an object ahead, radians (30°).
-pub const AHEAD_ANGLE: f64 = PI / 6.0;
+pub(crate) const AHEAD_ANGLE: f64 = PI / 6.0;
 /// Smallest bearing of an object behind, radians (150°).
-pub const BEHIND_ANGLE: f64 = PI * 5.0 / 6.0;
+pub(crate) const BEHIND_ANGLE: f64 = PI * 5.0 / 6.0;
 
 /// Whether a point (the center of an object) lies ahead of a rear axle.
 pub fn is_ahead(rear_axle: Pose, point: Point) -> bool {
@@ -26,7 +26,7 @@ pub fn is_behind(rear_axle: Pose, point: Point) -> bool {
 
 /// nuPlan's overlap test: centers nearer than half the sum of the diagonals, and shapes that share
 /// a point.
-pub fn in_collision(a: &OrientedBox, b: &OrientedBox) -> bool {
+pub(crate) fn in_collision(a: &OrientedBox, b: &OrientedBox) -> bool {
     let reach = f64::midpoint(a.diagonal(), b.diagonal());
     (a.center.position() - b.center.position()).norm_squared() < reach * reach && a.overlaps(b)
 }
@@ -50,7 +50,7 @@ pub enum CollisionType {
 impl CollisionType {
     /// Whether the ego is at fault. In a lateral collision it is when it was in multiple lanes or
     /// off the road.
-    pub fn is_at_fault(self, in_multiple_lanes_or_off_road: bool) -> bool {
+    pub(crate) fn is_at_fault(self, in_multiple_lanes_or_off_road: bool) -> bool {
         match self {
             Self::StoppedTrack | Self::ActiveFront => true,
             Self::ActiveLateral => in_multiple_lanes_or_off_road,
@@ -61,7 +61,7 @@ impl CollisionType {
 
 /// The type of a collision between the ego and an overlapping object; the first matching rule
 /// decides.
-pub fn classify_collision(ego: &EgoState, track: &TrackedObject) -> CollisionType {
+pub(crate) fn classify_collision(ego: &EgoState, track: &TrackedObject) -> CollisionType {
     if ego.speed() <= STOPPED_SPEED {
         return CollisionType::StoppedEgo;
     }
@@ -110,7 +110,7 @@ impl CollisionGroup {
     pub const ALL: [Self; 3] = [Self::Vru, Self::Vehicle, Self::Object];
 
     /// The group of a kind of object.
-    pub fn from_kind(kind: ObjectKind) -> Self {
+    pub(crate) fn from_kind(kind: ObjectKind) -> Self {
         match kind {
             ObjectKind::Pedestrian | ObjectKind::Bicycle => Self::Vru,
             ObjectKind::Vehicle => Self::Vehicle,
@@ -132,7 +132,7 @@ impl CollisionGroup {
 
     /// At-fault collisions that are still tolerated (devkit
     /// `no_ego_at_fault_collisions_statistics.yaml`).
-    pub fn tolerated(self) -> usize {
+    pub(crate) fn tolerated(self) -> usize {
         match self {
             Self::Vru | Self::Vehicle => 0,
             Self::Object => 1,

@@ -8,7 +8,7 @@ use planagent_world::{EgoState, LaneId, LaneMap};
 
 /// A corner may be outside by less than this, meters (devkit
 /// `drivable_area_compliance_statistics.yaml`).
-pub const MAX_DISTANCE_OUTSIDE: f64 = 0.3;
+pub(crate) const MAX_DISTANCE_OUTSIDE: f64 = 0.3;
 
 pub(super) const SPEC: MetricSpec = MetricSpec::new("drivable_area_compliance", |input| {
     Ok(Some(drivable_area_compliance(

@@ -4,9 +4,9 @@ use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, Time
 use planagent_world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
 
 /// Compliant movement against the direction within a second, meters.
-pub const DIRECTION_COMPLIANCE: f64 = 2.0;
+pub(crate) const DIRECTION_COMPLIANCE: f64 = 2.0;
 /// Movement against the direction within a second at which the score is 0, meters.
-pub const DIRECTION_VIOLATION: f64 = 6.0;
+pub(crate) const DIRECTION_VIOLATION: f64 = 6.0;
 /// Length of the window over which movement is summed, seconds.
 const HORIZON_S: f64 = 1.0;
 
@@ -24,7 +24,7 @@ pub(super) const SPEC: MetricSpec = MetricSpec::new("driving_direction_complianc
 .label("dir");
 
 /// 1 for less than 2 m against the direction, 0.5 for less than 6 m, else 0.
-pub fn direction_score(meters_against: f64) -> f64 {
+pub(crate) fn direction_score(meters_against: f64) -> f64 {
     if meters_against < DIRECTION_COMPLIANCE {
         1.0
     } else if meters_against < DIRECTION_VIOLATION {

@@ -6,7 +6,7 @@ use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, Time
 use planagent_world::{EgoState, LaneMap};
 
 /// Minimum ratio for `ego_is_making_progress` (devkit `ego_is_making_progress_statistics.yaml`).
-pub const MIN_PROGRESS_RATIO: f64 = 0.2;
+pub(crate) const MIN_PROGRESS_RATIO: f64 = 0.2;
 
 pub(super) const SPEC: MetricSpec = MetricSpec::new("ego_progress_along_expert_route", |input| {
     Ok(Some(result(input.states(), input.progress())))

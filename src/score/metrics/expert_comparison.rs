@@ -6,10 +6,10 @@ use planagent_world::geometry::{Pose, wrap_angle};
 use planagent_world::{EgoState, PACIFICA, Trajectory, TrajectoryError, TrajectoryState};
 
 /// Horizons of the comparison, seconds (devkit `comparison_horizon`).
-pub const COMPARISON_HORIZONS_S: [usize; 3] = [3, 5, 8];
+pub(crate) const COMPARISON_HORIZONS_S: [usize; 3] = [3, 5, 8];
 const FARTHEST_S: usize = COMPARISON_HORIZONS_S[2];
 /// Frames of a scenario in one second. The comparison runs at 1 Hz (devkit `comparison_frequency`).
-pub const FRAMES_PER_SECOND: usize = 10;
+pub(crate) const FRAMES_PER_SECOND: usize = 10;
 
 /// The errors of one planned trajectory within one horizon. Positions are box centers.
 #[derive(Debug, Clone, Copy, PartialEq)]

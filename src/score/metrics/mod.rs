@@ -41,52 +41,41 @@ mod time_to_collision_within_bound;
 pub use aggregate::distinct;
 pub use aggregate::{AggregateRow, FINAL_SCORE, ScenarioRow, aggregate};
 pub use collision::{
-    AHEAD_ANGLE, BEHIND_ANGLE, Collision, CollisionGroup, CollisionType, STOPPED_SPEED,
-    classify_collision, delta_v, find_collisions, in_collision, is_ahead, is_behind,
+    Collision, CollisionGroup, CollisionType, delta_v, find_collisions, is_ahead, is_behind,
 };
-pub(crate) use comfort::{ACCELERATION_WINDOW, YAW_WINDOW};
-pub use comfort::{
-    Bound, ComfortQuantity, SavitzkyGolay, differentiated, ego_is_comfortable, mean_step_s,
-    smoothed,
-};
+pub(crate) use collision::{classify_collision, in_collision};
+pub(crate) use comfort::{ACCELERATION_WINDOW, YAW_WINDOW, mean_step_s};
+pub use comfort::{Bound, ComfortQuantity, SavitzkyGolay, ego_is_comfortable};
+#[cfg(test)]
+pub(crate) use comfort::{differentiated, smoothed};
 pub use common::{ego_expert_l2_error, ego_expert_l2_error_with_yaw, ego_mean_speed};
 pub use corners::{CornerAgreement, CornerLanes, DrivenLanes};
-pub use drivable_area_compliance::{
-    MAX_DISTANCE_OUTSIDE, corners_in_drivable_area, drivable_area_compliance,
-};
-pub use driving_direction_compliance::{
-    DIRECTION_COMPLIANCE, DIRECTION_VIOLATION, direction_score, driving_direction_compliance,
-};
+pub(crate) use drivable_area_compliance::MAX_DISTANCE_OUTSIDE;
+pub use drivable_area_compliance::{corners_in_drivable_area, drivable_area_compliance};
+pub(crate) use driving_direction_compliance::direction_score;
+pub use driving_direction_compliance::driving_direction_compliance;
 pub use ego_lane_change::{LaneChange, ego_lane_change, find_lane_changes};
 pub use ego_progress_along_expert_route::{
-    MIN_PROGRESS_RATIO, ego_is_making_progress, ego_progress_along_expert_route,
+    ego_is_making_progress, ego_progress_along_expert_route,
 };
 pub use ego_stop_at_stop_line::ego_stop_at_stop_line;
 pub use error::MetricError;
-pub use expert_comparison::{
-    COMPARISON_HORIZONS_S, FRAMES_PER_SECOND, HorizonErrors, PlannerExpertErrors,
-    compare_with_expert,
-};
+pub use expert_comparison::{HorizonErrors, PlannerExpertErrors, compare_with_expert};
 pub use input::{EvaluatedSimulation, MetricInput};
-pub use interactive::{
-    INTERACTIVE_METRICS, LaneRelations, UNCOUNTED, changes_between, lane_changes_score,
-    passing_ratio, sorted,
-};
+pub use interactive::sorted;
 pub use no_ego_at_fault_collisions::no_ego_at_fault_collisions;
 pub use open_loop::{
-    MAX_AVERAGE_HEADING_ERROR, MAX_AVERAGE_L2_ERROR, MAX_DISPLACEMENTS, MAX_FINAL_HEADING_ERROR,
-    MAX_FINAL_L2_ERROR, MAX_MISS_RATE, planner_expert_average_heading_error_within_bound,
+    planner_expert_average_heading_error_within_bound,
     planner_expert_average_l2_error_within_bound, planner_expert_final_heading_error_within_bound,
     planner_expert_final_l2_error_within_bound, planner_miss_rate_within_bound,
 };
 pub use registry::{Evaluation, METRICS, MetricRegistry, evaluate, metric, scored_names};
 pub use result::{MetricCategory, MetricResult, ScoreUnit, Statistic, StatisticKind, TimeSeries};
 pub use route::{driven_route, lanes_at};
-pub use route_progress::{RouteProgress, SCORE_PROGRESS, progress_ratio};
+pub use route_progress::{RouteProgress, progress_ratio};
 pub use score::{Score, ScorePart, Weighting, combine};
 pub use spec::{Compute, MetricList, MetricSpec, Role};
-pub use speed_limit_compliance::{MAX_OVERSPEED, speed_limit_compliance};
+pub use speed_limit_compliance::speed_limit_compliance;
 pub use time_to_collision_within_bound::{
-    MIN_TIME_TO_COLLISION, TTC_HORIZON_S, TTC_STEP_S, time_to_collision,
-    time_to_collision_within_bound,
+    TTC_HORIZON_S, time_to_collision, time_to_collision_within_bound,
 };

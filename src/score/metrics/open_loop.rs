@@ -6,21 +6,21 @@ use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, Time
 
 /// Mean distance at which the score is 0, meters (devkit
 /// `planner_expert_average_l2_error_within_bound_statistics.yaml`).
-pub const MAX_AVERAGE_L2_ERROR: f64 = 8.0;
+pub(crate) const MAX_AVERAGE_L2_ERROR: f64 = 8.0;
 /// Final distance at which the score is 0, meters (devkit
 /// `planner_expert_final_l2_error_within_bound_statistics.yaml`).
-pub const MAX_FINAL_L2_ERROR: f64 = 8.0;
+pub(crate) const MAX_FINAL_L2_ERROR: f64 = 8.0;
 /// Mean heading error at which the score is 0, radians (devkit
 /// `planner_expert_average_heading_error_within_bound_statistics.yaml`).
-pub const MAX_AVERAGE_HEADING_ERROR: f64 = 0.8;
+pub(crate) const MAX_AVERAGE_HEADING_ERROR: f64 = 0.8;
 /// Final heading error at which the score is 0, radians (devkit
 /// `planner_expert_final_heading_error_within_bound_statistics.yaml`).
-pub const MAX_FINAL_HEADING_ERROR: f64 = 0.8;
+pub(crate) const MAX_FINAL_HEADING_ERROR: f64 = 0.8;
 /// A trajectory farther than this from the expert within a horizon is a miss, meters (devkit
 /// `planner_miss_rate_within_bound_statistics.yaml`).
-pub const MAX_DISPLACEMENTS: [f64; 3] = [6.0, 8.0, 16.0];
+pub(crate) const MAX_DISPLACEMENTS: [f64; 3] = [6.0, 8.0, 16.0];
 /// Acceptable share of misses at every horizon.
-pub const MAX_MISS_RATE: f64 = 0.3;
+pub(crate) const MAX_MISS_RATE: f64 = 0.3;
 
 pub(super) const AVERAGE_DISPLACEMENT: MetricSpec =
     MetricSpec::new("planner_expert_average_l2_error_within_bound", |input| {

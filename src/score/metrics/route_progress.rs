@@ -6,7 +6,7 @@ use planagent_world::{EgoState, LaneId, LaneMap, RoadblockId};
 
 /// Shorter distances count as this, meters. The devkit's documentation says 0.1; its configuration,
 /// which decides, 2.
-pub const SCORE_PROGRESS: f64 = 2.0;
+pub(crate) const SCORE_PROGRESS: f64 = 2.0;
 
 /// A roadblock of the expert's route with the centerline along which progress is measured.
 #[derive(Debug, Clone, Copy)]

@@ -7,7 +7,7 @@ use planagent_world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
 
 /// Mean speed above the limit at which the score is 0, m/s (devkit
 /// `speed_limit_compliance_statistics.yaml`).
-pub const MAX_OVERSPEED: f64 = 2.23;
+pub(crate) const MAX_OVERSPEED: f64 = 2.23;
 
 pub(super) const SPEC: MetricSpec = MetricSpec::new("speed_limit_compliance", |input| {
     Ok(Some(speed_limit_compliance(

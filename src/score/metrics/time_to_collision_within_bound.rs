@@ -9,11 +9,11 @@ use planagent_world::{EgoState, HistorySample, LaneMap, TrackToken, TrackedObjec
 use std::collections::BTreeMap;
 
 /// Step of the projection, seconds (devkit `time_to_collision_within_bound_statistics.yaml`).
-pub const TTC_STEP_S: f64 = 0.1;
+pub(crate) const TTC_STEP_S: f64 = 0.1;
 /// Length of the projection, seconds.
 pub const TTC_HORIZON_S: f64 = 3.0;
 /// The time to collision must be longer than this, seconds.
-pub const MIN_TIME_TO_COLLISION: f64 = 0.95;
+pub(crate) const MIN_TIME_TO_COLLISION: f64 = 0.95;
 /// An ego up to this speed has no time to collision, m/s.
 const STOPPED_SPEED: f64 = 5e-3;
 

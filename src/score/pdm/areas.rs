@@ -9,7 +9,7 @@ use planagent_world::{EgoState, LaneAreas, LaneId, LaneMap};
 use std::collections::BTreeSet;
 
 /// Half size of the square around the ego whose roadblocks make the map, meters.
-pub const MAP_RADIUS: f64 = 50.0;
+pub(crate) const MAP_RADIUS: f64 = 50.0;
 
 /// The layers that count as drivable.
 #[derive(
@@ -127,7 +127,7 @@ pub struct EgoAreas {
 
 impl EgoAreas {
     /// Whether a lateral collision here is the ego's fault.
-    pub fn in_multiple_lanes_or_off_road(self) -> bool {
+    pub(crate) fn in_multiple_lanes_or_off_road(self) -> bool {
         self.multiple_lanes || self.non_drivable
     }
 }
@@ -204,7 +204,7 @@ impl<'a> DrivableMap<'a> {
     /// The same with some lanes counted as lanes of the route: those on which the ego may pass
     /// something.
     #[must_use]
-    pub fn allowing(&self, lanes: &[LaneId]) -> Self {
+    pub(crate) fn allowing(&self, lanes: &[LaneId]) -> Self {
         let is_allowed = |area: &Area<'a>| {
             lanes
                 .iter()

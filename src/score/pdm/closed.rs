@@ -108,7 +108,7 @@ impl<'a> PdmInstant<'a> {
     }
 
     /// As [`Self::proposals`], with other parameters than PDM-Closed's.
-    pub fn tuned_proposals<'s>(
+    pub(crate) fn tuned_proposals<'s>(
         &'s self,
         reference_path: &'s ReferencePath,
         ego: &EgoState,
@@ -331,7 +331,7 @@ pub fn plan(memory: &mut PdmMemory, scene: &SceneView<'_>) -> Result<PdmPlan, Pd
 ///
 /// `tuplan_garage` takes the maximum, so rounding chooses where proposals are equally far along.
 /// Beside the centerline and on it they often are, where the ego has almost stopped.
-pub fn best_of(scores: &[ProposalScore]) -> Option<usize> {
+pub(crate) fn best_of(scores: &[ProposalScore]) -> Option<usize> {
     let highest = scores
         .iter()
         .map(|score| score.total)

@@ -19,7 +19,7 @@ static PDM_FILTERS: LazyLock<Result<Filters, MetricError>> =
 ///
 /// # Errors
 /// When there are fewer than 4 states.
-pub fn is_comfortable(states: &[EgoState]) -> Result<bool, MetricError> {
+pub(crate) fn is_comfortable(states: &[EgoState]) -> Result<bool, MetricError> {
     if states.len() == PROPOSAL_STEPS + 1 {
         return PDM_FILTERS
             .as_ref()

@@ -9,7 +9,7 @@ use planagent_world::{
 pub const EMERGENCY_TIME_S: f64 = 2.0;
 /// The brake overrules at this speed or below, m/s.
 /// Why: docs/decisions/104-emergency-brake.md.
-pub const EMERGENCY_SPEED: f64 = 5.0;
+pub(crate) const EMERGENCY_SPEED: f64 = 5.0;
 
 /// Up to this speed the brake regulates the acceleration too, m/s.
 const CREEPING_SPEED: f64 = 0.2;

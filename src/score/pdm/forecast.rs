@@ -12,7 +12,7 @@ use std::f64::consts::FRAC_PI_2;
 /// Objects farther than this from the ego's center are ignored, meters.
 pub const MAX_DISTANCE: f64 = 50.0;
 /// Steps of 0.1 s that share one occupancy map: its resolution is 0.2 s.
-pub const RESOLUTION_STEPS: usize = 2;
+pub(crate) const RESOLUTION_STEPS: usize = 2;
 
 /// A slower vehicle or bicycle keeps its direction, m/s.
 /// Why: docs/decisions/119-forecast-along-lanes.md.
@@ -154,7 +154,7 @@ impl ForecastObject {
     }
 
     /// The object after a number of steps; its velocity is the observed one.
-    pub fn track_at(&self, step: usize) -> TrackedObject {
+    pub(crate) fn track_at(&self, step: usize) -> TrackedObject {
         TrackedObject {
             shape: self.shape_at(step),
             ..self.track

@@ -30,25 +30,24 @@ mod route;
 mod scorer;
 mod search;
 
-pub use areas::{DrivableLayers, DrivableMap, EgoAreas, MAP_RADIUS};
+pub use areas::{DrivableLayers, DrivableMap, EgoAreas};
 pub use centerline::{centerline_poses, lane_chain};
 pub use closed::{
-    Overtake, PdmError, PdmInstant, PdmMemory, PdmPlan, best_of, plan, plan_along, plan_among,
-    plan_tuned, simulate_proposals,
+    Overtake, PdmError, PdmInstant, PdmMemory, PdmPlan, plan, plan_along, plan_among, plan_tuned,
+    simulate_proposals,
 };
 pub use collision::{FirstTouch, no_at_fault_collisions, time_to_collision};
-pub use comfort::is_comfortable;
+pub(crate) use comfort::is_comfortable;
 pub use current_lane::{StartingBlock, current_lane, starting_block};
 pub use emergency_brake::{
-    EMERGENCY_SPEED, EMERGENCY_TIME_S, braking_speed, emergency_brake, needs_emergency_brake,
+    EMERGENCY_TIME_S, braking_speed, emergency_brake, needs_emergency_brake,
 };
-pub use forecast::{Collided, Forecast, ForecastObject, MAX_DISTANCE, RESOLUTION_STEPS};
+pub use forecast::{Collided, Forecast, ForecastObject, MAX_DISTANCE};
 pub use lead::LeadState;
 pub use parameters::{PdmParameters, TRAJECTORY_STEPS};
 pub use path::PdmPath;
 pub use proposals::{
-    FALLBACK_LIMIT, IdmState, LATERAL_OFFSETS, PROPOSAL_STEPS, PROPOSALS, Proposal, Proposals,
-    SPEED_FRACTIONS,
+    FALLBACK_LIMIT, IdmState, LATERAL_OFFSETS, PROPOSAL_STEPS, Proposal, Proposals, SPEED_FRACTIONS,
 };
 pub use reference_path::{NoReferencePath, ReferencePath};
 pub use route::corrected_route;

@@ -95,7 +95,7 @@ impl PdmPath {
     /// kept: with two vertices or more inside, the part runs from the first to the last of them and
     /// its ends are not interpolated. Past the end the last bit of the path stands for a part
     /// without length.
-    pub fn substring(&self, from: f64, to: f64) -> Polyline {
+    pub(crate) fn substring(&self, from: f64, to: f64) -> Polyline {
         let (from, to) = (self.clamped(from), self.clamped(to));
         let first = self.progress.partition_point(|&p| p < from);
         let behind = self.progress.partition_point(|&p| p <= to).max(first);

@@ -12,8 +12,6 @@ use planagent_world::{EgoState, LaneMap, STEP_S};
 pub const SPEED_FRACTIONS: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
 /// Lateral offsets of the paths from the centerline, meters, positive to the left.
 pub const LATERAL_OFFSETS: [f64; 3] = [0.0, -1.0, 1.0];
-/// Number of proposals; the n-th has path n / 5 and policy n % 5.
-pub const PROPOSALS: usize = SPEED_FRACTIONS.len() * LATERAL_OFFSETS.len();
 /// Speed limit of a lane without one, m/s.
 pub const FALLBACK_LIMIT: f64 = 15.0;
 /// Steps of 0.1 s of each proposal, which are simulated and scored.
@@ -129,13 +127,13 @@ impl<'a> Proposals<'a> {
     }
 
     /// The proposals, taken out.
-    pub fn into_all(self) -> Vec<Proposal> {
+    pub(crate) fn into_all(self) -> Vec<Proposal> {
         self.rolled_out
     }
 
     /// Rolls one proposal out further, alone, up to `steps` steps from the present, and gives its
     /// poses.
-    pub fn continued(&mut self, index: usize, steps: usize) -> &[Pose] {
+    pub(crate) fn continued(&mut self, index: usize, steps: usize) -> &[Pose] {
         for step in self.rolled_out[index].states.len()..=steps {
             self.advance(index..index + 1, step);
         }

@@ -74,7 +74,7 @@ impl ReferencePath {
     }
 
     /// The lanes of the route, by id.
-    pub fn lane_set(&self) -> &BTreeSet<LaneId> {
+    pub(crate) fn lane_set(&self) -> &BTreeSet<LaneId> {
         &self.lane_set
     }
 

@@ -64,7 +64,7 @@ impl MotionProfile {
     /// Speed `steps` steps of 0.1 s after the first pose, linear in between, clamped at both ends,
     /// m/s.
     #[inline]
-    pub fn velocity_at(&self, steps: f64) -> f64 {
+    pub(crate) fn velocity_at(&self, steps: f64) -> f64 {
         interpolate(&self.velocity, steps)
     }
 

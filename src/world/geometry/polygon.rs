@@ -5,7 +5,7 @@ use geo::orient::Direction;
 use geo::{Area, BooleanOps, Centroid, ConvexHull, Orient};
 
 /// A polygon: its ring, stored once without repeating the first vertex, and the rings of its holes.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Polygon {
     ring: Vec<Point>,
     holes: Vec<Vec<Point>>,

@@ -11,7 +11,7 @@ pub(super) const BLOCK: usize = 16;
 const HEADING_LOOKAHEAD: f64 = 0.5;
 
 /// A line through at least two distinct vertices, with the arc length of each.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Polyline {
     vertices: Vec<Point>,
     arc_lengths: Vec<f64>,

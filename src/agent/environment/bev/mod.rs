@@ -4,9 +4,9 @@
 //! earlier: background, lane and connector areas, crosswalks, centerlines (on lanes with arrowheads
 //! in driving direction, 10 m apart), static obstacles, vehicles, bicycles, pedestrians, the ego,
 //! and last a red arrow for each moving agent, the ego included: from the center of its box,
-//! [`ARROW_SECONDS`] long at its present velocity. Within an element objects are drawn by track
+//! `ARROW_SECONDS` long at its present velocity. Within an element objects are drawn by track
 //! token. Small things are drawn larger than they are, so that they stay visible (see
-//! [`MIN_SIZE_PX`], [`MIN_SIZE_SHARE`]); pedestrians are discs; lines are at least a pixel wide.
+//! `MIN_SIZE_PX`, `MIN_SIZE_SHARE`); pedestrians are discs; lines are at least a pixel wide.
 //! Neither the route nor the traffic lights are drawn.
 
 mod canvas;
@@ -14,8 +14,8 @@ mod palette;
 mod road;
 mod traffic;
 
-pub use palette::{ARROW, BACKGROUND, BevElement, Palette, Rgb};
-pub use traffic::{ARROW_SECONDS, MIN_SIZE_PX, MIN_SIZE_SHARE, MOVING_SPEED};
+pub(crate) use palette::ARROW;
+pub use palette::{BACKGROUND, BevElement, Palette, Rgb};
 
 use canvas::Canvas;
 use image::RgbImage;
@@ -50,7 +50,7 @@ impl Default for BevView {
 
 impl BevView {
     /// Meters.
-    pub const DEFAULT_METERS: f64 = 64.0;
+    pub(crate) const DEFAULT_METERS: f64 = 64.0;
     /// Pixels a side.
     pub const MIN_PIXELS: u32 = 16;
     /// Pixels a side.
@@ -93,7 +93,7 @@ impl BevView {
 
     /// Position of a map point in the image around `center`: pixels right of and below its top left
     /// corner.
-    pub fn to_pixel(&self, center: Pose, point: Point) -> (f64, f64) {
+    pub(crate) fn to_pixel(&self, center: Pose, point: Point) -> (f64, f64) {
         let local = center.to_local(point);
         let half = f64::from(self.pixels) / 2.0;
         (half - local.y * self.scale(), half - local.x * self.scale())

@@ -8,7 +8,7 @@ pub type Rgb = [u8; 3];
 
 pub const BACKGROUND: Rgb = [255, 255, 255];
 /// The speed arrow of a moving agent: the paper's red, which no element shares.
-pub const ARROW: Rgb = [230, 0, 0];
+pub(crate) const ARROW: Rgb = [230, 0, 0];
 
 choice! {
     /// The eight elements of the paper's BEV map.
@@ -57,7 +57,7 @@ impl Palette {
 }
 
 impl BevElement {
-    pub fn from_object_kind(kind: ObjectKind) -> Self {
+    pub(crate) fn from_object_kind(kind: ObjectKind) -> Self {
         match kind {
             ObjectKind::Vehicle => Self::Vehicles,
             ObjectKind::Bicycle => Self::Bicycles,

@@ -1,3 +1,4 @@
+use super::traffic::ARROW_SECONDS;
 use super::*;
 use crate::environment::sketch::{self, Drawn};
 use planagent_world::{ObjectKind, SignalStatus};

@@ -6,15 +6,15 @@ use planagent_world::geometry::{OrientedBox, Point, Pose, Vector};
 use planagent_world::{SceneView, TrackedObject};
 
 /// An arrow is as long as the distance of its agent in this time, seconds.
-pub const ARROW_SECONDS: f64 = 0.8;
+pub(crate) const ARROW_SECONDS: f64 = 0.8;
 /// Slower agents stand still and get no arrow, m/s.
-pub const MOVING_SPEED: f64 = 0.5;
+pub(crate) const MOVING_SPEED: f64 = 0.5;
 /// Minimum length and width of a drawn object, pixels: a pedestrian or a cone stays visible beside
 /// its arrow.
-pub const MIN_SIZE_PX: f64 = 4.0;
+pub(crate) const MIN_SIZE_PX: f64 = 4.0;
 /// Minimum length and width of a drawn object as a share of the image's side: large images go to
 /// towers with large patches.
-pub const MIN_SIZE_SHARE: f64 = 1.0 / 56.0;
+pub(crate) const MIN_SIZE_SHARE: f64 = 1.0 / 56.0;
 /// Width of an arrow's shaft, meters.
 const SHAFT_M: f64 = 0.35;
 /// Minimum width of an arrow's shaft, pixels.

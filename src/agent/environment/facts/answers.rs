@@ -77,13 +77,13 @@ choice! {
     pub enum SceneType {
         /// None of the others.
         Straight = "straight",
-        /// The path turns left by more than [`super::CURVE`] within the view.
+        /// The path turns left by more than `CURVE` within the view.
         CurveLeft = "curve_left",
         /// The path turns right by more than that.
         CurveRight = "curve_right",
         /// The path meets, within the view, an intersection in which connectors cross.
         Intersection = "intersection",
-        /// A round cycle of lanes, shorter than [`super::ROUNDABOUT_LENGTH`], begins ahead within
+        /// A round cycle of lanes, shorter than `ROUNDABOUT_LENGTH`, begins ahead within
         /// the view.
         Roundabout = "roundabout",
     }

@@ -3,7 +3,7 @@
 //!
 //! Only what the view of [`VIEW_METERS`] shows counts. The light and the turn of the route, which
 //! no image shows, are those of the scene text. *The path* is the ego's centerline of the
-//! [`LaneGraph`] from the ego's box center on, as far as it is in view. Distances are along the
+//! lane graph from the ego's box center on, as far as it is in view. Distances are along the
 //! path from the ego's front bumper, in three steps (see [`Ahead`]).
 
 mod answers;
@@ -15,18 +15,17 @@ pub use answers::{
     Ahead, EgoSpeed, LaneCount, LaneIndex, LeadSpeed, Light, Oncoming, Question, SceneType,
     SideLane, VehicleCount,
 };
-pub use road::{CURVE, ONCOMING_REACH};
-pub use roundabout::{ROUNDABOUT_LENGTH, ROUNDNESS};
+pub use road::ONCOMING_REACH;
 pub use traffic::{CORRIDOR_MARGIN, ONCOMING_ASIDE, SAME_SPEED, SIDE_GAP, STOPPED};
 
 use super::bev::BevView;
-use super::lane_graph::{LaneGraph, Turn};
+use super::lane_graph::{GraphedScene, Turn};
+use planagent_world::SignalStatus;
 use planagent_world::geometry::{OrientedBox, Point, Pose};
-use planagent_world::{SceneView, SignalStatus};
 
 /// Side of the square around the ego's box center, along its heading, in which things count,
 /// meters: the default BEV view.
-pub const VIEW_METERS: f64 = BevView::DEFAULT_METERS;
+pub(crate) const VIEW_METERS: f64 = BevView::DEFAULT_METERS;
 
 /// The true answers for one scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -71,8 +70,9 @@ pub struct SceneFacts {
 }
 
 impl SceneFacts {
-    /// The facts of a scene whose lane graph is `graph`.
-    pub fn from_scene(scene: &SceneView<'_>, graph: &LaneGraph) -> Self {
+    /// The facts of a scene.
+    pub fn from_scene(seen: GraphedScene<'_>) -> Self {
+        let GraphedScene { scene, graph } = seen;
         let view = View {
             center: scene.ego.center(),
         };
@@ -82,14 +82,14 @@ impl SceneFacts {
             Some(SignalStatus::Red) => Light::Red,
             Some(SignalStatus::Unknown) | None => Light::None,
         };
-        let (lane_count, lane_index) = road::lanes_abreast(scene, graph);
-        let traffic = traffic::seen(scene, graph, view);
+        let (lane_count, lane_index) = road::lanes_abreast(seen);
+        let traffic = traffic::seen(seen, view);
         Self {
-            scene_type: road::scene_type(scene, graph, view),
+            scene_type: road::scene_type(seen, view),
             light,
             lane_count,
             lane_index,
-            crosswalk: road::crosswalk(scene, graph, view),
+            crosswalk: road::crosswalk(seen, view),
             lead_distance: traffic.lead_distance,
             lead_speed: traffic.lead_speed,
             pedestrian: traffic.pedestrian,
@@ -97,7 +97,7 @@ impl SceneFacts {
             left_lane: traffic.left_lane,
             right_lane: traffic.right_lane,
             vehicle_count: traffic.vehicle_count,
-            oncoming: road::oncoming(scene, graph),
+            oncoming: road::oncoming(seen),
             ego_speed: EgoSpeed::from_speed(scene.ego.speed()),
             turn: graph.ego_lane().turn,
             crossing_vehicle: traffic.crossing_vehicle,

@@ -1,13 +1,13 @@
 //! Facts of the map: kind of place, lanes, crosswalk, the other direction.
 
 use super::{Ahead, LaneCount, LaneIndex, Oncoming, SceneType, VIEW_METERS, View, roundabout};
-use crate::environment::lane_graph::{Centerline, LaneGraph};
+use crate::environment::lane_graph::{Centerline, GraphedScene};
 use planagent_world::geometry::{Bounds, Point, Polygon, Polyline, Pose, wrap_angle};
 use planagent_world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, SceneView};
 use std::collections::BTreeSet;
 
 /// A path that turns by more than this within the view is a curve, radians (15 degrees).
-pub const CURVE: f64 = std::f64::consts::PI / 12.0;
+pub(crate) const CURVE: f64 = std::f64::consts::PI / 12.0;
 /// Lateral reach for lanes of the other direction, meters.
 pub const ONCOMING_REACH: f64 = 20.0;
 /// Longitudinal reach for lanes of the other direction from the ego's center, meters.
@@ -32,7 +32,8 @@ fn path_in_view(centerline: &Centerline, view: View) -> Option<Polyline> {
     line.slice(centerline.ego_s, centerline.ego_s + ahead)
 }
 
-pub(super) fn scene_type(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> SceneType {
+pub(super) fn scene_type(seen: GraphedScene<'_>, view: View) -> SceneType {
+    let GraphedScene { scene, graph } = seen;
     if roundabout::ahead(scene.map, view) {
         return SceneType::Roundabout;
     }
@@ -144,7 +145,8 @@ fn lines_cross(a: &Polyline, b: &Polyline) -> bool {
 
 /// Lanes of the ego's direction at its place, and which of them is the ego's: neighbors of
 /// neighbors.
-pub(super) fn lanes_abreast(scene: &SceneView<'_>, graph: &LaneGraph) -> (LaneCount, LaneIndex) {
+pub(super) fn lanes_abreast(seen: GraphedScene<'_>) -> (LaneCount, LaneIndex) {
+    let GraphedScene { scene, graph } = seen;
     let ego = graph.ego_lane();
     let lane = ego.path.lane_at(ego.ego_s);
     let left = count_beside(scene, lane, |lane| &lane.left);
@@ -171,7 +173,8 @@ fn count_beside(scene: &SceneView<'_>, from: LaneId, side: impl Fn(&Lane) -> &[N
     }
 }
 
-pub(super) fn crosswalk(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> Ahead {
+pub(super) fn crosswalk(seen: GraphedScene<'_>, view: View) -> Ahead {
+    let GraphedScene { scene, graph } = seen;
     let ego = graph.ego_lane();
     let line = &ego.path.centerline;
     let front = ego.ego_s + PACIFICA.length() / 2.0;
@@ -184,7 +187,8 @@ pub(super) fn crosswalk(scene: &SceneView<'_>, graph: &LaneGraph, view: View) ->
     Ahead::from_distance(distance)
 }
 
-pub(super) fn oncoming(scene: &SceneView<'_>, graph: &LaneGraph) -> Oncoming {
+pub(super) fn oncoming(seen: GraphedScene<'_>) -> Oncoming {
+    let GraphedScene { scene, graph } = seen;
     let center = scene.ego.center();
     let heading = graph
         .ego_lane()

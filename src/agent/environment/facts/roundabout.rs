@@ -6,10 +6,10 @@ use planagent_world::{LaneId, LaneMap};
 use std::collections::{BTreeMap, VecDeque};
 
 /// A longer cycle of lanes is a block of streets, meters.
-pub const ROUNDABOUT_LENGTH: f64 = 250.0;
+pub(crate) const ROUNDABOUT_LENGTH: f64 = 250.0;
 /// A cycle must enclose at least this share of the area of a circle of the same length: an ellipse
 /// of 3:2 has 0.94, a rounded block of streets 0.85, two lanes joined by U-turns far less.
-pub const ROUNDNESS: f64 = 0.9;
+pub(crate) const ROUNDNESS: f64 = 0.9;
 /// Only cycles with a part at most this far behind the ego's center count, meters: the ego's
 /// length.
 const BEHIND: f64 = 5.0;

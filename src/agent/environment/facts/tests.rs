@@ -1,14 +1,13 @@
 use super::*;
-use crate::environment::lane_graph::DEFAULT_NODE_LENGTH;
+use crate::environment::lane_graph::{DEFAULT_NODE_LENGTH, LaneGraph};
 use crate::environment::sketch::{self, Drawn, MIDDLE};
 use planagent_world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 fn facts(drawn: &Drawn) -> SceneFacts {
-    SceneFacts::from_scene(
-        &drawn.scene(),
-        &LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap(),
-    )
+    let scene = drawn.scene();
+    let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
+    SceneFacts::from_scene(GraphedScene::new(&scene, &graph))
 }
 
 fn road() -> Drawn {

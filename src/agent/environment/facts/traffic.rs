@@ -1,9 +1,11 @@
 //! Facts of the objects: lead vehicle, pedestrian, obstacle, occupied lanes.
 
 use super::{Ahead, LeadSpeed, SideLane, VehicleCount, View};
-use crate::environment::lane_graph::{CenterlineName, Heading, LaneGraph, LaneRelation, Window};
+use crate::environment::lane_graph::{
+    CenterlineName, GraphedScene, Heading, LaneGraph, LaneRelation, Window,
+};
 use planagent_world::geometry::Pose;
-use planagent_world::{ObjectKind, PACIFICA, SceneView, TrackedObject};
+use planagent_world::{ObjectKind, PACIFICA, TrackedObject};
 
 /// Slower is stopped, m/s.
 pub const STOPPED: f64 = 0.5;
@@ -31,7 +33,8 @@ pub(super) struct Traffic {
     pub(super) person_on_path: Ahead,
 }
 
-pub(super) fn seen(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> Traffic {
+pub(super) fn seen(seen: GraphedScene<'_>, view: View) -> Traffic {
+    let GraphedScene { scene, graph } = seen;
     let objects: Vec<&TrackedObject> = scene
         .objects
         .iter()

@@ -85,9 +85,9 @@ choice! {
 
 impl Heading {
     /// Angle between velocity and lane from which it crosses, radians.
-    pub const CROSSING: f64 = std::f64::consts::FRAC_PI_4;
+    pub(crate) const CROSSING: f64 = std::f64::consts::FRAC_PI_4;
     /// Angle from which it is oncoming, radians.
-    pub const ONCOMING: f64 = 3.0 * std::f64::consts::FRAC_PI_4;
+    pub(crate) const ONCOMING: f64 = 3.0 * std::f64::consts::FRAC_PI_4;
 }
 
 /// An agent or obstacle on one of the nodes.

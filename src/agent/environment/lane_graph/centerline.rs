@@ -6,7 +6,7 @@ use planagent_world::geometry::{Point, wrap_angle};
 use planagent_world::{LaneId, LaneMap, LanePath, PACIFICA, Route, SceneView, SignalStatus};
 
 /// Lights and turns further ahead of the ego's front bumper are not reported, meters.
-pub const LIGHT_REACH: f64 = 60.0;
+pub(crate) const LIGHT_REACH: f64 = 60.0;
 /// A centerline covers this time at the speed limit, seconds.
 const AHEAD_SECONDS: f64 = 8.0;
 /// Minimum length of a centerline ahead of the ego, meters.

@@ -5,7 +5,7 @@ use planagent_world::{LaneId, SceneView};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3};
 
 /// An ego this near to a lane counts as on it, meters.
-pub const OFF_ROAD_REACH: f64 = 3.0;
+pub(crate) const OFF_ROAD_REACH: f64 = 3.0;
 /// A route lane that turns away from the ego's heading by more than this does not hold the ego,
 /// radians.
 const ROUTE_LANE_TURN: f64 = FRAC_PI_3;

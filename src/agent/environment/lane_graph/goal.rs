@@ -6,7 +6,7 @@ use planagent_world::{LaneId, LanePath, SceneView};
 
 /// A goal further ahead is not reported, meters: there is time to change lanes later.
 /// Why: docs/decisions/116-goal-lane.md.
-pub const GOAL_REACH: f64 = 400.0;
+pub(crate) const GOAL_REACH: f64 = 400.0;
 /// Lane changes to one side after which the goal's lane is not looked for any more.
 const MAX_CHANGES: i32 = 8;
 

@@ -5,11 +5,11 @@ use planagent_world::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector, w
 use planagent_world::{ObjectKind, PACIFICA, TrackedObject};
 
 /// Half a typical lane width: a center nearer to the centerline is on the lane, meters.
-pub const HALF_LANE: f64 = 1.75;
+pub(crate) const HALF_LANE: f64 = 1.75;
 /// Pedestrians count this much farther out, since they may step on the road, meters.
-pub const KERB_MARGIN: f64 = 2.0;
+pub(crate) const KERB_MARGIN: f64 = 2.0;
 /// Free space beside the ego, meters.
-pub const SWEEP_MARGIN: f64 = 0.3;
+pub(crate) const SWEEP_MARGIN: f64 = 0.3;
 /// Pedestrians and cyclists count at their positions within this time, seconds.
 pub const CROSSING_SECONDS: f64 = 2.0;
 /// Slower objects stand still, m/s.

@@ -13,9 +13,9 @@
 //! the lane beside has merged into the ego's there.
 //!
 //! **Agents.** An agent or obstacle is on a centerline where its box meets the strip that the ego
-//! would sweep (its half width and [`SWEEP_MARGIN`]). Pedestrians and cyclists also count where
+//! would sweep (its half width and `SWEEP_MARGIN`). Pedestrians and cyclists also count where
 //! they will be within [`CROSSING_SECONDS`] at their present velocity. An agent is also on the line
-//! where its center lies within half a lane width of it (pedestrians: [`KERB_MARGIN`] more). On
+//! where its center lies within half a lane width of it (pedestrians: `KERB_MARGIN` more). On
 //! several, it counts for the ego's lane if it blocks the path there, else for the nearest line.
 //! Only agents on one of the nine nodes are part of the graph.
 //!
@@ -30,100 +30,28 @@ mod ego_lane;
 mod goal;
 mod lane_relation;
 mod limit;
+mod node;
 mod oncoming;
 mod return_lane;
 mod standing;
 
 pub use agent::{AgentClass, AgentName, GraphAgent, Heading, UnknownAgent};
-pub use centerline::{Centerline, CenterlineName, LIGHT_REACH, LightAhead, Turn};
-pub use ego_lane::OFF_ROAD_REACH;
-pub use goal::{GOAL_REACH, GoalLane};
-pub use lane_relation::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
+pub use centerline::{Centerline, CenterlineName, LightAhead, Turn};
+pub(crate) use ego_lane::OFF_ROAD_REACH;
+pub use goal::GoalLane;
+pub use lane_relation::CROSSING_SECONDS;
 pub(in crate::environment) use lane_relation::{LaneRelation, Window};
-pub use oncoming::{ONCOMING_SIGHT, OncomingAgent, OncomingLane};
+pub use node::{Connection, LaneNode, NodePlace};
+pub(crate) use oncoming::ONCOMING_SIGHT;
+pub use oncoming::{OncomingAgent, OncomingLane};
 pub use return_lane::ReturnLane;
 pub use standing::BlockedStretch;
 
-use super::choice::choice;
+use planagent_world::SceneView;
 use planagent_world::geometry::Point;
-use planagent_world::{LaneId, SceneView};
 
-/// Distance before what blocks the lane at which an ego that stands can still leave it, meters.
-/// Why: docs/decisions/117-scenes-with-a-way.md.
-const PULL_OUT: f64 = 10.0;
 /// Meters.
 pub const DEFAULT_NODE_LENGTH: f64 = 20.0;
-
-choice! {
-    /// Position of a node relative to the ego, in the order of the text.
-    pub enum NodePlace {
-        /// Under the ego, from its rear bumper on.
-        Ego = "ego",
-        /// Ahead in the ego's lane.
-        Front = "front",
-        /// Behind in the ego's lane.
-        Back = "back",
-        /// Beside on the left.
-        Left = "left",
-        FrontLeft = "front_left",
-        BackLeft = "back_left",
-        /// Beside on the right.
-        Right = "right",
-        FrontRight = "front_right",
-        BackRight = "back_right",
-    }
-}
-
-impl NodePlace {
-    pub fn centerline(self) -> CenterlineName {
-        match self {
-            Self::Ego | Self::Front | Self::Back => CenterlineName::EgoLane,
-            Self::Left | Self::FrontLeft | Self::BackLeft => CenterlineName::LeftLane,
-            Self::Right | Self::FrontRight | Self::BackRight => CenterlineName::RightLane,
-        }
-    }
-
-    /// The nodes of a centerline: beside (or under) the ego, ahead, behind. The oncoming lane has
-    /// none.
-    pub fn on(centerline: CenterlineName) -> Option<[Self; 3]> {
-        match centerline {
-            CenterlineName::EgoLane => Some([Self::Ego, Self::Front, Self::Back]),
-            CenterlineName::LeftLane => Some([Self::Left, Self::FrontLeft, Self::BackLeft]),
-            CenterlineName::RightLane => Some([Self::Right, Self::FrontRight, Self::BackRight]),
-            CenterlineName::OncomingLane => None,
-        }
-    }
-}
-
-choice! {
-    /// How a node is connected with the node under the ego or, for the corners, with the node ahead
-    /// or behind.
-    pub enum Connection {
-        /// The node under the ego itself.
-        Itself = "itself",
-        /// The ego's lane leads on to it.
-        Successor = "successor",
-        /// It leads to the ego's lane.
-        Predecessor = "predecessor",
-        /// Side by side with the ego's lane: a change is possible there.
-        Neighbor = "neighbor",
-        /// Its lane goes another way there.
-        Apart = "apart",
-    }
-}
-
-/// A piece of a centerline.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LaneNode {
-    pub place: NodePlace,
-    /// The lane that holds its middle.
-    pub lane: LaneId,
-    pub connection: Connection,
-    /// Start on the path of its centerline, meters.
-    pub from_s: f64,
-    /// End, meters; the last node of a path may be shorter than the others.
-    pub to_s: f64,
-}
 
 /// Why a scene has no lane graph.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -176,6 +104,13 @@ pub struct GraphedScene<'a> {
     pub graph: &'a LaneGraph,
 }
 
+impl<'a> GraphedScene<'a> {
+    /// A scene with its graph.
+    pub fn new(scene: &'a SceneView<'a>, graph: &'a LaneGraph) -> Self {
+        Self { scene, graph }
+    }
+}
+
 impl LaneGraph {
     /// Builds the graph of a scene with nodes of `node_length` meters ([`DEFAULT_NODE_LENGTH`]
     /// unless there is a reason).
@@ -196,14 +131,14 @@ impl LaneGraph {
     /// The same with the way back to a lane that the ego left, where the route has no lane of a
     /// goal.
     #[must_use]
-    pub fn with_return_lane(self, scene: &SceneView<'_>, to: &ReturnLane) -> Self {
+    pub(crate) fn with_return_lane(self, scene: &SceneView<'_>, to: &ReturnLane) -> Self {
         let goal = self.goal.or_else(|| to.as_goal(scene, &self));
         Self { goal, ..self }
     }
 
     /// Whether something blocks the ego's lane, or its lead agent stands. A person or a bicycle
     /// that stands is about to move.
-    pub fn is_obstructed(&self) -> bool {
+    pub(crate) fn is_obstructed(&self) -> bool {
         let stands =
             |agent: &GraphAgent| agent.speed < standing::STANDING && !agent.kind.is_vulnerable();
         self.blocked.is_some() || self.lead_agent(CenterlineName::EgoLane).is_some_and(stands)
@@ -218,7 +153,7 @@ impl LaneGraph {
             self.ego_lane()
                 .path
                 .centerline
-                .point_at(blocked.from_s - PULL_OUT),
+                .point_at(blocked.from_s - standing::PULL_OUT),
         )
     }
 
@@ -247,7 +182,7 @@ impl LaneGraph {
     }
 
     /// The agents on a node, in order of their names' numbering.
-    pub fn agents_on(&self, place: NodePlace) -> impl Iterator<Item = &GraphAgent> {
+    pub(crate) fn agents_on(&self, place: NodePlace) -> impl Iterator<Item = &GraphAgent> {
         self.agents.iter().filter(move |agent| agent.place == place)
     }
 

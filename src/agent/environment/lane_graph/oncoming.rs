@@ -26,7 +26,7 @@ const AGAINST: f64 = 0.2 * PI;
 /// Length of road ahead on which oncoming traffic is seen, meters. A shorter one would allow no
 /// pass at 50 km/h. The picture of the model shows 32 m; the planner knows all tracks.
 /// Why: docs/decisions/114-oncoming-lane.md.
-pub const ONCOMING_SIGHT: f64 = 150.0;
+pub(crate) const ONCOMING_SIGHT: f64 = 150.0;
 /// Distance of the vertices of the way, meters.
 const SPACING: f64 = 1.0;
 /// An object beside the middle of a lane by at most this is on it, meters.
@@ -83,6 +83,9 @@ impl OncomingLane {
             .find_map(|side| Self::on_side(scene, lane, blocked, side))
     }
 
+    /// The oncoming lane on one side: lanes against the ego's, with room for the path past what
+    /// blocks it and back.
+    /// Why: docs/decisions/114-oncoming-lane.md.
     fn on_side(
         scene: &SceneView<'_>,
         lane: &Centerline,

@@ -1,7 +1,7 @@
 //! The lane that the ego left to pass what blocks it.
 
-use super::LaneGraph;
 use super::goal::{GoalLane, nearest_first};
+use super::{GraphedScene, LaneGraph};
 use planagent_world::{LaneId, LanePath, PACIFICA, SceneView};
 
 /// The lane that the ego left to pass what blocks it. Past that, it becomes the goal's lane where
@@ -25,8 +25,8 @@ impl ReturnLane {
     }
 
     /// Whether the ego has passed what blocked the lane, and is back in it.
-    pub fn is_reached(&self, scene: &SceneView<'_>, graph: &LaneGraph) -> bool {
-        self.ahead(scene).is_some() && self.path.lanes.contains(&ego_lane(graph))
+    pub fn is_reached(&self, seen: GraphedScene<'_>) -> bool {
+        self.ahead(seen.scene).is_some() && self.path.lanes.contains(&ego_lane(seen.graph))
     }
 
     /// The lane as a goal at the end of the known path; `None` before the ego is past what blocks

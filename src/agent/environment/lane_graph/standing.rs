@@ -1,11 +1,14 @@
 //! What stands on a lane permanently: a broken-down or crashed car, cones, a barrier. What waits
 //! does not stand permanently.
 
-use super::{Centerline, PULL_OUT};
+use super::Centerline;
 use planagent_world::geometry::{Corridor, Point, wrap_angle};
 use planagent_world::{LanePath, ObjectKind, PACIFICA, SceneView, TrackedObject};
 use std::collections::BTreeMap;
 
+/// Distance before what blocks the lane at which an ego that stands can still leave it, meters.
+/// Why: docs/decisions/117-scenes-with-a-way.md.
+pub(super) const PULL_OUT: f64 = 10.0;
 /// Objects slower than this stand, m/s.
 pub(super) const STANDING: f64 = 0.2;
 /// An object that moved by more than this within the two seconds of history has only just stopped,

@@ -2,7 +2,7 @@ use super::*;
 use crate::environment::sketch::{self, Drawn};
 use planagent_world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
 use planagent_world::geometry::Vector;
-use planagent_world::{EgoState, ObjectKind, PACIFICA, SignalStatus};
+use planagent_world::{EgoState, LaneId, ObjectKind, PACIFICA, SignalStatus};
 use proptest::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -548,7 +548,7 @@ fn past_what_blocks_it_the_lane_that_the_ego_left_is_the_goal_s() {
         );
         drawn.ego = EgoState::from_log(0, rear_axle, velocity, Vector::zeros());
         let graph = graph(&drawn);
-        let is_reached = lane.is_reached(&drawn.scene(), &graph);
+        let is_reached = lane.is_reached(GraphedScene::new(&drawn.scene(), &graph));
         (
             graph.with_return_lane(&drawn.scene(), &lane).goal,
             is_reached,

@@ -46,7 +46,8 @@ pub struct ExecAgent {
 impl ExecAgentsStep {
     /// The message of an iteration, `dt_s` seconds after the one before.
     pub fn new(
-        (iteration, dt_s): (usize, f64),
+        iteration: usize,
+        dt_s: f64,
         ego: &EgoState,
         objects: &[TrackedObject],
         next_lights: &TrafficLights,

@@ -18,10 +18,7 @@ pub use agents::{ExecAgent, ExecAgentsStep, moved};
 pub use messages::{ExecReply, ExecRequest};
 pub use session::{AnswerError, ExecSession};
 
-use super::{
-    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
-    PlannerNeeds, PlannerRegistry,
-};
+use super::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName, StopSwitch};
 use messages::{ExecStep, trajectory};
 use planagent_world::Trajectory;
 use std::collections::BTreeSet;
@@ -102,31 +99,16 @@ impl ExecCommand {
         })
     }
 
-    /// The command as an entry of the registry; an answer to a step may take `timeout`.
-    pub fn entry(&self, timeout: Duration) -> PlannerEntry {
-        let Self { name, command } = self.clone();
-        PlannerEntry::new(name, "a command", PlannerNeeds::Nothing, move |_| {
-            let planner = ExecPlanner {
-                name,
-                command: command.clone(),
-                timeout,
-                session: None,
-            };
-            Ok(Box::new(planner))
+    /// The planner of one simulation; an answer to a step may take `timeout`, and is waited for
+    /// until `stop`.
+    pub(crate) fn planner(&self, timeout: Duration, stop: Option<&StopSwitch>) -> Box<dyn Planner> {
+        Box::new(ExecPlanner {
+            name: self.name,
+            command: self.command.clone(),
+            timeout,
+            stop: stop.cloned(),
+            session: None,
         })
-    }
-}
-
-impl PlannerRegistry {
-    /// The registry with a command beside its planners.
-    ///
-    /// # Errors
-    /// When another planner has its name.
-    pub fn with_command(self, command: &ExecCommand, timeout: Duration) -> Result<Self, ExecError> {
-        if self.find(command.name.as_str()).is_ok() {
-            return Err(ExecError::Taken(command.name.to_string()));
-        }
-        Ok(self.with(command.entry(timeout)))
     }
 }
 
@@ -176,6 +158,7 @@ struct ExecPlanner {
     name: PlannerName,
     command: String,
     timeout: Duration,
+    stop: Option<StopSwitch>,
     /// The running command with whether it has had a step.
     session: Option<(ExecSession, bool)>,
 }
@@ -217,8 +200,9 @@ impl Planner for ExecPlanner {
     ) -> Result<(), PlannerError> {
         // A command that was asked before keeps nothing: it is ended.
         self.session = None;
-        let session =
-            ExecSession::start(&self.command, self.timeout, initialization).map_err(failed)?;
+        let stop = self.stop.as_ref();
+        let session = ExecSession::start(&self.command, self.timeout, stop, initialization)
+            .map_err(failed)?;
         self.session = Some((session, false));
         Ok(())
     }
@@ -226,6 +210,12 @@ impl Planner for ExecPlanner {
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let trajectory = self.step(input).map_err(failed)?;
         trajectory.ok_or(PlannerError::NotInitialized)
+    }
+
+    fn finish(&mut self) -> Result<(), PlannerError> {
+        self.session
+            .take()
+            .map_or(Ok(()), |(session, _)| session.finish().map_err(failed))
     }
 }
 
@@ -254,11 +244,6 @@ mod tests {
             let found = ExecCommand::parse(word).unwrap().unwrap_err().to_string();
             assert!(found.contains(error), "{found}");
         }
-        let taken = ExecCommand::parse("idm=exec:x").unwrap().unwrap();
-        let error = PlannerRegistry::default()
-            .with_command(&taken, DEFAULT_EXEC_TIMEOUT)
-            .unwrap_err();
-        assert_eq!(error, ExecError::Taken("idm".to_owned()));
     }
 
     #[cfg(unix)]
@@ -266,13 +251,13 @@ mod tests {
     fn a_process_that_is_silent_or_ends_is_an_error_in_time() {
         let mut silent = Process::start("sleep 60").unwrap();
         let error = silent
-            .ask(b"{}".to_vec(), Duration::from_millis(100))
+            .ask(b"{}".to_vec(), Duration::from_millis(100), None)
             .unwrap_err()
             .to_string();
         assert_eq!(error, "the command gave no answer within 0.1 s");
         let mut dead = Process::start("echo no module >&2; exit 3").unwrap();
         let error = dead
-            .ask(b"{}".to_vec(), Duration::from_secs(20))
+            .ask(b"{}".to_vec(), Duration::from_secs(20), None)
             .unwrap_err()
             .to_string();
         assert!(
@@ -283,11 +268,88 @@ mod tests {
         // More than a pipe holds.
         let long = vec![b'x'; 1 << 20];
         assert_eq!(
-            echo.ask(long.clone(), Duration::from_secs(20))
+            echo.ask(long.clone(), Duration::from_secs(20), None)
                 .unwrap()
                 .trim_ascii_end(),
             long
         );
+    }
+
+    /// Time in which a line of a command arrives.
+    #[cfg(unix)]
+    const ARRIVAL: Duration = Duration::from_secs(20);
+
+    /// Asks until a command is found to have written a line too many; gives the error.
+    #[cfg(unix)]
+    fn found_out(command: &str) -> String {
+        let mut process = Process::start(command).unwrap();
+        for _ in 0..100 {
+            // A question takes a few milliseconds of simulation.
+            std::thread::sleep(Duration::from_millis(5));
+            if let Err(error) = process.ask(b"question".to_vec(), ARRIVAL, None) {
+                return error.to_string();
+            }
+        }
+        panic!("{command}: nothing is wrong with 100 answers")
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_line_that_answers_no_message_is_an_error() {
+        for command in [
+            // Ahead of the first message, two answers to one, and answers without reading.
+            "echo ahead; cat",
+            "read line; echo one; echo two; cat",
+            "while read line; do echo one; echo two; done",
+            "yes answer",
+        ] {
+            let error = found_out(command);
+            assert!(error.contains("answers no message"), "{command}: {error}");
+        }
+        let long = found_out("head -c 20000000 /dev/zero");
+        assert!(
+            long.contains("a line of more than 16777216 bytes"),
+            "{long}"
+        );
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_line_after_the_last_answer_is_an_error() {
+        let finished = |command: &str| {
+            let mut process = Process::start(command).unwrap();
+            process.ask(b"last".to_vec(), ARRIVAL, None).unwrap();
+            process.finish().map_err(|error| error.to_string())
+        };
+        for command in ["read line; echo one; echo two", "cat; echo goodbye"] {
+            let error = finished(command).unwrap_err();
+            assert!(
+                error.contains("after the answer to its last message"),
+                "{error}"
+            );
+        }
+        let began = std::time::Instant::now();
+        for command in ["cat", "cat; echo", "read line; echo one; exec sleep 100"] {
+            assert_eq!(finished(command), Ok(()), "{command}");
+        }
+        assert!(
+            began.elapsed() < Duration::from_secs(50),
+            "a command is ended that does not end"
+        );
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_silent_process_is_not_waited_for_after_the_stop_of_the_run() {
+        let (mut silent, stop) = (Process::start("sleep 60").unwrap(), StopSwitch::default());
+        let (other, started) = (stop.clone(), std::time::Instant::now());
+        std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(100));
+            other.stop();
+        });
+        let answer = silent.ask(b"{}".to_vec(), Duration::from_secs(50), Some(&stop));
+        assert_eq!(answer.unwrap_err().to_string(), "the run was stopped");
+        assert!(started.elapsed() < Duration::from_secs(20));
     }
 
     #[cfg(unix)]
@@ -300,7 +362,7 @@ mod tests {
         let mut process = Process::start(&command).unwrap();
         assert_eq!(
             process
-                .ask(b"here".to_vec(), Duration::from_secs(20))
+                .ask(b"here".to_vec(), Duration::from_secs(20), None)
                 .unwrap(),
             b"here\n"
         );

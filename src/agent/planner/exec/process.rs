@@ -1,9 +1,12 @@
 //! The process of a planner command: lines in, lines out, each within a time.
 
+use super::answer::beginning;
+use crate::planner::StopSwitch;
+use planagent_child::BoundChild;
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read, Write};
-use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::process::{Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -16,8 +19,12 @@ const MAX_STDERR_LINES: usize = 3;
 const MAX_STDERR_CHARS: usize = 300;
 /// How long to wait for the exit status of a command that closed its output.
 const EXIT_WAIT: Duration = Duration::from_secs(1);
+/// Time between two looks at the switch of the run.
+const STOP_POLL: Duration = Duration::from_millis(20);
 /// Time between two looks at the exit status.
 const EXIT_POLL: Duration = Duration::from_millis(5);
+/// How long a command may write after its last answer, until it ends at the end of its stdin.
+const END_WAIT: Duration = Duration::from_millis(500);
 
 /// Why a command gives no line.
 #[derive(Debug, thiserror::Error)]
@@ -27,18 +34,29 @@ pub enum ProcessError {
     Start(std::io::Error),
     #[error("the command gave no answer within {} s{stderr}", within.as_secs_f64())]
     Silent { within: Duration, stderr: String },
+    #[error("the run was stopped")]
+    Stopped,
     #[error("the command ended{status}{stderr}")]
     Ended { status: String, stderr: String },
     #[error("the command wrote a line of more than {MAX_LINE} bytes")]
     LongLine,
+    #[error(
+        "the command wrote a line that answers no message; it must read a message and then write one line: {line}"
+    )]
+    Unasked { line: String },
+    #[error(
+        "the command wrote a line after the answer to its last message; it must write one line for each message: {line}"
+    )]
+    AfterEnd { line: String },
     #[error("the command's output cannot be read: {0}")]
     Read(std::io::Error),
 }
 
-/// A running command. It is ended with all processes of its group when this is dropped.
+/// A running command. It is ended with all processes of its group when this is dropped, and with
+/// the program.
 #[derive(Debug)]
 pub(super) struct Process {
-    child: Child,
+    child: BoundChild,
     /// Lines for stdin. A thread writes them, because a command that reads nothing would block the
     /// writer.
     input: Sender<Vec<u8>>,
@@ -49,16 +67,17 @@ pub(super) struct Process {
 }
 
 impl Process {
-    /// Starts a command of the shell in a process group of its own.
+    /// Starts a command of the shell.
     pub(super) fn start(command: &str) -> Result<Self, ProcessError> {
         let mut shell = shell(command);
         shell
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
-        let mut child = shell.spawn().map_err(ProcessError::Start)?;
+        let mut child = BoundChild::spawn(&mut shell).map_err(ProcessError::Start)?;
+        let pipes = child.process();
         let (input, lines) = channel::<Vec<u8>>();
-        if let Some(mut stdin) = child.stdin.take() {
+        if let Some(mut stdin) = pipes.stdin.take() {
             // The thread ends with the command, or when the sender is dropped; then stdin is
             // closed.
             thread::spawn(move || {
@@ -69,13 +88,14 @@ impl Process {
                 }
             });
         }
-        let (sender, output) = channel();
-        if let Some(stdout) = child.stdout.take() {
+        // A command that writes more than it is asked for waits here, and takes no memory.
+        let (sender, output) = sync_channel(1);
+        if let Some(stdout) = pipes.stdout.take() {
             thread::spawn(move || send_lines(stdout, &sender));
         }
         let stderr = Arc::new(Mutex::new(VecDeque::new()));
         let (at_end, stderr_end) = channel();
-        if let Some(pipe) = child.stderr.take() {
+        if let Some(pipe) = pipes.stderr.take() {
             let kept = Arc::clone(&stderr);
             thread::spawn(move || {
                 keep_last_lines(pipe, &kept);
@@ -91,17 +111,31 @@ impl Process {
         })
     }
 
-    /// Writes a line and gives the line that answers it.
+    /// Writes a line and gives the line that answers it. A line that was there before the message is
+    /// an error: it would be taken for the answer, and each answer after it for that of the next
+    /// message. The run may be stopped before the answer.
     pub(super) fn ask(
         &mut self,
         mut line: Vec<u8>,
         within: Duration,
+        stop: Option<&StopSwitch>,
     ) -> Result<Vec<u8>, ProcessError> {
         line.push(b'\n');
+        if let Ok(early) = self.output.try_recv() {
+            return Err(early.map_or_else(
+                |error| error,
+                |line| ProcessError::Unasked {
+                    line: beginning(&line),
+                },
+            ));
+        }
         // A closed channel means that the command has ended; the answer says so.
         let _ = self.input.send(line);
-        match self.output.recv_timeout(within) {
+        match self.line(within, stop) {
             Ok(line) => line,
+            Err(RecvTimeoutError::Timeout) if stop.is_some_and(StopSwitch::is_stopped) => {
+                Err(ProcessError::Stopped)
+            }
             Err(RecvTimeoutError::Timeout) => Err(ProcessError::Silent {
                 within,
                 stderr: self.last_words(),
@@ -119,11 +153,57 @@ impl Process {
         }
     }
 
+    /// Ends the command's stdin, and then the command. A line after its last answer is an error.
+    pub(super) fn finish(self) -> Result<(), ProcessError> {
+        let Self {
+            child,
+            input,
+            output,
+            ..
+        } = self;
+        drop(input);
+        let began = Instant::now();
+        let late = loop {
+            match output.recv_timeout(END_WAIT.saturating_sub(began.elapsed())) {
+                // The end of a line is no answer.
+                Ok(Ok(line)) if line.trim_ascii().is_empty() => {}
+                Ok(Ok(line)) => {
+                    break Err(ProcessError::AfterEnd {
+                        line: beginning(&line),
+                    });
+                }
+                Ok(Err(error)) => break Err(error),
+                Err(_) => break Ok(()),
+            }
+        };
+        drop(child);
+        late
+    }
+
+    /// The next line of the command.
+    fn line(
+        &self,
+        within: Duration,
+        stop: Option<&StopSwitch>,
+    ) -> Result<Result<Vec<u8>, ProcessError>, RecvTimeoutError> {
+        let Some(stop) = stop else {
+            return self.output.recv_timeout(within);
+        };
+        let started = Instant::now();
+        loop {
+            let left = within.saturating_sub(started.elapsed());
+            match self.output.recv_timeout(left.min(STOP_POLL)) {
+                Err(RecvTimeoutError::Timeout) if !left.is_zero() && !stop.is_stopped() => {}
+                ended => return ended,
+            }
+        }
+    }
+
     /// The exit status in words, if the command ends soon.
     fn status(&mut self) -> String {
         let started = Instant::now();
         while started.elapsed() < EXIT_WAIT {
-            if let Ok(Some(status)) = self.child.try_wait() {
+            if let Ok(Some(status)) = self.child.process().try_wait() {
                 return format!(" ({status})");
             }
             thread::sleep(EXIT_POLL);
@@ -144,20 +224,10 @@ impl Process {
     }
 }
 
-impl Drop for Process {
-    fn drop(&mut self) {
-        end_group(&mut self.child);
-        // Takes the exit status, so that no zombie stays. The process is dead, or another user's
-        // and not ours to wait for.
-        let _ = self.child.wait();
-    }
-}
-
 #[cfg(unix)]
 fn shell(command: &str) -> Command {
-    use std::os::unix::process::CommandExt;
     let mut shell = Command::new("sh");
-    shell.args(["-c", command]).process_group(0);
+    shell.args(["-c", command]);
     shell
 }
 
@@ -168,24 +238,8 @@ fn shell(command: &str) -> Command {
     shell
 }
 
-/// Kills the command and all that it started.
-#[cfg(unix)]
-fn end_group(child: &mut Child) {
-    // The group has the id of its first process, which is not reaped before this.
-    let _ = rustix::process::kill_process_group(
-        rustix::process::Pid::from_child(child),
-        rustix::process::Signal::KILL,
-    );
-}
-
-/// Kills the command.
-#[cfg(not(unix))]
-fn end_group(child: &mut Child) {
-    let _ = child.kill();
-}
-
 /// Sends each line of a command's output; ends with the output or the receiver.
-fn send_lines(output: impl Read, sender: &Sender<Result<Vec<u8>, ProcessError>>) {
+fn send_lines(output: impl Read, sender: &SyncSender<Result<Vec<u8>, ProcessError>>) {
     let mut reader = BufReader::new(output);
     loop {
         let mut line = Vec::new();

@@ -3,7 +3,7 @@
 use super::answer;
 use super::messages::{ExecInitialization, ExecReply, ExecRequest};
 use super::process::{Process, ProcessError};
-use crate::planner::PlannerInitialization;
+use crate::planner::{PlannerInitialization, StopSwitch};
 use std::time::Duration;
 
 /// Minimum time for the answer to the first message: an interpreter and its packages start slowly.
@@ -42,6 +42,8 @@ pub struct ExecSession {
     process: Process,
     /// Time for an answer to a step.
     timeout: Duration,
+    /// Ends the wait for an answer early.
+    stop: Option<StopSwitch>,
 }
 
 impl ExecSession {
@@ -52,14 +54,19 @@ impl ExecSession {
     pub fn start(
         command: &str,
         timeout: Duration,
+        stop: Option<&StopSwitch>,
         initialization: &PlannerInitialization<'_>,
     ) -> Result<Self, AnswerError> {
         let mut process = Process::start(command)?;
         let request = ExecRequest::Initialize(Box::new(ExecInitialization::from_initialization(
             initialization,
         )));
-        match ask(&mut process, &request, timeout.max(START_TIMEOUT))? {
-            (ExecReply::Ready {}, _) => Ok(Self { process, timeout }),
+        match ask(&mut process, &request, timeout.max(START_TIMEOUT), stop)? {
+            (ExecReply::Ready {}, _) => Ok(Self {
+                process,
+                timeout,
+                stop: stop.cloned(),
+            }),
             (_, answer) => Err(AnswerError::Other {
                 expected: "ready",
                 answer,
@@ -72,7 +79,15 @@ impl ExecSession {
     /// # Errors
     /// When the command ends, is silent, answers with no message, or with an error.
     pub fn ask(&mut self, request: &ExecRequest) -> Result<(ExecReply, String), AnswerError> {
-        ask(&mut self.process, request, self.timeout)
+        ask(&mut self.process, request, self.timeout, self.stop.as_ref())
+    }
+
+    /// Ends the command after its last answer.
+    ///
+    /// # Errors
+    /// When the command wrote more lines than it was asked for.
+    pub fn finish(self) -> Result<(), AnswerError> {
+        Ok(self.process.finish()?)
     }
 }
 
@@ -80,9 +95,10 @@ fn ask(
     process: &mut Process,
     request: &ExecRequest,
     within: Duration,
+    stop: Option<&StopSwitch>,
 ) -> Result<(ExecReply, String), AnswerError> {
     let line = serde_json::to_vec(request).map_err(AnswerError::Request)?;
-    let answer = process.ask(line, within)?;
+    let answer = process.ask(line, within, stop)?;
     match answer::read(&answer) {
         Ok(ExecReply::Error { message }) => Err(AnswerError::Command(message)),
         Ok(reply) => Ok((reply, answer::beginning(&answer))),

@@ -121,9 +121,7 @@ impl LlmAssist {
                 let decision = Decision::RuleBased(NoPlan::NoLaneGraph(error.to_string()));
                 let total_ms = milliseconds(started.elapsed());
                 self.calls.push(PlanningCall::without_attempts(
-                    (iteration, at_s),
-                    decision,
-                    total_ms,
+                    iteration, at_s, decision, total_ms,
                 ));
                 return Ok(());
             }
@@ -194,12 +192,16 @@ impl LlmAssist {
             memory,
             ..
         } = self;
-        let (asked, seed) = (
-            (prompts.as_ref(), &*reasoning),
-            settings.call_seed(iteration),
-        );
-        let reasoning =
-            AssistReasoning::open(*variant, model.as_ref(), asked, question, seed, deadline)?;
+        let seed = settings.call_seed(iteration);
+        let reasoning = AssistReasoning::open(
+            *variant,
+            model.as_ref(),
+            prompts.as_ref(),
+            reasoning,
+            question,
+            seed,
+            deadline,
+        )?;
         let PdmMemory {
             reference_path: Some(path),
             collided,
@@ -362,6 +364,6 @@ fn decide(attempts: &Attempts<Assisted>, rules: &PdmPlan) -> Decision {
         }
         (_, Some(why)) => Decision::RuleBased(NoPlan::Interrupted(why.clone())),
         (Some(_), None) => Decision::RuleBased(NoPlan::Outscored),
-        (None, None) => Decision::RuleBased(NoPlan::Unreadable),
+        (None, None) => Decision::RuleBased(NoPlan::Unreadable(attempts.unreadable())),
     }
 }

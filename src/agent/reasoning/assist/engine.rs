@@ -45,7 +45,8 @@ impl<'a> AssistReasoning<'a> {
     pub fn open(
         variant: AssistVariant,
         model: &'a dyn Mllm,
-        (prompts, settings): (&'a PromptSet, &'a ReasoningSettings),
+        prompts: &'a PromptSet,
+        settings: &'a ReasoningSettings,
         question: &'a AssistQuestion,
         seed: u64,
         deadline: Deadline,
@@ -73,7 +74,7 @@ impl<'a> AssistReasoning<'a> {
     }
 
     /// Asks once from the start, with feedback on the last answer.
-    pub fn think(
+    pub(crate) fn think(
         &mut self,
         feedback: Option<&Feedback>,
     ) -> Result<ReasoningTrace<Assistance>, ReasoningError> {

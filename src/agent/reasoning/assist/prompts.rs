@@ -45,7 +45,7 @@ impl<'a> AssistPrompts<'a> {
     ) -> Result<String, PromptError> {
         self.templates.render(
             "question",
-            variables::assist_question((scene, score), feedback, self.compact),
+            variables::assist_question(scene, score, feedback, self.compact),
         )
     }
 }

@@ -1,7 +1,12 @@
 //! `planagent models check`.
 
+use super::check_server;
 use crate::{Exit, Printer};
-use planagent_mllm::{MllmError, ModelCheck, ModelRegistry, ModelSource, in_bytes};
+use planagent_agent::reasoning::PromptSet;
+use planagent_mllm::{
+    MllmError, ModelCheck, ModelRegistry, ModelSource, ModelSpec, in_bytes, parameter_count,
+};
+use planagent_runs::runner::Config;
 use serde::Serialize;
 
 /// The check of a model.
@@ -22,6 +27,7 @@ struct Row<'a> {
 pub(super) fn run(
     models: &[String],
     registry: &ModelRegistry,
+    config: &Config,
     printer: Printer,
 ) -> anyhow::Result<Exit> {
     let names = if models.is_empty() {
@@ -36,11 +42,21 @@ pub(super) fn run(
             Ok(spec) if models.is_empty() && matches!(spec.source, ModelSource::Endpoint(_)) => {
                 continue;
             }
+            Ok(spec) if matches!(spec.source, ModelSource::Endpoint(_)) => {
+                let row = check_server::check(model, &spec, registry, config, printer);
+                well &= row.problems.is_empty();
+                if printer.is_json() {
+                    printer.json(&row)?;
+                } else {
+                    check_server::tell(&row, printer);
+                }
+                continue;
+            }
             found => found,
         };
         let checked = spec.and_then(|spec| match registry.place_here(&spec)?.absent() {
             Some(missing) => Err(missing),
-            None => registry.check(&spec),
+            None => checked(&spec, registry, config),
         });
         let absent = matches!(
             checked,
@@ -77,6 +93,28 @@ pub(super) fn run(
     })
 }
 
+/// The check of a model's files, and of what says how it is asked.
+fn checked(
+    spec: &ModelSpec,
+    registry: &ModelRegistry,
+    config: &Config,
+) -> Result<ModelCheck, MllmError> {
+    let mut check = registry.check(spec)?;
+    let own = registry
+        .asking_here(spec)
+        .map_err(|error| error.to_string());
+    let set = own.and_then(|asking| {
+        let wanted = config.reasoning.prompt_set.as_ref();
+        PromptSet::open(wanted.unwrap_or(&asking.prompt_set)).map_err(|error| error.to_string())
+    });
+    if let Err(problem) = set
+        && !check.problems.contains(&problem)
+    {
+        check.problems.push(problem);
+    }
+    Ok(check)
+}
+
 /// Why a model cannot be checked or listed. Its files are only looked for on this machine, whatever
 /// the settings of the network.
 pub(super) fn reason(error: &MllmError, model: &str) -> String {
@@ -101,24 +139,27 @@ fn tell(row: &Row<'_>, printer: Printer) {
     };
     let family = check
         .architecture
-        .map_or("unknown family", planagent_mllm::Architecture::name);
+        .map(planagent_mllm::Architecture::name)
+        .or(check.kind.as_deref())
+        .unwrap_or("unknown family");
     let state = match check.problems.len() {
         0 => "can be opened".to_owned(),
         1 => "1 problem".to_owned(),
         count => format!("{count} problems"),
     };
     printer.line(format!(
-        "{}: {family}, {} M parameters, {state}",
+        "{}: {family}, {} parameters, {state}",
         row.model,
-        check.parameters / 1_000_000
+        parameter_count(check.parameters)
     ));
     if let Some(need) = check.memory {
         printer.line(format!(
-            "  memory: about {} (weights {}, cache {}, work {})",
+            "  memory: about {} (weights {}, cache {}, work {}, picture {})",
             in_bytes(need.total()),
             in_bytes(need.weights),
             in_bytes(need.cache),
-            in_bytes(need.work)
+            in_bytes(need.work),
+            in_bytes(need.picture)
         ));
     }
     for line in check.load.lines() {

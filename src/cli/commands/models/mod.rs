@@ -1,6 +1,7 @@
 //! `planagent models`.
 
 mod check;
+mod check_server;
 mod fetch;
 mod list;
 pub(crate) mod quantize;
@@ -22,7 +23,7 @@ pub(crate) fn run(
     match command {
         ModelsCommand::List { csv } => list::run(&registry, *csv, printer),
         ModelsCommand::Show { model } => show::run(model, &registry, printer),
-        ModelsCommand::Check { models, .. } => check::run(models, &registry, printer),
+        ModelsCommand::Check { models, .. } => check::run(models, &registry, config, printer),
         ModelsCommand::Fetch { models, .. } => fetch::run(models, &registry, printer),
         ModelsCommand::Quantize(flags) => quantize::run(flags, &registry, printer),
     }

@@ -19,6 +19,9 @@ pub(super) struct Row {
     pub model: String,
     /// Its family; none if nothing says it.
     pub family: Option<&'static str>,
+    /// What its files call it, where that is no known family.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kind: Option<String>,
     /// Where it comes from.
     pub source: Option<String>,
     /// Whether it runs on a server.
@@ -87,21 +90,36 @@ impl Row {
                 ..row
             };
         }
-        match registry
+        let here = registry
             .place_here(&spec)
-            .and_then(|place| Ok((place.weight_bytes()?, place)))
-        {
-            Ok((bytes, place)) => Self {
-                place: Some(place.path().to_path_buf()),
-                bytes: Some(bytes),
-                ..row
-            },
+            .and_then(|place| place.absent().map_or(Ok(place), Err));
+        match here {
+            Ok(place) => {
+                let bytes = place.weight_bytes();
+                let row = Self {
+                    place: Some(place.path().to_path_buf()),
+                    problem: bytes.as_ref().err().map(ToString::to_string),
+                    bytes: bytes.ok(),
+                    ..row
+                }
+                .outlined(&spec, registry);
+                if row.parameters.is_none()
+                    && let Some((kind, parameters)) = place.facts()
+                {
+                    return Self {
+                        kind: row.family.is_none().then_some(kind),
+                        parameters: Some(parameters),
+                        ..row
+                    };
+                }
+                row
+            }
             Err(error) => Self {
                 problem: Some(reason(&error, &row.model)),
                 ..row
-            },
+            }
+            .outlined(&spec, registry),
         }
-        .outlined(&spec, registry)
     }
 
     /// Adds what follows from the model's shape.
@@ -145,7 +163,8 @@ impl Row {
             .map(|parameters| match parameters as f64 / 1e9 {
                 billions @ 9.995.. => format!("{billions:.1}B"),
                 billions @ 0.1.. => format!("{billions:.2}B"),
-                billions => format!("{:.1}M", billions * 1e3),
+                billions @ 0.001.. => format!("{:.1}M", billions * 1e3),
+                billions => format!("{:.0}K", billions * 1e6),
             })
     }
 }
@@ -180,6 +199,7 @@ mod tests {
             .unwrap()
         };
         assert_eq!(size(4_020_000), "4.0M");
+        assert_eq!(size(74_900), "75K");
         assert_eq!(size(256_500_000), "0.26B");
         assert_eq!(size(9_999_000_000), "10.0B");
         assert_eq!(size(17_640_000_000), "17.6B");

@@ -9,9 +9,15 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
     // A name that is no model is an error of the command, not a fact about a model.
     registry.find(model)?;
     let row = Row::for_model(model.to_owned(), registry);
+    // A model that has to be fetched first is no fault; one that is here and cannot be opened is.
+    let exit = if row.problem.is_some() && row.place.is_some() {
+        Exit::SomeFailed
+    } else {
+        Exit::Success
+    };
     if printer.is_json() {
         printer.json(&row)?;
-        return Ok(Exit::Success);
+        return Ok(exit);
     }
     printer.line(&row.model);
     let fact = |name: &str, value: Option<String>| {
@@ -19,7 +25,8 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
             printer.line(format!("  {name:<12} {value}"));
         }
     };
-    fact("family", row.family.map(str::to_owned));
+    let family = row.family.map(str::to_owned);
+    fact("family", family.or_else(|| row.kind.clone()));
     fact("source", row.source.clone());
     fact("description", row.description.clone());
     fact(
@@ -45,7 +52,7 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
         prompts.map(|(set, place)| format!("{set} ({place})")),
     );
     if !row.memory.is_empty() {
-        printer.line("  memory       weights    keys, values       work");
+        printer.line("  memory       weights    keys, values       work    picture");
     }
     let formats = WeightFormat::ALL
         .iter()
@@ -53,16 +60,17 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
         .filter_map(|format| Some((format, row.memory.get(format.name())?)));
     for (format, need) in formats {
         printer.line(format!(
-            "    {:<5} {:>12} {:>15} {:>10}",
+            "    {:<5} {:>12} {:>15} {:>10} {:>10}",
             format.name(),
             in_bytes(need.weights),
             in_bytes(need.cache),
-            in_bytes(need.work)
+            in_bytes(need.work),
+            in_bytes(need.picture)
         ));
     }
     printer.note(format!(
         "`planagent bench {}` measures the time of a planning call.",
         row.model
     ));
-    Ok(Exit::Success)
+    Ok(exit)
 }

@@ -24,7 +24,9 @@ use serde_json::{Value, json};
 /// Judges a code at an iteration of a scenario.
 pub(super) fn run(
     line: &str,
-    (scenario, iteration, frame): (&Scenario, usize, &Frame),
+    scenario: &Scenario,
+    iteration: usize,
+    frame: &Frame,
     config: &Config,
     image: Option<&PictureFile>,
     printer: Printer,

@@ -45,7 +45,7 @@ pub(super) fn run(arguments: &StatisticsArguments, printer: Printer) -> anyhow::
             .with_context(|| format!("cannot write {}", file.display()))?;
         printer.note(format!("figure in {}", file.display()));
     }
-    printer.line(realism_table(&comparison, names));
+    printer.table(realism_table(&comparison, names, printer.line_width()));
     if printer.is_json() {
         let SceneComparison {
             features,

@@ -1,6 +1,6 @@
 //! An SVG picture of lines, points and text.
 
-use planagent_runs::report::escaped;
+use planagent_runs::report::{escaped, visible_line};
 use std::fmt::Write as _;
 
 /// Colors of the series: blue, orange, green, purple of Okabe and Ito's palette, which color-blind
@@ -59,7 +59,7 @@ impl Picture {
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width:.0}\" height=\"{height:.0}\" viewBox=\"0 0 {width:.0} \
              {height:.0}\" role=\"img\"><title>{}</title><style>{STYLE}</style><rect class=\"ground\" width=\"100%\" \
              height=\"100%\"/>\n{body}</svg>\n",
-            escaped(title)
+            escaped(&visible_line(title))
         )
     }
 
@@ -75,7 +75,7 @@ impl Picture {
             Anchor::Middle => "middle",
             Anchor::End => "end",
         };
-        let text = escaped(text);
+        let text = escaped(&visible_line(text));
         self.add(&format!("<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" class=\"{class}\">{text}</text>"));
     }
 

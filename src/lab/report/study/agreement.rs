@@ -38,7 +38,8 @@ pub(super) fn agreements(
     let benchmarks = reported_benchmarks(&suite.name).iter();
     let cases = benchmarks
         .flat_map(|&benchmark| Challenge::CLOSED_LOOP.map(|challenge| (benchmark, challenge)));
-    let found = cases.map(|case| agreement(study, suite, case, bootstrap));
+    let found = cases
+        .map(|(benchmark, challenge)| agreement(study, suite, benchmark, challenge, bootstrap));
     found
         .filter(|agreement| !agreement.planners.is_empty())
         .collect()
@@ -47,7 +48,8 @@ pub(super) fn agreements(
 fn agreement(
     study: &Study,
     suite: &SuiteSimulations,
-    (benchmark, challenge): (Benchmark, Challenge),
+    benchmark: Benchmark,
+    challenge: Challenge,
     bootstrap: Bootstrap,
 ) -> Agreement {
     let both = |(variant, simulations): (&Variant, &VariantSimulations)| {

@@ -47,7 +47,10 @@ impl StudyFolder {
     }
 
     /// Writes files of these names, each completely or not at all.
-    pub fn write_files(&self, files: &[(impl AsRef<Path>, String)]) -> Result<(), ReportError> {
+    pub(crate) fn write_files(
+        &self,
+        files: &[(impl AsRef<Path>, String)],
+    ) -> Result<(), ReportError> {
         atomic::folder(&self.path)?;
         files
             .iter()

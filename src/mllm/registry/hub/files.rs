@@ -3,6 +3,7 @@
 use super::{HubName, is_gguf};
 use crate::MllmError;
 use crate::checkpoint::safetensors_folder::{has_safetensors, weight_files};
+use crate::gguf::named_parts;
 use std::path::{Path, PathBuf};
 
 /// Names of files that a message lists.
@@ -68,11 +69,8 @@ impl HubFiles {
             Self::Gguf { .. } => {
                 let GgufNames { model, mmproj } = self.chosen(name, repository)?;
                 let mut patterns: Vec<String> = owned(&BESIDE_GGUF);
-                patterns.extend(
-                    std::iter::once(model)
-                        .chain(mmproj)
-                        .map(|file| escaped(&file)),
-                );
+                let parts = named_parts(&model);
+                patterns.extend(parts.into_iter().chain(mmproj).map(|file| escaped(&file)));
                 patterns
             }
         })
@@ -85,13 +83,15 @@ impl HubFiles {
             Self::Model { tokenizer: false } => &["config.json"],
             Self::Tokenizer => &["tokenizer.json"],
             Self::Gguf { model, mmproj } => {
-                return match model {
-                    GgufChoice::File(file) if !folder.join(file).is_file() => Some(file.clone()),
-                    GgufChoice::Quant(quant) if self.chosen(name, &listed(folder)).is_err() => {
-                        Some(format!("a GGUF file of format {quant}"))
-                    }
-                    _ => mmproj.clone().filter(|tower| !folder.join(tower).is_file()),
+                let model = match model {
+                    GgufChoice::File(file) => file.clone(),
+                    GgufChoice::Quant(quant) => match self.chosen(name, &listed(folder)) {
+                        Ok(names) => names.model,
+                        Err(_) => return Some(format!("a GGUF file of format {quant}")),
+                    },
                 };
+                let mut files = named_parts(&model).into_iter().chain(mmproj.clone());
+                return files.find(|file| !folder.join(file).is_file());
             }
         };
         if let Some(file) = required.iter().find(|file| !folder.join(file).is_file()) {

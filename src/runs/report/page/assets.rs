@@ -1,6 +1,6 @@
 //! The page around the data: markup, styles and scripts from the files in `assets/`.
 
-use crate::report::escaped;
+use crate::report::{escaped, visible_line};
 
 /// The markup, with placeholders in double braces.
 const MARKUP: &str = include_str!("assets/page.html");
@@ -45,7 +45,11 @@ pub(super) fn size() -> usize {
 
 /// The page; `data` is markup.
 pub(super) fn page(title: &str, data: &str) -> String {
-    let (title, style, script) = (escaped(title), STYLES.concat(), SCRIPTS.concat());
+    let (title, style, script) = (
+        escaped(&visible_line(title)),
+        STYLES.concat(),
+        SCRIPTS.concat(),
+    );
     let parts = [
         ("{{title}}", title.as_str()),
         ("{{style}}", &style),

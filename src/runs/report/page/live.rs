@@ -137,6 +137,11 @@ impl LivePage {
         Arc::clone(&self.state)
     }
 
+    /// Whether a process works on one of the runs.
+    pub fn is_running(&self) -> bool {
+        self.runs.iter().any(|run| RunFolder::is_running(&run.path))
+    }
+
     /// The page without data.
     pub fn html(&self) -> String {
         let names: Vec<&str> = self.runs.iter().map(|run| run.name.as_str()).collect();

@@ -29,7 +29,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Default maximum size of a page, bytes: a browser opens it at once, and most mail servers accept
 /// it.
-pub const DEFAULT_MAX_BYTES: usize = 15_000_000;
+pub(crate) const DEFAULT_MAX_BYTES: usize = 15_000_000;
 /// Bytes that the element numbers of one simulation add to the packed index.
 const NUMBERS_BYTES: usize = 8;
 
@@ -67,6 +67,8 @@ pub struct PageContents {
     pub without_replay: usize,
     /// Folders of simulations that are left out, because their files are damaged.
     pub damaged: Vec<PathBuf>,
+    /// Why simulations have a row and no more: a file that cannot be read.
+    pub unread: Vec<String>,
 }
 
 /// Writes a page of one or more runs to `out`. Calls `on_simulation(done, all)` after it has read a
@@ -106,15 +108,20 @@ pub fn write(
         .flat_map(|run| run.rows.iter().map(move |row| (run, row)))
         .collect();
     let all = simulations.len();
-    let parts: Vec<SimulationParts> = simulations
+    let read: Vec<(SimulationParts, Option<String>)> = simulations
         .par_iter()
         .map(|(run, row)| {
-            let parts =
-                SimulationParts::read(&run.folders[&row.number], row, wanted(&row.scenario))?;
+            let folder = &run.folders[&row.number];
+            let parts = SimulationParts::read(folder, row, wanted(&row.scenario));
             on_simulation(done.fetch_add(1, Ordering::Relaxed) + 1, all);
-            Ok(parts)
+            // A file that cannot be read costs the replay of its simulation, not the page.
+            parts.map_or_else(
+                |error| (SimulationParts::none(), Some(error.to_string())),
+                |parts| (parts, None),
+            )
         })
-        .collect::<Result<_, ReportError>>()?;
+        .collect();
+    let (parts, unread): (Vec<_>, Vec<_>) = read.into_iter().unzip();
     let mut index = Index::from_runs(&runs, &parts, wanted);
     let data = data(out, &mut index, &parts, settings.max_bytes)?;
     let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
@@ -132,6 +139,7 @@ pub fn write(
         replays: index.replays,
         without_replay,
         damaged,
+        unread: unread.into_iter().flatten().collect(),
     })
 }
 

@@ -72,6 +72,15 @@ struct Series<'a> {
 }
 
 impl SimulationParts {
+    /// Those of a simulation that failed, or whose files cannot be read.
+    pub(super) fn none() -> Self {
+        Self {
+            statistics: Vec::new(),
+            replay: None,
+            sketch: None,
+        }
+    }
+
     /// Reads the folder of a simulation, with its replay if `wants_replay`.
     pub(super) fn read(
         folder: &Path,
@@ -79,11 +88,7 @@ impl SimulationParts {
         wants_replay: bool,
     ) -> Result<Self, ReportError> {
         if row.error.is_some() {
-            return Ok(Self {
-                statistics: Vec::new(),
-                replay: None,
-                sketch: None,
-            });
+            return Ok(Self::none());
         }
         let metrics = simulation_folder::metrics(folder)?;
         let replay = Replay::read(folder)?;
@@ -192,9 +197,13 @@ impl<'a> Series<'a> {
     }
 }
 
-/// A number with four digits, more than a chart shows; none if it is not finite.
+/// Largest number of a chart: axes of larger ones would overflow.
+const MAX_SHOWN: f64 = 1e12;
+
+/// A number with four digits, more than a chart shows; none if it is not finite or wild.
 pub(super) fn four_digits(value: f64) -> Option<f64> {
-    if value.is_finite() {
+    // Also false for NaN.
+    if value.abs() <= MAX_SHOWN {
         format!("{value:.3e}").parse().ok()
     } else {
         None

@@ -81,7 +81,8 @@ pub fn code_picture(
     };
     let caption = caption_of(
         scenario,
-        (iteration as f64 * STEP_S, frame.ego.speed()),
+        iteration as f64 * STEP_S,
+        frame.ego.speed(),
         words,
     );
     scene_picture(scenario, frame, iteration, &plan, refused, &caption)
@@ -147,12 +148,13 @@ fn caption(scenario: &Scenario, call: &PlanningCall, speed: f64) -> Caption {
         .and_then(|index| call.attempts.get(index)?.line());
     caption_of(
         scenario,
-        (call.at_s, speed),
+        call.at_s,
+        speed,
         std::iter::once(decision_words(call)).chain(code).collect(),
     )
 }
 
-fn caption_of(scenario: &Scenario, (at_s, speed): (f64, f64), plan: Vec<String>) -> Caption {
+fn caption_of(scenario: &Scenario, at_s: f64, speed: f64, plan: Vec<String>) -> Caption {
     let now = format!("{} s, {} m/s", fixed(at_s, 1), fixed(speed, 1));
     Caption {
         title: scenario.id.clone(),

@@ -11,6 +11,10 @@ use tiny_skia::{
 /// Right of and below the top left corner, pixels.
 pub(super) type Pixel = (f32, f32);
 
+/// Farthest place from the corner, pixels: no picture is as large. The drawing library computes in
+/// whole numbers, which places of a wild replay would overflow.
+const FAR: f32 = 20_000.0;
+
 /// A stroke.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Pen {
@@ -129,7 +133,7 @@ impl Canvas {
     /// Fills a circle.
     pub(super) fn disc(&mut self, (x, y): Pixel, radius: f32, fill: Rgb) {
         self.fill(
-            PathBuilder::from_circle(x, y, radius),
+            PathBuilder::from_circle(within(x), within(y), within(radius)),
             FillRule::Winding,
             &paint(fill, 1.0),
         );
@@ -187,6 +191,7 @@ impl Canvas {
 
     /// Writes a text whose baseline starts at a pixel.
     pub(super) fn text(&mut self, text: &str, at: Pixel, letters: Lettering, color: Rgb) {
+        let at = (within(at.0), within(at.1));
         self.fill(
             letters.outline(text, at),
             FillRule::Winding,
@@ -203,6 +208,7 @@ impl Canvas {
         color: Rgb,
         halo: Rgb,
     ) {
+        let at = (within(at.0), within(at.1));
         let stroke = Stroke {
             width: letters.size / 4.0,
             line_join: LineJoin::Round,
@@ -238,10 +244,20 @@ impl Canvas {
     }
 }
 
+/// A coordinate that can be drawn. One that is no number is far away.
+fn within(pixel: f32) -> f32 {
+    if pixel.is_nan() {
+        FAR
+    } else {
+        pixel.clamp(-FAR, FAR)
+    }
+}
+
 fn outline<'a>(lines: impl Iterator<Item = &'a [Pixel]>, closed: bool) -> Option<Path> {
     let mut builder = PathBuilder::new();
     for line in lines {
         for (i, &(x, y)) in line.iter().enumerate() {
+            let (x, y) = (within(x), within(y));
             if i == 0 {
                 builder.move_to(x, y);
             } else {
@@ -281,4 +297,52 @@ fn paint([r, g, b]: Rgb, opacity: f32) -> Paint<'static> {
     };
     paint.set_color_rgba8(r, g, b, (255.0 * opacity).round() as u8);
     paint
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers that no scene of a simulation has.
+    const WILD: [f32; 8] = [
+        f32::NAN,
+        f32::INFINITY,
+        f32::NEG_INFINITY,
+        f32::MAX,
+        f32::MIN,
+        1e20,
+        -1e10,
+        2_147_483_648.0,
+    ];
+
+    #[test]
+    fn any_number_can_be_drawn() {
+        for wild in WILD {
+            for places in [
+                [(1.0, 1.0), (wild, 5.0), (3.0, wild)],
+                [(wild, wild), (9.0, 9.0), (wild, -wild)],
+            ] {
+                let mut canvas = Canvas::new((64, 64), [255; 3]);
+                canvas.line(&places, Pen::solid([0; 3], 2.0));
+                canvas.line(&places, Pen::dashed([0; 3], 2.0, [1.0, 1.0]));
+                canvas.areas(&[places.to_vec()], [9; 3]);
+                canvas.rings(&[places.to_vec()], [9; 3]);
+                let [first, second, _] = places;
+                canvas.stripes(&places, [9; 3], 4.0, wild, first);
+                canvas.disc(first, wild, [9; 3]);
+                canvas.rectangle(second, (wild, 3.0), wild, [9; 3], 1.0);
+                canvas.label("a", first, Lettering::regular(12.0), [0; 3], [255; 3]);
+                assert_eq!(canvas.into_image().dimensions(), (64, 64));
+            }
+        }
+    }
+
+    #[test]
+    fn a_line_to_a_far_point_is_drawn_as_far_as_the_picture() {
+        let mut canvas = Canvas::new((64, 64), [255; 3]);
+        canvas.line(&[(32.0, 32.0), (1e12, 32.0)], Pen::solid([0; 3], 4.0));
+        let image = canvas.into_image();
+        assert_eq!(image.get_pixel(60, 32).0, [0; 3]);
+        assert_eq!(image.get_pixel(4, 32).0, [255; 3]);
+    }
 }

@@ -7,6 +7,7 @@ use crate::report::ReportError;
 use crate::report::atomic;
 use gif::{Encoder, Repeat};
 use image::RgbImage;
+use planagent_child::BoundChild;
 use planagent_world::STEP_S;
 use rayon::prelude::*;
 use std::io::{Read, Write};
@@ -99,7 +100,8 @@ pub fn write_mp4(
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .stderr(Stdio::piped());
-    let mut ffmpeg = command.spawn().map_err(RenderError::NoFfmpeg)?;
+    let mut bound = BoundChild::spawn(&mut command).map_err(RenderError::NoFfmpeg)?;
+    let ffmpeg = bound.process();
     let mut input = ffmpeg.stdin.take();
     'film: for batch in iterations.chunks(BATCH) {
         for frame in drawn(film, batch) {

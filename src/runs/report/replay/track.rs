@@ -176,7 +176,8 @@ impl AgentTrack {
                     shape,
                     velocity: Vector::new(vx, vy),
                 };
-                (self.from + i, object)
+                // The first sample may be any number: a replay may come from elsewhere.
+                (self.from.saturating_add(i), object)
             })
     }
 }

@@ -1,6 +1,7 @@
 //! Tables as Markdown.
 
 use super::{Alignment, Table};
+use crate::report::visible::markdown_cell;
 
 impl Table {
     /// The table with a line feed at its end.
@@ -11,8 +12,13 @@ impl Table {
         };
         let rules: Vec<String> = self.alignment.iter().map(rule).collect();
         let lines = [&self.headers, &rules].into_iter().chain(&self.rows);
-        let cell = |cell: &String| cell.replace('|', "\\|");
-        let line = |cells: &Vec<String>| cells.iter().map(cell).collect::<Vec<_>>().join(" | ");
+        let line = |cells: &Vec<String>| {
+            // A header may have several lines for terminals.
+            let cells = cells
+                .iter()
+                .map(|cell| markdown_cell(&cell.replace('\n', " ")));
+            cells.collect::<Vec<_>>().join(" | ")
+        };
         lines
             .flat_map(|cells| ["| ".to_owned(), line(cells), " |\n".to_owned()])
             .collect()

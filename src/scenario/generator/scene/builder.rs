@@ -132,7 +132,7 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
     }
 
     /// A car with a probability of 85 %, else a long vehicle; a draw of the situation.
-    pub fn mostly_a_car(&mut self) -> VehicleKind {
+    pub(crate) fn mostly_a_car(&mut self) -> VehicleKind {
         if self.rng.situation(|rng| rng.bool(0.85)) {
             VehicleKind::Car
         } else {
@@ -321,7 +321,7 @@ impl<'a, 'd> TrafficBuilder<'a, 'd> {
     }
 
     /// As [`Self::fill_lanes_to`] with a density that the situation draws within bounds.
-    pub fn fill_lanes(&mut self, density: [f64; 2], clear: [f64; 2]) {
+    pub(crate) fn fill_lanes(&mut self, density: [f64; 2], clear: [f64; 2]) {
         let density = self
             .rng
             .situation(|rng| rng.uniform(density[0], density[1]));

@@ -4,7 +4,7 @@
 use crate::generator::prelude::*;
 
 /// `case_red_light`.
-pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {
+pub(super) const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {
     name: "case_red_light",
     seed: 18_000,
     group: TypeGroup::Case,

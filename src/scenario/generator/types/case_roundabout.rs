@@ -4,7 +4,7 @@
 use crate::generator::prelude::*;
 
 /// `case_roundabout`.
-pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {
+pub(super) const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {
     name: "case_roundabout",
     seed: 17_000,
     group: TypeGroup::Case,

@@ -3,8 +3,8 @@
 //! To add one, write its file with a `TYPE` of a seed constant of its own, and list it in [`ALL`].
 
 pub mod behind_long_vehicle;
-pub mod case_red_light;
-pub mod case_roundabout;
+mod case_red_light;
+mod case_roundabout;
 pub mod changing_lane;
 pub mod following_lane_with_lead;
 pub mod high_lateral_acceleration;

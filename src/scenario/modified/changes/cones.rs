@@ -1,7 +1,8 @@
 //! `cones`: a line of cones, first across the lane, then along it.
 
-use crate::modified::change::{Change, Fault};
+use crate::modified::change::Change;
 use crate::modified::draft::Draft;
+use crate::modified::fault::Fault;
 use crate::modified::lanes::LanePlace;
 use crate::modified::number::Number;
 use planagent_world::ObjectKind;

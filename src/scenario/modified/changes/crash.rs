@@ -1,8 +1,9 @@
 //! `crash`: cars that ran into each other.
 
 use super::stopped::{length, width};
-use crate::modified::change::{Change, Fault};
+use crate::modified::change::Change;
 use crate::modified::draft::Draft;
+use crate::modified::fault::Fault;
 use crate::modified::lanes::LanePlace;
 use crate::modified::number::Number;
 use planagent_world::ObjectKind;

@@ -1,7 +1,8 @@
 //! `crossing`: a vehicle that drives straight across the ego's road from the start on.
 
-use crate::modified::change::{Change, Fault};
+use crate::modified::change::Change;
 use crate::modified::draft::{CrossingPath, Draft};
+use crate::modified::fault::Fault;
 use crate::modified::lanes::LanePlace;
 use crate::modified::number::Number;
 use planagent_world::ObjectKind;

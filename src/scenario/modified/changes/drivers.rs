@@ -1,7 +1,8 @@
 //! `drivers`: how reactive vehicles treat the ego.
 
-use crate::modified::change::{Change, Fault};
+use crate::modified::change::Change;
 use crate::modified::draft::Draft;
+use crate::modified::fault::Fault;
 use planagent_world::DriverBehavior;
 use serde::Deserialize;
 

@@ -1,7 +1,8 @@
 //! `goal`: a goal in another lane.
 
-use crate::modified::change::{Change, Fault};
+use crate::modified::change::Change;
 use crate::modified::draft::{Draft, GoalPath};
+use crate::modified::fault::Fault;
 use crate::modified::lanes::LanePlace;
 use crate::modified::number::Number;
 use planagent_world::{LanePath, RoadblockId, STEP_S};

@@ -1,7 +1,8 @@
 //! `jaywalker`: a person who crosses as the ego comes near.
 
-use crate::modified::change::{Change, Fault};
+use crate::modified::change::Change;
 use crate::modified::draft::{CrossingPath, Draft};
+use crate::modified::fault::Fault;
 use crate::modified::lanes::LanePlace;
 use crate::modified::number::Number;
 use planagent_world::{ObjectKind, WALKER_SIZE};

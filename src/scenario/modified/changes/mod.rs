@@ -13,8 +13,7 @@ mod stopped;
 mod traffic;
 mod vehicle;
 
-use super::change::Change;
-use super::file::{Head, PlacedChange};
+use super::change::{Change, Head, PlacedChange};
 use serde::Deserialize;
 use toml::Spanned;
 

@@ -1,7 +1,8 @@
 //! `needs`: what the scenario must have.
 
-use crate::modified::change::{Change, Fault};
+use crate::modified::change::Change;
 use crate::modified::draft::Draft;
+use crate::modified::fault::Fault;
 use serde::Deserialize;
 
 /// Refuses scenarios that do not fit a modification.

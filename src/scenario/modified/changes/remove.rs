@@ -1,7 +1,8 @@
 //! `remove`: logged objects that are left out.
 
-use crate::modified::change::{Change, Fault};
+use crate::modified::change::Change;
 use crate::modified::draft::Draft;
+use crate::modified::fault::Fault;
 use planagent_world::{ObjectKind, TrackedObject};
 use serde::Deserialize;
 

@@ -1,9 +1,10 @@
 //! `traffic`: vehicles in a row on each lane, with drawn gaps (interPlan `agents_modifier.py`).
 
 use super::stopped::{length, width};
-use crate::modified::change::{Change, Fault};
+use crate::modified::change::Change;
 use crate::modified::changes::drivers::behavior;
 use crate::modified::draft::Draft;
+use crate::modified::fault::Fault;
 use crate::modified::lanes::{OnLane, through};
 use crate::modified::number::Number;
 use planagent_world::dynamics::IDM_AGENT;

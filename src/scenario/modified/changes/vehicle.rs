@@ -1,9 +1,10 @@
 //! `vehicle`: a vehicle that drives along its lane.
 
 use super::stopped::{length, width};
-use crate::modified::change::{Change, Fault};
+use crate::modified::change::Change;
 use crate::modified::changes::drivers::behavior;
 use crate::modified::draft::Draft;
+use crate::modified::fault::Fault;
 use crate::modified::lanes::LanePlace;
 use crate::modified::number::Number;
 use serde::Deserialize;

@@ -25,7 +25,7 @@ use std::collections::BTreeMap;
 /// Length of a lane or connector that is cut off a predecessor, m.
 pub const STITCH: f64 = 0.1;
 /// Length of the lane at an open end of a connector, m.
-pub const OPEN_END: f64 = 1.0;
+pub(crate) const OPEN_END: f64 = 1.0;
 /// Width of inserted lanes and connectors, m.
 const WIDTH: f64 = 3.5;
 /// Ends nearer than this touch, m.

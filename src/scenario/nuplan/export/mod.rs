@@ -25,9 +25,9 @@ mod tests;
 mod timeline;
 mod valid_area;
 
-pub use graph::{OPEN_END, STITCH};
+pub use graph::STITCH;
 pub use placement::ShapeError;
-pub use stand_in::OFFICIAL_LOCATIONS;
+pub(crate) use stand_in::OFFICIAL_LOCATIONS;
 pub use timeline::TimelineError;
 
 use super::MAPS_INDEX;
@@ -49,7 +49,7 @@ use std::path::{Path, PathBuf};
 use timeline::Timeline;
 
 /// Version of every map that is written.
-pub const MAP_VERSION: &str = "1.0";
+pub(crate) const MAP_VERSION: &str = "1.0";
 const DATA: &str = "data";
 const MAPS: &str = "maps";
 

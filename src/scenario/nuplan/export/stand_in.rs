@@ -2,7 +2,7 @@
 
 /// The locations that the devkit loads whenever it opens a maps folder (devkit `gpkg_mapsdb.py`,
 /// `MAP_LOCATIONS`).
-pub const OFFICIAL_LOCATIONS: [&str; 4] = [
+pub(crate) const OFFICIAL_LOCATIONS: [&str; 4] = [
     "sg-one-north",
     "us-ma-boston",
     "us-nv-las-vegas-strip",

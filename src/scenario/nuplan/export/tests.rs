@@ -1,6 +1,6 @@
 //! Maps that nuPlan's formats cannot express, and folders that must not be written.
 
-use super::graph::{ConnectorRow, Graph, LaneRow};
+use super::graph::{ConnectorRow, Graph, LaneRow, OPEN_END};
 use super::route::{extend_short, route_ids};
 use super::stops::stop_rows;
 use super::*;

@@ -9,7 +9,10 @@ pub(super) use quantity::{
 };
 pub(crate) use quantity::{ACCELERATION_WINDOW, YAW_WINDOW};
 pub use quantity::{Bound, ComfortQuantity};
-pub use savgol::{SavitzkyGolay, differentiated, mean_step_s, smoothed};
+pub use savgol::SavitzkyGolay;
+pub(crate) use savgol::mean_step_s;
+#[cfg(test)]
+pub(crate) use savgol::{differentiated, smoothed};
 
 use super::{MetricCategory, MetricError, MetricList, MetricResult, MetricSpec};
 use planagent_world::EgoState;

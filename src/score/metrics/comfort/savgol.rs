@@ -112,7 +112,7 @@ fn rounded(values: Vec<f64>) -> Vec<f64> {
 }
 
 /// A smoothed signal: order 2, `window` samples, rounded to 8 decimals.
-pub fn smoothed(values: &[f64], window: usize) -> Result<Vec<f64>, MetricError> {
+pub(crate) fn smoothed(values: &[f64], window: usize) -> Result<Vec<f64>, MetricError> {
     SavitzkyGolay {
         window,
         order: 2,
@@ -123,7 +123,7 @@ pub fn smoothed(values: &[f64], window: usize) -> Result<Vec<f64>, MetricError> 
 }
 
 /// A filtered derivative of a signal sampled every `step` seconds, rounded to 8 decimals.
-pub fn differentiated(
+pub(crate) fn differentiated(
     values: &[f64],
     step: f64,
     filter: SavitzkyGolay,
@@ -134,7 +134,7 @@ pub fn differentiated(
 /// Mean time between states, seconds; 0 for fewer than two. As nuPlan, it turns the times into
 /// seconds before it takes their difference: with times since 1970 that rounds the step in the
 /// tenth decimal, which shows in the eighth of a jerk.
-pub fn mean_step_s(states: &[EgoState]) -> f64 {
+pub(crate) fn mean_step_s(states: &[EgoState]) -> f64 {
     let seconds = |state: &EgoState| state.time_us as f64 / MICROS_PER_SECOND;
     match states {
         [first, .., last] => (seconds(last) - seconds(first)) / (states.len() - 1) as f64,

@@ -27,7 +27,7 @@ pub(super) const JAYWALKING_PEDESTRIAN: MetricSpec =
 
 /// The share of the expert's way at which all obstacles are passed. It is their largest projection
 /// on the line through its positions, over the length, and 1 where the line has no length.
-pub fn passing_ratio(expert: &[Point], obstacles: &[Point]) -> f64 {
+pub(crate) fn passing_ratio(expert: &[Point], obstacles: &[Point]) -> f64 {
     let Ok(line) = Polyline::new(expert.iter().copied()) else {
         return 1.0;
     };

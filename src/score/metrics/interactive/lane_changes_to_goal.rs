@@ -8,7 +8,7 @@ use planagent_world::{EgoState, LaneId};
 
 /// The score where the changes at the start cannot be counted (interPlan
 /// `lane_changes_to_goal.py`).
-pub const UNCOUNTED: f64 = 0.2607;
+pub(crate) const UNCOUNTED: f64 = 0.2607;
 
 pub(super) const SPEC: MetricSpec =
     MetricSpec::new("lane_changes_to_goal", |input| Ok(result(input)))
@@ -18,7 +18,7 @@ pub(super) const SPEC: MetricSpec =
 
 /// The score for the numbers of changes at the start and at the end. No number at the end means
 /// that the ego is on no lane of the expert's: interPlan fails there, and the value here is 0.
-pub fn lane_changes_score(at_start: Option<usize>, at_end: Option<usize>) -> f64 {
+pub(crate) fn lane_changes_score(at_start: Option<usize>, at_end: Option<usize>) -> f64 {
     match (at_start, at_end) {
         (None, _) => UNCOUNTED,
         (Some(0), Some(0)) => 1.0,

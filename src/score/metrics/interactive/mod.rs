@@ -9,15 +9,13 @@ mod ego_sorts;
 mod lane_changes_to_goal;
 mod neighbors;
 
-pub use ego_sorts::{passing_ratio, sorted};
-pub use lane_changes_to_goal::{UNCOUNTED, lane_changes_score};
-pub use neighbors::{LaneRelations, changes_between};
+pub use ego_sorts::sorted;
 
 use super::{MetricSpec, Role};
 use planagent_world::InteractionKind;
 
 /// Metrics of modified scenarios beside nuPlan's.
-pub const INTERACTIVE_METRICS: [MetricSpec; 4] = [
+pub(crate) const INTERACTIVE_METRICS: [MetricSpec; 4] = [
     lane_changes_to_goal::SPEC,
     ego_sorts::CONSTRUCTION_ZONE,
     ego_sorts::STOPPED_VEHICLE,

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, VecDeque};
 const SAME_BOUNDARY: f64 = 0.1;
 
 /// What the count of lane changes needs of a map.
-pub trait LaneRelations {
+pub(crate) trait LaneRelations {
     /// Lanes that the map calls left and right of a lane.
     fn adjacent(&self, lane: LaneId) -> [Option<LaneId>; 2];
     /// Lanes that lead into a lane.
@@ -95,7 +95,11 @@ pub(super) fn neighbors(map: &impl LaneRelations, lane: LaneId) -> [Option<LaneI
 
 /// Number of lane changes from `present` to `goal`, searched from the goal; `None` in another
 /// roadblock, or without a way.
-pub fn changes_between(map: &impl LaneRelations, present: LaneId, goal: LaneId) -> Option<usize> {
+pub(crate) fn changes_between(
+    map: &impl LaneRelations,
+    present: LaneId,
+    goal: LaneId,
+) -> Option<usize> {
     if map.roadblock(present) != map.roadblock(goal) {
         return None;
     }

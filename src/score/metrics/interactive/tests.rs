@@ -1,8 +1,11 @@
 //! The numbers of interPlan's own functions.
 
+use super::ego_sorts::passing_ratio;
 use super::lane_changes_to_goal::counted;
+use super::lane_changes_to_goal::lane_changes_score;
 use super::neighbors::neighbors;
-use super::{LaneRelations, changes_between, lane_changes_score, passing_ratio, sorted};
+use super::neighbors::{LaneRelations, changes_between};
+use super::sorted;
 use crate::metrics::{METRICS, Weighting, combine};
 use planagent_world::geometry::{OrientedBox, Point, Pose};
 use planagent_world::{InteractionKind, LaneId, RoadblockId};

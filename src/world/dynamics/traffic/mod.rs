@@ -84,7 +84,7 @@ impl IdmTraffic {
     }
 
     /// Like [`Self::new`] with other parameters of the law.
-    pub fn with_law(
+    pub(crate) fn with_law(
         map: &Arc<LaneMap>,
         objects: &[TrackedObject],
         ego: &EgoState,

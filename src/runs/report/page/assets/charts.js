@@ -3,18 +3,20 @@
 /** Round values from `low` to `high`, at most `most` of them. */
 function ticks(low, high, most) {
   const span = high - low || 1;
+  // Wild values have no round ones between them.
+  if (!Number.isFinite(span) || !Number.isFinite(low)) return [];
   const rough = span / Math.max(1, most - 1);
   const size = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * size).find((candidate) => candidate >= rough - 1e-9);
   const values = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * span; k++) values.push(Number((k * step).toFixed(10)));
+  for (let k = Math.ceil(low / step - 1e-9), n = 0; k * step <= high + 1e-9 * span && n < 2 * most + 2; k++, n++) values.push(Number((k * step).toFixed(10)));
   return values;
 }
 
 /** An axis of scores from a round number below the lowest value to 100. */
 class ScoreAxis {
   constructor(intervals) {
-    const lowest = Math.min(90, ...intervals.map(({ low }) => low));
+    const lowest = Math.min(90, ...intervals.map(({ low }) => low).filter(Number.isFinite));
     this.low = Math.max(0, 10 * Math.floor(lowest / 10));
     this.marks = ticks(this.low, 100, 6);
   }
@@ -47,7 +49,7 @@ function dotAndInterval(axis, { mean: value, low, high }, color) {
 /** A mean with its interval, in words. */
 function intervalWords({ mean: value, low, high, scenes }) {
   const n = counted(scenes, "scene");
-  return scenes > 1 ? `${value.toFixed(2)}, 95 % interval ${low.toFixed(2)} to ${high.toFixed(2)}, ${n}` : `${value.toFixed(2)}, ${n}`;
+  return scenes > 1 ? `${fixed(value, 2)}, 95 % interval ${fixed(low, 2)} to ${fixed(high, 2)}, ${n}` : `${fixed(value, 2)}, ${n}`;
 }
 
 /** A number with its sign; no sign on zero. */

@@ -17,7 +17,7 @@ class Controls {
     this.node = h("div", { class: "controls" }, this.button, h("div", { class: "track" }, this.ticks, this.slider), this.time, this.speed);
     player.onTime((time) => {
       this.slider.value = time;
-      this.time.textContent = `${time.toFixed(1)} / ${player.end.toFixed(1)} s`;
+      this.time.textContent = `${fixed(time, 1)} / ${fixed(player.end, 1)} s`;
     });
     player.onState((playing) => {
       this.button.textContent = playing ? "❚❚" : "▶";
@@ -30,7 +30,7 @@ class Controls {
     this.slider.max = end;
     fill(this.ticks, replay.calls.map((call) => h("i", {
       class: outcomeOf(call), style: `left:${(100 * (replay.times[call.iteration] ?? 0)) / end}%`,
-      title: `Planning call at ${call.at_s.toFixed(1)} s: ${OUTCOMES[outcomeOf(call)]}`,
+      title: `Planning call at ${fixed(call.at_s, 1)} s: ${OUTCOMES[outcomeOf(call)]}`,
     })));
   }
 }

@@ -64,7 +64,7 @@ function refusedWords({ decision, attempts }, run) {
   const number = decision.attempt + 1;
   const scores = attempts.map((attempt) => attempt.reflection?.score ?? null);
   const own = scores[decision.attempt];
-  const is = own === null ? `Attempt ${number}` : `Attempt ${number}, with ${own.toFixed(2)},`;
+  const is = own === null ? `Attempt ${number}` : `Attempt ${number}, with ${fixed(own, 2)},`;
   const best = own !== null && scores.every((score) => score === null || score <= own);
   const [first] = attempts;
   const oneCode = attempts.length > 1 && first.code && attempts.every(({ code }) => code?.text === first.code.text);

@@ -38,8 +38,8 @@ class Latency {
     const { calls } = this.replay;
     const max = Math.max(...calls.map((call) => call.time.call.total), 1e-9);
     return h("div", { class: "call-bars" }, calls.map((call, i) => h("button", {
-      type: "button", "aria-current": i === place, title: `${call.at_s.toFixed(1)} s: ${milliseconds(call.time.call.total)} ms`,
-      "aria-label": `Call at ${call.at_s.toFixed(1)} s`, onclick: () => this.onseek(call),
+      type: "button", "aria-current": i === place, title: `${fixed(call.at_s, 1)} s: ${milliseconds(call.time.call.total)} ms`,
+      "aria-label": `Call at ${fixed(call.at_s, 1)} s`, onclick: () => this.onseek(call),
     }, h("i", { style: `height:${Math.max(4, (100 * call.time.call.total) / max)}%` }))));
   }
 }

@@ -81,7 +81,7 @@ class Scenarios {
 
   showClock(time, iteration) {
     const { speed } = this.replay.ego;
-    fill(this.clock, h("b", {}, `${time.toFixed(1)} s`), h("span", {}, `${Math.abs(speed[iteration]).toFixed(1)} m/s`));
+    fill(this.clock, h("b", {}, `${fixed(time, 1)} s`), h("span", {}, `${Math.abs(speed[iteration]).toFixed(1)} m/s`));
   }
 
   /** Shows a simulation; `time` in seconds. */
@@ -212,7 +212,7 @@ class Scenarios {
 }
 
 function hashOf(simulation, time) {
-  return `#scenarios/${simulation.run}/${simulation.number}${time > 0 ? `/${time.toFixed(1)}` : ""}`;
+  return `#scenarios/${simulation.run}/${simulation.number}${time > 0 ? `/${fixed(time, 1)}` : ""}`;
 }
 
 function whyAbsent(simulation) {

@@ -42,9 +42,9 @@ function scoreLabels(shown, pixel) {
   const labels = [];
   for (const { track: { x, y }, score } of shown) {
     const end = pixel(x[x.length - 1], y[y.length - 1]);
-    const known = labels.find((label) => label.score === score.toFixed(2) && Math.hypot(label.end.x - end.x, label.end.y - end.y) < LABEL.same);
+    const known = labels.find((label) => label.score === fixed(score, 2) && Math.hypot(label.end.x - end.x, label.end.y - end.y) < LABEL.same);
     if (known) known.count += 1;
-    else labels.push({ end, score: score.toFixed(2), count: 1 });
+    else labels.push({ end, score: fixed(score, 2), count: 1 });
   }
   return labels.map(({ end, score, count }) => ({ end, words: count > 1 ? `${score} (${count} times)` : score }));
 }

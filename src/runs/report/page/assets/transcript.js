@@ -50,7 +50,7 @@ class Transcript {
     });
     const head = h("header", { class: "call-head" },
       h("div", {},
-        h("h3", {}, `Planning call ${place + 1} of ${replay.calls.length}`, h("span", { class: "at" }, `${call.at_s.toFixed(1)} s`)),
+        h("h3", {}, `Planning call ${place + 1} of ${replay.calls.length}`, h("span", { class: "at" }, `${fixed(call.at_s, 1)} s`)),
         h("p", { class: `outcome ${outcome}` }, OUTCOMES[outcome])),
       h("div", { class: "turn" }, h("button", go(-1), "‹"), h("button", go(1), "›")));
     const seen = this.showSeen(call);
@@ -74,7 +74,7 @@ class Transcript {
     if (!reflection) return h("span", { class: "verdict" }, "no reflection");
     const { value, note } = thresholdOf(reflection, this.replay.simulation);
     const passes = reflection.verdict === "execute";
-    return h("span", { class: `verdict ${reflection.verdict}` }, h("b", {}, reflection.score.toFixed(2)),
+    return h("span", { class: `verdict ${reflection.verdict}` }, h("b", {}, fixed(reflection.score, 2)),
       value === null ? null : ` ${passes ? "≥" : "<"} ${value}${note}`, h("em", {}, passes ? "accepted" : "refused"));
   }
 
@@ -123,7 +123,7 @@ function errorWords(error) {
 
 /** The lines that an attempt proposed, the likeliest first. */
 function proposalsTable(proposals) {
-  const row = ({ code, reflection }) => h("tr", {}, h("td", {}, h("code", {}, code.text)), h("td", {}, reflection ? reflection.score.toFixed(2) : "-"));
+  const row = ({ code, reflection }) => h("tr", {}, h("td", {}, h("code", {}, code.text)), h("td", {}, reflection ? fixed(reflection.score, 2) : "-"));
   return h("details", {}, h("summary", {}, `${proposals.length} proposals`), h("table", { class: "proposals" }, h("tbody", {}, proposals.map(row))));
 }
 

@@ -176,7 +176,7 @@ impl InteractiveTraffic {
                 self.consider_lane_change(index, ego, dt);
             }
             let stop_lines = stop_lines_of(&self.map, &self.drivers[index].agent, lights);
-            let lead = self.lead_of(index, (ego, &path), &things, &stop_lines);
+            let lead = self.lead_of(index, ego, &path, &things, &stop_lines);
             self.drivers[index].agent.propagate(lead, &self.map, dt);
         }
     }
@@ -184,7 +184,8 @@ impl InteractiveTraffic {
     fn lead_of(
         &self,
         index: usize,
-        (ego, path): (&EgoState, &EgoPath),
+        ego: &EgoState,
+        path: &EgoPath,
         things: &[Obstacle],
         stop_lines: &[Obstacle],
     ) -> Option<Lead> {

@@ -1,7 +1,7 @@
 //! Privileged search: simulates many planners from a state. The best one is the label.
 
 use planagent_agent::environment::lane_graph::{Centerline, GoalLane};
-use planagent_agent::environment::{CenterlineName, LaneGraph};
+use planagent_agent::environment::{CenterlineName, GraphedScene, LaneGraph};
 use planagent_agent::planner::{DEFAULT_ACCELERATIONS, feedback, planner_code};
 use planagent_agent::reasoning::{Feedback, PlannerCode};
 use planagent_agent::reflection::{
@@ -65,6 +65,7 @@ const GOAL_COST: f64 = 0.2;
 /// A simulated planner.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Candidate {
+    /// Its code.
     pub code: PlannerCode,
     /// nuPlan's score over the horizon.
     pub score: f64,
@@ -72,10 +73,12 @@ pub struct Candidate {
     pub value: f64,
     /// Speed after 3 s, m/s.
     pub speed_later: f64,
+    /// What Reflection says of its plan.
     pub reflection: ReflectionReport,
 }
 
 impl Candidate {
+    /// Whether Reflection accepts its plan.
     pub fn is_accepted(&self) -> bool {
         self.reflection.verdict == Verdict::Execute
     }
@@ -98,7 +101,7 @@ pub fn search(simulation: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Candidate> 
 }
 
 /// As [`search`], over a number of iterations.
-pub fn search_ahead(
+pub(crate) fn search_ahead(
     simulation: &ClosedLoop<'_>,
     graph: &LaneGraph,
     horizon: usize,
@@ -294,7 +297,7 @@ pub fn planner(
         horizon_s: ROLLOUT_S,
     };
     builder
-        .build(&simulation.scene(), graph, code)
+        .build(GraphedScene::new(&simulation.scene(), graph), code)
         .ok()
         .flatten()
 }

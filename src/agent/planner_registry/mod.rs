@@ -2,12 +2,15 @@
 //! [`PlannerRegistry::default`]; crates above and programs add theirs with
 //! [`PlannerRegistry::with`].
 
-use super::{
+mod commands;
+
+use crate::planner::{
     AgentLayer, AskedModel, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay,
     PdmClosed, PdmClosedPlus, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName,
     SimplePlanner,
 };
 use crate::reasoning::AssistVariant;
+use crate::simulation::ClosedLoop;
 use planagent_world::EgoState;
 use std::fmt;
 use std::sync::Arc;
@@ -26,8 +29,8 @@ pub enum PlannerNeeds {
     Model,
     /// A file with the weights of a network.
     Checkpoint,
-    /// The agent's settings and the simulation itself, in which it looks ahead. Only runs have one
-    /// to give.
+    /// The agent's settings and the simulation itself, in which it looks ahead
+    /// ([`PlannerParts::simulation`]).
     Simulation,
 }
 
@@ -66,6 +69,8 @@ pub struct PlannerParts<'a> {
     pub model: Option<&'a CodeSource>,
     /// The recorded ego states from iteration 0 on, for a planner that needs them.
     pub recording: &'a [EgoState],
+    /// The simulation at iteration 0, for a planner that looks ahead in a copy of it.
+    pub simulation: Option<&'a ClosedLoop<'static>>,
     /// Images of other scenes, for the ablation that shows them to the model.
     pub shuffled_bev: Option<&'a BevSource>,
 }
@@ -142,13 +147,17 @@ impl PlannerEntry {
     /// # Errors
     /// When a part is missing.
     pub fn build(&self, parts: &PlannerParts<'_>) -> Result<Box<dyn Planner>, PlannerError> {
-        if self.needs_model() && parts.model.is_none() {
-            return Err(PlannerError::MissingPart {
-                planner: self.name,
-                part: "a model",
-            });
-        }
-        (self.build)(parts)
+        let missing = match self.needs {
+            PlannerNeeds::Model if parts.model.is_none() => "a model",
+            PlannerNeeds::Simulation if parts.simulation.is_none() => {
+                "a simulation to look ahead in"
+            }
+            _ => return (self.build)(parts),
+        };
+        Err(PlannerError::MissingPart {
+            planner: self.name,
+            part: missing,
+        })
     }
 }
 
@@ -171,7 +180,7 @@ pub struct UnknownPlanner {
     pub known: Vec<String>,
 }
 
-/// The planners by name. Those of the default need no checkpoint.
+/// The planners by name. The default has those of this crate.
 #[derive(Debug, Clone)]
 pub struct PlannerRegistry {
     entries: Vec<PlannerEntry>,
@@ -179,12 +188,7 @@ pub struct PlannerRegistry {
 
 impl Default for PlannerRegistry {
     fn default() -> Self {
-        use PlannerNeeds::{Model, Nothing, Recording, Settings, Simulation};
-        let control = |name, summary, source: CodeSource| {
-            PlannerEntry::new(name, summary, Settings, move |parts| {
-                boxed(agent(parts, source.clone()))
-            })
-        };
+        use PlannerNeeds::{Model, Nothing, Recording};
         let assist = |name, summary, variant| PlannerEntry {
             unsupported: |settings| {
                 (settings.agent.latency != Latency::None).then_some("agent.latency")
@@ -236,42 +240,6 @@ impl Default for PlannerRegistry {
                     "LLM-ASSIST; the model tunes PDM-Closed",
                     AssistVariant::Parameters,
                 ),
-                control(
-                    name("random-code"),
-                    "the agent with random codes (a control)",
-                    CodeSource::Random,
-                ),
-                control(
-                    name("fixed-code"),
-                    "the agent with one fixed code (a control)",
-                    CodeSource::Fixed,
-                ),
-                control(
-                    name("grid-code"),
-                    "the agent with the best code of a grid (a control)",
-                    CodeSource::Grid,
-                ),
-                control(
-                    name("random-code-four"),
-                    "the agent with the best of four random codes (a control)",
-                    CodeSource::RandomFour,
-                ),
-                control(
-                    name("grid-code-four"),
-                    "the agent with the best of four fixed codes (a control)",
-                    CodeSource::GridFour,
-                ),
-                PlannerEntry::new(
-                    PlannerName::ORACLE_CODE,
-                    "the agent with codes tried out ahead (a control)",
-                    Simulation,
-                    |parts| {
-                        Err(PlannerError::MissingPart {
-                            planner: parts.name,
-                            part: "a simulation to look ahead in",
-                        })
-                    },
-                ),
             ],
         }
     }
@@ -289,6 +257,14 @@ impl PlannerRegistry {
     /// All planners.
     pub fn entries(&self) -> &[PlannerEntry] {
         &self.entries
+    }
+
+    /// The planners that need a checkpoint.
+    pub fn learned(&self) -> impl Iterator<Item = PlannerName> {
+        self.entries
+            .iter()
+            .filter(|entry| entry.needs == PlannerNeeds::Checkpoint)
+            .map(|entry| entry.name)
     }
 
     /// The planner of a name.
@@ -318,11 +294,14 @@ fn boxed(planner: impl Planner + 'static) -> Built {
     Ok(Box::new(planner))
 }
 
-fn agent(parts: &PlannerParts<'_>, source: CodeSource) -> Box<dyn AgentLayer> {
-    let agent = PlanAgent::new(parts.name, source, parts.settings.clone());
-    agent
-        .with_shuffled_bev(parts.shuffled_bev.cloned())
-        .layered()
+impl PlannerParts<'_> {
+    /// PlanAgent with these parts, whose codes come from `source`.
+    #[doc(hidden)]
+    pub fn agent(&self, source: CodeSource) -> Box<dyn AgentLayer> {
+        PlanAgent::new(self.name, source, self.settings.clone())
+            .with_shuffled_bev(self.shuffled_bev.cloned())
+            .layered()
+    }
 }
 
 fn plan_agent(parts: &PlannerParts<'_>) -> Built {
@@ -330,7 +309,7 @@ fn plan_agent(parts: &PlannerParts<'_>) -> Built {
         planner: parts.name,
         part: "a model",
     };
-    Ok(Box::new(agent(parts, parts.model.cloned().ok_or(missing)?)))
+    Ok(Box::new(parts.agent(parts.model.cloned().ok_or(missing)?)))
 }
 
 fn llm_assist(parts: &PlannerParts<'_>, variant: AssistVariant) -> Built {
@@ -360,21 +339,6 @@ fn llm_assist(parts: &PlannerParts<'_>, variant: AssistVariant) -> Built {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::collections::BTreeSet;
-
-    #[test]
-    fn names_are_different_and_fit_into_file_names() {
-        let registry = PlannerRegistry::default();
-        let names: BTreeSet<PlannerName> =
-            registry.entries().iter().map(|entry| entry.name).collect();
-        assert_eq!(names.len(), registry.entries().len());
-        let fits = |name: &PlannerName| {
-            name.as_str()
-                .chars()
-                .all(|c| c.is_ascii_lowercase() || c == '-')
-        };
-        assert!(names.iter().all(fits), "{names:?}");
-    }
 
     #[test]
     fn a_later_entry_replaces_an_earlier_one_of_its_name() {

@@ -4,43 +4,64 @@
 use super::search::{HORIZON, best, search_ahead};
 use planagent_agent::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent_agent::planner::{
-    AgentLayer, CodeSource, HandedCode, PlanAgent, PlanAgentSettings, Planner, PlannerError,
-    PlannerInitialization, PlannerInput, PlannerName, PlanningCall,
+    AgentLayer, CodeCall, CodeList, CodeSource, Planner, PlannerError, PlannerInitialization,
+    PlannerInput, PlannerName, PlanningCall, fixed_code,
 };
+use planagent_agent::planner_registry::{PlannerEntry, PlannerNeeds};
+use planagent_agent::reasoning::PlannerCode;
 use planagent_agent::simulation::ClosedLoop;
 use planagent_world::Trajectory;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The planner of this name.
+pub(crate) fn entry() -> PlannerEntry {
+    let name = PlannerName::new("oracle-code");
+    let summary = "the agent with codes tried out ahead (a control)";
+    PlannerEntry::new(name, summary, PlannerNeeds::Simulation, |parts| {
+        let simulation = parts.simulation.ok_or(PlannerError::MissingPart {
+            planner: parts.name,
+            part: "a simulation to look ahead in",
+        })?;
+        let code = HandedCode::default();
+        let source = CodeSource::Listed(Arc::new(code.clone()));
+        Ok(Box::new(OracleAgent {
+            shadow: simulation.clone(),
+            agent: parts.agent(source),
+            code,
+            oncoming_lane: parts.settings.environment.oncoming_lane == Some(true),
+        }))
+    })
+}
+
+/// The code that the search found for the next planning call; the fixed one where it found none.
+#[derive(Debug, Clone, Default)]
+struct HandedCode(Arc<Mutex<Option<PlannerCode>>>);
+
+impl HandedCode {
+    fn hand(&self, code: Option<PlannerCode>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = code;
+    }
+}
+
+impl CodeList for HandedCode {
+    fn codes(&self, call: &CodeCall<'_>) -> Vec<PlannerCode> {
+        let found = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
+        vec![found.unwrap_or_else(|| fixed_code(call.graph))]
+    }
+}
 
 /// An agent beside the simulation that it takes part in: before a planning call it tries its codes
 /// out there.
-pub(super) struct OracleAgent<'a> {
+struct OracleAgent {
     /// The same simulation, with the same trajectories.
-    shadow: ClosedLoop<'a>,
+    shadow: ClosedLoop<'static>,
     agent: Box<dyn AgentLayer>,
     code: HandedCode,
     /// Whether codes may name the oncoming lane.
     oncoming_lane: bool,
 }
 
-impl<'a> OracleAgent<'a> {
-    /// An agent in a simulation that has not begun.
-    pub(super) fn new(
-        name: PlannerName,
-        settings: PlanAgentSettings,
-        simulation: ClosedLoop<'a>,
-    ) -> Self {
-        let (code, oncoming_lane) = (
-            HandedCode::default(),
-            settings.environment.oncoming_lane == Some(true),
-        );
-        let agent = PlanAgent::new(name, CodeSource::Handed(code.clone()), settings).layered();
-        Self {
-            shadow: simulation,
-            agent,
-            code,
-            oncoming_lane,
-        }
-    }
-
+impl OracleAgent {
     /// Hands the best code over. Near the end of the recording the search looks no further than
     /// that; where it finds nothing, the agent takes the fixed code.
     fn search(&self) {
@@ -61,7 +82,7 @@ impl<'a> OracleAgent<'a> {
     }
 }
 
-impl Planner for OracleAgent<'_> {
+impl Planner for OracleAgent {
     fn name(&self) -> &str {
         self.agent.name()
     }

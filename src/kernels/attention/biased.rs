@@ -1,14 +1,11 @@
-//! Attention with an additive bias, a few queries at a time: the logits of all queries are never
-//! stored.
-#![allow(
-    clippy::inline_always,
-    reason = "kernels must be inlined into the functions that enable the instructions"
-)]
+//! Attention of a batch with an additive bias, a few queries at a time: the logits of all queries
+//! are never stored. Each query weighs all keys at once, so a bias may hide any of them.
 
+use super::unit::add_product;
+use crate::matrix::{Instructions, Kernel, LANES, Simd};
+use crate::pointwise::softmax_in_place;
+use crate::values::with_values;
 use candle_core::{Device, Result, Tensor, bail};
-use planagent_kernels::matrix::{Instructions, Kernel, LANES, Simd};
-use planagent_kernels::pointwise::softmax_in_place;
-use planagent_kernels::values::with_values;
 use rayon::prelude::*;
 
 /// Queries that a kernel computes at once, and vectors of keys.
@@ -19,9 +16,9 @@ const PIECE: usize = 8 * QUERIES;
 /// Minimum multiplications for which other threads are worth waking.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 18;
 
-/// Keys and values of heads, in the kernel's order; zeros fill the last vectors.
+/// Keys and values of the heads of a batch, in the kernel's order; zeros fill the last vectors.
 #[derive(Debug)]
-pub(crate) struct Memory {
+pub struct PackedKeyValues {
     batch: usize,
     heads: usize,
     /// Numbers of a head's key.
@@ -34,9 +31,12 @@ pub(crate) struct Memory {
     values: Vec<[f32; LANES]>,
 }
 
-impl Memory {
-    /// Of keys and values (B, K, heads · width).
-    pub(crate) fn pack(keys: &Tensor, values: &Tensor, heads: usize) -> Result<Self> {
+impl PackedKeyValues {
+    /// Packs keys and values (B, K, heads · width).
+    ///
+    /// # Errors
+    /// When the shapes differ or the heads do not divide them.
+    pub fn pack(keys: &Tensor, values: &Tensor, heads: usize) -> Result<Self> {
         let (batch, count, all) = keys.dims3()?;
         let width = all / heads;
         if keys.dims() != values.dims() || width * heads != all || count == 0 {
@@ -46,7 +46,7 @@ impl Memory {
                 values.shape()
             );
         }
-        let mut memory = Self {
+        let mut held = Self {
             batch,
             heads,
             width,
@@ -54,15 +54,11 @@ impl Memory {
             keys: Vec::new(),
             values: Vec::new(),
         };
-        let (key_vectors, value_vectors) = (memory.key_vectors(), memory.value_vectors());
-        memory.keys = vec![[0.0; LANES]; batch * heads * width * key_vectors];
-        memory.values = vec![[0.0; LANES]; batch * heads * count * value_vectors];
+        let (key_vectors, value_vectors) = (held.key_vectors(), held.value_vectors());
+        held.keys = vec![[0.0; LANES]; batch * heads * width * key_vectors];
+        held.values = vec![[0.0; LANES]; batch * heads * count * value_vectors];
         with_values(keys, |keys| {
-            for (place, packed) in memory
-                .keys
-                .chunks_exact_mut(width * key_vectors)
-                .enumerate()
-            {
+            for (place, packed) in held.keys.chunks_exact_mut(width * key_vectors).enumerate() {
                 let (member, head) = (place / heads, place % heads);
                 for (i, key) in keys
                     .chunks_exact(all)
@@ -81,7 +77,7 @@ impl Memory {
             Ok(())
         })?;
         with_values(values, |values| {
-            for (place, packed) in memory
+            for (place, packed) in held
                 .values
                 .chunks_exact_mut(count * value_vectors)
                 .enumerate()
@@ -95,7 +91,7 @@ impl Memory {
             }
             Ok(())
         })?;
-        Ok(memory)
+        Ok(held)
     }
 
     fn key_vectors(&self) -> usize {
@@ -106,9 +102,12 @@ impl Memory {
         self.width.div_ceil(LANES)
     }
 
-    /// What queries (B, Q, heads · width) hear, in their shape; `bias`, which has the shape (B,
-    /// heads, Q, K) or ones in the place of the first three, is added to the logits.
-    pub(crate) fn hear(&self, queries: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
+    /// Attends from queries (B, Q, heads · width); returns their shape. `bias`, which has the shape
+    /// (B, heads, Q, K) or ones in the place of the first three, is added to the logits.
+    ///
+    /// # Errors
+    /// When the shapes do not fit.
+    pub fn attend(&self, queries: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
         let (batch, count, all) = queries.dims3()?;
         if batch != self.batch || all != self.heads * self.width {
             bail!(
@@ -127,7 +126,7 @@ impl Memory {
             let piece = |member: usize, first: usize, out: &mut [f32]| {
                 let queries = &values[(member * count + first) * all..][..out.len()];
                 Instructions::best().run(Piece {
-                    memory: self,
+                    held: self,
                     bias: bias.as_ref(),
                     member,
                     first,
@@ -208,7 +207,7 @@ impl Bias {
 
 /// Some queries of a member, from the `first` on.
 struct Piece<'a> {
-    memory: &'a Memory,
+    held: &'a PackedKeyValues,
     bias: Option<&'a Bias>,
     member: usize,
     first: usize,
@@ -220,27 +219,27 @@ impl Kernel for Piece<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let Self {
-            memory,
+            held,
             bias,
             member,
             first,
             queries,
             out,
         } = self;
-        let &Memory {
+        let &PackedKeyValues {
             heads,
             width,
             count,
             ..
-        } = memory;
+        } = held;
         let (key_vectors, value_vectors, all) =
-            (memory.key_vectors(), memory.value_vectors(), heads * width);
+            (held.key_vectors(), held.value_vectors(), heads * width);
         let scale = 1.0 / (width as f32).sqrt();
         let mut logits = vec![[0f32; LANES]; QUERIES * key_vectors];
         for head in 0..heads {
             let place = member * heads + head;
-            let keys = &memory.keys[place * width * key_vectors..][..width * key_vectors];
-            let values = &memory.values[place * count * value_vectors..][..count * value_vectors];
+            let keys = &held.keys[place * width * key_vectors..][..width * key_vectors];
+            let values = &held.values[place * count * value_vectors..][..count * value_vectors];
             let groups = queries
                 .chunks(QUERIES * all)
                 .zip(out.chunks_mut(QUERIES * all));
@@ -282,17 +281,12 @@ fn score<S: Simd>(
     logits: &mut [[f32; LANES]],
 ) {
     let vectors = logits.len() / QUERIES;
+    let width = queries[0].len();
     for vector in (0..vectors).step_by(VECTORS) {
-        let mut sums = [[simd.floats(0.0); VECTORS]; QUERIES];
-        for (i, keys) in keys.chunks_exact(vectors).enumerate() {
-            let keys: [_; VECTORS] = std::array::from_fn(|j| simd.load(&keys[vector + j]));
-            for (sums, query) in sums.iter_mut().zip(queries) {
-                let query = simd.floats(query[i]);
-                for (sum, keys) in sums.iter_mut().zip(keys) {
-                    *sum = simd.mul_add(query, keys, *sum);
-                }
-            }
-        }
+        let zero = [[simd.floats(0.0); VECTORS]; QUERIES];
+        let column_of = |i: usize| std::array::from_fn(|r| queries[r][i]);
+        let columns = (0..width).map(column_of);
+        let sums = add_product(simd, columns, &keys[vector..], vectors, zero);
         for (row, sums) in logits.chunks_exact_mut(vectors).zip(sums) {
             for (logits, sum) in row[vector..].iter_mut().zip(sums) {
                 simd.store(simd.mul(sum, simd.floats(scale)), logits);
@@ -315,14 +309,11 @@ fn mix<S: Simd>(
     let shares = shares.as_flattened();
     let shares: [&[f32]; QUERIES] = std::array::from_fn(|i| &shares[i * row..][..row]);
     for vector in 0..value_vectors {
-        let mut sums = [simd.floats(0.0); QUERIES];
-        for (key, values) in values.chunks_exact(value_vectors).enumerate() {
-            let values = simd.load(&values[vector]);
-            for (sum, shares) in sums.iter_mut().zip(shares) {
-                *sum = simd.mul_add(simd.floats(shares[key]), values, *sum);
-            }
-        }
-        for (i, sum) in sums.into_iter().enumerate() {
+        let zero = [[simd.floats(0.0)]; QUERIES];
+        let column_of = |key: usize| std::array::from_fn(|r| shares[r][key]);
+        let columns = (0..row).map(column_of);
+        let sums = add_product(simd, columns, &values[vector..], value_vectors, zero);
+        for (i, [sum]) in sums.into_iter().enumerate() {
             let mut numbers = [0.0; LANES];
             simd.store(sum, &mut numbers);
             write(i, vector * LANES, &numbers);
@@ -386,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn heard_is_what_candle_computes() {
+    fn attention_is_what_candle_computes() {
         for (batch, heads, width, queries, keys) in [
             (1, 8, 32, 67, 236),
             (3, 2, 16, 20, 20),
@@ -406,9 +397,9 @@ mod tests {
             let hidden = Tensor::cat(&[first, hidden.narrow(3, 1, keys - 1).unwrap()], 3).unwrap();
             let by_head = scattered(&[1, heads, 1, keys], 5);
             for bias in [None, Some(&hidden), Some(&by_head)] {
-                let found = Memory::pack(&key, &value, heads)
+                let found = PackedKeyValues::pack(&key, &value, heads)
                     .unwrap()
-                    .hear(&query, bias)
+                    .attend(&query, bias)
                     .unwrap();
                 let expected = expected(&query, [&key, &value], heads, bias);
                 let off = (found - expected)
@@ -430,10 +421,10 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_an_error() {
         let x = scattered(&[1, 4, 6], 0);
-        assert!(Memory::pack(&x, &x, 4).is_err());
-        assert!(Memory::pack(&x, &x.narrow(1, 0, 3).unwrap(), 2).is_err());
-        let memory = Memory::pack(&x, &x, 2).unwrap();
-        assert!(memory.hear(&scattered(&[1, 4, 4], 0), None).is_err());
-        assert!(memory.hear(&x, Some(&scattered(&[1, 3, 4, 4], 0))).is_err());
+        assert!(PackedKeyValues::pack(&x, &x, 4).is_err());
+        assert!(PackedKeyValues::pack(&x, &x.narrow(1, 0, 3).unwrap(), 2).is_err());
+        let held = PackedKeyValues::pack(&x, &x, 2).unwrap();
+        assert!(held.attend(&scattered(&[1, 4, 4], 0), None).is_err());
+        assert!(held.attend(&x, Some(&scattered(&[1, 3, 4, 4], 0))).is_err());
     }
 }

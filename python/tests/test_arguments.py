@@ -1,0 +1,313 @@
+"""What arguments may be, and what is said of those that cannot be used."""
+
+import copy
+import math
+import os
+import pickle
+import re
+import threading
+import types
+from pathlib import Path
+
+import numpy as np
+import planagent
+import pytest
+from planagent import errors
+
+SCENE = "generated/changing_lane/2"
+
+
+@pytest.fixture(scope="module")
+def observation():
+    return planagent.open(SCENE).observe()
+
+
+SIMULATE = [
+    ({"scenarios": []}, "scenarios is"),
+    ({"scenarios": iter(())}, "scenarios is"),
+    ({"scenarios": 3}, "scenarios is 3"),
+    ({"scenarios": None, "splits": []}, "splits is"),
+    ({"scenarios": [SCENE, 3]}, r"scenarios\[1\] is 3"),
+    ({"planners": []}, "planners is"),
+    ({"planners": {}}, "planners is"),
+    ({"challenge": []}, "challenge is"),
+    ({"challenge": 1}, "challenge is 1"),
+    ({"types": ()}, "types is"),
+    ({"types": [2]}, r"types\[0\] is 2"),
+    ({"limit": -1}, "limit is -1"),
+    ({"limit": 0}, "limit is 0"),
+    ({"limit": "3"}, "limit is '3'"),
+    ({"limit": 1.5}, "limit is 1.5"),
+    ({"limit": True}, "limit is True"),
+    ({"shard": 1}, "shard is 1"),
+    ({"shuffle": 1}, "shuffle is 1"),
+    ({"settings": {"reflection.max_exec": None}}, r"settings\['reflection.max_exec'\] is None"),
+    ({"settings": {1: 2}}, "the key 1"),
+    ({"settings": {"reflection.max_exec": math.nan}}, "nan"),
+    ({"settings": "fast"}, "settings is 'fast'"),
+    ({"settings": {"reflection.no_such_key": 1}}, "no_such_key"),
+    ({"progress": 1}, "progress is 1"),
+    ({"progress": "yes"}, "progress is 'yes'"),
+    ({"stop": 1}, "stop is 1"),
+    ({"exec_timeout": 0}, "exec_timeout is 0"),
+    ({"exec_timeout": math.inf}, "exec_timeout is inf"),
+    ({"agents": 3}, "agents is 3"),
+    ({"out": 3}, "out is 3"),
+    ({"out": ""}, "out is ''"),
+    ({"scenarios": None, "splits": "val15"}, "val15"),
+    ({"scenarios": None, "splits": "generated", "types": "no_such_type"}, "no_such_type"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "said"), SIMULATE, ids=[str(arguments) for arguments, _ in SIMULATE])
+def test_a_wrong_argument_of_a_run_is_named(arguments, said, tmp_path):
+    given = {"scenarios": SCENE, "planners": "idm", "out": tmp_path / "run", **arguments}
+    with pytest.raises(ValueError, match=said) as caught:
+        planagent.simulate(**given)
+    assert isinstance(caught.value, errors.PlanAgentError)
+    assert "line 1 column" not in str(caught.value) and " --" not in str(caught.value)
+    # The corrected call is not refused.
+    assert not (tmp_path / "run").exists()
+
+
+CALLS = {
+    "lanes": (lambda o: o.lanes(-50.0), "within_m is -50"),
+    "lanes of nan": (lambda o: o.lanes(math.nan), "within_m is nan"),
+    "lanes of text": (lambda o: o.lanes("near"), "within_m is 'near'"),
+    "image": (lambda o: o.image(-1), "pixels is -1"),
+    "meters": (lambda o: o.image(64, 0.0), "meters is 0"),
+    "render": (lambda o: o.render(64.5), "pixels is 64.5"),
+    "code speed": (lambda o: o.code(speed=math.nan), "speed is nan"),
+    "code back": (lambda o: o.code(speed=-1.0), "speed is -1"),
+    "code accelerations": (lambda o: o.code(accelerations=(-1.0, -3.0)), r"accelerations\[0\] is -1"),
+    "code one": (lambda o: o.code(accelerations=(math.nan, 3.0)), r"accelerations\[0\] is nan"),
+    "code three": (lambda o: o.code(accelerations=(1.0, 2.0, 3.0)), "accelerations is"),
+    "code name": (lambda o: o.code(3), "centerline is 3"),
+    "dt": (lambda o: o.trajectory(np.zeros((3, 3)), dt=-0.1), "dt is -0.1"),
+    "ragged": (lambda o: o.trajectory([[1, 2, 3], [1, 2]]), "poses"),
+    "observe": (lambda o: planagent.open(SCENE).observe(-1), "iteration is -1"),
+    "far": (lambda o: planagent.open(SCENE).observe(151), "iteration is 151"),
+    "open": (lambda o: planagent.open(3), "name is 3"),
+    "threads": (lambda o: planagent.set_threads(-1), "count is -1"),
+    "steps": (lambda o: planagent.Simulation(SCENE).run("idm", steps=-1), "steps is -1"),
+    "steps of an own one": (lambda o: planagent.Simulation(SCENE).run(lambda o: o.code(), steps=2.5), "steps is 2.5"),
+    "challenge": (lambda o: planagent.Simulation(SCENE, 1), "challenge is 1"),
+    "scenario": (lambda o: planagent.Simulation(3), "scenario is 3"),
+    "agent": (lambda o: planagent.Agent(planner=3), "planner is 3"),
+    "scenario of an agent": (lambda o: planagent.Agent(planner="log-replay", scenario=SCENE), "scenario is 'generated"),
+    "seed": (lambda o: planagent.Agent(planner="idm", seed=-1), "seed is -1"),
+    "max_tokens": (lambda o: planagent.Model().ask(None, "q", max_tokens=-1), "max_tokens is -1"),
+    "choices": (lambda o: planagent.Model().ask(None, "q", choices=[]), "choices is"),
+    "choice": (lambda o: planagent.Model().ask(None, "q", choices=["a", 1]), r"choices\[1\] is 1"),
+    "deadline": (lambda o: planagent.Model().ask(None, "q", deadline_s=math.nan), "deadline_s is nan"),
+    "merge": (lambda o: planagent.merge(3, "x"), "runs is 3"),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_wrong_argument_is_named(name, observation):
+    call, said = CALLS[name]
+    with pytest.raises(ValueError, match=said) as caught:
+        call(observation)
+    assert isinstance(caught.value, errors.PlanAgentError)
+
+
+class NeedsSpeed:
+    def __init__(self, speed):
+        self.speed = speed
+
+    def plan(self, observation):
+        return observation.code()
+
+
+class Locked:
+    def __init__(self):
+        self.lock = threading.Lock()
+
+    def plan(self, observation):
+        return observation.code()
+
+
+class NoPlan:
+    pass
+
+
+class PlansNothing:
+    plan = 3
+
+
+class TakesNothing:
+    def plan(self):
+        return None
+
+
+NO_PLANNERS = {
+    "number": 3,
+    "nothing": None,
+    "list": [3],
+    "arguments": NeedsSpeed,
+    "lock": Locked(),
+    "class": NoPlan,
+    "object": NoPlan(),
+    "attribute": PlansNothing(),
+    "no observation": TakesNothing,
+    "no observation of an object": TakesNothing(),
+    "function of nothing": lambda: None,
+    "function of two": lambda observation, more: None,
+    "bytes": b"idm",
+}
+
+
+@pytest.mark.parametrize("name", NO_PLANNERS)
+def test_what_is_no_planner_is_refused_before_the_run(name, tmp_path):
+    with pytest.raises(ValueError, match="planners is|planner"):
+        planagent.simulate(SCENE, {"own": NO_PLANNERS[name]}, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+class Static:
+    @staticmethod
+    def plan(observation):
+        return observation.code()
+
+
+class ByClass:
+    @classmethod
+    def plan(cls, observation):
+        return observation.code()
+
+
+class WithDefault:
+    def __init__(self, speed=1.0):
+        self.plan = lambda observation: observation.code(speed=speed)
+
+
+class Called:
+    def __call__(self, observation):
+        return observation.code()
+
+
+@pytest.mark.parametrize("planner", [Static, ByClass, WithDefault, Called, Static(), ByClass(), WithDefault(), Called()])
+def test_all_forms_of_planners_are_taken(planner):
+    assert planagent.simulate(SCENE, {"own": planner}).table()["error"] == [None]
+
+
+class Counter:
+    """Slow in its first simulation alone."""
+
+    def __init__(self):
+        self.steps = 0
+
+    def act(self, observation):
+        self.steps += 1
+        return observation.code(speed=0.2 if self.steps <= 151 else 1.0)
+
+    __call__ = act
+
+
+class Plans(Counter):
+    plan = Counter.act
+
+
+def test_each_simulation_has_a_copy_of_an_object():
+    scenes = [SCENE, "generated/changing_lane/3"]
+    try:
+        planagent.set_threads(1)
+        scores = [planagent.simulate(scenes, {"own": p}).table()["score"] for p in (Plans(), Counter(), Counter().act)]
+    finally:
+        planagent.set_threads(None)
+    assert scores[0] == scores[1] == scores[2]
+
+
+def test_values_of_numpy_paths_and_generators_are_taken(tmp_path, observation):
+    results = planagent.simulate(
+        (scene for scene in [SCENE, Path(SCENE)]),
+        (name for name in ["idm"]),
+        challenge=np.str_("reactive"),
+        limit=np.int64(1),
+        shuffle=np.bool_(False),
+        settings=types.MappingProxyType({"seed": np.int64(3), "reflection": {"max_exec": np.int32(2)}}),
+        progress=np.bool_(False),
+        out=tmp_path / "run",
+    )
+    assert results.table()["challenge"] == ["reactive"]
+    assert observation.image(np.int64(32), np.float32(20)).shape == (32, 32, 3)
+    assert len(observation.lanes(math.inf)) == len(observation.lanes(None)) > 0
+    assert observation.code(speed=np.float32(0.5), accelerations=np.array([1.0, 2.0]))
+    assert planagent.Agent(planner="log-replay", scenario=planagent.open(SCENE), seed=np.int64(1)).plan(observation)
+    merged = planagent.merge(tmp_path / "run", tmp_path / "merged")
+    assert merged.table().to_dict() == results.table().to_dict()
+    answer = planagent.Model().ask(observation.image(), "Which lane?", choices="left")
+    assert answer.text == "left"
+
+
+def test_an_agent_of_the_library_is_a_planner_under_another_name():
+    agent = planagent.Agent(planner="idm")
+    with pytest.raises(ValueError, match="dictionary"):
+        planagent.simulate(SCENE, agent)
+    table = planagent.simulate(SCENE, {"mine": agent, "idm": "idm"}).table()
+    assert table["planner"] == ["mine", "idm"] and table["score"][0] == table["score"][1]
+
+
+def test_the_folder_of_a_run_stays_where_it_was(tmp_path, monkeypatch):
+    (tmp_path / "other").mkdir()
+    monkeypatch.chdir(tmp_path)
+
+    def moves(observation):
+        os.chdir(tmp_path / "other")
+        return observation.code()
+
+    results = planagent.simulate([SCENE, "generated/stopping_with_lead/1"], moves, out="rel")
+    assert results.folder == tmp_path / "rel" and os.listdir(tmp_path / "other") == []
+    assert planagent.resume(tmp_path / "rel", {"moves": moves}).table().to_dict() == results.table().to_dict()
+
+
+def test_a_run_of_an_own_planner_asks_for_it(tmp_path):
+    def own(observation):
+        return observation.code()
+
+    def tell(progress):
+        if progress.steps > 200:
+            raise LookupError
+
+    scenes = [f"generated/changing_lane/{seed}" for seed in range(6)]
+    with pytest.raises(LookupError):
+        planagent.simulate(scenes, own, out=tmp_path / "run", progress=tell)
+    with pytest.raises(ValueError, match="in Python.*planners=") as caught:
+        planagent.resume(tmp_path / "run")
+    assert " --" not in str(caught.value)
+    assert len(planagent.resume(tmp_path / "run", own)) == 6
+
+
+def test_errors_name_no_options_of_the_command_line(tmp_path):
+    planagent.simulate(SCENE, "idm", out=tmp_path / "run")
+    (tmp_path / "begun").mkdir()
+    (tmp_path / "begun" / "manifest.toml").touch()
+    calls = [
+        lambda: planagent.simulate(SCENE, "idm", out=tmp_path / "run"),
+        lambda: planagent.resume(tmp_path / "begun"),
+        lambda: planagent.open_run(tmp_path / "begun"),
+        lambda: planagent.simulate(splits="val14", planners="idm"),
+        lambda: planagent.open("generated/changin_lane/2"),
+        lambda: planagent.merge([tmp_path / "begun"], tmp_path / "merged"),
+        lambda: planagent.simulate(SCENE, "idm", agents="no command"),
+        lambda: planagent.simulate(SCENE, "pdm-open"),
+    ]
+    for call in calls:
+        with pytest.raises(planagent.PlanAgentError) as caught:
+            call()
+        assert not re.search(r"(^|[\s(`'])--[a-z]|`planagent ", str(caught.value)), caught.value
+
+
+def test_results_tables_and_observations_pickle(observation, tmp_path):
+    results = planagent.simulate(SCENE, ["idm", "simple"], out=tmp_path / "run")
+    for copied in (pickle.loads(pickle.dumps(results)), copy.deepcopy(results), copy.copy(results)):
+        assert copied.table().to_dict() == results.table().to_dict() and copied.folder == results.folder
+    table = pickle.loads(pickle.dumps(results.table()))
+    assert table.to_dict() == results.table().to_dict() and table.columns == results.table().columns
+    again = pickle.loads(pickle.dumps(observation))
+    assert again.ego == observation.ego and np.array_equal(again.objects, observation.objects)
+    assert again.lane_graph() == observation.lane_graph() and np.array_equal(again.image(), observation.image())
+    assert np.array_equal(again.code().poses, observation.code().poses)
+    assert [s.ego for s in again.history] == [s.ego for s in observation.history] and again.lights == observation.lights
+    assert copy.deepcopy(observation).ego == observation.ego

@@ -1,0 +1,67 @@
+//! Planner codes of a scene that need no model: a fixed one, and grids of them.
+
+use crate::environment::{CenterlineName, LaneGraph};
+use crate::reasoning::PlannerCode;
+
+/// acc and dec of the fixed code, m/s²; the label search of nano prefers them too.
+pub const DEFAULT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
+/// Desired speeds of the grid, as fractions of the limit.
+const GRID_SPEEDS: [f64; 7] = [1.0, 0.85, 0.7, 0.55, 0.4, 0.2, 0.0];
+/// Pairs of acc and dec of the grid, m/s²: default, gentle, firm, emergency.
+const GRID_ACCELERATIONS: [(f64, f64); 4] =
+    [DEFAULT_ACCELERATIONS, (1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
+/// Limit where the map has none, m/s.
+const FALLBACK_LIMIT: f64 = 15.0;
+
+/// The ego's lane at the speed limit.
+pub fn fixed_code(graph: &LaneGraph) -> PlannerCode {
+    planner_code(graph, CenterlineName::EgoLane, 1.0, DEFAULT_ACCELERATIONS)
+}
+
+/// All codes of the grid: the ego's lane before others, fast before slow.
+pub fn grid_codes(graph: &LaneGraph) -> Vec<PlannerCode> {
+    let mut centerlines: Vec<CenterlineName> =
+        graph.named().map(|centerline| centerline.name).collect();
+    centerlines.sort_by_key(|&name| name != CenterlineName::EgoLane);
+    let mut codes = Vec::new();
+    for centerline in centerlines {
+        for fraction in GRID_SPEEDS {
+            for accelerations in GRID_ACCELERATIONS {
+                codes.push(planner_code(graph, centerline, fraction, accelerations));
+            }
+        }
+    }
+    codes.dedup();
+    codes
+}
+
+/// Codes that do not look: each lane at the limit, then the ego's lane more slowly.
+pub fn plain_codes(graph: &LaneGraph) -> impl Iterator<Item = PlannerCode> {
+    let lanes = graph.named().map(|centerline| (centerline.name, 1.0));
+    let slower = GRID_SPEEDS
+        .iter()
+        .skip(1)
+        .step_by(2)
+        .map(|&fraction| (CenterlineName::EgoLane, fraction));
+    lanes
+        .chain(slower)
+        .map(|(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS))
+}
+
+/// The code for a centerline of the scene behind its lead agent, at a fraction of the speed limit
+/// (whole m/s).
+pub fn planner_code(
+    graph: &LaneGraph,
+    centerline: CenterlineName,
+    fraction: f64,
+    (accel_max, decel_max): (f64, f64),
+) -> PlannerCode {
+    let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
+    PlannerCode {
+        centerline,
+        lead_agent: graph.lead_agent(centerline).map(|agent| agent.name),
+        target_speed: (fraction * limit).round(),
+        accel_max,
+        decel_max,
+    }
+}

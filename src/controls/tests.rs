@@ -1,0 +1,73 @@
+//! The controls as a run builds them.
+
+use crate::entries;
+use planagent_agent::planner::{PlanAgentSettings, PlannerInitialization, PlannerInput};
+use planagent_agent::planner_registry::{PlannerEntry, PlannerNeeds, PlannerParts};
+use planagent_agent::simulation::{Challenge, ClosedLoop};
+use planagent_scenario::generator::{Spec, generate, types};
+use planagent_scenario::{HeldScenario, Scenario};
+use std::sync::Arc;
+
+fn scenario() -> Arc<Scenario> {
+    Arc::new(generate(&Spec::new(types::changing_lane::TYPE, 3)).unwrap())
+}
+
+fn simulation() -> ClosedLoop<'static> {
+    ClosedLoop::new(HeldScenario::Shared(scenario()), Challenge::Reactive).unwrap()
+}
+
+fn parts<'a>(
+    entry: &PlannerEntry,
+    settings: &'a PlanAgentSettings,
+    simulation: Option<&'a ClosedLoop<'static>>,
+) -> PlannerParts<'a> {
+    PlannerParts {
+        name: entry.name,
+        settings,
+        model: None,
+        recording: &[],
+        simulation,
+        shuffled_bev: None,
+    }
+}
+
+#[test]
+fn every_control_is_built_and_makes_its_first_plan() {
+    let (ahead, settings) = (simulation(), PlanAgentSettings::default());
+    for entry in entries() {
+        let mut planner = entry
+            .build(&parts(&entry, &settings, Some(&ahead)))
+            .unwrap();
+        let scene = ahead.scene();
+        let initialization = PlannerInitialization {
+            map: &ahead.scenario().map,
+            route: scene.route,
+        };
+        planner.initialize(&initialization).unwrap();
+        let input = PlannerInput {
+            iteration: 0,
+            scene,
+        };
+        planner.compute_trajectory(&input).unwrap();
+        let attempts = &planner.calls()[0].attempts;
+        assert!(!attempts.is_empty(), "{}", entry.name);
+        assert!(
+            attempts.iter().all(|attempt| attempt.answer.is_some()),
+            "{}",
+            entry.name
+        );
+    }
+}
+
+#[test]
+fn the_oracle_says_that_it_needs_a_simulation() {
+    let entry = entries()
+        .find(|entry| entry.needs == PlannerNeeds::Simulation)
+        .unwrap();
+    let settings = PlanAgentSettings::default();
+    let error = entry.build(&parts(&entry, &settings, None)).err().unwrap();
+    assert!(
+        error.to_string().contains("a simulation to look ahead in"),
+        "{error}"
+    );
+}
