@@ -225,7 +225,7 @@ impl Printer {
     }
 
     /// The width of tables on stdout.
-    pub fn line_width(&self) -> LineWidth {
+    pub(crate) fn line_width(&self) -> LineWidth {
         self.columns().map_or(LineWidth::PIPE, LineWidth::terminal)
     }
 

@@ -83,9 +83,12 @@ fn two_questions_come_before_a_run_and_change_nothing_of_it() {
     assert_eq!(calls(&run), calls(&other));
     // A run whose simulations are completed asks nothing.
     let before = server.received().len();
+    let described = run.path().with_file_name("server.toml");
     let output = planagent()
         .env("TEST_KEY", "sk-any")
-        .args(["simulate", "--resume"])
+        .args(["simulate", "--model"])
+        .arg(described)
+        .arg("--resume")
         .arg(run.path())
         .output()
         .unwrap();
@@ -162,7 +165,7 @@ fn a_server_is_checked_alone() {
             }),
             "may see pictures badly",
         ),
-        (Server::probed(|_, _| completion("")), "no answer"),
+        (Server::probed(|_, _| completion("")), "with nothing"),
         (
             Server::probed(|_, request| completion(&format!("It is {}.", color(request)))),
             "does not follow the grammar (gbnf)",

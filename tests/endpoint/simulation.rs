@@ -245,20 +245,30 @@ fn a_refused_key_fails_the_start_or_the_simulation_and_a_missing_one_the_start()
 }
 
 #[test]
-fn a_fault_that_no_retry_mends_fails_the_simulation_at_the_first_call() {
+fn a_fault_that_no_retry_mends_ends_the_run_or_the_simulation_at_once() {
     let reasoning = r#"{"choices": [{"message": {"content": null, "reasoning_content": "Hm."}, "finish_reason": "stop"}]}"#;
-    for (reply, told) in [
+    let refusal = r#"{"error": "Unexpected endpoint"}"#;
+    for (reply, said) in [
         (reasoning, "reasoning parser"),
-        (r#"{"error": "Unexpected endpoint"}"#, "Unexpected endpoint"),
+        (refusal, "Unexpected endpoint"),
     ] {
-        let server = Server::always(move || Reaction::Send(response("200 OK", "", reply)));
+        let server = Server::probed(move |_, _| Reaction::Send(response("200 OK", "", reply)));
         let run = Run::with(&description(&server, ""), "");
-        assert_eq!(run.code, 1, "{}", run.stderr);
-        let row = &run.summary()["scenarios"][0];
-        let error = row["error"].as_str().unwrap();
-        assert!(row["succeeded"] == false && error.contains(told), "{error}");
-        assert_eq!(server.received().len(), 1);
+        assert_eq!(run.code, 2, "{}", run.stderr);
+        assert!(run.stderr.contains(said), "{}", run.stderr);
+        assert!(!run.path().exists() && server.received().len() == 1);
     }
+    // One that appears after the run began.
+    let server = Server::always(move || Reaction::Send(response("200 OK", "", refusal)));
+    let run = Run::with(&description(&server, ""), "");
+    assert_eq!(run.code, 1, "{}", run.stderr);
+    let row = &run.summary()["scenarios"][0];
+    let error = row["error"].as_str().unwrap();
+    assert!(
+        row["succeeded"] == false && error.contains("Unexpected endpoint"),
+        "{error}"
+    );
+    assert_eq!(server.received().len(), 1);
 }
 
 #[test]

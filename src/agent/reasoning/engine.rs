@@ -3,13 +3,13 @@
 use super::call_parser::ParseError;
 use super::code::{Names, PlannerCode};
 use super::code_parser::{Parsed, parse};
-use super::config::Proposals;
 use super::error::{PromptError, ReasoningError};
 use super::fitting::Fitting;
 use super::grammar::{self, Refused};
 use super::history::{AnswerHistory, Speculation};
 use super::instruction::MotionInstruction;
 use super::prompt_set::PromptSet;
+use super::proposals::Proposals;
 use super::round::Round;
 use super::variables;
 use crate::environment::text::Description;

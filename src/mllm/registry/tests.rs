@@ -29,7 +29,7 @@ fn names_folders_and_ids_are_found() {
     );
     let nano = registry.find("nano").unwrap();
     assert_eq!(
-        (nano.name.as_str(), nano.prompt_set),
+        (nano.name.as_str(), nano.prompt_set.clone()),
         ("Nano", Some(DescribedPrompts::Known(PromptSet::Compact)))
     );
     assert_eq!(

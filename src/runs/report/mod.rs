@@ -61,7 +61,5 @@ pub use table::{LineWidth, comparison_table, failures, fill, main_table};
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};
 pub use transcript::{attempt_markdown, transcript};
-pub use visible::{
-    in_markdown, markdown_block, markdown_cell, markdown_line, visible, visible_line,
-};
+pub use visible::{markdown_block, markdown_line, visible, visible_line};
 pub use writable::check_writable;

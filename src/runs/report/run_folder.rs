@@ -221,7 +221,7 @@ impl RunFolder {
 
     /// Whether a process works in the folder of a run. It is asked by a lock that many may share,
     /// for an instant.
-    pub fn is_running(path: &Path) -> bool {
+    pub(crate) fn is_running(path: &Path) -> bool {
         let lock = File::open(path.join(LOCK));
         lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }

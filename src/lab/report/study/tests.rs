@@ -3,7 +3,7 @@
 use super::*;
 use crate::report::figure::figures;
 use crate::report::{study_markdown, study_table};
-use crate::study::{Figure, Quick, Reported, find};
+use crate::study::{Figure, Quick, Reported, Study, find};
 use planagent_agent::planner::PlannerName;
 use planagent_agent::simulation::Challenge;
 use planagent_runs::report::{LineWidth, MetricScore, SimulationRow};

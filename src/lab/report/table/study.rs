@@ -122,8 +122,8 @@ enum Layout {
 
 fn scores(study: &Study, suite: &SuiteResults, challenges: &[Challenge], layout: Layout) -> Table {
     match study.rows {
-        Rows::Variants | Rows::Recordings => variants(study, suite, challenges, width),
-        Rows::ScenarioTypes => scenario_types(suite, challenges, width),
+        Rows::Variants | Rows::Recordings => variants(study, suite, challenges, layout),
+        Rows::ScenarioTypes => scenario_types(suite, challenges, layout),
     }
 }
 

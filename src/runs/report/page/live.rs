@@ -138,7 +138,7 @@ impl LivePage {
     }
 
     /// Whether a process works on one of the runs.
-    pub fn is_running(&self) -> bool {
+    pub(crate) fn is_running(&self) -> bool {
         self.runs.iter().any(|run| RunFolder::is_running(&run.path))
     }
 
