@@ -2,12 +2,14 @@
 //! them.
 
 mod cache;
+mod kind;
 mod quoted;
 mod regular;
 mod shortened;
 mod word;
 
 pub use cache::cache_folder;
+pub use kind::{KIND_BYTES, is_hidden, is_unfinished, kind_of};
 pub use quoted::quoted;
 pub use regular::{open, read, read_text, target};
 pub use shortened::shortened;
