@@ -65,7 +65,8 @@ fn with_random_weights(folder: &Path, seed: u64) {
         let inputs: usize = shape.iter().skip(1).product();
         let range = (3.0 / inputs as f32).sqrt();
         let is_norm = name.contains("norm") && name.ends_with("weight");
-        let mut value = || match (is_norm, name.ends_with("bias")) {
+        let is_bias = name.ends_with("bias");
+        let mut value = || match (is_norm, is_bias) {
             (true, _) => 1.0,
             (_, true) => 0.0,
             _ => random.random_range(-range..range),

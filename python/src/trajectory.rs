@@ -10,6 +10,8 @@ use pyo3::types::{PyByteArray, PyBytes};
 const MICROS_PER_SECOND: f64 = 1e6;
 /// Numbers of a pose: x, y (meters), heading (radians).
 const POSE: usize = 3;
+/// Fewest poses of a plan, as for a command: one says neither how fast to drive nor where to turn.
+const MIN_POSES: usize = 2;
 
 /// A path in time of the ego's rear axle.
 #[pyclass(frozen, module = "planagent._core")]
@@ -57,6 +59,12 @@ pub(crate) fn through(ego: &EgoState, poses: &[Pose], dt_s: f64) -> Outcome<Plan
     if !(dt_s.is_finite() && dt_s > 0.0) {
         return Err(Failure::argument(format!(
             "dt is {dt_s}; it must be a number of seconds greater than 0"
+        )));
+    }
+    if poses.len() < MIN_POSES {
+        return Err(Failure::argument(format!(
+            "a plan has at least {MIN_POSES} poses, got {}",
+            poses.len()
         )));
     }
     let mut states = vec![TrajectoryState::from(ego)];

@@ -82,7 +82,7 @@ pub use registry::{
     Asking, DescribedPrompts, FetchListener, FetchProgress, GenerationSettings, HubAccess,
     ModelInputs, ModelRegistry, ModelSource, ModelSpec, NamedBy, PromptSet, RoundTokens,
 };
-pub use registry::{data_folder, models_folder};
+pub use registry::{data_folder, models_folder, offline_variable};
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::{ChatTokenizer, TemplateEngine};
 pub use trial::Trust;

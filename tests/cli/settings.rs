@@ -100,6 +100,51 @@ fn a_setting_is_replaced_for_one_run() {
 }
 
 #[test]
+fn the_variables_of_the_hub_switch_the_network_off() {
+    let work = TempDir::new().unwrap();
+    let offline = |variables: &[(&str, &str)], arguments: &[&str]| {
+        let mut command = planagent();
+        command
+            .args(["config", "--json"])
+            .args(arguments)
+            .current_dir(work.path())
+            .env_remove("HF_HUB_OFFLINE")
+            .env_remove("TRANSFORMERS_OFFLINE")
+            .envs(variables.iter().copied());
+        let stdout = String::from_utf8(command.output().unwrap().stdout).unwrap();
+        let settings = stdout
+            .lines()
+            .map(|line| serde_json::from_str::<Value>(line).unwrap());
+        let setting = settings
+            .into_iter()
+            .find(|setting| setting["key"] == "mllm.offline")
+            .unwrap();
+        let origin = setting["origin"].as_str().unwrap().to_owned();
+        (setting["value"].as_bool().unwrap(), origin)
+    };
+    let said = |value: bool, origin: &str| (value, origin.to_owned());
+    assert_eq!(offline(&[], &[]), said(false, "default"));
+    for value in ["1", "True", "yes", "ON"] {
+        assert_eq!(
+            offline(&[("HF_HUB_OFFLINE", value)], &[]),
+            said(true, "HF_HUB_OFFLINE")
+        );
+    }
+    assert_eq!(
+        offline(&[("TRANSFORMERS_OFFLINE", "1")], &[]),
+        said(true, "TRANSFORMERS_OFFLINE")
+    );
+    assert_eq!(
+        offline(&[("HF_HUB_OFFLINE", "0")], &[]),
+        said(false, "default")
+    );
+    assert_eq!(
+        offline(&[("HF_HUB_OFFLINE", "1")], &["--set", "mllm.offline=false"]),
+        said(false, "--set")
+    );
+}
+
+#[test]
 fn config_explains_settings_and_writes_the_commented_file() {
     let work = TempDir::new().unwrap();
     let config = |flags: &[&str]| {

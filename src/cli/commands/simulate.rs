@@ -56,16 +56,12 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
         printer.note("no scenario is in this shard");
     }
     printer.note(format!("results in {}", folder.display()));
-    let failed = failures(rows);
-    for line in &failed {
+    for line in failures(rows) {
         printer.failure(format!("failed: {line}"));
     }
-    if !failed.is_empty() {
-        printer.failure(format!(
-            "{} of {} simulations failed",
-            failed.len(),
-            rows.len()
-        ));
+    let failed = rows.iter().filter(|row| row.error.is_some()).count();
+    if failed > 0 {
+        printer.failure(format!("{failed} of {} simulations failed", rows.len()));
     }
     let count = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum::<usize>();
     let (calls, deadlines, lost) = (
@@ -108,7 +104,7 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
         }
     }
     let answered = lost == 0 && without_plan == 0;
-    let succeeded = failed.is_empty() && answered && missing.is_empty();
+    let succeeded = failed == 0 && answered && missing.is_empty();
     Ok(if succeeded {
         Exit::Success
     } else {

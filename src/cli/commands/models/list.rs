@@ -111,6 +111,7 @@ mod tests {
         weights: 142 << 30,
         cache: 17 << 30,
         work: 0,
+        picture: 0,
     };
 
     #[test]

@@ -1,13 +1,14 @@
 //! Tables of results, printed to the terminal or to Markdown.
 
+mod failures;
 mod markdown;
 mod overview;
 mod paired;
 mod simulations;
 pub mod terminal;
 
+pub use failures::failures;
 pub use paired::comparison_table;
-pub use simulations::failures;
 pub use terminal::{LineWidth, fill};
 
 use super::number::fixed;

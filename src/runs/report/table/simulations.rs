@@ -286,24 +286,3 @@ pub(super) fn without_plan(rows: &[SimulationRow], width: LineWidth) -> String {
         .collect::<Vec<_>>()
         .join("\n")
 }
-
-/// A line for each failed simulation.
-pub fn failures(rows: &[SimulationRow]) -> Vec<String> {
-    let failed = rows
-        .iter()
-        .filter_map(|row| row.error.as_ref().map(|error| (row, error)));
-    let line = |(row, error): (&SimulationRow, &String)| {
-        // The error of a file begins with its path, which names the scenario too.
-        let error = error
-            .strip_prefix(row.scenario.as_str())
-            .and_then(|rest| rest.strip_prefix(": "))
-            .unwrap_or(error);
-        format!(
-            "{} ({}, {}): {error}",
-            visible_line(&row.scenario),
-            row.planner,
-            row.challenge
-        )
-    };
-    failed.map(line).collect()
-}
