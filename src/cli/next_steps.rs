@@ -32,6 +32,6 @@ pub(super) fn next_steps(run: &Path, rows: &[SimulationRow]) -> Vec<String> {
 /// The transcript of a simulation, as a word for a shell.
 fn transcript(run: &Path, number: usize) -> Option<String> {
     let folder = simulation_folders(run).ok()?.remove(&number)?;
-    let file = folder.join(TRANSCRIPT);
+    let file = folder.path().join(TRANSCRIPT);
     file.is_file().then(|| quoted(&word_of(file.as_os_str())))
 }

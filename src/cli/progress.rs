@@ -52,8 +52,9 @@ impl Console {
             Event::Opened {
                 folder,
                 has_commands,
+                named_again,
             } => {
-                let command = again::resume_run(&folder, has_commands);
+                let command = again::resume_run(&folder, has_commands, &named_again);
                 let advice = format!("`{command}` goes on");
                 if let Err(error) = interrupt::advise(advice, self.printer) {
                     self.printer.error(&error);

@@ -88,6 +88,7 @@ impl Settings {
         if let Some(model) = flags.model {
             note("--model", "mllm.model", model.clone().into());
             config.mllm.model = model;
+            config.of_run.name("mllm.model");
         }
         if let Some(set) = flags.prompt_set {
             note("--prompt-set", "reasoning.prompt_set", set.clone().into());
@@ -157,9 +158,11 @@ impl Settings {
                 None => (the_learned(flags, word)?, word.as_str()),
             };
             let file = absolute_path(file);
-            let table = nested(&checkpoint_key(&planner), file.clone().into());
+            let key = checkpoint_key(&planner);
+            let table = nested(&key, file.clone().into());
             self.layers.push(("--checkpoint".to_owned(), table));
             self.config.learned.set(&planner, file);
+            self.config.of_run.name(&key);
         }
         Ok(())
     }

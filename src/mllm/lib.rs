@@ -33,6 +33,7 @@ mod families;
 mod family;
 mod gguf;
 mod internvl;
+mod key_variable;
 mod latency;
 mod llava;
 mod llava_next;

@@ -36,7 +36,7 @@ pub(crate) fn run(
     if flags.iterations == 0 {
         bail!("--iterations is 0; it must be at least 1");
     }
-    let started = stamp(SystemTime::now());
+    let started = stamp(SystemTime::now()).to_string();
     let out = flags
         .out
         .clone()

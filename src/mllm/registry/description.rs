@@ -492,7 +492,7 @@ mod tests {
     #[test]
     fn a_server_is_described_by_its_address_and_what_it_takes() {
         let valid = "name = 'g'\nprompt_set = 'paper'\nsource = { endpoint = 'https://a.b/v1', model = 'm', \
-            grammar = 'json_schema', limit = 'max_completion_tokens', key_env = 'KEY', omit = ['seed'], \
+            grammar = 'json_schema', limit = 'max_completion_tokens', key_env = 'THE_API_KEY', omit = ['seed'], \
             extra = { reasoning_effort = 'none' } }";
         let ModelSource::Endpoint(settings) = parse(valid).unwrap().source else {
             panic!("no endpoint")
@@ -513,6 +513,7 @@ mod tests {
             ("'m'", "' '", "model"),
             ("https://a.b", "ftp://a.b", "http"),
             ("https://a.b", "https://key@a.b", "key_env"),
+            ("THE_API_KEY", "AWS_SECRET_ACCESS_KEY", "PLANAGENT_KEY_ENV"),
             ("'https://a.b/v1'", "'a.b'", "address"),
             ("model =", "image_size = 8, model =", "image_size"),
             ("model =", "timeout_ms = 0, model =", "timeout_ms"),

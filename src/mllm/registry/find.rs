@@ -68,6 +68,29 @@ impl ModelRegistry {
         }
     }
 
+    /// Whether a name stands for more than files of a model on this machine: a server, a
+    /// repository of the hub, or a description by its path. A run that was made elsewhere may not
+    /// choose these.
+    pub fn leads_elsewhere(&self, name: &str) -> bool {
+        let is_elsewhere = |source: &ModelSource| {
+            matches!(source, ModelSource::Endpoint(_) | ModelSource::Hub { .. })
+        };
+        if self.description(name).is_none()
+            && Path::new(name).extension().is_some_and(|e| e == "toml")
+        {
+            return true;
+        }
+        // What cannot be found is said when it is opened.
+        self.find(name).is_ok_and(|spec| {
+            let sources = [
+                Some(&spec.source),
+                spec.tokenizer.as_ref(),
+                spec.draft_model.as_ref(),
+            ];
+            sources.into_iter().flatten().any(is_elsewhere)
+        })
+    }
+
     /// Finds a model. `name` is, in this order:
     /// 1. the name of a description in the folder, then of one in the program,
     /// 2. the path of a description, a model folder or a GGUF file,

@@ -2,7 +2,8 @@
 
 use super::error::{ReportError, ReportFault};
 use super::layout::{MANIFEST, RUNS, SUMMARY};
-use super::run_folder::read_toml;
+use super::limits::{MAX_MANIFEST_BYTES, MAX_SUMMARY_BYTES};
+use super::run_files::{RunFiles, read_toml};
 use serde::Deserialize;
 use std::cmp::Reverse;
 use std::fs;
@@ -37,7 +38,8 @@ fn last_in(runs: &Path) -> Result<PathBuf, ReportError> {
     let entries = fs::read_dir(runs).into_iter().flatten().flatten();
     let paths = entries.map(|entry| entry.path());
     let started = |path: &Path| {
-        let manifest: Started = read_toml(&path.join(MANIFEST)).ok()?;
+        let files = RunFiles::open(path).ok()?;
+        let manifest: Started = read_toml(files.root(), MANIFEST, MAX_MANIFEST_BYTES).ok()?;
         Some(manifest.started)
     };
     // Runs of one second are ordered by their names, which count up.
@@ -55,11 +57,11 @@ fn last_in(runs: &Path) -> Result<PathBuf, ReportError> {
 
 /// Whether a complete run has simulations, and every one failed. A run that goes on has no summary.
 fn has_only_failures(run: &Path) -> bool {
-    let summary = run.join(SUMMARY);
-    let text = planagent_files::read_text(&summary, planagent_files::MAX_LIST_BYTES);
-    let outcomes = text
+    let read = |files: RunFiles| files.root().read(SUMMARY, MAX_SUMMARY_BYTES).ok();
+    let outcomes = RunFiles::open(run)
         .ok()
-        .and_then(|text| serde_json::from_str::<Outcomes>(&text).ok());
+        .and_then(read)
+        .and_then(|text| serde_json::from_slice::<Outcomes>(&text).ok());
     outcomes.is_some_and(|Outcomes { scenarios }| {
         !scenarios.is_empty() && scenarios.iter().all(|one| !one.succeeded)
     })

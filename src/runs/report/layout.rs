@@ -39,7 +39,16 @@ pub const TRANSCRIPT: &str = "transcript.md";
 /// Parent of the BEV maps.
 pub(super) const BEV: &str = "bev";
 
-/// The BEV map of a planning call, relative to the simulation folder.
+/// The name of the BEV map of a planning call in its folder.
 pub(super) fn bev_name(iteration: usize) -> String {
-    format!("{BEV}/{iteration:03}.png")
+    format!("{iteration:03}{BEV_ENDING}")
 }
+
+/// Whether a file is the BEV map of a planning call.
+pub(super) fn is_bev_name(name: &str) -> bool {
+    name.strip_suffix(BEV_ENDING)
+        .and_then(|digits| digits.parse().ok())
+        .is_some_and(|iteration| bev_name(iteration) == name)
+}
+
+const BEV_ENDING: &str = ".png";

@@ -1,7 +1,9 @@
 //! `manifest.toml`: what a run consists of, written before its first simulation.
 
+use super::file_names::name_parts;
 use super::inputs::{AcceptedChanges, Inputs};
 use super::renamed;
+use super::stamp::Stamp;
 use planagent_files::serde_path;
 use planagent_scenario::MissingTokens;
 use schemars::JsonSchema;
@@ -31,8 +33,10 @@ pub struct Manifest {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub commit: Option<String>,
     /// Start time in nuPlan's format: `YYYY.MM.DD.hh.mm.ss`, UTC.
-    pub started: String,
+    #[schemars(with = "String")]
+    pub started: Stamp,
     /// Names of the planners, in order.
+    #[serde(deserialize_with = "name_parts")]
     pub planners: Vec<String>,
     /// The commands of those planners that are commands, by name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -301,6 +305,7 @@ fn flatten<'a>(
 
 #[cfg(test)]
 mod tests {
+    use super::super::stamp::stamp;
     use super::*;
 
     fn manifest() -> Manifest {
@@ -309,7 +314,7 @@ mod tests {
             result_version: 1,
             commit: None,
             planagent: "0.1.0".to_owned(),
-            started: "2026.11.20.08.00.00".to_owned(),
+            started: stamp(std::time::UNIX_EPOCH),
             planners: vec!["idm".to_owned()],
             commands: BTreeMap::new(),
             agents: BTreeMap::new(),
@@ -333,7 +338,7 @@ mod tests {
     fn differences_name_their_keys() {
         let then = manifest();
         let mut now = manifest();
-        now.started.clear();
+        now.started = stamp(std::time::SystemTime::now());
         now.scenarios.words.push("b".to_owned());
         assert!(then.differences(&now).is_empty());
         now.config = "seed = 1\n[reflection]\nthreshold = 0.5\n".parse().unwrap();
@@ -344,7 +349,7 @@ mod tests {
         assert_eq!(
             then.digest(),
             Manifest {
-                started: "later".to_owned(),
+                started: stamp(std::time::SystemTime::now()),
                 ..manifest()
             }
             .digest()

@@ -3,8 +3,8 @@
 use super::error::{MergeError, RunnerError};
 use super::run::{self, RunResults};
 use crate::report::{
-    Inputs, Manifest, RunFolder, ScenarioList, ShardList, SimulationRow, SimulationTime,
-    simulation_folders, simulation_metrics,
+    Inputs, Manifest, RunFolder, ScenarioList, ShardList, SimulationFolder, SimulationRow,
+    SimulationTime, simulation_folders, simulation_metrics,
 };
 use planagent_files::{quoted, word_of};
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ struct Part {
 /// A completed simulation of one of the parts.
 struct Simulation<'a> {
     part: &'a Part,
-    folder: PathBuf,
+    folder: SimulationFolder,
     row: SimulationRow,
 }
 
