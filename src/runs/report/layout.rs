@@ -3,11 +3,11 @@
 /// Parent of the run folders that get a number instead of a name.
 pub(super) const RUNS: &str = "runs";
 /// What the run consists of; written first.
-pub const MANIFEST: &str = "manifest.toml";
+pub(super) const MANIFEST: &str = "manifest.toml";
 /// The configuration in the form that `--config` takes.
 pub(super) const CONFIG: &str = "config.toml";
 /// The scores; written last, so the run is complete if the file exists.
-pub const SUMMARY: &str = "summary.json";
+pub(super) const SUMMARY: &str = "summary.json";
 /// Wall times and the machine.
 pub(super) const TIMING: &str = "timing.json";
 /// The planning calls: of one simulation in its folder, of all in the folder of the run.
