@@ -32,7 +32,7 @@ pub enum EntryKind {
 }
 
 impl EntryKind {
-    fn of(kind: FileType) -> Self {
+    fn from_file_type(kind: FileType) -> Self {
         if kind.is_file() {
             Self::File
         } else if kind.is_dir() {
@@ -93,7 +93,7 @@ impl OpenFolder {
     /// What stands under a name; none if nothing does. A link is not followed.
     pub fn kind(&self, name: impl AsRef<OsStr>) -> io::Result<Option<EntryKind>> {
         match self.dir.symlink_metadata(single(name.as_ref())?) {
-            Ok(metadata) => Ok(Some(EntryKind::of(metadata.file_type()))),
+            Ok(metadata) => Ok(Some(EntryKind::from_file_type(metadata.file_type()))),
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
             Err(error) => Err(error),
         }
@@ -198,7 +198,7 @@ impl OpenFolder {
             single(name)?,
             options.follow(FollowSymlinks::No).nonblock(true),
         )?;
-        match EntryKind::of(file.metadata()?.file_type()) {
+        match EntryKind::from_file_type(file.metadata()?.file_type()) {
             EntryKind::File => Ok(file),
             other => Err(is_no(other, "regular file")),
         }

@@ -6,8 +6,6 @@ mod study;
 mod table;
 mod twins;
 
-#[cfg(test)]
-use bench::DraftedCall;
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures};
 pub use figure::realism_figure;
 pub use study::{
@@ -21,3 +19,6 @@ pub use table::{
 };
 pub(crate) use table::{study_markdown, twin_markdown};
 pub use twins::TwinRecords;
+
+#[cfg(test)]
+use bench::DraftedCall;

@@ -50,7 +50,7 @@ pub(super) struct HubPlace {
 }
 
 impl HubPlace {
-    fn of(folder: PathBuf, name: &HubName, files: &HubFiles) -> Self {
+    fn in_folder(folder: PathBuf, name: &HubName, files: &HubFiles) -> Self {
         let gguf = files.chosen(name, &files::listed(&folder)).ok();
         Self { folder, gguf }
     }

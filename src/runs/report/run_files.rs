@@ -44,7 +44,7 @@ impl RunFiles {
         }
     }
 
-    pub(super) fn of(root: OpenFolder) -> Self {
+    pub(super) fn in_folder(root: OpenFolder) -> Self {
         Self { root }
     }
 

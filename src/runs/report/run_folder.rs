@@ -76,7 +76,7 @@ impl RunFolder {
             }
             None => runs::next_free()?,
         };
-        let locked = Locked::new(RunFiles::of(root))?;
+        let locked = Locked::new(RunFiles::in_folder(root))?;
         check_holds_no_run(&locked.files)?;
         let text = manifest_file::text(locked.files.root().path(), manifest)?;
         // The manifest comes first: from then on the run can be resumed.

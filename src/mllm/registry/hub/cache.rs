@@ -36,7 +36,7 @@ pub(super) fn find(cache: &Path, name: &HubName, files: &HubFiles) -> Result<Hub
     let revision = name.revision.as_deref().unwrap_or(MAIN);
     let candidates = snapshots_of(&repository, revision);
     let place = |folder: &PathBuf| match files.missing(name, folder) {
-        None => Ok(HubPlace::of(folder.clone(), name, files)),
+        None => Ok(HubPlace::in_folder(folder.clone(), name, files)),
         Some(file) => Err(file),
     };
     let mut complete = candidates.iter().filter_map(|folder| place(folder).ok());

@@ -123,7 +123,7 @@ fn ask(
         .maybe_progress(progress)
         .send()?;
     let Some(file) = files.missing(name, &folder) else {
-        return Ok(HubPlace::of(folder, name, files));
+        return Ok(HubPlace::in_folder(folder, name, files));
     };
     let hint = match list() {
         Ok(listed) => offered(name, &listed).or_else(|| unread(&listed)),

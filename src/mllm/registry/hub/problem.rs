@@ -20,7 +20,7 @@ enum Refusal {
 }
 
 impl Refusal {
-    fn of(error: &HFError, revision: &str) -> Option<Self> {
+    fn from_error(error: &HFError, revision: &str) -> Option<Self> {
         let context = match error {
             HFError::Http { context }
             | HFError::AuthRequired { context }
@@ -49,7 +49,7 @@ impl Refusal {
 /// Whether the hub was reached and knows the repository, but not the revision.
 pub(super) fn is_about_the_revision(error: &HFError, name: &HubName) -> bool {
     let revision = name.revision.as_deref().unwrap_or(MAIN);
-    Refusal::of(error, revision) == Some(Refusal::NoRevision)
+    Refusal::from_error(error, revision) == Some(Refusal::NoRevision)
 }
 
 /// Why the hub gave no files, and what to do.
@@ -58,7 +58,7 @@ pub(super) fn in_words(error: &HFError, name: &HubName, endpoint: &str) -> Strin
         "check the connection; without one, copy the repository into the cache or name a folder";
     const NAME: &str = "check the name; a private repository needs a token in HF_TOKEN";
     let revision = name.revision.as_deref().unwrap_or(MAIN);
-    match Refusal::of(error, revision) {
+    match Refusal::from_error(error, revision) {
         Some(Refusal::Gated) => {
             return format!(
                 "the repository is gated: accept its terms at {endpoint}/{}, and put a token in HF_TOKEN",

@@ -173,14 +173,14 @@ impl Table {
 
     /// The table with these columns.
     fn of_columns(&self, columns: &[usize]) -> Self {
-        fn of<T: Clone>(cells: &[T], columns: &[usize]) -> Vec<T> {
+        fn picked<T: Clone>(cells: &[T], columns: &[usize]) -> Vec<T> {
             let known = columns.iter().filter_map(|&column| cells.get(column));
             known.cloned().collect()
         }
         Self {
-            headers: of(&self.headers, columns),
-            alignment: of(&self.alignment, columns),
-            rows: self.rows.iter().map(|row| of(row, columns)).collect(),
+            headers: picked(&self.headers, columns),
+            alignment: picked(&self.alignment, columns),
+            rows: self.rows.iter().map(|row| picked(row, columns)).collect(),
             gap: self.gap,
         }
     }
