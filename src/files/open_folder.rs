@@ -231,10 +231,15 @@ impl OpenFolder {
 
     /// Deletes a file, a link, or a folder with all that is in it. What a link leads to stays.
     pub fn remove(&self, name: &str) -> io::Result<()> {
-        match self.kind(name)? {
+        let removed = match self.kind(name)? {
             None => Ok(()),
             Some(EntryKind::Folder) => self.dir.remove_dir_all(single(name)?),
             Some(_) => self.dir.remove_file_or_symlink(single(name)?),
+        };
+        match removed {
+            // Another process was faster.
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+            removed => removed,
         }
     }
 }

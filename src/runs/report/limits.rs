@@ -10,7 +10,7 @@ pub(super) const MAX_RECORD_BYTES: u64 = 2 << 20;
 /// Largest `metrics.toml`, bytes. That of a simulation of 15 s has 60,000.
 pub(super) const MAX_METRICS_BYTES: u64 = 4 << 20;
 /// Largest `calls.jsonl` of a simulation, bytes. A planning call has 20,000 to 200,000.
-pub(super) const MAX_CALLS_BYTES: u64 = 32 << 20;
+pub(super) const MAX_CALLS_BYTES: u64 = 64 << 20;
 /// Largest record of a planning call, bytes.
 pub(super) const MAX_CALL_BYTES: usize = 4 << 20;
 /// Largest `replay.json.gz`, bytes. That of a recording of 15 s has 40,000.
