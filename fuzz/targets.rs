@@ -42,7 +42,7 @@ use tempfile::TempDir;
 pub(crate) type Target = (&'static str, fn(&[u8]) -> bool);
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 17] = [
+pub(crate) const TARGETS: [Target; 22] = [
     ("planner_code", planner_code),
     ("answers", answers),
     ("prompts", prompts),
@@ -57,6 +57,11 @@ pub(crate) const TARGETS: [Target; 17] = [
     ("gguf", gguf),
     ("safetensors", safetensors),
     ("run_folder", run_folder),
+    ("run_manifest", |bytes| run_record(0, bytes)),
+    ("run_record", |bytes| run_record(1, bytes)),
+    ("run_metrics", |bytes| run_record(2, bytes)),
+    ("run_calls", |bytes| run_record(3, bytes)),
+    ("run_replay", |bytes| run_record(4, bytes)),
     ("endpoint_reply", endpoint_reply),
     ("modification", modification),
     ("checkpoint", checkpoint),
@@ -506,6 +511,11 @@ fn safetensors(bytes: &[u8]) -> bool {
     fits
 }
 
+/// A complete run in which one file, by its place in [`run_folder`], has these bytes.
+fn run_record(file: u8, bytes: &[u8]) -> bool {
+    run_folder(&[&[file], bytes].concat())
+}
+
 /// The first byte chooses which file of a complete run has the rest. The words `METRICS` and
 /// `CALLS` of a record become the digests of the two files: with another digest, a file is not
 /// read.
@@ -568,7 +578,7 @@ fn run_folder(bytes: &[u8]) -> bool {
     let completed = RunFolder::read_completed(&run).is_ok_and(|rows| !rows.rows.is_empty());
     let page = page::write(
         std::slice::from_ref(&run),
-        &run.join("page.html"),
+        None,
         &PageSettings::default(),
         &|_, _| (),
     );

@@ -72,7 +72,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "mllm",
         &[
-            &["error"],
+            &["error", "key_variable"],
             &["deadline", "endpoint_settings"],
             &["checkpoint"],
             &["conversation", "gguf"],
@@ -107,12 +107,14 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         &[
             &["sample"],
             &["commands", "event", "machine", "result_version", "shard"],
+            &["of_run"],
             &["config"],
             &["error"],
             &["probe"],
             &["inputs", "model"],
             &["request"],
             &["selection"],
+            &["watch"],
             &["run"],
             &["simulate"],
             &["merge"],
@@ -151,7 +153,9 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
 const MAX_CIRCLE: usize = 4;
 
 /// Modules that may write to disk, and nothing else may.
-const WRITERS: [&str; 6] = [
+const WRITERS: [&str; 8] = [
+    "src/files/open_folder.rs",
+    "src/files/whole_file.rs",
     "src/runs/report/",
     "src/lab/",
     "src/cli/",

@@ -12,6 +12,7 @@ mod argoverse2;
 mod bench;
 mod cases;
 mod cli;
+mod default_scenario;
 mod docs;
 mod endpoint;
 mod environment;

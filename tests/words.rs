@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Regular expressions of identifiers and phrases that have a better word.
-const RETIRED: [&str; 62] = [
+const RETIRED: [&str; 63] = [
     r"\b(MOST|LEAST|FEWEST|USUAL)_[A-Z]",
     r"\bin force\b",
     r"\bin_force\b",
@@ -64,6 +64,7 @@ const RETIRED: [&str; 62] = [
     r"\bdrives/",
     r"\bplanagent experiments?\b",
     r"\bruns/experiments\b",
+    r"\bfn of[(<]",
     r"\bEgoWay\b",
     r"\bPass(Rules|Verdict)\b",
     r"\b(with_)?way_back\b",

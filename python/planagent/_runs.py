@@ -196,6 +196,7 @@ def resume(
     *,
     retry_failed: bool = False,
     accept_changes: bool = False,
+    settings: Mapping[str, Any] | None = None,
     progress: bool | Callable[[Progress], None] = False,
     stop: Stop | None = None,
     agents: str | None = None,
@@ -213,6 +214,9 @@ def resume(
         Whether simulations that failed are repeated.
     accept_changes
         Whether the run is resumed although models, prompts or recordings changed; its manifest then says so.
+    settings
+        All settings of the run, where they name a server, a description, a model of the hub or a checkpoint: a folder may come from
+        elsewhere and chooses none of these by itself. Without them, the settings are those of the folder.
     progress, stop, agents, exec_timeout
         As `simulate` takes them.
 
@@ -231,7 +235,7 @@ def resume(
     True
     """
     folder = _existing(out)
-    arguments = {"planners": planners, "retry_failed": retry_failed, "accept_changes": accept_changes}
+    arguments = {"planners": planners, "retry_failed": retry_failed, "accept_changes": accept_changes, "settings": settings}
     return _run(folder, True, progress, stop, agents=agents, exec_timeout=exec_timeout, **arguments)
 
 

@@ -178,7 +178,7 @@ impl From<RunnerError> for Failure {
                 ReaderError::Missing(_) => "ScenarioNotFoundError",
                 _ => "ScenarioError",
             },
-            RunnerError::Report(error) if matches!(error.fault, ReportFault::Locked) => {
+            RunnerError::Report(error) if matches!(error.fault, ReportFault::Locked(_)) => {
                 "RunLockedError"
             }
             RunnerError::LoadModel { .. } | RunnerError::FindModel(_) if is_missing(&error) => {

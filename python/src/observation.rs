@@ -2,10 +2,10 @@
 
 use crate::errors::{Failure, Outcome};
 use crate::scenario::{ego_numbers, lanes};
-use crate::trajectory::{Trajectory, array, packed, poses, through};
+use crate::trajectory::{Trajectory, array, packed, planned, poses};
 use crate::work::{computed, long, quick};
 use image::RgbImage;
-use planagent::planning::{History, HistorySample, LeadPolicy};
+use planagent::planning::{History, HistorySample, LeadPolicy, SceneView};
 use planagent::road::{Lane, LaneMap, Pose, Route};
 use planagent::traffic::{ObjectKind, TrackedObject, TrafficLights};
 use planagent::{EgoState, Scene};
@@ -310,7 +310,7 @@ impl Observation {
     /// A trajectory from the present through packed poses at equal steps.
     fn trajectory(&self, py: Python<'_>, poses: &[u8], dt_s: f64) -> PyResult<Trajectory> {
         quick(py, || {
-            Ok(Trajectory(through(
+            Ok(Trajectory(planned(
                 &self.scene.ego,
                 &crate::trajectory::poses(poses)?,
                 dt_s,
@@ -360,14 +360,16 @@ impl Observation {
                 let objects = objects.into();
                 history.push(HistorySample { ego, objects });
             }
-            let scene = Scene {
-                map: Arc::new(map),
-                route: stored.route,
-                ego: stored.ego,
-                objects: stored.objects.into(),
-                lights: stored.lights,
-                history,
+            let map = Arc::new(map);
+            let view = SceneView {
+                map: &map,
+                route: &stored.route,
+                ego: &stored.ego,
+                objects: &stored.objects,
+                lights: &stored.lights,
+                history: &history,
             };
+            let scene = Scene::of_view(Arc::clone(&map), &view);
             Ok(Self::new(scene, stored.iteration, stored.start_us))
         })
     }

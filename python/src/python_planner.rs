@@ -7,7 +7,7 @@ use planagent::planning::{
 };
 use planagent::road::LaneMap;
 use planagent::{Planner, Scene, Trajectory as Planned};
-use planagent_agent::planner::kept;
+use planagent_agent::planner::{check_plan, kept};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -62,7 +62,12 @@ impl Planner for PythonPlanner {
             simulation,
             observation: Box::new(observation),
         })?;
-        planned.ok_or(PlannerError::NotInitialized)
+        let plan = planned.ok_or(PlannerError::NotInitialized)?;
+        check_plan(&plan, input.scene.ego).map_err(|jump| PlannerError::Failed {
+            doing: "planning in Python",
+            source: Box::new(jump),
+        })?;
+        Ok(plan)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Results of runs, and what reads or joins the folders of runs.
 
-use crate::errors::{Failure, Outcome};
+use crate::errors::Failure;
 use crate::table::Table;
 use crate::work::{computed, long, quick};
 use planagent::runs::RunResults as Finished;
@@ -150,7 +150,7 @@ pub(crate) fn statistics(py: Python<'_>, folder: PathBuf) -> PyResult<Table> {
 #[pyfunction]
 pub(crate) fn write_report(py: Python<'_>, folder: PathBuf, out: PathBuf) -> PyResult<()> {
     let work = move || {
-        let written = write_page(&[folder], &out, &PageSettings::default(), &|_, _| ());
+        let written = write_page(&[folder], Some(&out), &PageSettings::default(), &|_, _| ());
         written.map(drop).map_err(of_report)
     };
     long(py, || computed(work), &|| ())

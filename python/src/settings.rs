@@ -3,17 +3,20 @@
 use crate::errors::{Failure, Outcome};
 use crate::work::{computed, lock};
 use planagent::runs::{Config, Listener};
+use planagent_mllm::offline_variable;
 use planagent_runs::runner::{LoadedModel, RunnerError, load_model, silent};
 use std::collections::HashMap;
 use std::process;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-/// The configuration of settings as JSON, over the defaults.
+/// The configuration of settings as JSON, over the defaults and what `HF_HUB_OFFLINE` says.
 pub(crate) fn config(settings: &str) -> Outcome<Config> {
     let invalid = |text: String| Failure::argument(text);
     let table: toml::Table = serde_json::from_str(settings)
         .map_err(|error| invalid(format!("the settings: {error}")))?;
-    Config::default()
+    let mut config = Config::default();
+    config.mllm.offline = offline_variable().is_some();
+    config
         .overlaid(&table)
         .map_err(|error| invalid(planagent_runs::worker::run::with_causes(&error)))
 }

@@ -86,7 +86,7 @@ impl Table {
         for name in metrics {
             columns.push((name.to_owned(), numbers(all().map(|row| row.metric(name)))));
         }
-        Self::of(columns)
+        Self::from_columns(columns)
     }
 
     /// A row for each statistic of each metric of each simulation.
@@ -98,7 +98,7 @@ impl Table {
             .collect();
         let of_row =
             |of: fn(&SimulationRow) -> &str| texts(rows.iter().map(move |(row, ..)| Some(of(row))));
-        Self::of(
+        Self::from_columns(
             [
                 ("scenario", of_row(|row| &row.scenario)),
                 ("planner", of_row(|row| &row.planner)),
@@ -129,7 +129,7 @@ impl Table {
         )
     }
 
-    fn of(columns: Vec<(String, ArrayRef)>) -> Outcome<Self> {
+    fn from_columns(columns: Vec<(String, ArrayRef)>) -> Outcome<Self> {
         let fields: Vec<Field> = columns
             .iter()
             .map(|(name, column)| Field::new(name, column.data_type().clone(), true))
@@ -183,7 +183,7 @@ impl Table {
             };
             made.push((name, column));
         }
-        Self::of(made).or_raise(py)
+        Self::from_columns(made).or_raise(py)
     }
 
     /// The kinds of the columns.

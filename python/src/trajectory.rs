@@ -10,6 +10,8 @@ use pyo3::types::{PyByteArray, PyBytes};
 const MICROS_PER_SECOND: f64 = 1e6;
 /// Numbers of a pose: x, y (meters), heading (radians).
 const POSE: usize = 3;
+/// Fewest poses of a plan, as for a command: one says neither how fast to drive nor where to turn.
+const MIN_POSES: usize = 2;
 
 /// A path in time of the ego's rear axle.
 #[pyclass(frozen, module = "planagent._core")]
@@ -50,6 +52,17 @@ pub(crate) fn poses(bytes: &[u8]) -> Outcome<Vec<Pose>> {
         .iter()
         .map(|&[x, y, heading]| Pose { x, y, heading })
         .collect())
+}
+
+/// The plan of a planner from the ego's present state through poses at equal steps after it.
+pub(crate) fn planned(ego: &EgoState, poses: &[Pose], dt_s: f64) -> Outcome<Planned> {
+    if poses.len() < MIN_POSES {
+        return Err(Failure::argument(format!(
+            "a plan has at least {MIN_POSES} poses, got {}",
+            poses.len()
+        )));
+    }
+    through(ego, poses, dt_s)
 }
 
 /// A trajectory from the ego's present state through poses at equal steps after it.

@@ -143,7 +143,8 @@ impl Default for AgentBuilder {
 
 impl AgentBuilder {
     /// The model: a name ("nano", the default), a folder as Hugging Face writes it, a GGUF file, a
-    /// hub id (`llava-hf/llava-1.5-7b-hf`), or a `.toml` file that describes one.
+    /// hub id (`llava-hf/llava-1.5-7b-hf`; `org/name:Q4_K_M` for a GGUF file), or a `.toml` file that
+    /// describes one.
     #[must_use]
     pub fn model(self, model: impl Into<String>) -> Self {
         Self {
@@ -181,7 +182,7 @@ impl AgentBuilder {
         }
     }
 
-    /// Never uses the network.
+    /// Never uses the network. `HF_HUB_OFFLINE=1` does the same.
     #[must_use]
     pub fn offline(self) -> Self {
         Self {
@@ -246,9 +247,10 @@ impl AgentBuilder {
     }
 
     fn code_source(&self) -> Result<CodeSource> {
+        let environment = HubAccess::of_environment();
         let hub = HubAccess {
-            offline: self.offline,
-            ..HubAccess::default()
+            offline: self.offline || environment.offline,
+            ..environment
         };
         let trust = if self.trusted {
             Trust::Caller

@@ -10,16 +10,16 @@ use std::sync::OnceLock;
 static WORDS: OnceLock<Vec<OsString>> = OnceLock::new();
 
 /// Options of `simulate` that a run folder does not answer for: the user's own models, servers,
-/// checkpoints and files of settings.
-const OF_THE_USER: [&str; 3] = ["--model", "--checkpoint", "--config"];
+/// and files of settings.
+const OF_THE_USER: [&str; 2] = ["--model", "--config"];
 /// The same without a value.
 const SWITCHES: [&str; 3] = ["--offline", "--trust-model", "--ignore-memory"];
 /// Options with commands, which a run folder never starts.
 const COMMANDS: [&str; 3] = ["--planner", "--agents", "--exec-timeout"];
 
 /// The command that resumes a run.
-pub(super) fn resume_run(folder: &Path, has_commands: bool) -> String {
-    of_run(&arguments(), folder, has_commands)
+pub(super) fn resume_run(folder: &Path, has_commands: bool, named_again: &[[String; 2]]) -> String {
+    of_run(&arguments(), folder, has_commands, named_again)
 }
 
 /// The command that resumes this one, whose results are in a folder.
@@ -38,7 +38,12 @@ fn arguments() -> Vec<String> {
     words.iter().skip(1).map(|word| word_of(word)).collect()
 }
 
-fn of_run(arguments: &[String], folder: &Path, has_commands: bool) -> String {
+fn of_run(
+    arguments: &[String],
+    folder: &Path,
+    has_commands: bool,
+    named_again: &[[String; 2]],
+) -> String {
     let kept = |option: &str| {
         OF_THE_USER.contains(&option) || (has_commands && COMMANDS.contains(&option))
     };
@@ -57,6 +62,17 @@ fn of_run(arguments: &[String], folder: &Path, has_commands: bool) -> String {
             if value.is_none() {
                 words.extend(rest.next().cloned());
             }
+        }
+    }
+    // A file of settings may have named the model.
+    for named in named_again {
+        let [option, _] = named;
+        let is_there = |word: &String| {
+            word.strip_prefix(option.as_str())
+                .is_some_and(|rest| rest.is_empty() || rest.starts_with('='))
+        };
+        if option == "--checkpoint" || !words.iter().any(is_there) {
+            words.extend(named.iter().cloned());
         }
     }
     shown(&words)
@@ -98,11 +114,23 @@ mod tests {
                     --planner a=exec:./a_b --agents=b=exec:./b -q";
         let folder = Path::new("runs/my run");
         assert_eq!(
-            of_run(&words(line), folder, false),
+            of_run(&words(line), folder, false, &[]),
             "planagent simulate --resume 'runs/my run' --model m.toml --offline --config=c.toml"
         );
+        let named = [
+            ["--model".to_owned(), "/home/m.toml".to_owned()],
+            ["--checkpoint".to_owned(), "plantf=/a b.ckpt".to_owned()],
+        ];
         assert_eq!(
-            of_run(&words(line), folder, true),
+            of_run(&words("simulate --model m.toml"), folder, false, &named),
+            "planagent simulate --resume 'runs/my run' --model m.toml --checkpoint 'plantf=/a b.ckpt'"
+        );
+        assert_eq!(
+            of_run(&words("simulate"), folder, false, &named[..1]),
+            "planagent simulate --resume 'runs/my run' --model /home/m.toml"
+        );
+        assert_eq!(
+            of_run(&words(line), folder, true, &[]),
             "planagent simulate --resume 'runs/my run' --model m.toml --offline --config=c.toml --planner \
              'a=exec:./a b' --agents=b=exec:./b"
         );

@@ -178,6 +178,8 @@ Examples:
 pub(super) const CONFIG: &str = "\
 Examples:
   planagent config
+  planagent config --explain
+  planagent config --init
   planagent config --set environment.bev=false > without_bev.toml";
 
 pub(super) const COMPLETIONS: &str = "\

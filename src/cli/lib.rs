@@ -6,9 +6,12 @@ mod commands;
 mod completed;
 mod csv;
 mod exit;
+mod explained;
 mod film;
 mod help;
 mod interrupt;
+mod llama_options;
+mod next_steps;
 mod picture;
 mod printer;
 mod progress;
@@ -21,6 +24,7 @@ pub use printer::Printer;
 
 use anyhow::bail;
 use args::{Arguments, Command};
+use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches};
 use planagent_runs::runner::set_build_commit;
 use planagent_runs::worker::panic_guard;
@@ -68,6 +72,10 @@ fn run_with(arguments: impl IntoIterator<Item = OsString>, commit: Option<&'stat
     }
     let words: Vec<OsString> = arguments.into_iter().collect();
     again::remember(&words);
+    if let Some(advice) = llama_options::instead(&words) {
+        let error = Arguments::command().error(ErrorKind::UnknownArgument, advice);
+        return Printer::arguments(error, &words);
+    }
     let matches = with_negative_numbers(Arguments::command()).try_get_matches_from(&words);
     let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
@@ -128,7 +136,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Dataset(flags) => commands::dataset::run(flags, config, printer),
         Command::Study(flags) => commands::study::run(flags, config, printer),
         Command::Bench(flags) => commands::bench::run(flags, config, printer),
-        Command::Config(_) => commands::config::run(&settings, printer),
+        Command::Config(flags) => commands::config::run(flags, &settings, printer),
         Command::Completions { shell } => commands::completions::run(*shell, printer),
         Command::BenchProcess(_) => commands::bench::process(config, printer),
         Command::TrialProcess => commands::trial::run(),

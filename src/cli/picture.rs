@@ -3,9 +3,9 @@
 use anyhow::{Context, bail};
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use image::{ImageFormat, RgbImage};
-use planagent_files::target;
+use planagent_files::{target, write_whole};
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
 /// A file for a picture; its extension names the format.
@@ -58,6 +58,20 @@ pub(super) fn target_of(file: &Path) -> anyhow::Result<PathBuf> {
     target(file).with_context(|| format!("cannot write {}", file.display()))
 }
 
+/// Writes a picture: all of it, or nothing.
+pub(super) fn write_picture(
+    picture: &RgbImage,
+    format: ImageFormat,
+    path: &Path,
+) -> anyhow::Result<()> {
+    let mut bytes = Cursor::new(Vec::new());
+    let encoded = picture.write_to(&mut bytes, format);
+    encoded
+        .map_err(io::Error::other)
+        .and_then(|()| write_whole(path, bytes.get_ref()))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
 impl TryFrom<PathBuf> for PictureFile {
     type Error = UnknownEnding;
 
@@ -78,9 +92,7 @@ impl PictureFile {
     /// Writes the picture.
     pub(super) fn save(&self, picture: &RgbImage) -> anyhow::Result<()> {
         check_output(&self.path)?;
-        picture
-            .save_with_format(&self.path, self.format)
-            .with_context(|| format!("cannot write {}", self.path.display()))
+        write_picture(picture, self.format, &self.path)
     }
 
     /// A file beside this one, with a word before the extension: `scene.png` and `scene.model.png`.

@@ -8,7 +8,7 @@ use clap::error::ContextValue;
 use console::{Style, Term, measure_text_width};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use planagent_files::shortened;
-use planagent_runs::report::{json_value, visible, visible_line};
+use planagent_runs::report::{LineWidth, json_value, visible, visible_line};
 use std::borrow::Cow;
 use std::ffi::OsString;
 use std::io::{ErrorKind, Write};
@@ -201,7 +201,7 @@ impl Printer {
             ProgressDrawTarget::stderr()
         };
         let bar = ProgressBar::with_draw_target(Some(length), target);
-        let template = format!("{{bar:30}} {{pos}}/{{len}} {unit} {{elapsed}} {{wide_msg}}");
+        let template = format!("{{pos}}/{{len}} {unit} {{elapsed}} {{msg}} {{wide_bar}}");
         if let Ok(style) = ProgressStyle::with_template(&template) {
             bar.set_style(style);
         }
@@ -212,7 +212,7 @@ impl Printer {
     pub(crate) fn byte_progress(&self, length: u64) -> ProgressBar {
         let bar = self.progress(length, "bytes");
         if let Ok(style) = ProgressStyle::with_template(
-            "{bar:24} {bytes}/{total_bytes} {bytes_per_sec} {eta} left {wide_msg}",
+            "{bytes}/{total_bytes} {bytes_per_sec} {eta} left {msg} {wide_bar}",
         ) {
             bar.set_style(style);
         }
@@ -222,6 +222,11 @@ impl Printer {
     /// Columns of the terminal on stdout; 80 when it is none.
     pub fn width(&self) -> u16 {
         self.columns().unwrap_or(80)
+    }
+
+    /// The width of tables on stdout.
+    pub(crate) fn line_width(&self) -> LineWidth {
+        self.columns().map_or(LineWidth::PIPE, LineWidth::terminal)
     }
 
     /// Columns of the terminal on stdout; none for a file or a pipe, whose lines stay whole.

@@ -3,6 +3,7 @@
 use super::{Printer, again, interrupt};
 use console::Term;
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+use planagent_runs::report::table::terminal::COLUMNS;
 use planagent_runs::runner::{Event, Listener};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -11,8 +12,10 @@ use std::time::{Duration, Instant};
 
 /// Time between two lines where stderr is no terminal. A shorter run prints none.
 const LINE_EVERY: Duration = Duration::from_secs(30);
-/// The bar, in 80 columns.
-const TEMPLATE: &str = "{bar:10} {pos}/{len} simulations {per_sec} {left} {msg}";
+/// The bar: the words first, and the bar takes the columns that they leave.
+const TEMPLATE: &str = "{words} {wide_bar}";
+/// Columns of the bar that words do not take.
+const MIN_BAR: usize = 10;
 /// Steps of a simulation of 15 s, for the estimate before the first one ends.
 const USUAL: usize = 150;
 /// Steps after which the time left is estimated: those between two planning calls.
@@ -49,8 +52,9 @@ impl Console {
             Event::Opened {
                 folder,
                 has_commands,
+                named_again,
             } => {
-                let command = again::resume_run(&folder, has_commands);
+                let command = again::resume_run(&folder, has_commands, &named_again);
                 let advice = format!("`{command}` goes on");
                 if let Err(error) = interrupt::advise(advice, self.printer) {
                     self.printer.error(&error);
@@ -174,6 +178,32 @@ impl Counts {
     }
 }
 
+impl Counts {
+    /// The words of the bar, the most important first, as many as leave room for it.
+    fn words(&self, ended: u64, passed: Duration, columns: usize) -> String {
+        let failed = self.failed.load(Ordering::Relaxed);
+        let steps = self.steps.load(Ordering::Relaxed);
+        let parts = [
+            format!("{failed} failed"),
+            format!("{:.1}/min", a_minute(ended as f64, passed)),
+            format!("{steps} steps"),
+        ];
+        let mut words = format!("{ended}/{} simulations {}", self.total, self.left());
+        for part in parts {
+            if words.len() + 1 + part.len() + MIN_BAR < columns {
+                words = format!("{words} {part}");
+            }
+        }
+        words
+    }
+}
+
+/// Columns of the terminal on stderr, where bars are.
+fn columns() -> usize {
+    let size = Term::stderr().size_checked();
+    size.map_or(COLUMNS, |(_, columns)| usize::from(columns))
+}
+
 impl SimulationProgress {
     /// Progress of `total` simulations.
     fn new(printer: Printer, total: usize) -> Self {
@@ -191,11 +221,11 @@ impl SimulationProgress {
     fn with_counts(printer: Printer, bar: ProgressBar, counts: Arc<Counts>) -> Self {
         if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
             let of_bar = Arc::clone(&counts);
-            let left = move |_: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
+            let words = move |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
                 // A bar that cannot be written is no error of the run.
-                let _ = out.write_str(&of_bar.left());
+                let _ = out.write_str(&of_bar.words(state.pos(), state.elapsed(), columns()));
             };
-            bar.set_style(style.with_key("per_sec", per_minute).with_key("left", left));
+            bar.set_style(style.with_key("words", words));
         }
         let is_terminal = Term::stderr().is_term();
         Self {
@@ -225,8 +255,7 @@ impl SimulationProgress {
     fn show(&self, steps: usize) {
         let failed = self.counts.failed.load(Ordering::Relaxed);
         if self.is_terminal {
-            self.bar
-                .set_message(format!("{failed} failed {steps} steps"));
+            self.bar.tick();
             return;
         }
         // A thread that finds the clock locked prints nothing: another thread prints.
@@ -262,16 +291,6 @@ fn a_minute(ended: f64, passed: Duration) -> f64 {
     ended / passed.as_secs_f64().max(f64::EPSILON) * 60.0
 }
 
-/// The same for the bar.
-fn per_minute(state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write) {
-    // A bar that cannot be written is no error of the run.
-    let _ = write!(
-        out,
-        "{:.1}/min",
-        a_minute(state.pos() as f64, state.elapsed())
-    );
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -279,19 +298,19 @@ mod tests {
     use std::io;
     use std::sync::Arc;
 
-    /// More columns than any bar has.
-    const WIDE: u16 = 500;
-
     /// Time since the start of the run.
     const PASSED: Duration = Duration::from_mins(10);
 
-    /// A wide terminal that stores its text.
+    /// A terminal of some columns that stores its text.
     #[derive(Debug, Clone, Default)]
-    struct Paper(Arc<Mutex<String>>);
+    struct Paper {
+        columns: u16,
+        text: Arc<Mutex<String>>,
+    }
 
     impl TermLike for Paper {
         fn width(&self) -> u16 {
-            WIDE
+            self.columns
         }
 
         fn move_cursor_up(&self, _: usize) -> io::Result<()> {
@@ -315,7 +334,7 @@ mod tests {
         }
 
         fn write_str(&self, text: &str) -> io::Result<()> {
-            let mut paper = self.0.lock().unwrap();
+            let mut paper = self.text.lock().unwrap();
             paper.push_str(text.trim_end());
             paper.push('\n');
             Ok(())
@@ -330,38 +349,54 @@ mod tests {
         }
     }
 
-    #[test]
-    fn bar_and_lines_of_a_large_run_stay_within_80_columns() {
-        let (total, steps) = (12_800, 1_907_200);
-        let paper = Paper::default();
-        let target = ProgressDrawTarget::term_like_with_hz(Box::new(paper.clone()), 255);
-        let bar = ProgressBar::with_draw_target(Some(total as u64), target).with_elapsed(PASSED);
-        let started = Instant::now().checked_sub(PASSED).unwrap();
-        let counts = Counts {
-            total,
-            started,
+    /// A run of many simulations that is almost complete.
+    fn large() -> Counts {
+        Counts {
+            total: 12_800,
+            started: Instant::now().checked_sub(PASSED).unwrap(),
             ended: AtomicUsize::new(12_799),
             failed: AtomicUsize::new(99),
-            steps: AtomicUsize::new(steps),
-        };
-        let progress =
-            SimulationProgress::with_counts(Printer::new(false, true), bar, Arc::new(counts));
-        let progress = SimulationProgress {
-            is_terminal: true,
-            ..progress
-        };
-        progress.bar.set_position(12_799);
-        progress.show(steps);
-        progress.bar.force_draw();
-        let drawn = paper.0.lock().unwrap().clone();
-        assert!(
-            drawn.contains("12799/12800 simulations") && drawn.contains("99 failed 1907200 steps"),
-            "{drawn}"
-        );
-        let line = progress.line(99, steps);
-        for text in drawn.lines().chain([line.as_str()]) {
-            assert!(console::measure_text_width(text) <= 80, "{text}");
+            steps: AtomicUsize::new(1_907_200),
         }
+    }
+
+    #[test]
+    fn a_bar_takes_the_width_of_its_terminal() {
+        for columns in [60, 80, 100, 160] {
+            let words = large().words(12_799, PASSED, columns);
+            assert!(
+                words.starts_with("12799/12800 simulations 0s left"),
+                "{words}"
+            );
+            assert!(words.contains("99 failed"), "{words}");
+            assert_eq!(words.contains("1907200 steps"), columns >= 80, "{words}");
+            assert!(words.len() + MIN_BAR < columns, "{columns}: {words}");
+        }
+        // Without a terminal on stderr the words are those of 80 columns.
+        for columns in [80, 100, 160] {
+            let paper = Paper {
+                columns,
+                ..Paper::default()
+            };
+            let target = ProgressDrawTarget::term_like_with_hz(Box::new(paper.clone()), 255);
+            let bar = ProgressBar::with_draw_target(Some(12_800), target).with_elapsed(PASSED);
+            let printer = Printer::new(false, true);
+            let progress = SimulationProgress::with_counts(printer, bar, Arc::new(large()));
+            progress.bar.set_position(12_799);
+            progress.bar.force_draw();
+            let drawn = paper.text.lock().unwrap().clone();
+            let line = drawn.lines().last().unwrap();
+            assert!(line.starts_with("12799/12800 simulations"), "{drawn}");
+            let width = console::measure_text_width(line);
+            assert_eq!(width, usize::from(columns), "{drawn}");
+        }
+        let progress = SimulationProgress::with_counts(
+            Printer::new(false, true),
+            ProgressBar::hidden(),
+            Arc::new(large()),
+        );
+        let line = progress.line(99, 1_907_200);
+        assert!(console::measure_text_width(&line) <= 80, "{line}");
     }
 
     #[test]

@@ -6,8 +6,8 @@ use super::words::planner_words;
 use anyhow::{Context, bail};
 use planagent_agent::planner::LearnedSettings;
 use planagent_agent::reasoning::built_in_prompts;
-use planagent_mllm::Trust;
 use planagent_mllm::trial::Trial;
+use planagent_mllm::{Trust, offline_variable};
 use planagent_planners::all_planners;
 use planagent_runs::report::RenamedSetting;
 use planagent_runs::runner::Config;
@@ -49,11 +49,12 @@ pub(super) struct Setting {
 }
 
 impl Settings {
-    /// The settings of arguments: a file or the run that is resumed, below `--set`, below options
-    /// of their own.
+    /// The settings of arguments: a file or the run that is resumed, below `HF_HUB_OFFLINE`, below
+    /// `--set`, below options of their own.
     pub(super) fn from_arguments(arguments: &Arguments) -> anyhow::Result<Self> {
         let global = &arguments.global;
         let mut settings = base(arguments)?;
+        settings.take_environment();
         for text in &global.set {
             let table = parse(text)?;
             let origin = format!("--set {text}");
@@ -63,6 +64,15 @@ impl Settings {
         settings.take_options(arguments);
         settings.take_checkpoints(arguments)?;
         Ok(settings)
+    }
+
+    /// Takes what the variables of the hub's own tools say.
+    fn take_environment(&mut self) {
+        if let Some(variable) = offline_variable() {
+            let table = nested("mllm.offline", true.into());
+            self.layers.push((variable.to_owned(), table));
+            self.config.mllm.offline = true;
+        }
     }
 
     fn take_options(&mut self, arguments: &Arguments) {
@@ -78,6 +88,7 @@ impl Settings {
         if let Some(model) = flags.model {
             note("--model", "mllm.model", model.clone().into());
             config.mllm.model = model;
+            config.of_run.name("mllm.model");
         }
         if let Some(set) = flags.prompt_set {
             note("--prompt-set", "reasoning.prompt_set", set.clone().into());
@@ -147,9 +158,11 @@ impl Settings {
                 None => (the_learned(flags, word)?, word.as_str()),
             };
             let file = absolute_path(file);
-            let table = nested(&checkpoint_key(&planner), file.clone().into());
+            let key = checkpoint_key(&planner);
+            let table = nested(&key, file.clone().into());
             self.layers.push(("--checkpoint".to_owned(), table));
             self.config.learned.set(&planner, file);
+            self.config.of_run.name(&key);
         }
         Ok(())
     }

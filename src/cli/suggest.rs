@@ -26,20 +26,40 @@ struct Mistyped {
     known: Vec<String>,
 }
 
+/// Letters from which on a part of a name suggests it.
+const MIN_PART: usize = 3;
+
 /// The known name closest to a mistyped one, if it is close.
 pub(super) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let folded = |text: &str| text.to_lowercase().replace(['_', ' '], "-");
+    let name = folded(name);
+    let is_part = |one: &str| {
+        let (short, long) = if one.len() < name.len() {
+            (one, name.as_str())
+        } else {
+            (name.as_str(), one)
+        };
+        short.chars().count() >= MIN_PART
+            && long
+                .split(['-', '/', '.'])
+                .any(|part| part.starts_with(short))
+            || short.contains('-') && long.contains(short)
+    };
     // One wrong, missing or swapped letter is close in a short name too.
     let similarity = |one: &str| {
-        if strsim::damerau_levenshtein(name, one) == 1 {
-            1.0
-        } else {
-            strsim::jaro(name, one)
+        let one = folded(one);
+        match strsim::damerau_levenshtein(&name, &one) {
+            0 => 3.0,
+            1 => 2.0,
+            _ if is_part(&one) => 1.5,
+            _ => strsim::jaro(&name, &one),
         }
     };
     let similar = known.into_iter().map(|one| (similarity(one), one));
     let close = similar.filter(|(similarity, _)| *similarity > MIN_SIMILARITY);
+    // Of equally close names the first.
     close
-        .max_by(|(a, _), (b, _)| a.total_cmp(b))
+        .reduce(|best, other| if other.0 > best.0 { other } else { best })
         .map(|(_, one)| one)
 }
 
@@ -199,6 +219,38 @@ mod tests {
     fn only_close_names_are_suggested() {
         assert_eq!(nearest("imd", ["plan-agent", "idm", "simple"]), Some("idm"));
         assert_eq!(nearest("telepathy", ["plan-agent", "idm", "simple"]), None);
+    }
+
+    #[test]
+    fn a_part_of_a_name_suggests_the_name() {
+        let planners = [
+            "plan-agent",
+            "log-replay",
+            "idm",
+            "pdm-closed",
+            "pdm-closed-plus",
+            "pdm-open",
+            "raster-model",
+        ];
+        assert_eq!(nearest("pdm", planners), Some("pdm-closed"));
+        assert_eq!(nearest("closed", planners), Some("pdm-closed"));
+        assert_eq!(nearest("PDM_Closed", planners), Some("pdm-closed"));
+        assert_eq!(nearest("planagent", planners), Some("plan-agent"));
+        assert_eq!(nearest("raster", planners), Some("raster-model"));
+        assert_eq!(
+            nearest("pdm-closed-pluss", planners),
+            Some("pdm-closed-plus")
+        );
+        assert_eq!(nearest("pd", planners), None);
+        assert_eq!(nearest("the", planners), None);
+        assert_eq!(
+            nearest("hard", ["generated-test14", "generated-test14-hard"]),
+            Some("generated-test14-hard")
+        );
+    }
+
+    #[test]
+    fn one_wrong_word_of_several_is_close() {
         assert_eq!(
             nearest(
                 "generated-test14-hrad",

@@ -1,16 +1,24 @@
 //! Files that a user names: only regular ones are read, of limited size, and errors show little of
-//! them.
+//! them. A file is written whole or not at all.
 
 mod cache;
+mod kind;
+mod open_folder;
 mod quoted;
 mod regular;
 mod shortened;
+mod unfinished;
+mod whole_file;
 mod word;
 
 pub use cache::cache_folder;
+pub use kind::{KIND_BYTES, is_hidden, is_unfinished, kind_of};
+pub use open_folder::{EntryKind, OpenFolder};
 pub use quoted::quoted;
 pub use regular::{open, read, read_text, target};
 pub use shortened::shortened;
+pub use unfinished::UNFINISHED;
+pub use whole_file::{WholeFile, write_whole};
 pub use word::{path_of, serde_path, word_of};
 
 /// Largest file of settings, prompts or a study, bytes.

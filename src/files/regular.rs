@@ -25,7 +25,11 @@ pub fn read_text(path: &Path, max_bytes: u64) -> io::Result<String> {
 
 /// Reads at most `max_bytes` from a regular file. A larger one is not read at all.
 pub fn read(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
-    let file = open(path)?;
+    read_file(open(path)?, max_bytes)
+}
+
+/// Reads at most `max_bytes` from an open file.
+pub(super) fn read_file(file: File, max_bytes: u64) -> io::Result<Vec<u8>> {
     let length = file.metadata()?.len();
     if length > max_bytes {
         return Err(too_large(&format!("{length} bytes"), max_bytes));

@@ -1,5 +1,6 @@
 //! Settings of a model behind a server, as a model description has them.
 
+use super::key_variable;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::net::IpAddr;
@@ -157,7 +158,8 @@ impl EndpointSettings {
         if self.model.trim().is_empty() {
             return Err("model is empty; write the server's name of the model".into());
         }
-        self.url().map(drop)
+        self.url()?;
+        self.key_env.as_deref().map_or(Ok(()), key_variable::check)
     }
 
     /// Model and server in words.

@@ -122,7 +122,7 @@ pub enum MllmError {
     Request { problem: String },
     #[error(
         "the prompt has {tokens} tokens and the model's context {context}; raise --context where it is lower than the \
-         model allows, or shorten the prompt (reasoning.prompt_set)"
+         model allows, or choose a prompt set in fewer tokens (--prompt-set)"
     )]
     PromptTooLong { tokens: usize, context: usize },
     #[error("the logit of token {token} at position {position} is {value}")]
@@ -150,16 +150,17 @@ pub enum MllmError {
     AbsentModel { path: PathBuf },
     #[error("unknown model shape '{name}'; choose one of {known}")]
     UnknownShape { name: String, known: String },
-    #[error(
-        "{id} (revision {revision}): {file} is not in the cache {cache}; download it without mllm.offline, for example by \
-         `planagent models fetch {id}`"
-    )]
+    #[error("{id} (revision {revision}): {file} is not in the cache {cache}; {advice}")]
     NotInCache {
         id: String,
         revision: String,
         file: String,
         cache: PathBuf,
+        /// What is there instead, and how the file gets there.
+        advice: String,
     },
+    #[error("model '{word}': {problem}")]
+    HubName { word: String, problem: String },
     #[error("{id} (revision {revision}): {problem}")]
     Hub {
         id: String,
@@ -173,8 +174,12 @@ pub enum MllmError {
         variable: String,
         problem: &'static str,
     },
-    #[error("mllm.offline forbids requests to {endpoint}")]
-    Offline { endpoint: String },
+    #[error("mllm.offline forbids requests to {endpoint}{}", variable.map_or(String::new(), |variable| format!("; the environment variable {variable} sets it")))]
+    Offline {
+        endpoint: String,
+        /// The variable that switches the network off, if one does.
+        variable: Option<&'static str>,
+    },
     #[error("model '{name}' has no files, because {endpoint} runs it")]
     NoFiles { name: String, endpoint: String },
     #[error("'{address}' is no address of a server: {problem}")]

@@ -33,6 +33,7 @@ mod families;
 mod family;
 mod gguf;
 mod internvl;
+mod key_variable;
 mod latency;
 mod llava;
 mod llava_next;
@@ -78,10 +79,10 @@ pub use local::{
 };
 pub use planagent_kernels::matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub use registry::{
-    Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs,
-    ModelRegistry, ModelSource, ModelSpec, NamedBy, PromptSet, RoundTokens,
+    Asking, DescribedPrompts, FetchListener, FetchProgress, GenerationSettings, HubAccess,
+    ModelInputs, ModelRegistry, ModelSource, ModelSpec, NamedBy, PromptSet, RoundTokens,
 };
-pub use registry::{data_folder, models_folder};
+pub use registry::{data_folder, models_folder, offline_variable};
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::{ChatTokenizer, TemplateEngine};
 pub use trial::Trust;

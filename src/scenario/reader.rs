@@ -296,10 +296,16 @@ pub enum ReaderError {
         generated/TYPE/SEED.TRAFFIC", .0.display())]
     Missing(PathBuf),
     #[error(
-        "{}: no kind of recording has such a name; Waymo's files are named *.tfrecord*, nuPlan's logs *.db, and Argoverse 2's \
-         logs are folders", .0.display()
+        "{}: no kind of recording has such a name{}; Waymo's files are named *.tfrecord*, nuPlan's logs *.db, and Argoverse 2's \
+         logs are folders",
+        path.display(),
+        kind.map_or(String::new(), |kind| format!(" (the file is {kind})"))
     )]
-    UnknownFile(PathBuf),
+    UnknownFile {
+        path: PathBuf,
+        /// What the file is, by its first bytes.
+        kind: Option<&'static str>,
+    },
     #[error("cannot list the folder {}: {source}", path.display())]
     Folder {
         path: PathBuf,
@@ -324,6 +330,19 @@ impl ReaderError {
     /// The error of a reader.
     pub fn new(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
         Self::Source(error.into())
+    }
+}
+
+/// A note about files of a folder that are of another kind than their names say. `others` are the
+/// errors of these files.
+pub(crate) fn passed_over(others: &[String]) -> Option<String> {
+    match others {
+        [] => None,
+        [one] => Some(format!("passed over: {one}")),
+        [first, rest @ ..] => Some(format!(
+            "{} files are passed over, for example {first}",
+            rest.len() + 1
+        )),
     }
 }
 

@@ -16,8 +16,10 @@ use super::reader::{
 use super::split::Split;
 #[cfg(feature = "womd")]
 use super::womd;
-use planagent_files::{path_of, word_of};
+use planagent_files::{KIND_BYTES, kind_of, path_of, word_of};
 use std::fmt;
+use std::io::Read;
+use std::path::Path;
 
 type BuildReader = fn(&DataRoots) -> Box<dyn ScenarioReader>;
 
@@ -26,7 +28,7 @@ type BuildReader = fn(&DataRoots) -> Box<dyn ScenarioReader>;
 const READERS: &[BuildReader] = &[
     |_| Box::new(generator::GeneratedReader),
     #[cfg(feature = "womd")]
-    |_| Box::new(womd::WomdReader),
+    |_| Box::<womd::WomdReader>::default(),
     #[cfg(feature = "argoverse2")]
     |_| Box::new(argoverse2::Argoverse2Reader),
     #[cfg(feature = "nuplan")]
@@ -91,7 +93,8 @@ impl Readers {
         if !path.is_dir() {
             let path = path.to_owned();
             return Err(if path.exists() {
-                ReaderError::UnknownFile(path)
+                let kind = kind_of_file(&path);
+                ReaderError::UnknownFile { path, kind }
             } else {
                 ReaderError::Missing(path)
             });
@@ -130,7 +133,8 @@ impl Readers {
         match all.first() {
             None => Err(ReaderError::Empty {
                 path: path.to_owned(),
-                looked_for,
+                // What was passed over may be what the user means.
+                looked_for: looked_for.into_iter().chain(self.take_notes()).collect(),
             }),
             Some(first) => match first.fault() {
                 Some(fault) if all.iter().all(|one| one.fault().is_some()) => {
@@ -179,6 +183,16 @@ impl Readers {
             .flat_map(|reader| reader.take_notes())
             .collect()
     }
+}
+
+/// What a file of no reader is, if that is known.
+fn kind_of_file(path: &Path) -> Option<&'static str> {
+    let mut beginning = Vec::new();
+    let file = planagent_files::open(path).ok()?;
+    file.take(KIND_BYTES as u64)
+        .read_to_end(&mut beginning)
+        .ok()?;
+    kind_of(&beginning)
 }
 
 /// The later start that a word ends in, unless it is the name of a file.

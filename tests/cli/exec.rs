@@ -158,6 +158,21 @@ fn a_command_that_is_dead_silent_or_wrong_fails_its_simulation() {
         chatty.contains("answered what is no message") && chatty.contains("hello"),
         "{chatty}"
     );
+    let nan = failing(
+        work.path(),
+        "read first; echo '{\"type\": \"ready\"}'; read step; echo '{\"type\": \"trajectory\", \"states\": [{\"t\": 0.0, \"x\": NaN}]}'; cat > /dev/null",
+    );
+    assert!(
+        nan.contains("states[0].x is NaN") && nan.contains("\"x\": NaN}"),
+        "{nan}"
+    );
+    let far = failing(
+        work.path(),
+        "read first; echo '{\"type\": \"ready\"}'; read step; echo '{\"type\": \"trajectory\", \"states\": [\
+         {\"t\": 0.0, \"x\": 9e5, \"y\": 0, \"heading\": 0, \"speed\": 0}, \
+         {\"t\": 8.0, \"x\": 9e5, \"y\": 0, \"heading\": 0, \"speed\": 0}]}'; cat > /dev/null",
+    );
+    assert!(far.contains("away from the ego now"), "{far}");
     let early = failing(
         work.path(),
         "echo '{\"type\": \"trajectory\", \"states\": []}'; cat > /dev/null",
@@ -343,4 +358,32 @@ fn a_study_compares_a_command() -> Needy {
     assert_eq!((code, csv.lines().count()), (0, 5), "{csv}");
     assert!(csv.contains("mine,recorded,mine,"), "{csv}");
     Ok(())
+}
+
+#[test]
+fn equal_failures_are_printed_once() {
+    let work = TempDir::new().unwrap();
+    let out = work.path().join("run");
+    let flags = [
+        "simulate",
+        "--split",
+        "generated",
+        "--limit",
+        "5",
+        "--challenge",
+        "nonreactive",
+        "--planner",
+        "wrong=exec:echo hello; cat > /dev/null",
+        "--out",
+        out.to_str().unwrap(),
+    ];
+    let (code, _, stderr) = run(&flags);
+    assert_eq!(code, 1, "{stderr}");
+    assert_eq!(stderr.matches("hello").count(), 1, "{stderr}");
+    assert!(
+        stderr.contains("in the same way failed 4 more: ") && stderr.contains("and 1 more"),
+        "{stderr}"
+    );
+    assert!(stderr.contains("5 of 5 simulations failed"), "{stderr}");
+    assert_eq!(rows(&out).len(), 5);
 }

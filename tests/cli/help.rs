@@ -1,6 +1,6 @@
 //! The help of every command, short and long.
 
-use super::{planagent, run};
+use super::{planagent, refused, run};
 
 /// Every command with its own help.
 pub(super) const COMMANDS: [&str; 27] = [
@@ -123,4 +123,27 @@ fn completions_name_commands_and_options() {
             assert!(script.contains(bare), "{shell}: no {word}");
         }
     }
+}
+
+#[test]
+fn completions_know_the_names_of_registries() {
+    for shell in ["bash", "zsh", "fish"] {
+        let (code, script, stderr) = run(&["completions", shell]);
+        assert_eq!(code, 0, "{stderr}");
+        for name in [
+            "pdm-closed",
+            "generated-test14-hard",
+            "interactive-generated",
+            "changing_lane",
+            "interactive",
+            "smolvlm2-500m",
+            "compact-2",
+            "reflection.threshold",
+        ] {
+            assert!(script.contains(name), "{shell}: no {name}");
+        }
+    }
+    // Values that the script does not know stay possible.
+    let error = refused(&["simulate", "--planner", "nobody"]);
+    assert!(error.contains("nobody"), "{error}");
 }

@@ -1,8 +1,9 @@
 //! `--modify`, in each command that takes a scenario, and in runs.
 
-use super::{read_json, refused, run};
+use super::{planagent, read_json, refused, run};
 use crate::runner::simulations;
 use std::fs;
+use std::path::Path;
 use tempfile::TempDir;
 
 const TEXT: &str = "[[remove]]\nvehicles = true\n\n[[stopped]]\nahead_m = 45\n\n[[jaywalker]]\nahead_m = 30\nfrom_left_m = -4\n\
@@ -127,4 +128,45 @@ fn what_is_wrong_with_a_modification_is_said() {
         unknown.contains("crashes") && unknown.contains("avoid_crashed_cars"),
         "{unknown}"
     );
+}
+
+#[test]
+fn each_example_names_a_scene_that_fits() {
+    let work = TempDir::new().unwrap();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/modified");
+    let mut examples = 0;
+    for entry in fs::read_dir(&folder).unwrap() {
+        let file = entry.unwrap().path();
+        let text = fs::read_to_string(&file).unwrap();
+        let command = text
+            .lines()
+            .find_map(|line| line.strip_prefix("# A scene that fits: planagent "))
+            .unwrap_or_else(|| panic!("{} names no scene", file.display()));
+        let out = work.path().join(file.file_stem().unwrap());
+        let words: Vec<&str> = command.split(' ').collect();
+        let more = [
+            "--planner",
+            "idm",
+            "--challenge",
+            "both",
+            "--quiet",
+            "--out",
+        ];
+        let output = planagent()
+            .args(words)
+            .args(more)
+            .arg(&out)
+            .current_dir(env!("CARGO_MANIFEST_DIR"))
+            .output()
+            .unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{}: {stderr}", file.display());
+        assert_eq!(simulations(&out).len(), 2);
+        let name = file.file_stem().unwrap().to_str().unwrap();
+        let page = fs::read_to_string(folder.join("../../docs/modified.md")).unwrap();
+        assert!(page.contains(command), "docs/modified.md lacks {command}");
+        assert!(command.contains(&format!("/{name}.toml")), "{command}");
+        examples += 1;
+    }
+    assert!(examples >= 5, "only {examples} examples");
 }

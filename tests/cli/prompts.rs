@@ -203,6 +203,50 @@ fn edited_prompts_are_used_and_shown() {
 }
 
 #[test]
+fn a_description_names_prompts_beside_it() {
+    let work = TempDir::new().unwrap();
+    let folder = work.path().join("described");
+    copy_prompts("compact-2", &folder.join("my_prompts"));
+    let nano = concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano");
+    fs::write(
+        folder.join("mine.toml"),
+        format!("name = 'mine'\nsource = {{ folder = '{nano}' }}\nprompt_set = 'my_prompts'\n"),
+    )
+    .unwrap();
+    let flags = ["--scenario", SCENE, "--json", "--model"];
+    let plan = |model: &str| {
+        let (code, stdout, stderr) =
+            in_folder(work.path(), &[&["plan"], &flags[..], &[model]].concat());
+        assert_eq!(code, 0, "{stderr}");
+        let record: Value = serde_json::from_str(&stdout).unwrap();
+        (record["attempts"][0]["rounds"].clone(), stderr)
+    };
+    let (rounds, stderr) = plan("described/mine.toml");
+    assert!(
+        stderr.contains("my_prompts (the model's description)"),
+        "{stderr}"
+    );
+    assert_eq!(rounds, plan("nano").0);
+}
+
+#[test]
+fn a_context_that_is_too_small_names_the_sets_that_fit() {
+    let flags = ["plan", "--scenario", SCENE, "--model", "nano"];
+    let small = ["--prompt-set", "paper", "--context", "600"];
+    let error = refused(&[&flags[..], &small].concat());
+    assert!(
+        error.contains("context 600")
+            && error.contains("prompt sets that fit: compact, compact-2 (--prompt-set compact)"),
+        "{error}"
+    );
+    let error = refused(&[&flags[..], &["--context", "100"]].concat());
+    assert!(
+        error.contains("no built-in prompt set fits this context"),
+        "{error}"
+    );
+}
+
+#[test]
 fn templates_of_a_stranger_end_and_say_why() {
     let loops = "{% for i in range(10000) %}".repeat(3) + &"{% endfor %}".repeat(3);
     for (file, text, problem) in [

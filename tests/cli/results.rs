@@ -322,3 +322,80 @@ fn a_damaged_simulation_is_named_wherever_it_is_left_out() {
         (&3.into(), &damaged.into())
     );
 }
+
+#[test]
+fn a_run_of_failures_is_not_the_last_one_and_a_page_needs_no_browser() {
+    let work = TempDir::new().unwrap();
+    assert_eq!(run_in(work.path(), &SIMULATE).0, 0);
+    let failing = [
+        "simulate",
+        "--quiet",
+        "--planner",
+        "idm",
+        "--scenario",
+        "generated/changing_lane/2~overtake_parked_vehicle",
+    ];
+    let (code, _, stderr) = run_in(work.path(), &failing);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(work.path().join("runs/0002/summary.json").is_file());
+    let output = planagent()
+        .args(["report", "--open"])
+        .env("PATH", "")
+        .env_remove("BROWSER")
+        .current_dir(work.path())
+        .output()
+        .unwrap();
+    let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
+    let (stdout, stderr) = (text(&output.stdout), text(&output.stderr));
+    assert!(output.status.success(), "{stderr}");
+    assert!(stdout.trim().ends_with("runs/0001/report.html"), "{stdout}");
+    assert!(stderr.contains("cannot open a browser"), "{stderr}");
+    // A run that is named is shown all the same.
+    let (code, _, stderr) = run_in(work.path(), &["report", "runs/0002"]);
+    assert_eq!(code, 0, "{stderr}");
+}
+
+#[test]
+fn a_run_says_what_to_do_next_and_each_line_works() {
+    let work = TempDir::new().unwrap();
+    let flags: Vec<&str> = SIMULATE
+        .into_iter()
+        .filter(|flag| *flag != "--quiet")
+        .collect();
+    let (code, _, stderr) = run_in(work.path(), &flags);
+    assert_eq!(code, 0, "{stderr}");
+    let (_, next) = stderr.split_once("next:\n").unwrap();
+    assert!(
+        next.contains("  planagent report runs/0001 --open\n"),
+        "{next}"
+    );
+    assert!(next.lines().all(|line| line.len() <= 80), "{next}");
+    // Planners without a model have no transcript to read.
+    assert!(!next.contains("transcript.md"), "{next}");
+    let with_model = [
+        "simulate",
+        "--planner",
+        "plan-agent",
+        "--out",
+        "with a space",
+        "--scenario",
+        "generated/changing_lane/3",
+    ];
+    let (code, _, stderr) = run_in(work.path(), &with_model);
+    assert_eq!(code, 0, "{stderr}");
+    let (_, next) = stderr.split_once("next:\n").unwrap();
+    let command = "  planagent report 'with a space' --open\n";
+    assert!(next.contains(command), "{next}");
+    let transcript = next
+        .lines()
+        .find(|line| line.ends_with("transcript.md'"))
+        .unwrap();
+    let file = work.path().join(transcript.trim().trim_matches('\''));
+    assert!(file.is_file(), "{transcript}");
+    let advised: Vec<&str> = next
+        .lines()
+        .filter_map(|line| line.strip_prefix("  planagent "))
+        .collect();
+    assert_eq!(advised, ["report 'with a space' --open", "models list"]);
+    assert_eq!(run_in(work.path(), &["models", "list"]).0, 0);
+}

@@ -44,7 +44,7 @@ fn checked(server: &Server) -> (i32, String, String) {
     let path = folder.path().join("server.toml");
     fs::write(&path, description(server, "")).unwrap();
     let output = planagent()
-        .env("TEST_KEY", "sk-any")
+        .env("TEST_API_KEY", "sk-any")
         .args(["models", "check"])
         .arg(&path)
         .output()
@@ -83,9 +83,12 @@ fn two_questions_come_before_a_run_and_change_nothing_of_it() {
     assert_eq!(calls(&run), calls(&other));
     // A run whose simulations are completed asks nothing.
     let before = server.received().len();
+    let described = run.path().with_file_name("server.toml");
     let output = planagent()
-        .env("TEST_KEY", "sk-any")
-        .args(["simulate", "--resume"])
+        .env("TEST_API_KEY", "sk-any")
+        .args(["simulate", "--model"])
+        .arg(described)
+        .arg("--resume")
         .arg(run.path())
         .output()
         .unwrap();
@@ -162,7 +165,7 @@ fn a_server_is_checked_alone() {
             }),
             "may see pictures badly",
         ),
-        (Server::probed(|_, _| completion("")), "no answer"),
+        (Server::probed(|_, _| completion("")), "with nothing"),
         (
             Server::probed(|_, request| completion(&format!("It is {}.", color(request)))),
             "does not follow the grammar (gbnf)",
@@ -269,7 +272,7 @@ fn an_empty_answer_to_a_question_is_no_success() {
     let server = Server::start(|_, _| completion(" \n"));
     fs::write(&path, description(&server, "")).unwrap();
     let output = planagent()
-        .env("TEST_KEY", "sk-any")
+        .env("TEST_API_KEY", "sk-any")
         .args(["ask", "Is it red?", "--scenario", SCENE, "--model"])
         .arg(&path)
         .output()

@@ -35,7 +35,7 @@ impl Run {
         let path = folder.path().join("planagent.toml");
         fs::write(&path, config).unwrap();
         let output = planagent()
-            .env("TEST_KEY", KEY)
+            .env("TEST_API_KEY", KEY)
             .args([
                 "--config",
                 path.to_str().unwrap(),
@@ -93,7 +93,7 @@ impl Run {
 pub(super) fn description(server: &Server, more: &str) -> String {
     format!(
         "name = 'server'\nprompt_set = 'compact'\nsource = {{ endpoint = '{}', model = 'm', grammar = 'gbnf', \
-         key_env = 'TEST_KEY', first_wait_ms = 1{more} }}\n",
+         key_env = 'TEST_API_KEY', first_wait_ms = 1{more} }}\n",
         server.url()
     )
 }
@@ -224,11 +224,11 @@ fn a_refused_key_fails_the_start_or_the_simulation_and_a_missing_one_the_start()
     );
     assert!(!run.path().exists() && server.received().len() == 1);
 
-    let other = description(&server, "").replace("TEST_KEY", "PLANAGENT_NO_SUCH_KEY");
+    let other = description(&server, "").replace("TEST_API_KEY", "PLANAGENT_NO_SUCH_API_KEY");
     let run = Run::with(&other, "");
     assert_eq!(run.code, 2, "{}", run.stderr);
     assert!(
-        run.stderr.contains("PLANAGENT_NO_SUCH_KEY is not set"),
+        run.stderr.contains("PLANAGENT_NO_SUCH_API_KEY is not set"),
         "{}",
         run.stderr
     );
@@ -245,20 +245,30 @@ fn a_refused_key_fails_the_start_or_the_simulation_and_a_missing_one_the_start()
 }
 
 #[test]
-fn a_fault_that_no_retry_mends_fails_the_simulation_at_the_first_call() {
+fn a_fault_that_no_retry_mends_ends_the_run_or_the_simulation_at_once() {
     let reasoning = r#"{"choices": [{"message": {"content": null, "reasoning_content": "Hm."}, "finish_reason": "stop"}]}"#;
-    for (reply, told) in [
+    let refusal = r#"{"error": "Unexpected endpoint"}"#;
+    for (reply, said) in [
         (reasoning, "reasoning parser"),
-        (r#"{"error": "Unexpected endpoint"}"#, "Unexpected endpoint"),
+        (refusal, "Unexpected endpoint"),
     ] {
-        let server = Server::always(move || Reaction::Send(response("200 OK", "", reply)));
+        let server = Server::probed(move |_, _| Reaction::Send(response("200 OK", "", reply)));
         let run = Run::with(&description(&server, ""), "");
-        assert_eq!(run.code, 1, "{}", run.stderr);
-        let row = &run.summary()["scenarios"][0];
-        let error = row["error"].as_str().unwrap();
-        assert!(row["succeeded"] == false && error.contains(told), "{error}");
-        assert_eq!(server.received().len(), 1);
+        assert_eq!(run.code, 2, "{}", run.stderr);
+        assert!(run.stderr.contains(said), "{}", run.stderr);
+        assert!(!run.path().exists() && server.received().len() == 1);
     }
+    // One that appears after the run began.
+    let server = Server::always(move || Reaction::Send(response("200 OK", "", refusal)));
+    let run = Run::with(&description(&server, ""), "");
+    assert_eq!(run.code, 1, "{}", run.stderr);
+    let row = &run.summary()["scenarios"][0];
+    let error = row["error"].as_str().unwrap();
+    assert!(
+        row["succeeded"] == false && error.contains("Unexpected endpoint"),
+        "{error}"
+    );
+    assert_eq!(server.received().len(), 1);
 }
 
 #[test]
@@ -376,7 +386,7 @@ fn another_model_changes_one_line_of_the_configuration_and_nothing_else() {
         fs::write(&path, config).unwrap();
         let out = folder.path().join("run");
         let output = planagent()
-            .env("TEST_KEY", KEY)
+            .env("TEST_API_KEY", KEY)
             .args(["--config", path.to_str().unwrap(), "simulate", "--scenario", SCENE, "--out", out.to_str().unwrap()])
             .output()
             .unwrap();
@@ -476,9 +486,11 @@ fn another_description_of_the_server_is_no_way_to_resume() {
         .unwrap();
         let mut command = planagent();
         command
-            .env("TEST_KEY", KEY)
+            .env("TEST_API_KEY", KEY)
             .args(["simulate", "--resume"])
-            .arg(run.path());
+            .arg(run.path())
+            .arg("--model")
+            .arg(run.folder.path().join("server.toml"));
         let output = command.output().unwrap();
         (
             output.status.code().unwrap(),

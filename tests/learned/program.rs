@@ -90,10 +90,23 @@ fn a_checkpoint_controls_the_ego_and_belongs_to_the_run() {
         manifest.contains("[config.learned]") && manifest.contains("pdm.safetensors\" = \""),
         "{manifest}"
     );
-    let table = Command::cargo_bin("planagent")
-        .unwrap()
-        .current_dir(work.path())
-        .args(["simulate", "--resume", "run", "--csv"])
+    let resume = |more: &[&str]| {
+        let mut command = Command::cargo_bin("planagent").unwrap();
+        command
+            .current_dir(work.path())
+            .args(["simulate", "--resume", "run"])
+            .args(more);
+        command
+    };
+    // A run folder may come from elsewhere: it chooses no file to open.
+    let said = refusal(&mut resume(&[]));
+    let named = format!(
+        "--checkpoint pdm-open={}",
+        work.path().join("pdm.safetensors").display()
+    );
+    assert!(said.contains(&named), "{said}");
+    let again = ["--checkpoint", "pdm-open=pdm.safetensors"];
+    let table = resume(&[&again[..], &["--csv"]].concat())
         .assert()
         .success()
         .get_output()
@@ -108,12 +121,7 @@ fn a_checkpoint_controls_the_ego_and_belongs_to_the_run() {
     let bias = changed["planner_head.5.bias"].clone();
     changed.insert("planner_head.5.bias".to_owned(), (bias * 2.0).unwrap());
     candle_core::safetensors::save(&changed, work.path().join("pdm.safetensors")).unwrap();
-    let mut resume = Command::cargo_bin("planagent").unwrap();
-    let said = refusal(
-        resume
-            .current_dir(work.path())
-            .args(["simulate", "--resume", "run"]),
-    );
+    let said = refusal(&mut resume(&again));
     assert!(
         said.contains("model changed: ") && said.contains("pdm.safetensors"),
         "{said}"

@@ -275,3 +275,35 @@ fn gguf_files_of_a_repository_are_fetched_by_name() {
         "{missing:?}"
     );
 }
+
+#[test]
+fn a_repository_of_gguf_files_alone_says_how_they_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = ["m-Q4_K_M.gguf", "m-Q8_0.gguf", "mmproj-m-Q8_0.gguf"];
+    for file in files {
+        std::fs::write(folder.path().join(file), "GGUF").unwrap();
+    }
+    let address = Repository::new(folder.path(), &files).serve();
+    let cache = tempfile::tempdir().unwrap();
+    let (registry, _) = listening(cache.path(), &address);
+    let problem = |word: &str| {
+        let spec = registry.find(word).unwrap();
+        registry.open(&spec).map(|_| ()).unwrap_err().to_string()
+    };
+    for word in ["org/tiny", "org/tiny:Q2_K", "hf.co/org/tiny"] {
+        let problem = problem(word);
+        assert!(
+            problem.contains("org/tiny/m-Q4_K_M.gguf, org/tiny/m-Q8_0.gguf")
+                && !problem.contains("tiny/mmproj"),
+            "{word}: {problem}"
+        );
+    }
+    // The file is found by its format, and is none.
+    let broken = problem("org/tiny:q8_0");
+    assert!(broken.contains("m-Q8_0.gguf"), "{broken}");
+    let unknown = problem("org/other");
+    assert!(
+        unknown.contains("no such repository") && unknown.matches("http").count() == 1,
+        "{unknown}"
+    );
+}

@@ -56,6 +56,16 @@ fn tables(browser: &mut Chromium, page: &Path) {
         browser.value("document.querySelectorAll('.view:not([hidden])').length"),
         1
     );
+    // Bold numbers are differences whose interval does not contain 0, and nothing else.
+    let bold = "[...document.querySelectorAll('#overview td, #overview output, #overview small')] \
+                .filter((n) => Number(getComputedStyle(n).fontWeight) > 400 && !n.closest('.difference.clear')).length";
+    assert_eq!(browser.value(bold), 0);
+    let text = browser.value("document.getElementById('overview').textContent");
+    let text = text.as_str().unwrap();
+    assert!(
+        text.contains("No simulation failed.") && text.contains("Lowest scores"),
+        "{text}"
+    );
     browser.press("2");
     // The score and its eight metrics.
     browser.wait_for("document.querySelectorAll('.card').length === 9");
@@ -213,8 +223,21 @@ fn keys(browser: &mut Chromium) {
     browser.press("?");
     assert_eq!(browser.value("document.getElementById('help').open"), true);
     browser.value("document.getElementById('help').close()");
+    // The list has the worst scenes first.
+    let scores = browser.value("scenarios.list.entries.map(({ own }) => own.score)");
+    let scores: Vec<f64> = serde_json::from_value(scores).unwrap();
+    assert!(
+        scores.len() == SCENARIOS && scores.is_sorted(),
+        "{scores:?}"
+    );
+    browser.value("{ location.hash = hashOf(scenarios.list.entries[0].own, 0); }");
+    browser.wait_for(
+        "scenarios.simulation === scenarios.list.entries[0].own && scenarios.replay !== null",
+    );
     browser.press("ArrowDown");
-    browser.wait_for("document.getElementById('scenarios').dataset.simulation === '0/2' && scenarios.replay !== null");
+    browser.wait_for(
+        "scenarios.simulation === scenarios.list.entries[1].own && scenarios.replay !== null",
+    );
     // All replays of the page unpack.
     let broken = "(async () => { let broken = 0; for (const simulation of INDEX.simulations) \
                   if ((await readReplay(simulation)).plans.length < 100) broken += 1; return broken; })()";

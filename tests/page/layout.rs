@@ -144,6 +144,12 @@ fn scene(browser: &mut Chromium, page: &Path) {
         "[...document.querySelectorAll('.scene-legend button')].find((b) => b.textContent.includes('trail')).click()",
     );
     assert_ne!(browser.value("scenarios.bev.show.trail"), before);
+    let struck = "[...document.querySelectorAll('.scene-legend button')].filter((b) => getComputedStyle(b).textDecorationLine !== 'none').length";
+    assert_eq!(
+        browser.value(struck),
+        0,
+        "a layer that is off is struck out"
+    );
     let series =
         browser.value("[...document.querySelectorAll('.series')].map((n) => n.querySelector('.name').textContent)");
     let names = series.as_array().unwrap();

@@ -16,6 +16,9 @@ fn an_open_page_follows_its_run() -> Needy {
     begun(&whole, &run);
     std::fs::create_dir(run.join("simulations")).unwrap();
     let folders = simulations(&whole);
+    // A process that works on the run holds its lock.
+    let lock = std::fs::File::create(run.join(".lock")).unwrap();
+    lock.lock().unwrap();
     let mut served = Served::start(&[&run]);
     let mut browser = Chromium::start(&program);
     browser.visit(&format!("http://{}/", served.address));
@@ -49,8 +52,10 @@ fn an_open_page_follows_its_run() -> Needy {
     browser.value("{ location.hash = 'histograms'; }");
     browser.wait_for("document.querySelectorAll('.card').length === 9");
     complete(&folders[2], &run);
+    lock.unlock().unwrap();
+    browser.wait_for("document.getElementById('live-state').textContent === 'stopped · 3 of 4'");
     complete(&folders[3], &run);
-    browser.wait_for("document.getElementById('live-state').textContent === 'live · all 4'");
+    browser.wait_for("document.getElementById('live-state').textContent === 'complete · all 4'");
     browser
         .wait_for("document.querySelector('#about').textContent === '2 scenarios, 4 simulations'");
     browser.value("{ location.hash = 'overview'; }");

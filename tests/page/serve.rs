@@ -175,6 +175,9 @@ fn a_live_page_shows_simulations_as_they_finish() {
         Value::Array(Vec::new())
     );
 
+    assert_eq!(start["running"], false, "{start}");
+    let lock = File::create(run.join(".lock")).unwrap();
+    lock.lock().unwrap();
     let folders = simulations(&whole);
     complete(&folders[0], &run);
     // Folders that are being written or copied are no simulations yet.
@@ -186,6 +189,8 @@ fn a_live_page_shows_simulations_as_they_finish() {
     fs::write(half.join("record.toml"), "number = 2\nsource = ").unwrap();
     let index = served.wait_for(1);
     assert_ne!(index["version"], start["version"]);
+    assert_eq!(served.json("/data/version")["running"], true);
+    lock.unlock().unwrap();
     assert!(
         index["unreadable"][0]
             .as_str()

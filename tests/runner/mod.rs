@@ -5,6 +5,7 @@ mod inputs;
 mod library;
 mod nuboard;
 mod nuplan_folders;
+mod parallel;
 mod parquet;
 mod pinned;
 mod renamed_settings;

@@ -184,7 +184,7 @@ fn a_damaged_log_among_others_is_a_failed_drive() {
     let work = Work::with(2);
     fs::write(
         work.exported.data.join("0000.db"),
-        "<html>404: not found</html>",
+        b"\x01\x02\x03 the end of a download",
     )
     .unwrap();
     change(&work.log(1), "UPDATE lidar_box SET x = NULL");
@@ -297,6 +297,41 @@ fn a_damaged_log_among_others_is_a_failed_drive() {
     );
     assert!(
         code == 2 && stderr.contains("0000.db: not an SQLite database"),
+        "{stderr}"
+    );
+}
+
+#[test]
+fn files_that_are_no_logs_are_passed_over() {
+    let work = Work::with(1);
+    let write = |name: &str, bytes: &[u8]| {
+        fs::write(work.exported.data.join(name), bytes).unwrap();
+    };
+    // What macOS and Windows leave, and the page of an error.
+    write(
+        "._0000.db",
+        b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X        ",
+    );
+    write(".DS_Store", b"\x00\x00\x00\x01Bud1");
+    let (code, _, stderr) = work.simulate(&["--scenario", "nuplan/data"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(!stderr.contains("passed over"), "{stderr}");
+    write("Thumbs.db", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1");
+    write("0000.db", b"<html>404: not found</html>");
+    let (code, stdout, stderr) =
+        work.run_in(work.folder.path(), &["scenarios", "list", "nuplan/data"]);
+    assert_eq!((code, listed(&stdout)), (0, 1), "{stderr}");
+    assert!(
+        stderr.contains("2 files are passed over") && stderr.contains("it is a web page"),
+        "{stderr}"
+    );
+    // By its own name it is bad input.
+    let (code, _, stderr) = work.run_in(
+        work.folder.path(),
+        &["simulate", "--scenario", "nuplan/data/0000.db"],
+    );
+    assert!(
+        code == 2 && stderr.contains("0000.db: not an SQLite database: it is a web page"),
         "{stderr}"
     );
 }

@@ -23,6 +23,7 @@ mod name;
 mod pdm_closed;
 mod pdm_closed_plus;
 mod plan_agent;
+mod plan_bounds;
 mod record;
 mod settings;
 mod simple;
@@ -50,6 +51,7 @@ pub use name::PlannerName;
 pub use pdm_closed::PdmClosed;
 pub use pdm_closed_plus::PdmClosedPlus;
 pub use plan_agent::PlanAgent;
+pub use plan_bounds::{PlanJump, check_plan};
 pub use record::{Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal, feedback};
 pub use settings::{
     AfterMaxExec, CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings,

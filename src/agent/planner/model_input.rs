@@ -32,13 +32,17 @@ impl ModelInput<'_> {
             .prompts()
             .map(|prompts| prompts.forms().scene_text)
             .filter(|_| environment.lane_graph);
+        let description = form.map(|_| Description::from_graph(graph));
         let pixels = self.source.image_size().filter(|_| environment.bev);
         Ok(ScenarioPrompt {
             image: pixels
                 .map(|pixels| self.bev(scene, pixels))
                 .transpose()?
                 .map(Arc::new),
-            text: form.map(|form| text::write(&Description::from_graph(graph), form)),
+            text: form
+                .zip(description.as_ref())
+                .map(|(form, description)| text::write(description, form)),
+            description,
             names: Names::from_graph(graph),
             legend: bev::Palette::legend(),
         })

@@ -3,14 +3,16 @@
 use super::call_parser::ParseError;
 use super::code::{Names, PlannerCode};
 use super::code_parser::{Parsed, parse};
-use super::config::Proposals;
 use super::error::{PromptError, ReasoningError};
+use super::fitting::Fitting;
 use super::grammar::{self, Refused};
 use super::history::{AnswerHistory, Speculation};
 use super::instruction::MotionInstruction;
 use super::prompt_set::PromptSet;
+use super::proposals::Proposals;
 use super::round::Round;
 use super::variables;
+use crate::environment::text::Description;
 use image::RgbImage;
 use planagent_mllm::{
     Answer, Constraint, ConstraintUse, Conversation, Deadline, FinishReason, GenerationSettings,
@@ -25,6 +27,8 @@ pub struct ScenarioPrompt {
     pub image: Option<Arc<RgbImage>>,
     /// The lane-graph text; `None` leaves it out.
     pub text: Option<String>,
+    /// What the text says, for other prompt sets that might fit.
+    pub description: Option<Description>,
     /// The names that planner code may use.
     pub names: Names,
     /// The meaning of the image's colors, for the system prompt.
@@ -136,7 +140,7 @@ pub struct ReasoningSettings {
 }
 
 impl ReasoningSettings {
-    fn max_new_tokens(&self, round: Round) -> usize {
+    pub(super) fn max_new_tokens(&self, round: Round) -> usize {
         let limits = self.generation.max_new_tokens;
         match round {
             Round::Understanding => limits.understanding,
@@ -148,6 +152,8 @@ impl ReasoningSettings {
 
 /// The conversation of one planning call.
 pub struct Reasoning<'a> {
+    model: &'a dyn Mllm,
+    system: String,
     conversation: Box<dyn Conversation + 'a>,
     start: Mark,
     prompts: &'a PromptSet,
@@ -173,15 +179,23 @@ impl<'a> Reasoning<'a> {
         history: &'a mut AnswerHistory,
     ) -> Result<Self, ReasoningError> {
         let system = system_prompt(prompts, &scenario.legend)?;
-        let conversation = model.converse(
-            &PromptPrefix {
-                system,
-                image: scenario.image.clone(),
-            },
-            seed,
-        )?;
+        let prefix = PromptPrefix {
+            system: system.clone(),
+            image: scenario.image.clone(),
+        };
+        let fitting = Fitting {
+            model,
+            prompts,
+            settings,
+            scenario,
+        };
+        let conversation = model
+            .converse(&prefix, seed)
+            .map_err(|error| fitting.failed(error, [system.as_str()]))?;
         let start = conversation.mark();
         Ok(Self {
+            model,
+            system,
             conversation,
             start,
             prompts,
@@ -217,7 +231,7 @@ impl<'a> Reasoning<'a> {
             .map(|f| feedback_text(self.prompts, f))
             .transpose()?;
         let mut scene_text = self.scenario.text.as_deref();
-        let mut rounds = Vec::with_capacity(self.settings.rounds.len());
+        let mut rounds: Vec<RoundRecord> = Vec::with_capacity(self.settings.rounds.len());
         let (mut instruction, mut less_likely) = (None, Vec::new());
         for &round in &self.settings.rounds {
             let names = &self.scenario.names;
@@ -241,7 +255,13 @@ impl<'a> Reasoning<'a> {
                         proposals,
                     });
                 }
-                Err(error) => return Err(error.into()),
+                Err(error) => {
+                    let asked = rounds
+                        .iter()
+                        .flat_map(|record| [record.prompt.as_str(), record.answer.as_str()])
+                        .chain([self.system.as_str(), prompt.as_str()]);
+                    return Err(self.fitting().failed(error, asked));
+                }
             };
             if round == Round::Instruction {
                 instruction = MotionInstruction::find(&answer.text);
@@ -271,6 +291,16 @@ impl<'a> Reasoning<'a> {
             parsed,
             proposals,
         })
+    }
+
+    /// What tells which prompt sets fit the context.
+    fn fitting(&self) -> Fitting<'a> {
+        Fitting {
+            model: self.model,
+            prompts: self.prompts,
+            settings: self.settings,
+            scenario: self.scenario,
+        }
     }
 
     /// The answer to a round, and the texts of less likely ones where several codes are proposed.

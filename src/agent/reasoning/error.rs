@@ -36,6 +36,26 @@ pub enum PromptError {
 pub enum ReasoningError {
     #[error(transparent)]
     Model(#[from] MllmError),
+    #[error("{source}; {}", shorter(fitting))]
+    PromptTooLong {
+        /// What the model says.
+        source: MllmError,
+        /// The built-in prompt sets that fit the context.
+        fitting: Vec<&'static str>,
+    },
     #[error(transparent)]
     Prompt(#[from] PromptError),
+}
+
+/// What to do where the prompts of a set are too long.
+fn shorter(fitting: &[&str]) -> String {
+    if fitting.is_empty() {
+        "no built-in prompt set fits this context".to_owned()
+    } else {
+        format!(
+            "prompt sets that fit: {} (--prompt-set {})",
+            fitting.join(", "),
+            fitting.first().unwrap_or(&"")
+        )
+    }
 }

@@ -10,11 +10,13 @@ mod code_parser;
 mod config;
 mod engine;
 mod error;
+mod fitting;
 mod grammar;
 mod history;
 mod instruction;
 mod prompt_set;
 mod prompt_source;
+mod proposals;
 mod question;
 mod round;
 mod templates;
@@ -28,7 +30,7 @@ pub use assist::{
 pub use call_parser::ParseError;
 pub use code::{FUNCTION, Names, PlannerCode, Range};
 pub use code_parser::{Parsed, parse};
-pub use config::{Proposals, ReasoningConfig};
+pub use config::ReasoningConfig;
 pub(crate) use engine::ReasoningTrace;
 pub use engine::{
     Feedback, Interruption, Reasoning, ReasoningSettings, RoundRecord, ScenarioPrompt,
@@ -42,5 +44,6 @@ pub use instruction::{
 };
 pub use prompt_set::{InstructionForm, PromptForms, PromptSet, UnderstandingForm};
 pub use prompt_source::{PromptPlace, built_in_prompts};
+pub use proposals::Proposals;
 pub use question::{FreeQuestion, question_prompt};
 pub use round::Round;

@@ -56,6 +56,12 @@ const BUILT_IN: [BuiltIn; 7] = [
     built_in!("ask": "system.jinja", "question.jinja"),
 ];
 
+/// The names of the prompt sets of a planning call that the program has.
+pub(super) fn built_in_sets() -> impl Iterator<Item = &'static str> {
+    let of_calls = |(_, files): &&BuiltIn| files.iter().any(|(file, _)| *file == "set.toml");
+    BUILT_IN.iter().filter(of_calls).map(|(name, _)| *name)
+}
+
 /// The texts of the prompt sets in the program.
 pub fn built_in_prompts() -> impl Iterator<Item = &'static str> {
     BUILT_IN

@@ -5,7 +5,7 @@ use crate::words::path_word;
 use anyhow::Context;
 use clap::Args;
 use planagent_scenario::modified::ModifiedName;
-use planagent_scenario::{DataRoots, Readers, generator};
+use planagent_scenario::{DEFAULT_SCENARIO, DataRoots, Readers, generator};
 use planagent_world::InteractionKind;
 use std::path::PathBuf;
 
@@ -48,11 +48,12 @@ impl DataArguments {
         Ok(words.iter().map(|word| name.mark(word)).collect())
     }
 
-    /// The scenarios of a command, with the modification; it applies to the default scenario where
-    /// no word names one.
+    /// The scenarios of a command, with the modification. Where no word names one, it is the default
+    /// scenario, or the one that the modification changes.
     pub(crate) fn modified_or_default(&self, words: &[String]) -> anyhow::Result<Vec<String>> {
         match &self.modify {
             Some(_) if words.is_empty() => self.modified(&[generator::DEFAULT.to_string()]),
+            None if words.is_empty() => Ok(vec![DEFAULT_SCENARIO.to_owned()]),
             _ => self.modified(words),
         }
     }

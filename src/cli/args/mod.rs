@@ -78,6 +78,21 @@ pub(super) struct GlobalArguments {
     pub(super) verbose: bool,
 }
 
+/// Arguments of `config`.
+#[derive(Debug, Args)]
+pub(super) struct ConfigArguments {
+    /// Print what each setting means above it.
+    #[arg(long)]
+    pub(super) explain: bool,
+    /// Write planagent.toml here: every setting with its default and its meaning.
+    ///
+    /// A file that exists is kept, and the exit code is 2.
+    #[arg(long, conflicts_with_all = ["explain", "json"])]
+    pub(super) init: bool,
+    #[command(flatten)]
+    model: ModelArguments,
+}
+
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 pub(super) enum Command {
@@ -147,8 +162,11 @@ pub(super) enum Command {
     ///
     /// The output is a configuration file for --config.
     #[command(after_long_help = help::CONFIG)]
-    Config(ModelArguments),
+    Config(ConfigArguments),
     /// Print a script that completes commands in a shell.
+    ///
+    /// It completes commands and options, and the names of planners, splits, scenario types, studies,
+    /// models, prompt sets, challenges and settings. Models are those that `models list` shows here.
     #[command(after_long_help = help::COMPLETIONS)]
     Completions {
         /// The shell.
@@ -175,7 +193,8 @@ impl Command {
             Self::Study(flags) => flags.model.flags(),
             Self::Bench(flags) => flags.model.flags(),
             Self::Models(command) => command.flags(),
-            Self::Config(flags) | Self::BenchProcess(flags) => flags.flags(),
+            Self::Config(flags) => flags.model.flags(),
+            Self::BenchProcess(flags) => flags.flags(),
             Self::Report(_)
             | Self::Serve(_)
             | Self::Render(_)

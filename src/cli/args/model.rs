@@ -24,9 +24,9 @@ pub(crate) struct ModelFlags {
 pub(crate) struct ModelArguments {
     /// Model: a name of `models list`, a folder, a GGUF file, a hub id, or a description.
     ///
-    /// A name of models/, a folder in Hugging Face's layout, a GGUF file, a hub id (ORG/NAME or
-    /// ORG/NAME/FILE.gguf), or a description FILE.toml. A description may name a server with
-    /// OpenAI's chat completions.
+    /// A name of models/, a folder in Hugging Face's layout, a GGUF file, a hub id (ORG/NAME,
+    /// ORG/NAME/FILE.gguf or ORG/NAME:QUANT), or a description FILE.toml. A description may name a
+    /// server with OpenAI's chat completions.
     #[arg(long, value_name = "MODEL", help_heading = HEADING)]
     model: Option<String>,
     /// Prompt set: paper, brief, compact, compact-2, or a folder [default: the model's own].

@@ -53,6 +53,9 @@ pub(crate) struct RenderArguments {
     pub(crate) run: Option<String>,
     /// The simulation: its number, or a part of its scenario's name that no other has [default:
     /// all].
+    ///
+    /// The number stands at the start of its folder's name in simulations/, as in 000012-…, in the
+    /// page's address, as in #scenarios/0/12, and in record.toml.
     #[arg(value_name = "SIMULATION")]
     pub(crate) simulation: Option<String>,
     /// Only simulations of this planner.

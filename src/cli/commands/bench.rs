@@ -36,7 +36,7 @@ pub(crate) fn run(
     if flags.iterations == 0 {
         bail!("--iterations is 0; it must be at least 1");
     }
-    let started = stamp(SystemTime::now());
+    let started = stamp(SystemTime::now()).to_string();
     let out = flags
         .out
         .clone()
@@ -117,7 +117,7 @@ pub(crate) fn run(
     if printer.is_json() {
         printer.json(&figures)?;
     } else {
-        printer.table(bench_table(&figures));
+        printer.table(bench_table(&figures, printer.line_width()));
     }
     if folder.has_measurements() {
         printer.note(format!("results in {}", folder.path().display()));
@@ -175,9 +175,10 @@ fn candidates(
                 .find(name)
                 .ok()
                 .and_then(|spec| spec.prompt_set)
-                .unwrap_or(PromptSet::Paper)
-                .name()
-                .to_owned())
+                .map_or_else(
+                    || PromptSet::Paper.name().to_owned(),
+                    |prompts| prompts.opened_by(),
+                ))
         };
         let sets = prompt_sets(flags, config, own)?;
         all.extend(of_sets(

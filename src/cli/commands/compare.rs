@@ -34,6 +34,7 @@ pub(crate) fn run(flags: &CompareArguments, printer: Printer) -> anyhow::Result<
             &comparison,
             [&names[0], &names[1]],
             flags.by_type,
+            printer.line_width(),
         ));
     }
     Ok(Exit::Success)

@@ -1,27 +1,57 @@
 //! `planagent config`.
 
+use crate::args::ConfigArguments;
+use crate::explained::{COMMENTED, explanations};
 use crate::settings::{Setting, Settings};
 use crate::{Exit, Printer};
+use anyhow::{Context, bail};
 use planagent_agent::reasoning::PromptSet;
 use planagent_mllm::MllmError;
+use planagent_runs::report::table::terminal::joined;
 use planagent_runs::runner::{Config, model_registry, silent};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{ErrorKind, Write};
 
 /// Column of the origins, behind values that leave room for it.
 const ORIGIN: usize = 43;
+/// What a comment begins with.
+const COMMENT: &str = "# ";
 /// The setting whose default depends on the model.
 const PROMPT_SET: &str = "reasoning.prompt_set";
 /// The origin of a setting that nothing replaced.
 const DEFAULT: &str = "default";
 
-/// Prints every setting with its origin, as a configuration file.
-pub(crate) fn run(settings: &Settings, printer: Printer) -> anyhow::Result<Exit> {
+/// The file that the program reads in the working directory.
+const FILE: &str = "planagent.toml";
+
+/// Prints every setting with its origin, as a configuration file, or writes the commented one.
+pub(crate) fn run(
+    flags: &ConfigArguments,
+    settings: &Settings,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    if flags.init {
+        return init(printer);
+    }
+    let explained = if flags.explain {
+        explanations()
+    } else {
+        BTreeMap::new()
+    };
     let mut section = None;
+    let mut last = None;
     for mut setting in settings.list()? {
         if setting.key == PROMPT_SET {
             setting.origin = prompts(&settings.config, &setting);
         }
+        let about = explained.get(&setting.key);
         if printer.is_json() {
-            printer.json(&setting)?;
+            printer.json(&Explained {
+                setting: &setting,
+                about,
+            })?;
             continue;
         }
         let (own, key) = setting.key.split_once('.').unwrap_or(("", &setting.key));
@@ -31,9 +61,43 @@ pub(crate) fn run(settings: &Settings, printer: Printer) -> anyhow::Result<Exit>
         {
             printer.line(format!("\n[{own}]"));
         }
+        // Neighbors may share an explanation.
+        if let Some(about) = about.filter(|about| last != Some(*about)) {
+            let width = printer.line_width().columns() - COMMENT.len();
+            let words = about.split(' ').map(str::to_owned);
+            for text in joined(words, " ", width) {
+                printer.line(format!("{COMMENT}{text}"));
+            }
+        }
+        last = about;
         printer.line(line(key, &setting));
     }
     Ok(Exit::Success)
+}
+
+/// Writes the commented file, and never over another one.
+fn init(printer: Printer) -> anyhow::Result<Exit> {
+    let file = File::create_new(FILE);
+    let written = file.and_then(|mut file| file.write_all(COMMENTED.as_bytes()));
+    match written {
+        Ok(()) => printer.line(FILE),
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+            bail!(
+                "{FILE} exists and stays as it is; `planagent config --explain` prints what it may have"
+            )
+        }
+        Err(error) => return Err(error).with_context(|| format!("cannot write {FILE}")),
+    }
+    Ok(Exit::Success)
+}
+
+/// A setting with what it means, if that is asked for.
+#[derive(Serialize)]
+struct Explained<'a> {
+    #[serde(flatten)]
+    setting: &'a Setting,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    about: Option<&'a String>,
 }
 
 fn line(key: &str, Setting { value, origin, .. }: &Setting) -> String {

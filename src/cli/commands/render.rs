@@ -3,11 +3,12 @@
 use crate::args::RenderArguments;
 use crate::completed::completed;
 use crate::film::FilmFile;
+use crate::picture::write_picture;
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
 use planagent_agent::simulation::Challenge;
 use planagent_runs::report::render::{
-    Film, Look, RenderError, SimulationChoice, named, words, write_gif, write_mp4,
+    Film, Look, SimulationChoice, named, words, write_gif, write_mp4,
 };
 use planagent_runs::report::{SimulationRow, last_run, simulation_folders};
 use planagent_world::STEP_S;
@@ -46,13 +47,9 @@ pub(crate) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::Result<E
     let folders = simulation_folders(&run)?;
     let mut exit = Exit::Success;
     for row in &rows {
-        let folder = folders
+        let name = folders
             .get(&row.number)
-            .and_then(|folder| folder.file_name());
-        let name = folder.map_or_else(
-            || row.number.to_string(),
-            |name| name.to_string_lossy().into_owned(),
-        );
+            .map_or_else(|| row.number.to_string(), |folder| folder.name().to_owned());
         let file = output.inside(&name);
         if row.error.is_some() {
             printer.failure(format!(
@@ -202,9 +199,7 @@ fn write(
                 Some(at_s) => film.frame(film.iteration_at(at_s)?),
                 None => film.sheet(),
             };
-            picture
-                .save_with_format(path, image::ImageFormat::Png)
-                .map_err(RenderError::output(path))?;
+            write_picture(&picture, image::ImageFormat::Png, path)?;
         }
     }
     bar.finish_and_clear();

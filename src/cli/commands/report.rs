@@ -2,11 +2,11 @@
 
 use crate::args::ReportArguments;
 use crate::completed::note_damage;
-use crate::picture::{check_output, target_of};
+use crate::picture::check_output;
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
-use planagent_runs::report::page::{self, PAGE, PageSettings};
-use planagent_runs::report::{RunFolder, last_run};
+use planagent_runs::report::page::{self, PageSettings};
+use planagent_runs::report::{RunFolder, check_writable, last_run};
 
 /// Bytes of a megabyte.
 const MEGABYTE: f64 = 1e6;
@@ -22,26 +22,27 @@ pub(crate) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<E
     }
     let first = runs.first().context("name the folder of a run")?;
     RunFolder::manifest(first)?;
-    // A link within the folder of a run is not followed: the run may come from elsewhere.
-    let out = match &flags.out {
-        Some(out) => target_of(out)?,
-        None => first.join(PAGE),
-    };
-    check_output(&out)?;
+    // Said before the work, not after it.
+    match &flags.out {
+        Some(out) => check_output(out)?,
+        None => check_writable(first)?,
+    }
     let settings = PageSettings {
         max_bytes: (flags.max_mb * MEGABYTE) as usize,
         scenario: flags.scenario.clone(),
     };
     let bar = printer.progress(0, "simulations");
-    let written = page::write(&runs, &out, &settings, &|done, all| {
+    let written = page::write(&runs, flags.out.as_deref(), &settings, &|done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     });
     bar.finish_and_clear();
     let contents = written?;
-    if flags.open {
-        open::that_detached(&contents.page)
-            .with_context(|| format!("cannot open {} in a browser", contents.page.display()))?;
+    if flags.open
+        && let Err(error) = open::that_detached(&contents.page)
+    {
+        // The page is written all the same, and its path is on stdout.
+        printer.note(format!("cannot open a browser: {error}"));
     }
     note_damage(&contents.damaged, printer);
     for problem in &contents.unread {

@@ -1,6 +1,7 @@
 //! `planagent simulate`.
 
 use crate::args::SimulateArguments;
+use crate::next_steps::next_steps;
 use crate::progress::listener;
 use crate::{Exit, Printer};
 use anyhow::anyhow;
@@ -37,11 +38,16 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
     } else if printer.is_json() {
         printer.json(summary)?;
     } else {
-        printer.table(main_table(summary, &timing.planners, rows, printer.width()));
+        printer.table(main_table(
+            summary,
+            &timing.planners,
+            rows,
+            printer.line_width(),
+        ));
         if let Some(total) = timing.planning_call_ms.total {
             let count = timing.planning_calls;
             printer.line(format!(
-                "\n{count} planning calls: p50 {:.0} ms, p95 {:.0} ms",
+                "\n{count} planning calls: median {:.0} ms, 95th percentile {:.0} ms",
                 total.p50, total.p95
             ));
         }
@@ -50,16 +56,12 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
         printer.note("no scenario is in this shard");
     }
     printer.note(format!("results in {}", folder.display()));
-    let failed = failures(rows);
-    for line in &failed {
+    for line in failures(rows) {
         printer.failure(format!("failed: {line}"));
     }
-    if !failed.is_empty() {
-        printer.failure(format!(
-            "{} of {} simulations failed",
-            failed.len(),
-            rows.len()
-        ));
+    let failed = rows.iter().filter(|row| row.error.is_some()).count();
+    if failed > 0 {
+        printer.failure(format!("{failed} of {} simulations failed", rows.len()));
     }
     let count = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum::<usize>();
     let (calls, deadlines, lost) = (
@@ -96,8 +98,13 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
     for list in missing {
         printer.error(&anyhow!("not simulated: {list}"));
     }
+    if !csv && !printer.is_json() {
+        for line in next_steps(folder, rows) {
+            printer.note(line);
+        }
+    }
     let answered = lost == 0 && without_plan == 0;
-    let succeeded = failed.is_empty() && answered && missing.is_empty();
+    let succeeded = failed == 0 && answered && missing.is_empty();
     Ok(if succeeded {
         Exit::Success
     } else {

@@ -103,7 +103,7 @@ fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<E
         if printer.is_json() {
             printer.json(results)?;
         } else if !csv {
-            printer.table(study_table(study, results));
+            printer.table(study_table(study, results, printer.line_width()));
             printer.line("");
         }
         printer.note(format!("results in {}", folder.display()));
@@ -144,7 +144,9 @@ fn show_tokens(counted: &[SuiteTokens], folder: &Path, printer: Printer) -> anyh
                 "{TOKENS_TITLE}\n\n{}: {} states of {} scenes",
                 suite.suite, suite.table.states, suite.scenes
             );
-            printer.line(format!("{heading}\n{}\n", token_table(&suite.table)));
+            printer.line(heading);
+            printer.table(token_table(&suite.table, printer.line_width()));
+            printer.line("");
         }
     }
     printer.note(format!("results in {}", folder.display()));
@@ -162,7 +164,8 @@ fn show_twins(results: &[TwinResults], folder: &Path, printer: Printer) -> anyho
         printer.json(&results)?;
     } else {
         for list in results {
-            printer.line(format!("{}\n{}", list.list, twin_table(list)));
+            printer.line(&list.list);
+            printer.table(twin_table(list, printer.line_width()));
         }
     }
     printer.note(format!("results in {}", folder.display()));

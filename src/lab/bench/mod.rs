@@ -14,6 +14,8 @@ mod serve;
 mod workload;
 
 pub(crate) use budget::DRAFTED;
+#[cfg(test)]
+pub(crate) use budget::Layout;
 pub use budget::{AnswerPart, CallBudget, RoundBudget};
 pub use engine::{Engine, EngineError, EngineName};
 pub use llama_cpp::LlamaCpp;

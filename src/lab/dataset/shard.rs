@@ -9,10 +9,11 @@
 //! same `twin` have the same prompts, other pictures and other best codes.
 
 use super::label::LabeledState;
-use image::{ImageError, RgbImage};
+use image::{ImageError, ImageFormat, RgbImage};
+use planagent_files::{UNFINISHED, write_whole};
 use serde::Serialize;
 use std::fs;
-use std::io;
+use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
 pub const FORMAT: u32 = 1;
@@ -57,14 +58,27 @@ const META: &str = "meta.json";
 /// When it holds other files, or a dataset with other settings.
 pub(super) fn is_begun(folder: &Path, meta: &impl Serialize) -> Result<bool, ShardError> {
     let other = || ShardError::OtherSettings(folder.to_owned());
+    let expected = text(meta)?;
+    // Earlier versions left a part of the file where the disk was full.
+    let is_begin = |present: &str| present != expected && expected.starts_with(present);
     match fs::read_to_string(folder.join(META)) {
-        Ok(present) if present == text(meta)? => Ok(true),
+        Ok(present) if present == expected => Ok(true),
+        Ok(present) if is_begin(&present) && !has_others(folder) => Ok(false),
         Ok(_) => Err(other()),
-        Err(_) if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) => {
-            Err(other())
-        }
+        Err(_) if has_others(folder) => Err(other()),
         Err(_) => Ok(false),
     }
+}
+
+/// Whether a folder has other files than those that a dataset begins with.
+fn has_others(folder: &Path) -> bool {
+    fs::read_dir(folder).is_ok_and(|entries| {
+        entries.flatten().any(|entry| {
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            name != META && !name.starts_with(UNFINISHED)
+        })
+    })
 }
 
 /// Creates the folder with its `meta.json`, or resumes a dataset with the same `meta.json`.
@@ -77,7 +91,7 @@ pub(super) fn open_folder(folder: &Path, meta: &impl Serialize) -> Result<(), Sh
         return Ok(());
     }
     let path = folder.join(META);
-    fs::write(&path, text(meta)?).map_err(|source| ShardError::Write { path, source })
+    write_whole(&path, text(meta)?.as_bytes()).map_err(|source| ShardError::Write { path, source })
 }
 
 fn text(meta: &impl Serialize) -> Result<String, ShardError> {
@@ -111,7 +125,7 @@ pub(super) fn lines(folder: &Path, split: &str) -> Result<Vec<String>, ShardErro
             .to_string_lossy();
         name.starts_with(&format!("{split}-"))
             && name.ends_with(".jsonl")
-            && !name.contains(".unfinished")
+            && !name.ends_with(".unfinished.jsonl")
     };
     let entries = fs::read_dir(folder)
         .map_err(failed)?
@@ -155,26 +169,51 @@ pub(super) fn write(
         lines.push_str(&serde_json::to_string(&state)?);
         lines.push('\n');
     }
-    let unfinished = png.with_extension("unfinished.png");
+    let mut picture = Cursor::new(Vec::new());
     stack
-        .save(&unfinished)
+        .write_to(&mut picture, ImageFormat::Png)
         .map_err(|source| ShardError::Image {
-            path: unfinished.clone(),
+            path: png.clone(),
             source,
         })?;
-    rename(&unfinished, &png)?;
-    let unfinished = jsonl.with_extension("unfinished.jsonl");
-    fs::write(&unfinished, lines).map_err(|source| ShardError::Write {
-        path: unfinished.clone(),
-        source,
-    })?;
-    rename(&unfinished, &jsonl)?;
+    write_file(&png, picture.get_ref())?;
+    write_file(&jsonl, lines.as_bytes())?;
     Ok(count)
 }
 
-fn rename(from: &Path, to: &Path) -> Result<(), ShardError> {
-    fs::rename(from, to).map_err(|source| ShardError::Write {
-        path: to.to_owned(),
+fn write_file(path: &Path, bytes: &[u8]) -> Result<(), ShardError> {
+    write_whole(path, bytes).map_err(|source| ShardError::Write {
+        path: path.to_owned(),
         source,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_folder_in_which_the_settings_were_cut_off_begins_again() {
+        let meta = json!({"format": FORMAT, "seed": 3});
+        let whole = text(&meta).unwrap();
+        for present in ["", &whole[..7]] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join(META);
+            fs::write(&path, present).unwrap();
+            assert!(!is_begun(folder.path(), &meta).unwrap());
+            open_folder(folder.path(), &meta).unwrap();
+            assert_eq!(fs::read_to_string(&path).unwrap(), whole);
+            assert!(is_begun(folder.path(), &meta).unwrap());
+        }
+        for (present, other) in [("", "train-00000.jsonl"), ("{}", "train-00000.png")] {
+            let folder = tempfile::tempdir().unwrap();
+            fs::write(folder.path().join(META), present).unwrap();
+            fs::write(folder.path().join(other), "").unwrap();
+            assert!(is_begun(folder.path(), &meta).is_err());
+        }
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join(META), "{}").unwrap();
+        assert!(is_begun(folder.path(), &meta).is_err());
+    }
 }

@@ -19,3 +19,6 @@ pub use table::{
 };
 pub(crate) use table::{study_markdown, twin_markdown};
 pub use twins::TwinRecords;
+
+#[cfg(test)]
+use bench::DraftedCall;

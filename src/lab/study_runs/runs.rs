@@ -6,7 +6,7 @@ use crate::study::Variant;
 use planagent_agent::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand};
 use planagent_agent::planner_registry::{PlannerNeeds, PlannerRegistry, UsedSettings};
 use planagent_agent::simulation::Challenge;
-use planagent_runs::report::{MANIFEST, RunFolder, SUMMARY, SimulationRow};
+use planagent_runs::report::{RunFolder, SimulationRow};
 use planagent_runs::runner::RunnerError;
 use planagent_runs::runner::commands::Commands;
 use planagent_runs::runner::model::{self, OpenModel};
@@ -180,13 +180,13 @@ impl<'a> PlannedRuns<'a> {
         };
         for (name, plan) in self.plans {
             let path = folder.join(&name);
-            if !path.join(MANIFEST).is_file() {
+            if !RunFolder::is_begun(&path)? {
                 runs.open.insert(name, Run::create(Some(&path), plan)?);
                 continue;
             }
             let changes = RunFolder::manifest(&path)?.changed_inputs(&plan.manifest);
             RunFolder::check_inputs(&path, &changes, false)?;
-            let has_results = path.join(SUMMARY).is_file();
+            let has_results = RunFolder::has_results(&path)?;
             let rows = if has_results {
                 RunFolder::read_completed(&path)?.rows
             } else {

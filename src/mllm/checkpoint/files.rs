@@ -1,8 +1,8 @@
 //! The small files of a model: configurations, tokenizer, chat template.
 
+use super::own_keys::OwnKeys;
 use super::{parse_json, read_text};
 use crate::MllmError;
-use crate::gguf::OwnKeys;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

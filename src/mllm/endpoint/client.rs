@@ -1,6 +1,8 @@
 //! One question to the server, with retries after transient failures.
 
+use super::ahead::Ahead;
 use super::hints::{Refusal, without_version};
+use super::image_form::{wants_text, with_text};
 use super::key::ApiKey;
 use super::models::{Offered, named, offered};
 use super::reply::{Listen, MAX_BYTES, Reply, read, shortened};
@@ -31,6 +33,8 @@ pub(super) struct Client {
     /// Whether a question waited in vain for a server that loads its model. Later ones do not wait
     /// again.
     waited: AtomicBool,
+    /// Whether the server takes the address of a picture as a text alone.
+    picture_as_text: AtomicBool,
 }
 
 /// A request for a chat completion.
@@ -86,6 +90,7 @@ impl Client {
             timeout,
             answered: AtomicBool::new(false),
             waited: AtomicBool::new(false),
+            picture_as_text: AtomicBool::new(false),
         })
     }
 
@@ -100,6 +105,40 @@ impl Client {
         question: Question<'_>,
         mut on_text: Option<&mut dyn FnMut(&str)>,
     ) -> Result<Reply, MllmError> {
+        let listens = on_text.is_some();
+        let mut pass_on = |text: &str| {
+            if let Some(on_text) = &mut on_text {
+                on_text(text);
+            }
+        };
+        if !self.picture_as_text.load(Ordering::Relaxed) {
+            let result = self.asked_with_retries(question, listens, &mut pass_on)?;
+            match &result {
+                Err(EndpointFailure::Refused { status, message })
+                    if wants_text(*status, message, question.body) => {}
+                _ => {
+                    return result.map_err(|failure| self.error(self.explained(failure, question)));
+                }
+            }
+        }
+        let body = with_text(question.body);
+        let question = Question {
+            body: &body,
+            ..question
+        };
+        let result = self.asked_with_retries(question, listens, &mut pass_on)?;
+        let refused = matches!(result, Err(EndpointFailure::Refused { .. }));
+        self.picture_as_text.store(!refused, Ordering::Relaxed);
+        result.map_err(|failure| self.error(self.explained(failure, question)))
+    }
+
+    /// The server's answer, or its last failure.
+    fn asked_with_retries(
+        &self,
+        question: Question<'_>,
+        listens: bool,
+        pass_on: &mut dyn FnMut(&str),
+    ) -> Result<Result<Reply, EndpointFailure>, MllmError> {
         let Question {
             settings,
             body,
@@ -110,12 +149,12 @@ impl Client {
         let told = Cell::new(false);
         let spoken = Cell::new(false);
         // A piece of an answer may end within the key, and nobody needs pieces who does not listen.
-        let whole = self.key.is_some() || on_text.is_none();
+        let whole = self.key.is_some() || !listens;
         let mut once = || {
             let mut tell = |text: &str| {
-                if let Some(on_text) = &mut on_text {
+                if listens {
                     spoken.set(true);
-                    on_text(text);
+                    pass_on(text);
                 }
             };
             let answer = self.ask_once(body, deadline, whole, &mut tell);
@@ -135,13 +174,10 @@ impl Client {
             matches!(result, Err(EndpointFailure::Loading { .. })),
             Ordering::Relaxed,
         );
-        match result {
-            Ok(reply) => {
-                self.answered.store(true, Ordering::Relaxed);
-                Ok(reply)
-            }
-            Err(failure) => Err(self.error(self.explained(failure, question))),
+        if result.is_ok() {
+            self.answered.store(true, Ordering::Relaxed);
         }
+        Ok(result)
     }
 
     /// The models that the server offers.
@@ -174,7 +210,7 @@ impl Client {
             whole,
             on_text,
         };
-        read(response, listen).map_err(|failure| self.redacted(failure).into())
+        read(Ahead::new(response), listen).map_err(|failure| self.redacted(failure).into())
     }
 
     fn models_once(&self, limit: Duration) -> Result<Vec<Offered>, Failed> {

@@ -1,10 +1,12 @@
 //! Models behind a server with `OpenAI`'s chat completions; vLLM, llama.cpp's server and Ollama
 //! have them too.
 
+mod ahead;
 mod chat;
 mod client;
 mod grammar;
 mod hints;
+mod image_form;
 mod key;
 mod models;
 mod probe;

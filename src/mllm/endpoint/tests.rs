@@ -337,3 +337,68 @@ fn a_server_without_a_description_is_asked_for_its_only_model() {
         "a model that is named needs no list"
     );
 }
+
+#[test]
+fn a_stream_that_stays_open_after_the_answer_ends_soon() {
+    let piece = r#"{"choices": [{"delta": {"content": "left"}}]}"#;
+    let end = r#"{"choices": [{"delta": {}, "finish_reason": "stop"}]}"#;
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}/v1", listener.local_addr().unwrap());
+    std::thread::spawn(move || {
+        use std::io::{Read, Write};
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut buffer = [0; 65536];
+        let _ = stream.read(&mut buffer);
+        let head = "HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n\r\n";
+        let body = format!("{head}data: {piece}\n\ndata: {end}\n\n");
+        stream.write_all(body.as_bytes()).unwrap();
+        // Neither a mark nor the end of the connection.
+        std::thread::sleep(std::time::Duration::from_secs(20));
+    });
+    let mut patient = settings(&address);
+    patient.timeout_ms = 15_000;
+    let started = std::time::Instant::now();
+    let answer = ask(&Endpoint::open("test", &patient).unwrap()).unwrap();
+    assert_eq!(answer.text, "left");
+    assert!(
+        started.elapsed() < std::time::Duration::from_secs(10),
+        "{:?}",
+        started.elapsed()
+    );
+}
+
+#[test]
+fn a_picture_is_sent_as_a_text_after_a_refusal_that_asks_for_it() {
+    let refusal = response(
+        "422 Unprocessable Entity",
+        r#"{"error": {"message": "body.messages.0.content.0.image_url: Input should be a valid string"}}"#,
+    );
+    let server = FakeServer::start(vec![refusal.clone(), answer("left"), answer("right")]);
+    let endpoint = Endpoint::open("test", &settings(&server.url())).unwrap();
+    let with_picture = |endpoint: &Endpoint| {
+        let prefix = crate::PromptPrefix {
+            system: String::new(),
+            image: Some(std::sync::Arc::new(image::RgbImage::new(2, 2))),
+        };
+        let request = crate::Request {
+            constraint: crate::Constraint::Free,
+            max_new_tokens: 5,
+            sampling: crate::Sampling::Greedy,
+            deadline: crate::Deadline::NONE,
+            draft: None,
+        };
+        endpoint
+            .converse(&prefix, 0)?
+            .ask("Which lane?", &request)
+            .map(|answer| answer.text)
+    };
+    assert_eq!(with_picture(&endpoint).unwrap(), "left");
+    assert_eq!(with_picture(&endpoint).unwrap(), "right");
+    assert_eq!(server.requests().len(), 3, "the form is remembered");
+    // A server that refuses both says so once.
+    let server = FakeServer::start(vec![refusal]);
+    let endpoint = Endpoint::open("test", &settings(&server.url())).unwrap();
+    let error = with_picture(&endpoint).unwrap_err().to_string();
+    assert_eq!(error.matches("image_url").count(), 1, "{error}");
+    assert_eq!(server.requests().len(), 2);
+}

@@ -7,7 +7,6 @@
 //! UTF-8, bounds lists by the file's size alone, and checks neither the product of a shape nor
 //! whether tensors overlap.
 
-use super::parts::PartsOfTensors;
 use crate::MllmError;
 use crate::checkpoint::{TensorPlace, what_instead_of_weights};
 use candle_core::quantized::GgmlDType;
@@ -46,7 +45,7 @@ pub struct Header {
     pub(crate) metadata: BTreeMap<String, Value>,
     pub(crate) tensors: BTreeMap<String, TensorPlace>,
     /// The file of each tensor that is not in the first.
-    pub(super) parts: PartsOfTensors,
+    pub(super) parts: BTreeMap<String, usize>,
     /// The keys that some code asked for.
     pub(super) asked: Mutex<BTreeSet<String>>,
 }
@@ -62,7 +61,7 @@ impl Header {
             path: path.to_path_buf(),
             metadata,
             tensors,
-            parts: PartsOfTensors::new(),
+            parts: BTreeMap::new(),
             asked: Mutex::default(),
         }
     }

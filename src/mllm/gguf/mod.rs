@@ -10,7 +10,6 @@ mod header;
 pub(crate) mod llama;
 mod metadata;
 pub(crate) mod names;
-mod own_keys;
 mod parts;
 mod read_only;
 mod text_files;
@@ -22,7 +21,6 @@ pub(crate) mod tokenizer_tests;
 
 pub use header::Header;
 pub(crate) use header::{DEFAULT_ALIGNMENT, number_of};
-pub(crate) use own_keys::OwnKeys;
 pub(crate) use parts::{named_parts, open_model};
 pub(crate) use read_only::{ReadOnlyLayout, VisionFiles, as_stored};
 pub(crate) use text_files::TextFiles;

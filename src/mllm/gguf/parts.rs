@@ -6,7 +6,6 @@ use super::open_header;
 use crate::MllmError;
 use crate::checkpoint::WeightFile;
 use serde_json::Value;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 const COUNT: &str = "split.count";
@@ -194,9 +193,6 @@ fn absent(header: &Header, path: &Path, part: Part) -> MllmError {
     );
     header.error(COUNT, problem)
 }
-
-/// The index of the file of each tensor that is not in the first; empty for a model in one file.
-pub(super) type PartsOfTensors = BTreeMap<String, usize>;
 
 #[cfg(test)]
 mod tests {

@@ -181,7 +181,7 @@ fn look_at_files(
     match (family.family().open)(files, &mut weights) {
         Ok(model) => look_at_chats(model, files, family, loading, check),
         Err(error) => {
-            note::<()>(check, Err(error));
+            note::<()>(check, Err(files.by_own_key(error)));
             let tokenizer = loading
                 .tokenizer(files, family)
                 .and_then(|files| files.required_json("tokenizer.json"));

@@ -1,5 +1,7 @@
 //! Model descriptions, `models/NAME.toml`.
 
+use super::described_prompts::DescribedPrompts;
+use super::hub::{HubName, addressed, plain};
 use crate::checkpoint::read_text;
 use crate::{Architecture, EndpointSettings, ImageSettings, MllmError, Sampling, WeightFormat};
 use serde::{Deserialize, Serialize};
@@ -31,7 +33,7 @@ pub struct ModelSpec {
     /// The prompts that it is asked with; a description names them. None for a model without one,
     /// whose files may say it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub prompt_set: Option<PromptSet>,
+    pub prompt_set: Option<DescribedPrompts>,
     #[serde(default)]
     pub generation: GenerationSettings,
     /// How images are shown to it.
@@ -68,7 +70,11 @@ pub enum ModelSource {
         /// The GGUF file of the repository; none for a repository of safetensors.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         file: Option<String>,
-        /// The vision tower for the GGUF file; none for the repository's only one.
+        /// The weight format of the GGUF file, where its name is not given, as llama.cpp writes it
+        /// behind a colon (`Q4_K_M`).
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        quant: Option<String>,
+        /// The vision tower for the GGUF file; none for the one of the repository that fits best.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         mmproj: Option<String>,
     },
@@ -80,6 +86,45 @@ pub enum ModelSource {
 }
 
 impl ModelSource {
+    /// A repository of the hub, or a part of it.
+    pub(super) fn of_hub(name: HubName) -> Self {
+        Self::Hub {
+            hub: name.id,
+            revision: name.revision.unwrap_or_else(default_revision),
+            file: name.file,
+            quant: name.quant,
+            mmproj: None,
+        }
+    }
+
+    /// Reads `hub` as the command line does: an address, or an id with a revision or a file.
+    fn take_hub_name(&mut self) -> Result<(), String> {
+        let Self::Hub {
+            hub,
+            revision,
+            file,
+            quant,
+            ..
+        } = self
+        else {
+            return Ok(());
+        };
+        let named = match addressed(hub) {
+            Some(named) => named?,
+            None => plain(hub).ok_or_else(|| format!("'{hub}' is no hub id; write ORG/NAME"))?,
+        };
+        *hub = named.id;
+        if let Some(named) = named.revision {
+            *revision = named;
+        }
+        *file = file.take().or(named.file);
+        *quant = quant.take().or(named.quant);
+        if let (Some(file), Some(quant)) = (file, quant) {
+            return Err(format!("file {file} and quant {quant} exclude each other"));
+        }
+        Ok(())
+    }
+
     /// Joins relative paths to a folder.
     fn start_at(&mut self, folder: &Path) {
         let paths = match self {
@@ -105,11 +150,14 @@ impl fmt::Display for ModelSource {
                 hub,
                 revision,
                 file,
+                quant,
                 ..
             } => {
                 write!(out, "{hub}")?;
                 if let Some(file) = file {
                     write!(out, "/{file}")?;
+                } else if let Some(quant) = quant {
+                    write!(out, ":{quant}")?;
                 }
                 if *revision == default_revision() {
                     Ok(())
@@ -142,7 +190,7 @@ pub enum PromptSet {
 }
 
 impl PromptSet {
-    const ALL: [Self; 4] = [Self::Brief, Self::Compact, Self::Compact2, Self::Paper];
+    pub(super) const ALL: [Self; 4] = [Self::Brief, Self::Compact, Self::Compact2, Self::Paper];
 
     /// Its name in `prompts/`.
     pub fn name(self) -> &'static str {
@@ -244,8 +292,14 @@ impl ModelSpec {
         }
         if spec.prompt_set.is_none() {
             return Err(broken(
-                "prompt_set is missing; choose brief, compact, compact-2 or paper".into(),
+                "prompt_set is missing; choose brief, compact, compact-2 or paper, or name a folder of \
+                 templates"
+                    .into(),
             ));
+        }
+        let base = path.parent().unwrap_or(Path::new(""));
+        if let Some(prompts) = &mut spec.prompt_set {
+            prompts.start_at(base).map_err(broken)?;
         }
         let tokens = spec.generation.max_new_tokens;
         if [tokens.understanding, tokens.instruction, tokens.code].contains(&0) {
@@ -295,7 +349,10 @@ impl ModelSpec {
             spec.draft_model.as_mut(),
         ];
         for source in sources.into_iter().flatten() {
-            source.start_at(path.parent().unwrap_or(Path::new("")));
+            source
+                .take_hub_name()
+                .map_err(|problem| broken(format!("source.hub: {problem}")))?;
+            source.start_at(base);
         }
         Ok(spec)
     }
@@ -368,9 +425,33 @@ mod tests {
             hub: "a/b".into(),
             revision: "main".into(),
             file: file.map(Into::into),
+            quant: None,
             mmproj: None,
         };
         assert_eq!(spec.source, hub(None));
+        let source = |text: &str| {
+            let spec = parse(&format!(
+                "name = 'l'\nsource = {{ {text} }}\nprompt_set = 'paper'"
+            ))?;
+            Ok::<_, MllmError>(spec.source.to_string())
+        };
+        for (text, shown) in [
+            ("hub = 'https://huggingface.co/a/b'", "a/b"),
+            ("hub = 'a/b@v1'", "a/b (v1)"),
+            ("hub = 'hf.co/a/b:Q8_0'", "a/b:Q8_0"),
+            ("hub = 'a/b', quant = 'Q4_K_M'", "a/b:Q4_K_M"),
+            ("hub = 'a/b/m.gguf'", "a/b/m.gguf"),
+        ] {
+            assert_eq!(source(text).unwrap(), shown);
+        }
+        for text in [
+            "hub = 'a'",
+            "hub = 'a/b:Q8_0', file = 'm.gguf'",
+            "hub = 'https://huggingface.co/datasets/a/b'",
+        ] {
+            let error = source(text).unwrap_err().to_string();
+            assert!(error.contains("source.hub: "), "{error}");
+        }
         let gguf =
             parse("name = 'l'\nsource = { hub = 'a/b', file = 'm.gguf' }\nprompt_set = 'paper'")
                 .unwrap();
@@ -411,7 +492,7 @@ mod tests {
     #[test]
     fn a_server_is_described_by_its_address_and_what_it_takes() {
         let valid = "name = 'g'\nprompt_set = 'paper'\nsource = { endpoint = 'https://a.b/v1', model = 'm', \
-            grammar = 'json_schema', limit = 'max_completion_tokens', key_env = 'KEY', omit = ['seed'], \
+            grammar = 'json_schema', limit = 'max_completion_tokens', key_env = 'THE_API_KEY', omit = ['seed'], \
             extra = { reasoning_effort = 'none' } }";
         let ModelSource::Endpoint(settings) = parse(valid).unwrap().source else {
             panic!("no endpoint")
@@ -432,6 +513,7 @@ mod tests {
             ("'m'", "' '", "model"),
             ("https://a.b", "ftp://a.b", "http"),
             ("https://a.b", "https://key@a.b", "key_env"),
+            ("THE_API_KEY", "AWS_SECRET_ACCESS_KEY", "PLANAGENT_KEY_ENV"),
             ("'https://a.b/v1'", "'a.b'", "address"),
             ("model =", "image_size = 8, model =", "image_size"),
             ("model =", "timeout_ms = 0, model =", "timeout_ms"),

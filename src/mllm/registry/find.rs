@@ -1,6 +1,7 @@
 //! What the name of a model stands for.
 
-use super::{ModelRegistry, ModelSource, ModelSpec, address, built_in, description, hub};
+use super::hub::HubName;
+use super::{ModelRegistry, ModelSource, ModelSpec, address, built_in, hub};
 use crate::{EmbeddedModel, MllmError};
 use std::path::{Path, PathBuf};
 
@@ -15,6 +16,16 @@ fn is_path(path: &Path) -> bool {
         || path.starts_with("..")
         || hub::is_gguf(path)
         || is_description()
+}
+
+/// A model of the hub without a description. Its name in results is the last part of its word.
+fn of_hub(named: HubName) -> ModelSpec {
+    let word = named.word();
+    let last = match (&named.file, named.id.split_once('/')) {
+        (None, Some((owner, _))) => word[owner.len() + 1..].replace('/', "-"),
+        _ => word.rsplit('/').next().unwrap_or(&word).to_owned(),
+    };
+    ModelSpec::plain(last, ModelSource::of_hub(named))
 }
 
 impl ModelRegistry {
@@ -57,12 +68,37 @@ impl ModelRegistry {
         }
     }
 
+    /// Whether a name stands for more than files of a model on this machine: a server, a
+    /// repository of the hub, or a description by its path. A run that was made elsewhere may not
+    /// choose these.
+    pub fn leads_elsewhere(&self, name: &str) -> bool {
+        let is_elsewhere = |source: &ModelSource| {
+            matches!(source, ModelSource::Endpoint(_) | ModelSource::Hub { .. })
+        };
+        if self.description(name).is_none()
+            && Path::new(name).extension().is_some_and(|e| e == "toml")
+        {
+            return true;
+        }
+        // What cannot be found is said when it is opened.
+        self.find(name).is_ok_and(|spec| {
+            let sources = [
+                Some(&spec.source),
+                spec.tokenizer.as_ref(),
+                spec.draft_model.as_ref(),
+            ];
+            sources.into_iter().flatten().any(is_elsewhere)
+        })
+    }
+
     /// Finds a model. `name` is, in this order:
     /// 1. the name of a description in the folder, then of one in the program,
     /// 2. the path of a description, a model folder or a GGUF file,
-    /// 3. the address of a server (`http://127.0.0.1:8080/v1`), perhaps with `#` and its name of
+    /// 3. the address of a page of the hub (`https://huggingface.co/org/name`, `hf.co/org/name`),
+    /// 4. the address of a server (`http://127.0.0.1:8080/v1`), perhaps with `#` and its name of
     ///    the model,
-    /// 4. a hub id, or a hub id with a GGUF file (`org/name/file.gguf`).
+    /// 5. a hub id, perhaps with a revision (`org/name@v1`), and with a GGUF file
+    ///    (`org/name/file.gguf`) or its weight format (`org/name:Q4_K_M`).
     ///
     /// [`Self::asking`] says how it is asked.
     pub fn find(&self, name: &str) -> Result<ModelSpec, MllmError> {
@@ -89,25 +125,28 @@ impl ModelRegistry {
         {
             return ModelSpec::open(path);
         }
+        if let Some(named) = hub::addressed(name) {
+            let named = named.map_err(|problem| MllmError::HubName {
+                word: name.to_owned(),
+                problem,
+            })?;
+            return Ok(of_hub(named));
+        }
         if let Some(server) = address::server(name) {
             return server;
         }
         let source = if !name.is_empty() && path.is_dir() {
+            // A repository's folder in the hub's cache stands for its snapshot.
             ModelSource::Folder {
-                folder: path.to_path_buf(),
+                folder: hub::snapshot_in(path).unwrap_or_else(|| path.to_path_buf()),
             }
         } else if hub::is_gguf(path) && path.is_file() {
             ModelSource::File {
                 file: path.to_path_buf(),
                 mmproj: None,
             }
-        } else if let Some((id, file)) = hub::split_file(name) {
-            ModelSource::Hub {
-                hub: id.to_string(),
-                revision: description::default_revision(),
-                file: file.map(ToString::to_string),
-                mmproj: None,
-            }
+        } else if let Some(named) = hub::plain(name) {
+            return Ok(of_hub(named));
         } else if is_path(path) {
             return Err(MllmError::AbsentModel {
                 path: path.to_path_buf(),

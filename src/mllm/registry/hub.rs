@@ -1,93 +1,23 @@
-//! Downloads from the Hugging Face hub into the cache of the `huggingface_hub` tools.
+//! The Hugging Face hub: what is in the cache of the `huggingface_hub` tools, and downloads into it.
 
+mod cache;
 #[cfg(feature = "hub")]
 mod client;
+mod environment;
+mod files;
+mod name;
+#[cfg(feature = "hub")]
+mod problem;
+
+pub(super) use cache::snapshot_in;
+pub use environment::offline_variable;
+pub(super) use files::{GgufChoice, GgufNames, HubFiles};
+pub(super) use name::{HubName, addressed, plain};
 
 use crate::MllmError;
-use crate::checkpoint::safetensors_folder::{has_safetensors, weight_files};
-use crate::gguf::named_parts;
+use environment::Environment;
 use std::path::{Path, PathBuf};
-
-/// The wanted part of a repository.
-#[derive(Debug, Clone)]
-pub(super) struct HubFiles {
-    /// Patterns of the files to download, where they exist.
-    patterns: Vec<String>,
-    /// The files that a complete snapshot must have.
-    required: Vec<String>,
-    /// Whether a complete snapshot has safetensors.
-    weights: bool,
-}
-
-impl HubFiles {
-    /// A model, without its tokenizer if that is elsewhere.
-    pub(super) fn model(tokenizer: bool) -> Self {
-        let required = if tokenizer {
-            &["config.json", "tokenizer.json"][..]
-        } else {
-            &["config.json"]
-        };
-        Self {
-            patterns: owned(&["*.json", "*.jinja", "*.safetensors"]),
-            required: owned(required),
-            weights: true,
-        }
-    }
-
-    /// A tokenizer alone.
-    pub(super) fn tokenizer() -> Self {
-        Self {
-            patterns: owned(&["tokenizer.json", "tokenizer_config.json"]),
-            required: owned(&["tokenizer.json"]),
-            weights: false,
-        }
-    }
-
-    /// A GGUF file with its vision tower; without a name, all towers of the repository.
-    pub(super) fn gguf(file: &str, mmproj: Option<&str>) -> Self {
-        let tower = mmproj.unwrap_or("*mmproj*.gguf");
-        let parts = named_parts(file);
-        let patterns = owned(&[
-            "tokenizer.json",
-            "tokenizer_config.json",
-            "chat_template.jinja",
-            tower,
-        ]);
-        Self {
-            patterns: patterns.into_iter().chain(parts.clone()).collect(),
-            required: parts
-                .into_iter()
-                .chain(mmproj.map(ToString::to_string))
-                .collect(),
-            weights: false,
-        }
-    }
-
-    /// A file that a snapshot lacks: a required one, or a weight file of its index.
-    fn missing(&self, folder: &Path) -> Option<String> {
-        if let Some(file) = self
-            .required
-            .iter()
-            .find(|file| !folder.join(file).is_file())
-        {
-            return Some(file.clone());
-        }
-        if !self.weights {
-            return None;
-        }
-        if !has_safetensors(folder) {
-            return Some("model.safetensors".into());
-        }
-        match weight_files(folder) {
-            Err(MllmError::MissingFile { file, .. }) => Some(file),
-            _ => None,
-        }
-    }
-}
-
-fn owned(names: &[&str]) -> Vec<String> {
-    names.iter().map(ToString::to_string).collect()
-}
+use std::sync::Arc;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FetchProgress {
@@ -110,23 +40,118 @@ pub struct HubAccess {
     pub endpoint: Option<String>,
 }
 
-#[cfg(not(feature = "hub"))]
+/// The wanted files of a repository on this machine.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct HubPlace {
+    /// The folder of the snapshot.
+    pub folder: PathBuf,
+    /// The GGUF files in it, if such are wanted.
+    pub gguf: Option<GgufNames>,
+}
+
+impl HubPlace {
+    fn in_folder(folder: PathBuf, name: &HubName, files: &HubFiles) -> Self {
+        let gguf = files.chosen(name, &files::listed(&folder)).ok();
+        Self { folder, gguf }
+    }
+}
+
 impl HubAccess {
-    /// Refuses: this build has no hub client.
+    /// As the environment says: `HF_HUB_OFFLINE` switches the network off.
+    pub fn of_environment() -> Self {
+        Self {
+            offline: offline_variable().is_some(),
+            ..Self::default()
+        }
+    }
+
+    /// The wanted files of a repository. Missing ones are downloaded, if this is allowed.
     pub(super) fn fetch(
         &self,
-        id: &str,
-        revision: &str,
-        _: &HubFiles,
-        _: Option<std::sync::Arc<FetchListener>>,
-    ) -> Result<PathBuf, MllmError> {
-        let problem =
-            "this build has no hub client; build with the cargo feature `hub`, or name a folder"
-                .to_string();
-        Err(MllmError::Hub {
-            id: id.to_string(),
-            revision: revision.to_string(),
+        name: &HubName,
+        files: &HubFiles,
+        listener: Option<Arc<FetchListener>>,
+    ) -> Result<HubPlace, MllmError> {
+        let revision = name.revision.as_deref().unwrap_or(cache::MAIN);
+        let failed = |problem: String| MllmError::Hub {
+            id: name.id.clone(),
+            revision: revision.to_owned(),
             problem,
+        };
+        if split_id(&name.id).is_none() {
+            return Err(failed("a hub id has the form organization/name".into()));
+        }
+        let environment = Environment::of_process();
+        let cache = self.cache.clone().unwrap_or_else(|| environment.cache());
+        // A commit never changes, so a complete snapshot of it needs no network.
+        if !(self.offline || cache::is_commit(revision)) {
+            return self.download(name, files, &cache, listener).map_err(failed);
+        }
+        let absent = match cache::find(&cache, name, files) {
+            Ok(place) => return Ok(place),
+            Err(absent) => absent,
+        };
+        if !self.offline {
+            return self.download(name, files, &cache, listener).map_err(failed);
+        }
+        // A repository of GGUF files alone needs no download, but another name.
+        let offered = files::offered(name, &cache::files(&cache, name));
+        if let (Some(offered), HubFiles::Model { .. }) = (&offered, files) {
+            return Err(failed(format!(
+                "{} is not in the cache; {offered}",
+                absent.file
+            )));
+        }
+        let hint = absent.hint.or(offered);
+        let forbidden = match environment.offline() {
+            Some(variable) => format!("where {variable} does not forbid it"),
+            None => "without --offline (mllm.offline)".to_owned(),
+        };
+        let download = format!(
+            "`planagent models fetch {}` downloads it, {forbidden}",
+            name.word()
+        );
+        Err(MllmError::NotInCache {
+            id: name.id.clone(),
+            revision: revision.to_owned(),
+            file: absent.file,
+            cache,
+            advice: hint
+                .into_iter()
+                .chain([download])
+                .collect::<Vec<_>>()
+                .join("; "),
+        })
+    }
+
+    #[cfg(feature = "hub")]
+    fn download(
+        &self,
+        name: &HubName,
+        files: &HubFiles,
+        cache: &Path,
+        listener: Option<Arc<FetchListener>>,
+    ) -> Result<HubPlace, String> {
+        let endpoint = self.endpoint.clone();
+        let endpoint = endpoint.unwrap_or_else(|| Environment::of_process().endpoint());
+        client::download(name, files, cache, &endpoint, listener)
+    }
+
+    /// Takes what is in the cache: this build has no hub client.
+    #[cfg(not(feature = "hub"))]
+    fn download(
+        &self,
+        name: &HubName,
+        files: &HubFiles,
+        cache: &Path,
+        _: Option<Arc<FetchListener>>,
+    ) -> Result<HubPlace, String> {
+        cache::find(cache, name, files).map_err(|absent| {
+            format!(
+                "{} is not in the cache {}, and this build has no hub client; build with the cargo feature `hub`, or name a folder",
+                absent.file,
+                cache.display()
+            )
         })
     }
 }
@@ -135,20 +160,6 @@ impl HubAccess {
 pub(super) fn is_gguf(path: &Path) -> bool {
     path.extension()
         .is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
-}
-
-/// Splits `organization/name` or `organization/name/file.gguf` into id and file.
-pub(super) fn split_file(name: &str) -> Option<(&str, Option<&str>)> {
-    if split_id(name).is_some() {
-        // A name with the extension of a file means a file that does not exist.
-        return (!is_gguf(Path::new(name))).then_some((name, None));
-    }
-    let (end, _) = name.match_indices('/').nth(1)?;
-    let (id, file) = (name.get(..end)?, name.get(end + 1..)?);
-    let plain = file
-        .split('/')
-        .all(|part| !part.is_empty() && !part.starts_with('.'));
-    (split_id(id).is_some() && plain && is_gguf(Path::new(file))).then_some((id, Some(file)))
 }
 
 /// Splits `organization/name`.
@@ -165,110 +176,4 @@ pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
 }
 
 #[cfg(test)]
-#[cfg(feature = "hub")]
-mod tests {
-    use super::*;
-
-    const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
-
-    fn cached(files: &[&str]) -> (tempfile::TempDir, HubAccess) {
-        let cache = tempfile::tempdir().unwrap();
-        let repository = cache.path().join("models--org--model");
-        let snapshot = repository.join("snapshots").join(COMMIT);
-        std::fs::create_dir_all(&snapshot).unwrap();
-        std::fs::create_dir_all(repository.join("refs")).unwrap();
-        std::fs::write(repository.join("refs/main"), COMMIT).unwrap();
-        for file in files {
-            std::fs::write(snapshot.join(file), "{}").unwrap();
-        }
-        let access = HubAccess {
-            offline: true,
-            cache: Some(cache.path().to_path_buf()),
-            // Discard port: any network access fails at once.
-            endpoint: Some("http://127.0.0.1:9".into()),
-        };
-        (cache, access)
-    }
-
-    #[test]
-    fn a_cached_model_is_found_without_network() {
-        let (_cache, access) = cached(&["config.json", "tokenizer.json", "model.safetensors"]);
-        for revision in ["main", COMMIT] {
-            assert!(
-                access
-                    .fetch("org/model", revision, &HubFiles::model(true), None)
-                    .unwrap()
-                    .ends_with(COMMIT)
-            );
-        }
-        let online = HubAccess {
-            offline: false,
-            ..access
-        };
-        assert!(
-            online
-                .fetch("org/model", COMMIT, &HubFiles::model(true), None)
-                .is_ok(),
-            "a pinned commit needs no network"
-        );
-    }
-
-    #[test]
-    fn a_model_and_its_tokenizer_may_lie_apart() {
-        let (_cache, weights) = cached(&["config.json", "model.safetensors"]);
-        assert!(
-            weights
-                .fetch("org/model", "main", &HubFiles::model(false), None)
-                .is_ok()
-        );
-        let missing = weights.fetch("org/model", "main", &HubFiles::tokenizer(), None);
-        assert!(
-            matches!(missing, Err(MllmError::NotInCache { file, .. }) if file == "tokenizer.json")
-        );
-        let (_cache, tokenizer) = cached(&["tokenizer.json"]);
-        assert!(
-            tokenizer
-                .fetch("org/model", "main", &HubFiles::tokenizer(), None)
-                .is_ok()
-        );
-    }
-
-    #[test]
-    fn gguf_files_are_asked_for_by_name() {
-        let (_cache, access) = cached(&["model-q4_k.gguf", "mmproj.gguf"]);
-        let files = |mmproj: Option<&str>| HubFiles::gguf("model-q4_k.gguf", mmproj);
-        assert!(
-            access
-                .fetch("org/model", "main", &files(None), None)
-                .is_ok()
-        );
-        assert!(
-            access
-                .fetch("org/model", "main", &files(Some("mmproj.gguf")), None)
-                .is_ok()
-        );
-        let missing = access.fetch("org/model", "main", &files(Some("mmproj-f16.gguf")), None);
-        assert!(
-            matches!(missing, Err(MllmError::NotInCache { file, .. }) if file == "mmproj-f16.gguf")
-        );
-    }
-
-    #[test]
-    fn what_is_not_cached_is_named() {
-        let (_cache, access) = cached(&["config.json", "tokenizer.json"]);
-        for (id, revision, missing) in [
-            ("org/model", "main", "model.safetensors"),
-            ("org/model", "v2", "config.json"),
-            ("org/other", "main", "config.json"),
-        ] {
-            match access.fetch(id, revision, &HubFiles::model(true), None) {
-                Err(MllmError::NotInCache { file, .. }) => assert_eq!(file, missing),
-                other => panic!("{id}: {other:?}"),
-            }
-        }
-        assert!(matches!(
-            access.fetch("../x/y", "main", &HubFiles::model(true), None),
-            Err(MllmError::Hub { .. })
-        ));
-    }
-}
+mod tests;

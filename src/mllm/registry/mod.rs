@@ -3,6 +3,7 @@
 
 mod address;
 mod built_in;
+mod described_prompts;
 mod description;
 mod find;
 mod folder;
@@ -14,9 +15,10 @@ mod hub;
 mod inputs;
 mod own_settings;
 
+pub use described_prompts::DescribedPrompts;
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
 pub use folder::{data_folder, models_folder};
-pub use hub::{FetchListener, FetchProgress, HubAccess};
+pub use hub::{FetchListener, FetchProgress, HubAccess, offline_variable};
 pub use inputs::ModelInputs;
 pub use own_settings::{Asking, NamedBy};
 
@@ -27,7 +29,7 @@ use super::{
     MemoryCheck, Mllm, MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat,
     export_model,
 };
-use hub::HubFiles;
+use hub::{GgufChoice, HubFiles, HubName, HubPlace};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -185,23 +187,37 @@ impl ModelRegistry {
             ModelSource::Hub {
                 hub: id,
                 revision,
-                file: None,
-                ..
-            } => {
-                let files = HubFiles::model(spec.tokenizer.is_none());
-                ModelPlace::Folder(self.snapshot(hub, id, revision, &files)?)
-            }
-            ModelSource::Hub {
-                hub: id,
-                revision,
-                file: Some(file),
+                file,
+                quant,
                 mmproj,
             } => {
-                let files = HubFiles::gguf(file, mmproj.as_deref());
-                let folder = self.snapshot(hub, id, revision, &files)?;
-                ModelPlace::Gguf {
-                    model: folder.join(file),
-                    mmproj: mmproj.as_ref().map(|name| folder.join(name)),
+                let name = HubName {
+                    id: id.clone(),
+                    revision: Some(revision.clone())
+                        .filter(|revision| *revision != description::default_revision()),
+                    file: file.clone(),
+                    quant: quant.clone(),
+                };
+                let model = file.clone().map(GgufChoice::File);
+                let model = model.or_else(|| quant.clone().map(GgufChoice::Quant));
+                let files = match model {
+                    None => HubFiles::Model {
+                        tokenizer: spec.tokenizer.is_none(),
+                    },
+                    Some(model) => HubFiles::Gguf {
+                        model,
+                        mmproj: mmproj.clone(),
+                    },
+                };
+                match self.snapshot(hub, &name, &files)? {
+                    HubPlace { folder, gguf: None } => ModelPlace::Folder(folder),
+                    HubPlace {
+                        folder,
+                        gguf: Some(names),
+                    } => ModelPlace::Gguf {
+                        model: folder.join(names.model),
+                        mmproj: names.mmproj.map(|name| folder.join(name)),
+                    },
                 }
             }
         })
@@ -210,20 +226,19 @@ impl ModelRegistry {
     fn snapshot(
         &self,
         hub: &HubAccess,
-        id: &str,
-        revision: &str,
+        name: &HubName,
         files: &HubFiles,
-    ) -> Result<PathBuf, MllmError> {
-        hub.fetch(id, revision, files, self.listener.clone())
+    ) -> Result<HubPlace, MllmError> {
+        hub.fetch(name, files, self.listener.clone())
     }
 
     /// How a model is asked: as its description says, else its own files, else with the paper's
     /// prompts. A hub model without a description is downloaded if it is missing and downloads are
     /// allowed.
     pub fn asking(&self, spec: &ModelSpec) -> Result<Asking, MllmError> {
-        match spec.prompt_set {
-            Some(set) => Ok(Asking {
-                prompt_set: set.name().to_owned(),
+        match &spec.prompt_set {
+            Some(prompts) => Ok(Asking {
+                prompt_set: prompts.opened_by(),
                 named_by: NamedBy::Description,
                 generation: spec.generation,
             }),
@@ -257,6 +272,7 @@ impl ModelRegistry {
             if self.hub.offline && !settings.is_local() {
                 return Err(MllmError::Offline {
                     endpoint: settings.endpoint.clone(),
+                    variable: offline_variable(),
                 });
             }
             return connect(&spec.name, settings);
@@ -335,7 +351,10 @@ impl ModelRegistry {
             (
                 Err(error),
                 ModelSource::Hub {
-                    hub, file: None, ..
+                    hub,
+                    file: None,
+                    quant: None,
+                    ..
                 },
             ) => ModelShape::of_hub(hub).ok_or(error)?.checkpoint(families)?,
             (here, _) => here?,
@@ -377,7 +396,15 @@ impl ModelRegistry {
             Some(ModelSource::Folder { folder }) => Some(folder.clone()),
             Some(ModelSource::File { file, .. }) => file.parent().map(Path::to_path_buf),
             Some(ModelSource::Hub { hub, revision, .. }) => {
-                Some(self.snapshot(&self.hub, hub, revision, &HubFiles::tokenizer())?)
+                let name = HubName {
+                    id: hub.clone(),
+                    revision: Some(revision.clone()),
+                    ..HubName::default()
+                };
+                Some(
+                    self.snapshot(&self.hub, &name, &HubFiles::Tokenizer)?
+                        .folder,
+                )
             }
         };
         let expected = spec

@@ -29,8 +29,8 @@ fn names_folders_and_ids_are_found() {
     );
     let nano = registry.find("nano").unwrap();
     assert_eq!(
-        (nano.name.as_str(), nano.prompt_set),
-        ("Nano", Some(PromptSet::Compact))
+        (nano.name.as_str(), nano.prompt_set.clone()),
+        ("Nano", Some(DescribedPrompts::Known(PromptSet::Compact)))
     );
     assert_eq!(
         registry.place(&nano).unwrap(),
@@ -62,6 +62,32 @@ fn names_folders_and_ids_are_found() {
         }
         other => panic!("{other:?}"),
     }
+    for (word, name, shown) in [
+        ("org/repo:Q4_K_M", "repo:Q4_K_M", "org/repo:Q4_K_M"),
+        ("hf.co/org/repo:q8_0", "repo:q8_0", "org/repo:q8_0"),
+        (
+            "org/repo@refs/pr/1",
+            "repo@refs-pr-1",
+            "org/repo (refs/pr/1)",
+        ),
+        ("https://huggingface.co/org/repo", "repo", "org/repo"),
+        (
+            "https://huggingface.co/org/repo/blob/main/m-q4_k.gguf",
+            "m-q4_k.gguf",
+            "org/repo/m-q4_k.gguf",
+        ),
+    ] {
+        let spec = registry.find(word).unwrap();
+        assert_eq!(
+            (spec.name.as_str(), spec.source.to_string().as_str()),
+            (name, shown),
+            "{word}"
+        );
+    }
+    assert!(matches!(
+        registry.find("https://huggingface.co/spaces/org/app"),
+        Err(MllmError::HubName { .. })
+    ));
     let file = models.path().join("model.gguf");
     std::fs::write(&file, "GGUF").unwrap();
     let here = registry.find(file.to_str().unwrap()).unwrap();

@@ -2,11 +2,13 @@
 
 use super::Checkpoint;
 use crate::MllmError;
-use crate::checkpoint::{FileKind, ModelFiles, RowOrder, WeightFile, WeightFormatPlan, Weights};
+use crate::checkpoint::{
+    FileKind, ModelFiles, OwnKeys, RowOrder, WeightFile, WeightFormatPlan, Weights,
+};
 use crate::families::Families;
 use crate::gguf::{
-    GgufLayout, Header, OwnKeys, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, open_model,
-    packed_files, row_order, tokenizer, tower_beside, unread_keys,
+    GgufLayout, Header, TEMPLATE, TOWER, WHOLE_MODEL, llama, open_header, open_model, packed_files,
+    row_order, tokenizer, tower_beside, unread_keys,
 };
 use planagent_kernels::matrix::WeightFormat;
 use std::path::Path;

@@ -2,12 +2,10 @@
 //! so its values are bounded here: by what the source may hold, and by filters that look before they
 //! write.
 
-use std::fmt::{self, Write};
-
+use super::template_bounds::tags;
 use minijinja::value::Value;
 use minijinja::{Environment, Error, ErrorKind, filters, functions, tests};
-
-use super::template_bounds::tags;
+use std::fmt::{self, Write};
 
 /// Instructions of one rendering. The built-in sets take a few hundred.
 pub(super) const MAX_STEPS: u64 = 10_000;

@@ -380,7 +380,7 @@ mod tests {
             "{% for a in range(99999) %}{% for b in range(99999) %}{% if b > 90 %}{% break %}{% endif %}{% endfor %}{% endfor %}\
              probe<image>"
                 .to_owned(),
-            "{% for a in range(99999) %}{% for b in range(99999) %}{% continue %}{% endfor %}{% break %}{% endfor %}probe<image>"
+            "{% for a in range(99999) %}{% for b in range(99999) %}{% continue %}{% endfor %}{% endfor %}probe<image>"
                 .to_owned(),
             "{% macro m() %}{{ m() }}{% endmacro %}{{ m() }}probe<image>".to_owned(),
             "{% set n = namespace(x=[]) %}{% for i in range(60000) %}{% set n.x = [n.x] %}{% endfor %}{{ n.x }}"

@@ -1,13 +1,12 @@
 //! The engine of all templates that may come from elsewhere: chat templates of models, and prompt
 //! sets. Reading and rendering end: sizes, steps and lengths have bounds.
 
-use minijinja::value::Value;
-use minijinja::{Environment, Error, ErrorKind, UndefinedBehavior};
-
 use super::prompt_rules;
 use super::template_bounds::{
     BoundedText, MAX_CALLS, MAX_SOURCE_BYTES, MAX_STEPS, MAX_TAG_BYTES, longest_tag, on_deep_stack,
 };
+use minijinja::value::Value;
+use minijinja::{Environment, Error, ErrorKind, UndefinedBehavior};
 
 /// Templates with their bounds.
 #[derive(Debug)]

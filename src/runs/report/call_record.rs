@@ -1,9 +1,12 @@
 //! A line of `calls.jsonl`: one planning call, attempts and rounds inside it. Measured times stand
 //! under the key `time`. `docs/schema/calls.schema.json` is derived from these types.
 
-use super::error::ReportError;
+use super::bounded::at_most;
+use super::error::{ReportError, ReportFault};
 use super::layout::CALLS;
+use super::limits::{MAX_ATTEMPTS, MAX_CALL_BYTES, MAX_CALLS_BYTES};
 use super::number::json_value;
+use super::run_files::read_present;
 use super::times::CallTimes;
 use planagent_agent::environment::CenterlineName;
 use planagent_agent::planner::{
@@ -14,13 +17,13 @@ use planagent_agent::reasoning::{
 };
 use planagent_agent::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use planagent_agent::simulation::Challenge;
+use planagent_files::OpenFolder;
 use planagent_mllm::RoundTime;
 use planagent_score::pdm::DrivableLayers;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::fs;
-use std::path::Path;
+use std::io;
 
 /// The record of a planning call.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -42,6 +45,7 @@ pub struct CallRecord {
     /// The lane-graph text.
     pub scene_text: Option<String>,
     /// The attempts, in order.
+    #[serde(deserialize_with = "at_most::<_, _, MAX_ATTEMPTS>")]
     pub attempts: Vec<AttemptRecord>,
     /// The outcome.
     pub decision: DecisionRecord,
@@ -395,15 +399,25 @@ impl AttemptTimes {
 ///
 /// # Errors
 /// When they cannot be read.
-pub(super) fn calls_in(folder: &Path) -> Result<Vec<CallRecord>, ReportError> {
-    let path = folder.join(CALLS);
-    if !path.is_file() {
+pub(super) fn calls_in(folder: &OpenFolder) -> Result<Vec<CallRecord>, ReportError> {
+    let path = folder.path_of(CALLS);
+    let Some(bytes) = read_present(folder, CALLS, MAX_CALLS_BYTES)? else {
         return Ok(Vec::new());
-    }
-    let text = fs::read_to_string(&path).map_err(ReportError::read(&path))?;
-    text.lines()
-        .map(|line| serde_json::from_str(line).map_err(ReportError::at(&path)))
-        .collect()
+    };
+    let text = String::from_utf8(bytes).map_err(|error| {
+        let error = io::Error::new(io::ErrorKind::InvalidData, error.utf8_error());
+        ReportError::read(&path)(error)
+    })?;
+    let record = |(i, line): (usize, &str)| {
+        if line.len() > MAX_CALL_BYTES {
+            return Err(ReportError::at(&path)(ReportFault::LongLine {
+                line: i + 1,
+                bytes: line.len(),
+            }));
+        }
+        serde_json::from_str(line).map_err(ReportError::at(&path))
+    };
+    text.lines().enumerate().map(record).collect()
 }
 
 #[cfg(test)]

@@ -1,7 +1,10 @@
 //! Why results cannot be read or written.
 
+use super::file_names::NoNamePart;
 use super::layout::MANIFEST;
+use super::limits::{MAX_CALL_BYTES, MAX_IMAGE_PIXELS, MAX_MANIFEST_BYTES};
 use super::manifest::FORMAT_VERSION;
+use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -46,12 +49,42 @@ pub enum ReportFault {
     #[error("there is no run in this folder; name the folder of a run")]
     NoRuns,
     #[error(
+        "every simulation failed in each run of this folder; name one to see it all the same, for example {}",
+        last.display()
+    )]
+    OnlyFailures {
+        /// The run that started last.
+        last: PathBuf,
+    },
+    #[error(
         "the run has format version {found}, this program reads version {FORMAT_VERSION}; start a new run, or use the \
          version of planagent that wrote it"
     )]
     FormatVersion { found: u32 },
-    #[error("another process is running in the folder")]
-    Locked,
+    #[error("another process is running in the folder{0}")]
+    Locked(Holder),
+    #[error(
+        "the folder of the run was moved or deleted, so the run ended; a folder that was moved holds all simulations that \
+         were completed: resume it there with --resume"
+    )]
+    Gone,
+    #[error(
+        "'{first}' and '{second}' have the same number; delete the one that is not of this run"
+    )]
+    SameNumber { first: String, second: String },
+    #[error("there are more than {limit} {what}, which is the limit")]
+    TooMany { what: &'static str, limit: usize },
+    #[error(
+        "{MANIFEST} would have {bytes} bytes, at most {MAX_MANIFEST_BYTES} are read again; simulate fewer scenarios, or \
+         shards of them with --shard"
+    )]
+    LargeManifest { bytes: usize },
+    #[error("line {line} has {bytes} bytes; at most {MAX_CALL_BYTES} are read")]
+    LongLine { line: usize, bytes: usize },
+    #[error("it is no PNG of at most {MAX_IMAGE_PIXELS} pixels a side")]
+    NoPicture,
+    #[error(transparent)]
+    Name(#[from] NoNamePart),
     #[error("the run cannot be resumed, because it was started with other settings:\n  {}", .0.join("\n  "))]
     Differs(Vec<String>),
     #[error(
@@ -87,14 +120,41 @@ pub enum ReportFault {
     Parquet(#[from] parquet::errors::ParquetError),
 }
 
+/// The process that holds the lock of a run, where the lock says which.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Holder(pub(super) Option<u32>);
+
+impl fmt::Display for Holder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some(process) => write!(f, " (process {process})"),
+            None => Ok(()),
+        }
+    }
+}
+
 impl ReportFault {
     /// Whether the content of a file is damaged.
     pub(super) fn is_damage(&self) -> bool {
         matches!(self, Self::Toml(_) | Self::DamagedManifest)
     }
+
+    /// Whether the record of a simulation is damaged: the simulation is repeated.
+    pub(super) fn is_damaged_record(&self) -> bool {
+        matches!(self, Self::Toml(_))
+    }
 }
 
 impl ReportError {
+    /// Whether the file or folder does not exist.
+    pub(super) fn is_absent(&self) -> bool {
+        match &self.fault {
+            ReportFault::Absent => true,
+            ReportFault::Read(error) => error.kind() == io::ErrorKind::NotFound,
+            _ => false,
+        }
+    }
+
     /// For `map_err`: a fault at `place`.
     pub fn at<F: Into<ReportFault>>(place: &Path) -> impl FnOnce(F) -> Self {
         let place = place.to_owned();

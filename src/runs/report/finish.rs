@@ -1,17 +1,17 @@
 //! The files of a complete run. They are made from the simulation folders, so the number of
 //! sessions does not matter.
 
-use super::atomic;
 use super::error::ReportError;
 use super::layout::{NUPLAN_AGGREGATOR, NUPLAN_METRICS, SUMMARY, TIMING};
 use super::manifest::Manifest;
 use super::nuboard::write_nuboard;
 use super::number::json_value;
 use super::parquet::{write_aggregator, write_metric_files, write_runner_report};
-use super::run_folder::RunFolder;
+use super::run_folder::{RunFolder, sweep};
 use super::simulation_row::SimulationRow;
 use super::summary::{Summary, aggregated};
 use super::timing::Timing;
+use planagent_files::OpenFolder;
 use planagent_score::metrics::distinct;
 use serde::Serialize;
 
@@ -29,12 +29,16 @@ impl RunFolder {
         self.join_calls()?;
         for challenge in distinct(rows.iter().map(|row| row.challenge)) {
             let own = || rows.iter().filter(|row| row.challenge == challenge);
-            let folder = self.path().join(challenge.to_string());
-            let metrics = folder.join(NUPLAN_METRICS);
-            let aggregator = folder.join(NUPLAN_AGGREGATOR);
-            for folder in [&metrics, &aggregator] {
-                atomic::folder(folder)?;
-                atomic::sweep(folder)?;
+            let make = |above: &OpenFolder, name: &str| {
+                above
+                    .make_subfolder(name)
+                    .map_err(ReportError::write(&above.path_of(name)))
+            };
+            let folder = make(self.root(), challenge.name())?;
+            let metrics = make(&folder, NUPLAN_METRICS)?;
+            let aggregator = make(&folder, NUPLAN_AGGREGATOR)?;
+            for folder in [&folder, &metrics, &aggregator] {
+                sweep(folder)?;
             }
             write_metric_files(
                 &metrics,
@@ -45,14 +49,12 @@ impl RunFolder {
                 manifest.started
             );
             write_aggregator(
-                &aggregator.join(name),
+                &aggregator,
+                &name,
                 &aggregated(challenge, own()),
                 challenge.metric_list(),
             )?;
-            write_runner_report(
-                &folder.join("runner_report.parquet"),
-                &own().collect::<Vec<_>>(),
-            )?;
+            write_runner_report(&folder, &own().collect::<Vec<_>>())?;
             write_nuboard(&folder, challenge)?;
         }
         self.write_json(TIMING, timing)?;

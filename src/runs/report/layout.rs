@@ -3,11 +3,11 @@
 /// Parent of the run folders that get a number instead of a name.
 pub(super) const RUNS: &str = "runs";
 /// What the run consists of; written first.
-pub const MANIFEST: &str = "manifest.toml";
+pub(super) const MANIFEST: &str = "manifest.toml";
 /// The configuration in the form that `--config` takes.
 pub(super) const CONFIG: &str = "config.toml";
 /// The scores; written last, so the run is complete if the file exists.
-pub const SUMMARY: &str = "summary.json";
+pub(super) const SUMMARY: &str = "summary.json";
 /// Wall times and the machine.
 pub(super) const TIMING: &str = "timing.json";
 /// The planning calls: of one simulation in its folder, of all in the folder of the run.
@@ -35,11 +35,20 @@ pub(super) const METRICS: &str = "metrics.toml";
 /// Tracks, map and plans.
 pub(super) const REPLAY: &str = "replay.json.gz";
 /// The planning calls as Markdown.
-pub(super) const TRANSCRIPT: &str = "transcript.md";
+pub const TRANSCRIPT: &str = "transcript.md";
 /// Parent of the BEV maps.
 pub(super) const BEV: &str = "bev";
 
-/// The BEV map of a planning call, relative to the simulation folder.
+/// The name of the BEV map of a planning call in its folder.
 pub(super) fn bev_name(iteration: usize) -> String {
-    format!("{BEV}/{iteration:03}.png")
+    format!("{iteration:03}{BEV_ENDING}")
 }
+
+/// Whether a file is the BEV map of a planning call.
+pub(super) fn is_bev_name(name: &str) -> bool {
+    name.strip_suffix(BEV_ENDING)
+        .and_then(|digits| digits.parse().ok())
+        .is_some_and(|iteration| bev_name(iteration) == name)
+}
+
+const BEV_ENDING: &str = ".png";

@@ -1,7 +1,10 @@
 //! `manifest.toml`: what a run consists of, written before its first simulation.
 
+use super::file_names::name_parts;
 use super::inputs::{AcceptedChanges, Inputs};
+use super::recorded;
 use super::renamed;
+use super::stamp::Stamp;
 use planagent_files::serde_path;
 use planagent_scenario::MissingTokens;
 use schemars::JsonSchema;
@@ -31,8 +34,10 @@ pub struct Manifest {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub commit: Option<String>,
     /// Start time in nuPlan's format: `YYYY.MM.DD.hh.mm.ss`, UTC.
-    pub started: String,
+    #[schemars(with = "String")]
+    pub started: Stamp,
     /// Names of the planners, in order.
+    #[serde(deserialize_with = "name_parts")]
     pub planners: Vec<String>,
     /// The commands of those planners that are commands, by name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -110,6 +115,7 @@ pub struct ScenarioList {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shard: Option<ShardList>,
     /// Number of scenarios, those of other shards included.
+    #[serde(deserialize_with = "recorded::count")]
     pub count: usize,
     /// BLAKE3 of their names, one a line, in order.
     pub blake3: String,
@@ -123,10 +129,13 @@ pub struct ScenarioList {
 #[serde(deny_unknown_fields)]
 pub struct ShardList {
     /// Which shard, from 1.
+    #[serde(deserialize_with = "recorded::count")]
     pub index: usize,
     /// Number of shards.
+    #[serde(deserialize_with = "recorded::count")]
     pub of: usize,
     /// Number of its scenarios.
+    #[serde(deserialize_with = "recorded::count")]
     pub count: usize,
 }
 
@@ -158,7 +167,10 @@ impl ScenarioList {
 impl Manifest {
     /// Number of simulations of the run.
     pub fn simulations(&self) -> usize {
-        self.scenarios.simulated() * self.planners.len() * self.challenges.len()
+        self.scenarios
+            .simulated()
+            .saturating_mul(self.planners.len())
+            .saturating_mul(self.challenges.len())
     }
 
     /// The differences from `now`, one a line, by dotted keys. Several keys that only one of both
@@ -301,6 +313,7 @@ fn flatten<'a>(
 
 #[cfg(test)]
 mod tests {
+    use super::super::stamp::stamp;
     use super::*;
 
     fn manifest() -> Manifest {
@@ -309,7 +322,7 @@ mod tests {
             result_version: 1,
             commit: None,
             planagent: "0.1.0".to_owned(),
-            started: "2026.11.20.08.00.00".to_owned(),
+            started: stamp(std::time::UNIX_EPOCH),
             planners: vec!["idm".to_owned()],
             commands: BTreeMap::new(),
             agents: BTreeMap::new(),
@@ -330,10 +343,38 @@ mod tests {
     }
 
     #[test]
+    fn a_wild_count_or_a_name_that_leads_elsewhere_is_refused() {
+        let written = toml::to_string(&manifest()).unwrap();
+        assert!(toml::from_str::<Manifest>(&written).is_ok());
+        let count = format!("count = {}", manifest().scenarios.count);
+        for (from, to, said) in [
+            (count.as_str(), "count = 9223372036854775807", "count"),
+            ("started = \"", "started = \"a/../", "start time"),
+            ("planners = [\"", "planners = [\"../", "file name"),
+        ] {
+            let changed = written.replacen(from, to, 1);
+            assert_ne!(changed, written, "{from}");
+            let error = toml::from_str::<Manifest>(&changed)
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains(said), "{to}: {error}");
+        }
+        let wide = Manifest {
+            planners: vec!["idm".to_owned(); 3],
+            scenarios: ScenarioList {
+                count: usize::MAX,
+                ..ScenarioList::default()
+            },
+            ..manifest()
+        };
+        assert_eq!(wide.simulations(), usize::MAX);
+    }
+
+    #[test]
     fn differences_name_their_keys() {
         let then = manifest();
         let mut now = manifest();
-        now.started.clear();
+        now.started = stamp(std::time::SystemTime::now());
         now.scenarios.words.push("b".to_owned());
         assert!(then.differences(&now).is_empty());
         now.config = "seed = 1\n[reflection]\nthreshold = 0.5\n".parse().unwrap();
@@ -344,7 +385,7 @@ mod tests {
         assert_eq!(
             then.digest(),
             Manifest {
-                started: "later".to_owned(),
+                started: stamp(std::time::SystemTime::now()),
                 ..manifest()
             }
             .digest()

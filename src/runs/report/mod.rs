@@ -1,27 +1,35 @@
 //! Stage 10: the results of a run as files, tables, figures and a page.
 
 pub mod atomic;
+mod bounded;
 mod call_record;
 mod decision;
 mod error;
 mod escaped;
+mod file_names;
 mod finish;
 mod inputs;
 mod judgement;
 mod key;
+mod last_run;
 mod layout;
+mod limits;
 mod manifest;
+mod manifest_file;
 mod nuboard;
 mod number;
 pub mod page;
 mod paired;
 mod parquet;
+mod picture;
 mod recorded;
 mod renamed;
 pub mod render;
 mod repeats;
 mod replay;
+mod run_files;
 mod run_folder;
+mod runs;
 #[cfg(test)]
 mod schema_tests;
 pub mod serve;
@@ -39,27 +47,28 @@ mod writable;
 
 pub use call_record::{CallRecord, DecisionRecord};
 pub use decision::decision_words;
-pub use error::{ReportError, ReportFault};
+pub use error::{Holder, ReportError, ReportFault};
 pub use escaped::escaped;
+pub use file_names::NoNamePart;
 pub use inputs::{AcceptedChanges, DataFile, Inputs};
 pub use judgement::{JudgedMetric, Judgement};
-pub use layout::{MANIFEST, SUMMARY};
+pub use last_run::last_run;
+pub use layout::TRANSCRIPT;
 pub(crate) use manifest::FORMAT_VERSION;
 pub use manifest::{Manifest, PromptList, ScenarioList, ShardList};
 pub use number::{fixed, json_value};
 pub use paired::{ComparedScene, ComparedScores, NoPair, PlannerPair, RunComparison};
 pub use renamed::RenamedSetting;
-pub use run_folder::{CompletedSimulations, RunFolder, folders as simulation_folders, last_run};
-pub use simulation_folder::metrics as simulation_metrics;
+pub use run_files::SimulationFolder;
+pub use run_folder::{CompletedSimulations, RunFolder, folders as simulation_folders};
+pub use simulation_folder::metrics_of as simulation_metrics;
 pub use simulation_row::{MetricScore, SimulationRow};
 pub use spread::Spread;
-pub use stamp::stamp;
+pub use stamp::{NoStamp, Stamp, stamp};
 pub use summary::{Aggregate, ScenarioSummary, Summary};
-pub use table::{comparison_table, failures, fill, main_table};
+pub use table::{LineWidth, comparison_table, failures, fill, main_table};
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};
 pub use transcript::{attempt_markdown, transcript};
-pub use visible::{
-    in_markdown, markdown_block, markdown_cell, markdown_line, visible, visible_line,
-};
+pub use visible::{markdown_block, markdown_line, visible, visible_line};
 pub use writable::check_writable;

@@ -1,14 +1,14 @@
 //! `CHALLENGE/run.nuboard`: the file by which nuBoard, the devkit's viewer, opens the results of a
 //! challenge.
 
-use super::atomic;
 use super::error::ReportError;
 use super::layout::{NUBOARD, NUPLAN_AGGREGATOR, NUPLAN_METRICS, NUPLAN_SIMULATION_LOGS};
+use super::run_folder::write_in;
 use planagent_agent::simulation::Challenge;
+use planagent_files::OpenFolder;
 use serde::Serialize;
 use serde_pickle::SerOptions;
 use std::io;
-use std::path::Path;
 
 /// The dictionary that the devkit's `NuBoardFile` pickles.
 ///
@@ -41,13 +41,10 @@ impl NuBoardFile {
 
 /// Writes the file into the folder of a challenge. An experiment of nuBoard is one challenge, as it
 /// is one `run_simulation` of the devkit.
-pub(super) fn write_nuboard(folder: &Path, challenge: Challenge) -> Result<(), ReportError> {
-    let path = folder.join(NUBOARD);
+pub(super) fn write_nuboard(folder: &OpenFolder, challenge: Challenge) -> Result<(), ReportError> {
     let bytes = serde_pickle::to_vec(&NuBoardFile::for_challenge(challenge), SerOptions::new());
-    atomic::write(
-        &path,
-        &bytes
-            .map_err(io::Error::other)
-            .map_err(ReportError::write(&path))?,
-    )
+    let bytes = bytes
+        .map_err(io::Error::other)
+        .map_err(ReportError::write(&folder.path_of(NUBOARD)))?;
+    write_in(folder, NUBOARD, &bytes)
 }

@@ -290,7 +290,7 @@ mod tests {
             result_version: 1,
             planagent: "0.1.0".to_owned(),
             commit: None,
-            started: "2026.11.20.08.00.00".to_owned(),
+            started: crate::report::stamp(std::time::UNIX_EPOCH),
             planners: planners.iter().map(ToString::to_string).collect(),
             commands: BTreeMap::new(),
             agents: BTreeMap::new(),

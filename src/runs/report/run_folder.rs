@@ -3,29 +3,42 @@
 //! A simulation gets its folder under `simulations/` when it is complete. A process that is killed
 //! at any moment loses only the simulations in progress.
 
-use super::atomic::{self, UNFINISHED};
-use super::error::{ReportError, ReportFault};
+use super::error::{Holder, ReportError, ReportFault};
 use super::inputs::AcceptedChanges;
-use super::layout::{CALLS, CONFIG, LOCK, MANIFEST, RECORD, RUNS, SIMULATIONS};
-use super::manifest::{FORMAT_VERSION, Manifest};
+use super::layout::{CALLS, CONFIG, LOCK, MANIFEST, RECORD, RUNS, SIMULATIONS, SUMMARY};
+use super::limits::{MAX_CALLS_BYTES, MAX_RECORD_BYTES};
+use super::manifest::Manifest;
+use super::manifest_file::{self, check_holds_no_run, has_simulations};
+use super::run_files::{RunFiles, SimulationFolder, read_present, read_toml};
+use super::runs;
 use super::simulation_folder;
 use super::simulation_row::SimulationRow;
 use super::writable::check_writable;
 use crate::worker::run::{SimulationRecord, SimulationTask};
+use planagent_files::{EntryKind, OpenFolder, UNFINISHED, WholeFile};
 use planagent_score::metrics::MetricResult;
 use rayon::prelude::*;
-use serde::Deserialize;
-use serde::de::DeserializeOwned;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File, TryLockError};
-use std::io;
+use std::fs::{File, TryLockError};
+use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::process;
+use std::thread;
+use std::time::Duration;
 
-/// The folder of a run, locked against other processes as long as this lives.
+/// The folder of a run, locked against other processes as long as this lives. All is written by
+/// its handle: a folder that was moved gets what was written, and none takes its place.
 #[derive(Debug)]
 pub struct RunFolder {
-    path: PathBuf,
+    files: RunFiles,
+    simulations: OpenFolder,
     _lock: File,
+}
+
+/// A folder of a run that is not complete yet.
+struct Locked {
+    files: RunFiles,
+    lock: File,
 }
 
 /// The completed simulations of a run.
@@ -38,17 +51,15 @@ pub struct CompletedSimulations {
     pub damaged: Vec<PathBuf>,
 }
 
+/// Largest lock that is read, bytes: the number of a process.
+const MAX_LOCK_BYTES: u64 = 64;
+
 /// What a run has before its first simulation.
 const BEGUN: [&str; 3] = [MANIFEST, CONFIG, SIMULATIONS];
 
-/// The part of a manifest that every format has.
-#[derive(Deserialize)]
-struct AnyManifest {
-    #[serde(default)]
-    format_version: u32,
-    #[serde(default)]
-    started: String,
-}
+/// How often a locked folder is tried again, and the time between two tries.
+const LOCK_TRIES: usize = 3;
+const LOCK_PAUSE: Duration = Duration::from_millis(10);
 
 impl RunFolder {
     /// Creates the folder of a new run with its manifest; without a path, the next free
@@ -58,15 +69,20 @@ impl RunFolder {
     /// When the folder cannot be written, is not empty, or holds a run. The first simulation has
     /// not started then.
     pub fn create(path: Option<&Path>, manifest: &Manifest) -> Result<Self, ReportError> {
-        Self::check_new(path)?;
-        let path = path.map_or_else(next_free, Path::to_owned);
-        atomic::folder(&path)?;
-        let folder = Self::locked(path)?;
-        check_holds_no_run(&folder.path)?;
+        let root = match path {
+            Some(path) => {
+                Self::check_new(Some(path))?;
+                OpenFolder::create(path).map_err(ReportError::write(path))?
+            }
+            None => runs::next_free()?,
+        };
+        let locked = Locked::new(RunFiles::in_folder(root))?;
+        check_holds_no_run(&locked.files)?;
+        let text = manifest_file::text(locked.files.root().path(), manifest)?;
         // The manifest comes first: from then on the run can be resumed.
-        folder.write_manifest(manifest)?;
+        locked.write(MANIFEST, &text)?;
+        let folder = locked.with_simulations()?;
         folder.write_config(manifest)?;
-        atomic::folder(&folder.path.join(SIMULATIONS))?;
         Ok(folder)
     }
 
@@ -77,15 +93,17 @@ impl RunFolder {
     /// When the folder holds a run or other files, something else stands where it should be, or it
     /// cannot be written.
     pub(crate) fn check_new(path: Option<&Path>) -> Result<(), ReportError> {
-        let path = &path.map_or_else(next_free, Path::to_owned);
-        check_holds_no_run(path)?;
-        check_writable(path)?;
-        if !path.exists() {
-            return Ok(());
+        let Some(path) = path else {
+            return check_writable(Path::new(RUNS));
+        };
+        if !path.is_dir() {
+            return check_writable(path);
         }
-        let begun = path.join(MANIFEST).exists();
-        for entry in fs::read_dir(path).map_err(ReportError::read(path))? {
-            let name = entry.map_err(ReportError::read(path))?.file_name();
+        let files = RunFiles::open(path)?;
+        check_holds_no_run(&files)?;
+        check_writable(path)?;
+        let begun = files.has(MANIFEST)?;
+        for name in files.root().names().map_err(ReportError::read(path))? {
             let name = name.to_string_lossy();
             // A process that was killed before its manifest was whole left no results.
             let is_leftover =
@@ -103,7 +121,23 @@ impl RunFolder {
     /// When the folder cannot be written, or another process runs in it.
     pub(crate) fn check_resumable(path: &Path) -> Result<(), ReportError> {
         check_writable(path)?;
-        Self::locked(path.to_owned()).map(|_| ())
+        Locked::new(RunFiles::open(path)?).map(|_| ())
+    }
+
+    /// Whether a folder holds a run that began.
+    ///
+    /// # Errors
+    /// When a link or something else stands in the place of its manifest.
+    pub fn is_begun(path: &Path) -> Result<bool, ReportError> {
+        has(path, MANIFEST)
+    }
+
+    /// Whether the run in a folder wrote its results.
+    ///
+    /// # Errors
+    /// When a link or something else stands in the place of its summary.
+    pub fn has_results(path: &Path) -> Result<bool, ReportError> {
+        has(path, SUMMARY)
     }
 
     /// The manifest of the run in a folder.
@@ -111,16 +145,17 @@ impl RunFolder {
     /// # Errors
     /// When the folder holds no run, one of another format version, or the manifest is damaged.
     pub fn manifest(path: &Path) -> Result<Manifest, ReportError> {
-        if !path.join(MANIFEST).is_file() {
-            let fault = if path.is_dir() {
-                ReportFault::NoRun
-            } else {
-                ReportFault::Absent
-            };
-            return Err(ReportError::at(path)(fault));
+        Self::manifest_in(&RunFiles::open(path)?)
+    }
+
+    /// The manifest of the run in an open folder.
+    pub(super) fn manifest_in(files: &RunFiles) -> Result<Manifest, ReportError> {
+        let path = files.root().path();
+        if !files.has(MANIFEST)? {
+            return Err(ReportError::at(path)(ReportFault::NoRun));
         }
-        match read_manifest(path) {
-            Err(error) if error.fault.is_damage() && !has_simulations(path) => {
+        match manifest_file::read(files) {
+            Err(error) if error.fault.is_damage() && !has_simulations(files) => {
                 Err(ReportError::at(path)(ReportFault::NotBegun))
             }
             read => read,
@@ -155,13 +190,12 @@ impl RunFolder {
         if !differences.is_empty() {
             return Err(ReportError::at(path)(ReportFault::Differs(differences)));
         }
-        let folder = Self::locked(path.to_owned())?;
-        atomic::folder(&folder.path.join(SIMULATIONS))?;
-        atomic::sweep(&folder.path)?;
-        atomic::sweep(&folder.path.join(SIMULATIONS))?;
+        let folder = Locked::new(RunFiles::open(path)?)?.with_simulations()?;
+        sweep(folder.files.root())?;
+        sweep(&folder.simulations)?;
         if !changes.is_empty() {
             manifest.accepted.push(AcceptedChanges {
-                resumed: now.started.clone(),
+                resumed: now.started.to_string(),
                 changes: changes.clone(),
             });
         }
@@ -188,32 +222,53 @@ impl RunFolder {
     }
 
     fn write_manifest(&self, manifest: &Manifest) -> Result<(), ReportError> {
-        let text = toml::to_string_pretty(manifest).map_err(ReportError::at(&self.path))?;
-        self.write(MANIFEST, text.as_bytes())
+        self.write(MANIFEST, &manifest_file::text(self.path(), manifest)?)
     }
 
-    fn locked(path: PathBuf) -> Result<Self, ReportError> {
-        let file = path.join(LOCK);
-        let lock = File::options()
-            .create(true)
-            .append(true)
-            .open(&file)
-            .map_err(ReportError::write(&file))?;
-        match lock.try_lock() {
-            Ok(()) => Ok(Self { path, _lock: lock }),
-            Err(TryLockError::WouldBlock) => Err(ReportError::at(&path)(ReportFault::Locked)),
-            Err(TryLockError::Error(error)) => Err(ReportError::write(&file)(error)),
-        }
+    /// Whether a process works in the folder of a run. It is asked by a lock that many may share,
+    /// for an instant.
+    pub(crate) fn is_running(path: &Path) -> bool {
+        let lock = OpenFolder::open(path).and_then(|root| root.open_file(LOCK));
+        lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
     /// The path of the folder.
     pub fn path(&self) -> &Path {
-        &self.path
+        self.files.root().path()
+    }
+
+    /// The open folder.
+    pub(super) fn root(&self) -> &OpenFolder {
+        self.files.root()
+    }
+
+    /// Whether the path still leads to this folder.
+    pub fn is_in_place(&self) -> bool {
+        self.simulations.is_in_place()
+    }
+
+    /// Fails once the folder was moved or deleted.
+    pub fn check_in_place(&self) -> Result<(), ReportError> {
+        if self.is_in_place() {
+            return Ok(());
+        }
+        Err(ReportError::at(self.path())(ReportFault::Gone))
+    }
+
+    /// Whether the run wrote its results before.
+    pub fn has_summary(&self) -> Result<bool, ReportError> {
+        self.files.has(SUMMARY)
     }
 
     /// Writes the folder of a completed simulation: all of it, or nothing.
+    ///
+    /// # Errors
+    /// When it cannot be written, and when the folder of the run was moved. A folder that was
+    /// moved holds the simulation then.
     pub fn commit(&self, number: usize, record: &SimulationRecord) -> Result<(), ReportError> {
-        simulation_folder::write(&self.path.join(SIMULATIONS), number, record)
+        let written = simulation_folder::write(&self.simulations, number, record);
+        self.check_in_place()?;
+        written
     }
 
     /// The completed simulations of the run in a folder, without a lock and without a look at the
@@ -222,25 +277,30 @@ impl RunFolder {
     /// # Errors
     /// When a record cannot be read or is in the folder of another simulation.
     pub fn read_completed(path: &Path) -> Result<CompletedSimulations, ReportError> {
+        Self::completed_in(&RunFiles::open(path)?)
+    }
+
+    /// The completed simulations of the run in an open folder.
+    pub(super) fn completed_in(files: &RunFiles) -> Result<CompletedSimulations, ReportError> {
         let mut completed = CompletedSimulations::default();
-        let folders: Vec<(usize, PathBuf)> = folders(path)?.into_iter().collect();
+        let folders: Vec<(usize, SimulationFolder)> = files.folders()?.into_iter().collect();
         let read = folders.into_par_iter().map(|(number, folder)| {
-            let row = read_toml::<SimulationRow>(&folder.join(RECORD));
-            let is_whole = row
-                .as_ref()
-                .is_ok_and(|row| simulation_folder::is_whole(&folder, row));
-            (number, folder, row, is_whole)
+            let read = folder.open().and_then(|open| {
+                let row: SimulationRow = read_toml(&open, RECORD, MAX_RECORD_BYTES)?;
+                let is_whole = simulation_folder::is_whole(&open, &row)?;
+                Ok((row, is_whole))
+            });
+            (number, folder.path(), read)
         });
-        for (number, folder, row, is_whole) in read.collect::<Vec<_>>() {
+        for (number, folder, read) in read.collect::<Vec<_>>() {
             let path = folder.join(RECORD);
-            match row {
-                Ok(row) if row.number == number && !is_whole => completed.damaged.push(folder),
-                Ok(row) if row.number == number => completed.rows.push(row),
-                Ok(row) => return Err(wrong_record(&path, &row, format!("simulation {number}"))),
-                Err(ReportError {
-                    fault: ReportFault::Toml(_),
-                    ..
-                }) => completed.damaged.push(folder),
+            match read {
+                Ok((row, false)) if row.number == number => completed.damaged.push(folder),
+                Ok((row, true)) if row.number == number => completed.rows.push(row),
+                Ok((row, _)) => {
+                    return Err(wrong_record(&path, &row, format!("simulation {number}")));
+                }
+                Err(error) if error.fault.is_damaged_record() => completed.damaged.push(folder),
                 Err(error) => return Err(error),
             }
         }
@@ -253,38 +313,41 @@ impl RunFolder {
     /// # Errors
     /// When a record cannot be read or belongs to another task.
     pub fn completed(&self, tasks: &[SimulationTask]) -> Result<CompletedSimulations, ReportError> {
-        let completed = Self::read_completed(&self.path)?;
+        let completed = Self::completed_in(&self.files)?;
         for row in &completed.rows {
             let expected = tasks
                 .get(row.number)
                 .map_or_else(|| "nothing".to_owned(), SimulationTask::to_string);
             if row.identity() != expected {
-                let folder = folders(&self.path)?
-                    .remove(&row.number)
-                    .unwrap_or_else(|| self.path.join(SIMULATIONS));
-                return Err(wrong_record(&folder.join(RECORD), row, expected));
+                let folder = self.files.folders()?.remove(&row.number);
+                let place = folder.map_or_else(
+                    || self.root().path_of(SIMULATIONS),
+                    |folder| folder.path().join(RECORD),
+                );
+                return Err(wrong_record(&place, row, expected));
             }
         }
         completed
             .damaged
             .iter()
-            .try_for_each(|folder| simulation_folder::remove(folder))?;
+            .filter_map(|folder| folder.file_name()?.to_str())
+            .try_for_each(|name| simulation_folder::remove(&self.simulations, name))?;
         Ok(completed)
     }
 
-    /// Copies the folder of a completed simulation from another run: all of it, or nothing.
-    pub(crate) fn adopt(&self, simulation: &Path) -> Result<(), ReportError> {
-        simulation_folder::copy(simulation, &self.path.join(SIMULATIONS))
+    /// Copies the known files of a completed simulation from another run: all of them, or nothing.
+    pub(crate) fn adopt(&self, simulation: &SimulationFolder) -> Result<(), ReportError> {
+        simulation_folder::copy(simulation, &self.simulations)?;
+        self.check_in_place()
     }
 
     /// Deletes completed simulations, so that they run again.
     pub(crate) fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
-        let discarded = folders(&self.path)?
+        self.files
+            .folders()?
             .into_iter()
-            .filter(|(number, _)| numbers.contains(number));
-        discarded
-            .map(|(_, folder)| folder)
-            .try_for_each(|folder| simulation_folder::remove(&folder))
+            .filter(|(number, _)| numbers.contains(number))
+            .try_for_each(|(_, folder)| simulation_folder::remove(&self.simulations, folder.name()))
     }
 
     /// The metrics of simulations, in the order of `rows`.
@@ -295,113 +358,133 @@ impl RunFolder {
         impl Iterator<Item = Result<(&'a SimulationRow, Vec<MetricResult>), ReportError>> + Clone,
         ReportError,
     > {
-        let folders = folders(&self.path)?;
+        let folders = self.files.folders()?;
         let of_row = move |row: &'a SimulationRow| {
             folders.get(&row.number).map(|folder| (row, folder.clone()))
         };
         Ok(rows
             .filter_map(of_row)
-            .map(|(row, folder)| Ok((row, simulation_folder::metrics(&folder)?))))
+            .map(|(row, folder)| Ok((row, simulation_folder::metrics_of(&folder)?))))
     }
 
     /// Joins the planning calls of all simulations to one file.
     pub(super) fn join_calls(&self) -> Result<(), ReportError> {
-        let path = self.path.join(CALLS);
-        let temporary = atomic::unfinished(&path);
-        let mut all = File::create(&temporary).map_err(ReportError::write(&temporary))?;
-        for folder in folders(&self.path)?.values() {
-            let part = folder.join(CALLS);
-            if part.is_file() {
-                let mut part = File::open(&part).map_err(ReportError::read(&part))?;
-                io::copy(&mut part, &mut all).map_err(ReportError::write(&temporary))?;
+        let path = self.root().path_of(CALLS);
+        let mut all =
+            WholeFile::create_in(self.root(), CALLS).map_err(ReportError::write(&path))?;
+        for folder in self.files.folders()?.values() {
+            if let Some(calls) = read_present(&folder.open()?, CALLS, MAX_CALLS_BYTES)? {
+                all.write_all(&calls).map_err(ReportError::write(&path))?;
             }
         }
-        fs::rename(&temporary, &path).map_err(ReportError::write(&path))
+        all.finish().map_err(ReportError::write(&path))
     }
 
     /// Writes the configuration as a file for `--config`.
     pub(super) fn write_config(&self, manifest: &Manifest) -> Result<(), ReportError> {
-        let text = toml::to_string_pretty(&manifest.config).map_err(ReportError::at(&self.path))?;
+        let text =
+            toml::to_string_pretty(&manifest.config).map_err(ReportError::at(self.path()))?;
         self.write(CONFIG, text.as_bytes())
     }
 
     /// Writes a file of the folder: all of it, or nothing.
     pub(super) fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ReportError> {
-        atomic::write(&self.path.join(name), bytes)
+        write_in(self.root(), name, bytes)
     }
 }
 
-/// Fails if a folder holds a run, with what can be done about it. A damaged manifest without
-/// simulations is no run: a process that died while it started left it.
-fn check_holds_no_run(path: &Path) -> Result<(), ReportError> {
-    let file = path.join(MANIFEST);
-    if !file.exists() {
-        return Ok(());
+impl Locked {
+    /// Locks a folder against other processes.
+    ///
+    /// # Errors
+    /// When another process runs in it, or its lock is no regular file.
+    fn new(files: RunFiles) -> Result<Self, ReportError> {
+        let root = files.root();
+        let place = root.path_of(LOCK);
+        let lock = root.lock_file(LOCK).map_err(ReportError::write(&place))?;
+        let mut locked = lock.try_lock();
+        // A page that asks whether somebody works here holds the lock for an instant.
+        for _ in 0..LOCK_TRIES {
+            if !matches!(locked, Err(TryLockError::WouldBlock)) {
+                break;
+            }
+            thread::sleep(LOCK_PAUSE);
+            locked = lock.try_lock();
+        }
+        match locked {
+            Ok(()) => {
+                // Who finds the lock can say who holds it. A full disk is no reason not to run.
+                let _ = lock.set_len(0);
+                let _ = writeln!(&lock, "{}", process::id());
+            }
+            Err(TryLockError::WouldBlock) => {
+                let text = root.read_text(LOCK, MAX_LOCK_BYTES).unwrap_or_default();
+                let process = text.trim().parse().ok();
+                return Err(ReportError::at(root.path())(ReportFault::Locked(Holder(
+                    process,
+                ))));
+            }
+            Err(TryLockError::Error(error)) => return Err(ReportError::write(&place)(error)),
+        }
+        Ok(Self { files, lock })
     }
-    let fault = match read_manifest(path) {
-        Ok(_) => ReportFault::AlreadyRun,
+
+    fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ReportError> {
+        write_in(self.files.root(), name, bytes)
+    }
+
+    /// The folder with that of its simulations.
+    fn with_simulations(self) -> Result<RunFolder, ReportError> {
+        let root = self.files.root();
+        let simulations = root
+            .make_subfolder(SIMULATIONS)
+            .map_err(ReportError::write(&root.path_of(SIMULATIONS)))?;
+        Ok(RunFolder {
+            files: self.files,
+            simulations,
+            _lock: self.lock,
+        })
+    }
+}
+
+/// Writes a file of an open folder: all of it, or nothing.
+pub(super) fn write_in(folder: &OpenFolder, name: &str, bytes: &[u8]) -> Result<(), ReportError> {
+    folder
+        .write(name, bytes)
+        .map_err(ReportError::write(&folder.path_of(name)))
+}
+
+/// Deletes what a process that was killed left in a folder. Whoever holds the lock of the run may
+/// delete all but the files that another process is writing, such as a page.
+pub(super) fn sweep(folder: &OpenFolder) -> Result<(), ReportError> {
+    let failed = |error| ReportError::write(folder.path())(error);
+    folder.sweep_files().map_err(failed)?;
+    for name in folder.names().map_err(failed)? {
+        let Some(name) = name.to_str().filter(|name| name.starts_with(UNFINISHED)) else {
+            continue;
+        };
+        let kind = folder.kind(name).map_err(failed)?;
+        if kind.is_some_and(|kind| kind != EntryKind::File) {
+            folder.remove(name).map_err(failed)?;
+        }
+    }
+    Ok(())
+}
+
+fn has(path: &Path, name: &str) -> Result<bool, ReportError> {
+    match RunFiles::open(path) {
+        Ok(files) => files.has(name),
         Err(ReportError {
-            fault: ReportFault::FormatVersion { found },
+            fault: ReportFault::Absent,
             ..
-        }) => ReportFault::OldRun { found },
-        Err(error) if error.fault.is_damage() && !has_simulations(path) => return Ok(()),
-        Err(error) if error.fault.is_damage() => ReportFault::DamagedManifest,
-        Err(error) => return Err(error),
-    };
-    Err(ReportError::at(path)(fault))
-}
-
-/// The manifest of this format version.
-fn read_manifest(run: &Path) -> Result<Manifest, ReportError> {
-    let file = run.join(MANIFEST);
-    match read_toml(&file)? {
-        AnyManifest {
-            format_version: FORMAT_VERSION,
-            ..
-        } => read_toml(&file),
-        // The first formats had no number.
-        AnyManifest {
-            format_version: 0, ..
-        } if is_blank(&file) => Err(ReportError::at(run)(ReportFault::DamagedManifest)),
-        AnyManifest {
-            format_version: found,
-            ..
-        } => Err(ReportError::at(run)(ReportFault::FormatVersion { found })),
+        }) => Ok(false),
+        Err(error) => Err(error),
     }
-}
-
-/// Whether a file was cut off before its first line.
-fn is_blank(file: &Path) -> bool {
-    planagent_files::read_text(file, planagent_files::MAX_LIST_BYTES)
-        .is_ok_and(|text| text.trim().is_empty())
-}
-
-/// Whether a run has simulations, as far as that can be seen.
-fn has_simulations(run: &Path) -> bool {
-    folders(run).map_or_else(
-        |_| run.join(SIMULATIONS).exists(),
-        |simulations| !simulations.is_empty(),
-    )
 }
 
 /// The folders of the completed simulations of a run, by number.
-pub fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
-    let simulations = run.join(SIMULATIONS);
-    let mut found = BTreeMap::new();
-    for entry in fs::read_dir(&simulations).map_err(ReportError::read(&simulations))? {
-        let path = entry.map_err(ReportError::read(&simulations))?.path();
-        let name = path
-            .file_name()
-            .expect("an entry of a folder has a name")
-            .to_string_lossy();
-        let number = name
-            .split_once('-')
-            .and_then(|(digits, _)| digits.parse().ok());
-        if let Some(number) = number {
-            found.insert(number, path);
-        }
-    }
-    Ok(found)
+pub fn folders(run: &Path) -> Result<BTreeMap<usize, SimulationFolder>, ReportError> {
+    RunFiles::open(run)?.folders()
 }
 
 fn wrong_record(path: &Path, row: &SimulationRow, expected: String) -> ReportError {
@@ -409,46 +492,4 @@ fn wrong_record(path: &Path, row: &SimulationRow, expected: String) -> ReportErr
         found: row.identity(),
         expected,
     })
-}
-
-/// Reads a TOML file.
-pub(super) fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, ReportError> {
-    let text = planagent_files::read_text(path, planagent_files::MAX_LIST_BYTES)
-        .map_err(ReportError::read(path))?;
-    toml::from_str(&text).map_err(|error| ReportError::at(path)(Box::new(error)))
-}
-
-/// The run of `runs/` that started last.
-///
-/// # Errors
-/// When there is none, or the folder cannot be read.
-pub fn last_run() -> Result<PathBuf, ReportError> {
-    let runs = Path::new(RUNS);
-    let entries = fs::read_dir(runs).map(|entries| {
-        entries
-            .flatten()
-            .map(|entry| entry.path())
-            .collect::<Vec<_>>()
-    });
-    let started = |path: &PathBuf| {
-        read_toml::<AnyManifest>(&path.join(MANIFEST))
-            .ok()
-            .map(|run| run.started)
-    };
-    // Runs of one second are ordered by their names, which count up.
-    let runs_with_start = entries
-        .unwrap_or_default()
-        .into_iter()
-        .filter_map(|path| Some((started(&path)?, path)));
-    let last = runs_with_start.max().map(|(_, path)| path);
-    last.ok_or_else(|| ReportError::at(runs)(ReportFault::NoRuns))
-}
-
-/// The first `runs/NNNN` that does not exist.
-fn next_free() -> PathBuf {
-    let path = |number: u32| Path::new(RUNS).join(format!("{number:04}"));
-    (1..u32::MAX)
-        .map(path)
-        .find(|path| !path.exists())
-        .unwrap_or_else(|| path(u32::MAX))
 }

@@ -1,160 +1,237 @@
 //! The folder of one simulation: record, metrics, replay, planning calls with transcript and BEV
 //! maps.
 
-use super::atomic;
+use super::bounded::at_most;
 use super::call_record::CallRecord;
-use super::error::ReportError;
-use super::layout::{BEV, CALLS, METRICS, RECORD, TRANSCRIPT, bev_name};
+use super::error::{ReportError, ReportFault};
+use super::file_names::{NamePart, SimulationName};
+use super::layout::{BEV, CALLS, METRICS, RECORD, REPLAY, TRANSCRIPT, bev_name, is_bev_name};
+use super::limits::{
+    MAX_CALLS_BYTES, MAX_IMAGE_BYTES, MAX_METRICS, MAX_METRICS_BYTES, MAX_RECORD_BYTES,
+    MAX_REPLAY_BYTES, MAX_TRANSCRIPT_BYTES,
+};
 use super::number::without_negative_zeros;
+use super::picture::is_picture;
 use super::replay::Replay;
-use super::run_folder::read_toml;
+use super::run_files::{SimulationFolder, present_folder, read_present, read_toml, write_synced};
 use super::simulation_row::SimulationRow;
 use super::transcript::transcript;
 use crate::worker::run::{SimulationOutcome, SimulationRecord};
+use image::ImageFormat;
+use planagent_files::{OpenFolder, UNFINISHED};
 use planagent_score::metrics::MetricResult;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::Path;
+use std::io::Cursor;
 
-/// Digits of the number in the folder's name.
-const DIGITS: usize = 6;
-/// Maximum length of the scenario in the folder's name; file systems allow 255 bytes for all of it.
-const MAX_SCENARIO_CHARS: usize = 80;
+/// The files of a simulation beside its BEV maps, with their largest sizes.
+const FILES: [(&str, u64); 5] = [
+    (METRICS, MAX_METRICS_BYTES),
+    (CALLS, MAX_CALLS_BYTES),
+    (TRANSCRIPT, MAX_TRANSCRIPT_BYTES),
+    (REPLAY, MAX_REPLAY_BYTES),
+    // The record comes last, as it is written.
+    (RECORD, MAX_RECORD_BYTES),
+];
 
 /// `metrics.toml`.
 #[derive(Serialize, Deserialize)]
 struct MetricsFile {
+    #[serde(deserialize_with = "at_most::<_, _, MAX_METRICS>")]
     metrics: Vec<MetricResult>,
 }
 
-/// Writes the folder of a simulation below `parent`: all of it, or nothing.
+/// Writes the folder of a simulation into that of all: all of it, or nothing.
 pub(super) fn write(
-    parent: &Path,
+    simulations: &OpenFolder,
     number: usize,
     record: &SimulationRecord,
 ) -> Result<(), ReportError> {
-    let folder = parent.join(folder_name(number, record));
-    let unfinished = atomic::unfinished(&folder);
-    atomic::folder(&unfinished)?;
-    if let Ok(outcome) = &record.outcome {
-        write_calls(&unfinished, record, outcome)?;
-        let metrics = MetricsFile {
-            metrics: outcome.metrics.iter().map(without_negative_zeros).collect(),
+    let at = ReportError::at(simulations.path());
+    let planner = NamePart::parse(record.planner.as_str()).map_err(at)?;
+    let challenge = record.challenge.short_name();
+    let name = SimulationName::new(number, &record.scenario, &planner, challenge);
+    whole_folder(simulations, name.as_str(), |folder| {
+        if let Ok(outcome) = &record.outcome {
+            write_calls(folder, record, outcome)?;
+            let metrics = MetricsFile {
+                metrics: outcome.metrics.iter().map(without_negative_zeros).collect(),
+            };
+            write_toml(folder, METRICS, &metrics)?;
+            Replay::from_outcome(outcome).write(folder)?;
+        }
+        let row = SimulationRow {
+            files: digests(folder)?,
+            ..SimulationRow::new(number, record)
         };
-        write_toml(&unfinished.join(METRICS), &metrics)?;
-        Replay::from_outcome(outcome).write(&unfinished)?;
+        write_toml(folder, RECORD, &row)
+    })
+}
+
+/// Fills a folder under a temporary name, and renames it: all of it appears, or nothing. The lock
+/// of the run keeps other processes away.
+fn whole_folder(
+    simulations: &OpenFolder,
+    name: &str,
+    fill: impl FnOnce(&OpenFolder) -> Result<(), ReportError>,
+) -> Result<(), ReportError> {
+    let unfinished = &format!("{UNFINISHED}{name}");
+    let place = simulations.path_of(unfinished);
+    let failed = ReportError::write(&place);
+    let made = simulations
+        .remove(unfinished)
+        .and_then(|()| simulations.make_subfolder(unfinished))
+        .map_err(failed)?;
+    let written = fill(&made).and_then(|()| {
+        simulations
+            .rename(unfinished, name)
+            .map_err(ReportError::write(&simulations.path_of(name)))
+    });
+    if written.is_err() {
+        // The first error is the one to report; what is left is swept when the run is resumed.
+        let _ = simulations.remove(unfinished);
     }
-    let row = SimulationRow {
-        files: digests(&unfinished)?,
-        ..SimulationRow::new(number, record)
-    };
-    write_toml(&unfinished.join(RECORD), &row)?;
-    fs::rename(&unfinished, &folder).map_err(ReportError::write(&folder))
+    written
 }
 
 /// BLAKE3 of the files with results that exist, by name.
-fn digests(folder: &Path) -> Result<BTreeMap<String, String>, ReportError> {
+fn digests(folder: &OpenFolder) -> Result<BTreeMap<String, String>, ReportError> {
     let mut digests = BTreeMap::new();
     for name in [METRICS, CALLS] {
-        let path = folder.join(name);
-        if path.is_file() {
-            digests.insert(name.to_owned(), digest(&path)?);
+        if let Some(digest) = digest(folder, name)? {
+            digests.insert(name.to_owned(), digest);
         }
     }
     Ok(digests)
 }
 
-fn digest(path: &Path) -> Result<String, ReportError> {
-    let mut hasher = blake3::Hasher::new();
-    let hashed =
-        planagent_files::open(path).and_then(|file| hasher.update_reader(file).map(|_| ()));
-    hashed.map_err(ReportError::read(path))?;
-    Ok(hasher.finalize().to_hex().to_string())
+/// BLAKE3 of a file; none if there is none.
+fn digest(folder: &OpenFolder, name: &str) -> Result<Option<String>, ReportError> {
+    let bytes = read_present(folder, name, MAX_METRICS_BYTES.max(MAX_CALLS_BYTES))?;
+    Ok(bytes.map(|bytes| blake3::hash(&bytes).to_hex().to_string()))
 }
 
 /// Whether the files of a completed simulation are those that were written. Records of earlier
 /// versions have no digests: their metrics must be there.
-pub(super) fn is_whole(folder: &Path, row: &SimulationRow) -> bool {
+///
+/// # Errors
+/// When a link or something else stands in the place of a file, or a file is too large.
+pub(super) fn is_whole(folder: &OpenFolder, row: &SimulationRow) -> Result<bool, ReportError> {
     if row.files.is_empty() && row.score.is_some() {
-        let names = |metrics: Vec<MetricResult>| {
-            metrics
-                .into_iter()
-                .map(|metric| metric.name)
-                .collect::<Vec<_>>()
+        let found = match metrics(folder) {
+            Ok(found) => found,
+            Err(error) if error.fault.is_damaged_record() || error.is_absent() => {
+                return Ok(false);
+            }
+            Err(error) => return Err(error),
         };
-        return metrics(folder).is_ok_and(|found| {
-            names(found)
-                .iter()
-                .eq(row.metrics.iter().map(|metric| &metric.name))
-        });
+        let names = found.iter().map(|metric| &metric.name);
+        return Ok(names.eq(row.metrics.iter().map(|metric| &metric.name)));
     }
-    // The record may come from elsewhere: its names are those of this folder alone.
-    let is_own = |name: &String| [METRICS, CALLS].contains(&name.as_str());
-    row.files.iter().all(|(name, known)| {
-        is_own(name) && digest(&folder.join(name)).is_ok_and(|found| found == *known)
+    for (name, known) in &row.files {
+        // The record may come from elsewhere: its names are those of this folder alone.
+        let is_own = [METRICS, CALLS].contains(&name.as_str());
+        if !is_own || digest(folder, name)?.as_ref() != Some(known) {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// Copies the known files of a simulation into the folder of all simulations: all of them, or
+/// nothing.
+///
+/// # Errors
+/// When one is a link, too large, or a BEV map is no picture.
+pub(super) fn copy(
+    simulation: &SimulationFolder,
+    simulations: &OpenFolder,
+) -> Result<(), ReportError> {
+    let from = simulation.open()?;
+    whole_folder(simulations, simulation.name(), |to| {
+        if let Some(pictures) = present_folder(&from, BEV)? {
+            let copies = make_folder(to, BEV)?;
+            for name in pictures
+                .names()
+                .map_err(ReportError::read(pictures.path()))?
+            {
+                let Some(name) = name.to_str().filter(|name| is_bev_name(name)) else {
+                    continue;
+                };
+                let place = pictures.path_of(name);
+                let bytes = pictures
+                    .read(name, MAX_IMAGE_BYTES)
+                    .map_err(ReportError::read(&place))?;
+                if !is_picture(&bytes) {
+                    return Err(ReportError::at(&place)(ReportFault::NoPicture));
+                }
+                write_new(&copies, name, &bytes)?;
+            }
+        }
+        for (name, max_bytes) in FILES {
+            if let Some(bytes) = read_present(&from, name, max_bytes)? {
+                write_synced(to, name, &bytes)?;
+            }
+        }
+        Ok(())
     })
 }
 
-/// Copies the folder of a simulation below `parent`: all of it, or nothing.
-pub(super) fn copy(simulation: &Path, parent: &Path) -> Result<(), ReportError> {
-    let folder = parent.join(
-        simulation
-            .file_name()
-            .expect("the folder of a simulation has a name"),
-    );
-    let unfinished = atomic::unfinished(&folder);
-    copy_all(simulation, &unfinished)?;
-    fs::rename(&unfinished, &folder).map_err(ReportError::write(&folder))
+/// The metrics in the folder of a simulation.
+///
+/// # Errors
+/// When the file cannot be read, is too large, or the name of a metric cannot be one of a file.
+pub fn metrics_of(folder: &SimulationFolder) -> Result<Vec<MetricResult>, ReportError> {
+    metrics(&folder.open()?)
 }
 
-/// Copies a folder with all that is in it.
-fn copy_all(from: &Path, to: &Path) -> Result<(), ReportError> {
-    atomic::folder(to)?;
-    for entry in fs::read_dir(from).map_err(ReportError::read(from))? {
-        let path = entry.map_err(ReportError::read(from))?.path();
-        let target = to.join(path.file_name().expect("an entry of a folder has a name"));
-        if path.is_dir() {
-            copy_all(&path, &target)?;
-        } else {
-            fs::copy(&path, &target).map_err(ReportError::write(&target))?;
-        }
+pub(super) fn metrics(folder: &OpenFolder) -> Result<Vec<MetricResult>, ReportError> {
+    let file: MetricsFile = read_toml(folder, METRICS, MAX_METRICS_BYTES)?;
+    for metric in &file.metrics {
+        NamePart::parse(&metric.name).map_err(ReportError::at(&folder.path_of(METRICS)))?;
     }
-    Ok(())
-}
-
-/// The metrics of a simulation.
-pub fn metrics(folder: &Path) -> Result<Vec<MetricResult>, ReportError> {
-    read_toml::<MetricsFile>(&folder.join(METRICS)).map(|file| file.metrics)
+    Ok(file.metrics)
 }
 
 /// Deletes the folder of a simulation. A process that is killed meanwhile leaves an unfinished
 /// folder.
-pub(super) fn remove(folder: &Path) -> Result<(), ReportError> {
-    let condemned = atomic::unfinished(folder);
-    fs::rename(folder, &condemned).map_err(ReportError::write(folder))?;
-    fs::remove_dir_all(&condemned).map_err(ReportError::write(&condemned))
+pub(super) fn remove(simulations: &OpenFolder, name: &str) -> Result<(), ReportError> {
+    let condemned = format!("{UNFINISHED}{name}");
+    simulations
+        .remove(&condemned)
+        .and_then(|()| simulations.rename(name, &condemned))
+        .and_then(|()| simulations.remove(&condemned))
+        .map_err(ReportError::write(&simulations.path_of(name)))
 }
 
-fn write_toml(path: &Path, value: &impl Serialize) -> Result<(), ReportError> {
-    atomic::create(
-        path,
-        toml::to_string(value)
-            .map_err(ReportError::at(path))?
-            .as_bytes(),
-    )
+fn make_folder(folder: &OpenFolder, name: &str) -> Result<OpenFolder, ReportError> {
+    folder
+        .make_subfolder(name)
+        .map_err(ReportError::write(&folder.path_of(name)))
+}
+
+fn write_new(folder: &OpenFolder, name: &str, bytes: &[u8]) -> Result<(), ReportError> {
+    folder
+        .write_new(name, bytes)
+        .map(|_| ())
+        .map_err(ReportError::write(&folder.path_of(name)))
+}
+
+fn write_toml(folder: &OpenFolder, name: &str, value: &impl Serialize) -> Result<(), ReportError> {
+    let text = toml::to_string(value).map_err(ReportError::at(&folder.path_of(name)))?;
+    write_synced(folder, name, text.as_bytes())
 }
 
 /// Calls, transcript and BEV maps of a simulation with planning calls.
 fn write_calls(
-    folder: &Path,
+    folder: &OpenFolder,
     record: &SimulationRecord,
     outcome: &SimulationOutcome,
 ) -> Result<(), ReportError> {
     if outcome.calls.is_empty() {
         return Ok(());
     }
-    let path = folder.join(CALLS);
+    let path = folder.path_of(CALLS);
     let mut lines = String::new();
     for call in &outcome.calls {
         let value = CallRecord::from_call(
@@ -167,38 +244,21 @@ fn write_calls(
         lines.push_str(&serde_json::to_string(&value).map_err(ReportError::at(&path))?);
         lines.push('\n');
     }
-    atomic::create(&path, lines.as_bytes())?;
-    atomic::folder(&folder.join(BEV))?;
+    write_synced(folder, CALLS, lines.as_bytes())?;
+    let pictures = make_folder(folder, BEV)?;
     for call in &outcome.calls {
         if let Some(image) = &call.image {
-            let path = folder.join(bev_name(call.iteration));
-            image.save(&path).map_err(ReportError::at(&path))?;
+            let name = bev_name(call.iteration);
+            let mut png = Cursor::new(Vec::new());
+            image
+                .write_to(&mut png, ImageFormat::Png)
+                .map_err(ReportError::at(&pictures.path_of(&name)))?;
+            write_new(&pictures, &name, png.get_ref())?;
         }
     }
     let text = transcript(record, outcome, |call| {
-        call.image.as_ref().map(|_| bev_name(call.iteration))
+        let name = bev_name(call.iteration);
+        call.image.as_ref().map(|_| format!("{BEV}/{name}"))
     });
-    atomic::create(&folder.join(TRANSCRIPT), text.as_bytes())
-}
-
-/// `NNNNNN-SCENARIO-PLANNER-CHALLENGE`, in characters that every file system allows.
-fn folder_name(number: usize, record: &SimulationRecord) -> String {
-    let safe = |c: char| {
-        if c.is_ascii_alphanumeric() || "-_.".contains(c) {
-            c
-        } else {
-            '_'
-        }
-    };
-    let scenario: String = record
-        .scenario
-        .chars()
-        .map(safe)
-        .take(MAX_SCENARIO_CHARS)
-        .collect();
-    format!(
-        "{number:0DIGITS$}-{scenario}-{}-{}",
-        record.planner,
-        record.challenge.short_name()
-    )
+    write_synced(folder, TRANSCRIPT, text.as_bytes())
 }

@@ -1,6 +1,7 @@
 //! `record.toml`: the row of one simulation.
 
 use super::decision::{all_are_zero, all_refused, first_refused};
+use super::file_names::name_part;
 use super::number::positive_zero;
 use super::recorded;
 use super::times::{CallTimes, SimulationTime};
@@ -30,6 +31,7 @@ pub struct SimulationRow {
     /// Name of the log.
     pub log_name: String,
     /// Name of the planner.
+    #[serde(deserialize_with = "name_part")]
     pub planner: String,
     /// nuPlan's challenge.
     pub challenge: Challenge,
@@ -134,6 +136,7 @@ fn counted(calls: &[PlanningCall]) -> BTreeMap<Unreadable, usize> {
 #[serde(deny_unknown_fields)]
 pub struct MetricScore {
     /// nuPlan's name.
+    #[serde(deserialize_with = "name_part")]
     pub name: String,
     /// The score in [0, 1]; none for metrics outside the score.
     #[serde(

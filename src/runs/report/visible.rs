@@ -15,7 +15,7 @@ pub fn visible_line(text: &str) -> Cow<'_, str> {
 }
 
 /// A text within Markdown, as it is: neither HTML, nor a link, nor an image from elsewhere.
-pub fn in_markdown(text: &str) -> String {
+pub(crate) fn in_markdown(text: &str) -> String {
     // The backslash comes first: it would take the effect of the one before a bracket.
     visible(text)
         .replace('\\', "\\\\")
@@ -30,7 +30,7 @@ pub fn markdown_line(text: &str) -> String {
 }
 
 /// The same in a cell of a table.
-pub fn markdown_cell(text: &str) -> String {
+pub(crate) fn markdown_cell(text: &str) -> String {
     markdown_line(text).replace('|', "\\|")
 }
 

@@ -1,9 +1,13 @@
 //! Whether results can be written: found before the work, and not after it.
 
-use super::atomic::{self, UNFINISHED};
 use super::error::{ReportError, ReportFault};
-use std::fs::{self, File};
+use planagent_files::{OpenFolder, WholeFile};
+use std::fs;
+use std::io::{self, ErrorKind};
 use std::path::Path;
+
+/// How often a look is repeated that another process disturbed.
+const MAX_TRIES: usize = 100;
 
 /// Checks that files can be created in a folder, which need not exist yet. Leaves nothing behind.
 ///
@@ -23,18 +27,26 @@ pub fn check_writable(folder: &Path) -> Result<(), ReportError> {
         .filter(is_named)
         .take_while(|part| !part.exists())
         .collect();
-    let written = atomic::folder(folder).and_then(|()| write_file(folder));
+    let mut written = write_file(folder);
+    for _ in 0..MAX_TRIES {
+        match &written {
+            // Another process made the same look, and took the folder away again.
+            Err(error) if error.kind() == ErrorKind::NotFound => written = write_file(folder),
+            _ => break,
+        }
+    }
     for made in missing {
         // Another process may use it by now.
         let _ = fs::remove_dir(made);
     }
-    written
+    written.map_err(ReportError::write(folder))
 }
 
-fn write_file(folder: &Path) -> Result<(), ReportError> {
-    let file = folder.join(format!("{UNFINISHED}probe-{}", std::process::id()));
-    File::create(&file).map_err(ReportError::write(folder))?;
-    fs::remove_file(&file).map_err(ReportError::write(folder))
+/// Creates a folder and, in it, a file that is deleted again.
+fn write_file(folder: &Path) -> io::Result<()> {
+    let probe = WholeFile::create_in(&OpenFolder::create(folder)?, "probe")?;
+    drop(probe);
+    Ok(())
 }
 
 #[cfg(test)]
@@ -55,6 +67,18 @@ mod tests {
             .unwrap_err()
             .to_string();
         assert!(error.contains("is a file and no folder"), "{error}");
+    }
+
+    #[test]
+    fn many_looks_at_one_time_all_succeed() {
+        let work = tempfile::tempdir().unwrap();
+        let new = &work.path().join("runs");
+        std::thread::scope(|scope| {
+            for _ in 0..8 {
+                scope.spawn(move || (0..50).for_each(|_| check_writable(new).unwrap()));
+            }
+        });
+        assert!(!new.exists());
     }
 
     #[cfg(target_os = "linux")]

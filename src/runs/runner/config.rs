@@ -1,5 +1,6 @@
 //! The configuration of a run.
 
+use super::of_run::OfRun;
 use crate::report::RenamedSetting;
 use planagent_agent::environment::BevView;
 use planagent_agent::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
@@ -38,6 +39,10 @@ pub struct Config {
     /// Checkpoints of learned planners.
     #[serde(skip_serializing_if = "LearnedSettings::is_empty")]
     pub learned: LearnedSettings,
+    /// What the folder of a run decides alone, for a configuration that comes from one. No file
+    /// sets it.
+    #[serde(skip)]
+    pub of_run: OfRun,
 }
 
 /// Section `mllm`.
@@ -191,6 +196,8 @@ impl Config {
         overlay(&mut table, settings.clone());
         let mut config = table.try_into::<Self>().map_err(parse_error)?;
         config.mllm.trust = self.mllm.trust.clone();
+        config.of_run = self.of_run.clone();
+        leaves("", settings, &mut |key| config.of_run.name(key));
         config.checked(place())
     }
 
@@ -208,7 +215,7 @@ impl Config {
         Some(PathBuf::from("planagent.toml")).filter(|default| default.is_file())
     }
 
-    fn checked(self, place: String) -> Result<Self, ConfigError> {
+    pub(super) fn checked(self, place: String) -> Result<Self, ConfigError> {
         if let Some(key) = self.unknown_learned() {
             return Err(ConfigError::Learned {
                 place,
@@ -388,6 +395,16 @@ fn overlay(below: &mut toml::Table, above: toml::Table) {
             (_, value) => {
                 below.insert(key, value);
             }
+        }
+    }
+}
+
+/// The dotted keys of a table's values.
+fn leaves(prefix: &str, table: &toml::Table, on_key: &mut dyn FnMut(&str)) {
+    for (name, value) in table {
+        match value {
+            toml::Value::Table(inner) => leaves(&format!("{prefix}{name}."), inner, on_key),
+            _ => on_key(&format!("{prefix}{name}")),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::commands::CommandError;
 use super::config::ConfigError;
+use super::of_run::NotNamed;
 use super::sample::NoSuchType;
 use crate::report::ReportError;
 use crate::worker::split::SplitError;
@@ -86,6 +87,8 @@ pub enum RunnerError {
          the run again, this one by --planner '{planner}=exec:{command}'"
     )]
     CommandNotGiven { planner: String, command: String },
+    #[error(transparent)]
+    NotNamed(#[from] NotNamed),
     #[error(transparent)]
     Command(#[from] CommandError),
     #[error(

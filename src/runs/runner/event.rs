@@ -37,6 +37,9 @@ pub enum Event {
         /// Whether a command is a planner of the run, or controls its agents. A run that is resumed
         /// takes commands from its user alone.
         has_commands: bool,
+        /// Options with their values that a run which is resumed takes from its user alone, such
+        /// as `--model org/model`.
+        named_again: Vec<[String; 2]>,
     },
     /// So many simulations start.
     Started {

@@ -3,14 +3,17 @@
 use super::error::{MergeError, RunnerError};
 use super::run::{self, RunResults};
 use crate::report::{
-    Inputs, Manifest, RunFolder, ScenarioList, ShardList, SimulationRow, SimulationTime,
-    simulation_folders, simulation_metrics,
+    Inputs, Manifest, RunFolder, ScenarioList, ShardList, SimulationFolder, SimulationRow,
+    SimulationTime, simulation_folders, simulation_metrics,
 };
 use planagent_files::{quoted, word_of};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+/// Missing shards that an error lists.
+const MAX_LISTED: usize = 100;
 
 /// A run to merge.
 struct Part {
@@ -21,7 +24,7 @@ struct Part {
 /// A completed simulation of one of the parts.
 struct Simulation<'a> {
     part: &'a Part,
-    folder: PathBuf,
+    folder: SimulationFolder,
     row: SimulationRow,
 }
 
@@ -170,9 +173,7 @@ fn check_complete(
     simulations: &BTreeMap<usize, Simulation<'_>>,
 ) -> Result<(), MergeError> {
     let total = manifest.simulations();
-    let missing = (0..total)
-        .filter(|number| !simulations.contains_key(number))
-        .count();
+    let missing = total.saturating_sub(simulations.range(..total).count());
     if missing == 0 {
         return Ok(());
     }
@@ -204,7 +205,14 @@ fn advice(parts: &[Part]) -> String {
             .iter()
             .any(|shard| shard.of == of && shard.index == *index)
     });
-    let absent: Vec<String> = absent.map(|index| format!("{index}/{of}")).collect();
+    let mut absent: Vec<String> = absent
+        .take(MAX_LISTED + 1)
+        .map(|index| format!("{index}/{of}"))
+        .collect();
+    if absent.len() > MAX_LISTED {
+        absent.truncate(MAX_LISTED);
+        absent.push("…".to_owned());
+    }
     format!(
         "simulate and name the missing shards ({})",
         absent.join(", ")

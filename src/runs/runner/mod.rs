@@ -6,10 +6,15 @@ pub mod commands;
 mod config;
 mod error;
 mod event;
+#[cfg(test)]
+mod hostile_folder_tests;
 pub mod inputs;
 mod machine;
 mod merge;
 pub mod model;
+#[cfg(test)]
+mod moved_folder_tests;
+mod of_run;
 mod probe;
 mod request;
 mod result_version;
@@ -18,6 +23,7 @@ pub mod sample;
 pub mod selection;
 mod shard;
 pub mod simulate;
+mod watch;
 
 pub use commands::CommandError;
 pub use config::{Config, ConfigError, MllmConfig};
@@ -26,6 +32,7 @@ pub use event::{Event, Listener, silent};
 pub use machine::{build_commit, cpu, memory, set_build_commit};
 pub use merge::merge;
 pub use model::{LoadedModel, load_model, model_registry};
+pub use of_run::{NotNamed, OfRun};
 pub use request::Request;
 pub use result_version::RESULT_VERSION;
 pub use run::RunResults;

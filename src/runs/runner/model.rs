@@ -106,6 +106,7 @@ impl OpenModel {
     pub fn open(config: &Config, listener: &Listener) -> Result<Self, RunnerError> {
         let started = Instant::now();
         let registry = model_registry(config, listener);
+        config.of_run.check_model(&config.mllm.model, &registry)?;
         let spec = registry
             .find(&config.mllm.model)
             .map_err(|error| RunnerError::FindModel(Box::new(error)))?;
@@ -170,6 +171,7 @@ impl OpenModel {
 /// When its files are not on this machine yet, among others.
 pub(super) fn inputs_here(config: &Config, listener: &Listener) -> Result<Inputs, RunnerError> {
     let registry = model_registry(config, listener);
+    config.of_run.check_model(&config.mllm.model, &registry)?;
     let find = |error| RunnerError::FindModel(Box::new(error));
     let spec = registry.find(&config.mllm.model).map_err(find)?;
     let inputs = registry.inputs(&spec).map_err(find)?;

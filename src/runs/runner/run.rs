@@ -4,9 +4,10 @@ use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::machine::cpu;
 use super::probe;
-use crate::report::{Manifest, RunFolder, SUMMARY, Session, SimulationRow, Summary, Timing};
+use super::watch::while_in_place;
+use crate::report::{Manifest, RunFolder, Session, SimulationRow, Summary, Timing};
+use crate::worker::FailedCall;
 use crate::worker::run::{self, AgentParts, SimulationTask};
-use crate::worker::{FailedCall, StopSwitch};
 use planagent_scenario::MissingTokens;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -134,7 +135,7 @@ impl Run {
             .copied()
             .filter(|number| !done.contains(number))
             .collect();
-        if folder.path().join(SUMMARY).is_file() {
+        if folder.has_summary()? {
             let known = discarded.len() + completed.damaged.len();
             let lost = left.len().saturating_sub(known);
             if lost > 0 {
@@ -169,6 +170,11 @@ impl Run {
     /// Its folder.
     pub(super) fn path(&self) -> &Path {
         self.folder.path()
+    }
+
+    /// Whether one of its planners asks the model.
+    pub(super) fn has_model(&self) -> bool {
+        self.plan.manifest.model.is_some()
     }
 
     /// Whether a command is one of its planners, or controls its agents.
@@ -215,13 +221,8 @@ impl Run {
     #[doc(hidden)]
     pub fn simulate(&mut self, numbers: &[usize], listener: &Listener) -> Result<(), RunnerError> {
         let folder = &self.folder;
-        let is_stopped = || {
-            self.plan
-                .agent
-                .stop
-                .as_ref()
-                .is_some_and(StopSwitch::is_stopped)
-        };
+        let users = self.plan.agent.stop.clone().unwrap_or_default();
+        let stop = users.part();
         let (told, hearing) = (Arc::clone(&self.told), Arc::clone(listener));
         let on_failed_call = move |call: FailedCall| {
             let is_first = told
@@ -233,34 +234,37 @@ impl Run {
             }
         };
         let agent = AgentParts {
+            stop: Some(stop.clone()),
             on_failed_call: Some(Arc::new(on_failed_call)),
             ..self.plan.agent.clone()
         };
-        run::run(
-            &self.plan.tasks,
-            numbers,
-            &agent,
-            &|_| listener(Event::Stepped),
-            &|number, record| {
-                // A simulation that was cut short is none.
-                if is_stopped() && record.outcome.is_err() {
-                    return Err(RunnerError::Stopped {
-                        folder: folder.path().to_owned(),
+        let stopped = || RunnerError::Stopped {
+            folder: folder.path().to_owned(),
+        };
+        while_in_place(folder, &stop, || {
+            run::run(
+                &self.plan.tasks,
+                numbers,
+                &agent,
+                &|_| listener(Event::Stepped),
+                &|number, record| {
+                    // A simulation that was cut short is none.
+                    if stop.is_stopped() && record.outcome.is_err() {
+                        folder.check_in_place()?;
+                        return Err(stopped());
+                    }
+                    folder.commit(number, &record)?;
+                    listener(Event::Ended {
+                        failed: record.outcome.is_err(),
                     });
-                }
-                folder.commit(number, &record)?;
-                listener(Event::Ended {
-                    failed: record.outcome.is_err(),
-                });
-                if is_stopped() {
-                    Err(RunnerError::Stopped {
-                        folder: folder.path().to_owned(),
-                    })
-                } else {
-                    Ok(())
-                }
-            },
-        )?;
+                    if stop.is_stopped() {
+                        Err(stopped())
+                    } else {
+                        Ok(())
+                    }
+                },
+            )
+        })?;
         self.left.retain(|number| !numbers.contains(number));
         self.simulated += numbers.len();
         self.rows = folder.completed(&self.plan.tasks)?.rows;

@@ -14,7 +14,7 @@ use planagent_agent::planner_registry::PlannerRegistry;
 use planagent_agent::simulation::{AgentPolicyName, Challenge};
 use planagent_files::word_of;
 use planagent_scenario::{
-    DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator,
+    DEFAULT_SCENARIO, DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path,
 };
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -298,7 +298,7 @@ pub fn select(
         found.extend(readers.find(word)?);
     }
     if splits.is_empty() && words.is_empty() {
-        found.push(generator::DEFAULT.into());
+        found.extend(readers.find(DEFAULT_SCENARIO)?);
     }
     readers.take_notes().into_iter().for_each(note);
     // A scenario that is named twice is simulated once, or it would count twice in the means.

@@ -7,12 +7,15 @@ use super::event::{Event, Listener};
 use super::inputs::{checkpoint_digests, data_files};
 use super::machine::build_commit;
 use super::model::{self, LoadedModel};
+use super::of_run::{MODEL, OfRun, checkpoint_key};
 use super::request::Request;
 use super::result_version::RESULT_VERSION;
 use super::run::{self, Resume, Run, RunPlan, RunResults};
 use super::selection::Selection;
 use crate::report::{DataFile, FORMAT_VERSION, Inputs, Manifest, RunFolder, ScenarioList, stamp};
 use crate::worker::run::AgentParts;
+use planagent_agent::planner::PlannerName;
+use planagent_planners::all_planners;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Instant, SystemTime};
@@ -36,7 +39,7 @@ pub fn start(
         plan.probe(listener)?;
     }
     let run = Run::create(folder, plan)?;
-    complete(run, &selection, started, listener)
+    complete(run, &selection, config, started, listener)
 }
 
 /// Resumes the run in a folder. The request and the configuration must be those it was started
@@ -73,6 +76,7 @@ pub fn resume(
         Err(cause) => return Err(cause),
     };
     // Loading a model takes long: a run with other settings is refused before.
+    check_checkpoints(&selection.planners, config)?;
     let data = data_files(selection.own_sources(), before.inputs.as_ref());
     let now = of_selection(&selection, commands, None, data.clone(), config)?;
     let differences = before.differences(&Manifest {
@@ -92,13 +96,17 @@ pub fn resume(
             ..then.clone()
         };
         // Files that are not on this machine yet are compared once the model is loaded.
-        if before.model.is_some()
-            && let Ok(of_model) = model::inputs_here(config, listener)
-        {
-            inputs = Inputs {
-                data: data.clone(),
-                ..of_model
-            };
+        if before.model.is_some() {
+            match model::inputs_here(config, listener) {
+                Ok(of_model) => {
+                    inputs = Inputs {
+                        data: data.clone(),
+                        ..of_model
+                    };
+                }
+                Err(error @ RunnerError::NotNamed(_)) => return Err(error),
+                Err(_) => {}
+            }
         }
         RunFolder::check_inputs(folder, &then.changes(&inputs), request.accept_changes)?;
     }
@@ -129,7 +137,7 @@ pub fn resume(
     listener(Event::Note(format!(
         "{completed} of {total} simulations are completed, {left} are left{failed}"
     )));
-    complete(run, &selection, started, listener)
+    complete(run, &selection, config, started, listener)
 }
 
 impl Config {
@@ -137,10 +145,20 @@ impl Config {
     pub fn of_run(folder: &Path) -> Result<Self, RunnerError> {
         let place = format!("of the run in {}", folder.display());
         let table = RunFolder::manifest(folder)?.config;
-        Ok(table.try_into().map_err(|source| ConfigError::Parse {
-            place,
+        let config: Self = table.try_into().map_err(|source| ConfigError::Parse {
+            place: place.clone(),
             source: Box::new(source),
-        })?)
+        })?;
+        let mut config = config.checked(place)?;
+        let planners = all_planners();
+        let checkpoints = planners.entries().iter().filter_map(|entry| {
+            let planner = entry.name.as_str();
+            config.learned.checkpoint(planner)?;
+            Some(checkpoint_key(planner))
+        });
+        let keys = checkpoints.chain([MODEL.to_owned()]);
+        config.of_run = OfRun::new(folder, keys.collect::<Vec<_>>());
+        Ok(config)
     }
 }
 
@@ -153,6 +171,7 @@ fn plan(
     config: &Config,
     listener: &Listener,
 ) -> Result<RunPlan, RunnerError> {
+    check_checkpoints(&selection.planners, config)?;
     let mut needs_model = false;
     for &planner in &selection.planners {
         let entry = request.registry.find(planner.as_str())?;
@@ -179,6 +198,23 @@ fn plan(
             ..model::agent_parts(config, request.registry.clone(), loaded.as_deref())
         },
         load_s: loaded.map(|loaded| loaded.load_s),
+    })
+}
+
+/// Refuses checkpoints of these planners that only the run names.
+fn check_checkpoints(planners: &[PlannerName], config: &Config) -> Result<(), RunnerError> {
+    let checkpoints = checkpoints(planners, config);
+    Ok(config.of_run.check_checkpoints(checkpoints)?)
+}
+
+/// The checkpoints of these planners.
+fn checkpoints<'a>(
+    planners: &'a [PlannerName],
+    config: &'a Config,
+) -> impl Iterator<Item = (&'a str, &'a str)> {
+    planners.iter().filter_map(|planner| {
+        let planner = planner.as_str();
+        Some((planner, config.learned.checkpoint(planner)?))
     })
 }
 
@@ -261,13 +297,17 @@ pub fn manifest(
 fn complete(
     mut run: Run,
     selection: &Selection,
+    config: &Config,
     started: Instant,
     listener: &Listener,
 ) -> Result<RunResults, RunnerError> {
     let left = run.left().to_vec();
+    let registry = model::model_registry(config, listener);
+    let model = run.has_model().then_some(config.mllm.model.as_str());
     listener(Event::Opened {
         folder: run.path().to_owned(),
         has_commands: run.has_commands(),
+        named_again: OfRun::options(model, checkpoints(&selection.planners, config), &registry),
     });
     listener(Event::Started { total: left.len() });
     let simulated = run.simulate(&left, listener);

@@ -157,6 +157,19 @@ pub fn draw_recorded(data: &Path, readers: &Readers) -> Result<Vec<String>, Read
     for folder in folders {
         recordings.extend(readers.find(&word_of(folder.as_os_str()))?);
     }
+    if recordings.is_empty() {
+        return Err(if data.is_dir() {
+            ReaderError::Empty {
+                path: data.to_owned(),
+                looked_for: vec![format!(
+                    "it has none of the folders {}; name the folder that holds them",
+                    RECORDINGS.join(", ")
+                )],
+            }
+        } else {
+            ReaderError::Missing(data.to_owned())
+        });
+    }
     let prefix = format!("{}/", word_of(data.as_os_str()));
     let mut all = Vec::new();
     for kind in InteractionKind::ALL {
@@ -251,6 +264,20 @@ mod tests {
         };
         assert_eq!(generated_list(&owned(GENERATED)), GENERATED_LIST);
         assert_eq!(recorded_list(&owned(RECORDED)), RECORDED_LIST);
+    }
+
+    #[test]
+    fn a_folder_without_recordings_is_an_error() {
+        let readers = Readers::new(&DataRoots::default());
+        let folder = tempfile::tempdir().unwrap();
+        let error = |path: &Path| draw_recorded(path, &readers).unwrap_err().to_string();
+        let empty = error(folder.path());
+        assert!(empty.contains("none of the folders womd"), "{empty}");
+        let absent = error(&folder.path().join("absent"));
+        assert!(absent.contains("there is no file or folder"), "{absent}");
+        // A folder of the right name without recordings.
+        std::fs::create_dir(folder.path().join("womd")).unwrap();
+        assert!(error(folder.path()).contains("holds no scenarios"));
     }
 
     #[test]

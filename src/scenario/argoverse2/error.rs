@@ -29,6 +29,15 @@ pub enum LogFault {
     Unreadable,
     #[error("not a valid Parquet file: {0}")]
     Parquet(#[from] ParquetError),
+    /// A Parquet file whose values Arrow cannot take.
+    #[error("not a valid Parquet file: {0}")]
+    ParquetValues(ArrowError),
+    /// What the file is instead.
+    #[error("no {needed} file: it is {kind}")]
+    OtherFile {
+        needed: &'static str,
+        kind: &'static str,
+    },
     #[error("the table has no rows")]
     Empty,
     #[error("there is no column '{column}'")]

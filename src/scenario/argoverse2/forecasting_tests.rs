@@ -4,7 +4,8 @@ use super::test_log::{CITY, Columns, crossing_map, set, with};
 use super::*;
 use arrow_array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
 use parquet::arrow::ArrowWriter;
-use std::fs::File;
+use parquet::basic::{BrotliLevel, Compression, GzipLevel, ZstdLevel};
+use parquet::file::properties::WriterProperties;
 use std::sync::Arc;
 
 /// Tracks of a motion-forecasting scenario: the recording car on lane 2 and a bus beside it.
@@ -51,12 +52,18 @@ fn forecasting(steps: usize) -> Columns {
 }
 
 fn forecasting_opened(columns: Columns) -> Result<Scenario, Argoverse2Error> {
-    let folder = tempfile::tempdir().unwrap();
+    let mut bytes = Vec::new();
     let batch = RecordBatch::try_from_iter(columns).unwrap();
-    let file = File::create(folder.path().join("scenario_synthetic.parquet")).unwrap();
-    let mut writer = ArrowWriter::try_new(file, batch.schema(), None).unwrap();
+    let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), None).unwrap();
     writer.write(&batch).unwrap();
     writer.close().unwrap();
+    opened_of(&bytes)
+}
+
+/// Opens a scenario whose tracks are a file with these bytes.
+fn opened_of(bytes: &[u8]) -> Result<Scenario, Argoverse2Error> {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("scenario_synthetic.parquet"), bytes).unwrap();
     std::fs::write(
         folder.path().join("log_map_archive_synthetic.json"),
         crossing_map().to_string(),
@@ -86,6 +93,53 @@ fn a_forecasting_scenario_opens() {
         .map(|&b| scenario.map[b].source_id)
         .collect();
     assert_eq!(route, vec![1, 11, 21]);
+}
+
+#[test]
+fn every_compression_of_parquet_is_read() {
+    let batch = RecordBatch::try_from_iter(forecasting(110)).unwrap();
+    for compression in [
+        Compression::UNCOMPRESSED,
+        Compression::SNAPPY,
+        Compression::GZIP(GzipLevel::default()),
+        Compression::BROTLI(BrotliLevel::default()),
+        Compression::LZ4,
+        Compression::LZ4_RAW,
+        Compression::ZSTD(ZstdLevel::default()),
+    ] {
+        let properties = WriterProperties::builder()
+            .set_compression(compression)
+            .build();
+        let mut bytes = Vec::new();
+        let mut writer =
+            ArrowWriter::try_new(&mut bytes, batch.schema(), Some(properties)).unwrap();
+        writer.write(&batch).unwrap();
+        writer.close().unwrap();
+        let scenario = opened_of(&bytes).unwrap();
+        assert_eq!(scenario.iterations(), 100, "{compression:?}");
+        assert!((scenario.frames[10].ego.speed() - 8.0).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn a_file_of_another_kind_is_never_called_feather() {
+    for (bytes, said) in [
+        (
+            &b"<html>Forbidden</html>"[..],
+            "no Parquet file: it is a web page",
+        ),
+        (
+            b"ARROW1\0\0 and so on",
+            "no Parquet file: it is a Feather file",
+        ),
+        (b"PAR1 cut off", "not a valid Parquet file"),
+        (b"\x01\x02\x03", "not a valid Parquet file"),
+        (b"", "not a valid Parquet file"),
+    ] {
+        let error = opened_of(bytes).unwrap_err().to_string();
+        assert!(error.contains(said), "{error}");
+        assert!(!error.contains("valid Feather"), "{error}");
+    }
 }
 
 #[test]

@@ -9,6 +9,7 @@ use arrow_schema::{ArrowError, SchemaRef};
 use arrow_select::concat::concat_batches;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::errors::ParquetError;
+use planagent_files::{KIND_BYTES, kind_of};
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{Cursor, Read};
@@ -17,6 +18,10 @@ use std::path::Path;
 
 /// First bytes of a Feather file of version 1.
 const FEATHER_1: &[u8] = b"FEA1";
+
+/// First bytes of a Feather file of version 2, and of a Parquet file.
+const FEATHER: &[u8] = b"ARROW1";
+const PARQUET: &[u8] = b"PAR1";
 
 /// A table with at least one row.
 #[derive(Debug)]
@@ -33,14 +38,20 @@ impl Table {
         let table = if bytes.starts_with(FEATHER_1) {
             Err(LogFault::OldFeather)
         } else {
-            guarded(|| Self::of_ipc(&bytes))
+            check_kind(&bytes, FEATHER, "Feather").and_then(|()| guarded(|| Self::of_ipc(&bytes)))
         };
         table.map_err(Argoverse2Error::at(path))
     }
 
-    /// Reads a Parquet file (uncompressed or Snappy).
+    /// Reads a Parquet file, in any of the format's compressions.
     pub(super) fn parquet(path: &Path) -> Result<Self, Argoverse2Error> {
-        let file = planagent_files::open(path).map_err(Argoverse2Error::at(path))?;
+        let mut file = planagent_files::open(path).map_err(Argoverse2Error::at(path))?;
+        let mut beginning = Vec::new();
+        let looked_at = (&mut file)
+            .take(KIND_BYTES as u64)
+            .read_to_end(&mut beginning);
+        looked_at.map_err(Argoverse2Error::at(path))?;
+        check_kind(&beginning, PARQUET, "Parquet").map_err(Argoverse2Error::at(path))?;
         guarded(|| Self::of_parquet(&file)).map_err(Argoverse2Error::at(path))
     }
 
@@ -55,7 +66,11 @@ impl Table {
         let file = file.try_clone().map_err(ParquetError::from)?;
         let builder = ParquetRecordBatchReaderBuilder::try_new(file)?;
         let schema = builder.schema().clone();
-        Self::of_batches(&schema, builder.build()?)
+        // Arrow's errors here are those of the Parquet file.
+        Self::of_batches(&schema, builder.build()?).map_err(|fault| match fault {
+            LogFault::Arrow(error) => LogFault::ParquetValues(error),
+            fault => fault,
+        })
     }
 
     fn of_batches(
@@ -116,6 +131,14 @@ impl Table {
         cells
             .map(|(row, cell)| cell.ok_or(LogFault::NoValue { column, row }))
             .collect()
+    }
+}
+
+/// Refuses a file that is known to be of another kind.
+fn check_kind(beginning: &[u8], magic: &[u8], needed: &'static str) -> Result<(), LogFault> {
+    match kind_of(beginning) {
+        Some(kind) if !beginning.starts_with(magic) => Err(LogFault::OtherFile { needed, kind }),
+        _ => Ok(()),
     }
 }
 

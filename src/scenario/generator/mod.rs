@@ -44,7 +44,8 @@ use std::sync::Arc;
 /// Maximum number of draws for a scenario.
 pub(crate) const MAX_DRAWS: usize = 60;
 
-/// A scenario worth a first look: a slow lead vehicle, and a free lane beside it.
+/// The generated scenario that modifications change where none is named: a slow lead vehicle, and
+/// a free lane beside it.
 pub const DEFAULT: Spec = Spec::new(types::changing_lane::TYPE, 2);
 
 /// A generated scenario and the draws before it.

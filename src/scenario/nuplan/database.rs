@@ -6,6 +6,7 @@
 use super::error::{CellFault, CellPlace, FileFault, NuPlanError, RowName};
 use super::schema::Table;
 use super::token::{TOKEN_BYTES, Token};
+use planagent_files::{KIND_BYTES, kind_of};
 use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
 use rusqlite::types::ValueRef;
@@ -108,6 +109,11 @@ impl Database {
         Ok(())
     }
 
+    /// Whether there is no such table.
+    pub(super) fn lacks(&self, table: &str) -> bool {
+        self.columns(table).is_ok_and(|columns| columns.is_empty())
+    }
+
     fn columns(&self, table: &str) -> Result<Vec<String>, NuPlanError> {
         let read = || {
             let mut statement = self
@@ -185,7 +191,7 @@ impl Database {
     pub(super) fn failed(&self, reading: &str, source: rusqlite::Error) -> NuPlanError {
         let reading = format!("table {reading}");
         let fault = match source.sqlite_error_code() {
-            Some(ErrorCode::NotADatabase) => FileFault::NotADatabase,
+            Some(ErrorCode::NotADatabase) => FileFault::NotADatabase(None),
             Some(ErrorCode::OperationInterrupted) => FileFault::TooManySteps { reading },
             Some(ErrorCode::DatabaseCorrupt | ErrorCode::SystemIoFailure) => {
                 FileFault::Damaged { reading, source }
@@ -233,17 +239,31 @@ pub(super) fn harden(connection: &mut Connection, bytes: u64) -> rusqlite::Resul
 /// `SQLite` takes an empty file for an empty database; neither is nuPlan data.
 fn check_bytes(path: &Path) -> Result<(), NuPlanError> {
     let io = |source| NuPlanError::file(path, FileFault::Open(source));
-    let mut start = Vec::with_capacity(MAGIC.len());
-    planagent_files::open(path)
-        .map_err(io)?
-        .take(MAGIC.len() as u64)
-        .read_to_end(&mut start)
-        .map_err(io)?;
-    if start == MAGIC {
+    let start = beginning(path).map_err(io)?;
+    if start.starts_with(MAGIC) {
         Ok(())
     } else {
-        Err(NuPlanError::file(path, FileFault::NotADatabase))
+        let fault = FileFault::NotADatabase(kind_of(&start));
+        Err(NuPlanError::file(path, fault))
     }
+}
+
+/// What a file is instead of a database; `None` for a database, and where nothing is known.
+pub(super) fn other_kind(path: &Path) -> Option<&'static str> {
+    let start = beginning(path).ok()?;
+    if start.starts_with(MAGIC) {
+        None
+    } else {
+        kind_of(&start)
+    }
+}
+
+fn beginning(path: &Path) -> std::io::Result<Vec<u8>> {
+    let mut start = Vec::with_capacity(KIND_BYTES);
+    planagent_files::open(path)?
+        .take(KIND_BYTES as u64)
+        .read_to_end(&mut start)?;
+    Ok(start)
 }
 
 /// Rejects a database whose last changes lie in a file beside it: ignoring them would be wrong, and

@@ -129,12 +129,18 @@ pub enum FileFault {
     Open(#[source] std::io::Error),
     #[error("cannot list: {0}")]
     List(#[source] std::io::Error),
-    #[error("no *.db file in it or in the folders below")]
-    NoLogs,
+    #[error("no *.db file in it or in the folders below{}", .0.as_ref().map_or(String::new(), |note| format!("; {note}")))]
+    NoLogs(
+        /// What was passed over.
+        Option<String>,
+    ),
     #[error("changes that are not part of it yet lie in {}; open it once with `sqlite3` to merge them", .0.display())]
     Unfinished(PathBuf),
-    #[error("not an SQLite database")]
-    NotADatabase,
+    #[error("not an SQLite database{}", .0.map_or(String::new(), |kind| format!(": it is {kind}")))]
+    NotADatabase(
+        /// What it is instead.
+        Option<&'static str>,
+    ),
     #[error("damaged, found when reading {reading} ({source}); copy or download it again")]
     Damaged {
         reading: String,

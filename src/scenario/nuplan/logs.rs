@@ -1,18 +1,20 @@
 //! Logs on disk.
 
-use super::database::Database;
+use super::database::{Database, other_kind};
 use super::error::{FileFault, NuPlanError};
 use super::schema::LOG_TABLES;
 use super::token::Token;
 use crate::DataRoots;
+use crate::reader::passed_over;
+use planagent_files::is_hidden;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Ending of log databases.
 const LOG_ENDING: &str = "db";
-/// Folders of a nuPlan tree that hold no logs, but very many files.
-const WITHOUT_LOGS: [&str; 2] = ["sensor_blobs", "maps"];
+/// Folders that hold no logs, but very many files, or macOS's copies of their names.
+const WITHOUT_LOGS: [&str; 3] = ["sensor_blobs", "maps", "__MACOSX"];
 /// Depth to which folders are searched for logs; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
 pub(crate) const MAX_FOLDER_DEPTH: usize = 5;
 
@@ -33,6 +35,16 @@ impl Log {
             .map(|stem| stem.to_string_lossy().into_owned())
             .unwrap_or_default();
         Self { name, path }
+    }
+
+    /// Whether the file is a sound database without a single table of a log, such as another
+    /// program keeps.
+    pub(super) fn is_another_database(&self) -> bool {
+        Database::open(&self.path).is_ok_and(|database| {
+            LOG_TABLES
+                .into_iter()
+                .all(|table| database.lacks(table.name))
+        })
     }
 
     /// Opens the log and checks that it has every table and column that is read.
@@ -100,6 +112,16 @@ impl Logs {
         let mut notes = Vec::new();
         walk(path, MAX_FOLDER_DEPTH, &mut files, &mut notes)?;
         files.sort();
+        let mut others = Vec::new();
+        files.retain(|file| match other_kind(file) {
+            Some(kind) => {
+                let fault = FileFault::NotADatabase(Some(kind));
+                others.push(NuPlanError::file(file, fault).to_string());
+                false
+            }
+            None => true,
+        });
+        let passed_over = passed_over(&others);
         let mut by_name: BTreeMap<String, Arc<Log>> = BTreeMap::new();
         let mut again = Vec::new();
         for file in files {
@@ -112,8 +134,9 @@ impl Logs {
             }
         }
         if by_name.is_empty() {
-            return Err(NuPlanError::file(path, FileFault::NoLogs));
+            return Err(NuPlanError::file(path, FileFault::NoLogs(passed_over)));
         }
+        notes.extend(passed_over);
         notes.extend(again.first().map(|log| {
             format!(
                 "{} log(s) lie in two folders and are read once, for example {}",
@@ -138,6 +161,10 @@ fn walk(
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let entry = entry.map_err(io)?;
         let path = entry.path();
+        // macOS leaves `._NAME.db` beside each log on disks that are not its own, and in archives.
+        if is_hidden(&entry.file_name().to_string_lossy()) {
+            continue;
+        }
         if path.is_dir() {
             let name = entry.file_name();
             if depth > 0 && !WITHOUT_LOGS.iter().any(|skipped| name == *skipped) {
@@ -151,4 +178,57 @@ fn walk(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_systems_leave_beside_logs_is_no_log() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, bytes: &[u8]| {
+            let path = folder.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, bytes).unwrap();
+        };
+        let none = |said: &str| {
+            let error = Logs::under(folder.path()).unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        };
+        write("._a.db", b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X");
+        write("__MACOSX/b.db", b"SQLite format 3\0");
+        write(".cache/c.db", b"SQLite format 3\0");
+        none("no *.db file");
+        write("page.db", b"<html></html>");
+        none("page.db: not an SQLite database: it is a web page");
+        write("Thumbs.db", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1");
+        none("2 files are passed over");
+        write("d/a.db", b"SQLite format 3\0");
+        write("cut.db", b"\x01\x02\x03");
+        let logs = Logs::under(folder.path()).unwrap();
+        let names: Vec<&str> = logs.logs.iter().map(|log| log.name.as_str()).collect();
+        assert_eq!(names, ["a", "cut"], "what is not known is not passed over");
+        assert!(
+            logs.notes[0].contains("2 files are passed over"),
+            "{:?}",
+            logs.notes
+        );
+    }
+
+    #[test]
+    fn a_database_of_another_program_is_no_log() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.db");
+        let database = rusqlite::Connection::open(&path).unwrap();
+        database
+            .execute_batch("CREATE TABLE songs (name TEXT)")
+            .unwrap();
+        assert!(Log::at(&path).is_another_database());
+        database
+            .execute_batch("CREATE TABLE lidar_pc (token BLOB)")
+            .unwrap();
+        assert!(!Log::at(&path).is_another_database());
+        assert!(!Log::at(folder.path().join("b.db")).is_another_database());
+    }
 }

@@ -9,6 +9,7 @@ use super::{
     Exclusion, Exclusions, LogScenario, Logs, MAX_FOLDER_DEPTH, MapStore, NuPlanError,
     ScenarioFilter, THRESHOLD_KEY, ThresholdScope, Token, TokenError, open,
 };
+use crate::reader::passed_over;
 use crate::{
     DataRoots, OnProgress, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef, Split,
 };
@@ -105,9 +106,13 @@ impl NuPlanReader {
     /// The tagged scenarios of all logs in a folder; none when it holds no log.
     fn in_folder(&self, folder: &Path) -> Result<Vec<ScenarioRef>, LogWordError> {
         match Logs::under(folder) {
-            Err(NuPlanError::File { fault, .. }) if matches!(*fault, FileFault::NoLogs) => {
-                Ok(Vec::new())
-            }
+            Err(NuPlanError::File { path, fault }) => match *fault {
+                FileFault::NoLogs(passed_over) => {
+                    self.note(passed_over);
+                    Ok(Vec::new())
+                }
+                fault => Err(NuPlanError::file(&path, fault).into()),
+            },
             logs => self.tagged(&logs?, folder),
         }
     }
@@ -151,6 +156,11 @@ impl NuPlanReader {
             )
         }));
         let mut references = self.references(scenarios);
+        let (others, unreadable): (Vec<_>, Vec<_>) = unreadable
+            .into_iter()
+            .partition(|unreadable| unreadable.log.is_another_database());
+        let others: Vec<String> = others.into_iter().map(|other| other.cause).collect();
+        self.note(passed_over(&others));
         references.extend(unreadable.into_iter().map(unreadable_reference));
         Ok(references)
     }

@@ -9,7 +9,7 @@ use super::error::WomdFault;
 use super::map::lane_map;
 use super::proto;
 use super::signals::lights;
-use super::tracks::{ego_states, first_position, objects_at};
+use super::tracks::{check_ego_fields, ego_states, first_position, objects_at};
 use crate::Scenario;
 use crate::recording::error::RecordingFault;
 use crate::recording::window::{Recording, step_times, window};
@@ -21,7 +21,7 @@ use std::collections::BTreeSet;
 pub(super) fn scenario(recording: &proto::Scenario, log_name: &str) -> Result<Scenario, WomdFault> {
     let times_us = step_times(&recording.timestamps_seconds)?;
     check_tracks(recording, times_us.len())?;
-    let index = recording.sdc_track_index;
+    let index = recording.sdc_track_index.ok_or(WomdFault::NoEgoIndex)?;
     let ego_index = usize::try_from(index).unwrap_or(usize::MAX);
     let ego_track = recording
         .tracks
@@ -30,6 +30,7 @@ pub(super) fn scenario(recording: &proto::Scenario, log_name: &str) -> Result<Sc
             index,
             tracks: recording.tracks.len(),
         })?;
+    check_ego_fields(ego_track)?;
     let missing = WomdFault::EgoMissing {
         step: 0,
         missing: times_us.len(),

@@ -14,12 +14,27 @@ pub enum WomdFault {
     Open(#[from] io::Error),
     #[error("the file is empty")]
     Empty,
+    /// What it is instead.
+    #[error("no file of records (TFRecord): it is {0}")]
+    OtherFile(&'static str),
+    /// What it is instead.
+    #[error("no Scenario message: it is {0}")]
+    OtherMessage(String),
     #[error(transparent)]
     Framing(#[from] FramingFault),
     #[error("not a Scenario message: {0}")]
     Decode(#[from] prost::DecodeError),
     #[error(transparent)]
     Recording(#[from] RecordingFault),
+    #[error(
+        "sdc_track_index is absent, so the ego's track is not known; write the field, also where the index is 0"
+    )]
+    NoEgoIndex,
+    /// The fields that no valid state of the ego's track has.
+    #[error(
+        "no valid state of the ego's track {track} has {fields}; write the fields, also where they are 0"
+    )]
+    NoEgoField { track: i32, fields: &'static str },
     #[error("sdc_track_index is {index}, but there are {tracks} tracks")]
     NoEgoTrack { index: i32, tracks: usize },
     #[error("the recording car has no valid state at step {step}, nor at {missing} steps in a row")]
@@ -32,4 +47,11 @@ pub enum WomdFault {
     },
     #[error("no recording number {wanted} among the {records} of the file")]
     NotFound { wanted: usize, records: usize },
+}
+
+impl WomdFault {
+    /// Whether the file is sound and of another kind, so that a folder passes it over.
+    pub(super) fn is_of_another_kind(&self) -> bool {
+        matches!(self, Self::OtherFile(_) | Self::OtherMessage(_))
+    }
 }

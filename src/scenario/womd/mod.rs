@@ -15,10 +15,12 @@ mod drivable;
 mod error;
 mod features;
 mod map;
+mod other_message;
 mod outline;
 mod proto;
 mod reader;
 mod signals;
+mod source;
 #[cfg(test)]
 mod tests;
 mod tfrecord;
@@ -31,9 +33,9 @@ pub use tfrecord::FramingFault;
 use super::recording::window;
 use super::{Contents, Scenario};
 use features::lane_count;
+use other_message::other_message;
 use prost::Message;
-use std::fs::File;
-use std::io::BufReader;
+use source::{Opened, Source};
 use std::path::{Path, PathBuf};
 use tfrecord::{Record, Records};
 
@@ -116,9 +118,12 @@ fn messages(path: &Path) -> Result<impl Iterator<Item = Result<Decoded, WomdErro
     Ok(records.map(move |record| decoded(&path, record)))
 }
 
-fn records(path: &Path) -> Result<Records<BufReader<File>>, WomdError> {
-    let records = Records::open(path).map_err(WomdError::at(path))?;
-    if records.is_empty() {
+fn records(path: &Path) -> Result<Records<Source>, WomdError> {
+    let opened = source::open(path).map_err(WomdError::at(path))?;
+    let Opened { source, bytes } =
+        opened.map_err(|kind| WomdError::at(path)(WomdFault::OtherFile(kind)))?;
+    let mut records = Records::new(source, bytes);
+    if records.has_ended() {
         return Err(WomdError::at(path)(WomdFault::Empty));
     }
     Ok(records)
@@ -134,7 +139,10 @@ fn decoded(
 ) -> Result<Decoded, WomdError> {
     let decoded = payload
         .map_err(WomdFault::from)
-        .and_then(|bytes| Ok(proto::Scenario::decode(&bytes[..])?));
+        .and_then(|bytes| match other_message(&bytes) {
+            Some(other) => Err(WomdFault::OtherMessage(other)),
+            None => Ok(proto::Scenario::decode(&bytes[..])?),
+        });
     let recording = decoded.map_err(WomdError::at_part(path, part(number, offset)))?;
     Ok(Decoded {
         path: path.to_owned(),

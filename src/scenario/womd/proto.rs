@@ -22,9 +22,9 @@ pub(super) struct Scenario {
     pub dynamic_map_states: Vec<DynamicMapState>,
     #[prost(message, repeated, tag = "8")]
     pub map_features: Vec<MapFeature>,
-    /// Index of the recording car's track.
-    #[prost(int32, tag = "6")]
-    pub sdc_track_index: i32,
+    /// Index of the recording car's track. Its absence is not 0: writers of proto3 leave it out.
+    #[prost(int32, optional, tag = "6")]
+    pub sdc_track_index: Option<i32>,
 }
 
 /// An object over time.
@@ -58,10 +58,10 @@ pub(super) enum ObjectType {
 /// An object at one step; `center_*` is the center of its box.
 #[derive(Clone, Copy, PartialEq, Message)]
 pub(super) struct ObjectState {
-    #[prost(double, tag = "2")]
-    pub center_x: f64,
-    #[prost(double, tag = "3")]
-    pub center_y: f64,
+    #[prost(double, optional, tag = "2")]
+    pub center_x: Option<f64>,
+    #[prost(double, optional, tag = "3")]
+    pub center_y: Option<f64>,
     #[prost(double, tag = "4")]
     pub center_z: f64,
     #[prost(float, tag = "5")]
@@ -71,10 +71,10 @@ pub(super) struct ObjectState {
     /// Heading, radians counter-clockwise from east.
     #[prost(float, tag = "8")]
     pub heading: f32,
-    #[prost(float, tag = "9")]
-    pub velocity_x: f32,
-    #[prost(float, tag = "10")]
-    pub velocity_y: f32,
+    #[prost(float, optional, tag = "9")]
+    pub velocity_x: Option<f32>,
+    #[prost(float, optional, tag = "10")]
+    pub velocity_y: Option<f32>,
     /// True if the object was observed at this step.
     #[prost(bool, tag = "11")]
     pub valid: bool,

@@ -1,15 +1,20 @@
 //! Waymo recordings in the registry of readers.
 
 use super::{WomdError, contents, log_name, open_one};
+use crate::reader::passed_over;
 use crate::{Contents, OpenScenario, ReaderError, Scenario, ScenarioReader, ScenarioRef};
-use planagent_files::{path_of, word_of};
+use planagent_files::{is_hidden, is_unfinished, path_of, word_of};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 /// What the names of recordings contain: Waymo's end in `.tfrecord-00000-of-01000`.
 const MARK: &str = ".tfrecord";
 
 /// Takes TFRecord files.
-pub(crate) struct WomdReader;
+#[derive(Debug, Default)]
+pub(crate) struct WomdReader {
+    notes: Mutex<Vec<String>>,
+}
 
 impl ScenarioReader for WomdReader {
     fn recognizes(&self, word: &str) -> bool {
@@ -22,14 +27,22 @@ impl ScenarioReader for WomdReader {
         if !path.is_dir() {
             return records(path).map_err(ReaderError::new);
         }
-        let mut all = Vec::new();
+        let (mut all, mut others) = (Vec::new(), Vec::new());
         for file in recordings_in(path)? {
             match records(&file) {
                 Ok(records) => all.extend(records),
+                Err(error) if error.fault.is_of_another_kind() => others.push(error.to_string()),
                 Err(error) => all.push(ScenarioRef::unreadable(&file, error.to_string())),
             }
         }
+        let note = passed_over(&others);
+        let mut notes = self.notes.lock().unwrap_or_else(PoisonError::into_inner);
+        notes.extend(note);
         Ok(all)
+    }
+
+    fn take_notes(&self) -> Vec<String> {
+        std::mem::take(&mut *self.notes.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     fn looks_for(&self) -> Option<String> {
@@ -53,7 +66,12 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReaderError> {
         .map(|entry| entry.map(|e| e.path()))
         .collect::<Result<Vec<_>, _>>()
         .map_err(failed)?;
-    files.retain(|path| is_recording(path));
+    // What systems and browsers leave beside recordings is none.
+    let is_left = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        is_hidden(&name) || is_unfinished(&name)
+    };
+    files.retain(|path| is_recording(path) && !path.is_dir() && !is_left(path));
     files.sort();
     Ok(files)
 }
@@ -104,6 +122,7 @@ impl OpenScenario for Recording {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tfrecord::frame;
     use super::*;
 
     #[test]
@@ -113,16 +132,26 @@ mod tests {
             "validation.tfrecord-00001-of-00150",
             "a.tfrecord",
             "notes.txt",
+            "._a.tfrecord",
+            "b.tfrecord.crdownload",
         ] {
-            std::fs::write(folder.path().join(name), "no record").unwrap();
+            std::fs::write(folder.path().join(name), frame(b"no message")).unwrap();
         }
+        std::fs::write(folder.path().join("page.tfrecord"), "<html></html>").unwrap();
+        std::fs::create_dir(folder.path().join("c.tfrecord")).unwrap();
         let word = |name: &str| word_of(folder.path().join(name).as_os_str());
-        let found = WomdReader.list(&word("")).unwrap();
+        let reader = WomdReader::default();
+        let found = reader.list(&word("")).unwrap();
         let names: Vec<_> = found
             .iter()
             .filter_map(|one| one.path()?.file_name()?.to_str())
             .collect();
         assert_eq!(names, ["a.tfrecord", "validation.tfrecord-00001-of-00150"]);
+        let notes = reader.take_notes();
+        assert!(
+            matches!(&notes[..], [note] if note.contains("page.tfrecord") && note.contains("web page")),
+            "{notes:?}"
+        );
         let taken = [
             "a.tfrecord",
             "validation.tfrecord-00001-of-00150",
@@ -130,7 +159,7 @@ mod tests {
             "b.tfrecord",
         ];
         assert_eq!(
-            taken.map(|name| WomdReader.recognizes(&word(name))),
+            taken.map(|name| reader.recognizes(&word(name))),
             [true, true, false, false]
         );
     }

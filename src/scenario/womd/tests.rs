@@ -104,11 +104,11 @@ fn recording() -> proto::Scenario {
     let steps = 131;
     let moving = |speed: f64, y: f64, length: f32| {
         let states = (0..steps).map(move |i| ObjectState {
-            center_x: 1_000.0 + 5.0 + speed * f64::from(i) * 0.1,
-            center_y: -500.0 + y,
+            center_x: Some(1_000.0 + 5.0 + speed * f64::from(i) * 0.1),
+            center_y: Some(-500.0 + y),
             length,
             width: length / 2.0,
-            velocity_x: speed as f32,
+            velocity_x: Some(speed as f32),
             valid: true,
             ..ObjectState::default()
         });
@@ -158,7 +158,7 @@ fn recording() -> proto::Scenario {
         ],
         dynamic_map_states: lights.collect(),
         map_features,
-        sdc_track_index: 1,
+        sdc_track_index: Some(1),
     }
 }
 
@@ -257,16 +257,43 @@ fn faults_are_reported() {
         convert::scenario(&recording, "log").unwrap_err()
     };
     assert!(matches!(
-        fault(|r| r.sdc_track_index = -1),
+        fault(|r| r.sdc_track_index = Some(-1)),
         WomdFault::NoEgoTrack {
             index: -1,
             tracks: 2
         }
     ));
     assert!(matches!(
-        fault(|r| r.sdc_track_index = 2),
+        fault(|r| r.sdc_track_index = Some(2)),
         WomdFault::NoEgoTrack { .. }
     ));
+    assert!(matches!(
+        fault(|r| r.sdc_track_index = None),
+        WomdFault::NoEgoIndex
+    ));
+    let lacking = |change: fn(&mut ObjectState)| {
+        let mut recording = recording();
+        recording.tracks[1].states.iter_mut().for_each(change);
+        convert::scenario(&recording, "log")
+    };
+    let unplaced = lacking(|state| (state.center_x, state.center_y) = (None, None));
+    assert!(
+        matches!(
+            unplaced,
+            Err(WomdFault::NoEgoField { track: 9, fields }) if fields.contains("center_x")
+        ),
+        "{unplaced:?}"
+    );
+    let unmoved = lacking(|state| (state.velocity_x, state.velocity_y) = (None, None));
+    assert!(
+        matches!(
+            unmoved,
+            Err(WomdFault::NoEgoField { track: 9, fields }) if fields.contains("velocity_x")
+        ),
+        "{unmoved:?}"
+    );
+    // A field that is 0 throughout is absent in files of proto3.
+    assert!(lacking(|state| state.velocity_y = None).is_ok());
     let shared = |change| match fault(change) {
         WomdFault::Recording(fault) => fault,
         other => panic!("{other}"),
@@ -290,6 +317,10 @@ fn faults_are_reported() {
         shared(|r| r.map_features.clear()),
         RecordingFault::Map(_)
     ));
+    let untimed = shared(|r| r.timestamps_seconds.clear());
+    assert!(matches!(untimed, RecordingFault::TooShort { steps: 0, .. }));
+    let still = shared(|r| r.timestamps_seconds.fill(0.0));
+    assert!(matches!(still, RecordingFault::StepTime { step: 1, .. }));
     let short = shared(|r| r.timestamps_seconds.truncate(9));
     assert!(matches!(short, RecordingFault::TooShort { steps: 9, .. }));
     let lost = fault(|r| r.tracks[1].states.iter_mut().for_each(|s| s.valid = false));
@@ -349,6 +380,69 @@ fn a_recording_is_opened_by_its_number() {
         (id.as_str(), contents.iterations, contents.lanes),
         ("second", 111, 11)
     );
+}
+
+#[test]
+fn compressed_files_are_read_as_the_others() {
+    use flate2::Compression;
+    use flate2::write::{GzEncoder, ZlibEncoder};
+    let mut second = recording();
+    second.scenario_id = "second".to_owned();
+    let plain = [
+        frame(&recording().encode_to_vec()),
+        frame(&second.encode_to_vec()),
+    ]
+    .concat();
+    let gzip = |bytes: &[u8]| {
+        let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+        encoder.write_all(bytes).unwrap();
+        encoder.finish().unwrap()
+    };
+    let zlib = |level| {
+        let mut encoder = ZlibEncoder::new(Vec::new(), level);
+        encoder.write_all(&plain).unwrap();
+        encoder.finish().unwrap()
+    };
+    let (_plain, path) = written(&plain);
+    let whole = open_one(&path, 1).unwrap();
+    for packed in [
+        gzip(&plain),
+        // Two members, as `cat a.gz b.gz` makes them.
+        [gzip(&plain[..1000]), gzip(&plain[1000..])].concat(),
+        zlib(Compression::default()),
+        zlib(Compression::best()),
+        zlib(Compression::fast()),
+    ] {
+        let (_folder, path) = written(&packed);
+        assert_eq!(contents(&path).unwrap().map(Result::unwrap).count(), 2);
+        let opened = open_one(&path, 1).unwrap();
+        assert_eq!(opened.id, whole.id);
+        assert_eq!(opened.frames.len(), whole.frames.len());
+        assert_eq!(opened.frames[50].ego, whole.frames[50].ego);
+        let cut = &packed[..packed.len() - 100];
+        let (_folder, path) = written(cut);
+        assert!(contents(&path).unwrap().any(|one| one.is_err()));
+        assert!(open_one(&path, 1).is_err());
+    }
+    let (_folder, path) = written(&gzip(b"<html>Forbidden</html>"));
+    let error = open_one(&path, 0).unwrap_err().to_string();
+    assert!(error.contains("it is a web page"), "{error}");
+}
+
+#[test]
+fn files_of_other_kinds_are_called_what_they_are() {
+    for (bytes, said) in [
+        (&b"<!DOCTYPE html><html></html>"[..], "a web page"),
+        (b"PK\x03\x04\x14\x00\x00\x00\x08\x00", "a ZIP archive"),
+        (b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X", "macOS"),
+        (b"Access denied", "a text"),
+        (&[0; 4096], "unfinished download"),
+    ] {
+        let (_folder, path) = written(bytes);
+        let error = open_one(&path, 0).unwrap_err();
+        assert!(error.fault.is_of_another_kind(), "{error}");
+        assert!(error.to_string().contains(said), "{error}");
+    }
 }
 
 #[test]

@@ -2,10 +2,10 @@
 //!
 //! A file is a sequence of records, each `{u64 length, u32 masked CRC32C of the length, payload,
 //! u32 masked CRC32C of the payload}`, little endian. Both checksums are verified, that of the
-//! length before the length is used.
-use std::fs::File;
-use std::io::{self, BufReader, Read, Seek};
-use std::path::Path;
+//! length before the length is used. Of a file that is unpacked while it is read, the size is not
+//! known before its end.
+
+use std::io::{self, Read, Seek};
 
 /// Added to a rotated checksum by the TFRecord format ("masking").
 const MASK_DELTA: u32 = 0xa282_ead8;
@@ -15,6 +15,8 @@ const HEADER_BYTES: u64 = 12;
 const FOOTER_BYTES: u64 = 4;
 /// Maximum length of a payload, bytes: protobuf's limit.
 const MAX_PAYLOAD: u64 = i32::MAX as u64;
+/// The same where the size of the file does not bound it: a few bytes may unpack to very many.
+const MAX_UNPACKED_PAYLOAD: u64 = 256 << 20;
 
 /// What is wrong with the framing.
 #[derive(Debug, thiserror::Error)]
@@ -54,34 +56,52 @@ pub(super) struct Record {
 #[derive(Debug)]
 pub(super) struct Records<R> {
     reader: R,
-    /// Size of the source, bytes.
-    total: u64,
+    /// Size of the source, bytes; none if only its end tells it.
+    total: Option<u64>,
+    /// The byte that was read to learn whether the source has ended.
+    ahead: Option<u8>,
     offset: u64,
     number: usize,
     broken: bool,
 }
 
-impl Records<BufReader<File>> {
-    pub(super) fn open(path: &Path) -> io::Result<Self> {
-        let file = planagent_files::open(path)?;
-        let bytes = file.metadata()?.len();
-        Ok(Self::new(BufReader::new(file), bytes))
-    }
-}
-
 impl<R: Read> Records<R> {
-    pub(super) fn new(reader: R, total: u64) -> Self {
+    /// The records of a source of this size, if it is known.
+    pub(super) fn new(reader: R, total: impl Into<Option<u64>>) -> Self {
         Self {
             reader,
-            total,
+            total: total.into(),
+            ahead: None,
             offset: 0,
             number: 0,
             broken: false,
         }
     }
 
-    pub(super) fn is_empty(&self) -> bool {
-        self.total == 0
+    /// Whether there is no further record.
+    pub(super) fn has_ended(&mut self) -> bool {
+        if let Some(total) = self.total {
+            return self.offset >= total;
+        }
+        if self.ahead.is_some() {
+            return false;
+        }
+        let mut byte = [0];
+        loop {
+            match self.reader.read(&mut byte) {
+                Ok(0) => {
+                    self.total = Some(self.offset);
+                    return true;
+                }
+                Ok(_) => {
+                    self.ahead = Some(byte[0]);
+                    return false;
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                // The record that begins here has this error: a cut archive has no end.
+                Err(_) => return false,
+            }
+        }
     }
 
     /// The length of the next payload, whose own checksum is verified.
@@ -101,7 +121,12 @@ impl<R: Read> Records<R> {
             });
         }
         let length = u64::from_le_bytes(length_bytes);
-        if length > MAX_PAYLOAD {
+        let max = if self.total.is_some() {
+            MAX_PAYLOAD
+        } else {
+            MAX_UNPACKED_PAYLOAD
+        };
+        if length > max {
             return Err(FramingFault::TooLong(length));
         }
         self.demand("payload", length)?;
@@ -141,14 +166,31 @@ impl<R: Read> Records<R> {
     fn read_array<const N: usize>(&mut self, part: &'static str) -> Result<[u8; N], FramingFault> {
         self.demand(part, N as u64)?;
         let mut bytes = [0; N];
-        self.reader.read_exact(&mut bytes)?;
+        let mut filled = 0;
+        if let (Some(byte), Some(first)) = (self.ahead.take(), bytes.first_mut()) {
+            *first = byte;
+            filled = 1;
+        }
+        self.reader
+            .read_exact(&mut bytes[filled..])
+            .map_err(|error| match error.kind() {
+                io::ErrorKind::UnexpectedEof => FramingFault::Truncated {
+                    part,
+                    needed: N as u64,
+                    left: filled as u64,
+                },
+                _ => FramingFault::Read(error),
+            })?;
         self.offset += N as u64;
         Ok(bytes)
     }
 
     /// Checks against the size of the source before anything is allocated.
     fn demand(&self, part: &'static str, needed: u64) -> Result<(), FramingFault> {
-        let left = self.total.saturating_sub(self.offset);
+        let Some(total) = self.total else {
+            return Ok(());
+        };
+        let left = total.saturating_sub(self.offset);
         if needed > left {
             Err(FramingFault::Truncated { part, needed, left })
         } else {
@@ -161,7 +203,7 @@ impl<R: Read + Seek> Records<R> {
     /// Skips records without reading their payloads, until the next one has this number. Gives the
     /// record whose length is broken, which is the last.
     pub(super) fn skip_to(&mut self, number: usize) -> Option<Record> {
-        while self.number < number && self.offset < self.total {
+        while self.number < number && !self.has_ended() {
             let (own, offset) = (self.number, self.offset);
             let skipped = self.read_length().and_then(|length| {
                 let bytes = length + FOOTER_BYTES;
@@ -195,7 +237,7 @@ impl<R: Read> Iterator for Records<R> {
     type Item = Record;
 
     fn next(&mut self) -> Option<Self::Item> {
-        if self.broken || self.offset >= self.total {
+        if self.broken || self.has_ended() {
             return None;
         }
         let (number, offset) = (self.number, self.offset);
@@ -208,6 +250,15 @@ impl<R: Read> Iterator for Records<R> {
             payload,
         })
     }
+}
+
+/// Whether a file with this beginning is one of records: the checksum of the first length matches.
+pub(super) fn is_header(beginning: &[u8]) -> bool {
+    let Some((header, _)) = beginning.split_first_chunk::<{ HEADER_BYTES as usize }>() else {
+        return false;
+    };
+    let (length, stored) = header.split_at(8);
+    stored == masked_crc(length).to_le_bytes()
 }
 
 /// TFRecord's checksum: CRC32C, rotated right by 15 bits, plus a constant.
@@ -235,6 +286,36 @@ mod tests {
 
     fn records(bytes: &[u8]) -> Vec<Record> {
         Records::new(bytes, bytes.len() as u64).collect()
+    }
+
+    #[test]
+    fn a_source_of_unknown_size_ends_where_its_bytes_end() {
+        let whole = two_records();
+        let read: Vec<Record> = Records::new(&whole[..], None::<u64>).collect();
+        assert_eq!(read.len(), 2);
+        assert_eq!((read[1].number, read[1].offset), (1, 29));
+        assert!(read.iter().all(|record| record.payload.is_ok()));
+        assert!(Records::new(&[][..], None::<u64>).next().is_none());
+        for end in (1..whole.len()).filter(|end| *end != 29) {
+            let broken = Records::new(&whole[..end], None::<u64>)
+                .find(|record| record.payload.is_err())
+                .unwrap();
+            assert!(
+                matches!(broken.payload, Err(FramingFault::Truncated { .. })),
+                "cut at {end}: {broken:?}"
+            );
+        }
+        let length = (1_u64 << 30).to_le_bytes();
+        let absurd = [length.to_vec(), masked_crc(&length).to_le_bytes().to_vec()].concat();
+        let payload = Records::new(&absurd[..], None::<u64>)
+            .next()
+            .unwrap()
+            .payload;
+        assert!(
+            matches!(payload, Err(FramingFault::TooLong(_))),
+            "{payload:?}"
+        );
+        assert!(is_header(&whole) && !is_header(&whole[1..]) && !is_header(b"short"));
     }
 
     fn two_records() -> Vec<u8> {

@@ -20,6 +20,9 @@ use std::sync::Arc;
 /// Maximum gap of the ego that is interpolated, steps.
 const MAX_EGO_GAP: usize = 5;
 
+/// Way of an ego that stands, meters: positions jitter.
+const MAX_STANDING_M: f64 = 2.0;
+
 /// The center of a box and its velocity in the map frame.
 #[derive(Debug, Clone, Copy)]
 struct BoxState {
@@ -30,11 +33,14 @@ struct BoxState {
 impl BoxState {
     fn from_state(state: &ObjectState, origin: Vector) -> Option<Self> {
         let center = Pose::new(
-            state.center_x - origin.x,
-            state.center_y - origin.y,
+            state.center_x.unwrap_or_default() - origin.x,
+            state.center_y.unwrap_or_default() - origin.y,
             f64::from(state.heading),
         );
-        let velocity = Vector::new(f64::from(state.velocity_x), f64::from(state.velocity_y));
+        let velocity = Vector::new(
+            f64::from(state.velocity_x.unwrap_or_default()),
+            f64::from(state.velocity_y.unwrap_or_default()),
+        );
         let sound = state.valid
             && center.is_finite()
             && center.position().coords.norm() < MAX_COORDINATE
@@ -67,6 +73,41 @@ pub(super) fn first_position(track: &Track) -> Option<Point> {
         .iter()
         .find_map(|state| BoxState::from_state(state, Vector::zeros()));
     seen.map(|state| state.center.position())
+}
+
+/// Checks that the ego's track has positions, and velocities where it moves. A writer of proto3
+/// leaves out what is 0, so one field may be absent, but not all of them.
+pub(super) fn check_ego_fields(track: &Track) -> Result<(), WomdFault> {
+    let valid = || track.states.iter().filter(|state| state.valid);
+    if valid().next().is_none() {
+        // The error about the states says more.
+        return Ok(());
+    }
+    let absent = |fields| {
+        Err(WomdFault::NoEgoField {
+            track: track.id,
+            fields,
+        })
+    };
+    if valid().all(|state| state.center_x.is_none() && state.center_y.is_none()) {
+        return absent("center_x or center_y");
+    }
+    let position = |state: &ObjectState| {
+        Point::new(
+            state.center_x.unwrap_or_default(),
+            state.center_y.unwrap_or_default(),
+        )
+    };
+    let moves = || {
+        let (Some(first), Some(last)) = (valid().next(), valid().next_back()) else {
+            return false;
+        };
+        (position(last) - position(first)).norm() > MAX_STANDING_M
+    };
+    if valid().all(|state| state.velocity_x.is_none() && state.velocity_y.is_none()) && moves() {
+        return absent("velocity_x or velocity_y, and the ego moves");
+    }
+    Ok(())
 }
 
 /// The recorded ego, one state per step. Fails if it is missing for more than [`MAX_EGO_GAP`]
@@ -186,13 +227,13 @@ mod tests {
         let states = (0..steps).map(|i| {
             let angle = 0.25 * i as f64 * 0.1;
             ObjectState {
-                center_x: 20.0 * angle.cos(),
-                center_y: 20.0 * angle.sin(),
+                center_x: Some(20.0 * angle.cos()),
+                center_y: Some(20.0 * angle.sin()),
                 length: 4.8,
                 width: 2.1,
                 heading: wrap_angle(angle + std::f64::consts::FRAC_PI_2) as f32,
-                velocity_x: (-5.0 * angle.sin()) as f32,
-                velocity_y: (5.0 * angle.cos()) as f32,
+                velocity_x: Some((-5.0 * angle.sin()) as f32),
+                velocity_y: Some((5.0 * angle.cos()) as f32),
                 valid: true,
                 ..ObjectState::default()
             }
@@ -238,7 +279,7 @@ mod tests {
                 .zip(&whole)
                 .all(|(a, b)| a.rear_axle.distance(&b.rear_axle) < 0.1)
         );
-        track.states[15].center_x = f64::NAN;
+        track.states[15].center_x = Some(f64::NAN);
         let fault = ego_states(&track, &times, Vector::zeros()).unwrap_err();
         assert!(
             matches!(

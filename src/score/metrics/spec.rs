@@ -17,14 +17,16 @@ pub enum MetricList {
 impl MetricList {
     /// What the labels of its challenges and its score mean.
     #[doc(hidden)]
-    pub fn meaning(self) -> &'static str {
+    pub fn meanings(self) -> &'static [&'static str] {
         match self {
-            Self::ClosedLoop => {
-                "NR, R = non-reactive, reactive agents  score = nuPlan's closed-loop score x 100"
-            }
-            Self::OpenLoop => {
-                "OLS = the ego replays the log  score = nuPlan's open-loop score x 100"
-            }
+            Self::ClosedLoop => &[
+                "NR, R = non-reactive, reactive agents",
+                "score = nuPlan's closed-loop score x 100",
+            ],
+            Self::OpenLoop => &[
+                "OLS = the ego replays the log",
+                "score = nuPlan's open-loop score x 100",
+            ],
         }
     }
 }

@@ -2,7 +2,7 @@
 //! `docs/schema/exec_*.schema.json` has their schema.
 
 use super::agents::{ExecAgent, ExecAgentsStep};
-use crate::planner::{PlannerInitialization, PlannerInput};
+use crate::planner::{PlannerInitialization, PlannerInput, check_plan};
 use planagent_world::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
 use planagent_world::{
     EgoState, HistorySample, Lane, LaneMap, MICROS_PER_SECOND, PACIFICA, STEP_S, TrackedObject,
@@ -15,6 +15,8 @@ use serde::{Deserialize, Serialize};
 const VERSION: u32 = 1;
 /// Longest time that a state of a trajectory may be away from now, seconds.
 const MAX_TIME_S: f64 = 600.0;
+/// Fewest states of a trajectory.
+const MIN_STATES: usize = 2;
 
 /// What the program writes to the command's stdin. Positions are in meters in the map frame (x
 /// east, y north), headings in radians counter-clockwise, speeds in m/s.
@@ -207,7 +209,8 @@ pub enum ExecReply {
     Ready {},
     /// The trajectory to follow from now on.
     Trajectory {
-        /// Its states, times increasing. They must reach beyond the next step.
+        /// Its states, at least two, times increasing. They must reach beyond the next step, start
+        /// at most 5 m from the ego, and be no farther apart than 5 m and 100 m/s.
         states: Vec<ExecState>,
     },
     /// The next states of the other agents.
@@ -373,6 +376,14 @@ impl ExecObject {
 
 /// The trajectory of a reply, from the ego on; or what is wrong with it.
 pub(super) fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Trajectory, String> {
+    // With the present state before it, a single one would make a trajectory that says neither how
+    // fast the ego drives nor where it turns.
+    if states.len() < MIN_STATES {
+        return Err(format!(
+            "a plan has at least {MIN_STATES} states, got {}",
+            states.len()
+        ));
+    }
     let is_near = |state: &ExecState| state.t.abs() <= MAX_TIME_S;
     if let Some(place) = states.iter().position(|state| !is_near(state)) {
         return Err(format!(
@@ -390,8 +401,10 @@ pub(super) fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Traject
         .first()
         .is_some_and(|first| first.t > 0.0)
         .then(|| TrajectoryState::from(ego));
-    Trajectory::new(present.into_iter().chain(states.iter().map(own)).collect())
-        .map_err(|error| error.to_string())
+    let plan = Trajectory::new(present.into_iter().chain(states.iter().map(own)).collect())
+        .map_err(|error| error.to_string())?;
+    check_plan(&plan, ego).map_err(|error| error.to_string())?;
+    Ok(plan)
 }
 
 /// The lights as messages have them.

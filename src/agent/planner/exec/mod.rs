@@ -6,7 +6,11 @@
 //! agents of a simulation. A command that ends, is silent or answers wrongly fails its simulation.
 
 mod agents;
+mod answer;
+mod json_fault;
 mod messages;
+#[cfg(test)]
+mod messages_tests;
 mod process;
 mod session;
 
@@ -266,7 +270,7 @@ mod tests {
         assert_eq!(
             echo.ask(long.clone(), Duration::from_secs(20), None)
                 .unwrap()
-                .into_bytes(),
+                .trim_ascii_end(),
             long
         );
     }
@@ -360,7 +364,7 @@ mod tests {
             process
                 .ask(b"here".to_vec(), Duration::from_secs(20), None)
                 .unwrap(),
-            "here"
+            b"here\n"
         );
         drop(process);
         std::thread::sleep(Duration::from_millis(1500));

@@ -1,5 +1,6 @@
 //! The process of a planner command: lines in, lines out, each within a time.
 
+use super::answer::beginning;
 use crate::planner::StopSwitch;
 use planagent_child::BoundChild;
 use std::collections::VecDeque;
@@ -24,8 +25,6 @@ const STOP_POLL: Duration = Duration::from_millis(20);
 const EXIT_POLL: Duration = Duration::from_millis(5);
 /// How long a command may write after its last answer, until it ends at the end of its stdin.
 const END_WAIT: Duration = Duration::from_millis(500);
-/// Characters of a line that answers no message, in an error.
-const MAX_SHOWN: usize = 200;
 
 /// Why a command gives no line.
 #[derive(Debug, thiserror::Error)]
@@ -61,7 +60,7 @@ pub(super) struct Process {
     /// Lines for stdin. A thread writes them, because a command that reads nothing would block the
     /// writer.
     input: Sender<Vec<u8>>,
-    output: Receiver<Result<String, ProcessError>>,
+    output: Receiver<Result<Vec<u8>, ProcessError>>,
     stderr: Arc<Mutex<VecDeque<String>>>,
     /// Disconnected when stderr has ended.
     stderr_end: Receiver<()>,
@@ -120,7 +119,7 @@ impl Process {
         mut line: Vec<u8>,
         within: Duration,
         stop: Option<&StopSwitch>,
-    ) -> Result<String, ProcessError> {
+    ) -> Result<Vec<u8>, ProcessError> {
         line.push(b'\n');
         if let Ok(early) = self.output.try_recv() {
             return Err(early.map_or_else(
@@ -167,7 +166,7 @@ impl Process {
         let late = loop {
             match output.recv_timeout(END_WAIT.saturating_sub(began.elapsed())) {
                 // The end of a line is no answer.
-                Ok(Ok(line)) if line.is_empty() => {}
+                Ok(Ok(line)) if line.trim_ascii().is_empty() => {}
                 Ok(Ok(line)) => {
                     break Err(ProcessError::AfterEnd {
                         line: beginning(&line),
@@ -186,7 +185,7 @@ impl Process {
         &self,
         within: Duration,
         stop: Option<&StopSwitch>,
-    ) -> Result<Result<String, ProcessError>, RecvTimeoutError> {
+    ) -> Result<Result<Vec<u8>, ProcessError>, RecvTimeoutError> {
         let Some(stop) = stop else {
             return self.output.recv_timeout(within);
         };
@@ -225,11 +224,6 @@ impl Process {
     }
 }
 
-/// The beginning of a line, for an error.
-fn beginning(line: &str) -> String {
-    line.chars().take(MAX_SHOWN).collect()
-}
-
 #[cfg(unix)]
 fn shell(command: &str) -> Command {
     let mut shell = Command::new("sh");
@@ -245,7 +239,7 @@ fn shell(command: &str) -> Command {
 }
 
 /// Sends each line of a command's output; ends with the output or the receiver.
-fn send_lines(output: impl Read, sender: &SyncSender<Result<String, ProcessError>>) {
+fn send_lines(output: impl Read, sender: &SyncSender<Result<Vec<u8>, ProcessError>>) {
     let mut reader = BufReader::new(output);
     loop {
         let mut line = Vec::new();
@@ -255,7 +249,7 @@ fn send_lines(output: impl Read, sender: &SyncSender<Result<String, ProcessError
                 let _ = sender.send(Err(ProcessError::LongLine));
                 return;
             }
-            Ok(_) => sender.send(Ok(String::from_utf8_lossy(&line).trim().to_owned())),
+            Ok(_) => sender.send(Ok(line)),
             Err(error) => {
                 let _ = sender.send(Err(ProcessError::Read(error)));
                 return;

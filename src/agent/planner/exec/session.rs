@@ -1,5 +1,6 @@
 //! A running command that answers messages.
 
+use super::answer;
 use super::messages::{ExecInitialization, ExecReply, ExecRequest};
 use super::process::{Process, ProcessError};
 use crate::planner::{PlannerInitialization, StopSwitch};
@@ -7,8 +8,6 @@ use std::time::Duration;
 
 /// Minimum time for the answer to the first message: an interpreter and its packages start slowly.
 const START_TIMEOUT: Duration = Duration::from_mins(1);
-/// Characters of a wrong answer that an error shows.
-const MAX_SHOWN: usize = 200;
 
 /// Why a command gives no usable answer.
 #[derive(Debug, thiserror::Error)]
@@ -19,11 +18,9 @@ pub enum AnswerError {
     Process(#[from] ProcessError),
     #[error("the message to the command cannot be written: {0}")]
     Request(serde_json::Error),
-    #[error("the command answered what is no message ({fault}): {answer}")]
-    NoMessage {
-        fault: serde_json::Error,
-        answer: String,
-    },
+    /// The text says what is wrong, and shows the place.
+    #[error("the command answered what is no message: {0}")]
+    NoMessage(String),
     #[error("the command answered with another message than {expected}: {answer}")]
     Other {
         expected: &'static str,
@@ -102,13 +99,9 @@ fn ask(
 ) -> Result<(ExecReply, String), AnswerError> {
     let line = serde_json::to_vec(request).map_err(AnswerError::Request)?;
     let answer = process.ask(line, within, stop)?;
-    let shown: String = answer.chars().take(MAX_SHOWN).collect();
-    match serde_json::from_str(&answer) {
+    match answer::read(&answer) {
         Ok(ExecReply::Error { message }) => Err(AnswerError::Command(message)),
-        Ok(reply) => Ok((reply, shown)),
-        Err(fault) => Err(AnswerError::NoMessage {
-            fault,
-            answer: shown,
-        }),
+        Ok(reply) => Ok((reply, answer::beginning(&answer))),
+        Err(fault) => Err(AnswerError::NoMessage(fault)),
     }
 }

@@ -3,6 +3,7 @@
 use super::row::{BUILT_IN, Row, rounded};
 use crate::{Exit, Printer};
 use planagent_mllm::{ModelRegistry, WeightFormat};
+use planagent_runs::report::table::{Table, or_dash};
 use std::collections::BTreeSet;
 
 /// The weight formats of the table.
@@ -14,6 +15,10 @@ const FORMATS: [WeightFormat; 4] = [
 ];
 /// The format whose keys and values the table has.
 const USUAL: WeightFormat = WeightFormat::Q4K;
+/// What the columns mean, and what to do next.
+const NOTE: &str = "*: on this machine. image: tokens of the drawn BEV map. GiB of the weights in \
+    four formats; kv: GiB of 16-bit keys and values of up to 4096 tokens. `planagent bench MODEL` \
+    measures the time of a planning call; `planagent models show MODEL` has more.";
 const GIB: f64 = (1_u64 << 30) as f64;
 
 /// Lists the described models.
@@ -33,17 +38,7 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
         }
         return Ok(Exit::Success);
     }
-    printer.line(line(
-        "",
-        "model",
-        "size",
-        "license",
-        ["image", "kv"],
-        FORMATS.map(WeightFormat::name),
-    ));
-    for row in &rows {
-        printer.line(row_line(row));
-    }
+    printer.table(table(&rows).fitted(printer.line_width()));
     let broken = rows.iter().filter(|row| row.source.is_none());
     broken.for_each(|row| {
         printer.line(format!(
@@ -63,58 +58,84 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
     {
         printer.line(format!("{set} prompts in {place}"));
     }
-    printer.note(
-        "*: on this machine. image: tokens of the drawn BEV map. GiB of the weights in\n\
-         four formats; kv: GiB of 16-bit keys and values of up to 4096 tokens.\n\
-         `planagent bench MODEL` measures the time of a planning call;\n\
-         `planagent models show MODEL` has more.",
-    );
+    for line in printer.line_width().wrapped(NOTE) {
+        printer.note(line);
+    }
     Ok(Exit::Success)
 }
 
-/// The line of a model.
-fn row_line(row: &Row) -> String {
-    let unknown = || "-".to_owned();
-    let weights = |format: WeightFormat| {
-        row.memory
-            .get(format.name())
-            .map(|need| rounded(need.weights as f64 / GIB))
-    };
-    let image = row.image_tokens.map(|tokens| tokens.to_string());
-    let cache = row
-        .memory
-        .get(USUAL.name())
-        .map(|need| rounded(need.cache as f64 / GIB));
+/// A row for each model: a star where it is on this machine, its size, license, image tokens, and
+/// memory.
+fn table(rows: &[Row]) -> Table {
+    let headers = ["  model", "size", "license", "image"]
+        .into_iter()
+        .chain(FORMATS.map(WeightFormat::name))
+        .chain(["kv"]);
+    Table::new(headers, 1, rows.iter().map(cells))
+        .with_texts(LICENSE)
+        .with_gap(1)
+}
+
+/// The column of the licenses.
+const LICENSE: usize = 2;
+
+fn cells(row: &Row) -> Vec<String> {
+    let gib = |bytes: u64| rounded(bytes as f64 / GIB);
+    let need = |format: WeightFormat| row.memory.get(format.name());
     // What follows a comma is a remark.
     let license = row
         .license
         .as_deref()
-        .and_then(|license| license.split(',').next())
-        .unwrap_or("-");
-    let [image, cache] = [image, cache].map(|text| text.unwrap_or_else(unknown));
-    let here = if row.place.is_some() { "*" } else { "" };
-    let memory = FORMATS.map(|format| weights(format).unwrap_or_else(unknown));
-    let size = row.size().unwrap_or_else(unknown);
-    line(
-        here,
-        &row.model,
-        &size,
-        license,
-        [&image, &cache],
-        memory.each_ref().map(String::as_str),
-    )
+        .and_then(|license| license.split(',').next());
+    let here = if row.place.is_some() { "*" } else { " " };
+    let memory = FORMATS.map(|format| or_dash(need(format), |need| gib(need.weights)));
+    [
+        format!("{here} {}", row.model),
+        or_dash(row.size(), |size| size),
+        license.unwrap_or("-").to_owned(),
+        or_dash(row.image_tokens, |tokens| tokens.to_string()),
+    ]
+    .into_iter()
+    .chain(memory)
+    .chain([or_dash(need(USUAL), |need| gib(need.cache))])
+    .collect()
 }
 
-/// A line of at most 80 columns, where name and license are not longer than those that ship.
-fn line(
-    here: &str,
-    name: &str,
-    size: &str,
-    license: &str,
-    [image, cache]: [&str; 2],
-    [a, b, c, d]: [&str; 4],
-) -> String {
-    format!(
-        "{here:1} {name:<21} {size:>5} {license:<13} {image:>5} {a:>4} {b:>4} {c:>4} {d:>4} {cache:>4}"
-    )
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planagent_mllm::MemoryNeed;
+    use planagent_runs::report::LineWidth;
+
+    const NEED: MemoryNeed = MemoryNeed {
+        weights: 142 << 30,
+        cache: 17 << 30,
+        work: 0,
+        picture: 0,
+    };
+
+    #[test]
+    fn the_table_fits_every_terminal() {
+        let row = |name: &str| Row {
+            model: name.to_owned(),
+            license: Some("a-research-license, with a remark".to_owned()),
+            parameters: Some(17_640_000_000),
+            image_tokens: Some(2880),
+            memory: FORMATS.map(|format| (format.name(), NEED)).into(),
+            place: Some("here".into()),
+            ..Row::default()
+        };
+        let rows = [
+            row("nano"),
+            row(
+                "a-folder/of-a-model/with-a-name/that-is-longer/than-a-terminal/of-80-columns.gguf",
+            ),
+        ];
+        for columns in [60, 80, 100, 160] {
+            let text = table(&rows).fitted(LineWidth::terminal(columns));
+            let fits = |line: &str| line.chars().count() <= usize::from(columns);
+            assert!(text.lines().all(fits), "wider than {columns}: {text}");
+            assert!(text.contains("* nano") && text.contains("17.6B"), "{text}");
+        }
+    }
 }

@@ -4,9 +4,9 @@ use crate::args::QuantizeArguments;
 use crate::picture::check_output;
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
-use planagent_files::target;
+use planagent_files::WholeFile;
 use planagent_mllm::{CreateFile, GgufPart, LoadReport, MllmError, ModelRegistry, in_bytes};
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -76,39 +76,23 @@ pub(crate) fn write(
     let bar = printer.byte_progress(0);
     let mut written = Vec::new();
     let mut create = |part: GgufPart| -> io::Result<Box<dyn Write>> {
-        let partial = partial(&target(&part.path(out))?);
-        written.push((part, partial.clone()));
-        Ok(Box::new(BufWriter::with_capacity(
-            1 << 20,
-            File::create(&partial)?,
-        )))
+        let file = WholeFile::create(&part.path(out))?;
+        let writer = file.writer()?;
+        written.push((part, file));
+        Ok(Box::new(BufWriter::with_capacity(1 << 20, writer)))
     };
     let exported = export(&mut create, &mut |bytes, total| {
         bar.set_length(total);
         bar.set_position(bytes);
     });
     bar.finish_and_clear();
-    let report = match exported {
-        Ok(report) => report,
-        Err(error) => {
-            // Leftovers could block the next try. The first error is the one to report.
-            for (_, partial) in &written {
-                let _ = fs::remove_file(partial);
-            }
-            return Err(error.into());
-        }
-    };
+    let report = exported?;
     let mut files = Vec::new();
-    for (part, partial) in written {
+    for (part, file) in written {
         let path = part.path(out);
-        fs::rename(&partial, target(&path)?)
+        file.finish()
             .with_context(|| format!("cannot write {}", path.display()))?;
         files.push((fs::metadata(&path)?.len(), path));
     }
     Ok((report, files))
-}
-
-/// Path of a file until it is complete.
-fn partial(path: &Path) -> PathBuf {
-    path.with_extension("gguf.partial")
 }

@@ -13,7 +13,7 @@ use planagent_agent::reasoning::Interruption;
 use planagent_runs::report::render::call_picture;
 use planagent_runs::report::{CallRecord, CallTimes, attempt_markdown, decision_words, fixed};
 use planagent_runs::runner::{Config, load_model};
-use planagent_scenario::{Frame, Scenario, generator};
+use planagent_scenario::{Frame, Scenario};
 use planagent_world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory};
 use serde_json::{Value, json};
 
@@ -80,10 +80,10 @@ pub(crate) fn run(
 /// The one scenario that a word names.
 pub(crate) fn scenario(word: Option<&str>, data: &DataArguments) -> anyhow::Result<Scenario> {
     let words: Vec<String> = word.iter().map(ToString::to_string).collect();
-    let mut sources = match data.modified_or_default(&words)?.first() {
-        Some(word) => data.readers().find(word)?,
-        None => vec![generator::DEFAULT.into()],
-    };
+    let mut sources = Vec::new();
+    for word in data.modified_or_default(&words)? {
+        sources.extend(data.readers().find(&word)?);
+    }
     match (sources.pop(), sources.len()) {
         (Some(source), 0) => Ok(source.open()?),
         (_, more) => bail!(

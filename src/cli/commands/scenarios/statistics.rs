@@ -3,7 +3,7 @@
 use crate::args::{DataArguments, StatisticsArguments};
 use crate::{Exit, Printer};
 use anyhow::{Context, bail};
-use planagent_files::path_of;
+use planagent_files::{path_of, write_whole};
 use planagent_lab::realism::{MeasuredScene, SceneComparison};
 use planagent_lab::report::{realism_figure, realism_table};
 use planagent_runs::worker::split::{SplitError, split};
@@ -41,11 +41,11 @@ pub(super) fn run(arguments: &StatisticsArguments, printer: Printer) -> anyhow::
     let names = [a, b].map(|words| shown(words));
     let names = names.each_ref().map(String::as_str);
     if let Some(file) = figure {
-        std::fs::write(file, realism_figure(&comparison, names))
+        write_whole(file, realism_figure(&comparison, names).as_bytes())
             .with_context(|| format!("cannot write {}", file.display()))?;
         printer.note(format!("figure in {}", file.display()));
     }
-    printer.table(realism_table(&comparison, names));
+    printer.table(realism_table(&comparison, names, printer.line_width()));
     if printer.is_json() {
         let SceneComparison {
             features,

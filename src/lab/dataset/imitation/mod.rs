@@ -13,12 +13,12 @@ mod urban_driver;
 use super::Split;
 use super::scenes::{MIX, SCENARIOS_PER_SEED};
 use super::shard::ShardError;
+use planagent_files::write_whole;
 use planagent_scenario::generator::Spec;
 use planagent_scenario::{Frame, Scenario, ScenarioRef};
 use planagent_world::{EgoState, HISTORY_SAMPLES, History, HistorySample, SceneView};
 use rayon::prelude::*;
 use serde::Serialize;
-use std::fs;
 use std::ops::Range;
 use std::path::Path;
 use tensors::Columns;
@@ -213,9 +213,7 @@ fn write_shard(
         path: path.to_owned(),
         source,
     };
-    let unfinished = path.with_extension("unfinished");
-    fs::write(&unfinished, tensors::serialized(&samples)?).map_err(written)?;
-    fs::rename(&unfinished, path).map_err(written)?;
+    write_whole(path, &tensors::serialized(&samples)?).map_err(written)?;
     Ok(samples.len())
 }
 
@@ -252,6 +250,7 @@ fn samples(planner: ImitationPlanner, log: &Scenario) -> Vec<Columns> {
 mod tests {
     use super::*;
     use planagent_scenario::generator;
+    use std::fs;
 
     #[test]
     fn seeds_stay_in_their_split() {

@@ -3,5 +3,7 @@
 mod figures;
 mod folder;
 
+#[cfg(test)]
+pub(super) use figures::DraftedCall;
 pub use figures::{BenchFigures, Comparison, ModelFigures};
 pub use folder::{BenchFolder, BenchMetadata};

@@ -3,10 +3,21 @@
 use super::*;
 use crate::report::figure::figures;
 use crate::report::{study_markdown, study_table};
-use crate::study::{Figure, Quick, Reported, find};
+use crate::study::{Figure, Quick, Reported, Study, find};
 use planagent_agent::planner::PlannerName;
 use planagent_agent::simulation::Challenge;
-use planagent_runs::report::{MetricScore, SimulationRow};
+use planagent_runs::report::{LineWidth, MetricScore, SimulationRow};
+
+/// Fails if the tables of a study are wider than a terminal.
+fn assert_fits(study: &Study, results: &StudyResults) {
+    for columns in [60, 80, 100, 160] {
+        let table = study_table(study, results, LineWidth::terminal(columns));
+        let wide = table
+            .lines()
+            .find(|line| line.chars().count() > usize::from(columns));
+        assert!(wide.is_none(), "wider than {columns}: {wide:?}");
+    }
+}
 
 /// A simulation of a scene; without a score it failed.
 fn simulation(scene: usize, challenge: Challenge, score: Option<f64>) -> SimulationRow {
@@ -119,7 +130,8 @@ fn the_tables_read_well_in_80_columns() {
         0,
         &[],
     );
-    let table = study_table(&study, &results);
+    let table = study_table(&study, &results, LineWidth::PIPE);
+    assert_fits(&study, &results);
     assert!(
         table.lines().all(|line| line.chars().count() <= 80),
         "{table}"
@@ -180,7 +192,8 @@ fn a_challenge_that_was_not_simulated_has_no_table_and_an_empty_label_no_name() 
             "planner: pdm-closed"
         ]
     );
-    let table = study_table(&study, &results);
+    let table = study_table(&study, &results, LineWidth::PIPE);
+    assert_fits(&study, &results);
     let one_panel = figures(&study, &results);
     assert!(
         one_panel[0].1.contains("R: reactive agents") && !one_panel[0].1.contains("NR:"),
@@ -253,7 +266,8 @@ fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
         0,
         &[],
     );
-    let table = study_table(&study, &mllm);
+    let table = study_table(&study, &mllm, LineWidth::PIPE);
+    assert_fits(&study, &mllm);
     assert!(
         table.lines().all(|line| line.chars().count() <= 80),
         "{table}"
@@ -278,7 +292,8 @@ fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
         0,
         &[],
     );
-    let table = study_table(&study, &types);
+    let table = study_table(&study, &types, LineWidth::PIPE);
+    assert_fits(&study, &types);
     assert!(table.contains("\nchanging_lane\n"), "{table}");
     assert!(table.lines().any(|line| {
         line.split_whitespace()
@@ -410,7 +425,8 @@ fn recordings_are_drawn_together_and_have_a_row_each() {
         text.contains("bootstrap over recordings") && text.contains("| b | 3 | 50.00 | 100.00 |"),
         "{text}"
     );
-    let table = study_table(&study, &results);
+    let table = study_table(&study, &results, LineWidth::PIPE);
+    assert_fits(&study, &results);
     assert!(
         table.lines().all(|line| line.chars().count() <= 80),
         "{table}"
@@ -463,7 +479,8 @@ fn orders_are_compared_with_reported_ones_where_planners_were_simulated() {
         "{text}"
     );
     assert!(text.contains("Test14-random in PlanTF's README"), "{text}");
-    let table = study_table(&study, &results);
+    let table = study_table(&study, &results, LineWidth::PIPE);
+    assert_fits(&study, &results);
     assert!(
         table.lines().all(|line| line.chars().count() <= 80),
         "{table}"

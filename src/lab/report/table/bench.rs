@@ -2,8 +2,7 @@
 
 use crate::bench::EngineName;
 use crate::report::{BenchFigures, Comparison, ModelFigures};
-use planagent_runs::report::table::terminal::COLUMNS;
-use planagent_runs::report::table::{Table, fill, or_dash, three_digits, weights};
+use planagent_runs::report::table::{LineWidth, Table, or_dash, three_digits, weights};
 use planagent_runs::report::{markdown_block, markdown_line};
 use std::fmt::Write as _;
 
@@ -99,34 +98,32 @@ fn has_drafts(figures: &BenchFigures) -> bool {
 }
 
 /// The tables for a terminal.
-pub fn bench_table(figures: &BenchFigures) -> String {
+pub fn bench_table(figures: &BenchFigures, width: LineWidth) -> String {
     let mut parts = Vec::new();
     if !figures.models.is_empty() {
         parts.extend(
             [&LOADED[..], &COST]
-                .map(|columns| models(figures, columns, |c| c.header.to_owned()).terminal()),
+                .map(|columns| models(figures, columns, |c| c.header.to_owned()).fitted(width)),
         );
         let meanings = LOADED
             .iter()
             .chain(&COST)
             .map(|column| format!("{} = {}", column.header, column.meaning));
-        parts.push(fill(meanings, COLUMNS).join("\n"));
+        parts.push(width.listed(meanings).join("\n"));
     }
     if has_drafts(figures) {
-        parts.push(models(figures, &DRAFTED_COST, |c| c.header.to_owned()).terminal());
+        parts.push(models(figures, &DRAFTED_COST, |c| c.header.to_owned()).fitted(width));
         let meanings = DRAFTED_COST
             .iter()
             .map(|column| format!("{} = {}", column.header, column.meaning));
-        parts.push(fill(meanings, COLUMNS).join("\n"));
+        parts.push(width.listed(meanings).join("\n"));
     }
     if !figures.comparisons.is_empty() {
-        parts.push(comparisons(figures).terminal());
-        parts.push(format!(
-            "ratio = speed of planagent / speed of llama.cpp  {}",
-            other_engine(figures)
-        ));
+        parts.push(comparisons(figures).fitted(width));
+        let ratio = "ratio = speed of planagent / speed of llama.cpp".to_owned();
+        parts.push(width.listed([ratio, other_engine(figures)]).join("\n"));
     }
-    parts.extend(failed(figures));
+    parts.extend(failed(figures).map(|line| width.wrapped(&line).join("\n")));
     parts.join("\n\n")
 }
 
@@ -241,5 +238,76 @@ fn memory(bytes: u64) -> String {
         format!("{:.0} MiB", bytes / MEBI)
     } else {
         format!("{:.2} GiB", bytes / GIBI)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::protocol::Loaded;
+    use crate::bench::{Layout, ModelRow};
+    use crate::report::DraftedCall;
+    use planagent_runs::report::{Quantiles, Spread};
+
+    #[test]
+    fn the_tables_fit_every_terminal() {
+        let loaded = Loaded {
+            parameters: 17_640_000_000,
+            weight_format: "q4_k".to_owned(),
+            image_side: 672,
+            image_tokens: 2880,
+            context: 4096,
+            layout: Layout::PrefixFirst,
+            load_s: 120.5,
+            version: "0.3.16".to_owned(),
+        };
+        let name = "a-folder/of-a-model/with-a-name/that-is-longer/than-60-columns.gguf, brief";
+        let model = |engine| ModelFigures {
+            about: ModelRow {
+                model: name.to_owned(),
+                engine,
+                loaded: loaded.clone(),
+                prompt_tokens: 1234,
+                peak_memory: Some(17 << 30),
+            },
+            calls: 5,
+            image_encode_ms: Some(12_345.0),
+            prefill_tokens_per_s: Some(123.0),
+            first_token_ms: Some(23_456.0),
+            decode_tokens_per_s: Some(12.3),
+            call_ms: Some(Quantiles {
+                p50: 123_456.0,
+                p95: 234_567.0,
+            }),
+            drafted_calls: vec![DraftedCall {
+                acceptance: 0.25,
+                ms: 123_456.0,
+            }],
+        };
+        let ratio = Spread {
+            median: 1.0,
+            min: 0.5,
+            max: 10.0,
+        };
+        let figures = BenchFigures {
+            models: vec![model(EngineName::PlanAgent), model(EngineName::LlamaCpp)],
+            comparisons: vec![Comparison {
+                model: name.to_owned(),
+                what: "prefill of 1024 tokens".to_owned(),
+                unit: "tok/s",
+                ours: 123.0,
+                theirs: 124.0,
+                ratio,
+            }],
+            failed: vec![(
+                name.to_owned(),
+                "it needs more memory than is free".repeat(4),
+            )],
+        };
+        for columns in [60, 80, 100, 160] {
+            let text = bench_table(&figures, LineWidth::terminal(columns));
+            let fits = |line: &str| line.chars().count() <= usize::from(columns);
+            assert!(text.lines().all(fits), "wider than {columns}: {text}");
+        }
     }
 }

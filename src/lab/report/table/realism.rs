@@ -1,18 +1,20 @@
 //! The table of two sets of scenes.
 
 use crate::realism::{Distribution, FOLDS, SceneComparison};
-use planagent_runs::report::table::terminal::wrapped;
-use planagent_runs::report::table::{Table, or_dash, signed};
+use planagent_runs::report::table::{LineWidth, Table, or_dash, signed};
 use planagent_runs::report::{fixed, visible_line};
 
 /// Mean and standard deviation of each feature in both sets, and what tells them apart. `names` are
 /// those of the sets.
-pub fn realism_table(comparison: &SceneComparison, names: [&str; 2]) -> String {
+pub fn realism_table(comparison: &SceneComparison, names: [&str; 2], width: LineWidth) -> String {
     let [a, b] = &comparison.scenes;
     let counts = [a.len(), b.len()];
     let heads = ["A", "B"].iter().zip(names).zip(counts);
     let heads: Vec<String> = heads
-        .map(|((side, name), count)| format!("{side} = {}, {count} scenes", visible_line(name)))
+        .flat_map(|((side, name), count)| {
+            let name = visible_line(name);
+            width.name(&format!("{side} = {name}, {count} scenes"))
+        })
         .collect();
     let rows = comparison.features.iter().map(|one| {
         let name = match one.feature.unit {
@@ -28,8 +30,8 @@ pub fn realism_table(comparison: &SceneComparison, names: [&str; 2]) -> String {
             or_dash(one.coefficient, signed),
         ]
     });
-    let table = Table::new(["feature", "A", "B", "A - B", "weight"], 1, rows).terminal();
-    [heads.join("\n"), table, notes(comparison)].join("\n\n")
+    let table = Table::new(["feature", "A", "B", "A - B", "weight"], 1, rows).fitted(width);
+    [heads.join("\n"), table, notes(comparison, width)].join("\n\n")
 }
 
 /// Mean and standard deviation, with equal decimals on both sides.
@@ -54,7 +56,7 @@ fn cells(sets: [Option<Distribution>; 2]) -> [String; 2] {
     })
 }
 
-fn notes(comparison: &SceneComparison) -> String {
+fn notes(comparison: &SceneComparison, width: LineWidth) -> String {
     let told = comparison.classifier.as_ref().map_or_else(
         || format!("Fewer than {FOLDS} recordings on a side: no classifier."),
         |found| {
@@ -73,7 +75,24 @@ fn notes(comparison: &SceneComparison) -> String {
          Classifier: logistic regression, {FOLDS}-fold cross-validation; weight: its coefficient by standard deviation, positive \
          for A. The interval is a bootstrap over recordings."
     );
-    [wrapped(&told), wrapped(&meaning)]
+    [width.wrapped(&told), width.wrapped(&meaning)]
         .map(|lines| lines.join("\n"))
         .join("\n\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_fits_every_terminal() {
+        let comparison = SceneComparison::from_sets(Vec::new(), Vec::new());
+        let long =
+            "a/folder/of/recordings/with/a/name/that/is/longer/than/a/terminal/of/80/columns";
+        for columns in [60, 80, 100, 160] {
+            let text = realism_table(&comparison, ["A", long], LineWidth::terminal(columns));
+            let fits = |line: &str| line.chars().count() <= usize::from(columns);
+            assert!(text.lines().all(fits), "wider than {columns}: {text}");
+        }
+    }
 }

@@ -5,15 +5,17 @@ use crate::report::figure::AGREEMENT;
 use crate::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
 use crate::study::{Column, Rows, Study, Variant};
 use planagent_agent::simulation::Challenge;
-use planagent_runs::report::table::terminal::wrapped;
-use planagent_runs::report::table::{Table, or_dash, short, signed, three_digits, weights};
+use planagent_runs::report::table::{
+    LineWidth, Table, or_dash, short, signed, three_digits, weights,
+};
 use planagent_runs::report::{fixed, markdown_block, markdown_line, visible, visible_line};
 use planagent_runs::worker::statistics::PairedDifference;
 use std::fmt::Write as _;
 
-/// The tables for a terminal of 80 columns: one for each suite and challenge.
-pub fn study_table(study: &Study, results: &StudyResults) -> String {
-    let mut parts = vec![visible_line(&results.title).into_owned()];
+/// The tables for a terminal: one for each suite and challenge.
+pub fn study_table(study: &Study, results: &StudyResults, width: LineWidth) -> String {
+    let headed = |text: &str| width.wrapped(&visible_line(text)).join("\n");
+    let mut parts = vec![headed(&results.title)];
     for suite in &results.suites {
         let challenges = suite.challenges();
         for &challenge in &challenges {
@@ -23,18 +25,18 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
                 agents(challenge),
                 suite.scenes
             );
-            let table = scores(study, suite, &[challenge], Width::Narrow);
+            let table = scores(study, suite, &[challenge], Layout::Narrow);
             let table = match study.rows {
-                Rows::Variants | Rows::Recordings => table.terminal(),
-                Rows::ScenarioTypes => table.terminal_below_names(),
+                Rows::Variants | Rows::Recordings => table.fitted(width),
+                Rows::ScenarioTypes => table.fitted_below_names(width),
             };
-            parts.push(format!("{heading}\n{table}"));
+            parts.push(format!("{}\n{table}", headed(&heading)));
         }
-        parts.extend(costs(study, suite).map(|table| table.terminal()));
+        parts.extend(costs(study, suite).map(|table| table.fitted(width)));
         if study.rows == Rows::Recordings {
-            parts.push(recordings::calls(study, suite).terminal_below_names());
+            parts.push(recordings::calls(study, suite).fitted_below_names(width));
             parts.extend(challenges.into_iter().map(|challenge| {
-                let table = recordings::recordings(suite, &[challenge]).terminal_below_names();
+                let table = recordings::recordings(suite, &[challenge]).fitted_below_names(width);
                 format!(
                     "{}, {}: each recording\n{table}",
                     visible_line(&suite.name),
@@ -44,11 +46,11 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
         }
     }
     // In a terminal the table of reported scores would be too wide; it stands in results.md.
-    parts.extend(reported::agreement(results).map(|table| table.terminal()));
+    parts.extend(reported::agreement(results).map(|table| table.fitted(width)));
     parts.push(
         notes(study, results)
             .iter()
-            .flat_map(|note| wrapped(&visible(note)))
+            .flat_map(|note| width.wrapped(&visible(note)))
             .collect::<Vec<_>>()
             .join("\n"),
     );
@@ -73,7 +75,7 @@ pub(crate) fn study_markdown(
         let name = markdown_line(&suite.name);
         let _ = writeln!(text, "\n## {name}: {} scenes", suite.scenes);
         let challenges = suite.challenges();
-        let table = scores(study, suite, &challenges, Width::Wide);
+        let table = scores(study, suite, &challenges, Layout::Wide);
         let of_recordings = (study.rows == Rows::Recordings).then(|| {
             [
                 recordings::calls(study, suite),
@@ -111,29 +113,34 @@ pub(crate) fn study_markdown(
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Width {
-    /// A terminal of 80 columns.
+enum Layout {
+    /// A terminal.
     Narrow,
     /// Markdown, of any width.
     Wide,
 }
 
-fn scores(study: &Study, suite: &SuiteResults, challenges: &[Challenge], width: Width) -> Table {
+fn scores(study: &Study, suite: &SuiteResults, challenges: &[Challenge], layout: Layout) -> Table {
     match study.rows {
-        Rows::Variants | Rows::Recordings => variants(study, suite, challenges, width),
-        Rows::ScenarioTypes => scenario_types(suite, challenges, width),
+        Rows::Variants | Rows::Recordings => variants(study, suite, challenges, layout),
+        Rows::ScenarioTypes => scenario_types(suite, challenges, layout),
     }
 }
 
 /// A row for each variant: score, difference with interval, and the paper's values.
-fn variants(study: &Study, suite: &SuiteResults, challenges: &[Challenge], width: Width) -> Table {
+fn variants(
+    study: &Study,
+    suite: &SuiteResults,
+    challenges: &[Challenge],
+    layout: Layout,
+) -> Table {
     let mut headers = study.labels.clone();
     let paper = has_paper(suite);
     for &challenge in challenges {
         headers.extend([short(challenge), "diff", "95 % interval"].map(str::to_owned));
-        match width {
-            Width::Narrow if paper => headers.push("paper".to_owned()),
-            Width::Wide if paper => headers.extend([
+        match layout {
+            Layout::Narrow if paper => headers.push("paper".to_owned()),
+            Layout::Wide if paper => headers.extend([
                 format!("paper {}", short(challenge)),
                 "paper diff".to_owned(),
             ]),
@@ -157,7 +164,7 @@ fn variants(study: &Study, suite: &SuiteResults, challenges: &[Challenge], width
                 cells.extend(difference(result.difference, place == study.reference));
                 cells.extend(paper.then(|| number(result.paper)));
                 cells.extend(
-                    (paper && width == Width::Wide)
+                    (paper && layout == Layout::Wide)
                         .then(|| or_dash(result.paper_difference, signed)),
                 );
             }
@@ -168,12 +175,12 @@ fn variants(study: &Study, suite: &SuiteResults, challenges: &[Challenge], width
 
 /// A row for each scenario type: the scores of all variants, and the difference of the last to the
 /// first.
-fn scenario_types(suite: &SuiteResults, challenges: &[Challenge], width: Width) -> Table {
+fn scenario_types(suite: &SuiteResults, challenges: &[Challenge], layout: Layout) -> Table {
     let names = suite.variants.iter().map(|variant| variant.name.clone());
     let mut headers = vec!["type".to_owned(), "n".to_owned()];
     for &challenge in challenges {
         let named = |name: String| {
-            if width == Width::Wide {
+            if layout == Layout::Wide {
                 format!("{name} {}", short(challenge))
             } else {
                 name

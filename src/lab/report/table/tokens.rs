@@ -2,18 +2,18 @@
 
 use crate::tokens::{TokenMean, TokenTable};
 use planagent_runs::report::fixed;
-use planagent_runs::report::table::{Table, or_dash};
+use planagent_runs::report::table::{LineWidth, Table, or_dash};
 use std::fmt::Write as _;
 
 /// The table for a terminal.
-pub fn token_table(table: &TokenTable) -> String {
+pub fn token_table(table: &TokenTable, width: LineWidth) -> String {
     let model = table.model.as_deref().unwrap_or("model");
     counts(
         table,
         ["description", "cl100k", "p95", model, "p95", "paper"],
         1,
     )
-    .terminal()
+    .fitted(width)
 }
 
 /// The same as Markdown, with the definitions of the descriptions.
@@ -68,6 +68,15 @@ fn counts(table: &TokenTable, headers: [&str; 6], decimals: usize) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_table_fits_every_terminal() {
+        for columns in [60, 80, 100, 160] {
+            let text = token_table(&TokenTable::new(&[], None), LineWidth::terminal(columns));
+            let fits = |line: &str| line.chars().count() <= usize::from(columns);
+            assert!(text.lines().all(fits), "wider than {columns}: {text}");
+        }
+    }
 
     #[test]
     fn missing_counts_are_dashes() {

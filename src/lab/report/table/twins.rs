@@ -2,12 +2,15 @@
 
 use crate::twins::TwinResults;
 use planagent_runs::report::fixed;
-use planagent_runs::report::table::Table;
+use planagent_runs::report::table::{LineWidth, Table};
 use std::fmt::Write as _;
 
 /// The table for a terminal.
-pub fn twin_table(results: &TwinResults) -> String {
-    format!("{}\n{}", rows(results).terminal(), notes(results))
+pub fn twin_table(results: &TwinResults, width: LineWidth) -> String {
+    let notes = notes(results);
+    let notes = notes.lines().flat_map(|note| width.wrapped(note));
+    let notes = notes.collect::<Vec<_>>().join("\n");
+    format!("{}\n{notes}", rows(results).fitted(width))
         .trim_end()
         .to_owned()
 }
@@ -49,4 +52,36 @@ fn notes(results: &TwinResults) -> String {
         let _ = writeln!(text, "{count} pairs do not count: {why}.");
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::twins::TwinRow;
+
+    #[test]
+    fn the_table_fits_every_terminal() {
+        let row = TwinRow {
+            kind: "cross_left_of_the_vehicle".to_owned(),
+            pairs: 1000,
+            both: 100.0,
+            both_interval: [99.9, 100.0],
+            one: 100.0,
+            none: 100.0,
+            same: 100.0,
+            coin: 100.0,
+        };
+        let why = "the prompts of both scenes have different numbers of tokens".repeat(2);
+        let results = TwinResults {
+            list: "twins".to_owned(),
+            blake3: String::new(),
+            dropped: [(why, 3)].into(),
+            rows: vec![row],
+        };
+        for columns in [60, 80, 100, 160] {
+            let text = twin_table(&results, LineWidth::terminal(columns));
+            let fits = |line: &str| line.chars().count() <= usize::from(columns);
+            assert!(text.lines().all(fits), "wider than {columns}: {text}");
+        }
+    }
 }

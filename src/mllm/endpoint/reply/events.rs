@@ -53,6 +53,11 @@ impl<R: BufRead> Events<R> {
         }
     }
 
+    /// The source of the bytes.
+    pub(super) fn bytes(&mut self) -> &mut R {
+        &mut self.body
+    }
+
     /// The next event.
     ///
     /// # Errors

@@ -35,6 +35,11 @@ impl Gathered {
         matches!(self.ending, Some(Ending::Answer(_))) && !self.content.is_empty()
     }
 
+    /// Whether the server named a reason to end.
+    pub(super) fn has_ended(&self) -> bool {
+        self.ending.is_some()
+    }
+
     fn has_text(&self) -> bool {
         !self.content.is_empty() || !self.reasoning.is_empty()
     }

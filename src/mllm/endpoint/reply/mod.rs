@@ -31,6 +31,14 @@ pub(super) struct Listen<'a> {
     pub(super) on_text: &'a mut dyn FnMut(&str),
 }
 
+/// The bytes of a response.
+pub(super) trait Body: Read {
+    /// Told when the answer is complete: what else comes is not worth a long wait.
+    fn hurry(&mut self) {}
+}
+
+impl Body for &[u8] {}
+
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Reply {
     pub(super) content: String,
@@ -46,7 +54,7 @@ pub(super) struct Reply {
 ///
 /// # Errors
 /// When there is no complete answer. One that is complete is kept, whatever follows it.
-pub(super) fn read(body: impl Read, mut listen: Listen<'_>) -> Result<Reply, EndpointFailure> {
+pub(super) fn read(body: impl Body, mut listen: Listen<'_>) -> Result<Reply, EndpointFailure> {
     let mut events = Events::new(BufReader::new(body.take(MAX_BYTES + 1)));
     let mut gathered = Gathered::default();
     loop {
@@ -65,6 +73,9 @@ pub(super) fn read(body: impl Read, mut listen: Listen<'_>) -> Result<Reply, End
         match added {
             Err(_) if gathered.is_complete() => {}
             added => added?,
+        }
+        if gathered.has_ended() {
+            events.bytes().get_mut().get_mut().hurry();
         }
     }
 }

@@ -2,6 +2,8 @@
 
 use super::*;
 
+impl Body for std::io::Repeat {}
+
 fn read_as(
     body: &str,
     whole: bool,
@@ -125,6 +127,8 @@ fn a_complete_answer_is_kept_whatever_its_form() {
 #[test]
 fn a_complete_answer_is_kept_when_the_connection_breaks_after_it() {
     struct Broken;
+    impl Body for std::io::Chain<&[u8], Broken> {}
+
     impl Read for Broken {
         fn read(&mut self, _: &mut [u8]) -> std::io::Result<usize> {
             Err(std::io::Error::other("reset"))

@@ -190,7 +190,7 @@ impl RunEntry {
         Self {
             name: run.name.clone(),
             version: run.manifest.planagent.clone(),
-            started: run.manifest.started.clone(),
+            started: run.manifest.started.to_string(),
             model: run.model().map(str::to_owned),
             planners: run.manifest.planners.clone(),
             seed: run.setting("seed"),

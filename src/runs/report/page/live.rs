@@ -7,14 +7,15 @@ use super::packed_json;
 use super::simulation::{ReplayPart, SimulationParts};
 use super::source::{RunSimulations, names};
 use crate::report::error::{ReportError, ReportFault};
-use crate::report::layout::{BEV, MANIFEST, METRICS, RECORD, REPLAY, SIMULATIONS};
+use crate::report::layout::{BEV, MANIFEST, METRICS, RECORD, REPLAY};
+use crate::report::limits::MAX_RECORD_BYTES;
 use crate::report::manifest::Manifest;
-use crate::report::run_folder::{RunFolder, folders, read_toml};
+use crate::report::run_files::{FileStamp, RunFiles, SimulationFolder, present_folder, read_toml};
+use crate::report::run_folder::RunFolder;
 use crate::report::simulation_row::SimulationRow;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -43,7 +44,7 @@ pub struct LiveState {
     /// Index and statistics as gzip of JSON.
     index: Vec<u8>,
     /// Folders of the simulations with a replay, by serial number.
-    folders: BTreeMap<usize, PathBuf>,
+    folders: BTreeMap<usize, SimulationFolder>,
     simulations: usize,
     planned: usize,
 }
@@ -61,14 +62,12 @@ struct LiveRun {
 /// A simulation that was read, or could not be.
 #[derive(Debug)]
 struct Known {
-    folder: PathBuf,
+    folder: SimulationFolder,
     stamp: FolderStamp,
     serial: usize,
     content: Result<(SimulationRow, SimulationParts), String>,
 }
 
-/// Time of the last change and size of a file; none if it does not exist.
-type FileStamp = Option<(SystemTime, u64)>;
 /// The stamps of record, metrics and replay: they change if the simulation runs again, or if a copy
 /// of its folder goes on.
 type FolderStamp = [FileStamp; 3];
@@ -77,7 +76,7 @@ type FolderStamp = [FileStamp; 3];
 struct Unread {
     run: usize,
     number: usize,
-    folder: PathBuf,
+    folder: SimulationFolder,
     stamp: FolderStamp,
 }
 
@@ -135,6 +134,11 @@ impl LivePage {
     /// The data at the last refresh.
     pub fn state(&self) -> Arc<LiveState> {
         Arc::clone(&self.state)
+    }
+
+    /// Whether a process works on one of the runs.
+    pub(crate) fn is_running(&self) -> bool {
+        self.runs.iter().any(|run| RunFolder::is_running(&run.path))
     }
 
     /// The page without data.
@@ -207,7 +211,7 @@ impl LivePage {
         for (entry, known) in index.simulations.iter_mut().zip(readable()) {
             if entry.absent.is_none() {
                 (entry.replay, entry.map) = (Some(known.serial), Some(known.serial));
-                entry.images = known.folder.join(BEV).is_dir().then_some(known.serial);
+                entry.images = has_pictures(&known.folder).then_some(known.serial);
                 with_replay.insert(known.serial, known.folder.clone());
             }
         }
@@ -232,7 +236,11 @@ impl LivePage {
             index: packed,
             folders: with_replay,
             simulations: parts.len(),
-            planned: self.runs.iter().map(|run| run.manifest.simulations()).sum(),
+            planned: self
+                .runs
+                .iter()
+                .map(|run| run.manifest.simulations())
+                .fold(0, usize::saturating_add),
         });
         Ok(())
     }
@@ -282,8 +290,9 @@ impl LiveState {
 
 impl LiveRun {
     fn open(path: &Path, name: String) -> Result<Self, ReportError> {
-        let manifest_stamp = stamp(&path.join(MANIFEST));
-        let manifest = RunFolder::manifest(path)?;
+        let files = RunFiles::open(path)?;
+        let manifest_stamp = files.manifest_stamp();
+        let manifest = RunFolder::manifest_in(&files)?;
         Ok(Self {
             path: path.to_owned(),
             name,
@@ -295,11 +304,12 @@ impl LiveRun {
 
     /// Reads the manifest if it has changed: another run may take the place of this one.
     fn update_manifest(&mut self) -> Result<bool, ReportError> {
-        let now = stamp(&self.path.join(MANIFEST));
+        let files = RunFiles::open(&self.path)?;
+        let now = files.manifest_stamp();
         if now == self.manifest_stamp {
             return Ok(false);
         }
-        self.manifest = RunFolder::manifest(&self.path)?;
+        self.manifest = RunFolder::manifest_in(&files)?;
         self.manifest_stamp = now;
         Ok(true)
     }
@@ -308,16 +318,18 @@ impl LiveRun {
     /// now. Returns whether some are gone.
     fn list(&mut self, place: usize, unread: &mut Vec<Unread>) -> Result<bool, ReportError> {
         // A run that has just started has no such folder yet.
-        let found = if self.path.join(SIMULATIONS).is_dir() {
-            folders(&self.path)?
-        } else {
-            BTreeMap::new()
+        let files = RunFiles::open(&self.path)?;
+        let found = match files.simulations()? {
+            Some(_) => files.folders()?,
+            None => BTreeMap::new(),
         };
         let before = self.known.len();
         self.known
             .retain(|number, known| found.get(number) == Some(&known.folder));
         for (number, folder) in found {
-            let now = [RECORD, METRICS, REPLAY].map(|name| stamp(&folder.join(name)));
+            // A folder that cannot be opened says why when it is read.
+            let open = folder.open().ok();
+            let now = [RECORD, METRICS, REPLAY].map(|name| open.as_ref()?.stamp(name));
             if self
                 .known
                 .get(&number)
@@ -353,9 +365,13 @@ impl LiveRun {
 }
 
 /// Row, statistics and sketch of a simulation.
-fn read(number: usize, folder: &Path) -> Result<(SimulationRow, SimulationParts), ReportError> {
-    let path = folder.join(RECORD);
-    let row: SimulationRow = read_toml(&path)?;
+fn read(
+    number: usize,
+    folder: &SimulationFolder,
+) -> Result<(SimulationRow, SimulationParts), ReportError> {
+    let open = folder.open()?;
+    let path = open.path_of(RECORD);
+    let row: SimulationRow = read_toml(&open, RECORD, MAX_RECORD_BYTES)?;
     if row.number != number {
         let (found, expected) = (row.identity(), format!("simulation {number}"));
         return Err(ReportError::at(&path)(ReportFault::WrongRecord {
@@ -367,7 +383,9 @@ fn read(number: usize, folder: &Path) -> Result<(SimulationRow, SimulationParts)
     Ok((row, parts))
 }
 
-fn stamp(path: &Path) -> FileStamp {
-    let metadata = fs::metadata(path).ok()?;
-    Some((metadata.modified().ok()?, metadata.len()))
+fn has_pictures(folder: &SimulationFolder) -> bool {
+    folder
+        .open()
+        .and_then(|open| present_folder(&open, BEV))
+        .is_ok_and(|pictures| pictures.is_some())
 }

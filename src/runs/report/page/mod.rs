@@ -16,6 +16,8 @@ pub use live::{LivePage, LiveState};
 use super::atomic;
 use super::error::{ReportError, ReportFault};
 use super::replay::packed;
+use super::run_files::RunFiles;
+use super::run_folder::write_in;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use index::{Absent, Index};
@@ -71,15 +73,18 @@ pub struct PageContents {
     pub unread: Vec<String>,
 }
 
-/// Writes a page of one or more runs to `out`. Calls `on_simulation(done, all)` after it has read a
-/// simulation.
+/// Writes a page of one or more runs to `out`, or, without it, as [`PAGE`] into the folder of the
+/// first; a link of that name is replaced, because a run may come from elsewhere. Calls
+/// `on_simulation(done, all)` after it has read a simulation.
 pub fn write(
     folders: &[PathBuf],
-    out: &Path,
+    out: Option<&Path>,
     settings: &PageSettings,
     on_simulation: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<PageContents, ReportError> {
     let (runs, damaged) = RunSimulations::read_all(folders)?;
+    let page_of_first = || folders.first().map_or(PAGE.into(), |run| run.join(PAGE));
+    let place = &out.map_or_else(page_of_first, Path::to_owned);
     let wanted = |scenario: &str| {
         settings
             .scenario
@@ -94,7 +99,7 @@ pub fn write(
     if let Some(part) = &settings.scenario
         && !scenarios().any(wanted)
     {
-        let place = folders.first().map_or(out, PathBuf::as_path);
+        let place = folders.first().unwrap_or(place);
         let known: BTreeSet<&str> = scenarios().collect();
         let known = known.into_iter().map(str::to_owned).collect();
         return Err(ReportError::at(place)(ReportFault::NoScenario {
@@ -123,17 +128,20 @@ pub fn write(
         .collect();
     let (parts, unread): (Vec<_>, Vec<_>) = read.into_iter().unzip();
     let mut index = Index::from_runs(&runs, &parts, wanted);
-    let data = data(out, &mut index, &parts, settings.max_bytes)?;
+    let data = data(place, &mut index, &parts, settings.max_bytes)?;
     let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
     let page = assets::page(&format!("PlanAgent: {}", names.join(", ")), &data);
-    atomic::write(out, page.as_bytes())?;
+    match (out, folders.first()) {
+        (None, Some(run)) => write_in(RunFiles::open(run)?.root(), PAGE, page.as_bytes())?,
+        _ => atomic::write(place, page.as_bytes())?,
+    }
     let without_replay = index
         .simulations
         .iter()
         .filter(|simulation| simulation.absent == Some(Absent::Run))
         .count();
     Ok(PageContents {
-        page: out.to_owned(),
+        page: place.clone(),
         bytes: page.len(),
         simulations: all,
         replays: index.replays,

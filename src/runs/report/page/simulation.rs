@@ -5,17 +5,19 @@ use super::{packed_json, text_of};
 use crate::report::call_record::{CallRecord, calls_in};
 use crate::report::error::ReportError;
 use crate::report::key::{CompactParts, KeyTable};
-use crate::report::layout::bev_name;
+use crate::report::layout::{BEV, bev_name};
+use crate::report::limits::MAX_IMAGE_BYTES;
+use crate::report::picture::is_picture;
 use crate::report::replay::{Replay, Sketch};
+use crate::report::run_files::{SimulationFolder, present_folder, read_present};
 use crate::report::simulation_folder;
 use crate::report::simulation_row::SimulationRow;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use planagent_files::OpenFolder;
 use planagent_score::metrics::{MetricResult, Statistic};
 use serde::Serialize;
 use serde_json::{Map, Value};
-use std::fs;
-use std::path::Path;
 
 /// The parts of a simulation.
 #[derive(Debug, Clone)]
@@ -83,13 +85,14 @@ impl SimulationParts {
 
     /// Reads the folder of a simulation, with its replay if `wants_replay`.
     pub(super) fn read(
-        folder: &Path,
+        folder: &SimulationFolder,
         row: &SimulationRow,
         wants_replay: bool,
     ) -> Result<Self, ReportError> {
         if row.error.is_some() {
             return Ok(Self::none());
         }
+        let folder = &folder.open()?;
         let metrics = simulation_folder::metrics(folder)?;
         let replay = Replay::read(folder)?;
         let sketch = replay.as_ref().map(Replay::sketch);
@@ -115,16 +118,18 @@ impl SimulationParts {
 impl ReplayPart {
     /// The part of the replay in the folder of a simulation, as gzip of JSON; none if the run has
     /// no replay.
-    pub(super) fn read(self, folder: &Path) -> Result<Option<Vec<u8>>, ReportError> {
+    pub(super) fn read(self, folder: &SimulationFolder) -> Result<Option<Vec<u8>>, ReportError> {
+        let folder = &folder.open()?;
+        let place = folder.path();
         if self == Self::Images {
-            return packed_json(folder, &images(folder, &calls_in(folder)?)?).map(Some);
+            return packed_json(place, &images(folder, &calls_in(folder)?)?).map(Some);
         }
         let Some(mut replay) = Replay::read(folder)? else {
             return Ok(None);
         };
         let map = replay.take_map();
         if self == Self::Map {
-            return packed_json(folder, &map).map(Some);
+            return packed_json(place, &map).map(Some);
         }
         simulation(
             folder,
@@ -137,18 +142,18 @@ impl ReplayPart {
 }
 
 fn packed(
-    folder: &Path,
+    folder: &OpenFolder,
     mut replay: Replay,
     metrics: &[MetricResult],
 ) -> Result<PackedReplay, ReportError> {
-    let map = text_of(&packed_json(folder, &replay.take_map())?);
+    let map = text_of(&packed_json(folder.path(), &replay.take_map())?);
     let calls = calls_in(folder)?;
     let images = images(folder, &calls)?;
     let simulation = text_of(&simulation(folder, &replay, &calls, metrics)?);
     let images = if images.is_empty() {
         None
     } else {
-        Some(text_of(&packed_json(folder, &images)?))
+        Some(text_of(&packed_json(folder.path(), &images)?))
     };
     Ok(PackedReplay {
         simulation,
@@ -159,7 +164,7 @@ fn packed(
 
 /// [`ReplayPart::Simulation`] of a replay without its map.
 fn simulation(
-    folder: &Path,
+    folder: &OpenFolder,
     replay: &Replay,
     calls: &[CallRecord],
     metrics: &[MetricResult],
@@ -167,7 +172,7 @@ fn simulation(
     let series = metrics.iter().filter_map(Series::from_metric).collect();
     let key = CompactParts::seen_in(calls).tables();
     packed_json(
-        folder,
+        folder.path(),
         &SimulationReplay {
             replay,
             calls,
@@ -210,13 +215,15 @@ pub(super) fn four_digits(value: f64) -> Option<f64> {
     }
 }
 
-/// The images of the calls as base64, by iteration.
-fn images(folder: &Path, calls: &[CallRecord]) -> Result<Map<String, Value>, ReportError> {
+/// The images of the calls as base64, by iteration. What is no picture is left out.
+fn images(folder: &OpenFolder, calls: &[CallRecord]) -> Result<Map<String, Value>, ReportError> {
     let mut images = Map::new();
+    let Some(pictures) = present_folder(folder, BEV)? else {
+        return Ok(images);
+    };
     for iteration in calls.iter().map(|call| call.iteration) {
-        let path = folder.join(bev_name(iteration));
-        if path.is_file() {
-            let bytes = fs::read(&path).map_err(ReportError::read(&path))?;
+        let bytes = read_present(&pictures, &bev_name(iteration), MAX_IMAGE_BYTES)?;
+        if let Some(bytes) = bytes.filter(|bytes| is_picture(bytes)) {
             images.insert(iteration.to_string(), STANDARD.encode(bytes).into());
         }
     }

@@ -2,7 +2,8 @@
 
 use crate::report::error::{ReportError, ReportFault};
 use crate::report::manifest::Manifest;
-use crate::report::run_folder::{CompletedSimulations, RunFolder, folders};
+use crate::report::run_files::{RunFiles, SimulationFolder};
+use crate::report::run_folder::{CompletedSimulations, RunFolder};
 use crate::report::simulation_row::SimulationRow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,7 +17,7 @@ pub(super) struct RunSimulations {
     /// Its simulations by number.
     pub(super) rows: Vec<SimulationRow>,
     /// Their folders by number.
-    pub(super) folders: BTreeMap<usize, PathBuf>,
+    pub(super) folders: BTreeMap<usize, SimulationFolder>,
 }
 
 impl RunSimulations {
@@ -36,10 +37,11 @@ impl RunSimulations {
         name: String,
         all_damaged: &mut Vec<PathBuf>,
     ) -> Result<Self, ReportError> {
-        let manifest = RunFolder::manifest(path)?;
-        let CompletedSimulations { mut rows, damaged } = RunFolder::read_completed(path)?;
+        let files = RunFiles::open(path)?;
+        let manifest = RunFolder::manifest_in(&files)?;
+        let CompletedSimulations { mut rows, damaged } = RunFolder::completed_in(&files)?;
         all_damaged.extend(damaged);
-        let folders = folders(path)?;
+        let folders = files.folders()?;
         // Another process may discard a simulation at this moment.
         rows.retain(|row| folders.contains_key(&row.number));
         if rows.is_empty() {

@@ -3,9 +3,9 @@
 
 use super::table::{Column, Columns, TableWriter};
 use crate::report::ReportError;
+use planagent_files::OpenFolder;
 use planagent_score::metrics::{AggregateRow, MetricList};
 use std::collections::BTreeSet;
-use std::path::Path;
 
 /// nuPlan's name of its only aggregation.
 const AGGREGATOR_TYPE: &str = "weighted_average";
@@ -14,11 +14,12 @@ const AGGREGATOR_TYPE: &str = "weighted_average";
 /// name, the score last. A failed simulation has no row; if all failed, the table has its columns
 /// and no row, so that readers still work.
 pub(in crate::report) fn write_aggregator(
-    path: &Path,
+    folder: &OpenFolder,
+    name: &str,
     rows: &[AggregateRow],
     list: MetricList,
 ) -> Result<(), ReportError> {
-    TableWriter::begin(path, columns(rows, list))?.finish()
+    TableWriter::begin(folder, name, columns(rows, list))?.finish()
 }
 
 fn columns(rows: &[AggregateRow], list: MetricList) -> Columns {

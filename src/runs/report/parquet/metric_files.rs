@@ -1,10 +1,11 @@
 //! `metrics/METRIC.parquet`: a file for each metric, with a row for each simulation.
 
 use super::table::{Column, Columns, TableWriter};
+use crate::report::file_names::NamePart;
 use crate::report::{ReportError, SimulationRow};
+use planagent_files::OpenFolder;
 use planagent_score::metrics::{MetricResult, ScoreUnit, Statistic, StatisticKind};
 use std::collections::BTreeMap;
-use std::path::Path;
 
 /// Simulations in memory at a time.
 const BATCH: usize = 256;
@@ -57,7 +58,7 @@ type Row<'a> = (&'a SimulationRow, MetricResult);
 
 /// Writes the files in two passes over the simulations: one for the columns, one for the values.
 pub(in crate::report) fn write_metric_files<'a>(
-    folder: &Path,
+    folder: &OpenFolder,
     simulations: impl Iterator<Item = Result<(&'a SimulationRow, Vec<MetricResult>), ReportError>>
     + Clone,
 ) -> Result<(), ReportError> {
@@ -109,7 +110,7 @@ struct MetricTable<'a> {
 }
 
 impl MetricTable<'_> {
-    fn flush(&mut self, folder: &Path, name: &str) -> Result<(), ReportError> {
+    fn flush(&mut self, folder: &OpenFolder, name: &str) -> Result<(), ReportError> {
         if self.waiting.is_empty() {
             return Ok(());
         }
@@ -118,10 +119,9 @@ impl MetricTable<'_> {
         if let Some(writer) = &mut self.writer {
             writer.append(columns)
         } else {
-            self.writer = Some(TableWriter::begin(
-                &folder.join(format!("{name}.parquet")),
-                columns,
-            )?);
+            let name = NamePart::parse(name).map_err(ReportError::at(folder.path()))?;
+            let file = format!("{name}.parquet");
+            self.writer = Some(TableWriter::begin(folder, &file, columns)?);
             Ok(())
         }
     }

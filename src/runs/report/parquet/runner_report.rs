@@ -2,15 +2,18 @@
 
 use super::table::{Column, Columns, TableWriter};
 use crate::report::{ReportError, SimulationRow, Spread};
-use std::path::Path;
+use planagent_files::OpenFolder;
+
+/// Name of the table.
+const RUNNER_REPORT: &str = "runner_report.parquet";
 
 /// Writes the table with the columns of the devkit's `save_runner_reports`. Times are in seconds,
 /// `start_time` and `end_time` since 1970.
 pub(in crate::report) fn write_runner_report(
-    path: &Path,
+    folder: &OpenFolder,
     rows: &[&SimulationRow],
 ) -> Result<(), ReportError> {
-    TableWriter::begin(path, columns(rows))?.finish()
+    TableWriter::begin(folder, RUNNER_REPORT, columns(rows))?.finish()
 }
 
 fn columns(rows: &[&SimulationRow]) -> Columns {

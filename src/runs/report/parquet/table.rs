@@ -1,7 +1,6 @@
 //! Parquet tables, written batch by batch.
 
 use crate::report::ReportError;
-use crate::report::atomic;
 use arrow_array::types::{Float64Type, Int64Type};
 use arrow_array::{
     ArrayRef, ArrowPrimitiveType, BooleanArray, Float64Array, Int64Array, ListArray, NullArray,
@@ -12,8 +11,8 @@ use parquet::arrow::ArrowWriter;
 use parquet::basic::Compression;
 use parquet::errors::ParquetError;
 use parquet::file::properties::WriterProperties;
-use std::fs::{self, File};
-use std::path::{Path, PathBuf};
+use planagent_files::{OpenFolder, WholeFile};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Values of a column; a missing one is null.
@@ -73,27 +72,31 @@ pub(super) type Columns = Vec<(String, Column)>;
 pub(super) struct TableWriter {
     path: PathBuf,
     schema: Arc<Schema>,
-    writer: ArrowWriter<File>,
+    writer: ArrowWriter<WholeFile>,
 }
 
 impl TableWriter {
     /// Begins a file with its first batch.
-    pub(super) fn begin(path: &Path, first: Columns) -> Result<Self, ReportError> {
+    pub(super) fn begin(
+        folder: &OpenFolder,
+        name: &str,
+        first: Columns,
+    ) -> Result<Self, ReportError> {
+        let path = folder.path_of(name);
         let (names, arrays): (Vec<String>, Vec<ArrayRef>) = arrays(first).unzip();
         let fields = names.into_iter().zip(&arrays);
         let fields: Vec<Field> = fields
             .map(|(name, array)| Field::new(name, array.data_type().clone(), true))
             .collect();
         let schema = Arc::new(Schema::new(fields));
-        let temporary = atomic::unfinished(path);
-        let file = File::create(&temporary).map_err(ReportError::write(&temporary))?;
+        let file = WholeFile::create_in(folder, name).map_err(ReportError::write(&path))?;
         let properties = WriterProperties::builder()
             .set_compression(Compression::SNAPPY)
             .build();
         let writer = ArrowWriter::try_new(file, Arc::clone(&schema), Some(properties))
-            .map_err(ReportError::at(path))?;
+            .map_err(ReportError::at(&path))?;
         let mut table = Self {
-            path: path.to_owned(),
+            path,
             schema,
             writer,
         };
@@ -116,9 +119,11 @@ impl TableWriter {
     }
 
     pub(super) fn finish(self) -> Result<(), ReportError> {
-        self.writer.close().map_err(ReportError::at(&self.path))?;
-        fs::rename(atomic::unfinished(&self.path), &self.path)
-            .map_err(ReportError::write(&self.path))
+        let file = self
+            .writer
+            .into_inner()
+            .map_err(ReportError::at(&self.path))?;
+        file.finish().map_err(ReportError::write(&self.path))
     }
 }
 

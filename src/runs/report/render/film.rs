@@ -8,6 +8,7 @@ use crate::report::atomic;
 use gif::{Encoder, Repeat};
 use image::RgbImage;
 use planagent_child::BoundChild;
+use planagent_files::WholeFile;
 use planagent_world::STEP_S;
 use rayon::prelude::*;
 use std::io::{Read, Write};
@@ -69,6 +70,8 @@ pub fn write_mp4(
     let (width, height) = film.frame(0).dimensions();
     let size = format!("{width}x{height}");
     let rate = frames_per_s.to_string();
+    // What ffmpeg leaves when it is interrupted is a valid film of a part.
+    let file = WholeFile::create(path).map_err(ReportError::write(path))?;
     let mut command = Command::new("ffmpeg");
     command.args([
         "-loglevel",
@@ -96,7 +99,7 @@ pub fn write_mp4(
         "mp4",
     ]);
     command
-        .arg(path)
+        .arg(std::path::absolute(file.temporary_path()).map_err(ReportError::write(path))?)
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .stderr(Stdio::piped());
@@ -123,7 +126,7 @@ pub fn write_mp4(
     }
     let ended = ffmpeg.wait().map_err(ReportError::write(path))?;
     if ended.success() {
-        return Ok(());
+        return Ok(file.finish().map_err(ReportError::write(path))?);
     }
     Err(RenderError::output(path)(OutputFault::Ffmpeg(
         message.trim().to_owned(),

@@ -1,11 +1,12 @@
 //! Finds simulations of a run by the words of the command line.
 
 use super::error::RenderError;
-use crate::report::run_folder::{RunFolder, folders};
+use crate::report::run_files::{RunFiles, SimulationFolder};
+use crate::report::run_folder::RunFolder;
 use crate::report::simulation_row::SimulationRow;
 use planagent_agent::simulation::Challenge;
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Maximum number of simulations in an error.
 const MAX_LISTED: usize = 10;
@@ -23,10 +24,15 @@ pub struct SimulationChoice {
 
 impl SimulationChoice {
     /// The row and the folder of the simulation.
-    pub(super) fn find(&self, run: &Path) -> Result<(SimulationRow, PathBuf), RenderError> {
+    pub(super) fn find(
+        &self,
+        run: &Path,
+    ) -> Result<(SimulationRow, SimulationFolder), RenderError> {
+        let files = RunFiles::open(run)?;
         // The error for a folder without a run is clearer than that for a missing simulation.
-        RunFolder::manifest(run)?;
-        let mut rows = named(&RunFolder::read_completed(run)?.rows, &self.simulation, run)?;
+        RunFolder::manifest_in(&files)?;
+        let completed = RunFolder::completed_in(&files)?;
+        let mut rows = named(&completed.rows, &self.simulation, run)?;
         rows.retain(|row| {
             self.planner
                 .as_ref()
@@ -36,7 +42,8 @@ impl SimulationChoice {
             self.challenge
                 .is_none_or(|challenge| row.challenge == challenge)
         });
-        let folder = |row: &SimulationRow| Ok::<_, RenderError>(folders(run)?.remove(&row.number));
+        let folder =
+            |row: &SimulationRow| Ok::<_, RenderError>(files.folders()?.remove(&row.number));
         match rows.as_slice() {
             [row] => match folder(row)? {
                 Some(folder) => Ok((row.clone(), folder)),

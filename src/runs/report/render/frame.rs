@@ -56,9 +56,10 @@ impl Film {
         let (row, folder) = choice.find(run)?;
         // The limits of a picture are those of the model's.
         BevView::new(look.pixels, look.meters)?;
-        let replay = Replay::read(&folder)?.ok_or_else(|| RenderError::NoReplay(words(&row)))?;
+        let folder = &folder.open()?;
+        let replay = Replay::read(folder)?.ok_or_else(|| RenderError::NoReplay(words(&row)))?;
         let simulation = ReplayedSimulation::new(&replay);
-        let calls = calls_in(&folder)?;
+        let calls = calls_in(folder)?;
         let layout = Layout::for_look(look);
         let legend = Legend::new(&[], layout.letters, layout.width());
         let mut film = Self {

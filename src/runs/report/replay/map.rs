@@ -1,6 +1,8 @@
 //! The map along a simulation.
 
 use super::deltas::Points;
+use crate::report::bounded::at_most;
+use crate::report::limits::MAX_OBJECTS;
 use planagent_world::geometry::{Bounds, Point, Polygon, simplified};
 use planagent_world::{LaneId, LaneKind, LaneMap, Route};
 use serde::{Deserialize, Serialize};
@@ -12,10 +14,14 @@ const DETAIL_M: f64 = 0.05;
 /// The map along a simulation: lanes, other drivable areas, crosswalks, stop lines.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub(in crate::report) struct ReplayMap {
+    #[serde(deserialize_with = "at_most::<_, _, MAX_OBJECTS>")]
     lanes: Vec<ReplayLane>,
     /// Rings of each area, the outer one first.
+    #[serde(deserialize_with = "at_most::<_, _, MAX_OBJECTS>")]
     drivable: Vec<Vec<Points>>,
+    #[serde(deserialize_with = "at_most::<_, _, MAX_OBJECTS>")]
     crosswalks: Vec<Points>,
+    #[serde(deserialize_with = "at_most::<_, _, MAX_OBJECTS>")]
     stop_lines: Vec<Points>,
 }
 

@@ -76,6 +76,8 @@ struct Followed {
 #[derive(Debug, Clone)]
 struct Seen {
     state: Arc<LiveState>,
+    /// Whether a process works on them.
+    running: bool,
     /// Why the runs cannot be read any more.
     problem: Option<String>,
 }
@@ -92,6 +94,7 @@ impl Server {
         let address = listener.local_addr().map_err(failed)?;
         let seen = Seen {
             state: page.state(),
+            running: page.is_running(),
             problem: None,
         };
         let shared = Arc::new(Shared {
@@ -194,10 +197,15 @@ impl Shared {
         match request.path() {
             "/" => Response::page(&self.html),
             "/data/version" => {
-                let Seen { state, problem } = self.look();
+                let Seen {
+                    state,
+                    running,
+                    problem,
+                } = self.look();
                 let (done, planned) = state.counts();
                 let version = json!({
-                    "version": state.version(), "simulations": done, "planned": planned, "problem": problem,
+                    "version": state.version(), "simulations": done, "planned": planned,
+                    "running": running, "problem": problem,
                 });
                 Response::data(Content::Plain(version.to_string().into_bytes()))
             }
@@ -224,16 +232,18 @@ impl Shared {
         let begun = Instant::now();
         if begun >= followed.next {
             let refreshed = followed.page.refresh();
+            let running = followed.page.is_running();
             followed.next = Instant::now() + REFRESH.max(begun.elapsed() * REST);
             let mut seen = self.seen();
             match refreshed {
                 Ok(state) => {
                     *seen = Seen {
                         state,
+                        running,
                         problem: None,
                     }
                 }
-                Err(error) => seen.problem = Some(error.to_string()),
+                Err(error) => (seen.running, seen.problem) = (running, Some(error.to_string())),
             }
         }
         self.seen().clone()

@@ -1,5 +1,6 @@
 //! Mean scores of the planners, over all scenarios and by scenario type.
 
+use super::terminal::{GAP, LineWidth, broken};
 use super::{Table, measurements, or_dash, percent, short};
 use crate::report::summary::{Aggregate, Summary};
 use crate::report::timing::PlannerTiming;
@@ -10,18 +11,11 @@ use planagent_score::metrics::distinct;
 /// call, its simulations.
 ///
 /// There is no median of a step: most steps of a planner with a model do not call it.
-pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
+pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming], width: LineWidth) -> String {
     let challenges = distinct(summary.aggregates.iter().map(|row| row.challenge));
-    let call = timings
-        .iter()
-        .any(|timing| timing.planning_call_ms.is_some())
-        .then_some("ms/call p50");
+    let call = has_calls(timings).then_some("ms/call p50");
     // Only where it happened: most runs need no such column.
-    let without_plan = summary
-        .aggregates
-        .iter()
-        .any(|row| row.without_plan > 0)
-        .then_some("no plan");
+    let without_plan = is_without_plan(summary).then_some("no plan");
     let scores = challenges.iter().map(|&challenge| short(challenge));
     let headers = ["planner"]
         .into_iter()
@@ -73,17 +67,45 @@ pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
                 .chain(counts.map(|count: usize| count.to_string()))
                 .collect()
         });
-    Table::new(headers, 1, rows).terminal()
+    Table::new(headers, 1, rows).fitted(width)
 }
 
-/// Columns of the number of scenarios, of a score, and of the gap after each.
+fn has_calls(timings: &[PlannerTiming]) -> bool {
+    timings
+        .iter()
+        .any(|timing| timing.planning_call_ms.is_some())
+}
+
+/// Whether some simulation has planning calls of which none gave a plan.
+fn is_without_plan(summary: &Summary) -> bool {
+    summary.aggregates.iter().any(|row| row.without_plan > 0)
+}
+
+/// What the columns of both tables mean, without those of scores.
+pub(super) fn meanings(
+    summary: &Summary,
+    timings: &[PlannerTiming],
+    has_types: bool,
+) -> Vec<String> {
+    let calls = has_calls(timings).then_some("ms/call p50 = median time of a planning call");
+    let types = has_types.then_some("n = scenarios of the type");
+    let without_plan =
+        is_without_plan(summary).then_some("no plan = simulations without a plan of a call");
+    let steps = Some("ms/step = mean time of a step of 0.1 s");
+    [steps, calls, types, without_plan]
+        .into_iter()
+        .flatten()
+        .map(str::to_owned)
+        .collect()
+}
+
+/// Columns of the number of scenarios, and of a score.
 const COUNT: usize = 4;
 const SCORE: usize = 6;
-const GAP: usize = 2;
 
 /// The scores of the planners by scenario type; planners that the width does not hold follow in
 /// tables below.
-pub(super) fn scenario_types(summary: &Summary, width: u16) -> String {
+pub(super) fn scenario_types(summary: &Summary, width: LineWidth) -> String {
     let rows = &summary.scenario_types;
     let types = distinct(rows.iter().filter_map(|row| row.scenario_type.as_deref()));
     if types.len() < 2 {
@@ -91,20 +113,22 @@ pub(super) fn scenario_types(summary: &Summary, width: u16) -> String {
     }
     let challenges = distinct(rows.iter().map(|row| row.challenge));
     let planners = distinct(rows.iter().map(|row| row.planner.as_str()));
+    // A longer name is broken within its head.
+    let widest = width.columns().saturating_sub(COUNT + 2 * GAP);
     let name = planners
         .iter()
         .map(|name| name.chars().count())
         .max()
         .unwrap_or(0)
-        .max(SCORE)
+        .clamp(SCORE, widest)
         + GAP;
     let group = name + (challenges.len() - 1) * (SCORE + GAP);
-    let beside = (usize::from(width).saturating_sub(COUNT + GAP) / group).max(1);
+    let beside = (width.columns().saturating_sub(COUNT + GAP) / group).max(1);
     let tables = planners
         .chunks(beside)
-        .map(|planners| type_table(rows, &types, planners, &challenges));
+        .map(|planners| type_table(rows, &types, planners, &challenges, widest));
     tables
-        .map(Table::terminal_below_names)
+        .map(|table| table.fitted_below_names(width))
         .collect::<Vec<_>>()
         .join("\n\n")
 }
@@ -114,6 +138,7 @@ fn type_table(
     types: &[&str],
     planners: &[&str],
     challenges: &[Challenge],
+    widest: usize,
 ) -> Table {
     let columns: Vec<(&str, Challenge)> = planners
         .iter()
@@ -123,15 +148,24 @@ fn type_table(
                 .map(move |&challenge| (planner, challenge))
         })
         .collect();
+    let lines_of_names = planners
+        .iter()
+        .map(|planner| broken(planner, widest).len())
+        .max()
+        .unwrap_or(1);
     let header = |&(planner, challenge): &(&str, Challenge)| {
         let planner = if challenges.first() == Some(&challenge) {
             planner
         } else {
             ""
         };
-        format!("{planner}\n{}", short(challenge))
+        let mut lines = vec![String::new(); lines_of_names];
+        lines.extend(broken(planner, widest));
+        let lines = lines.split_off(lines.len() - lines_of_names);
+        format!("{}\n{}", lines.join("\n"), short(challenge))
     };
-    let headers = ["type".to_owned(), format!("\n{:>COUNT$}", "n")]
+    let n = format!("{}{:>COUNT$}", "\n".repeat(lines_of_names), "n");
+    let headers = ["type".to_owned(), n]
         .into_iter()
         .chain(columns.iter().map(header));
     let cells = types.iter().map(|&name| {
@@ -208,7 +242,11 @@ mod tests {
     #[test]
     fn a_planner_has_a_row_with_its_scores_and_its_time() {
         let idm = timing("idm", 0.25, None);
-        let text = planners(&summary(&["idm", "pdm-closed"]), slice::from_ref(&idm));
+        let text = planners(
+            &summary(&["idm", "pdm-closed"]),
+            slice::from_ref(&idm),
+            LineWidth::PIPE,
+        );
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(
             words(lines[0]),
@@ -231,7 +269,11 @@ mod tests {
                 p95: 90.0,
             }),
         );
-        let text = planners(&summary(&["plan-agent", "idm"]), &[agent, idm]);
+        let text = planners(
+            &summary(&["plan-agent", "idm"]),
+            &[agent, idm],
+            LineWidth::PIPE,
+        );
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(
             words(lines[0]),
@@ -285,7 +327,7 @@ mod tests {
             "pdm-closed",
             "a-planner-of-the-future",
         ];
-        let text = scenario_types(&summary(&six), 80);
+        let text = scenario_types(&summary(&six), LineWidth::PIPE);
         assert!(
             text.lines().all(|line| line.chars().count() <= 80),
             "{text}"
@@ -307,7 +349,7 @@ mod tests {
             ["10", "100.00", "100.00", "100.00", "100.00"]
         );
         assert_eq!(
-            scenario_types(&Summary::new(0, None, &[], &[]), 80),
+            scenario_types(&Summary::new(0, None, &[], &[]), LineWidth::PIPE),
             "",
             "one type is all there is"
         );

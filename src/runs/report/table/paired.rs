@@ -1,6 +1,6 @@
 //! The table of two runs on their common scenes.
 
-use super::terminal::wrapped;
+use super::terminal::LineWidth;
 use super::{Table, short, signed};
 use crate::report::number::fixed;
 use crate::report::paired::{ComparedScene, ComparedScores, PlannerPair, RunComparison};
@@ -14,27 +14,30 @@ pub fn comparison_table(
     comparison: &RunComparison,
     [first, second]: [&str; 2],
     by_type: bool,
+    width: LineWidth,
 ) -> String {
+    let names = [format!("A = {first}"), format!("B = {second}")];
+    let names = names.iter().flat_map(|name| width.name(name));
     let mut parts = vec![
-        format!("A = {first}\nB = {second}"),
-        scores(&comparison.scores),
+        names.collect::<Vec<_>>().join("\n"),
+        scores(&comparison.scores, width),
     ];
     if by_type {
-        parts.push(types(&comparison.scenario_types));
+        parts.push(types(&comparison.scenario_types, width));
     }
     let (lost, gained) = comparison.largest(MAX_SCENES);
     for (heading, scenes) in [("largest losses", lost), ("largest gains", gained)] {
         if !scenes.is_empty() {
-            parts.push(format!("{heading}\n{}", changes(&scenes)));
+            parts.push(format!("{heading}\n{}", changes(&scenes, width)));
         }
     }
-    parts.push(notes(comparison));
+    parts.push(notes(comparison, width));
     parts.join("\n\n")
 }
 
 const SCORES: [&str; 4] = ["A", "B", "B - A", "95 % interval"];
 
-fn scores(all: &[ComparedScores]) -> String {
+fn scores(all: &[ComparedScores], width: LineWidth) -> String {
     let rows = all.iter().map(|one| {
         let name = [planners(&one.planners), short(one.challenge).to_owned()];
         name.into_iter()
@@ -42,10 +45,10 @@ fn scores(all: &[ComparedScores]) -> String {
             .chain(cells(one))
             .collect()
     });
-    Table::new(["planner", "", "scenes"].into_iter().chain(SCORES), 2, rows).terminal()
+    Table::new(["planner", "", "scenes"].into_iter().chain(SCORES), 2, rows).fitted(width)
 }
 
-fn types(all: &[ComparedScores]) -> String {
+fn types(all: &[ComparedScores], width: LineWidth) -> String {
     let rows = all.iter().map(|one| {
         let kind = one.scenario_type.clone().unwrap_or_default();
         let name = [
@@ -63,7 +66,7 @@ fn types(all: &[ComparedScores]) -> String {
         3,
         rows,
     )
-    .terminal_below_names()
+    .fitted_below_names(width)
 }
 
 fn cells(one: &ComparedScores) -> [String; 4] {
@@ -77,7 +80,7 @@ fn cells(one: &ComparedScores) -> [String; 4] {
     ]
 }
 
-fn changes(scenes: &[&ComparedScene]) -> String {
+fn changes(scenes: &[&ComparedScene], width: LineWidth) -> String {
     let rows = scenes.iter().map(|scene| {
         let name = [
             scene.scenario.clone(),
@@ -91,7 +94,7 @@ fn changes(scenes: &[&ComparedScene]) -> String {
         ];
         name.into_iter().chain(scores).collect()
     });
-    Table::new(["scenario", " planner", "", "A", "B", "B - A"], 3, rows).terminal_below_names()
+    Table::new(["scenario", " planner", "", "A", "B", "B - A"], 3, rows).fitted_below_names(width)
 }
 
 fn planners(pair: &PlannerPair) -> String {
@@ -103,9 +106,9 @@ fn planners(pair: &PlannerPair) -> String {
 }
 
 /// What the columns mean, and what else differs.
-fn notes(comparison: &RunComparison) -> String {
+fn notes(comparison: &RunComparison, width: LineWidth) -> String {
     let bootstrap = comparison.bootstrap;
-    let mut text = wrapped(&format!(
+    let mut text = width.wrapped(&format!(
         "Scores are nuPlan's x 100, and interPlan's for scenarios of its kinds, on the scenes that both runs completed. The {} % interval is a percentile bootstrap over \
          scenes ({} resamples, seed {}).",
         fixed(bootstrap.level * 100.0, 0),
@@ -113,19 +116,15 @@ fn notes(comparison: &RunComparison) -> String {
         bootstrap.seed
     ));
     if comparison.unpaired > 0 {
-        text.extend(wrapped(&format!(
+        text.extend(width.wrapped(&format!(
             "{} simulations have no completed counterpart in the other run and do not count.",
             comparison.unpaired
         )));
     }
     if !comparison.differences.is_empty() {
         text.push("B differs from A in:".to_owned());
-        text.extend(
-            comparison
-                .differences
-                .iter()
-                .map(|line| format!("  {line}")),
-        );
+        let lines = comparison.differences.iter();
+        text.extend(lines.flat_map(|line| width.name(&format!("  {line}"))));
     }
     text.join("\n")
 }

@@ -94,14 +94,13 @@ function scoreCard(challenge) {
   const rows = INDEX.entrants.map((entrant) => ({ entrant, scores: scoresOf(comparison, entrant) }));
   const known = rows.map(({ scores }) => scores).filter(Boolean);
   const axis = new ScoreAxis(known);
-  const best = Math.max(...known.map((scores) => scores.mean));
   return h("figure", { class: "score-card", "data-challenge": challenge },
     h("figcaption", {}, h("b", {}, CHALLENGES[challenge].short), " ", CHALLENGES[challenge].long),
-    rows.map(({ entrant, scores }) => scoreRow(comparison, axis, entrant, scores, best)),
+    rows.map(({ entrant, scores }) => scoreRow(comparison, axis, entrant, scores)),
     h("div", { class: "score-row axis-row" }, h("span", { class: "who" }), axis.labels(), h("span", {}), h("span", {})));
 }
 
-function scoreRow(comparison, axis, entrant, scores, best) {
+function scoreRow(comparison, axis, entrant, scores) {
   const who = h("span", { class: "who", title: entrant.label }, h("i", { class: "dot", style: `background:${colorOf(entrant)}` }), entrant.label);
   if (!scores) return h("div", { class: "score-row" }, who, h("span", { class: "lane-of-scores" }), h("span", { class: "score-value" }, "–"), h("span", {}));
   const from = COMPARED.from;
@@ -109,7 +108,7 @@ function scoreRow(comparison, axis, entrant, scores, best) {
   const clear = difference && (difference.low > 0 || difference.high < 0);
   return h("div", { class: "score-row", title: intervalWords(scores) }, who,
     h("span", { class: "lane-of-scores" }, axis.lines(), dotAndInterval(axis, scores, colorOf(entrant))),
-    h("span", { class: scores.mean === best ? "score-value best" : "score-value" }, h("output", {}, fixed(scores.mean, 2)),
+    h("span", { class: "score-value" }, h("output", {}, fixed(scores.mean, 2)),
       h("small", {}, scores.scenes > 1 ? `${fixed(scores.low, 1)} to ${fixed(scores.high, 1)}` : counted(scores.scenes, "scene"))),
     INDEX.entrants.length < 2 ? h("span", {}) : h("span", { class: `difference${clear ? " clear" : ""}` },
       difference ? [h("output", {}, signed(difference.mean)), h("small", { title: counted(difference.scenes, "common scene") },

@@ -63,6 +63,11 @@ function ownAgents(challenge) {
   return { short: name, long: `closed loop, agents under the policy ${name}; no challenge of nuPlan`, plain: name };
 }
 
+/** Simulations by their scores, failed ones and the lowest first. */
+function worstFirst(simulations) {
+  return [...simulations].sort((one, other) => (one.score ?? -1) - (other.score ?? -1));
+}
+
 /** The color of an entrant: one of eight that color-blind readers can tell apart (Okabe and Ito). */
 function colorOf(entrant) {
   return `var(--c${entrant.place % 8})`;
@@ -85,6 +90,8 @@ function metricTitle(name) {
     no_ego_at_fault_collisions: "no at-fault collision", drivable_area_compliance: "drivable area", driving_direction_compliance: "driving direction",
     ego_is_making_progress: "making progress", time_to_collision_within_bound: "time to collision", speed_limit_compliance: "speed limit",
     ego_progress_along_expert_route: "progress along the expert's route", ego_is_comfortable: "comfort",
+    ego_sorts_construction_zone: "past the construction zone", ego_sorts_stopped_vehicle: "past the stopped vehicle",
+    ego_sorts_jaywalking_pedestrian: "past the pedestrian",
   };
   return known[name] ?? spaced(name);
 }

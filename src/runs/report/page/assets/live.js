@@ -3,6 +3,9 @@
 /** Time between two questions to the server, milliseconds. */
 const POLL_MS = 1500;
 
+/** What an incomplete run that nobody writes needs. */
+const STOPPED = "No process writes this run. planagent simulate --resume RUN goes on";
+
 class Follower {
   /** `node` says how far the runs are, or that the server has ended. */
   constructor(node) {
@@ -20,13 +23,15 @@ class Follower {
   }
 
   async look() {
-    const { version, simulations, planned, problem } = await received("version");
+    const { version, simulations, planned, running, problem } = await received("version");
     if (version !== INDEX.version) await this.update();
     else if (this.stale) this.showOverview();
     const unreadable = INDEX.unreadable.length ? [`Not readable: ${INDEX.unreadable.join("; ")}`] : [];
     const troubles = [problem, ...unreadable].filter(Boolean);
-    this.say(troubles.length ? "doubtful" : "live", simulations < planned ? `live · ${simulations} of ${planned}` : `live · all ${planned}`,
-      [`${simulations} of ${planned} simulations`, ...troubles].join(". "));
+    const stopped = !running && simulations < planned;
+    const state = running ? "live" : stopped ? "stopped" : "complete";
+    this.say(troubles.length ? "doubtful" : state, `${state} · ${simulations < planned ? `${simulations} of` : "all"} ${planned}`,
+      [`${simulations} of ${planned} simulations`, stopped ? STOPPED : null, ...troubles].filter(Boolean).join(". "));
   }
 
   /** Shows the present data in all views. */

@@ -32,7 +32,7 @@ async function openPlace([first, second, time]) {
     return void await scenarios.open(simulation ?? INDEX.simulations[0]);
   }
   const wanted = INDEX.simulations.find((simulation) => simulation.run === Number(first) && simulation.number === Number(second) && second !== undefined);
-  const simulation = wanted ?? scenarios.simulation ?? INDEX.simulations.find((d) => d.replay !== null) ?? INDEX.simulations[0];
+  const simulation = wanted ?? scenarios.simulation ?? worstReplay();
   await scenarios.open(simulation, wanted ? Number(time) || 0 : scenarios.player.time);
   scenarios.bev.resize();
 }
@@ -62,6 +62,12 @@ function openHelp() {
     h("th", {}, keys.split("  ").map((key) => h("kbd", {}, key))), h("td", {}, what)))),
   h("form", { method: "dialog" }, h("button", {}, "Close")));
   if (!dialog.open) dialog.showModal();
+}
+
+/** The simulation that is shown first: of the first planner, the one with the lowest score, else any. */
+function worstReplay() {
+  const replays = worstFirst(INDEX.simulations.filter((simulation) => simulation.replay !== null));
+  return replays.find(({ entrant }) => entrant === INDEX.entrants[0]) ?? replays[0] ?? INDEX.simulations[0];
 }
 
 /** Handles keys: some everywhere, some in a replay only. */

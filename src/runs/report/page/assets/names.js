@@ -19,8 +19,12 @@ function sketchOf(scenario) {
 /** Name and detail of a simulation's scenario, for people. */
 function nameOf(simulation) {
   const { scenario, type } = simulation;
-  const generated = /^generated\/([^/]+)\/(.+)$/.exec(scenario);
-  if (generated) return { name: capital(spaced(generated[1])), detail: `generated, seed ${generated[2].replace("/", ", traffic ")}` };
+  const generated = /^generated\/([^/]+)\/([^~]+)(?:~(.+))?$/.exec(scenario);
+  if (generated) {
+    const [, kind, seed, change] = generated;
+    const where = `generated, seed ${seed.replace("/", ", traffic ")}`;
+    return change ? { name: capital(spaced(change)), detail: `${spaced(kind)}, ${where}` } : { name: capital(spaced(kind)), detail: where };
+  }
   const known = type && type !== UNKNOWN_TYPE;
   const sketch = sketchOf(scenario);
   const path = sketch && `${sketch.meters < STANDING_M ? "" : `${sketch.meters} m in `}${fixed(sketch.seconds, 0)} s`;

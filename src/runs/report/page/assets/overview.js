@@ -1,4 +1,4 @@
-// Overview: runs, final scores, times, scores by scenario type and by metric; failed simulations and those with score 0.
+// Overview: runs, final scores, times, scores by scenario type and by metric; failed simulations and the lowest scores.
 
 /** Rows of a list before "Show all". */
 const FIRST_ROWS = 12;
@@ -18,7 +18,7 @@ function showOverview(node) {
     h("h2", {}, "Simulations and times"), figures(),
     scoresInDetail(),
     h("h2", {}, "Failed simulations"), failedSimulations(),
-    h("h2", {}, "Simulations with score 0"), zeroSimulations()));
+    h("h2", {}, "Lowest scores"), lowestScores()));
 }
 
 function runsLine() {
@@ -105,23 +105,34 @@ function simulationLink(simulation) {
 
 function failedSimulations() {
   const failed = INDEX.simulations.filter((simulation) => simulation.error !== null);
-  if (!failed.length) return h("p", { class: "quiet" }, `None of the ${counted(INDEX.simulations.length, "simulation")} failed.`);
+  if (!failed.length) return h("p", { class: "quiet" }, "No simulation failed.");
   return simulationList(failed, "error", (simulation) => simulation.error);
 }
 
-function zeroSimulations() {
-  const zero = INDEX.simulations.filter((simulation) => simulation.score === 0);
-  if (!zero.length) return h("p", { class: "quiet" }, "None.");
-  return simulationList(zero, "zeroed by", (simulation) => simulation.zeroed_by.map(metricTitle).join(", "));
+/** Completed simulations with a score below 100, the lowest first. */
+function lowestScores() {
+  const completed = INDEX.simulations.filter((simulation) => simulation.score !== null);
+  const lower = worstFirst(completed).filter((simulation) => simulation.score < 1);
+  if (!completed.length) return h("p", { class: "quiet" }, "No simulation is complete.");
+  if (!lower.length) return h("p", { class: "quiet" }, "Every simulation has a score of 100.");
+  return simulationList(lower, "because of", whyLow, (simulation) => percent(simulation.score));
 }
 
-function simulationList(simulations, last, words) {
+/** The metrics that made a score 0, else those below 1 with their values. */
+function whyLow(simulation) {
+  if (simulation.score === 0 && simulation.zeroed_by.length) return simulation.zeroed_by.map(metricTitle).join(", ");
+  const below = scoredMetrics(simulation.challenge).filter(({ name }) => (metricScore(simulation, name) ?? 1) < 1);
+  return below.map(({ name }) => `${metricTitle(name)} ${partFigure(metricScore(simulation, name))}`).join(", ");
+}
+
+function simulationList(simulations, last, words, score = null) {
   const body = h("tbody", {});
   const row = (simulation) => h("tr", {}, h("td", {}, simulationLink(simulation)), entrantCell(simulation.entrant),
-    h("td", { title: CHALLENGES[simulation.challenge].long, "data-head": "challenge" }, CHALLENGES[simulation.challenge].short), h("td", { "data-head": last }, words(simulation)));
+    h("td", { title: CHALLENGES[simulation.challenge].long, "data-head": "challenge" }, CHALLENGES[simulation.challenge].short),
+    score ? h("td", { class: "number", "data-head": "score" }, score(simulation)) : null, h("td", { "data-head": last }, words(simulation)));
   const first = WHOLE_LISTS.has(last) ? simulations.length : FIRST_ROWS;
   body.append(...simulations.slice(0, first).map(row));
-  const table = h("table", { class: "list stacking" }, h("thead", {}, h("tr", {}, ["scenario", "planner", "challenge", last].map((name) => h("th", {}, name)))), body);
+  const table = h("table", { class: "list stacking" }, h("thead", {}, h("tr", {}, ["scenario", "planner", "challenge", score ? "score" : null, last].filter(Boolean).map((name) => h("th", { class: name === "score" ? "number" : null }, name)))), body);
   if (simulations.length <= first) return h("div", { class: "scroll" }, table);
   const button = h("button", { type: "button", class: "more", onclick: () => {
     WHOLE_LISTS.add(last);

@@ -4,12 +4,12 @@ class ScenarioList {
   constructor(node) {
     this.node = node;
     this.filter = "";
-    this.sort = "order";
+    this.sort = "score";
     this.entries = [];
     this.current = null;
     this.thumbnails = new Thumbnails();
     this.search = h("input", { type: "search", placeholder: "Filter scenarios", "aria-label": "Filter scenarios", oninput: () => this.find(this.search.value) });
-    const sort = choice("Sort", [{ value: "order", text: "in order" }, { value: "score", text: "worst first" }], this.sort, (value) => {
+    const sort = choice("Sort", [{ value: "score", text: "worst first" }, { value: "order", text: "in order" }], this.sort, (value) => {
       this.sort = value;
       this.draw();
     });
