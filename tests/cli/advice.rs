@@ -11,7 +11,7 @@ const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
 /// Commands in the texts of the program, as its sources have them, and what shows that they work.
 /// Placeholders stand in braces or capital letters.
-const ADVICE: [(&str, &str); 16] = [
+const ADVICE: [(&str, &str); 17] = [
     ("planagent {command}", "renamed"),
     ("planagent config", "config"),
     // `a_configuration_file_is_not_overwritten_and_the_command_it_names_works`.
@@ -26,6 +26,7 @@ const ADVICE: [(&str, &str); 16] = [
     // The hub is not asked by tests: the command line is read, and `--offline` ends it.
     ("planagent models fetch {model}", "fetch"),
     ("planagent models fetch {id}", "fetch"),
+    ("planagent models fetch {}", "fetch"),
     ("planagent models fetch", "fetch"),
     // Made of the words of the process: `again.rs` and tests/cli/interrupt.rs.
     ("{command}", "interrupt"),

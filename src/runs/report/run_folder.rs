@@ -401,7 +401,7 @@ impl Locked {
     fn new(files: RunFiles) -> Result<Self, ReportError> {
         let root = files.root();
         let place = root.path_of(LOCK);
-        let lock = root.lock_file(LOCK).map_err(ReportError::write(&place))?;
+        let lock = root.append_file(LOCK).map_err(ReportError::write(&place))?;
         let mut locked = lock.try_lock();
         // A page that asks whether somebody works here holds the lock for an instant.
         for _ in 0..LOCK_TRIES {
