@@ -248,7 +248,7 @@ impl RunFolder {
     }
 
     /// Fails once the folder was moved or deleted.
-    pub fn check_in_place(&self) -> Result<(), ReportError> {
+    pub(crate) fn check_in_place(&self) -> Result<(), ReportError> {
         if self.is_in_place() {
             return Ok(());
         }
@@ -256,7 +256,7 @@ impl RunFolder {
     }
 
     /// Whether the run wrote its results before.
-    pub fn has_summary(&self) -> Result<bool, ReportError> {
+    pub(crate) fn has_summary(&self) -> Result<bool, ReportError> {
         self.files.has(SUMMARY)
     }
 
