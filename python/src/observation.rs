@@ -2,7 +2,7 @@
 
 use crate::errors::{Failure, Outcome};
 use crate::scenario::{ego_numbers, lanes};
-use crate::trajectory::{Trajectory, array, packed, poses, through};
+use crate::trajectory::{Trajectory, array, packed, planned, poses};
 use crate::work::{computed, long, quick};
 use image::RgbImage;
 use planagent::planning::{History, HistorySample, LeadPolicy, SceneView};
@@ -310,7 +310,7 @@ impl Observation {
     /// A trajectory from the present through packed poses at equal steps.
     fn trajectory(&self, py: Python<'_>, poses: &[u8], dt_s: f64) -> PyResult<Trajectory> {
         quick(py, || {
-            Ok(Trajectory(through(
+            Ok(Trajectory(planned(
                 &self.scene.ego,
                 &crate::trajectory::poses(poses)?,
                 dt_s,

@@ -54,17 +54,22 @@ pub(crate) fn poses(bytes: &[u8]) -> Outcome<Vec<Pose>> {
         .collect())
 }
 
+/// The plan of a planner from the ego's present state through poses at equal steps after it.
+pub(crate) fn planned(ego: &EgoState, poses: &[Pose], dt_s: f64) -> Outcome<Planned> {
+    if poses.len() < MIN_POSES {
+        return Err(Failure::argument(format!(
+            "a plan has at least {MIN_POSES} poses, got {}",
+            poses.len()
+        )));
+    }
+    through(ego, poses, dt_s)
+}
+
 /// A trajectory from the ego's present state through poses at equal steps after it.
 pub(crate) fn through(ego: &EgoState, poses: &[Pose], dt_s: f64) -> Outcome<Planned> {
     if !(dt_s.is_finite() && dt_s > 0.0) {
         return Err(Failure::argument(format!(
             "dt is {dt_s}; it must be a number of seconds greater than 0"
-        )));
-    }
-    if poses.len() < MIN_POSES {
-        return Err(Failure::argument(format!(
-            "a plan has at least {MIN_POSES} poses, got {}",
-            poses.len()
         )));
     }
     let mut states = vec![TrajectoryState::from(ego)];

@@ -70,6 +70,27 @@ def test_an_error_of_a_planner_is_recorded():
         planagent.Simulation(SCENES[0]).run(broken)
 
 
+def test_a_plan_that_leaves_the_ego_is_an_error():
+    def ahead(distance, count=8):
+        """Poses straight ahead, the first one so far away, meters."""
+
+        def plan(observation):
+            here = observation.code().poses[0]
+            along = np.array([np.cos(here[2]), np.sin(here[2]), 0.0])
+            return np.array([here + along * (distance + i * 0.5) for i in range(count)])
+
+        return plan
+
+    planners = {"near": ahead(0.5), "far": ahead(900.0), "one": ahead(0.5, 1)}
+    with pytest.warns(planagent.errors.SimulationsFailedWarning, match="3 simulations, 2 failed"):
+        results = planagent.simulate(SCENES[0], planners)
+    columns = results.table().to_dict()
+    errors = dict(zip(columns["planner"], columns["error"]))
+    assert errors["near"] is None
+    assert "the plan jumps 900" in errors["far"], errors["far"]
+    assert "at least 2 poses, got 1" in errors["one"], errors["one"]
+
+
 def lambda_named():
     def nothing(observation):
         return None

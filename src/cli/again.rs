@@ -1,4 +1,5 @@
-//! Commands that a message tells the user to type: they hold what the command line said, so that they work as they stand.
+//! Commands that a message tells the user to type: they hold what the command line said, so that
+//! they work as they stand.
 
 use planagent_files::{quoted, word_of};
 use std::ffi::OsString;

@@ -42,7 +42,7 @@ pub use split::{ExcludedToken, MissingTokens, Split};
 
 /// The scenario that commands take where none is named: cones close the ego's lane, and the agent has
 /// to leave it in time. Planner codes decide the score, so a model that reads the scene is clearly
-/// better than one that does not (`tests/default_scenario.rs`).
+/// better than one that does not (docs/decisions/127-default-scene.md).
 pub const DEFAULT_SCENARIO: &str =
     "generated/near_multiple_vehicles/2~approaching_construction_zone";
 

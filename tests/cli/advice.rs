@@ -11,9 +11,11 @@ const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
 /// Commands in the texts of the program, as its sources have them, and what shows that they work.
 /// Placeholders stand in braces or capital letters.
-const ADVICE: [(&str, &str); 15] = [
+const ADVICE: [(&str, &str); 17] = [
     ("planagent {command}", "renamed"),
     ("planagent config", "config"),
+    // `a_configuration_file_is_not_overwritten_and_the_command_it_names_works`.
+    ("planagent config --explain", "config"),
     ("planagent scenarios list", "types"),
     ("planagent bench MODEL", "models"),
     ("planagent models show MODEL", "models"),
@@ -24,6 +26,7 @@ const ADVICE: [(&str, &str); 15] = [
     // The hub is not asked by tests: the command line is read, and `--offline` ends it.
     ("planagent models fetch {model}", "fetch"),
     ("planagent models fetch {id}", "fetch"),
+    ("planagent models fetch {}", "fetch"),
     ("planagent models fetch", "fetch"),
     // Made of the words of the process: `again.rs` and tests/cli/interrupt.rs.
     ("{command}", "interrupt"),
@@ -214,4 +217,13 @@ fn a_model_that_is_not_here_is_fetched_by_a_command_that_is_read() {
         let stderr = String::from_utf8(output.stderr).unwrap();
         assert!(!stderr.contains("unexpected argument"), "{line}: {stderr}");
     }
+}
+
+#[test]
+fn a_configuration_file_is_not_overwritten_and_the_command_it_names_works() {
+    let work = TempDir::new().unwrap();
+    assert_eq!(begin(work.path(), &["config", "--init"]).0, Some(0));
+    let (code, said) = begin(work.path(), &["config", "--init"]);
+    assert_eq!(code, Some(2), "{said}");
+    follow(work.path(), &said);
 }

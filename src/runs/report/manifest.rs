@@ -2,6 +2,7 @@
 
 use super::file_names::name_parts;
 use super::inputs::{AcceptedChanges, Inputs};
+use super::recorded;
 use super::renamed;
 use super::stamp::Stamp;
 use planagent_files::serde_path;
@@ -114,6 +115,7 @@ pub struct ScenarioList {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shard: Option<ShardList>,
     /// Number of scenarios, those of other shards included.
+    #[serde(deserialize_with = "recorded::count")]
     pub count: usize,
     /// BLAKE3 of their names, one a line, in order.
     pub blake3: String,
@@ -127,10 +129,13 @@ pub struct ScenarioList {
 #[serde(deny_unknown_fields)]
 pub struct ShardList {
     /// Which shard, from 1.
+    #[serde(deserialize_with = "recorded::count")]
     pub index: usize,
     /// Number of shards.
+    #[serde(deserialize_with = "recorded::count")]
     pub of: usize,
     /// Number of its scenarios.
+    #[serde(deserialize_with = "recorded::count")]
     pub count: usize,
 }
 
@@ -162,7 +167,10 @@ impl ScenarioList {
 impl Manifest {
     /// Number of simulations of the run.
     pub fn simulations(&self) -> usize {
-        self.scenarios.simulated() * self.planners.len() * self.challenges.len()
+        self.scenarios
+            .simulated()
+            .saturating_mul(self.planners.len())
+            .saturating_mul(self.challenges.len())
     }
 
     /// The differences from `now`, one a line, by dotted keys. Several keys that only one of both
@@ -332,6 +340,34 @@ mod tests {
             inputs: None,
             accepted: Vec::new(),
         }
+    }
+
+    #[test]
+    fn a_wild_count_or_a_name_that_leads_elsewhere_is_refused() {
+        let written = toml::to_string(&manifest()).unwrap();
+        assert!(toml::from_str::<Manifest>(&written).is_ok());
+        let count = format!("count = {}", manifest().scenarios.count);
+        for (from, to, said) in [
+            (count.as_str(), "count = 9223372036854775807", "count"),
+            ("started = \"", "started = \"a/../", "start time"),
+            ("planners = [\"", "planners = [\"../", "file name"),
+        ] {
+            let changed = written.replacen(from, to, 1);
+            assert_ne!(changed, written, "{from}");
+            let error = toml::from_str::<Manifest>(&changed)
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains(said), "{to}: {error}");
+        }
+        let wide = Manifest {
+            planners: vec!["idm".to_owned(); 3],
+            scenarios: ScenarioList {
+                count: usize::MAX,
+                ..ScenarioList::default()
+            },
+            ..manifest()
+        };
+        assert_eq!(wide.simulations(), usize::MAX);
     }
 
     #[test]

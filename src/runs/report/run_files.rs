@@ -176,3 +176,15 @@ pub(super) fn present_folder(
         Some(_) => folder.subfolder(name).map(Some).map_err(failed),
     }
 }
+
+/// Writes a new file and waits until it is on the disk.
+pub(super) fn write_synced(
+    folder: &OpenFolder,
+    name: &str,
+    bytes: &[u8],
+) -> Result<(), ReportError> {
+    folder
+        .write_new(name, bytes)
+        .and_then(|file| file.sync_data())
+        .map_err(ReportError::write(&folder.path_of(name)))
+}

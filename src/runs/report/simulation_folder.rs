@@ -13,7 +13,7 @@ use super::limits::{
 use super::number::without_negative_zeros;
 use super::picture::is_picture;
 use super::replay::Replay;
-use super::run_files::{SimulationFolder, present_folder, read_present, read_toml};
+use super::run_files::{SimulationFolder, present_folder, read_present, read_toml, write_synced};
 use super::simulation_row::SimulationRow;
 use super::transcript::transcript;
 use crate::worker::run::{SimulationOutcome, SimulationRecord};
@@ -214,18 +214,6 @@ fn write_new(folder: &OpenFolder, name: &str, bytes: &[u8]) -> Result<(), Report
     folder
         .write_new(name, bytes)
         .map(|_| ())
-        .map_err(ReportError::write(&folder.path_of(name)))
-}
-
-/// Writes a new file and waits until it is on the disk.
-pub(super) fn write_synced(
-    folder: &OpenFolder,
-    name: &str,
-    bytes: &[u8],
-) -> Result<(), ReportError> {
-    folder
-        .write_new(name, bytes)
-        .and_then(|file| file.sync_data())
         .map_err(ReportError::write(&folder.path_of(name)))
 }
 

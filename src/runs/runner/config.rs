@@ -215,7 +215,7 @@ impl Config {
         Some(PathBuf::from("planagent.toml")).filter(|default| default.is_file())
     }
 
-    fn checked(self, place: String) -> Result<Self, ConfigError> {
+    pub(super) fn checked(self, place: String) -> Result<Self, ConfigError> {
         if let Some(key) = self.unknown_learned() {
             return Err(ConfigError::Learned {
                 place,

@@ -12,6 +12,9 @@ use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+/// Missing shards that an error lists.
+const MAX_LISTED: usize = 100;
+
 /// A run to merge.
 struct Part {
     path: PathBuf,
@@ -170,9 +173,7 @@ fn check_complete(
     simulations: &BTreeMap<usize, Simulation<'_>>,
 ) -> Result<(), MergeError> {
     let total = manifest.simulations();
-    let missing = (0..total)
-        .filter(|number| !simulations.contains_key(number))
-        .count();
+    let missing = total.saturating_sub(simulations.range(..total).count());
     if missing == 0 {
         return Ok(());
     }
@@ -204,7 +205,14 @@ fn advice(parts: &[Part]) -> String {
             .iter()
             .any(|shard| shard.of == of && shard.index == *index)
     });
-    let absent: Vec<String> = absent.map(|index| format!("{index}/{of}")).collect();
+    let mut absent: Vec<String> = absent
+        .take(MAX_LISTED + 1)
+        .map(|index| format!("{index}/{of}"))
+        .collect();
+    if absent.len() > MAX_LISTED {
+        absent.truncate(MAX_LISTED);
+        absent.push("…".to_owned());
+    }
     format!(
         "simulate and name the missing shards ({})",
         absent.join(", ")

@@ -145,10 +145,11 @@ impl Config {
     pub fn of_run(folder: &Path) -> Result<Self, RunnerError> {
         let place = format!("of the run in {}", folder.display());
         let table = RunFolder::manifest(folder)?.config;
-        let mut config: Self = table.try_into().map_err(|source| ConfigError::Parse {
-            place,
+        let config: Self = table.try_into().map_err(|source| ConfigError::Parse {
+            place: place.clone(),
             source: Box::new(source),
         })?;
+        let mut config = config.checked(place)?;
         let planners = all_planners();
         let checkpoints = planners.entries().iter().filter_map(|entry| {
             let planner = entry.name.as_str();

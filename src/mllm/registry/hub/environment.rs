@@ -168,6 +168,10 @@ fn variable(text: &str) -> (&str, &str) {
 }
 
 #[cfg(test)]
+#[allow(
+    clippy::redundant_closure_for_method_calls,
+    reason = "the path of a method has one lifetime, and a closure any"
+)]
 mod tests {
     use super::*;
     use std::path::Path;

@@ -236,7 +236,11 @@ impl LivePage {
             index: packed,
             folders: with_replay,
             simulations: parts.len(),
-            planned: self.runs.iter().map(|run| run.manifest.simulations()).sum(),
+            planned: self
+                .runs
+                .iter()
+                .map(|run| run.manifest.simulations())
+                .fold(0, usize::saturating_add),
         });
         Ok(())
     }

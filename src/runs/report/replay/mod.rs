@@ -22,8 +22,7 @@ use super::layout::REPLAY;
 use super::limits::{
     MAX_ATTEMPTS, MAX_ITERATIONS, MAX_OBJECTS, MAX_REPLAY_BYTES, MAX_UNPACKED_BYTES,
 };
-use super::run_files::read_present;
-use super::simulation_folder::write_synced;
+use super::run_files::{read_present, write_synced};
 use deltas::Points;
 use flate2::Compression;
 use flate2::read::GzDecoder;

@@ -270,7 +270,7 @@ pub(super) mod tests {
             assert_fits(&text, terminal);
             assert!(text.contains("raster-model-small"), "{text}");
             assert!(text.contains(&passed), "{text}");
-            assert!(text.contains("lane_changes_to_goal 0.50"), "{text}");
+            assert!(text.contains("lanes 0.50"), "{text}");
         }
         // In a pipe a name stays in one line, so that it can be found.
         let text = shown(&rows, LineWidth::PIPE);

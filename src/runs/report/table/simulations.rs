@@ -152,7 +152,7 @@ fn in_words(rows: &[&SimulationRow], width: LineWidth) -> Table {
         "metrics below 1",
     ];
     let mut table = Table::new(headers, 3, rows.iter().map(cells)).ending_in_text();
-    table.wrap_last(width.columns());
+    table.wrap_last(width);
     table
 }
 

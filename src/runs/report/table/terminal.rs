@@ -8,6 +8,8 @@ use console::{measure_text_width, style};
 pub const COLUMNS: usize = 80;
 /// Minimum width of a table: a narrower terminal wraps its lines.
 const MIN_COLUMNS: usize = 40;
+/// Minimum width of a last column of words.
+const MIN_REST: usize = 9;
 /// Characters after which a name may be broken.
 const SEPARATORS: [char; 7] = ['/', '~', '_', '-', ',', '.', ' '];
 
@@ -102,13 +104,19 @@ impl Table {
         widest(&self.of_columns(&shown).lines()) <= width.columns
     }
 
-    /// Wraps the cells of the last column at spaces, so that the table takes at most `columns`.
-    pub(super) fn wrap_last(&mut self, columns: usize) {
+    /// Wraps the cells of the last column at their commas, so that the table takes the width with the
+    /// first cells on lines of their own.
+    pub(super) fn wrap_last(&mut self, width: LineWidth) {
+        if width.breaks_names {
+            self.break_texts(width.columns / 3);
+        }
         let last = self.headers.len().saturating_sub(1);
         let before: Vec<usize> = (1..last).collect();
-        let rest = columns.saturating_sub(widest(&self.of_columns(&before).lines()) + self.gap);
+        let before = widest(&self.of_columns(&before).lines()) + self.gap;
+        let rest = width.columns.saturating_sub(before).max(MIN_REST);
         for cell in self.rows.iter_mut().filter_map(|row| row.get_mut(last)) {
-            *cell = joined(cell.split(' ').map(str::to_owned), " ", rest.max(GAP)).join("\n");
+            let parts = cell.split(", ").flat_map(|part| broken(part, rest));
+            *cell = joined(parts, ", ", rest).join("\n");
         }
     }
 
@@ -138,7 +146,8 @@ impl Table {
         let texts = self.texts();
         for row in &mut self.rows {
             for cell in row.iter_mut().take(texts).skip(1) {
-                *cell = broken(cell, columns).join("\n");
+                let lines = cell.split('\n').flat_map(|line| broken(line, columns));
+                *cell = lines.collect::<Vec<_>>().join("\n");
             }
         }
     }
@@ -323,15 +332,18 @@ mod tests {
         let headers = ["scenario", "n", "why"];
         let cells = |name: &str, why: &str| vec![name.to_owned(), "1".to_owned(), why.to_owned()];
         let rows = [
-            cells("first", "many words that take two lines"),
+            cells("first", "many words, that take, two lines"),
             cells("second", "few"),
         ];
         let mut table = Table::new(headers, 1, rows).ending_in_text();
-        table.wrap_last(24);
+        table.wrap_last(LineWidth {
+            columns: 24,
+            breaks_names: true,
+        });
         let text = table.fitted_below_names(LineWidth::terminal(60));
         assert_eq!(
             text,
-            "scenario\nn  why\nfirst\n1  many words that take\n   two lines\nsecond\n1  few"
+            "scenario\nn  why\nfirst\n1  many words, that take\n   two lines\nsecond\n1  few"
         );
     }
 
