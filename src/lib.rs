@@ -116,9 +116,9 @@ pub mod sources {
 /// compare them.
 #[cfg(feature = "report")]
 pub mod runs {
+    pub use planagent_agent::planner::StopSwitch;
     pub use planagent_lab::study_runs::{Studies, StudiesRequest};
     pub use planagent_runs::runner::{Config, Event, Listener, Request, RunResults, resume, start};
-    pub use planagent_runs::worker::StopSwitch;
 }
 
 mod api;

@@ -220,16 +220,28 @@ fn code_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     struct TestItem<'a> {
         indent: &'a str,
         begun: bool,
+        /// Whether an attribute of the item goes over this line.
+        in_attribute: bool,
     }
     let mut item: Option<TestItem<'_>> = None;
     text.lines()
         .enumerate()
         .map(|(i, line)| (i + 1, line))
         .filter(move |(_, line)| {
-            if let Some(TestItem { indent, begun }) = &mut item {
+            if let Some(TestItem {
+                indent,
+                begun,
+                in_attribute,
+            }) = &mut item
+            {
                 let own = line.strip_prefix(*indent).unwrap_or_default();
+                let opens = !*begun && own.starts_with("#[");
+                if *in_attribute || opens {
+                    *in_attribute = !own.ends_with(']');
+                    return false;
+                }
                 let whole = !*begun && own.ends_with([';', ',', '}']);
-                *begun |= !own.starts_with("#[");
+                *begun = true;
                 if whole || own == "}" || own == "};" || own == ")" {
                     item = None;
                 }
@@ -242,6 +254,7 @@ fn code_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
                 item = Some(TestItem {
                     indent: &line[..line.len() - line.trim_start().len()],
                     begun: false,
+                    in_attribute: false,
                 });
                 return false;
             }
@@ -560,6 +573,8 @@ fn the_scanner_sees_what_it_should() {
         used_stages("    let x = crate::report::table();"),
         ["report"]
     );
+    let text = "a\n#[cfg(test)]\n#[allow(\n    x,\n)]\nmod tests {\n    b,\n}\nc";
+    assert_eq!(code_lines(text).collect::<Vec<_>>(), [(1, "a"), (9, "c")]);
     let text = "a\n// crate::cli\n#[cfg(test)]\nmod x;\nb\n#[cfg(test)]\nmod tests {\n    c\n}\nd";
     assert_eq!(
         code_lines(text).collect::<Vec<_>>(),

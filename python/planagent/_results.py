@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
@@ -110,12 +111,26 @@ class Table:
         )
 
     def to_csv(self, file: str | os.PathLike[str]) -> None:
-        """Writes the table as CSV; a missing value is an empty cell."""
+        """Writes the table as CSV; a missing value is an empty cell.
+
+        A text that a spreadsheet would compute begins with an apostrophe, as in the CSV of `planagent simulate`.
+        """
         columns = self.to_dict()
         with open(path("file", file), "w", newline="", encoding="utf-8") as out:
             writer = csv.writer(out, lineterminator="\n")
-            writer.writerow(columns)
-            writer.writerows([["" if value is None else value for value in row] for row in zip(*columns.values())])
+            writer.writerow([_cell(name) for name in columns])
+            writer.writerows([[_cell(value) for value in row] for row in zip(*columns.values())])
+
+
+#: What begins a formula, also in full width.
+_FORMULA = re.compile("[\t\r\n]|(?:.*[\t\r\n])?\\s*[=+\\-@\uff1d\uff0b\uff0d\uff20]", re.DOTALL)
+
+
+def _cell(value: Any) -> Any:
+    """A value in a cell of CSV."""
+    if value is None:
+        return ""
+    return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
 
 
 def _table(columns: list[tuple[str, str, list[Any]]]) -> Table:

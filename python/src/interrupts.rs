@@ -12,13 +12,13 @@
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
-/// Watches for Ctrl-C while work of this thread waits; nothing in the main thread.
-pub(crate) struct Watch {
+/// Looks for Ctrl-C while work of this thread waits; nothing in the main thread.
+pub(crate) struct Interrupts {
     #[cfg(unix)]
     seen: Option<usize>,
 }
 
-impl Watch {
+impl Interrupts {
     pub(crate) fn of_this_thread(py: Python<'_>) -> PyResult<Self> {
         let threading = py.import("threading")?;
         let main = threading.call_method0("main_thread")?.getattr("ident")?;
@@ -51,7 +51,7 @@ impl Watch {
 pub(crate) use handler::held;
 
 #[cfg(unix)]
-impl Drop for Watch {
+impl Drop for Interrupts {
     fn drop(&mut self) {
         if self.seen.is_some() {
             handler::end();

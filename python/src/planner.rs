@@ -152,7 +152,7 @@ impl Planner {
         );
         let state = Arc::clone(&self.state);
         let work = move || {
-            // Whoever waits for this agent does so outside the pool.
+            // Who waits for this agent does so outside the pool.
             let mut state = lock(&state);
             let state = &mut *state;
             computed(move || {

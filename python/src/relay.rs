@@ -80,7 +80,7 @@ impl Relay {
     pub(crate) fn close(&self) {
         *lock(&self.is_closed) = true;
         for (seat, changed) in &self.seats {
-            // Whoever looked before it was closed waits by now.
+            // Who looked before it was closed waits by now.
             drop(lock(seat));
             changed.notify_all();
         }

@@ -1,7 +1,7 @@
 //! Runs of many simulations.
 
 use crate::errors::{Failure, Outcome, Raise};
-use crate::interrupts::Watch;
+use crate::interrupts::Interrupts;
 use crate::python_planner::entry;
 use crate::relay::{Question, Relay};
 use crate::run_results::RunResults;
@@ -134,7 +134,7 @@ pub(crate) struct Run {
     relay: Arc<Relay>,
     switch: StopSwitch,
     /// Only while somebody waits for the run.
-    watch: Mutex<Option<Watch>>,
+    watch: Mutex<Option<Interrupts>>,
     /// The process that simulates: a forked one has none of its threads, and locks that they held.
     pid: u32,
 }
@@ -168,7 +168,7 @@ impl Run {
         planners: Vec<String>,
         not_kept: Option<PathBuf>,
     ) -> PyResult<Self> {
-        let watch = Watch::of_this_thread(py)?;
+        let watch = Interrupts::of_this_thread(py)?;
         let pool = own_pool().or_raise(py)?;
         let progress = Arc::new(Progress::default());
         let wanting = Arc::clone(&progress);

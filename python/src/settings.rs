@@ -59,7 +59,7 @@ pub(crate) fn model(config: &Config) -> Outcome<Arc<LoadedModel>> {
 }
 
 /// As [`model`], for runs; a listener hears of the loading. Not for threads of the common pool:
-/// whoever loads a model computes while others wait for it.
+/// who loads a model computes while others wait for it.
 pub(crate) fn shared_model(
     config: &Config,
     listener: &Listener,

@@ -193,7 +193,7 @@ impl Simulation {
         let stopped = Arc::new(AtomicBool::new(false));
         let stop = Arc::clone(&stopped);
         let work = move || {
-            // Whoever waits for these does so outside the pool.
+            // Who waits for these does so outside the pool.
             let (mut planner, mut state) = (lock(&planner), lock(&state));
             let (planner, state) = (&mut *planner, &mut *state);
             computed(move || {

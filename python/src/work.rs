@@ -8,7 +8,7 @@
 //! - A run has a pool of its own ([`own_pool`]), whose threads may wait for planners in Python.
 
 use crate::errors::{Failure, Outcome, Raise};
-use crate::interrupts::Watch;
+use crate::interrupts::Interrupts;
 use planagent_runs::worker::panic_guard::catch_panic;
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -188,7 +188,7 @@ pub(crate) fn long<T: Send + 'static>(
     work: impl FnOnce() -> Outcome<T> + Send + 'static,
     stop: &dyn Fn(),
 ) -> PyResult<T> {
-    let watch = Watch::of_this_thread(py)?;
+    let watch = Interrupts::of_this_thread(py)?;
     let (sender, receiver) = sync_channel(1);
     let started = spawned(move || {
         // Without a receiver, the work was interrupted.

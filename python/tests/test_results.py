@@ -19,8 +19,6 @@ def helper(divisor):
     return 1 / divisor
 
 
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     with pytest.warns(planagent.errors.SimulationsFailedWarning, match="4 simulations, 2 failed"):
@@ -115,6 +113,13 @@ def test_tables_as_text(run, tmp_path):
     for html in (table._repr_html_(), run._repr_html_()):
         assert html.count("<table>") == html.count("</table>") == 1 and "idm" in html
     assert "division by zero" in run._repr_html_() and not re.search(r"<module|<function", run._repr_html_())
+
+
+@pytest.mark.parametrize("text", ["=1+1", " +1", "a\n@b", "\tx", "\uff1dx"])
+def test_a_cell_is_no_formula(text):
+    from planagent._results import _cell
+
+    assert _cell(text) == f"'{text}" and _cell("a=1") == "a=1" and _cell(-1.0) == -1.0 and _cell(None) == ""
 
 
 def test_frames_have_numbers_also_without_any(run):

@@ -18,7 +18,7 @@ pub use quoted::quoted;
 pub use regular::{open, read, read_text, target};
 pub use shortened::shortened;
 pub use unfinished::UNFINISHED;
-pub use whole_file::{WholeFile, write_whole};
+pub use whole_file::{WholeFile, write_whole, write_within};
 pub use word::{path_of, serde_path, word_of};
 
 /// Largest file of settings, prompts or a study, bytes.

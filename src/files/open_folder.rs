@@ -160,11 +160,11 @@ impl OpenFolder {
         self.open_with(name, OpenOptions::new().read(true))
     }
 
-    /// Opens a regular file, or creates an empty one, as a lock that is written.
+    /// Opens a regular file to append to it, or creates an empty one.
     ///
     /// # Errors
     /// When the file has another name too: it may be one of the user's.
-    pub fn lock_file(&self, name: &str) -> io::Result<File> {
+    pub fn append_file(&self, name: &str) -> io::Result<File> {
         let file = self.opened(
             name,
             OpenOptions::new().create(true).read(true).append(true),
@@ -324,10 +324,10 @@ mod tests {
             .status();
         assert!(pipe.is_ok_and(|status| status.success()));
         fs::hard_link(work.path().join("private"), run.join("second")).unwrap();
-        assert!(folder.lock_file("second").is_err());
+        assert!(folder.append_file("second").is_err());
         for name in ["link", "dangling", "out", "socket", "pipe"] {
             assert!(folder.open_file(name).is_err(), "{name} was opened");
-            assert!(folder.lock_file(name).is_err(), "{name} was locked");
+            assert!(folder.append_file(name).is_err(), "{name} was opened");
             assert!(folder.read(name, 100).is_err(), "{name} was read");
             assert!(folder.subfolder(name).is_err(), "{name} is no folder");
             assert!(folder.make_subfolder(name).is_err(), "{name} is no folder");

@@ -30,6 +30,18 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     file.finish()
 }
 
+/// Writes a file of a folder of results: all of it, or nothing. The folder may come from elsewhere:
+/// a link of the file's name is replaced, and what it leads to stays.
+pub fn write_within(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let name = path
+        .file_name()
+        .ok_or_else(|| io::Error::new(ErrorKind::InvalidInput, "it names no file"))?;
+    let folder = OpenFolder::open(path.parent().unwrap_or(Path::new("")))?;
+    let mut file = WholeFile::create_in(&folder, name)?;
+    file.write_all(bytes)?;
+    file.finish()
+}
+
 impl WholeFile {
     /// Begins a file that a user names; through links, the file that they lead to. Its folder must
     /// exist.
@@ -90,8 +102,14 @@ impl WholeFile {
     }
 
     /// Gives the file its name. It is on the disk then.
-    pub fn finish(mut self) -> io::Result<()> {
+    pub fn finish(self) -> io::Result<()> {
         self.file.sync_data()?;
+        self.finish_unsynced()
+    }
+
+    /// Gives the file its name, and does not wait for the disk: for files of which a run writes
+    /// many, and which it can write again.
+    pub fn finish_unsynced(mut self) -> io::Result<()> {
         self.folder.rename(&self.temporary, &self.name)?;
         self.finished = true;
         Ok(())
@@ -233,8 +251,7 @@ mod tests {
         write_whole(&link, b"new").unwrap();
         assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!(fs::read(&mine).unwrap(), b"new");
-        let folder = OpenFolder::open(work.path()).unwrap();
-        folder.write("link", b"newer").unwrap();
+        write_within(&link, b"newer").unwrap();
         assert!(!fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!(fs::read(&link).unwrap(), b"newer");
         assert_eq!(fs::read(&mine).unwrap(), b"new");

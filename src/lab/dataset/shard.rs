@@ -10,7 +10,7 @@
 
 use super::label::LabeledState;
 use image::{ImageError, ImageFormat, RgbImage};
-use planagent_files::{UNFINISHED, write_whole};
+use planagent_files::{UNFINISHED, write_within};
 use serde::Serialize;
 use std::fs;
 use std::io::{self, Cursor};
@@ -91,7 +91,7 @@ pub(super) fn open_folder(folder: &Path, meta: &impl Serialize) -> Result<(), Sh
         return Ok(());
     }
     let path = folder.join(META);
-    write_whole(&path, text(meta)?.as_bytes()).map_err(|source| ShardError::Write { path, source })
+    write_within(&path, text(meta)?.as_bytes()).map_err(|source| ShardError::Write { path, source })
 }
 
 fn text(meta: &impl Serialize) -> Result<String, ShardError> {
@@ -182,7 +182,7 @@ pub(super) fn write(
 }
 
 fn write_file(path: &Path, bytes: &[u8]) -> Result<(), ShardError> {
-    write_whole(path, bytes).map_err(|source| ShardError::Write {
+    write_within(path, bytes).map_err(|source| ShardError::Write {
         path: path.to_owned(),
         source,
     })

@@ -1,9 +1,10 @@
 //! Records of text twins: a line of JSON for each pair that was answered, kept as it comes.
 
 use crate::twins::PairRecord;
+use planagent_files::{MAX_LIST_BYTES, OpenFolder};
 use planagent_runs::report::ReportError;
 use planagent_runs::report::atomic;
-use std::fs::{self, File, OpenOptions};
+use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -23,7 +24,8 @@ impl TwinRecords {
     pub fn open(folder: &Path) -> Result<(Self, Vec<PairRecord>), ReportError> {
         atomic::folder(folder)?;
         let path = folder.join(PAIRS);
-        let text = match fs::read_to_string(&path) {
+        let opened = OpenFolder::open(folder).map_err(ReportError::read(folder))?;
+        let text = match opened.read_text(PAIRS, MAX_LIST_BYTES) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(error) => return Err(ReportError::read(&path)(error)),
@@ -39,12 +41,10 @@ impl TwinRecords {
             .collect::<Result<_, _>>()
             .map_err(ReportError::at(&path))?;
         if complete.len() < text.len() {
-            atomic::write(&path, complete.as_bytes())?;
+            atomic::write_within(&path, complete.as_bytes())?;
         }
-        let file = OpenOptions::new()
-            .append(true)
-            .create(true)
-            .open(&path)
+        let file = opened
+            .append_file(PAIRS)
             .map_err(ReportError::write(&path))?;
         Ok((
             Self {
@@ -67,6 +67,7 @@ impl TwinRecords {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     #[test]
     fn the_first_part_of_a_line_is_dropped() {

@@ -12,10 +12,11 @@ mod problem;
 pub(super) use cache::snapshot_in;
 pub use environment::offline_variable;
 pub(super) use files::{GgufChoice, GgufNames, HubFiles};
-pub(super) use name::{HubName, addressed, plain};
+pub(super) use name::{HubName, addressed, is_gguf, plain};
 
 use crate::MllmError;
 use environment::Environment;
+use name::split_id;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -154,25 +155,6 @@ impl HubAccess {
             )
         })
     }
-}
-
-/// Whether a path names a GGUF file.
-pub(super) fn is_gguf(path: &Path) -> bool {
-    path.extension()
-        .is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
-}
-
-/// Splits `organization/name`.
-pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
-    let valid = |part: &str| {
-        !part.is_empty()
-            && !part.starts_with(['.', '-'])
-            && part
-                .chars()
-                .all(|character| character.is_ascii_alphanumeric() || ".-_".contains(character))
-    };
-    id.split_once('/')
-        .filter(|(owner, name)| valid(owner) && valid(name))
 }
 
 #[cfg(test)]

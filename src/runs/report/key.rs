@@ -158,7 +158,7 @@ fn scene(estimates: bool) -> Vec<(String, String)> {
             "the map has no limit; an estimate by lanes and traffic",
         )
     });
-    let way = estimates.then(|| {
+    let oncoming = estimates.then(|| {
         let meaning = "the oncoming lane leads past what blocks the ego's lane: meters from the front bumper to the blocked part and to \
                        its end, then meters and m/s of the next oncoming vehicle (`- -` without one)";
         row("`oncoming 12 17 46 8`", meaning)
@@ -211,7 +211,7 @@ fn scene(estimates: bool) -> Vec<(String, String)> {
         ),
     ];
     rows.extend(estimate);
-    rows.extend(way);
+    rows.extend(oncoming);
     rows.extend(goal);
     rows
 }

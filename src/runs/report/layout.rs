@@ -13,7 +13,7 @@ pub(super) const TIMING: &str = "timing.json";
 /// The planning calls: of one simulation in its folder, of all in the folder of the run.
 pub(super) const CALLS: &str = "calls.jsonl";
 /// The page of the run.
-pub const PAGE: &str = "report.html";
+pub(crate) const PAGE: &str = "report.html";
 /// File that a running process holds locked.
 pub(super) const LOCK: &str = ".lock";
 

@@ -248,7 +248,7 @@ impl RunFolder {
     }
 
     /// Fails once the folder was moved or deleted.
-    pub fn check_in_place(&self) -> Result<(), ReportError> {
+    pub(crate) fn check_in_place(&self) -> Result<(), ReportError> {
         if self.is_in_place() {
             return Ok(());
         }
@@ -256,7 +256,7 @@ impl RunFolder {
     }
 
     /// Whether the run wrote its results before.
-    pub fn has_summary(&self) -> Result<bool, ReportError> {
+    pub(crate) fn has_summary(&self) -> Result<bool, ReportError> {
         self.files.has(SUMMARY)
     }
 
@@ -401,7 +401,7 @@ impl Locked {
     fn new(files: RunFiles) -> Result<Self, ReportError> {
         let root = files.root();
         let place = root.path_of(LOCK);
-        let lock = root.lock_file(LOCK).map_err(ReportError::write(&place))?;
+        let lock = root.append_file(LOCK).map_err(ReportError::write(&place))?;
         let mut locked = lock.try_lock();
         // A page that asks whether somebody works here holds the lock for an instant.
         for _ in 0..LOCK_TRIES {

@@ -13,7 +13,7 @@ mod urban_driver;
 use super::Split;
 use super::scenes::{MIX, SCENARIOS_PER_SEED};
 use super::shard::ShardError;
-use planagent_files::write_whole;
+use planagent_files::write_within;
 use planagent_scenario::generator::Spec;
 use planagent_scenario::{Frame, Scenario, ScenarioRef};
 use planagent_world::{EgoState, HISTORY_SAMPLES, History, HistorySample, SceneView};
@@ -213,7 +213,7 @@ fn write_shard(
         path: path.to_owned(),
         source,
     };
-    write_whole(path, &tensors::serialized(&samples)?).map_err(written)?;
+    write_within(path, &tensors::serialized(&samples)?).map_err(written)?;
     Ok(samples.len())
 }
 

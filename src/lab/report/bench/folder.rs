@@ -2,6 +2,7 @@
 //! `table.md`.
 
 use crate::bench::Row;
+use planagent_files::{MAX_LIST_BYTES, read_text};
 use planagent_runs::report::atomic;
 use planagent_runs::report::{ReportError, ReportFault, check_writable};
 use serde::{Deserialize, Serialize};
@@ -107,7 +108,7 @@ impl BenchFolder {
         let file = path.join(ROWS);
         parse_rows(
             &file,
-            &fs::read_to_string(&file).map_err(ReportError::read(&file))?,
+            &read_text(&file, MAX_LIST_BYTES).map_err(ReportError::read(&file))?,
         )
     }
 
@@ -137,22 +138,22 @@ impl BenchFolder {
         let metadata = self.path.join(METADATA);
         if !metadata.is_file() {
             atomic::folder(&self.path)?;
-            atomic::write(&metadata, &json(&self.path, &self.metadata)?)?;
+            atomic::write_within(&metadata, &json(&self.path, &self.metadata)?)?;
         }
         let mut text = Vec::new();
         for row in &self.rows {
             serde_json::to_writer(&mut text, row).map_err(ReportError::at(&self.path))?;
             text.push(b'\n');
         }
-        atomic::write(&self.path.join(ROWS), &text)
+        atomic::write_within(&self.path.join(ROWS), &text)
     }
 
     pub fn finish(&self, figures: &impl Serialize, table: &str) -> Result<(), ReportError> {
         if !self.has_measurements() {
             return Ok(());
         }
-        atomic::write(&self.path.join(FIGURES), &json(&self.path, figures)?)?;
-        atomic::write(&self.path.join(TABLE), table.as_bytes())
+        atomic::write_within(&self.path.join(FIGURES), &json(&self.path, figures)?)?;
+        atomic::write_within(&self.path.join(TABLE), table.as_bytes())
     }
 }
 
@@ -163,7 +164,7 @@ fn json(place: &Path, value: &impl Serialize) -> Result<Vec<u8>, ReportError> {
 }
 
 fn read_json(path: &Path) -> Result<BenchMetadata, ReportError> {
-    let text = fs::read_to_string(path).map_err(ReportError::read(path))?;
+    let text = read_text(path, MAX_LIST_BYTES).map_err(ReportError::read(path))?;
     serde_json::from_str(&text).map_err(ReportError::at(path))
 }
 

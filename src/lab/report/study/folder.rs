@@ -52,8 +52,8 @@ impl StudyFolder {
         files: &[(impl AsRef<Path>, String)],
     ) -> Result<(), ReportError> {
         atomic::folder(&self.path)?;
-        files
-            .iter()
-            .try_for_each(|(name, text)| atomic::write(&self.path.join(name), text.as_bytes()))
+        files.iter().try_for_each(|(name, text)| {
+            atomic::write_within(&self.path.join(name), text.as_bytes())
+        })
     }
 }

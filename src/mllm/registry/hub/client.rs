@@ -2,8 +2,9 @@
 
 use super::environment::Environment;
 use super::files::offered;
+use super::name::split_id;
 use super::problem::{in_words, is_about_the_revision};
-use super::{FetchListener, FetchProgress, HubFiles, HubName, HubPlace, cache, split_id};
+use super::{FetchListener, FetchProgress, HubFiles, HubName, HubPlace, cache};
 use hf_hub::progress::{DownloadEvent, Progress, ProgressEvent, ProgressHandler};
 use hf_hub::repository::RepoTreeEntry;
 use hf_hub::{HFClientSync, HFError};

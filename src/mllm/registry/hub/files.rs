@@ -1,6 +1,6 @@
 //! The wanted part of a repository.
 
-use super::{HubName, is_gguf};
+use super::name::{HubName, is_gguf};
 use crate::MllmError;
 use crate::checkpoint::safetensors_folder::{has_safetensors, weight_files};
 use crate::gguf::named_parts;

@@ -2,7 +2,6 @@
 //! forms of `huggingface_hub`, llama.cpp and Ollama.
 
 use super::environment::{Environment, PUBLIC_HUB};
-use super::split_id;
 use std::path::Path;
 
 /// Prefixes that leave no doubt, in small letters.
@@ -94,7 +93,7 @@ fn addressed_at(word: &str, endpoint: &str) -> Option<Result<HubName, String>> {
 /// `organization/name`, perhaps with `@revision`, and with `:QUANT` or `/file.gguf`.
 pub(in crate::registry) fn plain(word: &str) -> Option<HubName> {
     // A name with the extension of a file means a file that does not exist.
-    if split_id(word).is_some() && is_gguf(word) {
+    if split_id(word).is_some() && is_gguf_word(word) {
         return None;
     }
     of_uri(word)
@@ -207,11 +206,11 @@ fn revision_of(text: &str) -> Option<String> {
 /// The path of a GGUF file inside a repository.
 fn file_of(path: &str) -> Option<String> {
     let part = |part: &str| !part.is_empty() && !part.starts_with('.') && !part.contains('\\');
-    (is_gguf(path) && path.split('/').all(part)).then(|| path.to_owned())
+    (is_gguf_word(path) && path.split('/').all(part)).then(|| path.to_owned())
 }
 
-fn is_gguf(path: &str) -> bool {
-    super::is_gguf(Path::new(path))
+fn is_gguf_word(path: &str) -> bool {
+    is_gguf(Path::new(path))
 }
 
 /// A text without a prefix, whose case does not matter.
@@ -243,6 +242,25 @@ fn decoded(text: &str) -> String {
         }
     }
     String::from_utf8(out).unwrap_or_else(|_| text.to_owned())
+}
+
+/// Whether a path names a GGUF file.
+pub(in crate::registry) fn is_gguf(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
+}
+
+/// Splits `organization/name`.
+pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
+    let valid = |part: &str| {
+        !part.is_empty()
+            && !part.starts_with(['.', '-'])
+            && part
+                .chars()
+                .all(|character| character.is_ascii_alphanumeric() || ".-_".contains(character))
+    };
+    id.split_once('/')
+        .filter(|(owner, name)| valid(owner) && valid(name))
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ mod live;
 mod simulation;
 mod source;
 
-pub use super::layout::PAGE;
+pub(crate) use super::layout::PAGE;
 pub use live::{LivePage, LiveState};
 
 use super::atomic;
