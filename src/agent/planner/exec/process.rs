@@ -60,6 +60,8 @@ pub(super) struct Process {
     /// Lines for stdin. A thread writes them, because a command that reads nothing would block the
     /// writer.
     input: Sender<Vec<u8>>,
+    /// Whether it was asked.
+    is_asked: bool,
     output: Receiver<Result<Vec<u8>, ProcessError>>,
     stderr: Arc<Mutex<VecDeque<String>>>,
     /// Disconnected when stderr has ended.
@@ -105,6 +107,7 @@ impl Process {
         Ok(Self {
             child,
             input,
+            is_asked: false,
             output,
             stderr,
             stderr_end,
@@ -121,7 +124,10 @@ impl Process {
         stop: Option<&StopSwitch>,
     ) -> Result<Vec<u8>, ProcessError> {
         line.push(b'\n');
-        if let Ok(early) = self.output.try_recv() {
+        // A command may say that it is ready before it reads the first message.
+        if std::mem::replace(&mut self.is_asked, true)
+            && let Ok(early) = self.output.try_recv()
+        {
             return Err(early.map_or_else(
                 |error| error,
                 |line| ProcessError::Unasked {
@@ -131,7 +137,9 @@ impl Process {
         }
         // A closed channel means that the command has ended; the answer says so.
         let _ = self.input.send(line);
-        match self.line(within, stop) {
+        let answer = self.line(within, stop);
+        planagent_child::wait_if_ending();
+        match answer {
             Ok(line) => line,
             Err(RecvTimeoutError::Timeout) if stop.is_some_and(StopSwitch::is_stopped) => {
                 Err(ProcessError::Stopped)
@@ -176,6 +184,7 @@ impl Process {
                 Err(_) => break Ok(()),
             }
         };
+        planagent_child::wait_if_ending();
         drop(child);
         late
     }
