@@ -418,8 +418,8 @@ impl Locked {
                 let _ = writeln!(&lock, "{}", process::id());
             }
             Err(TryLockError::WouldBlock) => {
-                let text = root.read_text(LOCK, MAX_LOCK_BYTES).unwrap_or_default();
-                let process = text.trim().parse().ok();
+                let text = root.read_text(LOCK, MAX_LOCK_BYTES).ok();
+                let process = text.and_then(|text| text.trim().parse().ok());
                 return Err(ReportError::at(root.path())(ReportFault::Locked(Holder(
                     process,
                 ))));
