@@ -75,7 +75,8 @@ fn of_text(beginning: &[u8]) -> Option<&'static str> {
         Ok(text) => text,
         // A character may be cut at the end.
         Err(error) if error.error_len().is_none() => {
-            std::str::from_utf8(&looked_at[..error.valid_up_to()]).unwrap_or_default()
+            std::str::from_utf8(&looked_at[..error.valid_up_to()])
+                .expect("the bytes before the fault are a text")
         }
         Err(_) => return None,
     };

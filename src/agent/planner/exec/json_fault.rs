@@ -163,7 +163,7 @@ impl<'a> Scanner<'a> {
     }
 
     fn number(&mut self) -> Result<(), JsonFault> {
-        let rest = self.text.get(self.at + 1..).unwrap_or_default();
+        let rest = self.rest(self.at + 1);
         // Infinity with a sign.
         if rest.starts_with(|character: char| character.is_ascii_alphabetic()) {
             return self.word();
@@ -202,12 +202,18 @@ impl<'a> Scanner<'a> {
         }
     }
 
+    /// The text from a byte on; empty behind the end and within a character.
+    fn rest(&self, from: usize) -> &'a str {
+        self.text.get(from..).unwrap_or_default()
+    }
+
     fn token(&self, belongs: impl Fn(char) -> bool) -> &'a str {
-        let rest = self.text.get(self.at..).unwrap_or_default();
+        let rest = self.rest(self.at);
         let end = rest
             .find(|character| !belongs(character))
             .unwrap_or(rest.len());
-        rest.get(..end).unwrap_or_default()
+        rest.get(..end)
+            .expect("a character that was found begins there")
     }
 
     fn single_quotes<T>(&self) -> Result<T, JsonFault> {

@@ -114,7 +114,7 @@ fn snapshots_of(repository: &Path, revision: &str) -> Vec<PathBuf> {
     }
     let all = snapshots(repository);
     let commit_of = |folder: &PathBuf| {
-        let name = folder.file_name().unwrap_or_default();
+        let name = folder.file_name().expect("an entry of a folder has a name");
         name.to_string_lossy().into_owned()
     };
     if revision == MAIN {

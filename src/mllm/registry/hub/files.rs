@@ -236,7 +236,10 @@ fn tower_of(model: &str, repository: &[String]) -> Option<String> {
             .map_or("", |(folder, _)| folder)
             .to_owned()
     };
-    let last = |file: &str| file.rsplit('/').next().unwrap_or_default().to_owned();
+    let last = |file: &str| {
+        let parts = file.rsplit('/').next();
+        parts.expect("a split gives one part at least").to_owned()
+    };
     let rank = |file: &str| {
         let format = TOWER_FORMATS
             .iter()

@@ -165,11 +165,8 @@ pub(super) fn worst(rows: &[SimulationRow], width: LineWidth) -> String {
     let mut worst: Vec<&SimulationRow> = completed
         .filter(|row| row.score.is_some_and(|score| score < 1.0))
         .collect();
-    worst.sort_by(|a, b| {
-        a.score
-            .unwrap_or_default()
-            .total_cmp(&b.score.unwrap_or_default())
-    });
+    let score = |row: &SimulationRow| row.score.expect("rows without a score are left out");
+    worst.sort_by(|a, b| score(a).total_cmp(&score(b)));
     worst.truncate(WORST_ROWS);
     if worst.is_empty() {
         return String::new();
