@@ -102,8 +102,14 @@ impl WholeFile {
     }
 
     /// Gives the file its name. It is on the disk then.
-    pub fn finish(mut self) -> io::Result<()> {
+    pub fn finish(self) -> io::Result<()> {
         self.file.sync_data()?;
+        self.finish_unsynced()
+    }
+
+    /// Gives the file its name, and does not wait for the disk: for files of which a run writes
+    /// many, and which it can write again.
+    pub fn finish_unsynced(mut self) -> io::Result<()> {
         self.folder.rename(&self.temporary, &self.name)?;
         self.finished = true;
         Ok(())

@@ -10,8 +10,8 @@ const ENDINGS: [&str; 2] = ["_API_KEY", "_TOKEN"];
 
 /// Refuses a variable that is not meant as the key of a server, unless the user allows its name.
 pub(super) fn check(variable: &str) -> Result<(), String> {
-    let allowed = env::var(ALLOWED).unwrap_or_default();
-    if is_usual(variable) || is_among(variable, &allowed) {
+    let is_allowed = || env::var(ALLOWED).is_ok_and(|allowed| is_among(variable, &allowed));
+    if is_usual(variable) || is_allowed() {
         return Ok(());
     }
     Err(format!(

@@ -418,8 +418,8 @@ impl Locked {
                 let _ = writeln!(&lock, "{}", process::id());
             }
             Err(TryLockError::WouldBlock) => {
-                let text = root.read_text(LOCK, MAX_LOCK_BYTES).unwrap_or_default();
-                let process = text.trim().parse().ok();
+                let text = root.read_text(LOCK, MAX_LOCK_BYTES).ok();
+                let process = text.and_then(|text| text.trim().parse().ok());
                 return Err(ReportError::at(root.path())(ReportFault::Locked(Holder(
                     process,
                 ))));
@@ -454,7 +454,7 @@ pub(super) fn write_in(folder: &OpenFolder, name: &str, bytes: &[u8]) -> Result<
         .map_err(ReportError::write(&folder.path_of(name)))
 }
 
-/// Deletes what a process that was killed left in a folder. Whoever holds the lock of the run may
+/// Deletes what a process that was killed left in a folder. A holder of the lock of the run may
 /// delete all but the files that another process is writing, such as a page.
 pub(super) fn sweep(folder: &OpenFolder) -> Result<(), ReportError> {
     let failed = |error| ReportError::write(folder.path())(error);

@@ -15,8 +15,11 @@ const MAX_TRIES: usize = 100;
 /// When something else stands in its place, or the folder or a file in it cannot be created.
 pub fn check_writable(folder: &Path) -> Result<(), ReportError> {
     let is_named = |part: &&Path| !part.as_os_str().is_empty();
-    if let Some(existing) = folder.ancestors().find(|part| part.exists())
-        && !existing.is_dir()
+    let found = |part: &Path| fs::metadata(part).ok().map(|found| found.is_dir());
+    // One look at each: another process may delete a folder between two.
+    if let Some((existing, false)) = folder
+        .ancestors()
+        .find_map(|part| Some((part, found(part)?)))
     {
         return Err(ReportError::at(folder)(ReportFault::NoFolder(
             existing.to_owned(),

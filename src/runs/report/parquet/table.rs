@@ -123,7 +123,8 @@ impl TableWriter {
             .writer
             .into_inner()
             .map_err(ReportError::at(&self.path))?;
-        file.finish().map_err(ReportError::write(&self.path))
+        file.finish_unsynced()
+            .map_err(ReportError::write(&self.path))
     }
 }
 
