@@ -6,6 +6,12 @@
 //! for example by `setsid`, is not reached. On other systems, only the drop of a [`BoundChild`] ends
 //! its process.
 
+#[cfg(unix)]
+mod living;
+
+#[cfg(unix)]
+pub use living::{end_all, wait_if_ending};
+
 use std::io;
 use std::process::{Child, Command};
 
@@ -32,12 +38,17 @@ impl BoundChild {
         #[cfg(unix)]
         {
             use std::os::unix::process::CommandExt;
+            // Nothing begins while the program ends.
+            let mut living = living::lock();
             let mut guard = guard()?;
             // The guard leads the group, so that the group exists as long as the guard is not
             // waited for, and its number goes to no other.
             let group = i32::try_from(guard.id()).map_err(io::Error::other);
             match group.and_then(|group| command.process_group(group).spawn()) {
-                Ok(child) => Ok(Self { child, guard }),
+                Ok(child) => {
+                    living.push(living::Group::new(&guard, &child));
+                    Ok(Self { child, guard })
+                }
                 Err(error) => {
                     // It holds nothing yet, and the error of the command is the one to tell.
                     let _ = guard.kill();
@@ -81,13 +92,24 @@ fn guard() -> io::Result<Child> {
         })
 }
 
+/// On this system, a program that ends leaves its children.
+#[cfg(not(unix))]
+pub fn end_all() {}
+
+/// On this system, no child ends before its program.
+#[cfg(not(unix))]
+pub fn wait_if_ending() {}
+
 impl Drop for BoundChild {
     fn drop(&mut self) {
+        // Held until both are waited for: their numbers may then go to others.
+        #[cfg(unix)]
+        let mut living = living::lock();
         #[cfg(unix)]
         {
-            // The group has the number of the guard, which is not waited for before this.
-            let group = rustix::process::Pid::from_child(&self.guard);
-            let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+            let group = living::Group::new(&self.guard, &self.child);
+            group.kill();
+            living.retain(|other| *other != group);
         }
         // On Unix, a process that left the group is still ours to end.
         let _ = self.child.kill();
@@ -196,6 +218,11 @@ mod tests {
         stdin.write_all(b"x\n").unwrap();
         assert_eq!(child.process().wait().unwrap().code(), Some(7));
         assert_eq!(child.guard.try_wait().unwrap(), None);
+    }
+
+    #[test]
+    fn nobody_waits_for_the_end_of_a_program_that_goes_on() {
+        wait_if_ending();
     }
 
     #[test]

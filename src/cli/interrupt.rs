@@ -41,6 +41,7 @@ pub(super) fn advise(advice: impl Into<String>, printer: Printer) -> anyhow::Res
             // A bar stands on the line.
             printer.note(format!("\ninterrupted; {advice}"));
         }
+        planagent_child::end_all();
         // It fails for signals without a default alone.
         let _ = low_level::emulate_default_handler(signal);
     });

@@ -124,6 +124,7 @@ impl Engine {
                 .take(MAX_REPLY_BYTES)
                 .read_line(&mut answer)
         });
+        planagent_child::wait_if_ending();
         if !read.is_ok_and(|bytes| bytes > 0) {
             return Err(self.ended());
         }

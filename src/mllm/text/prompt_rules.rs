@@ -153,7 +153,7 @@ fn join(value: &Value, joiner: Option<&str>) -> Result<String, Error> {
     let mut text = BoundedValue::default();
     for (i, item) in value.try_iter()?.enumerate() {
         if i > 0 {
-            text.write_str(joiner.unwrap_or_default())
+            text.write_str(joiner.unwrap_or(""))
                 .map_err(|_| too_long())?;
         }
         text.add(&item)?;

@@ -92,6 +92,7 @@ pub(super) fn run(
         thread::spawn(move || stdin.write_all(&text));
     }
     let ended = wait(child).map_err(failed)?;
+    planagent_child::wait_if_ending();
     let lines: Vec<Line> = stdout
         .recv()
         .unwrap_or_default()

@@ -23,6 +23,9 @@ const EXIT_WAIT: Duration = Duration::from_secs(1);
 const STOP_POLL: Duration = Duration::from_millis(20);
 /// Time between two looks at the exit status.
 const EXIT_POLL: Duration = Duration::from_millis(5);
+/// Messages after the first before which a line that answers none is waited for, and how long.
+const SETTLING: usize = 3;
+const SETTLE_WAIT: Duration = Duration::from_millis(20);
 /// How long a command may write after its last answer, until it ends at the end of its stdin.
 const END_WAIT: Duration = Duration::from_millis(500);
 
@@ -60,6 +63,8 @@ pub(super) struct Process {
     /// Lines for stdin. A thread writes them, because a command that reads nothing would block the
     /// writer.
     input: Sender<Vec<u8>>,
+    /// How many messages it got.
+    asked: usize,
     output: Receiver<Result<Vec<u8>, ProcessError>>,
     stderr: Arc<Mutex<VecDeque<String>>>,
     /// Disconnected when stderr has ended.
@@ -105,6 +110,7 @@ impl Process {
         Ok(Self {
             child,
             input,
+            asked: 0,
             output,
             stderr,
             stderr_end,
@@ -121,7 +127,16 @@ impl Process {
         stop: Option<&StopSwitch>,
     ) -> Result<Vec<u8>, ProcessError> {
         line.push(b'\n');
-        if let Ok(early) = self.output.try_recv() {
+        let early = match self.asked {
+            // A command may say that it is ready before it reads the first message.
+            0 => None,
+            // The line of a command that answers once too often arrives a moment later. If it is
+            // missed here, the last answer is one too many.
+            1..=SETTLING => self.output.recv_timeout(SETTLE_WAIT).ok(),
+            _ => self.output.try_recv().ok(),
+        };
+        self.asked += 1;
+        if let Some(early) = early {
             return Err(early.map_or_else(
                 |error| error,
                 |line| ProcessError::Unasked {
@@ -131,7 +146,9 @@ impl Process {
         }
         // A closed channel means that the command has ended; the answer says so.
         let _ = self.input.send(line);
-        match self.line(within, stop) {
+        let answer = self.line(within, stop);
+        planagent_child::wait_if_ending();
+        match answer {
             Ok(line) => line,
             Err(RecvTimeoutError::Timeout) if stop.is_some_and(StopSwitch::is_stopped) => {
                 Err(ProcessError::Stopped)
@@ -176,6 +193,7 @@ impl Process {
                 Err(_) => break Ok(()),
             }
         };
+        planagent_child::wait_if_ending();
         drop(child);
         late
     }

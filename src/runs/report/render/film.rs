@@ -125,6 +125,7 @@ pub fn write_mp4(
         let _ = output.read_to_string(&mut message);
     }
     let ended = ffmpeg.wait().map_err(ReportError::write(path))?;
+    planagent_child::wait_if_ending();
     if ended.success() {
         return Ok(file.finish().map_err(ReportError::write(path))?);
     }
