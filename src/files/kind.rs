@@ -77,7 +77,7 @@ fn of_text(beginning: &[u8]) -> Option<&'static str> {
         Ok(text) => text,
         // A character may be cut at the end.
         Err(error) if error.error_len().is_none() => {
-            std::str::from_utf8(&looked_at[..error.valid_up_to()]).unwrap_or_default()
+            std::str::from_utf8(&looked_at[..error.valid_up_to()]).unwrap_or("")
         }
         Err(_) => return None,
     };
