@@ -244,7 +244,8 @@ fn an_unreadable_log_is_named_once() {
     let work = TempDir::new().unwrap();
     fs::create_dir(work.path().join("logs")).unwrap();
     let log = work.path().join("logs/broken.db");
-    fs::write(&log, "no database").unwrap();
+    // Not a text, which would be passed over.
+    fs::write(&log, b"\x01\x02 no database").unwrap();
     let exported = work.path().join("out");
     let good = [
         "scenarios",
