@@ -232,9 +232,10 @@ fn a_quiet_run_with_a_dead_server_says_so() {
         out.to_str().unwrap(),
     ];
     let (code, _, stderr) = run(&flags);
-    assert_eq!(code, 1, "{stderr}");
+    assert_eq!(code, 2, "{stderr}");
     assert!(
-        stderr.contains("8 of 8 planning calls got no answer") && stderr.contains("calls.jsonl"),
+        stderr.contains("the model 'dead' cannot be asked, so nothing is simulated")
+            && stderr.contains("cannot connect"),
         "{stderr}"
     );
 }
