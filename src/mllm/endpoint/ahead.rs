@@ -53,7 +53,7 @@ fn send_pieces(mut response: impl Read, sender: &SyncSender<io::Result<Vec<u8>>>
     loop {
         let piece = match response.read(&mut buffer) {
             Ok(0) => return,
-            Ok(count) => Ok(buffer.get(..count).unwrap_or_default().to_vec()),
+            Ok(count) => Ok(buffer.iter().take(count).copied().collect()),
             Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
             Err(error) => Err(error),
         };
@@ -70,7 +70,7 @@ impl Read for Ahead {
             self.rest = self.next()?;
             self.taken = 0;
         }
-        let left = self.rest.get(self.taken..).unwrap_or_default();
+        let left = self.rest.get(self.taken..).unwrap_or(&[]);
         let count = left.len().min(buffer.len());
         if let (Some(to), Some(from)) = (buffer.get_mut(..count), left.get(..count)) {
             to.copy_from_slice(from);

@@ -33,13 +33,13 @@ struct BoxState {
 impl BoxState {
     fn from_state(state: &ObjectState, origin: Vector) -> Option<Self> {
         let center = Pose::new(
-            state.center_x.unwrap_or_default() - origin.x,
-            state.center_y.unwrap_or_default() - origin.y,
+            state.center_x.unwrap_or(0.0) - origin.x,
+            state.center_y.unwrap_or(0.0) - origin.y,
             f64::from(state.heading),
         );
         let velocity = Vector::new(
-            f64::from(state.velocity_x.unwrap_or_default()),
-            f64::from(state.velocity_y.unwrap_or_default()),
+            f64::from(state.velocity_x.unwrap_or(0.0)),
+            f64::from(state.velocity_y.unwrap_or(0.0)),
         );
         let sound = state.valid
             && center.is_finite()
@@ -93,10 +93,7 @@ pub(super) fn check_ego_fields(track: &Track) -> Result<(), WomdFault> {
         return absent("center_x or center_y");
     }
     let position = |state: &ObjectState| {
-        Point::new(
-            state.center_x.unwrap_or_default(),
-            state.center_y.unwrap_or_default(),
-        )
+        Point::new(state.center_x.unwrap_or(0.0), state.center_y.unwrap_or(0.0))
     };
     let moves = || {
         let (Some(first), Some(last)) = (valid().next(), valid().next_back()) else {

@@ -152,7 +152,7 @@ impl<'a> Scanner<'a> {
             }
         }
         self.at += 1;
-        let token = self.text.get(begin..self.at).unwrap_or_default();
+        let token = self.text.get(begin..self.at).unwrap_or("");
         match serde_json::from_str(token) {
             Ok(text) => Ok(text),
             Err(_) => {
@@ -163,7 +163,7 @@ impl<'a> Scanner<'a> {
     }
 
     fn number(&mut self) -> Result<(), JsonFault> {
-        let rest = self.text.get(self.at + 1..).unwrap_or_default();
+        let rest = self.text.get(self.at + 1..).unwrap_or("");
         // Infinity with a sign.
         if rest.starts_with(|character: char| character.is_ascii_alphabetic()) {
             return self.word();
@@ -203,11 +203,11 @@ impl<'a> Scanner<'a> {
     }
 
     fn token(&self, belongs: impl Fn(char) -> bool) -> &'a str {
-        let rest = self.text.get(self.at..).unwrap_or_default();
+        let rest = self.text.get(self.at..).unwrap_or("");
         let end = rest
             .find(|character| !belongs(character))
             .unwrap_or(rest.len());
-        rest.get(..end).unwrap_or_default()
+        rest.get(..end).unwrap_or("")
     }
 
     fn single_quotes<T>(&self) -> Result<T, JsonFault> {

@@ -114,8 +114,9 @@ fn snapshots_of(repository: &Path, revision: &str) -> Vec<PathBuf> {
     }
     let all = snapshots(repository);
     let commit_of = |folder: &PathBuf| {
-        let name = folder.file_name().unwrap_or_default();
-        name.to_string_lossy().into_owned()
+        folder
+            .file_name()
+            .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
     };
     if revision == MAIN {
         let named = refs(&repository.join("refs"));

@@ -88,7 +88,7 @@ fn ask(
     listener: Option<Arc<FetchListener>>,
 ) -> Result<HubPlace, Failure> {
     let client = client(cache, endpoint, attempts)?;
-    let (owner, repository) = split_id(&name.id).unwrap_or_default();
+    let (owner, repository) = split_id(&name.id).expect("the id was checked before the download");
     let repository = client.model(owner, repository);
     let revision = name.revision.as_deref().unwrap_or(cache::MAIN);
     let list = || -> Result<Vec<String>, HFError> {

@@ -83,7 +83,10 @@ fn addressed_at(word: &str, endpoint: &str) -> Option<Result<HubName, String>> {
         .then(|| without_prefix(word, endpoint))
         .flatten()?
         .strip_prefix('/')?;
-    let first = path.split(['/', '?', '#']).next().unwrap_or_default();
+    let first = path
+        .split(['/', '?', '#'])
+        .next()
+        .expect("a split gives one part at least");
     if OF_SERVERS.contains(&first) {
         return None;
     }
