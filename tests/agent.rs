@@ -597,8 +597,8 @@ fn a_control_is_an_agent_of_the_library() {
     let scenario = scenario("generated/changing_lane/3");
     let mut agent = control("fixed-code").unwrap();
     planagent::simulate(&scenario, &mut agent, Challenge::NonReactive).unwrap();
-    let calls = agent.calls();
-    assert!(!calls.is_empty() && calls.iter().all(|call| call.attempts.len() == 1));
+    // A call every 2 s of the 15 s, and more often while the lane is blocked.
+    assert!(agent.calls().len() >= 8);
     let error = control("oracle-code").unwrap_err().to_string();
     assert!(error.contains("a simulation to look ahead in"), "{error}");
 }

@@ -5,6 +5,8 @@
 pub const KIND_BYTES: usize = 512;
 /// Bytes of a text that are looked at.
 const TEXT_BYTES: usize = 64;
+/// What a text is, of which nothing else is known.
+pub const TEXT: &str = "a text";
 /// Fewest bytes of a text: some bytes of a cut file may be letters by chance.
 const MIN_TEXT_BYTES: usize = 8;
 
@@ -75,8 +77,14 @@ fn of_text(beginning: &[u8]) -> Option<&'static str> {
         Ok(text) => text,
         // A character may be cut at the end.
         Err(error) if error.error_len().is_none() => {
+<<<<<<< HEAD
             std::str::from_utf8(&looked_at[..error.valid_up_to()])
                 .expect("the bytes before the fault are a text")
+||||||| 858069b
+            std::str::from_utf8(&looked_at[..error.valid_up_to()]).unwrap_or_default()
+=======
+            std::str::from_utf8(&looked_at[..error.valid_up_to()]).unwrap_or("")
+>>>>>>> main
         }
         Err(_) => return None,
     };
@@ -90,7 +98,7 @@ fn of_text(beginning: &[u8]) -> Option<&'static str> {
     } else if text.starts_with(['{', '[']) {
         Some("a JSON text")
     } else {
-        Some("a text")
+        Some(TEXT)
     }
 }
 

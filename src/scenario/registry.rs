@@ -16,7 +16,7 @@ use super::reader::{
 use super::split::Split;
 #[cfg(feature = "womd")]
 use super::womd;
-use planagent_files::{KIND_BYTES, kind_of, path_of, word_of};
+use planagent_files::{KIND_BYTES, TEXT, kind_of, path_of, word_of};
 use std::fmt;
 use std::io::Read;
 use std::path::Path;
@@ -185,14 +185,14 @@ impl Readers {
     }
 }
 
-/// What a file of no reader is, if that is known.
+/// What a file of no reader is, if that is known and says something.
 fn kind_of_file(path: &Path) -> Option<&'static str> {
     let mut beginning = Vec::new();
     let file = planagent_files::open(path).ok()?;
     file.take(KIND_BYTES as u64)
         .read_to_end(&mut beginning)
         .ok()?;
-    kind_of(&beginning)
+    kind_of(&beginning).filter(|kind| *kind != TEXT)
 }
 
 /// The later start that a word ends in, unless it is the name of a file.

@@ -232,9 +232,10 @@ fn a_quiet_run_with_a_dead_server_says_so() {
         out.to_str().unwrap(),
     ];
     let (code, _, stderr) = run(&flags);
-    assert_eq!(code, 1, "{stderr}");
+    assert_eq!(code, 2, "{stderr}");
     assert!(
-        stderr.contains("8 of 8 planning calls got no answer") && stderr.contains("calls.jsonl"),
+        stderr.contains("the model 'dead' cannot be asked, so nothing is simulated")
+            && stderr.contains("cannot connect"),
         "{stderr}"
     );
 }
@@ -244,7 +245,8 @@ fn an_unreadable_log_is_named_once() {
     let work = TempDir::new().unwrap();
     fs::create_dir(work.path().join("logs")).unwrap();
     let log = work.path().join("logs/broken.db");
-    fs::write(&log, "no database").unwrap();
+    // Not a text, which would be passed over.
+    fs::write(&log, b"\x01\x02 no database").unwrap();
     let exported = work.path().join("out");
     let good = [
         "scenarios",

@@ -92,7 +92,8 @@ fn every_named_source_exists() {
 #[test]
 fn sources_name_decisions_that_exist_and_every_research_decision_is_named() {
     let mut named = BTreeSet::new();
-    for file in sources(&root().join("src")) {
+    let files = ["src", "python/src"].map(|folder| sources(&root().join(folder)));
+    for file in files.concat() {
         for (i, line) in read(&file).lines().enumerate() {
             for word in line.split("docs/decisions/").skip(1) {
                 let page = word.split_inclusive(".md").next().unwrap_or_default();

@@ -455,7 +455,7 @@ fn what_a_server_says_is_shown_and_not_obeyed() {
         "{transcript}"
     );
     assert!(
-        transcript.contains("\\u001b[2J\\u009b31m [key]") && !transcript.contains('\u{1b}'),
+        transcript.contains(r"\\u001b\[2J\\u009b31m \[key]") && !transcript.contains('\u{1b}'),
         "{transcript}"
     );
     assert!(!run.everything().contains(KEY));

@@ -68,8 +68,9 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReaderError> {
         .map_err(failed)?;
     // What systems and browsers leave beside recordings is none.
     let is_left = |path: &PathBuf| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        is_hidden(&name) || is_unfinished(&name)
+        path.file_name()
+            .map(|name| name.to_string_lossy())
+            .is_some_and(|name| is_hidden(&name) || is_unfinished(&name))
     };
     files.retain(|path| is_recording(path) && !path.is_dir() && !is_left(path));
     files.sort();

@@ -191,7 +191,7 @@ fn shown(text: &str, bytes: std::ops::Range<usize>) -> String {
     if begin > 0 {
         out.push('…');
     }
-    for character in text.get(begin..end).unwrap_or_default().chars() {
+    for character in text.get(begin..end).unwrap_or("").chars() {
         if character.is_control() {
             out.extend(character.escape_default());
         } else {

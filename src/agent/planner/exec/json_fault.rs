@@ -152,7 +152,7 @@ impl<'a> Scanner<'a> {
             }
         }
         self.at += 1;
-        let token = self.text.get(begin..self.at).unwrap_or_default();
+        let token = self.text.get(begin..self.at).unwrap_or("");
         match serde_json::from_str(token) {
             Ok(text) => Ok(text),
             Err(_) => {
@@ -163,7 +163,13 @@ impl<'a> Scanner<'a> {
     }
 
     fn number(&mut self) -> Result<(), JsonFault> {
+<<<<<<< HEAD
         let rest = self.rest(self.at + 1);
+||||||| 858069b
+        let rest = self.text.get(self.at + 1..).unwrap_or_default();
+=======
+        let rest = self.text.get(self.at + 1..).unwrap_or("");
+>>>>>>> main
         // Infinity with a sign.
         if rest.starts_with(|character: char| character.is_ascii_alphabetic()) {
             return self.word();
@@ -208,12 +214,24 @@ impl<'a> Scanner<'a> {
     }
 
     fn token(&self, belongs: impl Fn(char) -> bool) -> &'a str {
+<<<<<<< HEAD
         let rest = self.rest(self.at);
+||||||| 858069b
+        let rest = self.text.get(self.at..).unwrap_or_default();
+=======
+        let rest = self.text.get(self.at..).unwrap_or("");
+>>>>>>> main
         let end = rest
             .find(|character| !belongs(character))
             .unwrap_or(rest.len());
+<<<<<<< HEAD
         rest.get(..end)
             .expect("a character that was found begins there")
+||||||| 858069b
+        rest.get(..end).unwrap_or_default()
+=======
+        rest.get(..end).unwrap_or("")
+>>>>>>> main
     }
 
     fn single_quotes<T>(&self) -> Result<T, JsonFault> {
