@@ -77,14 +77,7 @@ fn of_text(beginning: &[u8]) -> Option<&'static str> {
         Ok(text) => text,
         // A character may be cut at the end.
         Err(error) if error.error_len().is_none() => {
-<<<<<<< HEAD
-            std::str::from_utf8(&looked_at[..error.valid_up_to()])
-                .expect("the bytes before the fault are a text")
-||||||| 858069b
-            std::str::from_utf8(&looked_at[..error.valid_up_to()]).unwrap_or_default()
-=======
             std::str::from_utf8(&looked_at[..error.valid_up_to()]).unwrap_or("")
->>>>>>> main
         }
         Err(_) => return None,
     };

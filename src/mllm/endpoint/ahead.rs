@@ -53,16 +53,7 @@ fn send_pieces(mut response: impl Read, sender: &SyncSender<io::Result<Vec<u8>>>
     loop {
         let piece = match response.read(&mut buffer) {
             Ok(0) => return,
-<<<<<<< HEAD
-            Ok(count) => Ok(buffer
-                .get(..count)
-                .expect("a reader fills no more than its buffer")
-                .to_vec()),
-||||||| 858069b
-            Ok(count) => Ok(buffer.get(..count).unwrap_or_default().to_vec()),
-=======
             Ok(count) => Ok(buffer.iter().take(count).copied().collect()),
->>>>>>> main
             Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
             Err(error) => Err(error),
         };
@@ -79,16 +70,7 @@ impl Read for Ahead {
             self.rest = self.next()?;
             self.taken = 0;
         }
-<<<<<<< HEAD
-        let left = self
-            .rest
-            .get(self.taken..)
-            .expect("no more was taken than there is");
-||||||| 858069b
-        let left = self.rest.get(self.taken..).unwrap_or_default();
-=======
         let left = self.rest.get(self.taken..).unwrap_or(&[]);
->>>>>>> main
         let count = left.len().min(buffer.len());
         if let (Some(to), Some(from)) = (buffer.get_mut(..count), left.get(..count)) {
             to.copy_from_slice(from);

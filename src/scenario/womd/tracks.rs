@@ -23,11 +23,6 @@ const MAX_EGO_GAP: usize = 5;
 /// Way of an ego that stands, meters: positions jitter.
 const MAX_STANDING_M: f64 = 2.0;
 
-/// A number of a message; without its field it is 0, as in protocol buffers.
-fn number<T: Default>(field: Option<T>) -> T {
-    field.unwrap_or_default()
-}
-
 /// The center of a box and its velocity in the map frame.
 #[derive(Debug, Clone, Copy)]
 struct BoxState {
@@ -38,29 +33,13 @@ struct BoxState {
 impl BoxState {
     fn from_state(state: &ObjectState, origin: Vector) -> Option<Self> {
         let center = Pose::new(
-<<<<<<< HEAD
-            number(state.center_x) - origin.x,
-            number(state.center_y) - origin.y,
-||||||| 858069b
-            state.center_x.unwrap_or_default() - origin.x,
-            state.center_y.unwrap_or_default() - origin.y,
-=======
             state.center_x.unwrap_or(0.0) - origin.x,
             state.center_y.unwrap_or(0.0) - origin.y,
->>>>>>> main
             f64::from(state.heading),
         );
         let velocity = Vector::new(
-<<<<<<< HEAD
-            f64::from(number(state.velocity_x)),
-            f64::from(number(state.velocity_y)),
-||||||| 858069b
-            f64::from(state.velocity_x.unwrap_or_default()),
-            f64::from(state.velocity_y.unwrap_or_default()),
-=======
             f64::from(state.velocity_x.unwrap_or(0.0)),
             f64::from(state.velocity_y.unwrap_or(0.0)),
->>>>>>> main
         );
         let sound = state.valid
             && center.is_finite()
@@ -113,20 +92,9 @@ pub(super) fn check_ego_fields(track: &Track) -> Result<(), WomdFault> {
     if valid().all(|state| state.center_x.is_none() && state.center_y.is_none()) {
         return absent("center_x or center_y");
     }
-<<<<<<< HEAD
-    let position = |state: &ObjectState| Point::new(number(state.center_x), number(state.center_y));
-||||||| 858069b
-    let position = |state: &ObjectState| {
-        Point::new(
-            state.center_x.unwrap_or_default(),
-            state.center_y.unwrap_or_default(),
-        )
-    };
-=======
     let position = |state: &ObjectState| {
         Point::new(state.center_x.unwrap_or(0.0), state.center_y.unwrap_or(0.0))
     };
->>>>>>> main
     let moves = || {
         let (Some(first), Some(last)) = (valid().next(), valid().next_back()) else {
             return false;

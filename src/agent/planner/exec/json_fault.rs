@@ -163,13 +163,7 @@ impl<'a> Scanner<'a> {
     }
 
     fn number(&mut self) -> Result<(), JsonFault> {
-<<<<<<< HEAD
-        let rest = self.rest(self.at + 1);
-||||||| 858069b
-        let rest = self.text.get(self.at + 1..).unwrap_or_default();
-=======
         let rest = self.text.get(self.at + 1..).unwrap_or("");
->>>>>>> main
         // Infinity with a sign.
         if rest.starts_with(|character: char| character.is_ascii_alphabetic()) {
             return self.word();
@@ -208,30 +202,12 @@ impl<'a> Scanner<'a> {
         }
     }
 
-    /// The text from a byte on; empty behind the end and within a character.
-    fn rest(&self, from: usize) -> &'a str {
-        self.text.get(from..).unwrap_or_default()
-    }
-
     fn token(&self, belongs: impl Fn(char) -> bool) -> &'a str {
-<<<<<<< HEAD
-        let rest = self.rest(self.at);
-||||||| 858069b
-        let rest = self.text.get(self.at..).unwrap_or_default();
-=======
         let rest = self.text.get(self.at..).unwrap_or("");
->>>>>>> main
         let end = rest
             .find(|character| !belongs(character))
             .unwrap_or(rest.len());
-<<<<<<< HEAD
-        rest.get(..end)
-            .expect("a character that was found begins there")
-||||||| 858069b
-        rest.get(..end).unwrap_or_default()
-=======
         rest.get(..end).unwrap_or("")
->>>>>>> main
     }
 
     fn single_quotes<T>(&self) -> Result<T, JsonFault> {

@@ -114,17 +114,9 @@ fn snapshots_of(repository: &Path, revision: &str) -> Vec<PathBuf> {
     }
     let all = snapshots(repository);
     let commit_of = |folder: &PathBuf| {
-<<<<<<< HEAD
-        let name = folder.file_name().expect("an entry of a folder has a name");
-        name.to_string_lossy().into_owned()
-||||||| 858069b
-        let name = folder.file_name().unwrap_or_default();
-        name.to_string_lossy().into_owned()
-=======
         folder
             .file_name()
             .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
->>>>>>> main
     };
     if revision == MAIN {
         let named = refs(&repository.join("refs"));

@@ -237,20 +237,11 @@ fn tower_of(model: &str, repository: &[String]) -> Option<String> {
             .map_or("", |(folder, _)| folder)
             .to_owned()
     };
-<<<<<<< HEAD
-    let last = |file: &str| {
-        let parts = file.rsplit('/').next();
-        parts.expect("a split gives one part at least").to_owned()
-    };
-||||||| 858069b
-    let last = |file: &str| file.rsplit('/').next().unwrap_or_default().to_owned();
-=======
     let last = |file: &str| {
         file.rsplit_once('/')
             .map_or(file, |(_, last)| last)
             .to_owned()
     };
->>>>>>> main
     let rank = |file: &str| {
         let format = TOWER_FORMATS
             .iter()
