@@ -158,18 +158,14 @@ fn in_words(rows: &[&SimulationRow], width: LineWidth) -> Table {
 
 /// The simulations with the lowest scores below 1, where a run has many.
 pub(super) fn worst(rows: &[SimulationRow], width: LineWidth) -> String {
-    let completed = rows.iter().filter(|row| row.score.is_some());
-    if completed.clone().count() < MANY {
+    let scored = rows.iter().filter_map(|row| Some((row.score?, row)));
+    let mut scored: Vec<(f64, &SimulationRow)> = scored.collect();
+    if scored.len() < MANY {
         return String::new();
     }
-    let mut worst: Vec<&SimulationRow> = completed
-        .filter(|row| row.score.is_some_and(|score| score < 1.0))
-        .collect();
-    worst.sort_by(|a, b| {
-        a.score
-            .unwrap_or_default()
-            .total_cmp(&b.score.unwrap_or_default())
-    });
+    scored.retain(|(score, _)| *score < 1.0);
+    scored.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    let mut worst: Vec<&SimulationRow> = scored.into_iter().map(|(_, row)| row).collect();
     worst.truncate(WORST_ROWS);
     if worst.is_empty() {
         return String::new();

@@ -163,7 +163,7 @@ impl Table {
         let all = self.headers.len();
         let texts: Vec<usize> = (0..self.texts().clamp(1, all.max(1))).collect();
         let fits = |own: &[usize]| {
-            let shown = own.get(1..).unwrap_or_default();
+            let (_, shown) = own.split_first().unwrap_or((&0, own));
             widest(&self.of_columns(shown).lines()) <= columns
         };
         let (mut blocks, mut own) = (Vec::new(), texts.clone());
