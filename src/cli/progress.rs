@@ -385,7 +385,7 @@ mod tests {
             progress.bar.set_position(12_799);
             progress.bar.force_draw();
             let drawn = paper.text.lock().unwrap().clone();
-            let line = drawn.lines().last().unwrap();
+            let line = drawn.lines().rfind(|line| !line.is_empty()).unwrap();
             assert!(line.starts_with("12799/12800 simulations"), "{drawn}");
             let width = console::measure_text_width(line);
             assert_eq!(width, usize::from(columns), "{drawn}");

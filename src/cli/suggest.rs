@@ -45,11 +45,17 @@ pub(super) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) 
                 .any(|part| part.starts_with(short))
             || short.contains('-') && long.contains(short)
     };
-    // One wrong, missing or swapped letter is close in a short name too.
+    // The first words of a name are closest. One wrong, missing or swapped letter is close in a short
+    // name too.
+    let begins = |one: &str| {
+        let rest = one.strip_prefix(name.as_str());
+        rest.is_some_and(|rest| rest.starts_with(['-', '/', '.']))
+    };
     let similarity = |one: &str| {
         let one = folded(one);
         match strsim::damerau_levenshtein(&name, &one) {
             0 => 3.0,
+            _ if name.chars().count() >= MIN_PART && begins(&one) => 2.5,
             1 => 2.0,
             _ if is_part(&one) => 1.5,
             _ => strsim::jaro(&name, &one),
