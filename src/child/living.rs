@@ -72,7 +72,7 @@ pub fn end_all() {
     }
 }
 
-/// Waits for the end of the program, if [`end_all`] was called. Whoever reads from a child calls
+/// Waits for the end of the program, if [`end_all`] was called. Code that reads from a child calls
 /// this before it takes the end of the child for a failure.
 pub fn wait_if_ending() {
     while IS_ENDING.load(Ordering::SeqCst) {

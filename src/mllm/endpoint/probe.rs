@@ -115,11 +115,11 @@ fn remarks(answers: &[ProbeAnswer], grammar: GrammarField) -> Vec<String> {
         .iter()
         .any(|answer| answer.constraint == ConstraintUse::Violated)
     {
-        let field = serde_json::to_value(grammar).unwrap_or_default();
+        let field = serde_json::to_value(grammar).expect("the name of a field is a value of JSON");
         remarks.push(format!(
             "its answer to a test question does not follow the grammar ({}): the server may ignore this field, and another value \
              of grammar in the description may fit",
-            field.as_str().unwrap_or_default()
+            field.as_str().expect("the name of a field is a text")
         ));
     }
     if let [first, second] = answers {

@@ -185,7 +185,10 @@ fn check_part(header: &Header, expected: Part) -> Result<(), MllmError> {
 }
 
 fn absent(header: &Header, path: &Path, part: Part) -> MllmError {
-    let missing = path.file_name().unwrap_or_default().to_string_lossy();
+    let missing = path
+        .file_name()
+        .expect("the path of a part ends in its name")
+        .to_string_lossy();
     let problem = format!(
         "this is part {} of {}, and the part {missing} is not beside it; put all parts into one folder",
         part.number + 1,

@@ -256,7 +256,9 @@ fn look_at_rounds(
         let chat = Chat {
             system,
             image,
-            turns: turns.get(..earlier).unwrap_or_default(),
+            turns: turns
+                .get(..earlier)
+                .expect("no more rounds are earlier than there are"),
             prompt,
         };
         let written = format.ids(tokenizer, &chat);
