@@ -4,6 +4,7 @@
 //! stack and the thread state that Python gives its threads, and without a frame of Rust below it,
 //! so that Python can end it at exit. The thread of the pool waits for the answer, or for the stop
 //! of the run. A planner that never returns holds its own thread and nothing else.
+//! Why: docs/decisions/126-planners-on-threads-of-python.md.
 //! `docs/decisions/126-planners-on-threads-of-python.md` says why.
 
 use crate::observation::Observation;
