@@ -198,11 +198,11 @@ fn open_scenario(c: &mut Criterion) {
         sources[0].open().unwrap()
     };
     c.bench_function("open a nuPlan scenario, map included", |b| {
-        b.iter(|| open(&Readers::new(&roots())))
+        b.iter(|| open(&Readers::new(&roots())));
     });
     let warm = Readers::new(&roots());
     c.bench_function("open a nuPlan scenario, map loaded", |b| {
-        b.iter(|| open(&warm))
+        b.iter(|| open(&warm));
     });
 }
 
@@ -228,13 +228,13 @@ fn engine(c: &mut Criterion) {
     .unwrap();
 
     c.bench_function("generate a scenario", |b| {
-        b.iter(|| generate(black_box(&DEFAULT)).unwrap())
+        b.iter(|| generate(black_box(&DEFAULT)).unwrap());
     });
     c.bench_function("draw the BEV image, 128 px", |b| {
-        b.iter(|| bev::render(black_box(&scene), &BevView::default()))
+        b.iter(|| bev::render(black_box(&scene), &BevView::default()));
     });
     c.bench_function("build the lane graph", |b| {
-        b.iter(|| LaneGraph::build(black_box(&scene), DEFAULT_NODE_LENGTH))
+        b.iter(|| LaneGraph::build(black_box(&scene), DEFAULT_NODE_LENGTH));
     });
     c.bench_function("write the compact text", |b| {
         b.iter(|| {
@@ -245,7 +245,7 @@ fn engine(c: &mut Criterion) {
         });
     });
     c.bench_function("roll out an IDM plan, 4 s", |b| {
-        b.iter(|| planner.roll_out(black_box(&scene), 40))
+        b.iter(|| planner.roll_out(black_box(&scene), 40));
     });
     c.bench_function("reflect on a plan, proposals included", |b| {
         b.iter(|| {

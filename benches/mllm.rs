@@ -119,7 +119,7 @@ fn peak() -> f64 {
         fastest.measure(|| {
             operations = rayon::broadcast(|_| byte_operations(ROUNDS))
                 .into_iter()
-                .sum()
+                .sum();
         });
     }
     operations as f64 / fastest.0
@@ -149,9 +149,9 @@ fn measure(format: WeightFormat, shape: [usize; 2], peak: f64) {
     let start = Instant::now();
     while start.elapsed() < TIME {
         product.measure(|| {
-            matrices
-                .iter()
-                .for_each(|matrix| drop(black_box(matrix.forward(&token).unwrap())))
+            for matrix in &matrices {
+                drop(black_box(matrix.forward(&token).unwrap()));
+            }
         });
         plain.measure(|| {
             black_box(read(black_box(&words)));

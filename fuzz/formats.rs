@@ -89,7 +89,7 @@ fn message(text: &str) -> Vec<u8> {
                 bytes.extend(value.parse::<f32>().unwrap_or(0.0).to_le_bytes());
             }
             Some(("\"", value)) => {
-                with_length(bytes, field, value.trim_end_matches('"').as_bytes())
+                with_length(bytes, field, value.trim_end_matches('"').as_bytes());
             }
             _ => {}
         }
@@ -252,7 +252,7 @@ pub(crate) fn gguf(text: &str) -> Vec<u8> {
                 .concat(),
             ),
             "b" => {
-                entries.extend([&7_u32.to_le_bytes()[..], &[u8::from(value == "true")]].concat())
+                entries.extend([&7_u32.to_le_bytes()[..], &[u8::from(value == "true")]].concat());
             }
             "as" => {
                 list(&mut entries, 8);
@@ -261,13 +261,13 @@ pub(crate) fn gguf(text: &str) -> Vec<u8> {
             "ai" => {
                 list(&mut entries, 5);
                 words().for_each(|word| {
-                    entries.extend(word.parse::<i32>().unwrap_or(0).to_le_bytes())
+                    entries.extend(word.parse::<i32>().unwrap_or(0).to_le_bytes());
                 });
             }
             "af" => {
                 list(&mut entries, 6);
                 words().for_each(|word| {
-                    entries.extend(word.parse::<f32>().unwrap_or(0.0).to_le_bytes())
+                    entries.extend(word.parse::<f32>().unwrap_or(0.0).to_le_bytes());
                 });
             }
             _ => {

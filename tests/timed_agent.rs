@@ -12,7 +12,7 @@ const EIGHT: &str = "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=
 fn after(milliseconds: u64) -> PlanAgentSettings {
     let latency = Latency::Fixed(Duration::from_millis(milliseconds));
     settings_with(|settings| {
-        (settings.agent.latency, settings.reflection.enabled) = (latency, false)
+        (settings.agent.latency, settings.reflection.enabled) = (latency, false);
     })
 }
 

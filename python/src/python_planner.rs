@@ -35,16 +35,15 @@ impl Planner for PythonPlanner {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         self.map = Some(Arc::clone(initialization.map));
         self.start_us = None;
-        let simulation = match self.simulation {
-            Some(known) => known,
-            None => {
-                let simulation = NEXT.fetch_add(1, Ordering::Relaxed);
-                self.relay.ask(Question::Make {
-                    simulation,
-                    planner: self.number,
-                })?;
-                *self.simulation.insert(simulation)
-            }
+        let simulation = if let Some(known) = self.simulation {
+            known
+        } else {
+            let simulation = NEXT.fetch_add(1, Ordering::Relaxed);
+            self.relay.ask(Question::Make {
+                simulation,
+                planner: self.number,
+            })?;
+            *self.simulation.insert(simulation)
         };
         self.relay.ask(Question::Reset { simulation }).map(drop)
     }

@@ -182,8 +182,7 @@ mod tests {
         Command::new("sh")
             .args(["-c", &signal])
             .status()
-            .unwrap()
-            .success()
+            .is_ok_and(|status| status.success())
     }
 
     #[test]

@@ -46,7 +46,7 @@ impl Printer {
     }
 
     /// Whether stdout carries JSON.
-    pub(crate) fn is_json(&self) -> bool {
+    pub(crate) fn is_json(self) -> bool {
         self.json
     }
 
@@ -209,7 +209,7 @@ impl Printer {
     }
 
     /// A progress bar of bytes on stderr; hidden when quiet or without a terminal.
-    pub(crate) fn byte_progress(&self, length: u64) -> ProgressBar {
+    pub(crate) fn byte_progress(self, length: u64) -> ProgressBar {
         let bar = self.progress(length, "bytes");
         if let Ok(style) = ProgressStyle::with_template(
             "{bytes}/{total_bytes} {bytes_per_sec} {eta} left {msg} {wide_bar}",
@@ -225,7 +225,7 @@ impl Printer {
     }
 
     /// The width of tables on stdout.
-    pub(crate) fn line_width(&self) -> LineWidth {
+    pub(crate) fn line_width(self) -> LineWidth {
         self.columns().map_or(LineWidth::PIPE, LineWidth::terminal)
     }
 

@@ -61,7 +61,7 @@ impl Console {
                 }
             }
             Event::Started { total } => {
-                self.replace(Some(SimulationProgress::new(self.printer, total)))
+                self.replace(Some(SimulationProgress::new(self.printer, total)));
             }
             Event::Stepped => self.of_simulations(SimulationProgress::step),
             Event::CallFailed(call) => self.aside(&call.to_string()),

@@ -43,7 +43,7 @@ const NEGLIGIBLE: f32 = 1e-30;
 pub fn softmax(x: &Tensor) -> Result<Tensor> {
     let width = x.dim(D::Minus1)?;
     row_by_row(x, width, width, |out, values| {
-        Instructions::best().run(SoftmaxKernel { width, values, out })
+        Instructions::best().run(SoftmaxKernel { width, values, out });
     })
 }
 

@@ -29,7 +29,7 @@ impl RmsNorm {
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let width = self.weight.len();
         row_by_row(x, width, width, |out, x| {
-            Instructions::best().run(Rows { norm: self, x, out })
+            Instructions::best().run(Rows { norm: self, x, out });
         })
     }
 }

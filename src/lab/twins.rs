@@ -104,7 +104,7 @@ pub fn draw(
                     *drawn
                         .refused
                         .entry((name.kind, why, name.base.scenario_type))
-                        .or_default() += 1
+                        .or_default() += 1;
                 }
                 None if count(&drawn, name.kind) < per_kind => drawn.pairs.push(name),
                 None => {}

@@ -153,11 +153,11 @@ pub enum MllmError {
     #[error("{id} (revision {revision}): {file} is not in the cache {cache}; {advice}")]
     NotInCache {
         id: String,
-        revision: String,
+        revision: Box<str>,
         file: String,
         cache: PathBuf,
         /// What is there instead, and how the file gets there.
-        advice: String,
+        advice: Box<str>,
     },
     #[error("model '{word}': {problem}")]
     HubName { word: String, problem: String },

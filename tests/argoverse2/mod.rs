@@ -345,7 +345,7 @@ fn cut_logs_are_reported_with_their_file() -> Needy {
         tables
             .iter()
             .zip(&whole)
-            .for_each(|(table, bytes)| std::fs::write(copy.path().join(table), bytes).unwrap())
+            .for_each(|(table, bytes)| std::fs::write(copy.path().join(table), bytes).unwrap());
     };
     write();
     assert_eq!(

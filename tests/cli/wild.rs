@@ -147,7 +147,7 @@ fn a_replay_with_wild_numbers_is_drawn_or_refused() {
     for path in &paths {
         for wild in [i64::MAX, -1_000_000_000_000] {
             change_replay(&out, |replay| {
-                *replay.pointer_mut(path).unwrap() = wild.into()
+                *replay.pointer_mut(path).unwrap() = wild.into();
             });
             let (code, _, stderr) = run(&[
                 "render",

@@ -27,7 +27,7 @@ fn every_file_that_is_needed_is_missed() {
             std::fs::remove_file(copy.path(file)).unwrap();
             match copy.error() {
                 MllmError::MissingFile { file: missing, .. } => {
-                    assert!(missing.contains(file), "{missing}")
+                    assert!(missing.contains(file), "{missing}");
                 }
                 other => panic!("{name}, {file}: {other}"),
             }
@@ -50,7 +50,7 @@ fn a_missing_tensor_is_named() {
         });
         match copy.error() {
             MllmError::MissingTensor { name: missing, .. } => {
-                assert_eq!(missing, name.replace(".model.", "."))
+                assert_eq!(missing, name.replace(".model.", "."));
             }
             other => panic!("{other}"),
         }
@@ -213,7 +213,7 @@ fn wrong_keys_of_other_families_are_named() {
         copy.edit("config.json", |config| set(config, key, value.clone()));
         match copy.error() {
             MllmError::Config { key: found, .. } => {
-                assert_eq!(found, named, "{folder}: {key} = {value}")
+                assert_eq!(found, named, "{folder}: {key} = {value}");
             }
             other => panic!("{folder}: {key} = {value}: {other}"),
         }
@@ -452,7 +452,7 @@ fn broken_json_says_where() {
 fn a_tokenizer_that_does_not_fit_the_model_is_an_error() {
     let copy = Copy::new();
     copy.edit("tokenizer.json", |tokenizer| {
-        tokenizer["model"]["vocab"]["far"] = json!(9999)
+        tokenizer["model"]["vocab"]["far"] = json!(9999);
     });
     match copy.error() {
         MllmError::Vocabulary {
@@ -467,7 +467,7 @@ fn a_tokenizer_that_does_not_fit_the_model_is_an_error() {
 
     let copy = Copy::new();
     copy.edit("config.json", |config| {
-        config["image_token_index"] = json!(351)
+        config["image_token_index"] = json!(351);
     });
     assert!(
         matches!(copy.error(), MllmError::Tokenizer { problem, .. } if problem.contains("351"))
@@ -475,7 +475,7 @@ fn a_tokenizer_that_does_not_fit_the_model_is_an_error() {
 
     let copy = Copy::new();
     copy.edit("config.json", |config| {
-        config["image_token_index"] = json!(2)
+        config["image_token_index"] = json!(2);
     });
     assert!(
         matches!(copy.error(), MllmError::ChatTemplate { .. }),
@@ -484,10 +484,10 @@ fn a_tokenizer_that_does_not_fit_the_model_is_an_error() {
 
     let copy = Copy::new();
     copy.edit("tokenizer.json", |tokenizer| {
-        tokenizer["decoder"] = json!(null)
+        tokenizer["decoder"] = json!(null);
     });
     copy.edit("tokenizer.json", |tokenizer| {
-        tokenizer["pre_tokenizer"] = json!(null)
+        tokenizer["pre_tokenizer"] = json!(null);
     });
     assert!(matches!(copy.error(), MllmError::Tokenizer { .. }));
 }
@@ -497,7 +497,7 @@ fn end_tokens_outside_of_the_vocabulary_are_named() {
     for value in [json!(352), json!([2, 400]), json!("</s>")] {
         let copy = Copy::new();
         copy.edit("generation_config.json", |config| {
-            config["eos_token_id"] = value
+            config["eos_token_id"] = value;
         });
         assert!(matches!(copy.error(), MllmError::Config { key, .. } if key == "eos_token_id"));
     }
@@ -507,7 +507,7 @@ fn end_tokens_outside_of_the_vocabulary_are_named() {
 fn a_preprocessor_for_another_size_is_an_error() {
     let copy = Copy::new();
     copy.edit("preprocessor_config.json", |config| {
-        config["crop_size"] = json!(48)
+        config["crop_size"] = json!(48);
     });
     assert!(matches!(copy.error(), MllmError::Config { key, .. } if key == "crop_size"));
 }
@@ -525,7 +525,7 @@ fn a_template_that_fails_at_run_time_is_an_error() {
     let model = copy.open().unwrap();
     match model.converse(&prefix(), 0).map(|_| ()) {
         Err(MllmError::ChatTemplate { problem, .. }) => {
-            assert!(problem.contains("no system prompt"), "{problem}")
+            assert!(problem.contains("no system prompt"), "{problem}");
         }
         other => panic!("{other:?}"),
     }

@@ -290,7 +290,7 @@ fn images_of_any_shape_are_taken_and_empty_ones_refused() {
 fn an_image_takes_three_positions_of_cogvlm() {
     let copy = Copy::from_fixture("tiny_cogvlm");
     copy.edit("config.json", |config| {
-        config["max_position_embeddings"] = json!(60)
+        config["max_position_embeddings"] = json!(60);
     });
     let model = open_folder(copy.folder());
     assert_eq!(model.describe().context, 60);

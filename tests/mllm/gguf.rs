@@ -286,7 +286,7 @@ fn a_file_of_another_writer_needs_a_tokenizer_that_fits() {
     );
 
     from.edit("tokenizer.json", |tokenizer| {
-        tokenizer["model"]["vocab"]["far"] = serde_json::json!(9999)
+        tokenizer["model"]["vocab"]["far"] = serde_json::json!(9999);
     });
     fs::copy(
         from.path("tokenizer.json"),
@@ -370,7 +370,7 @@ fn a_check_tells_everything_at_once() {
     });
     fs::remove_file(copy.path("chat_template.jinja")).unwrap();
     copy.edit("generation_config.json", |config| {
-        config["eos_token_id"] = serde_json::json!(70_000)
+        config["eos_token_id"] = serde_json::json!(70_000);
     });
     let problems = check().problems;
     for expected in [
@@ -388,7 +388,7 @@ fn a_check_tells_everything_at_once() {
     }
     assert_eq!(problems.len(), 4, "{problems:?}");
     copy.edit("config.json", |config| {
-        config["text_config"]["num_hidden_layers"] = serde_json::json!(4_000_000)
+        config["text_config"]["num_hidden_layers"] = serde_json::json!(4_000_000);
     });
     let problems = check().problems;
     assert!(

@@ -130,7 +130,7 @@ fn tokenizers_without_end_are_problems_and_nothing_hangs() {
     assert!(started.elapsed() < MAX_CHECK, "{:?}", started.elapsed());
     let vocabulary = with_tokenizer(|_| {});
     vocabulary.edit("config.json", |config| {
-        config["text_config"]["vocab_size"] = json!(1_u64 << 50)
+        config["text_config"]["vocab_size"] = json!(1_u64 << 50);
     });
     assert!(!problems(vocabulary.folder()).is_empty());
 }
@@ -198,7 +198,7 @@ fn files_that_pass_are_tried_once_for_each_content() {
         .with_trust(trial("/nonexistent/program"));
     match registry.open(&registry.find(copy.folder().to_str().unwrap()).unwrap()) {
         Err(MllmError::Trial { problem, .. }) => {
-            assert!(problem.contains("cannot run"), "{problem}")
+            assert!(problem.contains("cannot run"), "{problem}");
         }
         other => panic!("{:?}", other.map(|model| model.name().to_owned())),
     }

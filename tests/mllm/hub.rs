@@ -172,7 +172,7 @@ fn listening(cache: &Path, endpoint: &str) -> (ModelRegistry, Arc<Mutex<Vec<Fetc
     let registry = ModelRegistry::new("models", access)
         .with_trust(Trust::Caller)
         .with_listener(Arc::new(move |progress| {
-            listener.lock().unwrap().push(progress)
+            listener.lock().unwrap().push(progress);
         }));
     (registry, told)
 }

@@ -168,7 +168,7 @@ fn a_tied_head_is_the_embedding() {
         "a missing head is the embedding"
     );
     tied.edit("config.json", |config| {
-        config["text_config"]["tie_word_embeddings"] = json!(true)
+        config["text_config"]["tie_word_embeddings"] = json!(true);
     });
     assert_eq!(
         answer(&tied.open().unwrap()),
@@ -182,7 +182,7 @@ fn other_places_of_template_and_preprocessor_are_read() {
     let template = std::fs::read_to_string(copy.path("chat_template.jinja")).unwrap();
     std::fs::remove_file(copy.path("chat_template.jinja")).unwrap();
     copy.edit("tokenizer_config.json", |config| {
-        config["chat_template"] = json!(template)
+        config["chat_template"] = json!(template);
     });
     let preprocessor = std::fs::read_to_string(copy.path("preprocessor_config.json")).unwrap();
     std::fs::remove_file(copy.path("preprocessor_config.json")).unwrap();
@@ -207,7 +207,7 @@ fn the_vision_layer_may_be_counted_from_either_end() {
     ] {
         let copy = Copy::new();
         copy.edit("config.json", |config| {
-            config["vision_feature_layer"] = layer.clone()
+            config["vision_feature_layer"] = layer.clone();
         });
         assert_eq!(
             answer(&copy.open().unwrap()) == answer(&open()),
@@ -226,7 +226,7 @@ fn rope_theta_stands_in_either_place() {
     });
     assert_same(&copy);
     copy.edit("config.json", |config| {
-        config["text_config"]["rope_theta"] = json!(10)
+        config["text_config"]["rope_theta"] = json!(10);
     });
     assert_ne!(answer(&copy.open().unwrap()), answer(&open()));
 }

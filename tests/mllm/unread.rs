@@ -48,7 +48,7 @@ fn pointers_of_git_lfs_are_recognized() {
 fn weights_that_are_not_read_are_named_with_what_to_take() {
     let quantized = Copy::new();
     quantized.edit("config.json", |config| {
-        config["quantization_config"] = json!({"quant_method": "awq", "bits": 4})
+        config["quantization_config"] = json!({"quant_method": "awq", "bits": 4});
     });
     let error = quantized.error().to_string();
     assert!(
@@ -74,7 +74,7 @@ fn weights_that_are_not_read_are_named_with_what_to_take() {
 
     let original = Copy::new();
     original.edit("config.json", |config| {
-        config["mm_vision_tower"] = json!("openai/clip-vit-large-patch14-336")
+        config["mm_vision_tower"] = json!("openai/clip-vit-large-patch14-336");
     });
     assert!(
         original
@@ -126,7 +126,7 @@ fn faults_of_all_files_are_named_at_once() {
     fs::write(copy.path("model.safetensors"), POINTER).unwrap();
     fs::remove_file(copy.path("chat_template.jinja")).unwrap();
     copy.edit("generation_config.json", |config| {
-        config["eos_token_id"] = json!(70_000)
+        config["eos_token_id"] = json!(70_000);
     });
     let found = problems(&copy);
     assert!(
@@ -146,7 +146,7 @@ fn faults_of_all_files_are_named_at_once() {
 
     let copy = Copy::new();
     copy.edit("config.json", |config| {
-        config["text_config"]["hidden_act"] = json!("relu")
+        config["text_config"]["hidden_act"] = json!("relu");
     });
     fs::remove_file(copy.path("tokenizer.json")).unwrap();
     let found = problems(&copy);

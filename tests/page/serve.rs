@@ -138,9 +138,9 @@ pub(super) fn complete(simulation: &Path, run: &Path) {
             let path = entry.unwrap().path();
             let target = to.join(path.file_name().unwrap());
             if path.is_dir() {
-                copy(&path, &target)
+                copy(&path, &target);
             } else {
-                fs::copy(&path, &target).map(|_| ()).unwrap()
+                fs::copy(&path, &target).map(|_| ()).unwrap();
             }
         }
     }
@@ -281,9 +281,9 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.is_dir() {
-            found.extend(files(&path))
+            found.extend(files(&path));
         } else {
-            found.push(path)
+            found.push(path);
         }
     }
     found.sort();

@@ -88,7 +88,9 @@ fn a_study_finds_the_runs_of_before_in_their_folder() {
         .unwrap()
         .map(|entry| entry.unwrap().path())
         .collect();
-    runs.iter().for_each(|run| write_as_before(run));
+    for run in &runs {
+        write_as_before(run);
+    }
     let times = || -> BTreeMap<_, _> { runs.iter().flat_map(|run| written(run)).collect() };
     let (before, total) = (
         times(),

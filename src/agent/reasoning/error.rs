@@ -39,7 +39,7 @@ pub enum ReasoningError {
     #[error("{source}; {}", shorter(fitting))]
     PromptTooLong {
         /// What the model says.
-        source: MllmError,
+        source: Box<MllmError>,
         /// The built-in prompt sets that fit the context.
         fitting: Vec<&'static str>,
     },

@@ -39,7 +39,10 @@ impl Fitting<'_> {
         };
         let others = built_in_sets().filter(|name| *name != self.prompts.name());
         let fitting = others.filter(fits).collect();
-        ReasoningError::PromptTooLong { source, fitting }
+        ReasoningError::PromptTooLong {
+            source: Box::new(source),
+            fitting,
+        }
     }
 
     /// Tokens of the texts and the longest answers of a first attempt.

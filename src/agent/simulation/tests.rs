@@ -168,7 +168,7 @@ fn progress_is_told_after_every_iteration() {
     let mut told = vec![];
     let challenge = Challenge::NonReactive;
     simulate_with_progress(&scenario, &mut log_replay(&scenario), challenge, &mut |p| {
-        told.push(p)
+        told.push(p);
     })
     .unwrap();
     assert_eq!(told.len(), ITERATIONS - 1);

@@ -205,7 +205,7 @@ fn tell(answer: &Answer, flags: &AskArguments, printer: Printer) {
             ));
         }
         FinishReason::ContextFull => {
-            printer.note("the answer is cut off at the end of the model's context")
+            printer.note("the answer is cut off at the end of the model's context");
         }
         _ => {}
     }

@@ -163,7 +163,7 @@ fn candidates(
     let mut all = Vec::new();
     let specs = named.iter().map(|name| registry.find(name));
     let specs = specs.collect::<Result<Vec<_>, _>>()?;
-    let shown = shown_names(named, specs.iter().map(|spec| spec.name.as_str()));
+    let shown = shown_names(named, &specs.iter().map(|spec| spec.name.as_str()));
     for ((name, spec), shown) in named.iter().zip(specs).zip(&shown) {
         let sets = prompt_sets(flags, config, || Ok(registry.asking(&spec)?.prompt_set))?;
         all.extend(of_sets(shown, &ModelChoice::Named(name.clone()), &sets));
@@ -204,7 +204,10 @@ fn candidates(
 
 /// The names of models in the table: their own, or the words that name them where two have one
 /// name, as files called alike in two folders.
-fn shown_names<'a>(words: &[String], names: impl Iterator<Item = &'a str> + Clone) -> Vec<String> {
+fn shown_names<'a>(
+    words: &[String],
+    names: &(impl Iterator<Item = &'a str> + Clone),
+) -> Vec<String> {
     let is_shared = |name: &str| names.clone().filter(|other| *other == name).count() > 1;
     words
         .iter()
@@ -407,7 +410,7 @@ mod tests {
         let words = ["a/m.gguf", "b/m.gguf", "nano"].map(str::to_owned);
         let names = ["m.gguf", "m.gguf", "nano"];
         assert_eq!(
-            shown_names(&words, names.into_iter()),
+            shown_names(&words, &names.into_iter()),
             ["a/m.gguf", "b/m.gguf", "nano"]
         );
     }

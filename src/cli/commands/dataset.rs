@@ -68,7 +68,7 @@ pub(crate) fn run(
         let bar = printer.progress(states as u64, "states");
         bar.set_message(split.as_str());
         let written = write_split(&flags.out, split, states, &settings, &|states| {
-            bar.inc(states as u64)
+            bar.inc(states as u64);
         })?;
         bar.finish_and_clear();
         printer.note(format!("{}: {written} states", split.as_str()));
@@ -80,7 +80,7 @@ pub(crate) fn run(
         let bar = printer.progress(pairs as u64, "pairs");
         bar.set_message(format!("{} twins", split.as_str()));
         let written = write_twins(&flags.out, split, pairs, &settings, &|pairs| {
-            bar.inc(pairs as u64)
+            bar.inc(pairs as u64);
         })?;
         bar.finish_and_clear();
         if pairs > 0 {
@@ -167,7 +167,7 @@ fn imitation(flags: &DatasetArguments, config: &Config, printer: Printer) -> any
         bar.set_message(split.as_str());
         let started = Instant::now();
         let written = write_samples(&flags.out, planner, source, samples, &|samples| {
-            bar.inc(samples as u64)
+            bar.inc(samples as u64);
         })?;
         bar.finish_and_clear();
         let minutes = started.elapsed().as_secs_f64() / 60.0;

@@ -151,7 +151,7 @@ fn multiply_as<F: Format>(
                     rows,
                     words,
                     format: PhantomData,
-                })
+                });
             });
         } else {
             batches.for_each(|(words, rows)| {
@@ -160,7 +160,7 @@ fn multiply_as<F: Format>(
                     rows,
                     words,
                     format: PhantomData,
-                })
+                });
             });
         }
         let product = |first: usize, lines: &[CacheLine]| {

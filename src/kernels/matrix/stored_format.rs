@@ -99,7 +99,7 @@ impl StoredFormat {
         );
         match self {
             Self::Iq4Nl => each::<18>(bytes, |block| {
-                put(&mut out, half(block, 0), &nibbles(&block[2..], &IQ4))
+                put(&mut out, half(block, 0), &nibbles(&block[2..], &IQ4));
             }),
             Self::Iq4Xs => each::<136>(bytes, |block| iq4_xs(block, &mut out)),
             Self::Mxfp4 => each::<17>(bytes, |block| mxfp4(block, &mut out)),

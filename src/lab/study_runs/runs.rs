@@ -278,7 +278,7 @@ pub(super) fn relevant(mut config: Config, planner: &str, needs: PlannerNeeds) -
     config.learned = config.learned.only(planner);
     match needs.settings() {
         UsedSettings::AgentAndModel => {
-            (config.mllm.offline, config.mllm.ignore_memory) = (false, false)
+            (config.mllm.offline, config.mllm.ignore_memory) = (false, false);
         }
         UsedSettings::Agent => config.mllm = MllmConfig::default(),
         UsedSettings::None => config = Config::default(),

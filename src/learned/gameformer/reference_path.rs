@@ -117,7 +117,7 @@ pub fn costed_paths(scene: &SceneView<'_>, block: RoadblockId) -> Vec<(Vec<Point
     for object in near {
         match object.kind {
             ObjectKind::Vehicle if object.velocity.norm() >= STANDING => {
-                vehicles.push(object.shape)
+                vehicles.push(object.shape);
             }
             ObjectKind::Pedestrian | ObjectKind::Bicycle => {}
             _ => obstacles.push(object.shape),

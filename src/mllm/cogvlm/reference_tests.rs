@@ -97,14 +97,14 @@ const IMAGE_FAULTS: [Fault; 6] = [
         });
     }),
     ("quick_gelu in the place of gelu", |parts| {
-        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu")
+        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu");
     }),
     ("the adapter's gate and value swapped", |parts| {
         let name = |layer: &str| format!("model.vision.linear_proj.{layer}.weight");
         parts.swap(&name("gate_proj"), &name("dense_h_to_4h"));
     }),
     ("the image's beginning and end swapped", |parts| {
-        parts.swap("model.vision.boi", "model.vision.eoi")
+        parts.swap("model.vision.boi", "model.vision.eoi");
     }),
 ];
 

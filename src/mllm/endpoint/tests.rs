@@ -347,7 +347,7 @@ fn a_stream_that_stays_open_after_the_answer_ends_soon() {
     std::thread::spawn(move || {
         use std::io::{Read, Write};
         let (mut stream, _) = listener.accept().unwrap();
-        let mut buffer = [0; 65536];
+        let mut buffer = vec![0; 65536];
         let _ = stream.read(&mut buffer);
         let head = "HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n\r\n";
         let body = format!("{head}data: {piece}\n\ndata: {end}\n\n");

@@ -182,7 +182,7 @@ fn a_split_model_is_opened_by_any_part_and_by_its_folder() {
 }
 
 /// The pair of a LLaVA, as llama.cpp writes it, with a further key in one of its files.
-fn with_key(is_tower: bool, key: &str, value: Value) -> Vec<String> {
+fn with_key(is_tower: bool, key: &str, value: &Value) -> Vec<String> {
     let folder = tempfile::tempdir().unwrap();
     let model = export(&fixture("tiny_llava"), folder.path(), WeightFormat::F16);
     let tower = tower_beside(&model).unwrap();
@@ -228,13 +228,13 @@ fn a_key_that_changes_the_result_and_is_not_read_is_named() {
         ),
         (true, "clip.vision.projection_dim", json!(64), false),
     ] {
-        let said = with_key(is_tower, key, value.clone()).join("\n");
+        let said = with_key(is_tower, key, &value).join("\n");
         let named = said.contains(&format!("{key}: {value} changes the result"));
         assert_eq!(named, is_refused, "{key} = {value}: {said}");
         assert_eq!(said.contains(key), is_refused, "{key} = {value}: {said}");
     }
     for (is_tower, key) in [(false, "llama.next_year"), (true, "clip.vision.next_year")] {
-        let said = with_key(is_tower, key, json!(3)).join("\n");
+        let said = with_key(is_tower, key, &json!(3)).join("\n");
         assert!(
             said.contains(&format!("the key {key} is not known")),
             "{said}"
@@ -248,7 +248,7 @@ fn an_error_about_metadata_names_the_key_of_the_file() {
         (false, "llama.attention.head_count", json!(5000)),
         (true, "clip.vision.attention.head_count", json!(5000)),
     ] {
-        let said = with_key(is_tower, key, value).join("\n");
+        let said = with_key(is_tower, key, &value).join("\n");
         assert!(said.contains(&format!(".gguf: {key}: ")), "{key}: {said}");
     }
 }
@@ -274,7 +274,7 @@ fn a_file_that_does_not_say_how_texts_are_split_is_noted() {
         match (taken, note) {
             (None, None) => {}
             (Some(taken), Some(note)) => {
-                assert!(note.contains(taken) && note.contains("m.gguf"), "{note}")
+                assert!(note.contains(taken) && note.contains("m.gguf"), "{note}");
             }
             other => panic!("{architecture} {pre:?}: {other:?}"),
         }

@@ -149,7 +149,7 @@ fn a_model_of_llama_cpp_computes_what_transformers_computes() {
         let folder = tempfile::tempdir().unwrap();
         let model = export(&from, folder.path(), WeightFormat::F32);
         edit(&model, |header, _| {
-            header.metadata.retain(|key, _| !key.starts_with(FILE))
+            header.metadata.retain(|key, _| !key.starts_with(FILE));
         });
         edit(&tower_path(&model), |_, tensors| {
             for tensor in tensors {
@@ -335,7 +335,7 @@ fn widen(config: &mut Json, wide: &impl Fn(u64) -> u64) {
                 *value = json!(wide(number.as_u64().unwrap()));
             }
             Json::Number(number) if key == "head_dim" => {
-                *value = json!(number.as_u64().unwrap() * 8)
+                *value = json!(number.as_u64().unwrap() * 8);
             }
             _ => {}
         }

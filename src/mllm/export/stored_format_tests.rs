@@ -247,7 +247,7 @@ fn factors_of_rotary_frequencies_are_written_and_read() {
 
     // As llama.cpp writes it: no configuration beside the metadata.
     edit(&model, |header, _| {
-        header.metadata.retain(|key, _| !key.starts_with(FILE))
+        header.metadata.retain(|key, _| !key.starts_with(FILE));
     });
     for file in [
         "tokenizer.json",

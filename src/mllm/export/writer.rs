@@ -134,13 +134,13 @@ fn put_plain(out: &mut Vec<u8>, kind: u32, value: &Value) -> io::Result<()> {
         (8, Value::String(text)) => put_text(out, text),
         (7, Value::Bool(flag)) => out.push(u8::from(*flag)),
         (6, Value::Number(number)) => {
-            out.extend((number.as_f64().ok_or_else(unfit)? as f32).to_le_bytes())
+            out.extend((number.as_f64().ok_or_else(unfit)? as f32).to_le_bytes());
         }
         (4, Value::Number(number)) => {
-            out.extend((number.as_u64().ok_or_else(unfit)? as u32).to_le_bytes())
+            out.extend((number.as_u64().ok_or_else(unfit)? as u32).to_le_bytes());
         }
         (5, Value::Number(number)) => {
-            out.extend((number.as_i64().ok_or_else(unfit)? as i32).to_le_bytes())
+            out.extend((number.as_i64().ok_or_else(unfit)? as i32).to_le_bytes());
         }
         (10, Value::Number(number)) => out.extend(number.as_u64().ok_or_else(unfit)?.to_le_bytes()),
         (11, Value::Number(number)) => out.extend(number.as_i64().ok_or_else(unfit)?.to_le_bytes()),

@@ -79,7 +79,7 @@ fn grids_of_tiles_are_those_of_transformers() {
 /// Errors in configuration and weights on the way from pixels to features.
 const IMAGE_FAULTS: [Fault; 5] = [
     ("quick_gelu in the place of gelu", |parts| {
-        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu")
+        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu");
     }),
     ("no scales of the layers", |parts| {
         for scale in ["lambda_1", "lambda_2"] {
@@ -87,10 +87,10 @@ const IMAGE_FAULTS: [Fault; 5] = [
         }
     }),
     ("the last layer but one", |parts| {
-        parts.config["vision_config"]["num_hidden_layers"] = json!(3)
+        parts.config["vision_config"]["num_hidden_layers"] = json!(3);
     }),
     ("no bias of the patches", |parts| {
-        parts.change("projection.bias", |tensor| tensor.zeros_like().unwrap())
+        parts.change("projection.bias", |tensor| tensor.zeros_like().unwrap());
     }),
     ("the class token's position for no token", |parts| {
         parts.change("cls_token", |tensor| tensor.zeros_like().unwrap());

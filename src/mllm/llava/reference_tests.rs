@@ -61,7 +61,7 @@ fn errors_that_are_easily_made_lead_far_away() {
         Deviation::from_run(&run, &model, &features(&model, &run)).assert_far(what);
     }
     let full = Parts::wrong(&folder, |parts| {
-        parts.config["vision_feature_select_strategy"] = json!("full")
+        parts.config["vision_feature_select_strategy"] = json!("full");
     });
     let with_class = features(&assembled(&full), &run)
         .rows

@@ -121,7 +121,7 @@ fn errors_that_are_easily_made_lead_far_away() {
             Deviation::from_run(run, &model, &case.features(&model)).assert_far(what);
         }
         let with_class = assembled_after(&Parts::from_folder(folder), |config| {
-            config.llava.feature_select = FeatureSelect::Full
+            config.llava.feature_select = FeatureSelect::Full;
         });
         Deviation::from_run(run, &right, &case.features(&with_class))
             .assert_far("the class tokens kept in the grid");
@@ -156,7 +156,7 @@ fn a_window_that_is_left_out_is_noticed() {
     let folder = fixture("tiny_llava_next_mistral");
     let run = Run::open(&folder.join("reference.safetensors"), 0);
     let no_window = Parts::wrong(&folder, |parts| {
-        parts.config["text_config"]["sliding_window"] = Value::Null
+        parts.config["text_config"]["sliding_window"] = Value::Null;
     });
     Deviation::from_run(&run, &assembled(&no_window), &whole(run.features.clone()))
         .assert_logits_far("no sliding window");

@@ -100,7 +100,7 @@ impl Search {
             .find(|(_, known)| known.text == answer.text)
         {
             Some(known) if known.0 < self.log_probability => {
-                *known = (self.log_probability, answer)
+                *known = (self.log_probability, answer);
             }
             Some(_) => {}
             None => self.answers.push((self.log_probability, answer)),

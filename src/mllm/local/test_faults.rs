@@ -81,13 +81,13 @@ impl Parts {
 /// Errors on the way from a LLaVA's pixels to its features.
 pub(crate) const LLAVA_IMAGE_FAULTS: [Fault; 6] = [
     ("the tower's last layer", |parts| {
-        parts.config["vision_feature_layer"] = json!(-1)
+        parts.config["vision_feature_layer"] = json!(-1);
     }),
     ("the layer before the right one", |parts| {
-        parts.config["vision_feature_layer"] = json!(-3)
+        parts.config["vision_feature_layer"] = json!(-3);
     }),
     ("gelu in the place of quick_gelu", |parts| {
-        parts.config["vision_config"]["hidden_act"] = json!("gelu")
+        parts.config["vision_config"]["hidden_act"] = json!("gelu");
     }),
     ("the projector's layers swapped", |parts| {
         for kind in ["weight", "bias"] {
@@ -96,10 +96,10 @@ pub(crate) const LLAVA_IMAGE_FAULTS: [Fault; 6] = [
         }
     }),
     ("the projector's first layer transposed", |parts| {
-        parts.change("linear_1.weight", |tensor| tensor.t().unwrap())
+        parts.change("linear_1.weight", |tensor| tensor.t().unwrap());
     }),
     ("the projector's second layer transposed", |parts| {
-        parts.change("linear_2.weight", |tensor| tensor.t().unwrap())
+        parts.change("linear_2.weight", |tensor| tensor.t().unwrap());
     }),
 ];
 

@@ -65,10 +65,10 @@ fn pixels_and_sizes_are_those_of_transformers() {
 /// several windows.
 const IMAGE_FAULTS: [Fault; 4] = [
     ("no windows", |parts| {
-        parts.config["vision_config"]["fullatt_block_indexes"] = json!([0, 1, 2, 3])
+        parts.config["vision_config"]["fullatt_block_indexes"] = json!([0, 1, 2, 3]);
     }),
     ("windows in the last layer", |parts| {
-        parts.config["vision_config"]["fullatt_block_indexes"] = json!([1])
+        parts.config["vision_config"]["fullatt_block_indexes"] = json!([1]);
     }),
     ("the kernel of the first frame alone", |parts| {
         parts.change("patch_embed.proj.weight", |kernel| {

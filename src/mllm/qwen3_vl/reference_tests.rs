@@ -71,7 +71,7 @@ fn pixels_and_sizes_are_those_of_transformers() {
 /// Errors in configuration and weights on the way from pixels to features.
 const IMAGE_FAULTS: [Fault; 4] = [
     ("quick_gelu in the place of gelu", |parts| {
-        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu")
+        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu");
     }),
     ("the kernel of the first frame alone", |parts| {
         parts.change("patch_embed.proj.weight", |kernel| {
@@ -80,7 +80,7 @@ const IMAGE_FAULTS: [Fault; 4] = [
         });
     }),
     ("no learned positions", |parts| {
-        parts.change("pos_embed.weight", |tensor| tensor.zeros_like().unwrap())
+        parts.change("pos_embed.weight", |tensor| tensor.zeros_like().unwrap());
     }),
     ("the learned positions by columns", |parts| {
         parts.change("pos_embed.weight", |tensor| {

@@ -114,14 +114,15 @@ impl HubAccess {
         );
         Err(MllmError::NotInCache {
             id: name.id.clone(),
-            revision: revision.to_owned(),
+            revision: revision.into(),
             file: absent.file,
             cache,
             advice: hint
                 .into_iter()
                 .chain([download])
                 .collect::<Vec<_>>()
-                .join("; "),
+                .join("; ")
+                .into(),
         })
     }
 

@@ -100,7 +100,7 @@ fn grids_of_tiles_are_those_of_transformers() {
 /// Errors in configuration and weights on the way from pixels to features.
 const IMAGE_FAULTS: [Fault; 4] = [
     ("quick_gelu in the place of gelu", |parts| {
-        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu")
+        parts.config["vision_config"]["hidden_act"] = json!("quick_gelu");
     }),
     ("the tower without its last norm", |parts| {
         parts.change("post_layernorm.weight", |tensor| {
@@ -111,7 +111,7 @@ const IMAGE_FAULTS: [Fault; 4] = [
     ("no bias of the patches", |parts| {
         parts.change("patch_embedding.bias", |tensor| {
             tensor.zeros_like().unwrap()
-        })
+        });
     }),
     ("the last layer but one", |parts| {
         parts.config["vision_config"]["num_hidden_layers"] = json!(2);
@@ -198,7 +198,7 @@ fn errors_that_are_easily_made_lead_far_away() {
             }) as fn(&mut Parts),
         ),
         ("norms with another epsilon", |parts| {
-            parts.config["text_config"]["rms_norm_eps"] = json!(1e-1)
+            parts.config["text_config"]["rms_norm_eps"] = json!(1e-1);
         }),
     ] {
         let model = assembled(&Parts::wrong(&folder, fault));

@@ -150,10 +150,10 @@ mod tests {
     fn hostile_prompts_are_errors_in_time_and_memory() {
         let loops = "{% for i in range(10000) %}".repeat(3) + &"{% endfor %}".repeat(3);
         let doubled = "{% set x = x ~ x %}".repeat(40) + "{{ x | length }}";
-        let nested = (0..12)
+        let begins: Vec<String> = (0..12)
             .map(|i| format!("{{% for a{i} in [[x, x, x]] %}}"))
-            .collect::<String>()
-            + &"{% endfor %}".repeat(12);
+            .collect();
+        let nested = begins.concat() + &"{% endfor %}".repeat(12);
         let long = "{{ x }}".repeat(4000);
         for (source, problem) in [
             (loops.as_str(), "steps"),

@@ -179,7 +179,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         match said(folder.path()).last() {
             Some(Line::Done(Some(problem))) => {
-                assert!(problem.contains("config.json"), "{problem}")
+                assert!(problem.contains("config.json"), "{problem}");
             }
             other => panic!("{other:?}"),
         }

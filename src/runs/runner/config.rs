@@ -504,7 +504,7 @@ mod tests {
             let config = set(&value).unwrap();
             assert_eq!(steps_of(config.agent.interval_s), iterations, "{value}");
         }
-        assert_eq!(set("3").unwrap().agent.interval_s, 3.0);
+        assert_eq!(steps_of(set("3").unwrap().agent.interval_s), 30);
         let refused = |value: &str| set(value).unwrap_err().to_string();
         let text = refused("0.55");
         assert!(

@@ -395,12 +395,13 @@ fn change(place: &Place, record: &str, at: usize, by: &Value) {
         replace(&mut value, &mut at, by);
         value
     };
-    let written = if record.ends_with(".toml") {
+    let kind = Path::new(record).extension();
+    let written = if kind == Some("toml".as_ref()) {
         let table: toml::Table = String::from_utf8(bytes).unwrap().parse().unwrap();
         let value = changed(serde_json::to_value(table).unwrap());
         // A table has no null, and a number of a table is at most that of 64 bits with a sign.
         toml::to_string(&value).unwrap_or_default().into_bytes()
-    } else if record.ends_with(".gz") {
+    } else if kind == Some("gz".as_ref()) {
         let mut text = String::new();
         GzDecoder::new(&bytes[..])
             .read_to_string(&mut text)

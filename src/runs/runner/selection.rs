@@ -278,7 +278,7 @@ pub fn select(
     let (mut found, mut missing, mut lists) = (Vec::new(), Vec::new(), Vec::new());
     for name in splits {
         let of_split = split(name, readers, &|done, total| {
-            listener(Event::LogsSearched { done, total })
+            listener(Event::LogsSearched { done, total });
         })?;
         found.extend(of_split.scenarios);
         of_split

@@ -309,7 +309,7 @@ fn simulate_task(
     let log = prepared()
         .and_then(|simulation| {
             simulate_prepared(simulation, planner.as_mut(), challenge, &mut |p| {
-                on_iteration(p)
+                on_iteration(p);
             })
         })
         .map_err(|error| with_causes(&error))?;

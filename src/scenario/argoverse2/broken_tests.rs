@@ -75,7 +75,7 @@ fn broken_tables_are_reported_with_file_column_and_row() {
                 &mut log.annotations,
                 "category",
                 Int64Array::from(vec![1; 95]),
-            )
+            );
         },
         "not text",
     );
@@ -84,7 +84,7 @@ fn broken_tables_are_reported_with_file_column_and_row() {
             &mut log.annotations,
             "category",
             StringArray::from(vec!["SPACESHIP"; 95]),
-        )
+        );
     };
     check(ANNOTATIONS, &strange, "row 0: unknown category 'SPACESHIP'");
     let one_track = |log: &mut Log| {
@@ -92,25 +92,25 @@ fn broken_tables_are_reported_with_file_column_and_row() {
             &mut log.annotations,
             "track_uuid",
             StringArray::from(vec!["same"; 95]),
-        )
+        );
     };
     check(ANNOTATIONS, &one_track, "row 1: a second row of track same");
     let empty = |log: &mut Log| {
         log.annotations
             .iter_mut()
-            .for_each(|(_, array)| *array = array.slice(0, 0))
+            .for_each(|(_, array)| *array = array.slice(0, 0));
     };
     check(ANNOTATIONS, &empty, "no rows");
     let short = |log: &mut Log| {
         log.poses
             .iter_mut()
-            .for_each(|(_, array)| *array = array.slice(0, 20))
+            .for_each(|(_, array)| *array = array.slice(0, 20));
     };
     check(POSES, &short, &format!("no ego pose at {} ns", time_ns(20)));
     let late = |log: &mut Log| {
         log.poses
             .iter_mut()
-            .for_each(|(_, array)| *array = array.slice(1, 29))
+            .for_each(|(_, array)| *array = array.slice(1, 29));
     };
     check(POSES, &late, &format!("no ego pose at {} ns", time_ns(0)));
 }

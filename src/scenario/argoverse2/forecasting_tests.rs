@@ -161,7 +161,7 @@ fn broken_forecasting_scenarios_are_reported() {
             columns,
             "velocity_y",
             with(columns, "velocity_y", 5, Some(1e6)),
-        )
+        );
     });
     assert!(fast.contains("column 'velocity_y', row 5"), "{fast}");
     let endless = fault(&|columns| set(columns, "timestep", Int64Array::from(vec![i64::MAX; 60])));

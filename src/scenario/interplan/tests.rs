@@ -33,7 +33,7 @@ fn names_are_read_as_interplan_reads_them() {
         match row["error"].as_str() {
             Some("IndexError") => assert!(matches!(parsed, Err(NameFault::NoValue(_))), "{row}"),
             Some("KeyError") => {
-                assert!(matches!(parsed, Err(NameFault::UnknownLetter(_))), "{row}")
+                assert!(matches!(parsed, Err(NameFault::UnknownLetter(_))), "{row}");
             }
             Some(_) => assert!(matches!(parsed, Err(NameFault::Amount(_))), "{row}"),
             None => {

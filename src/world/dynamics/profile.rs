@@ -99,7 +99,7 @@ fn fit_velocity(poses: &[Pose], penalty: JerkPenalty) -> Vec<f64> {
     for row in 0..differences {
         match penalty {
             JerkPenalty::PdmClosed if row + 1 < differences => {
-                normal.add_square(row, &[-1.0, 1.0], weight)
+                normal.add_square(row, &[-1.0, 1.0], weight);
             }
             JerkPenalty::PdmClosed | JerkPenalty::AccelerationDifferences => {
                 normal.add_square(row, &[1.0, -2.0, 1.0], weight);

@@ -93,7 +93,7 @@ impl BevView {
 
     /// Position of a map point in the image around `center`: pixels right of and below its top left
     /// corner.
-    pub(crate) fn to_pixel(&self, center: Pose, point: Point) -> (f64, f64) {
+    pub(crate) fn to_pixel(self, center: Pose, point: Point) -> (f64, f64) {
         let local = center.to_local(point);
         let half = f64::from(self.pixels) / 2.0;
         (half - local.y * self.scale(), half - local.x * self.scale())

@@ -153,13 +153,11 @@ impl<'a> Scanner<'a> {
         }
         self.at += 1;
         let token = self.text.get(begin..self.at).unwrap_or("");
-        match serde_json::from_str(token) {
-            Ok(text) => Ok(text),
-            Err(_) => {
-                self.at = begin;
-                self.fail("a text with an escape that JSON does not have")
-            }
+        if let Ok(text) = serde_json::from_str(token) {
+            return Ok(text);
         }
+        self.at = begin;
+        self.fail("a text with an escape that JSON does not have")
     }
 
     fn number(&mut self) -> Result<(), JsonFault> {

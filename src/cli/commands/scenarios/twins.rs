@@ -17,7 +17,7 @@ pub(super) fn run(arguments: &TwinArguments, printer: Printer) -> anyhow::Result
     let count = arguments.count.unwrap_or(usual);
     let bar = printer.progress(4 * count as u64, "pairs");
     let drawn = draw(split, count, arguments.candidates, &|pairs| {
-        bar.set_position(pairs as u64)
+        bar.set_position(pairs as u64);
     })?;
     bar.finish_and_clear();
     let mut refused = BTreeMap::<_, usize>::new();

@@ -97,15 +97,14 @@ impl Environment<'_> {
         {
             return None;
         }
-        let text = match self.first(&TOKEN) {
-            Some((_, token)) => token,
-            None => {
-                let file = match self.value("HF_TOKEN_PATH") {
-                    Some(path) => self.expanded(&path),
-                    None => self.home().join("token"),
-                };
-                planagent_files::read_text(&file, MAX_TOKEN_BYTES).ok()?
-            }
+        let text = if let Some((_, token)) = self.first(&TOKEN) {
+            token
+        } else {
+            let file = match self.value("HF_TOKEN_PATH") {
+                Some(path) => self.expanded(&path),
+                None => self.home().join("token"),
+            };
+            planagent_files::read_text(&file, MAX_TOKEN_BYTES).ok()?
         };
         let token: String = text
             .chars()
@@ -139,12 +138,11 @@ impl Environment<'_> {
         while let Some((before, after)) = rest.split_once('$') {
             expanded.push_str(before);
             let (name, behind) = variable(after);
-            match self.value(name) {
-                Some(value) => expanded.push_str(&value),
-                None => {
-                    expanded.push('$');
-                    expanded.push_str(&after[..after.len() - behind.len()]);
-                }
+            if let Some(value) = self.value(name) {
+                expanded.push_str(&value);
+            } else {
+                expanded.push('$');
+                expanded.push_str(&after[..after.len() - behind.len()]);
             }
             rest = behind;
         }

@@ -38,14 +38,12 @@ impl HubName {
     /// The word that names the same without a scheme.
     pub(in crate::registry) fn word(&self) -> String {
         let mut word = self.id.clone();
-        if let Some(revision) = &self.revision {
-            word += &format!("@{revision}");
-        }
-        if let Some(file) = &self.file {
-            word += &format!("/{file}");
-        }
-        if let Some(quant) = &self.quant {
-            word += &format!(":{quant}");
+        let parts = [('@', &self.revision), ('/', &self.file), (':', &self.quant)];
+        for (mark, part) in parts {
+            if let Some(part) = part {
+                word.push(mark);
+                word.push_str(part);
+            }
         }
         word
     }

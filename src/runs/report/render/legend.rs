@@ -146,7 +146,7 @@ impl Entry {
             Self::StopLine => area(canvas, center, (width, height / 3.0), colors.stop),
             Self::Red => canvas.rectangle(center, (width, 0.6 * height), 0.0, colors.red, 1.0),
             Self::Yellow => {
-                canvas.rectangle(center, (width, 0.35 * height), 0.0, colors.amber, 1.0)
+                canvas.rectangle(center, (width, 0.35 * height), 0.0, colors.amber, 1.0);
             }
             Self::Green => canvas.rectangle(center, (width, 0.35 * height), 0.0, colors.green, 1.0),
         }

@@ -67,10 +67,10 @@ pub(crate) fn prepare(
         let connector = own.unwrap_or(governed[0]);
         match setting.light {
             LightTiming::GreenFrom(time) if is_first => {
-                roads.signals[n].start_green_at(connector, rng.value_of(time))
+                roads.signals[n].start_green_at(connector, rng.value_of(time));
             }
             LightTiming::GreenUntil(time) if is_first => {
-                roads.signals[n].end_green_at(connector, rng.value_of(time))
+                roads.signals[n].end_green_at(connector, rng.value_of(time));
             }
             _ => roads.signals[n].start_green_at(connector, rng.uniform(0.0, 40.0)),
         }

@@ -109,9 +109,9 @@ fn stop_lines_belong_to_lights_or_signs() {
         for line in map.stop_lines() {
             assert!(!line.lanes.is_empty(), "{}", scenario.id);
             if line.stop_sign {
-                signs += 1
+                signs += 1;
             } else {
-                lights += 1
+                lights += 1;
             }
         }
     }
