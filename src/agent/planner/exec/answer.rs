@@ -257,6 +257,8 @@ mod tests {
             null.contains("states[10].x") && null.contains("NaN and infinity as null"),
             "{null}"
         );
+        let later = fault_of(trajectory("-2E+5, \"y\": 1e-3, \"z\": NaN").as_bytes());
+        assert!(later.contains("states[10].z is NaN"), "{later}");
         let large = fault_of(trajectory("1e999").as_bytes());
         assert!(
             large.contains("states[10].x") && large.contains("too large"),
@@ -290,7 +292,7 @@ mod tests {
             ("{\"type\": \"ready\"} ok", "text behind the message"),
             (
                 "{\"type\": \"trajectory\", \"states\": [{\"t\": 0",
-                "ends inside states[0].t",
+                "ends inside states[0];",
             ),
             ("{", "ends inside"),
             ("{type: \"ready\"}", "key without quotes"),

@@ -163,7 +163,8 @@ impl<'a> Scanner<'a> {
     fn number(&mut self) -> Result<(), JsonFault> {
         let rest = self.text.get(self.at + 1..).unwrap_or("");
         // Infinity with a sign.
-        if rest.starts_with(|character: char| character.is_ascii_alphabetic()) {
+        let is_signed = matches!(self.peek(), Some(b'+' | b'-'));
+        if is_signed && rest.starts_with(|character: char| character.is_ascii_alphabetic()) {
             return self.word();
         }
         let token = self
