@@ -335,6 +335,7 @@ impl ReaderError {
 
 /// A note about files of a folder that are of another kind than their names say. `others` are the
 /// errors of these files.
+#[cfg(any(feature = "nuplan", feature = "womd"))]
 pub(crate) fn passed_over(others: &[String]) -> Option<String> {
     match others {
         [] => None,
