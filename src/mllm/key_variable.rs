@@ -27,6 +27,7 @@ fn is_usual(variable: &str) -> bool {
     variable.chars().all(plain)
         && ENDINGS.iter().any(|ending| {
             variable
+                .to_ascii_uppercase()
                 .strip_suffix(ending)
                 .is_some_and(|rest| !rest.is_empty())
         })

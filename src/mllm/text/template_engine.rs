@@ -125,7 +125,7 @@ mod tests {
         for (source, text) in [
             ("{{ names | join(', ') }}", "a, b"),
             ("{{ (names + ['None']) | join(\"; \") }}", "a; b; None"),
-            ("{{ [1, 2.5, true] | join }}", "12.5true"),
+            ("{{ [1, 2.5, true] | join }}", "12.5True"),
             (
                 "{% for n, v in parts if v | float < 1.9 %}{{ n }}={{ v }}{% endfor %}",
                 "c=1.5",

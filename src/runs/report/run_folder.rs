@@ -268,7 +268,16 @@ impl RunFolder {
     pub fn commit(&self, number: usize, record: &SimulationRecord) -> Result<(), ReportError> {
         let written = simulation_folder::write(&self.simulations, number, record);
         self.check_in_place()?;
-        written
+        match written {
+            // What was just written is missing: the folder is being deleted, file by file.
+            Err(ReportError {
+                fault: ReportFault::Write(error),
+                ..
+            }) if error.kind() == std::io::ErrorKind::NotFound => {
+                Err(ReportError::at(self.path())(ReportFault::Gone))
+            }
+            written => written,
+        }
     }
 
     /// The completed simulations of the run in a folder, without a lock and without a look at the
