@@ -116,9 +116,10 @@ class _Rules:
         }
 
     def info(self) -> dict[str, Any]:
-        """The same of one episode."""
+        """The same of one episode. A score that is not there yet is None: NaN is unequal to itself, so two equal steps would differ."""
         infos = {name: values[0] for name, values in self.infos().items()}
-        return {name: value.item() if isinstance(value, np.generic) else value for name, value in infos.items()}
+        plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in infos.items()}
+        return {**plain, "score": None if np.isnan(plain["score"]) else plain["score"]}
 
     def ids(self) -> list[str]:
         return [self.scenarios[number].id for number in self.native.scenarios()]
@@ -251,7 +252,7 @@ class TrajectoryEnv(_Env):
 
     The observation has 97 numbers, which `FEATURES` names with unit and scale: 5 of the ego, 10 points of the route's centerline, and 9
     numbers of each of the 8 nearest objects. `info` has the scenario, the speed in m/s, the iteration, whether the ego collided or left the
-    road, and nuPlan's score at the end of the scenario (NaN before). The reward is 0.1 for a meter of progress along the route, and -10 for a collision or an ego off the road, which
+    road, and nuPlan's score at the end of the scenario (None before). The reward is 0.1 for a meter of progress along the route, and -10 for a collision or an ego off the road, which
     end the episode. It is truncated at the end of the scenario.
 
     Parameters
