@@ -205,7 +205,7 @@ fn agents_that_are_dead_silent_or_wrong_fail_their_simulation() {
     let answer = |line: &str| {
         failing(
             work.path(),
-            &format!("{ready}; echo '{line}'; cat > /dev/null"),
+            &format!("read first; {ready}; read step; echo '{line}'; cat > /dev/null"),
         )
     };
     let planner = answer("{\"type\": \"trajectory\", \"states\": []}");
