@@ -247,7 +247,7 @@ mod tests {
             nearest("pdm-closed-pluss", planners),
             Some("pdm-closed-plus")
         );
-        assert_eq!(nearest("pd", planners), None);
+        assert_eq!(nearest("xy", planners), None);
         assert_eq!(nearest("the", planners), None);
         assert_eq!(
             nearest("hard", ["generated-test14", "generated-test14-hard"]),
