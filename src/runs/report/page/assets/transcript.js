@@ -87,7 +87,7 @@ class Transcript {
     const tag = i === executed ? h("span", { class: "executed-tag" }, isRefused ? "executed although refused" : "executed") : null;
     const attributes = { class: `attempt ${state}`, onmouseenter: () => this.onmark(i), onmouseleave: () => this.onmark(null) };
     return h("article", attributes,
-      h("header", {}, h("h4", {}, `Attempt ${i + 1}`), tag, this.showVerdict(reflection)),
+      h("header", {}, h("h4", {}, `Attempt ${i + 1}${attempt.is_further ? ": further codes, of the agent itself" : ""}`), tag, this.showVerdict(reflection)),
       repeat ? h("p", { class: "repeats" }, repeatWords(repeat)) : null,
       repeat ? null : code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no planner code"),
       reflection && !repeat ? partsTable(reflection.parts) : null,
