@@ -78,8 +78,8 @@ fn take(
         Dtype::I32
     };
     let codes = table.need(&name, "qweight")?.of_type(&[word])?;
-    let scales = table.need(&name, "scales")?.of_type(&FLOATS)?;
-    let zeros = table.need(&name, "qzeros")?;
+    let scales = table.need_side(&name, "scales")?.of_type(&FLOATS)?;
+    let zeros = table.need_side(&name, "qzeros")?;
     let zeros = if version == Version::GemvFast {
         zeros.of_type(&FLOATS)?
     } else {

@@ -86,7 +86,7 @@ fn four(
         return Err(codes.error(problem));
     };
     let runs = count.div_ceil(state.blocksize);
-    let absmax = table.need(&name, "weight.absmax")?;
+    let absmax = table.need_side(&name, "weight.absmax")?;
     absmax.expect(&[runs])?;
     let nested = match absmax.tensor.dtype {
         Dtype::F32 => None,
@@ -190,7 +190,7 @@ impl Packed for Table {
 
 fn eight(table: &mut TensorTable, name: String) -> Result<PackedLayer, MllmError> {
     let codes = table.need(&name, "weight")?.of_type(&[Dtype::I8])?;
-    let largest = table.need(&name, "SCB")?.of_type(&[Dtype::F32])?;
+    let largest = table.need_side(&name, "SCB")?.of_type(&[Dtype::F32])?;
     let [outputs, inputs] = codes.matrix()?;
     largest.expect(&[outputs])?;
     if let Some(order) = table.take(&name, "weight_format")

@@ -122,7 +122,7 @@ fn layers(
     }
     for name in table.layers("weight", |part| part.tensor.dtype == Dtype::F8_E4M3) {
         let weight = table.need(&name, "weight")?;
-        let scale = table.need(&name, "weight_scale")?;
+        let scale = table.need_side(&name, "weight_scale")?;
         let block = block_of(&schemes, &scale, weight.matrix()?);
         layers.push(fp8::floats(
             name,
@@ -175,7 +175,7 @@ fn packed(
         ));
     }
     let codes = codes.of_type(&[Dtype::I32])?;
-    let scale = table.need(&name, "weight_scale")?.of_type(&FLOATS)?;
+    let scale = table.need_side(&name, "weight_scale")?.of_type(&FLOATS)?;
     let shape = table
         .need(&name, "weight_shape")?
         .of_type(&[Dtype::I64, Dtype::I32])?;
@@ -231,7 +231,7 @@ fn bytes(
     schemes: &Schemes,
 ) -> Result<PackedLayer, MllmError> {
     let codes = table.need(&name, "weight")?;
-    let scale = table.need(&name, "weight_scale")?.of_type(&FLOATS)?;
+    let scale = table.need_side(&name, "weight_scale")?.of_type(&FLOATS)?;
     let [outputs, inputs] = codes.matrix()?;
     let zeros = match table.take(&name, "weight_zero_point") {
         Some(part) => Some(part.of_type(&[Dtype::I8])?),

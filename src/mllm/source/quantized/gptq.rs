@@ -73,8 +73,8 @@ fn take(
     bits: u32,
 ) -> Result<PackedLayer, MllmError> {
     let codes = table.need(&name, "qweight")?.of_type(&[Dtype::I32])?;
-    let zeros = table.need(&name, "qzeros")?.of_type(&[Dtype::I32])?;
-    let scales = table.need(&name, "scales")?.of_type(&FLOATS)?;
+    let zeros = table.need_side(&name, "qzeros")?.of_type(&[Dtype::I32])?;
+    let scales = table.need_side(&name, "scales")?.of_type(&FLOATS)?;
     let columns = match table.take(&name, "g_idx") {
         Some(part) => Some(part.of_type(&[Dtype::I32])?),
         None => None,
@@ -98,6 +98,9 @@ fn take(
     if !(words * 32).is_multiple_of(bits as usize) || groups == 0 {
         let problem = format!("{words} rows of words are no whole number of {bits} bits");
         return Err(codes.error(problem));
+    }
+    if groups > inputs {
+        return Err(scales.error(format!("{groups} groups of {inputs} inputs")));
     }
     if let Some(columns) = &columns {
         columns.expect(&[inputs])?;

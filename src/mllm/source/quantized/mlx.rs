@@ -74,10 +74,10 @@ fn layers(
 
 fn take(table: &mut TensorTable, name: String, groups: Groups) -> Result<PackedLayer, MllmError> {
     let codes = table.need(&name, "weight")?;
-    let scales = table.need(&name, "scales")?.of_type(&FLOATS)?;
+    let scales = table.need_side(&name, "scales")?.of_type(&FLOATS)?;
     let minima = match table.take(&name, "qbiases") {
-        Some(minima) => minima,
-        None => table.need(&name, "biases")?,
+        Some(minima) => minima.as_side()?,
+        None => table.need_side(&name, "biases")?,
     };
     let minima = minima.of_type(&FLOATS)?;
     let Groups { size, bits } = groups;

@@ -93,7 +93,7 @@ fn check(case: &str, exact: f32) -> String {
         .filter_map(|name| name.strip_prefix("weight."))
         .map(str::to_owned)
         .collect();
-    assert!(names.len() > 2, "{case}: {names:?}");
+    assert!(!names.is_empty(), "{case} has no weights");
     for name in &names {
         let expected = reference.tensor(&format!("weight.{name}"));
         let &[outputs, inputs] = expected.dims() else {

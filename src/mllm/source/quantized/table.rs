@@ -51,6 +51,17 @@ impl Part {
         )))
     }
 
+    /// Checks that it is no larger than scales are, before it is read.
+    pub(super) fn as_side(self) -> Result<Self, MllmError> {
+        if self.tensor.bytes > MAX_SIDE {
+            return Err(self.error(format!(
+                "its {} bytes are more than the {MAX_SIDE} that scales may have",
+                self.tensor.bytes
+            )));
+        }
+        Ok(self)
+    }
+
     pub(super) fn bytes(&self) -> Result<Vec<u8>, MllmError> {
         self.file.part(self.tensor.begin, self.tensor.bytes)
     }
@@ -110,6 +121,10 @@ fn exponent(byte: u8) -> f32 {
     }
 }
 
+/// Largest tensor of scales, bytes. A table of 256 thousand tokens and 16 thousand numbers in groups
+/// of 32 has 268 MB.
+const MAX_SIDE: u64 = 1 << 29;
+
 /// Types of scales.
 pub(super) const FLOATS: [Dtype; 3] = [Dtype::F16, Dtype::BF16, Dtype::F32];
 
@@ -164,6 +179,11 @@ impl TensorTable {
     pub(super) fn need(&mut self, layer: &str, part: &str) -> Result<Part, MllmError> {
         self.take(layer, part)
             .ok_or_else(|| self.error(layer, format!("it has no {part}, so it is incomplete")))
+    }
+
+    /// Takes the scales or zero points of a layer, which are read when the folder is opened.
+    pub(super) fn need_side(&mut self, layer: &str, part: &str) -> Result<Part, MllmError> {
+        self.need(layer, part)?.as_side()
     }
 
     /// Leaves out the tensors of which a condition holds.
