@@ -46,8 +46,9 @@ const CASES: [(&str, f32); 29] = [
     ("mlx_8bit_g32_tied", 0.0),
     ("mlx_mixed_3_6_bf16", 0.0),
 ];
-/// Largest difference of logits with rounded activations, relative to the largest logit.
-const ROUNDED_LOGITS: f32 = 0.06;
+/// Largest difference of logits with rounded activations, relative to the largest logit. That of the
+/// packages' own rounding of activations is up to 0.3 on these random models.
+const ROUNDED_LOGITS: f32 = 0.1;
 
 fn folder(case: &str) -> PathBuf {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
