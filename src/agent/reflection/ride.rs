@@ -130,7 +130,7 @@ impl Smoothed {
         } else {
             before - step
         };
-        self.accel = wanted.clamp(least, least.max(before + step));
+        self.accel = wanted.max(least).min(least.max(before + step));
         self.accel
     }
 }
