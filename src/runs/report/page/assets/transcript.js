@@ -81,7 +81,7 @@ class Transcript {
   showAttempt(call, i, executed) {
     const attempt = call.attempts[i];
     const { reflection, code } = attempt;
-    const repeat = repeatOf(call.attempts, i);
+    const repeat = attempt.is_further ? null : repeatOf(call.attempts, i);
     const isRefused = reflection?.verdict === "rethink";
     const state = i === executed ? (isRefused ? "refused executed" : "executed") : "";
     const tag = i === executed ? h("span", { class: "executed-tag" }, isRefused ? "executed although refused" : "executed") : null;
