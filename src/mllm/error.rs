@@ -74,13 +74,20 @@ pub enum MllmError {
         found: Vec<usize>,
     },
     #[error(
-        "{path}: tensor {name} has number format {found}; f32, f16 and bf16 are read from safetensors: take the model's \
-         original repository (--quantize makes it small), or a GGUF file"
+        "{path}: tensor {name} has number format {found}; f32, f16 and bf16 are read from safetensors, others where \
+         a quantization_config describes them: take the model's original repository (--quantize makes it small), or a GGUF file"
     )]
     TensorType {
         path: PathBuf,
         name: String,
         found: String,
+    },
+    /// A tensor or a layer of a quantizer's folder.
+    #[error("{path}: {name}: {problem}")]
+    PackedTensor {
+        path: PathBuf,
+        name: String,
+        problem: String,
     },
     #[error(
         "{path}: tensor {name} has number format {format}, which is not read; take a file of the same model in Q4_K_M, \
@@ -148,6 +155,17 @@ pub enum MllmError {
     },
     #[error("there is no model file or folder {path}")]
     AbsentModel { path: PathBuf },
+    #[error(
+        "{path} is no model: name a folder as Hugging Face writes it, a GGUF file or a description (.toml){}",
+        kind.map_or(String::new(), |kind| format!(" (the file is {kind})"))
+    )]
+    NoModelFile {
+        path: PathBuf,
+        /// What the file is, by its first bytes.
+        kind: Option<&'static str>,
+    },
+    #[error("{path} is no model folder, but holds some: name one of {inner}")]
+    OuterFolder { path: PathBuf, inner: String },
     #[error("unknown model shape '{name}'; choose one of {known}")]
     UnknownShape { name: String, known: String },
     #[error("{id} (revision {revision}): {file} is not in the cache {cache}; {advice}")]
