@@ -321,7 +321,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/reliability.md",
-        "python python/tests/mutated_runs.py 600 1",
+        "python python/tests/mutated_runs.py 900 1",
         PACKAGE,
     ),
     (
