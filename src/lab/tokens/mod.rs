@@ -88,12 +88,11 @@ impl SceneText {
     }
 
     pub fn describe(self, scene: &SceneView<'_>, graph: &LaneGraph) -> String {
-        let turn = graph.ego_lane().turn;
         match self {
             Self::Paper => write(&Description::from_graph(graph), TextForm::Paper),
             Self::Compact => write(&Description::from_graph(graph), TextForm::Compact),
-            Self::GptDriver => GptDriverText::from_scene(scene, turn).whole(),
-            Self::GptDriverObjects => GptDriverText::from_scene(scene, turn).objects,
+            Self::GptDriver => GptDriverText::from_scene(scene, graph).whole(),
+            Self::GptDriverObjects => GptDriverText::from_scene(scene, graph).objects,
             Self::LlmAssist => llm_assist_text(scene, graph),
         }
     }

@@ -13,7 +13,8 @@ use planagent_agent::planner::{
     Attempt, Decision, DecisionKind, NoPlan, PlanningCall, Proposal, Unreadable,
 };
 use planagent_agent::reasoning::{
-    Assistance, MotionInstruction, ParseError, PlannerAnswer, RoundRecord,
+    Assistance, DrivingAction, MotionInstruction, ParseError, PlannerAnswer, RoundRecord,
+    WaypointList,
 };
 use planagent_agent::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use planagent_agent::simulation::Challenge;
@@ -96,8 +97,12 @@ pub struct ProposalRecord {
 pub enum LineRecord {
     /// The planner code of PlanAgent.
     Code(CodeRecord),
-    /// The answer of LLM-ASSIST.
+    /// Waypoints every second, or parameters of PDM-Closed.
     Assistance(AssistanceRecord),
+    /// Waypoints every half second.
+    Waypoints(WaypointsRecord),
+    /// An action.
+    Action(ActionRecord),
 }
 
 /// A planner code.
@@ -118,7 +123,7 @@ pub struct CodeRecord {
     pub dec: f64,
 }
 
-/// An answer of LLM-ASSIST.
+/// Waypoints every second, or parameters of PDM-Closed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AssistanceRecord {
@@ -126,6 +131,26 @@ pub struct AssistanceRecord {
     pub text: String,
     /// Waypoints or parameters of PDM-Closed.
     pub assistance: Assistance,
+}
+
+/// Waypoints every half second.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WaypointsRecord {
+    /// The whole list.
+    pub text: String,
+    /// Its places.
+    pub waypoints: WaypointList,
+}
+
+/// An action that moves set-points.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ActionRecord {
+    /// Its name.
+    pub text: String,
+    /// The action.
+    pub action: DrivingAction,
 }
 
 /// Reflection on a plan.
@@ -299,6 +324,10 @@ impl LineRecord {
             PlannerAnswer::Assistance(assistance) => {
                 Self::Assistance(AssistanceRecord { text, assistance })
             }
+            PlannerAnswer::Waypoints(waypoints) => {
+                Self::Waypoints(WaypointsRecord { text, waypoints })
+            }
+            PlannerAnswer::Action(action) => Self::Action(ActionRecord { text, action }),
             PlannerAnswer::Code(code) => Self::Code(CodeRecord {
                 text,
                 c: code.centerline,
@@ -315,6 +344,8 @@ impl LineRecord {
         match self {
             Self::Code(code) => &code.text,
             Self::Assistance(assistance) => &assistance.text,
+            Self::Waypoints(waypoints) => &waypoints.text,
+            Self::Action(action) => &action.text,
         }
     }
 }

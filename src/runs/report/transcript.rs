@@ -8,7 +8,7 @@ use super::times::CallTimes;
 use super::visible::{in_markdown, markdown_block, markdown_cell, markdown_line, visible_line};
 use crate::worker::run::{SimulationOutcome, SimulationRecord};
 use planagent_agent::planner::{Attempt, PlanningCall};
-use planagent_agent::reasoning::RoundRecord;
+use planagent_agent::reasoning::{PlannerAnswer, RoundRecord, ToolUse};
 use planagent_world::STEP_S;
 use std::fmt::Write;
 
@@ -143,6 +143,9 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
             fenced(&round.prompt),
             quoted(&round.answer)
         );
+        if let Some(tool) = &round.tool {
+            text.push_str(&tool_markdown(tool));
+        }
     }
     for error in &attempt.errors {
         let _ = writeln!(
@@ -166,14 +169,15 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
         }
         text.push('\n');
     }
-    if let Some(line) = attempt.line() {
+    if let Some(answer) = &attempt.answer {
+        let line = answer.to_string();
         let same = match repeat {
             Some(Repeat::Code(of) | Repeat::Answers(of)) => {
                 format!(" (the code of attempt {})", of + 1)
             }
             None => String::new(),
         };
-        let _ = writeln!(text, "Code: {}{same}\n", code(&line));
+        let _ = writeln!(text, "{}: {}{same}\n", kind_of(answer), code(&line));
     }
     if let Some(reflection) = &attempt.reflection {
         let parts: Vec<String> = reflection
@@ -190,6 +194,26 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
         );
     }
     text
+}
+
+/// The tool that a round called, and what it gave.
+fn tool_markdown(tool: &ToolUse) -> String {
+    let state = if tool.failed { "refused" } else { "answered" };
+    format!(
+        "Tool {} with {} {state}:\n\n{}\n\n",
+        code(&tool.function),
+        code(&tool.arguments),
+        fenced(&tool.result)
+    )
+}
+
+/// What an answer is, as the head of its line.
+fn kind_of(answer: &PlannerAnswer) -> &'static str {
+    match answer {
+        PlannerAnswer::Code(_) | PlannerAnswer::Assistance(_) => "Code",
+        PlannerAnswer::Waypoints(_) => "Waypoints",
+        PlannerAnswer::Action(_) => "Action",
+    }
 }
 
 /// The rounds whose prompts differ from those of an earlier attempt.
@@ -244,13 +268,14 @@ mod tests {
 
     fn attempt(prompt: &str, answer: &str, target_speed: f64) -> Attempt {
         let round = RoundRecord {
-            round: Round::Code,
+            round: Round::Code.into(),
             prompt: prompt.to_owned(),
             prompt_hash: String::new(),
             answer: answer.to_owned(),
             finish: FinishReason::Complete,
             constraint: ConstraintUse::Unconstrained,
             tokens: TokenCounts::default(),
+            tool: None,
             time: RoundTime::default(),
         };
         let (centerline, lead_agent) = (CenterlineName::EgoLane, None);
