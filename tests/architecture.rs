@@ -97,7 +97,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         &[
             &["rank_correlation", "study"],
             &["bench", "dataset", "tokens"],
-            &["realism", "twins"],
+            &["memory", "realism", "twins"],
             &["report"],
             &["study_runs"],
         ],

@@ -6,14 +6,24 @@
 //! What each port changes stands in docs/agents.md.
 
 mod agent;
+mod agent_driver;
 mod chat;
+mod dilu;
 mod entry;
 mod gpt_driver;
+mod memory;
 mod oracle;
 mod planner;
 mod waypoints;
 
+pub use agent_driver::{agent_driver_text, experience};
+pub use dilu::{Drive, dilu_text, lesson_items};
 pub use entry::entries;
+pub use memory::{DiluItem, ExperienceItem, Memory, MemoryError};
 
+#[cfg(test)]
+mod agent_driver_tests;
+#[cfg(test)]
+mod dilu_tests;
 #[cfg(test)]
 mod tests;

@@ -455,7 +455,9 @@ pub(super) fn calls_in(folder: &OpenFolder) -> Result<Vec<CallRecord>, ReportErr
 mod tests {
     use super::*;
     use crate::worker::run::AgentParts;
+    use planagent_agent::reasoning::{LISTED_WAYPOINTS, RoundName, SeenPlace, ToolUse};
     use planagent_agent::simulation::simulate;
+    use planagent_mllm::TokenCounts;
     use planagent_scenario::generator::{self, DEFAULT};
 
     #[test]
@@ -482,6 +484,45 @@ mod tests {
                 serde_json::from_str::<serde_json::Value>(&line).unwrap()
             );
             assert!(read.accepted().is_some(), "{:?}", read.decision);
+        }
+    }
+
+    #[test]
+    fn rounds_tools_and_answers_of_every_form_are_read_as_they_were_written() {
+        let places = [SeenPlace {
+            right: -0.5,
+            ahead: 4.0,
+        }; LISTED_WAYPOINTS];
+        let answers: [PlannerAnswer; 2] = [WaypointList(places).into(), DrivingAction::Left.into()];
+        for answer in answers {
+            let rounds = RoundName::ALL.iter().map(|&round| {
+                let tool = (round == RoundName::Tool).then(|| ToolUse {
+                    function: "f".to_owned(),
+                    arguments: "1".to_owned(),
+                    result: "two".to_owned(),
+                    failed: false,
+                });
+                serde_json::from_value(serde_json::json!({
+                    "round": round, "prompt": "p", "prompt_hash": "", "answer": "a", "finish": "complete",
+                    "constraint": "enforced", "tokens": TokenCounts::default(), "tool": tool,
+                }))
+                .unwrap()
+            });
+            let mut attempt = Attempt::of_rounds(rounds.collect());
+            attempt.answer = Some(answer);
+            let mut call = PlanningCall::without_attempts(3, 0.3, Decision::Execute(0), 1.0);
+            call.attempts.push(attempt);
+            let record = CallRecord::from_call("a", "b", None, &call);
+            let line = record.to_json().unwrap().to_string();
+            let read: CallRecord = serde_json::from_str(&line).unwrap();
+            assert_eq!(read, record);
+            let text = answer.to_string();
+            assert_eq!(read.attempts[0].code.as_ref().unwrap().text(), text);
+            let tools = read.attempts[0]
+                .rounds
+                .iter()
+                .filter(|round| round.tool.is_some());
+            assert_eq!(tools.count(), 1);
         }
     }
 }

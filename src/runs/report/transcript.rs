@@ -263,7 +263,9 @@ fn code(text: &str) -> String {
 mod tests {
     use super::*;
     use planagent_agent::environment::CenterlineName;
-    use planagent_agent::reasoning::{PlannerCode, Round};
+    use planagent_agent::reasoning::{
+        DrivingAction, LISTED_WAYPOINTS, PlannerCode, Round, SeenPlace, WaypointList,
+    };
     use planagent_mllm::{ConstraintUse, FinishReason, RoundTime, TokenCounts};
 
     fn attempt(prompt: &str, answer: &str, target_speed: f64) -> Attempt {
@@ -327,5 +329,36 @@ mod tests {
             text(3)
         );
         assert_eq!(text(4), "");
+    }
+
+    #[test]
+    fn tools_and_other_forms_of_answers_are_told() {
+        let mut asked = attempt("which tool?", "objects_around()", 1.0);
+        let tool = |failed| ToolUse {
+            function: "objects_around".to_owned(),
+            arguments: "9".to_owned(),
+            result: "error: | one `too` many".to_owned(),
+            failed,
+        };
+        asked.rounds[0].tool = Some(tool(true));
+        asked.answer = Some(DrivingAction::Slower.into());
+        let text = attempt_markdown(&[asked.clone()], 0);
+        assert!(
+            text.contains("Tool `objects_around` with `9` refused:")
+                && text.contains("one `too` many")
+                && text.contains("Action: `slower`"),
+            "{text}"
+        );
+        asked.rounds[0].tool = Some(tool(false));
+        let places = [SeenPlace {
+            right: 0.0,
+            ahead: 4.0,
+        }; LISTED_WAYPOINTS];
+        asked.answer = Some(WaypointList(places).into());
+        let text = attempt_markdown(&[asked], 0);
+        assert!(
+            text.contains("answered:") && text.contains("Waypoints: `[(0.00,4.00), "),
+            "{text}"
+        );
     }
 }

@@ -175,9 +175,9 @@ impl EgoFacts {
     /// The facts in words, a line each.
     pub fn text(&self) -> String {
         let [vx, vy, yaw_rate, ax, ay, forward, right, speed, steering] = self.motion;
-        let past = self.past.map(|step| {
-            step.map_or_else(|| "(unknown)".to_owned(), |(x, y)| place(x, y))
-        });
+        let past = self
+            .past
+            .map(|step| step.map_or_else(|| "(unknown)".to_owned(), |(x, y)| place(x, y)));
         [
             "State of the ego vehicle:".to_owned(),
             format!("- Velocity (vx,vy): {}", place(vx, vy)),
