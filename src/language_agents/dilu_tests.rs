@@ -139,7 +139,10 @@ fn remembered_decisions_stand_before_the_question_and_stay_as_they_are() {
     std::fs::write(&file, "{}").unwrap();
     assert_ne!(entry.as_ref().unwrap().digests(&settings), digests);
     let error = entry.unwrap().prepare(&settings).unwrap_err();
-    assert!(format!("{error:?}").contains("opening the memory"), "{error:?}");
+    assert!(
+        format!("{error:?}").contains("opening the memory"),
+        "{error:?}"
+    );
 }
 
 #[test]

@@ -41,7 +41,8 @@ pub(crate) fn run(
             let loaded = load_model(config, &listener(printer))?;
             loaded.probe(config, &listener(printer))?;
             let bar = printer.progress(flags.scenarios as u64, "drives");
-            let filled = fill_decisions(training, &loaded.agent_parts(config), &|| bar.inc(1))?;
+            let parts = loaded.agent_parts(config, &listener(printer))?;
+            let filled = fill_decisions(training, &parts, &|| bar.inc(1))?;
             bar.finish_and_clear();
             write(flags, &filled, printer)
         }
