@@ -39,7 +39,6 @@ pub(crate) fn run(
         MemoryAgent::AgentDriver => write(flags, &fill_experiences(training), printer),
         MemoryAgent::Dilu => {
             let loaded = load_model(config, &listener(printer))?;
-            loaded.probe(config, &listener(printer))?;
             let bar = printer.progress(flags.scenarios as u64, "drives");
             let parts = loaded.agent_parts(config, &listener(printer))?;
             let filled = fill_decisions(training, &parts, &|| bar.inc(1))?;
