@@ -24,6 +24,7 @@ pub struct ModelSpec {
     pub license: Option<String>,
     /// Format of its weights in memory, where no setting names one; none for that of its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(deserialize_with = "WeightFormat::choice")]
     pub quantize: Option<WeightFormat>,
     /// Where its tokenizer is; none if among its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
