@@ -34,20 +34,20 @@ TOKEN = re.compile(rb'-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|"[^"\n]{0,80}"|true|false
 def changed(record: bytes, drawn: random.Random) -> bytes:
     """A record with one to four changes."""
     for _ in range(drawn.choice((1, 1, 1, 2, 4))):
-        way, at = drawn.randrange(9), drawn.randrange(max(1, len(record)))
+        kind, at = drawn.randrange(9), drawn.randrange(max(1, len(record)))
         lines = record.split(b"\n")
         first, second = drawn.randrange(len(lines)), drawn.randrange(len(lines))
         tokens = [match.span() for match in TOKEN.finditer(record)]
-        if way < 4 and tokens:
+        if kind < 4 and tokens:
             begin, end = drawn.choice(tokens)
             record = record[:begin] + drawn.choice(WILD) + record[end:]
-        elif way == 4:
+        elif kind == 4:
             record = record[:at] + bytes([drawn.randrange(256)]) + record[at + 1 :]
-        elif way == 5:
+        elif kind == 5:
             record = record[:at] + record[at + drawn.choice((1, 2, 8, 100)) :]
-        elif way == 6:
+        elif kind == 6:
             record = record[:at] + record[at : at + drawn.choice((1, 8, 64, 500))] * drawn.choice((2, 50)) + record[at:]
-        elif way == 7:
+        elif kind == 7:
             lines[first], lines[second] = lines[second], lines[first]
             record = b"\n".join(lines)
         else:
