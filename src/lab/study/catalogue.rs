@@ -24,6 +24,7 @@ const BUILT_IN: &[(&str, &str)] = built_in![
     "recorded",
     "interactive",
     "ceilings",
+    "agents",
 ];
 
 #[derive(Debug, thiserror::Error)]
