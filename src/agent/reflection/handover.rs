@@ -84,20 +84,18 @@ pub(super) fn better_proposal(
 #[cfg(test)]
 mod tests {
     use crate::environment::{CenterlineName, DEFAULT_NODE_LENGTH, GraphedScene, LaneGraph};
+    use crate::reasoning::PlannerCode;
     use crate::reflection::{LeadPolicy, MonitoredStep, PlanBuilder, PlanMonitor, Ride};
     use planagent_score::pdm::PdmMemory;
-    use planagent_world::{Scene, SceneBuilder};
+    use planagent_world::Scene;
 
-    /// Two lanes to the east, the left one along y = 0, and the ego in the right one.
-    fn road() -> SceneBuilder {
-        Scene::builder()
+    /// A step of a plan in the ego's lane on a free road, of an ego at 8 m/s.
+    fn step(target_speed: f64, threshold: f64, handover: bool) -> MonitoredStep {
+        let scene = Scene::builder()
             .lanes(2, [[-50.0, 0.0], [250.0, 0.0]])
-            .ego([0.0, -3.5], 0.0, 10.0)
-    }
-
-    /// A step of the plan at the limit on a lane.
-    fn step(scene: SceneBuilder, lane: CenterlineName, handover: bool) -> MonitoredStep {
-        let scene = scene.build().unwrap();
+            .ego([0.0, -3.5], 0.0, 8.0)
+            .build()
+            .unwrap();
         let view = scene.view();
         let graph = LaneGraph::build(&view, DEFAULT_NODE_LENGTH).unwrap();
         let builder = PlanBuilder {
@@ -105,13 +103,20 @@ mod tests {
             ride: Ride::Idm,
             horizon_s: 8.0,
         };
+        let code = PlannerCode {
+            centerline: CenterlineName::EgoLane,
+            lead_agent: None,
+            target_speed,
+            accel_max: 1.5,
+            decel_max: 3.0,
+        };
         let plan = builder
-            .at_limit(GraphedScene::new(&view, &graph), lane)
+            .build(GraphedScene::new(&view, &graph), code)
             .unwrap()
             .unwrap();
         let monitor = PlanMonitor {
             steps: 40,
-            threshold: 0.75,
+            threshold,
             emergency_brake: true,
             handover,
         };
@@ -120,23 +125,32 @@ mod tests {
             .unwrap()
     }
 
-    #[test]
-    fn a_proposal_drives_where_the_plan_would_touch_a_car_beside_the_ego() {
-        let beside = || road().vehicle([1.0, 0.0], 0.0, 10.0);
-        let without = step(beside(), CenterlineName::LeftLane, false);
-        let with = step(beside(), CenterlineName::LeftLane, true);
-        assert!(!without.is_handover && without.score < 0.75, "{without:?}");
-        assert!(with.is_handover && with.score > without.score, "{with:?}");
-        let end = with.trajectory.states().last().unwrap().rear_axle;
-        assert!(end.x > 40.0 && (end.y + 3.5).abs() < 1.1, "{end:?}");
+    /// How far a step's trajectory leads, meters.
+    fn reach(step: &MonitoredStep) -> f64 {
+        step.trajectory
+            .states()
+            .last()
+            .map_or(0.0, |last| last.rear_axle.x)
     }
 
     #[test]
-    fn a_plan_that_scores_the_threshold_drives_itself() {
-        for lane in [CenterlineName::EgoLane, CenterlineName::LeftLane] {
-            let with = step(road(), lane, true);
-            assert!(!with.is_handover && with.score >= 0.75, "{with:?}");
-            assert_eq!(with.trajectory, step(road(), lane, false).trajectory);
+    fn a_proposal_drives_where_the_plan_scores_too_little_and_it_gets_further() {
+        let never_passes = 1.1;
+        let (own, handed) = (
+            step(2.0, never_passes, false),
+            step(2.0, never_passes, true),
+        );
+        assert!(!own.is_handover && handed.is_handover, "{}", handed.score);
+        assert!(reach(&handed) > 2.0 * reach(&own), "{}", reach(&handed));
+    }
+
+    #[test]
+    fn a_plan_drives_itself_where_it_passes_or_no_proposal_is_better() {
+        for (target_speed, threshold) in [(2.0, 0.75), (13.0, 0.75), (30.0, 1.1)] {
+            let handed = step(target_speed, threshold, true);
+            assert!(!handed.is_handover, "{target_speed}: {}", handed.score);
+            let own = step(target_speed, threshold, false);
+            assert_eq!(handed.trajectory, own.trajectory);
         }
     }
 }
