@@ -126,7 +126,7 @@ impl Default for DiluSettings {
 pub struct AgentDriverSettings {
     /// Time between planning calls, seconds.
     pub interval_s: f64,
-    /// Maximum tokens of thoughts, and of waypoints.
+    /// Maximum tokens of reasons, and of waypoints.
     pub max_tokens: usize,
     /// The file of the memory; `None` for none.
     #[serde(skip_serializing_if = "Option::is_none")]
