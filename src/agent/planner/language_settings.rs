@@ -46,6 +46,21 @@ impl LanguageAgentSettings {
         .into_iter()
     }
 
+    /// The memories that are set: key, planner and file.
+    #[doc(hidden)]
+    pub fn memories(&self) -> impl Iterator<Item = (&'static str, &'static str, &str)> {
+        [
+            ("language_agents.dilu.memory", "dilu", &self.dilu.memory),
+            (
+                "language_agents.agent_driver.memory",
+                "agent-driver",
+                &self.agent_driver.memory,
+            ),
+        ]
+        .into_iter()
+        .filter_map(|(key, planner, file)| Some((key, planner, file.as_deref()?)))
+    }
+
     /// The files of all memories.
     #[doc(hidden)]
     pub fn memories_mut(&mut self) -> impl Iterator<Item = &mut String> {
