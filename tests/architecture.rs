@@ -81,7 +81,14 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["endpoint", "family"],
             &["template_format"],
             &["tiled"],
-            &["cogvlm", "internvl", "llava", "qwen3_vl", "smolvlm"],
+            &[
+                "cogvlm",
+                "internvl",
+                "llava",
+                "qwen3_vl",
+                "smolvlm",
+                "text_only",
+            ],
             &["llava_next", "qwen2_5_vl"],
             &["families"],
             &["source"],
@@ -162,7 +169,7 @@ const WRITERS: [&str; 8] = [
     "src/cli/",
     "src/mllm/trial/verdicts.rs",
     "src/scenario/nuplan/side_index.rs",
-    "src/scenario/nuplan/export/",
+    "src/files/whole_folder.rs",
 ];
 
 /// Files that hold nothing but unit tests or what only these use.

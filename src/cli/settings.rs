@@ -1,6 +1,7 @@
 //! The settings of a command, and where each comes from.
 
 use super::args::{Arguments, Command, SimulateArguments, TRIAL_PROCESS};
+use super::launched;
 use super::suggest::{nearest, similar_exists};
 use super::words::planner_words;
 use anyhow::{Context, bail};
@@ -13,12 +14,13 @@ use planagent_runs::report::RenamedSetting;
 use planagent_runs::runner::Config;
 use planagent_scenario::absolute_path;
 use serde::Serialize;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Keys without a default value, beside the checkpoints of learned planners; the others are those of
 /// [`Config::default`].
-const OPTIONAL: [&str; 8] = [
+const OPTIONAL: [&str; 10] = [
     "mllm.quantize",
     "mllm.context",
     "agent.deadline_ms",
@@ -27,7 +29,11 @@ const OPTIONAL: [&str; 8] = [
     "reasoning.prompt_set",
     "reasoning.proposals",
     "reasoning.speculation",
+    "language_agents.dilu.memory",
+    "language_agents.agent_driver.memory",
 ];
+/// The section that a file has only where it differs from its defaults.
+const LANGUAGE_AGENTS: &str = "language_agents";
 
 /// The settings of a command.
 pub(super) struct Settings {
@@ -170,7 +176,9 @@ impl Settings {
 
     /// Every setting in the order of the file, optional ones at the end of their section.
     pub(super) fn list(&self) -> anyhow::Result<Vec<Setting>> {
-        let table = Table::try_from(&self.config)?;
+        let mut table = Table::try_from(&self.config)?;
+        let agents = Table::try_from(&self.config.language_agents)?;
+        table.insert(LANGUAGE_AGENTS.to_owned(), agents.into());
         Ok(keys()?
             .into_iter()
             .map(|key| {
@@ -222,14 +230,21 @@ fn the_learned(flags: &SimulateArguments, word: &str) -> anyhow::Result<String> 
 /// A trial of the model's files by this program.
 fn trial() -> Trust {
     // Without a path of the program there is nothing to try with, and nobody vouches for the files.
-    std::env::current_exe().map_or(Trust::Nobody, |program| {
-        let samples = built_in_prompts().map(str::to_owned);
-        Trust::Trial(Trial::by(
-            program,
-            &[TRIAL_PROCESS, "--threads", "1"],
-            samples,
-        ))
-    })
+    launched().map_or(Trust::Nobody, |launcher| trial_by(&launcher))
+}
+
+/// A trial of a model's files by what starts this program: a command and its first arguments.
+pub fn trial_by(launcher: &[OsString]) -> Trust {
+    let Some((program, first)) = launcher.split_first() else {
+        return Trust::Nobody;
+    };
+    let words: Vec<&str> = first
+        .iter()
+        .filter_map(|word| word.to_str())
+        .chain([TRIAL_PROCESS, "--threads", "1"])
+        .collect();
+    let samples = built_in_prompts().map(str::to_owned);
+    Trust::Trial(Trial::by(program, &words, samples))
 }
 
 /// The settings before options: those of the file that `--config` names; without it, of the run
@@ -298,7 +313,10 @@ fn parse(text: &str) -> anyhow::Result<Table> {
 pub(super) fn keys() -> anyhow::Result<Vec<String>> {
     let (mut keys, mut section) = (Vec::new(), String::new());
     // A table forgets the order of its keys; the text of the defaults has it.
-    for line in toml::to_string(&Config::default())?.lines() {
+    let defaults = Config::default();
+    let agents = toml::to_string(&defaults.language_agents)?;
+    let agents = agents.replace('[', &format!("[{LANGUAGE_AGENTS}."));
+    for line in toml::to_string(&defaults)?.lines().chain(agents.lines()) {
         if let Some(name) = line
             .strip_prefix('[')
             .and_then(|rest| rest.strip_suffix(']'))
@@ -313,13 +331,10 @@ pub(super) fn keys() -> anyhow::Result<Vec<String>> {
         .learned()
         .map(|planner| checkpoint_key(planner.as_str()));
     for optional in OPTIONAL.into_iter().map(str::to_owned).chain(checkpoints) {
-        let section = optional
-            .split('.')
-            .next()
-            .expect("a split gives one part at least");
-        let last = keys
-            .iter()
-            .rposition(|key: &String| key.split('.').next() == Some(section));
+        let section = optional.rsplit_once('.').map_or("", |(section, _)| section);
+        let is_of_section =
+            |key: &String| key.rsplit_once('.').map_or("", |(own, _)| own) == section;
+        let last = keys.iter().rposition(is_of_section);
         keys.insert(last.map_or(keys.len(), |place| place + 1), optional);
     }
     Ok(keys)
@@ -327,7 +342,7 @@ pub(super) fn keys() -> anyhow::Result<Vec<String>> {
 
 fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
     match key.split_once('.') {
-        Some((section, key)) => table.get(section)?.get(key),
+        Some((section, key)) => value_at(table.get(section)?.as_table()?, key),
         None => table.get(key),
     }
 }

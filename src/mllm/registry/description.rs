@@ -3,6 +3,7 @@
 use super::described_prompts::DescribedPrompts;
 use super::generation::GenerationSettings;
 use super::hub::{HubName, addressed, plain, without_owner};
+use super::without_tower;
 use crate::checkpoint::read_text;
 use crate::{Architecture, EndpointSettings, ImageSettings, MllmError, WeightFormat};
 use serde::{Deserialize, Serialize};
@@ -41,6 +42,10 @@ pub struct ModelSpec {
     /// How images are shown to it.
     #[serde(default, skip_serializing_if = "ImageSettings::is_default")]
     pub image: ImageSettings,
+    /// Whether the decoder of a GGUF file is opened with its vision tower, if it has one. Without,
+    /// it is a language model that reads text alone.
+    #[serde(default = "without_tower::yes", skip_serializing_if = "Clone::clone")]
+    pub vision: bool,
     /// Whether its author vouches for its chat template and tokenizer, so that they need no trial.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub trusted: bool,
@@ -226,6 +231,7 @@ impl ModelSpec {
             prompt_set: None,
             generation: GenerationSettings::default(),
             image: ImageSettings::default(),
+            vision: true,
             trusted: false,
         }
     }
@@ -273,7 +279,19 @@ impl ModelSpec {
                 "generation.max_new_tokens: a round needs at least one token".into(),
             ));
         }
+        if spec.generation.thinking == Some(0) {
+            return Err(broken(
+                "generation.thinking: thoughts need at least one token; leave the key out for none"
+                    .into(),
+            ));
+        }
         if let ModelSource::Endpoint(settings) = &spec.source {
+            if spec.generation.thinking.is_some() {
+                return Err(broken(
+                    "generation.thinking belongs to models of this machine; a server has source.extra"
+                        .into(),
+                ));
+            }
             settings
                 .described()
                 .map_err(|problem| broken(format!("source: {problem}")))?;
@@ -292,6 +310,10 @@ impl ModelSpec {
             return Err(broken(
                 "image belongs to models of this machine; a server has source.image_size".into(),
             ));
+        }
+        if !spec.vision {
+            spec.check_blind()
+                .map_err(|problem| broken(format!("vision = false: {problem}")))?;
         }
         if matches!(spec.tokenizer, Some(ModelSource::Endpoint(_))) {
             return Err(broken("tokenizer: expected files, found a server".into()));

@@ -10,6 +10,10 @@ pub struct GenerationSettings {
     /// Longest answer of each round, tokens.
     pub max_new_tokens: RoundTokens,
     pub sampling: Sampling,
+    /// Most tokens of a model's thoughts before each answer; none for answers without thoughts. The
+    /// model's chat template must know thoughts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub thinking: Option<usize>,
 }
 
 impl GenerationSettings {
@@ -41,6 +45,7 @@ impl Default for GenerationSettings {
         Self {
             max_new_tokens: RoundTokens::default(),
             sampling: Sampling::Greedy,
+            thinking: None,
         }
     }
 }
