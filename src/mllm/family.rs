@@ -45,6 +45,22 @@ pub struct Family {
     pub decoder_config: fn(&ModelFiles) -> Result<LlamaConfig, MllmError>,
     /// Opens the configuration and the preprocessor, and takes the weights.
     pub open: fn(&ModelFiles, &mut Weights) -> OpenedModel,
+    /// What its users read (`docs/supported-models.md`).
+    pub about: About,
+}
+
+/// What users of a family read.
+#[derive(Debug, Clone, Copy)]
+pub struct About {
+    /// The published models that it opens, in words.
+    pub models: &'static str,
+    /// The decoders of llama.cpp's files that it opens (`general.architecture`), and the projector
+    /// beside each (`clip.projector_type`).
+    pub gguf: &'static [(&'static str, Option<&'static str>)],
+    /// What its outputs are compared with, and where.
+    pub tested: &'static str,
+    /// A published model, as `--model` takes it.
+    pub example: &'static str,
 }
 
 impl Debug for Family {

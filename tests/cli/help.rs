@@ -3,7 +3,7 @@
 use super::{planagent, refused, run};
 
 /// Every command with its own help.
-pub(super) const COMMANDS: [&str; 27] = [
+pub(super) const COMMANDS: [&str; 28] = [
     "",
     "simulate",
     "plan",
@@ -25,6 +25,7 @@ pub(super) const COMMANDS: [&str; 27] = [
     "models show",
     "models check",
     "models fetch",
+    "models families",
     "models quantize",
     "dataset",
     "study",

@@ -220,16 +220,7 @@ impl LocalConversation<'_> {
                 context,
             });
         }
-        let agree = self
-            .sequence
-            .ids()
-            .iter()
-            .zip(&ids)
-            .take_while(|(a, b)| a == b)
-            .count();
-        // The last token is always computed: its logits give the first token of the answer.
-        let cached = agree.min(ids.len().saturating_sub(1));
-        self.sequence.truncate(cached);
+        let cached = self.sequence.begin(&*local.model, &ids, self.image);
         let rest = &ids[cached..];
 
         let encode_start = Instant::now();
