@@ -32,7 +32,7 @@ impl TemplateFormat {
         image: ImageText,
     ) -> Result<Self, MllmError> {
         let placeholder = placeholder(tokenizer, image_token)?;
-        let template = ChatTemplate::open(files, tokenizer.special(), &placeholder)?;
+        let template = ChatTemplate::open(files, tokenizer.special(), Some(&placeholder))?;
         Ok(Self {
             template,
             placeholder,

@@ -96,7 +96,7 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
         ));
     }
     let Special {
-        bos, eos, config, ..
+        bos, ends, config, ..
     } = Special::read(header, &pieces)?;
     let begins = header
         .flag("tokenizer.ggml.add_bos_token")?
@@ -117,7 +117,7 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     Ok(TokenizerFiles {
         tokenizer,
         config,
-        eos: eos.map(|(id, _)| id),
+        ends,
     })
 }
 

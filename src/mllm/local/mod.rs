@@ -23,6 +23,8 @@ mod likeliest_tests;
 #[cfg(test)]
 mod odd_folder_tests;
 #[cfg(test)]
+mod outside_tests;
+#[cfg(test)]
 mod speculation_tests;
 #[cfg(test)]
 pub(crate) mod test_faults;
@@ -30,6 +32,8 @@ pub(crate) mod test_faults;
 pub(crate) mod test_prompts;
 #[cfg(test)]
 pub(crate) mod test_reference;
+#[cfg(test)]
+mod text_only_tests;
 
 pub use check::ModelCheck;
 pub use loading::Loading;
@@ -56,7 +60,7 @@ const KEPT_PREFIXES: usize = 8;
 /// Shortest prefix that is cached, tokens: a lone beginning-of-sequence token is not worth it.
 const MIN_PREFIX: usize = 2;
 
-/// A vision-language model with its prompt format, tokenizer and grammars.
+/// A model, with or without a vision tower, with its prompt format, tokenizer and grammars.
 #[derive(Debug)]
 pub struct LocalModel {
     name: String,
@@ -225,7 +229,7 @@ impl Mllm for LocalModel {
             architecture: info.architecture.into(),
             parameters: info.parameters,
             dtype: "f32".into(),
-            image_size: Some(info.image_size as u32),
+            image_size: info.image_size.map(|side| side as u32),
             image_tokens: info.max_image_tokens,
             vocabulary: info.vocabulary,
             context: self.limited(info.positions),

@@ -174,6 +174,15 @@ impl ModelRegistry {
     }
 
     fn place_by(&self, hub: &HubAccess, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
+        let place = self.whole_place(hub, spec)?;
+        if spec.vision {
+            Ok(place)
+        } else {
+            place.decoder_alone()
+        }
+    }
+
+    fn whole_place(&self, hub: &HubAccess, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         Ok(match &spec.source {
             ModelSource::Endpoint(settings) => return Err(no_files(spec, settings)),
             ModelSource::Folder { folder } => ModelPlace::Folder(folder.clone()),
