@@ -275,6 +275,16 @@ pub trait ChatFormat: Debug + Send + Sync {
     /// Token ids of a chat, each token of the image as the model's placeholder
     /// ([`ModelInfo::image_token`]).
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError>;
+
+    /// From now on, chats end where the model begins to think.
+    ///
+    /// # Errors
+    /// When the family's chats know no thoughts.
+    fn let_think(&mut self) -> Result<(), MllmError> {
+        Err(MllmError::Request {
+            problem: "generation.thinking: chats of this family know no thoughts".into(),
+        })
+    }
 }
 
 /// A chat that ends with a user's prompt.

@@ -94,6 +94,10 @@ impl TemplateFormat {
 }
 
 impl ChatFormat for TemplateFormat {
+    fn let_think(&mut self) -> Result<(), MllmError> {
+        self.template.let_think()
+    }
+
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
         let rendered =
             self.template

@@ -216,10 +216,7 @@ mod tests {
             let system = |legend| set.system(super::super::variables::system(legend)).unwrap();
             let (with, without) = (system("Colours: none."), system(""));
             assert!(!without.contains("picture"), "{name}: {without}");
-            assert!(
-                !without.contains("\n\n\n"),
-                "{without}"
-            );
+            assert!(!without.contains("\n\n\n"), "{without}");
             let long = ["paper", "brief"].contains(&name);
             assert_eq!(with.contains("picture"), long, "{name}: {with}");
             assert_eq!(with.contains("Colours: none."), long);

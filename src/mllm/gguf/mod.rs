@@ -5,7 +5,7 @@
 //! these. For a file of llama.cpp, the model's family makes the small files from the metadata
 //! ([`GgufLayout`]), so that it reads the same JSON whatever the weights lie in.
 
-mod byte_level;
+pub(crate) mod byte_level;
 pub(crate) mod gemma;
 mod header;
 pub(crate) mod llama;

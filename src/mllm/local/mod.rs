@@ -13,6 +13,7 @@ mod memory;
 mod outline;
 mod sequence;
 mod session;
+mod thinking;
 
 #[cfg(test)]
 mod caching_tests;
@@ -54,6 +55,7 @@ use session::LocalConversation;
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
+use thinking::Thinking;
 
 /// Number of system prompts whose keys and values are cached; a run uses one or two.
 const KEPT_PREFIXES: usize = 8;
@@ -75,6 +77,8 @@ pub struct LocalModel {
     draft_model: Option<Arc<DraftModel>>,
     /// The work of an answer; none for a small model.
     work: Option<AnswerWork>,
+    /// How it thinks before it answers; none if it answers at once.
+    thinking: Option<Thinking>,
     prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
 }
 
@@ -113,7 +117,14 @@ impl LocalModel {
         let Checkpoint { files, weights, .. } = checkpoint;
         let vocabulary = model.info().vocabulary;
         let tokenizer = ChatTokenizer::open(&tokenizer, vocabulary, model.info().image_token)?;
-        let format = model.chat_format(&files, &tokenizer)?;
+        let mut format = model.chat_format(&files, &tokenizer)?;
+        let thinking = loading
+            .thinking
+            .map(|limit| Thinking::open(limit, &tokenizer))
+            .transpose()?;
+        if thinking.is_some() {
+            format.let_think()?;
+        }
         let end_tokens = end_tokens(&files, &tokenizer, vocabulary)?;
         Ok(Self {
             name: name.to_string(),
@@ -126,6 +137,7 @@ impl LocalModel {
             limit: loading.context,
             draft_model: None,
             work,
+            thinking,
             prefixes: Mutex::new(VecDeque::new()),
         })
     }
@@ -142,6 +154,11 @@ impl LocalModel {
             .notes
             .push(format!("answers are drafted by {}", place.path().display()));
         Ok(self)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn model(&self) -> &dyn VisionLanguageModel {
+        &*self.model
     }
 
     /// Longest chat, tokens, whose image (if it has one) becomes `image_tokens` tokens.

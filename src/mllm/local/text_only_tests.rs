@@ -7,7 +7,7 @@ use crate::family::{Chat, ImageSettings};
 use crate::local::test_prompts::Prompts;
 use crate::local::{Loading, LocalModel};
 use crate::source::ModelPlace;
-use crate::{Mllm, MllmError, PromptPrefix};
+use crate::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
 use candle_core::{Device, Tensor};
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -24,12 +24,7 @@ const MODELS: [(&str, &str, &str, &str); 4] = [
         "qwen2",
         "<IMG_CONTEXT>",
     ),
-    (
-        "tiny_qwen2_5_vl",
-        "model.language_model.",
-        "qwen2",
-        "architecture qwen2vl",
-    ),
+    ("tiny_qwen2_5_vl", "model.", "qwen2", "architecture qwen2vl"),
     (
         "tiny_qwen3_vl",
         "model.language_model.",
@@ -161,6 +156,89 @@ fn a_template_that_can_think_is_rendered_without_thoughts() {
     let ids = local.prompt_ids(&chat).unwrap();
     let read = local.tokenizer.decode_verbatim(&ids);
     assert!(read.ends_with("no thoughts"), "{read}");
+}
+
+/// A folder whose vocabulary has the token that ends thoughts, and whose template knows them.
+fn thinking_folder() -> tempfile::TempDir {
+    let prompts = Prompts::from_fixture("tiny_qwen3_vl");
+    let folder = decoder_folder(&prompts, "model.language_model.");
+    let path = folder.path().join("tokenizer.json");
+    let mut tokenizer = read_json(&path).unwrap();
+    let added = tokenizer["added_tokens"].as_array_mut().unwrap();
+    let last = added.last_mut().unwrap();
+    let (id, old) = (
+        last["id"].clone(),
+        last["content"].as_str().unwrap().to_owned(),
+    );
+    last["content"] = json!("</think>");
+    last["special"] = json!(false);
+    if let Some(vocabulary) = tokenizer["model"]["vocab"].as_object_mut()
+        && vocabulary.remove(&old).is_some()
+    {
+        vocabulary.insert("</think>".to_owned(), id);
+    }
+    write(&path, &tokenizer);
+    let template = "{%- for m in messages -%}{{- '<|im_start|>' + m.role + '\\n' + m.content + '<|im_end|>\\n' -}}{%- endfor -%}\
+        {{- '<|im_start|>assistant\\n' -}}{%- if not enable_thinking -%}{{- 'x' -}}{%- endif -%}";
+    std::fs::write(folder.path().join("chat_template.jinja"), template).unwrap();
+    folder
+}
+
+#[test]
+fn thoughts_have_a_limit_of_their_own_and_are_no_part_of_an_answer() {
+    let folder = thinking_folder();
+    let place = ModelPlace::Folder(folder.path().to_path_buf());
+    let answer = |thinking, draft: Option<Vec<u32>>| {
+        let loading = Loading {
+            thinking,
+            ..Loading::default()
+        };
+        let local = LocalModel::load("tiny", &place, &loading).unwrap();
+        let prefix = PromptPrefix::default();
+        let mut conversation = local.converse(&prefix, 1).unwrap();
+        let request = Request {
+            constraint: Constraint::Choice(vec!["yes".into(), "no".into()]),
+            max_new_tokens: 8,
+            sampling: Sampling::Greedy,
+            deadline: Deadline::NONE,
+            draft,
+        };
+        let mut asked = || conversation.ask("Go?", &request).unwrap();
+        [asked(), asked()]
+    };
+    for round in answer(Some(5), None) {
+        assert!(
+            ["yes", "no"].contains(&round.text.as_str()),
+            "{}",
+            round.text
+        );
+        assert!(round.tokens.sampled >= 5, "{:?}", round.tokens);
+    }
+    let [plain, _] = answer(None, None);
+    assert!(plain.tokens.sampled < 5, "{:?}", plain.tokens);
+    let texts = |answers: [crate::Answer; 2]| answers.map(|answer| answer.ids);
+    assert_eq!(
+        texts(answer(Some(5), None)),
+        texts(answer(Some(5), Some(vec![3, 4])))
+    );
+    // Neither a vocabulary without the mark nor a template without thoughts is taken.
+    let prompts = Prompts::from_fixture("tiny_qwen3_vl");
+    let without = decoder_folder(&prompts, "model.language_model.");
+    let loading = Loading {
+        thinking: Some(5),
+        ..Loading::default()
+    };
+    let place = ModelPlace::Folder(without.path().to_path_buf());
+    let error = LocalModel::load("tiny", &place, &loading).unwrap_err();
+    assert!(error.to_string().contains("</think>"), "{error}");
+    std::fs::copy(
+        without.path().join("chat_template.jinja"),
+        folder.path().join("chat_template.jinja"),
+    )
+    .unwrap();
+    let place = ModelPlace::Folder(folder.path().to_path_buf());
+    let error = LocalModel::load("tiny", &place, &loading).unwrap_err();
+    assert!(error.to_string().contains("enable_thinking"), "{error}");
 }
 
 #[test]

@@ -218,6 +218,10 @@ pub struct GenerationSettings {
     /// Longest answer of each round, tokens.
     pub max_new_tokens: RoundTokens,
     pub sampling: Sampling,
+    /// Most tokens of a model's thoughts before each answer; none for answers without thoughts. The
+    /// model's chat template must know thoughts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub thinking: Option<usize>,
 }
 
 /// A number of tokens for each round.
@@ -237,6 +241,7 @@ impl Default for GenerationSettings {
         Self {
             max_new_tokens: RoundTokens::default(),
             sampling: Sampling::Greedy,
+            thinking: None,
         }
     }
 }
@@ -312,7 +317,19 @@ impl ModelSpec {
                 "generation.max_new_tokens: a round needs at least one token".into(),
             ));
         }
+        if spec.generation.thinking == Some(0) {
+            return Err(broken(
+                "generation.thinking: thoughts need at least one token; leave the key out for none"
+                    .into(),
+            ));
+        }
         if let ModelSource::Endpoint(settings) = &spec.source {
+            if spec.generation.thinking.is_some() {
+                return Err(broken(
+                    "generation.thinking belongs to models of this machine; a server has source.extra"
+                        .into(),
+                ));
+            }
             settings
                 .described()
                 .map_err(|problem| broken(format!("source: {problem}")))?;
@@ -603,7 +620,7 @@ mod tests {
             ("'brief'\n", "'brief'\n[image]\nsize = 448", "image"),
             (
                 "file = 'm.gguf'",
-                "endpoint = 'http://127.0.0.1:8080/v1', model = 'm'",
+                "endpoint = 'http://127.0.0.1:8080/v1', model = 'm', grammar = 'json_schema'",
                 "bev",
             ),
             ("false", "'no'", "vision"),

@@ -287,7 +287,10 @@ impl ModelRegistry {
             return connect(&spec.name, settings);
         }
         let place = self.place(spec)?;
-        let loading = self.loading(spec)?;
+        let loading = Loading {
+            thinking: self.asking(spec)?.generation.thinking,
+            ..self.loading(spec)?
+        };
         self.admit(spec, &place, &loading)?;
         let model = without_panic(&place, || LocalModel::load(&spec.name, &place, &loading))?;
         let Some(draft) = spec.draft() else {
@@ -429,6 +432,7 @@ impl ModelRegistry {
             expected,
             families,
             image: spec.image,
+            thinking: spec.generation.thinking,
             ..self.loading.clone()
         })
     }

@@ -18,6 +18,10 @@ pub(crate) struct ChatTemplate {
     content: Content,
     /// The placeholder of an image; none in a model that reads text alone.
     image_token: Option<String>,
+    /// Whether it mentions thoughts.
+    knows_thoughts: bool,
+    /// Whether chats end where the model begins to think.
+    thinks: bool,
 }
 
 /// The form of a message's content that a template accepts.
@@ -30,6 +34,8 @@ enum Content {
 }
 
 const NAME: &str = "chat";
+/// What templates of models that think mention.
+const THOUGHTS: [&str; 2] = ["enable_thinking", "<think>"];
 
 impl ChatTemplate {
     /// Opens the first of `chat_template.jinja`, and the `chat_template` of `chat_template.json`,
@@ -48,9 +54,29 @@ impl ChatTemplate {
             special: special.clone(),
             content: Content::Parts,
             image_token: image_token.map(str::to_owned),
+            knows_thoughts: THOUGHTS.into_iter().any(|word| source.contains(word)),
+            thinks: false,
         };
         template.content = template.accepted_content()?;
         Ok(template)
+    }
+
+    /// From now on, chats end where the model begins to think.
+    ///
+    /// # Errors
+    /// When the template knows no thoughts.
+    pub(crate) fn let_think(&mut self) -> Result<(), MllmError> {
+        if !self.knows_thoughts {
+            return Err(MllmError::ChatTemplate {
+                path: self.path.clone(),
+                problem: format!(
+                    "generation.thinking: the template has neither {}, so the model was not trained to think",
+                    THOUGHTS.join(" nor ")
+                ),
+            });
+        }
+        self.thinks = true;
+        Ok(())
     }
 
     /// Renders a chat that ends with `prompt` and the beginning of the model's answer.
@@ -95,9 +121,9 @@ impl ChatTemplate {
                 .iter()
                 .map(|(role, token)| (role.as_str(), token.as_str())),
         );
-        // An answer begins at once: a grammar has no place for thoughts.
+        // Unless a description wants thoughts, an answer begins at once.
         let chat = context! {
-            messages, add_generation_prompt => true, enable_thinking => false, ..special
+            messages, add_generation_prompt => true, enable_thinking => self.thinks, ..special
         };
         let texts = turns
             .iter()

@@ -3,6 +3,9 @@
 mod gguf;
 mod model;
 
+#[cfg(test)]
+mod gemma_tests;
+
 use super::MllmError;
 use super::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles};
 use super::family::Family;

@@ -66,6 +66,10 @@ impl VisionLanguageModel for TextModel {
 struct TextFormat(ChatTemplate);
 
 impl ChatFormat for TextFormat {
+    fn let_think(&mut self) -> Result<(), MllmError> {
+        self.0.let_think()
+    }
+
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
         if chat.image.is_some() {
             return Err(no_picture());

@@ -92,7 +92,7 @@ impl RunSimulations {
     pub(super) fn model(&self) -> Option<String> {
         let model = self.manifest.model.as_ref()?;
         let name = model.get("name")?.as_str()?;
-        let sees = model.get("image_size").is_none_or(|size| !size.is_null());
+        let sees = model.contains_key("image_size");
         let remark = if sees {
             ""
         } else {
