@@ -10,6 +10,7 @@ mod load_report;
 mod mistaken;
 mod neutral;
 mod own_keys;
+mod packed;
 mod rope_config;
 mod row_order;
 pub(crate) mod safetensors_folder;
@@ -29,6 +30,7 @@ pub use load_report::{
 pub(crate) use mistaken::what_instead_of_weights;
 pub(crate) use neutral::Neutral;
 pub(crate) use own_keys::OwnKeys;
+pub(crate) use packed::{Held, PackedBlocks, PackedForm};
 pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use vision_config::{TowerType, VisionConfig};
 pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile};

@@ -1,9 +1,10 @@
 //! The tensors of a checkpoint under one set of names, from any kind of file.
 
 use super::load_report::LoadReport;
+use super::packed::{Held, PackedBlocks, PackedForm, largest_difference};
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
-use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
+use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, held_as, is_matrix};
 use crate::MllmError;
 use candle_core::quantized::GgmlDType;
 use candle_core::{Device, Tensor};
@@ -274,13 +275,39 @@ impl Weights {
 
     /// The format in memory of a tensor that is not taken yet.
     pub(crate) fn weight_format_of(&self, name: &str) -> Option<WeightFormat> {
-        let TensorPlace { format, shape, .. } = &self.tensors.get(name)?.place;
+        let stored = self.tensors.get(name)?;
+        let shape = &stored.place.shape;
         match shape.as_slice() {
             [_, inputs] if is_matrix(name, shape) => {
-                Some(self.plan.matrix(name, *format, *inputs).weight_format)
+                Some(self.planned(self.plan, name, stored, *inputs).weight_format)
             }
             _ => Some(WeightFormat::F32),
         }
+    }
+
+    /// The format in memory of a matrix with `inputs` columns.
+    fn planned(
+        &self,
+        plan: WeightFormatPlan,
+        name: &str,
+        stored: &StoredTensor,
+        inputs: usize,
+    ) -> PlannedFormat {
+        match self.packed(stored) {
+            Some(form) => plan.packed_matrix(name, form, inputs),
+            None => plan.matrix(name, stored.place.format, inputs),
+        }
+    }
+
+    /// How a quantizer packed a tensor, if it did.
+    fn packed(&self, stored: &StoredTensor) -> Option<&PackedForm> {
+        self.files.get(stored.file)?.packed(&stored.place)
+    }
+
+    /// What a report calls the format of a tensor in its file.
+    fn format_name(&self, stored: &StoredTensor) -> String {
+        self.packed(stored)
+            .map_or_else(|| stored.place.format.name(), |form| form.label.clone())
     }
 
     /// Names, shapes and formats in memory of the matrices that are left, with another wanted
@@ -297,7 +324,7 @@ impl Weights {
             .iter()
             .filter_map(move |(name, stored)| match stored.place.shape.as_slice() {
                 shape @ &[outputs, inputs] if is_matrix(name, shape) => {
-                    let planned = plan.matrix(name, stored.place.format, inputs);
+                    let planned = self.planned(plan, name, stored, inputs);
                     Some((name.as_str(), [outputs, inputs], planned.weight_format))
                 }
                 _ => None,
@@ -315,15 +342,16 @@ impl Weights {
             ..LoadReport::default()
         };
         for (name, stored) in &self.tensors {
-            let TensorPlace { format, shape, .. } = &stored.place;
+            let shape = &stored.place.shape;
             match shape.as_slice() {
                 [outputs, inputs] if is_matrix(name, shape) => {
-                    let planned = plan.matrix(name, *format, *inputs);
+                    let planned = self.planned(plan, name, stored, *inputs);
                     let bytes = planned
                         .weight_format
                         .matrix_bytes(*outputs, *inputs)
                         .unwrap_or(usize::MAX);
-                    report.add_matrix(name, *format, planned, bytes as u64);
+                    let file = self.format_name(stored);
+                    report.add_matrix(name, file, planned, bytes as u64, None);
                 }
                 _ => report.add(WeightFormat::F32, f32_bytes(shape)),
             }
@@ -392,7 +420,7 @@ impl Weights {
         if matches!(self.access, TensorAccess::Random(_)) {
             return Ok(Matrix::from_tensor(&self.take(name, &shape)?)?);
         }
-        let [outputs, inputs] = shape;
+        let [_, inputs] = shape;
         if self.looked(name, &shape, MAX_MATRIX)? {
             return Ok(Matrix::quantize(
                 &vec![0.0; inputs],
@@ -402,26 +430,68 @@ impl Weights {
             )?);
         }
         let stored = self.remove(name, &shape)?;
-        let format = stored.place.format;
-        let planned = self.plan.matrix(name, format, inputs);
-        let held = held_as(format) == Some(planned.weight_format);
-        let matrix =
-            if held || planned.weight_format == WeightFormat::Q8_0 && format.is_within_q8_0() {
-                let bytes = self.bytes(&stored)?;
-                let bytes = format.to_q8_0(&bytes).unwrap_or(bytes);
-                self.check_blocks(&stored, planned.weight_format, &bytes)?;
-                Matrix::from_blocks(planned.weight_format, outputs, inputs, &bytes)?
-            } else {
-                Matrix::quantize(
-                    &self.values(&stored)?,
-                    outputs,
-                    inputs,
-                    planned.weight_format,
-                )?
-            };
+        let planned = self.planned(self.plan, name, &stored, inputs);
+        let (matrix, largest_error) = match self.packed(&stored).cloned() {
+            Some(form) => self.packed_matrix(&stored, &form, planned.weight_format)?,
+            None => (self.matrix(&stored, shape, planned.weight_format)?, None),
+        };
+        let file = self.format_name(&stored);
+        let bytes = matrix.bytes() as u64;
         self.report
-            .add_matrix(name, format, planned, matrix.bytes() as u64);
+            .add_matrix(name, file, planned, bytes, largest_error);
         Ok(matrix)
+    }
+
+    /// Reads a matrix of plain numbers or ggml's blocks.
+    fn matrix(
+        &self,
+        stored: &StoredTensor,
+        [outputs, inputs]: [usize; 2],
+        wanted: WeightFormat,
+    ) -> Result<Matrix, MllmError> {
+        let format = stored.place.format;
+        let held = held_as(format) == Some(wanted);
+        if held || wanted == WeightFormat::Q8_0 && format.is_within_q8_0() {
+            let bytes = self.bytes(stored)?;
+            let bytes = format.to_q8_0(&bytes).unwrap_or(bytes);
+            self.check_blocks(stored, wanted, &bytes)?;
+            return Ok(Matrix::from_blocks(wanted, outputs, inputs, &bytes)?);
+        }
+        Ok(Matrix::quantize(
+            &self.values(stored)?,
+            outputs,
+            inputs,
+            wanted,
+        )?)
+    }
+
+    /// Reads a matrix that a quantizer packed, with the largest error where its numbers are
+    /// rounded.
+    fn packed_matrix(
+        &self,
+        stored: &StoredTensor,
+        form: &PackedForm,
+        wanted: WeightFormat,
+    ) -> Result<(Matrix, Option<f32>), MllmError> {
+        let &[outputs, inputs] = stored.place.shape.as_slice() else {
+            return Err(candle_core::Error::Msg(format!("{} is no matrix", stored.name)).into());
+        };
+        if form.held != Held::Rounded && wanted == form.weight_format {
+            let PackedBlocks {
+                bytes,
+                largest_error,
+            } = self.file(stored)?.blocks(&stored.place)?;
+            self.check_blocks(stored, wanted, &bytes)?;
+            let matrix = Matrix::from_blocks(wanted, outputs, inputs, &bytes)?;
+            let rounded = form.held == Held::ScalesRounded;
+            return Ok((matrix, rounded.then_some(largest_error)));
+        }
+        let values = self.values(stored)?;
+        let matrix = Matrix::quantize(&values, outputs, inputs, wanted)?;
+        let rounded = (wanted != WeightFormat::F32)
+            .then(|| largest_difference(&matrix, &values))
+            .transpose()?;
+        Ok((matrix, rounded))
     }
 
     fn remove(&mut self, name: &str, shape: &[usize]) -> Result<StoredTensor, MllmError> {
@@ -449,16 +519,19 @@ impl Weights {
             .map_or_else(|| self.place.clone(), |file| file.path().to_path_buf())
     }
 
-    /// The bytes of a tensor, its rows in order.
-    fn bytes(&self, stored: &StoredTensor) -> Result<Vec<u8>, MllmError> {
-        let file = self
-            .files
-            .get(stored.file)
-            .ok_or_else(|| MllmError::MissingTensor {
+    fn file(&self, stored: &StoredTensor) -> Result<&dyn TensorSource, MllmError> {
+        match self.files.get(stored.file) {
+            Some(file) => Ok(&**file),
+            None => Err(MllmError::MissingTensor {
                 folder: self.place.clone(),
                 name: stored.name.clone(),
-            })?;
-        let bytes = file.bytes(&stored.place)?;
+            }),
+        }
+    }
+
+    /// The bytes of a tensor, its rows in order.
+    fn bytes(&self, stored: &StoredTensor) -> Result<Vec<u8>, MllmError> {
+        let bytes = self.file(stored)?.bytes(&stored.place)?;
         Ok(match stored.rows {
             RowOrder::Plain => bytes,
             RowOrder::Paired { heads } => unpaired(
