@@ -99,7 +99,7 @@ class Model:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Name, architecture, size, and the side of its pictures (`image_size`)."""
+        """Name, architecture, size, and the side of its pictures (`image_size`; `None` where it reads text alone)."""
         about: dict[str, Any] = json.loads(self._native.about())
         return about
 

@@ -229,6 +229,11 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/models.md",
+        "planagent simulate --model SmolLM2-135M-Instruct.Q4_1.gguf --prompt-set brief",
+        WEIGHTS,
+    ),
+    (
+        "docs/models.md",
         "planagent simulate --model llava-hf/llava-1.5-7b-hf",
         WEIGHTS,
     ),

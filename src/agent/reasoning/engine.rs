@@ -31,7 +31,8 @@ pub struct ScenarioPrompt {
     pub description: Option<Description>,
     /// The names that planner code may use.
     pub names: Names,
-    /// The meaning of the image's colors, for the system prompt.
+    /// The meaning of the image's colors, for the system prompt; empty for a model that reads text
+    /// alone.
     pub legend: String,
 }
 

@@ -3,6 +3,7 @@
 mod config;
 mod decoder_type;
 mod files;
+mod gemma_config;
 mod layers;
 mod llama_config;
 mod load_report;

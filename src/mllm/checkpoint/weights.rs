@@ -26,6 +26,8 @@ pub struct Weights {
     files: Vec<Box<dyn TensorSource>>,
     tensors: BTreeMap<String, StoredTensor>,
     plan: WeightFormatPlan,
+    /// Whether the weights of norms are stored with 1 added, as llama.cpp stores those of Gemma.
+    norms_have_one: bool,
     report: LoadReport,
     blake3: String,
     access: TensorAccess,
@@ -74,6 +76,7 @@ impl Weights {
             files: Vec::new(),
             tensors: BTreeMap::new(),
             plan: WeightFormatPlan { tied: true, ..plan },
+            norms_have_one: false,
             report: LoadReport {
                 quantize: plan.quantize,
                 ..LoadReport::default()
@@ -149,6 +152,15 @@ impl Weights {
     /// Whether the weights are those of safetensors, in formats that hold their numbers.
     pub(crate) fn is_lossless(&self) -> bool {
         self.plan.is_lossless()
+    }
+
+    /// Says that the weights of norms are stored with 1 added.
+    pub(crate) fn set_norms_have_one(&mut self) {
+        self.norms_have_one = true;
+    }
+
+    pub(crate) fn norms_have_one(&self) -> bool {
+        self.norms_have_one
     }
 
     pub(crate) fn note(&mut self, note: String) {

@@ -1,23 +1,24 @@
-//! The configuration of a decoder in the metadata of a GGUF file: any of Llama's kind is read,
-//! `llama` is written.
+//! The configuration of a decoder of Llama's kind in the metadata of a GGUF file.
 
 use super::Entries;
+use super::gemma;
 use super::header::Header;
 use crate::MllmError;
 use crate::checkpoint::LlamaConfig;
 use planagent_kernels::attention::{RopeScaling, Yarn};
 use serde_json::{Value, json};
 
-/// The value of `general.architecture` of the decoders that this program writes.
+/// The value of `general.architecture` of the decoders whose queries and keys have paired rows.
 pub(crate) const ARCHITECTURE: &str = "llama";
 
 /// The decoders that are read: `general.architecture`, `model_type` of the configuration.
-const ARCHITECTURES: [(&str, &str); 5] = [
+const ARCHITECTURES: [(&str, &str); 6] = [
     (ARCHITECTURE, "llama"),
     ("qwen2", "qwen2"),
     ("qwen3", "qwen3"),
     ("qwen2vl", "qwen2_5_vl_text"),
     (INTERLEAVED, "qwen3_vl_text"),
+    (gemma::ARCHITECTURE, "gemma3_text"),
 ];
 /// The architecture whose axes take turns in the rotary embedding; its files do not say so.
 const INTERLEAVED: &str = "qwen3vl";
@@ -128,6 +129,9 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
             ));
         }
     }
+    if architecture == gemma::ARCHITECTURE {
+        gemma::add_keys(header, &mut config)?;
+    }
     if let Some(sections) =
         header.list::<u64>(&key("rope.dimension_sections"), "a list of counts")?
     {
@@ -160,33 +164,30 @@ fn yarn(header: &Header, key: &dyn Fn(&str) -> String) -> Result<Value, MllmErro
     }))
 }
 
-/// The metadata that [`text_config`] reads.
+/// The metadata that [`text_config`] reads, for a decoder of this architecture.
 ///
 /// # Errors
 /// The part that llama.cpp has no key for.
-pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
-    if config.head_norms {
-        return Err("norms of queries and keys in a llama decoder");
-    }
+pub(crate) fn metadata(architecture: &str, config: &LlamaConfig) -> Result<Entries, &'static str> {
     let mut metadata = vec![
-        ("llama.vocab_size", json!(config.vocabulary)),
-        ("llama.embedding_length", json!(config.hidden)),
-        ("llama.feed_forward_length", json!(config.intermediate)),
-        ("llama.block_count", json!(config.layers)),
-        ("llama.attention.head_count", json!(config.heads)),
-        ("llama.attention.head_count_kv", json!(config.kv_heads)),
-        ("llama.attention.key_length", json!(config.head_dim)),
-        ("llama.attention.value_length", json!(config.head_dim)),
-        ("llama.context_length", json!(config.context)),
+        ("vocab_size", json!(config.vocabulary)),
+        ("embedding_length", json!(config.hidden)),
+        ("feed_forward_length", json!(config.intermediate)),
+        ("block_count", json!(config.layers)),
+        ("attention.head_count", json!(config.heads)),
+        ("attention.head_count_kv", json!(config.kv_heads)),
+        ("attention.key_length", json!(config.head_dim)),
+        ("attention.value_length", json!(config.head_dim)),
+        ("context_length", json!(config.context)),
         (
-            "llama.attention.layer_norm_rms_epsilon",
+            "attention.layer_norm_rms_epsilon",
             json!(config.rms_norm_eps),
         ),
-        ("llama.rope.dimension_count", json!(config.head_dim)),
-        ("llama.rope.freq_base", json!(config.rope.theta)),
+        ("rope.dimension_count", json!(config.head_dim)),
+        ("rope.freq_base", json!(config.rope.theta)),
     ];
     if let Some(window) = config.window {
-        metadata.push(("llama.attention.sliding_window", json!(window)));
+        metadata.push(("attention.sliding_window", json!(window)));
     }
     match config.rope.scaling {
         // A tensor has the factors of Llama 3. A dynamic base is that of the training up to its
@@ -198,28 +199,25 @@ pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
         RopeScaling::Yarn(yarn) => {
             let advised = Yarn::advised_attention(yarn.factor, 1.0);
             metadata.extend([
-                ("llama.rope.scaling.type", json!("yarn")),
-                ("llama.rope.scaling.factor", json!(yarn.factor)),
+                ("rope.scaling.type", json!("yarn")),
+                ("rope.scaling.factor", json!(yarn.factor)),
                 (
-                    "llama.rope.scaling.original_context_length",
+                    "rope.scaling.original_context_length",
                     json!(yarn.original_context as u64),
                 ),
-                ("llama.rope.scaling.yarn_beta_fast", json!(yarn.beta_fast)),
-                ("llama.rope.scaling.yarn_beta_slow", json!(yarn.beta_slow)),
-                (
-                    "llama.rope.scaling.attn_factor",
-                    json!(yarn.attention / advised),
-                ),
+                ("rope.scaling.yarn_beta_fast", json!(yarn.beta_fast)),
+                ("rope.scaling.yarn_beta_slow", json!(yarn.beta_slow)),
+                ("rope.scaling.attn_factor", json!(yarn.attention / advised)),
             ]);
         }
         RopeScaling::Linear { factor } => {
-            metadata.push(("llama.rope.scaling.type", json!("linear")));
-            metadata.push(("llama.rope.scaling.factor", json!(factor)));
+            metadata.push(("rope.scaling.type", json!("linear")));
+            metadata.push(("rope.scaling.factor", json!(factor)));
         }
     }
     Ok(metadata
         .into_iter()
-        .map(|(key, value)| (key.to_string(), value))
+        .map(|(key, value)| (format!("{architecture}.{key}"), value))
         .collect())
 }
 

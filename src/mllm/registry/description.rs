@@ -39,6 +39,10 @@ pub struct ModelSpec {
     /// How images are shown to it.
     #[serde(default, skip_serializing_if = "ImageSettings::is_default")]
     pub image: ImageSettings,
+    /// Whether the decoder of a GGUF file is opened with its vision tower, if it has one. Without,
+    /// it is a language model that reads text alone.
+    #[serde(default = "yes", skip_serializing_if = "is_yes")]
+    pub vision: bool,
     /// Whether its author vouches for its chat template and tokenizer, so that they need no trial.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub trusted: bool,
@@ -214,6 +218,10 @@ pub struct GenerationSettings {
     /// Longest answer of each round, tokens.
     pub max_new_tokens: RoundTokens,
     pub sampling: Sampling,
+    /// Most tokens of a model's thoughts before each answer; none for answers without thoughts. The
+    /// model's chat template must know thoughts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub thinking: Option<usize>,
 }
 
 /// A number of tokens for each round.
@@ -233,6 +241,7 @@ impl Default for GenerationSettings {
         Self {
             max_new_tokens: RoundTokens::default(),
             sampling: Sampling::Greedy,
+            thinking: None,
         }
     }
 }
@@ -261,6 +270,7 @@ impl ModelSpec {
             prompt_set: None,
             generation: GenerationSettings::default(),
             image: ImageSettings::default(),
+            vision: true,
             trusted: false,
         }
     }
@@ -307,7 +317,19 @@ impl ModelSpec {
                 "generation.max_new_tokens: a round needs at least one token".into(),
             ));
         }
+        if spec.generation.thinking == Some(0) {
+            return Err(broken(
+                "generation.thinking: thoughts need at least one token; leave the key out for none"
+                    .into(),
+            ));
+        }
         if let ModelSource::Endpoint(settings) = &spec.source {
+            if spec.generation.thinking.is_some() {
+                return Err(broken(
+                    "generation.thinking belongs to models of this machine; a server has source.extra"
+                        .into(),
+                ));
+            }
             settings
                 .described()
                 .map_err(|problem| broken(format!("source: {problem}")))?;
@@ -326,6 +348,10 @@ impl ModelSpec {
             return Err(broken(
                 "image belongs to models of this machine; a server has source.image_size".into(),
             ));
+        }
+        if !spec.vision {
+            spec.check_blind()
+                .map_err(|problem| broken(format!("vision = false: {problem}")))?;
         }
         if matches!(spec.tokenizer, Some(ModelSource::Endpoint(_))) {
             return Err(broken("tokenizer: expected files, found a server".into()));
@@ -356,6 +382,38 @@ impl ModelSpec {
         }
         Ok(spec)
     }
+}
+
+impl ModelSpec {
+    /// Why a model cannot be opened without its vision tower.
+    fn check_blind(&self) -> Result<(), String> {
+        let named = match &self.source {
+            ModelSource::Endpoint(_) => {
+                return Err(
+                    "a server decides itself what it sees; set environment.bev = false".into(),
+                );
+            }
+            ModelSource::File { mmproj, .. } => mmproj.is_some(),
+            ModelSource::Hub { mmproj, .. } => mmproj.is_some(),
+            ModelSource::Folder { .. } | ModelSource::Embedded { .. } => false,
+        };
+        if named {
+            return Err("source.mmproj names a vision tower; remove one of the two".into());
+        }
+        if !self.image.is_default() {
+            return Err("image says how pictures are shown; remove one of the two".into());
+        }
+        Ok(())
+    }
+}
+
+fn yes() -> bool {
+    true
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn is_yes(flag: &bool) -> bool {
+    *flag
 }
 
 /// Keys of [`RoundTokens`] that have other names now.
@@ -545,6 +603,31 @@ mod tests {
                 size: Some(448)
             }
         );
+    }
+
+    #[test]
+    fn a_decoder_is_opened_without_its_tower_as_a_description_says() {
+        let valid =
+            "name = 'n'\nvision = false\nsource = { file = 'm.gguf' }\nprompt_set = 'brief'\n";
+        assert!(!parse(valid).unwrap().vision);
+        assert!(
+            parse(&valid.replace("vision = false\n", ""))
+                .unwrap()
+                .vision
+        );
+        for (from, to, said) in [
+            ("'m.gguf'", "'m.gguf', mmproj = 'v.gguf'", "mmproj"),
+            ("'brief'\n", "'brief'\n[image]\nsize = 448", "image"),
+            (
+                "file = 'm.gguf'",
+                "endpoint = 'http://127.0.0.1:8080/v1', model = 'm', grammar = 'json_schema'",
+                "bev",
+            ),
+            ("false", "'no'", "vision"),
+        ] {
+            let problem = parse(&valid.replace(from, to)).unwrap_err().to_string();
+            assert!(problem.contains(said), "{to}: {problem}");
+        }
     }
 
     #[test]

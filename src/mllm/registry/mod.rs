@@ -174,6 +174,15 @@ impl ModelRegistry {
     }
 
     fn place_by(&self, hub: &HubAccess, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
+        let place = self.whole_place(hub, spec)?;
+        if spec.vision {
+            Ok(place)
+        } else {
+            place.decoder_alone()
+        }
+    }
+
+    fn whole_place(&self, hub: &HubAccess, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         Ok(match &spec.source {
             ModelSource::Endpoint(settings) => return Err(no_files(spec, settings)),
             ModelSource::Folder { folder } => ModelPlace::Folder(folder.clone()),
@@ -278,7 +287,10 @@ impl ModelRegistry {
             return connect(&spec.name, settings);
         }
         let place = self.place(spec)?;
-        let loading = self.loading(spec)?;
+        let loading = Loading {
+            thinking: self.asking(spec)?.generation.thinking,
+            ..self.loading(spec)?
+        };
         self.admit(spec, &place, &loading)?;
         let model = without_panic(&place, || LocalModel::load(&spec.name, &place, &loading))?;
         let Some(draft) = spec.draft() else {
@@ -420,6 +432,7 @@ impl ModelRegistry {
             expected,
             families,
             image: spec.image,
+            thinking: spec.generation.thinking,
             ..self.loading.clone()
         })
     }

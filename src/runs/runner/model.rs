@@ -234,7 +234,7 @@ fn in_words(about: &ModelDescription, load_s: f64) -> String {
             about.name, server.model, server.endpoint
         ),
         None => format!(
-            "model {}: {} parameters, {}, {} image tokens, loaded in {load_s:.2} s",
+            "model {}: {} parameters, {}, {}, loaded in {load_s:.2} s",
             about.name,
             parameter_count(about.parameters),
             about
@@ -242,7 +242,10 @@ fn in_words(about: &ModelDescription, load_s: f64) -> String {
                 .weight_formats
                 .first()
                 .map_or(about.dtype.as_str(), |most| most.weight_format.name()),
-            about.image_tokens
+            match about.image_size {
+                Some(_) => format!("{} image tokens", about.image_tokens),
+                None => "reads text alone: no BEV map is shown to it".to_owned(),
+            }
         ),
     }
 }

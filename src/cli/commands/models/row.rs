@@ -146,8 +146,8 @@ impl Row {
         Self {
             family: Some(*family),
             parameters: Some(*parameters),
-            image_size: Some(*image_size),
-            image_tokens: Some(*image_tokens),
+            image_size: *image_size,
+            image_tokens: image_size.and(Some(*image_tokens)),
             context: Some(*context),
             memory: formats
                 .iter()

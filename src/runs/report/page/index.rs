@@ -191,7 +191,7 @@ impl RunEntry {
             name: run.name.clone(),
             version: run.manifest.planagent.clone(),
             started: run.manifest.started.to_string(),
-            model: run.model().map(str::to_owned),
+            model: run.model(),
             planners: run.manifest.planners.clone(),
             seed: run.setting("seed"),
             thresholds: Thresholds {
