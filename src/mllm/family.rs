@@ -330,6 +330,8 @@ pub struct ModelInfo {
     pub image_size: Option<usize>,
     /// Tokens of the image that becomes the most.
     pub max_image_tokens: usize,
+    /// How many tokens an image may become; none where its tower decides.
+    pub image_range: Option<ImageRange>,
     /// Number of token ids.
     pub vocabulary: usize,
     /// Positions that the decoder was trained for.
@@ -338,6 +340,15 @@ pub struct ModelInfo {
     pub parameters: u64,
     /// BLAKE3 of the weight files.
     pub blake3: String,
+}
+
+/// How many tokens an image may become in a tower that takes any size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct ImageRange {
+    pub least: usize,
+    pub most: usize,
+    /// The least that the model's makers, and llama.cpp, advise where places in the image matter.
+    pub advised: usize,
 }
 
 /// An id that no vocabulary has.
@@ -370,6 +381,7 @@ impl ModelInfo {
             image_first: false,
             image_size: image.map(|image| image.side),
             max_image_tokens: image.map_or(0, |image| image.max_tokens),
+            image_range: None,
             vocabulary: text.vocabulary,
             positions: text.context,
             parameters: (before - weights.elements()) as u64,

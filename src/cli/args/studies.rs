@@ -11,6 +11,7 @@ use planagent_lab::dataset::imitation::ImitationPlanner;
 use planagent_lab::study_runs::StudiesRequest;
 use planagent_planners::all_planners;
 use planagent_runs::worker::suite::RECORDED;
+use std::num::NonZeroU32;
 use std::path::PathBuf;
 
 /// Word for every study.
@@ -212,6 +213,17 @@ pub(crate) struct BenchArguments {
         hide_short_help = true
     )]
     pub(crate) calls: Vec<String>,
+    /// Sides of the drawn image, pixels, separated by commas [default: that of the model].
+    ///
+    /// Only towers that take any size, those of Qwen-VL, have a choice. A larger image has more
+    /// tokens.
+    #[arg(
+        long,
+        value_name = "PIXELS",
+        value_delimiter = ',',
+        hide_short_help = true
+    )]
+    pub(crate) image_size: Vec<NonZeroU32>,
     /// Also measure calls with drafts of four tokens, of which a quarter, half and three quarters
     /// are accepted.
     #[arg(long, hide_short_help = true)]

@@ -19,6 +19,7 @@ use planagent_runs::report::{ReportError, check_writable, stamp};
 use planagent_runs::runner::{Config, build_commit, cpu, memory, model_registry};
 use serde_json::{Map, Value, json};
 use std::io;
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::SystemTime;
@@ -187,6 +188,7 @@ fn candidates(
             &sets,
         ));
     }
+    let all = of_sizes(all, &flags.image_size);
     for (index, candidate) in all.iter().enumerate() {
         if all
             .iter()
@@ -256,8 +258,28 @@ fn of_sets(name: &str, model: &ModelChoice, sets: &[PromptSet]) -> Vec<Candidate
         weights: name.replace(['/', '\\'], "-"),
         model: model.clone(),
         prompts: *prompts,
+        image_size: None,
     };
     sets.iter().map(candidate).collect()
+}
+
+/// Each model once for each size of its image; its name says which, where there are several.
+fn of_sizes(all: Vec<Candidate>, sizes: &[NonZeroU32]) -> Vec<Candidate> {
+    if sizes.is_empty() {
+        return all;
+    }
+    let sized = |candidate: &Candidate, size: NonZeroU32| Candidate {
+        name: if sizes.len() > 1 {
+            format!("{} {size} px", candidate.name)
+        } else {
+            candidate.name.clone()
+        },
+        image_size: Some(size.get()),
+        ..candidate.clone()
+    };
+    all.iter()
+        .flat_map(|candidate| sizes.iter().map(|size| sized(candidate, *size)))
+        .collect()
 }
 
 /// A model as GGUF files that llama.cpp reads too: its own, or newly written ones.
@@ -282,34 +304,26 @@ fn as_gguf(
             registry.plain_loading(),
         ),
     };
-    let pair = |decoder: &Path, projector: &Path| {
-        let files = GgufPair {
-            decoder: decoder.to_owned(),
-            projector: projector.to_owned(),
-        };
-        Candidate {
-            model: ModelChoice::Gguf(files),
-            ..candidate.clone()
-        }
+    let files = |decoder: PathBuf, projector: Option<PathBuf>| Candidate {
+        model: ModelChoice::Gguf(GgufPair { decoder, projector }),
+        ..candidate.clone()
     };
-    if let ModelPlace::Gguf {
-        model,
-        mmproj: Some(mmproj),
-    } = &place
+    // With a format that is asked for, both engines read a new file in it.
+    if config.mllm.quantize.is_none()
+        && let Some((decoder, projector)) = place.decoder_and_tower()?
     {
-        return Ok(pair(model, mmproj));
+        return Ok(files(decoder, projector));
     }
     let Some(weight_format) = config.mllm.quantize else {
         bail!(
-            "--vs needs --quantize, or a model of GGUF files with mmproj, because both engines must read the same files"
+            "--vs needs --quantize, or a model of GGUF files, because both engines must read the same files"
         );
     };
     let decoder = folder.join(format!(
         "{}-{weight_format}-seed-{}.gguf",
         candidate.weights, config.seed
     ));
-    let projector = GgufPart::Tower.path(&decoder);
-    if !decoder.is_file() || !projector.is_file() {
+    if !decoder.is_file() {
         printer.note(format!("{}: writing {}", candidate.name, decoder.display()));
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot create the folder {}", folder.display()))?;
@@ -318,13 +332,18 @@ fn as_gguf(
         })
         .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
     }
-    if !projector.is_file() {
+    let tower = GgufPart::Tower.path(&decoder);
+    let written = ModelPlace::Gguf {
+        model: decoder,
+        mmproj: tower.is_file().then_some(tower),
+    };
+    let Some((decoder, projector)) = written.decoder_and_tower()? else {
         bail!(
-            "cannot compare {}: llama.cpp's file format does not support its vision tower",
+            "cannot compare {}: llama.cpp's file format has no place for a part of it",
             candidate.name
         );
-    }
-    Ok(pair(&decoder, &projector))
+    };
+    Ok(files(decoder, projector))
 }
 
 /// llama.cpp, if the flags ask for it.
@@ -352,7 +371,7 @@ fn metadata(
             let budget = CallBudget::for_prompts(candidate.prompts);
             Ok((
                 candidate.name.clone(),
-                json!({"model": &candidate.model, "budget": budget}),
+                json!({"model": &candidate.model, "budget": budget, "image_size": candidate.image_size}),
             ))
         })
         .collect::<anyhow::Result<_>>()?;

@@ -20,6 +20,9 @@ pub struct LoadRequest {
     /// Weight format of the matrices; `None` for that of the files.
     pub weight_format: Option<WeightFormat>,
     pub threads: usize,
+    /// Side of the image that is drawn for the model, pixels; `None` for the model's own.
+    #[serde(default)]
+    pub image_size: Option<u32>,
     /// Sizes of the other engine's run; `None` for the model's own.
     pub like: Option<Like>,
     /// Seed of random weights and of the prompt tokens.
@@ -47,13 +50,13 @@ pub enum ModelChoice {
     Gguf(GgufPair),
 }
 
-/// The two files of a model for llama.cpp.
+/// The files of a model for llama.cpp.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GgufPair {
     pub decoder: PathBuf,
-    /// Vision tower and projector.
-    pub projector: PathBuf,
+    /// Vision tower and projector; none for a model that reads text alone.
+    pub projector: Option<PathBuf>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

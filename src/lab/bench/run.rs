@@ -19,6 +19,8 @@ pub struct Candidate {
     pub model: ModelChoice,
     /// The prompt set that determines the token counts of its calls.
     pub prompts: PromptSet,
+    /// Side of its image, pixels; none for that of the model.
+    pub image_size: Option<u32>,
 }
 
 #[derive(Debug)]
@@ -190,6 +192,7 @@ impl Bench<'_> {
             model,
             weight_format,
             threads,
+            image_size: self.candidate.image_size,
             like,
             seed,
         })?;

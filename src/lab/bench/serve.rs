@@ -55,7 +55,7 @@ fn load(
 ) -> Result<(Loaded, LatencyProbe), MllmError> {
     let start = Instant::now();
     let registry = registry.clone().with_quantize(request.weight_format);
-    let (place, loading) = match &request.model {
+    let (place, mut loading) = match &request.model {
         ModelChoice::Named(name) => {
             let spec = registry.find(name)?;
             (registry.place(&spec)?, registry.loading(&spec)?)
@@ -68,13 +68,17 @@ fn load(
             (place, registry.plain_loading())
         }
         ModelChoice::Gguf(GgufPair { decoder, projector }) => {
-            let place = ModelPlace::Gguf {
-                model: decoder.clone(),
-                mmproj: Some(projector.clone()),
+            let place = match projector {
+                Some(projector) => ModelPlace::Gguf {
+                    model: decoder.clone(),
+                    mmproj: Some(projector.clone()),
+                },
+                None => ModelPlace::Decoder(decoder.clone()),
             };
             (place, registry.plain_loading())
         }
     };
+    loading.image.size = request.image_size.or(loading.image.size);
     let probe = LatencyProbe::open(&place, &loading, request.seed)?;
     let load_s = start.elapsed().as_secs_f64();
     let (model, image_tokens) = (probe.model(), probe.image_tokens()?);

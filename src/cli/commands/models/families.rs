@@ -9,11 +9,12 @@ use serde::Serialize;
 const HEAD: &str = "\
 # Supported models
 
-After this page you know whether a model opens, in which formats, and what its answers were compared with.
+After this page you can tell whether a model opens, in which formats, and what its answers were compared with.
 
 This page is written by `planagent models families --markdown`, from the registry of families; a test compares. A model opens if its
-`config.json` names a family below by `model_type` or by the first of `architectures`, or if its GGUF file has such a decoder, with the
-projector beside it where one is named. Of a model with a tower, the decoder alone opens as text with `vision = false`. [models.md](models.md) says how to name a model, and which weight formats there are.
+`config.json` names a family below, by `model_type` or by the first of `architectures`. A GGUF file of llama.cpp opens by its decoder, with
+the projector beside it where the table has one. With `vision = false`, the decoder of a pair opens as a language model.
+[models.md](models.md) says how to name a model, and which weight formats there are.
 ";
 /// What it ends with.
 const END: &str = "\
