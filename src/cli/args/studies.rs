@@ -228,7 +228,7 @@ pub(crate) struct BenchArguments {
     /// are accepted.
     #[arg(long, hide_short_help = true)]
     pub(crate) speculation: bool,
-    /// Compare with another engine on the same GGUF files, in alternation.
+    /// Compare with another engine on the same files, in alternation.
     #[arg(long, value_name = "ENGINE", value_enum)]
     pub(crate) vs: Option<OtherEngine>,
     /// Python interpreter with the package llama-cpp-python [default: `$PLANAGENT_LLAMA_PYTHON`,
@@ -255,4 +255,18 @@ pub(crate) enum OtherEngine {
     /// llama.cpp through the low-level interface of llama-cpp-python.
     #[value(name = "llama.cpp")]
     LlamaCpp,
+    /// candle-transformers' own llama, qwen2, qwen3 and gemma3, for language models in folders and
+    /// GGUF files.
+    #[value(name = "candle")]
+    Candle,
+}
+
+/// Arguments of the process in which `bench` measures.
+#[derive(Debug, Args)]
+pub(crate) struct BenchProcessArguments {
+    /// Compute with candle's decoders.
+    #[arg(long)]
+    pub(crate) candle: bool,
+    #[command(flatten)]
+    pub(super) model: ModelArguments,
 }

@@ -7,7 +7,8 @@ use crate::{Exit, Printer, again, interrupt};
 use anyhow::{Context, bail};
 use planagent_lab::bench::protocol::{GgufPair, ModelChoice};
 use planagent_lab::bench::{
-    BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve,
+    BenchSettings, CallBudget, Candidate, LlamaCpp, Other, Progress, run as measure, serve,
+    serve_candle,
 };
 use planagent_lab::report::{
     BenchFigures, BenchFolder, BenchMetadata, bench_markdown, bench_table,
@@ -56,7 +57,10 @@ pub(crate) fn run(
         .into_iter()
         .filter(|candidate| !folder.done().contains(candidate.name.as_str()))
         .collect();
-    if flags.vs.is_some() {
+    if flags.vs == Some(OtherEngine::Candle) && config.mllm.quantize.is_some() {
+        bail!("--vs candle reads the files as they are; leave out --quantize");
+    }
+    if flags.vs == Some(OtherEngine::LlamaCpp) {
         let weights = flags
             .weights
             .clone()
@@ -72,7 +76,7 @@ pub(crate) fn run(
         seed: config.seed,
         weight_format: config.mllm.quantize,
         speculation: flags.speculation,
-        versus: llama_cpp(flags),
+        versus: other_engine(flags),
     };
     crate::this_program()
         .context("cannot find the path of this program to start the measuring process")?;
@@ -143,12 +147,14 @@ fn advise(folder: &BenchFolder, printer: Printer) -> anyhow::Result<()> {
 }
 
 /// The measuring process; runs until stdin ends.
-pub(crate) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    serve(
-        &model_registry(config, &listener(printer)),
-        io::stdin().lock(),
-        io::stdout().lock(),
-    )?;
+pub(crate) fn process(candle: bool, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    let registry = model_registry(config, &listener(printer));
+    let (requests, replies) = (io::stdin().lock(), io::stdout().lock());
+    if candle {
+        serve_candle(&registry, requests, replies)?;
+    } else {
+        serve(&registry, requests, replies)?;
+    }
     Ok(Exit::Success)
 }
 
@@ -346,15 +352,18 @@ fn as_gguf(
     Ok(files(decoder, projector))
 }
 
-/// llama.cpp, if the flags ask for it.
-fn llama_cpp(flags: &BenchArguments) -> Option<LlamaCpp> {
-    flags.vs.map(|OtherEngine::LlamaCpp| {
-        let python = flags
-            .llama_python
-            .clone()
-            .or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
-        LlamaCpp {
-            python: python.unwrap_or_else(|| "python3".into()),
+/// The engine to compare with, if the flags name one.
+fn other_engine(flags: &BenchArguments) -> Option<Other> {
+    flags.vs.map(|engine| match engine {
+        OtherEngine::Candle => Other::Candle,
+        OtherEngine::LlamaCpp => {
+            let python = flags
+                .llama_python
+                .clone()
+                .or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
+            Other::LlamaCpp(LlamaCpp {
+                python: python.unwrap_or_else(|| "python3".into()),
+            })
         }
     })
 }
@@ -382,7 +391,8 @@ fn metadata(
         "threads": rayon::current_num_threads(),
         "seed": config.seed,
         "quantize": config.mllm.quantize,
-        "vs_llama_cpp": flags.vs.is_some(),
+        "vs_llama_cpp": flags.vs == Some(OtherEngine::LlamaCpp),
+        "vs_candle": flags.vs == Some(OtherEngine::Candle),
         "speculation": flags.speculation,
     });
     let Value::Object(settings) = settings else {

@@ -11,6 +11,11 @@ pub enum Request {
     /// The first request.
     Load(LoadRequest),
     Run(Vec<Step>),
+    /// Computes a prompt alone and continues it with the likeliest tokens.
+    Answer {
+        prompt: Vec<u32>,
+        count: usize,
+    },
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -65,6 +70,11 @@ pub enum Reply {
     Loaded(Loaded),
     /// The time of each step.
     Ran(Vec<StepTime>),
+    /// The logits behind the prompt, and the tokens.
+    Answered {
+        logits: Vec<f32>,
+        tokens: Vec<u32>,
+    },
     Failed(String),
 }
 
@@ -77,6 +87,9 @@ pub struct Loaded {
     /// Side of the square image, pixels.
     pub image_side: u32,
     pub image_tokens: usize,
+    /// Number of token ids; 0 where the engine does not say.
+    #[serde(default)]
+    pub vocabulary: usize,
     /// Maximum tokens of a sequence, image included.
     pub context: usize,
     pub layout: Layout,
