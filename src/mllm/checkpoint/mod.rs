@@ -3,6 +3,7 @@
 mod config;
 mod decoder_type;
 mod files;
+mod finite;
 mod gemma_config;
 mod layers;
 mod llama_config;
