@@ -34,10 +34,9 @@ pub(crate) use own_keys::OwnKeys;
 pub(crate) use packed::{Held, PackedBlocks, PackedForm};
 pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use vision_config::{TowerType, VisionConfig};
-pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile};
+pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile, in_four_dimensions};
 pub(crate) use weight_format_plan::{FileKind, WeightFormatPlan, held_as, is_matrix};
 pub use weights::Weights;
-pub(crate) use weights::in_four_dimensions;
 
 use super::MllmError;
 use serde_json::Value;

@@ -4,7 +4,7 @@ use super::finite::first_not_finite;
 use super::load_report::LoadReport;
 use super::packed::{Held, PackedBlocks, PackedForm, largest_difference};
 use super::row_order::{RowOrder, unpaired};
-use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
+use super::weight_file::{ComputedTensor, TensorPlace, TensorSource, in_four_dimensions};
 use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, held_as, is_matrix};
 use crate::MllmError;
 use candle_core::quantized::GgmlDType;
@@ -572,16 +572,6 @@ impl Weights {
             value,
         }
     }
-}
-
-/// A shape with at most four dimensions, which GGUF allows: those behind the first are merged.
-pub(crate) fn in_four_dimensions(shape: &[usize]) -> Vec<usize> {
-    let extra = shape.len().saturating_sub(4);
-    let Some((first, rest)) = shape.split_first().filter(|_| extra > 0) else {
-        return shape.to_vec();
-    };
-    let (merged, last) = rest.split_at(extra + 1);
-    [&[*first, merged.iter().product()], last].concat()
 }
 
 fn f32_bytes(shape: &[usize]) -> u64 {
