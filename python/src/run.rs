@@ -109,6 +109,7 @@ impl Progress {
                 self.done.fetch_add(1, Ordering::Relaxed);
             }
             Event::Note(note) => lock(&self.news).notes.push(note),
+            Event::SimulationFailed { failure } => lock(&self.news).notes.push(failure),
             Event::CallFailed(call) => lock(&self.news).notes.push(call.to_string()),
             _ => {}
         }

@@ -184,9 +184,9 @@ Examples:
 
 pub(super) const COMPLETIONS: &str = "\
 Examples:
-  planagent completions bash > ~/.bash_completion
-  planagent completions zsh > ~/.zfunc/_planagent
-  planagent completions fish > ~/.config/fish/completions/planagent.fish";
+  echo 'source <(planagent completions bash)' >> ~/.bashrc
+  echo 'source <(planagent completions zsh)' >> ~/.zshrc
+  echo 'planagent completions fish | source' >> ~/.config/fish/config.fish";
 
 pub(super) const MODELS: &str = "\
 Examples:

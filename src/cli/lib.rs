@@ -72,6 +72,9 @@ fn run_with(arguments: impl IntoIterator<Item = OsString>, commit: Option<&'stat
     }
     let words: Vec<OsString> = arguments.into_iter().collect();
     again::remember(&words);
+    if let Some(exit) = commands::completions::answer(&words) {
+        return exit;
+    }
     if let Some(advice) = llama_options::instead(&words) {
         let error = Arguments::command().error(ErrorKind::UnknownArgument, advice);
         return Printer::arguments(error, &words);

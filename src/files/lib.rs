@@ -12,7 +12,7 @@ mod whole_file;
 mod word;
 
 pub use cache::cache_folder;
-pub use kind::{KIND_BYTES, TEXT, is_hidden, is_unfinished, kind_of};
+pub use kind::{KIND_BYTES, TEXT, binary_kind_of, is_hidden, is_pickle, is_unfinished, kind_of};
 pub use open_folder::{EntryKind, OpenFolder};
 pub use quoted::quoted;
 pub use regular::{open, read, read_text, target};

@@ -165,8 +165,9 @@ pub(super) enum Command {
     Config(ConfigArguments),
     /// Print a script that completes commands in a shell.
     ///
-    /// It completes commands and options, and the names of planners, splits, scenario types, studies,
-    /// models, prompt sets, challenges and settings. Models are those that `models list` shows here.
+    /// It asks the program at each press of Tab, and completes commands, options and paths, and the
+    /// names of planners, splits, scenario types, studies, models, prompt sets, challenges and
+    /// settings. Models are those of the working directory.
     #[command(after_long_help = help::COMPLETIONS)]
     Completions {
         /// The shell.

@@ -47,6 +47,7 @@ struct Record<'a> {
 
 /// Puts a question about a recorded scene to the model, and prints the answer as it is generated.
 pub(crate) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    // What is wrong with the question is said before a model loads, which may take minutes.
     if flags.question.trim().is_empty() {
         bail!("the question is empty; write it as one word of the command line, in quotes");
     }

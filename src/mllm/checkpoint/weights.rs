@@ -1,14 +1,14 @@
 //! The tensors of a checkpoint under one set of names, from any kind of file.
 
+use super::finite::first_not_finite;
 use super::load_report::LoadReport;
 use super::packed::{Held, PackedBlocks, PackedForm, largest_difference};
 use super::row_order::{RowOrder, unpaired};
-use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
+use super::weight_file::{ComputedTensor, TensorPlace, TensorSource, in_four_dimensions};
 use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, held_as, is_matrix};
 use crate::MllmError;
 use candle_core::quantized::GgmlDType;
 use candle_core::{Device, Tensor};
-use half::f16;
 use planagent_kernels::matrix::{Matrix, WeightFormat};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -551,27 +551,17 @@ impl Weights {
         }
     }
 
-    /// Checks that the numbers of blocks are finite; of a quantized block the scale decides.
+    /// Checks that the numbers of blocks are finite.
     fn check_blocks(
         &self,
         stored: &StoredTensor,
         format: WeightFormat,
         bytes: &[u8],
     ) -> Result<(), MllmError> {
-        let worst = |block: &[u8]| match format {
-            WeightFormat::F32 => block.first_chunk().map(|value| f32::from_le_bytes(*value)),
-            _ => format
-                .halves()
-                .iter()
-                .filter_map(|at| half_at(block, *at))
-                .find(|half| !half.is_finite()),
-        };
-        for (index, block) in bytes.chunks_exact(format.block_bytes()).enumerate() {
-            if let Some(value) = worst(block).filter(|value| !value.is_finite()) {
-                return Err(self.not_finite(stored, index * format.block(), value));
-            }
+        match first_not_finite(format, bytes) {
+            None => Ok(()),
+            Some((element, value)) => Err(self.not_finite(stored, element, value)),
         }
-        Ok(())
     }
 
     fn not_finite(&self, stored: &StoredTensor, element: usize, value: f32) -> MllmError {
@@ -582,24 +572,6 @@ impl Weights {
             value,
         }
     }
-}
-
-/// A shape with at most four dimensions, which GGUF allows: those behind the first are merged.
-pub(crate) fn in_four_dimensions(shape: &[usize]) -> Vec<usize> {
-    let extra = shape.len().saturating_sub(4);
-    let Some((first, rest)) = shape.split_first().filter(|_| extra > 0) else {
-        return shape.to_vec();
-    };
-    let (merged, last) = rest.split_at(extra + 1);
-    [&[*first, merged.iter().product()], last].concat()
-}
-
-/// The half-precision number at a byte of a block.
-fn half_at(block: &[u8], at: usize) -> Option<f32> {
-    block
-        .get(at..)?
-        .first_chunk()
-        .map(|bytes| f16::from_le_bytes(*bytes).to_f32())
 }
 
 fn f32_bytes(shape: &[usize]) -> u64 {

@@ -235,6 +235,7 @@ impl Reader<'_> {
         data: u64,
         alignment: u64,
     ) -> Result<BTreeMap<String, TensorPlace>, MllmError> {
+        // In the order of the file, one pass finds tensors that share bytes.
         declared.sort_by_key(|tensor| tensor.offset);
         let mut tensors = BTreeMap::new();
         let mut free = 0;
@@ -379,7 +380,7 @@ impl Reader<'_> {
             .read_exact(bytes)
             .map_err(|source| match source.kind() {
                 std::io::ErrorKind::UnexpectedEof => {
-                    self.error("the file is truncated within its header")
+                    self.error("the file is truncated within its header; download it again")
                 }
                 _ => MllmError::Read {
                     path: self.path.to_path_buf(),

@@ -1,9 +1,11 @@
 //! Model descriptions, `models/NAME.toml`.
 
 use super::described_prompts::DescribedPrompts;
-use super::hub::{HubName, addressed, plain};
+use super::generation::GenerationSettings;
+use super::hub::{HubName, addressed, plain, without_owner};
+use super::without_tower;
 use crate::checkpoint::read_text;
-use crate::{Architecture, EndpointSettings, ImageSettings, MllmError, Sampling, WeightFormat};
+use crate::{Architecture, EndpointSettings, ImageSettings, MllmError, WeightFormat};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -41,7 +43,10 @@ pub struct ModelSpec {
     pub image: ImageSettings,
     /// Whether the decoder of a GGUF file is opened with its vision tower, if it has one. Without,
     /// it is a language model that reads text alone.
-    #[serde(default = "yes", skip_serializing_if = "is_yes")]
+    #[serde(
+        default = "without_tower::yes",
+        skip_serializing_if = "without_tower::is_yes"
+    )]
     pub vision: bool,
     /// Whether its author vouches for its chat template and tokenizer, so that they need no trial.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -114,8 +119,10 @@ impl ModelSource {
             return Ok(());
         };
         let named = match addressed(hub) {
-            Some(named) => named?,
-            None => plain(hub).ok_or_else(|| format!("'{hub}' is no hub id; write ORG/NAME"))?,
+            Some(named) => named.or_else(|problem| without_owner(hub).ok_or(problem))?,
+            None => plain(hub)
+                .or_else(|| without_owner(hub))
+                .ok_or_else(|| format!("'{hub}' is no hub id; write ORG/NAME"))?,
         };
         *hub = named.id;
         if let Some(named) = named.revision {
@@ -212,50 +219,6 @@ impl PromptSet {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct GenerationSettings {
-    /// Longest answer of each round, tokens.
-    pub max_new_tokens: RoundTokens,
-    pub sampling: Sampling,
-    /// Most tokens of a model's thoughts before each answer; none for answers without thoughts. The
-    /// model's chat template must know thoughts.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub thinking: Option<usize>,
-}
-
-/// A number of tokens for each round.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RoundTokens {
-    /// Scene understanding.
-    pub understanding: usize,
-    /// Motion instruction.
-    pub instruction: usize,
-    /// Planner code.
-    pub code: usize,
-}
-
-impl Default for GenerationSettings {
-    fn default() -> Self {
-        Self {
-            max_new_tokens: RoundTokens::default(),
-            sampling: Sampling::Greedy,
-            thinking: None,
-        }
-    }
-}
-
-impl Default for RoundTokens {
-    fn default() -> Self {
-        Self {
-            understanding: 1024,
-            instruction: 512,
-            code: 128,
-        }
-    }
-}
-
 impl ModelSpec {
     /// A model without a description.
     pub(super) fn plain(name: String, source: ModelSource) -> Self {
@@ -297,6 +260,7 @@ impl ModelSpec {
         let mut spec: Self = toml::from_str(text).map_err(|error| {
             broken(endpoint_problem(text).unwrap_or_else(|| with_new_name(error.to_string())))
         })?;
+        // serde checks each key alone; keys that exclude each other are found here.
         if spec.name.trim().is_empty() {
             return Err(broken("name is empty".into()));
         }
@@ -384,39 +348,7 @@ impl ModelSpec {
     }
 }
 
-impl ModelSpec {
-    /// Why a model cannot be opened without its vision tower.
-    fn check_blind(&self) -> Result<(), String> {
-        let named = match &self.source {
-            ModelSource::Endpoint(_) => {
-                return Err(
-                    "a server decides itself what it sees; set environment.bev = false".into(),
-                );
-            }
-            ModelSource::File { mmproj, .. } => mmproj.is_some(),
-            ModelSource::Hub { mmproj, .. } => mmproj.is_some(),
-            ModelSource::Folder { .. } | ModelSource::Embedded { .. } => false,
-        };
-        if named {
-            return Err("source.mmproj names a vision tower; remove one of the two".into());
-        }
-        if !self.image.is_default() {
-            return Err("image says how pictures are shown; remove one of the two".into());
-        }
-        Ok(())
-    }
-}
-
-fn yes() -> bool {
-    true
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
-fn is_yes(flag: &bool) -> bool {
-    *flag
-}
-
-/// Keys of [`RoundTokens`] that have other names now.
+/// Keys of [`super::generation::RoundTokens`] that have other names now.
 const RENAMED_ROUNDS: [(&str, &str); 2] = [("scene", "understanding"), ("motion", "instruction")];
 
 /// An error about an unknown key, with its new name if it has one.
@@ -446,6 +378,7 @@ fn endpoint_problem(text: &str) -> Option<String> {
 mod tests {
     use super::*;
     use crate::{Families, GrammarField, LimitField};
+    use crate::{RoundTokens, Sampling};
 
     fn parse(text: &str) -> Result<ModelSpec, MllmError> {
         ModelSpec::parse(Path::new("models/x.toml"), text)
@@ -503,7 +436,7 @@ mod tests {
             assert_eq!(source(text).unwrap(), shown);
         }
         for text in [
-            "hub = 'a'",
+            "hub = 'a b'",
             "hub = 'a/b:Q8_0', file = 'm.gguf'",
             "hub = 'https://huggingface.co/datasets/a/b'",
         ] {
@@ -603,31 +536,6 @@ mod tests {
                 size: Some(448)
             }
         );
-    }
-
-    #[test]
-    fn a_decoder_is_opened_without_its_tower_as_a_description_says() {
-        let valid =
-            "name = 'n'\nvision = false\nsource = { file = 'm.gguf' }\nprompt_set = 'brief'\n";
-        assert!(!parse(valid).unwrap().vision);
-        assert!(
-            parse(&valid.replace("vision = false\n", ""))
-                .unwrap()
-                .vision
-        );
-        for (from, to, said) in [
-            ("'m.gguf'", "'m.gguf', mmproj = 'v.gguf'", "mmproj"),
-            ("'brief'\n", "'brief'\n[image]\nsize = 448", "image"),
-            (
-                "file = 'm.gguf'",
-                "endpoint = 'http://127.0.0.1:8080/v1', model = 'm', grammar = 'json_schema'",
-                "bev",
-            ),
-            ("false", "'no'", "vision"),
-        ] {
-            let problem = parse(&valid.replace(from, to)).unwrap_err().to_string();
-            assert!(problem.contains(said), "{to}: {problem}");
-        }
     }
 
     #[test]

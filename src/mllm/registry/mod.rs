@@ -7,6 +7,7 @@ mod described_prompts;
 mod description;
 mod find;
 mod folder;
+mod generation;
 #[cfg_attr(
     not(feature = "hub"),
     allow(dead_code, reason = "only downloads read what a repository has")
@@ -14,10 +15,12 @@ mod folder;
 mod hub;
 mod inputs;
 mod own_settings;
+mod without_tower;
 
 pub use described_prompts::DescribedPrompts;
-pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
+pub use description::{ModelSource, ModelSpec, PromptSet};
 pub use folder::{data_folder, models_folder};
+pub use generation::{GenerationSettings, RoundTokens};
 pub use hub::{FetchListener, FetchProgress, HubAccess, offline_variable};
 pub use inputs::ModelInputs;
 pub use own_settings::{Asking, NamedBy};

@@ -147,7 +147,10 @@ pub struct ReflectionRecord {
 /// The outcome of a planning call.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-#[allow(missing_docs)]
+#[allow(
+    missing_docs,
+    reason = "what stands at a variant stands in the published schema; its fields would repeat it"
+)]
 pub enum DecisionRecord {
     /// The plan of this attempt (from 0) scored λ or more.
     Execute { attempt: usize },

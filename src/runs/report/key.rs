@@ -168,6 +168,7 @@ fn scene(estimates: bool) -> Vec<(String, String)> {
         row("`goal left 2 60`", meaning)
     });
     let mut rows = vec![
+        // In the order of the text, so that a reader finds each line where it stands.
         row(
             "`speed 7`",
             format!("speed of the ego, m/s; all numbers are whole and at most {MAX_NUMBER}"),

@@ -81,7 +81,7 @@ pub struct RunComparison {
 /// Why two runs cannot be compared.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum NoPair {
     #[error(
         "the runs have no planner in common: the first has {}, the second {}; name two by --planner FIRST,SECOND",

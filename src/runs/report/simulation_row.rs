@@ -154,6 +154,7 @@ impl SimulationRow {
         let calls = outcome.map_or(&[][..], |outcome| outcome.calls.as_slice());
         let gated_calls = calls.iter().filter(|call| call.is_gated()).count();
         let score = outcome.map(|outcome| &outcome.score);
+        // All counts come from the same calls, so that table, page and exit code never disagree.
         let interrupted = |why: fn(&Interruption) -> bool| {
             calls
                 .iter()

@@ -63,6 +63,7 @@ fn call_markdown(
         seconds(call.iteration),
         call.iteration
     );
+    // In the order of time: what the agent saw, what the model answered, what came of it.
     if let Some(sample) = outcome.log.samples.get(call.iteration) {
         let _ = writeln!(text, "Ego at {:.1} m/s.\n", sample.ego.speed());
     }
@@ -118,6 +119,7 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
     };
     let mut text = String::new();
     let repeat = Repeat::find(attempts, index);
+    // A small model often repeats itself. Written once, answers that differ are found sooner.
     if let Some(Repeat::Answers(of)) = repeat {
         for round in new_prompts(attempts, of, attempt) {
             let _ = writeln!(text, "*{}*\n\n{}\n", round.round, fenced(&round.prompt));

@@ -84,7 +84,7 @@ impl Default for MllmConfig {
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ConfigError {
     #[error("cannot read the configuration {}: {source}", path.display())]
     Read {
@@ -255,6 +255,7 @@ impl Config {
 
     /// Refuses values of the right type that make no sense; names the key, its value and its range.
     fn check(&self) -> Result<(), String> {
+        // serde checks types alone: a value of another unit is found here.
         let within = |key: &str, value: f64, range: std::ops::RangeInclusive<f64>| {
             if range.contains(&value) {
                 return Ok(());

@@ -65,9 +65,17 @@ impl LoadedModel {
         probe::probe(&self.code_source, config.environment.bev, listener)
     }
 
-    /// The parts of an agent with this model.
-    pub fn agent_parts(&self, config: &Config) -> AgentParts {
-        agent_parts(config, all_planners(), Some(self))
+    /// The parts of an agent with this model, which is asked before an agent depends on it.
+    ///
+    /// # Errors
+    /// When its server cannot be asked as the configuration says.
+    pub fn agent_parts(
+        &self,
+        config: &Config,
+        listener: &Listener,
+    ) -> Result<AgentParts, RunnerError> {
+        self.probe(config, listener)?;
+        Ok(agent_parts(config, all_planners(), Some(self)))
     }
 
     /// The model with its prompts and the way in which it samples.

@@ -21,7 +21,7 @@ pub struct NoShard;
 /// Environment variables that name no shard.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ShardEnvironmentError {
     #[error("{name} is '{value}'; it must be a whole number")]
     NoNumber { name: &'static str, value: String },

@@ -58,6 +58,7 @@ pub(super) struct Row {
 
 impl Row {
     pub(super) fn for_model(name: String, registry: &ModelRegistry) -> Self {
+        // A model that cannot be found or opened is a row, too: a list does not end at it.
         let spec = match registry.find(&name) {
             Ok(spec) => spec,
             Err(error) => {

@@ -132,7 +132,7 @@ pub struct Exported {
 
 /// Why scenarios cannot be written.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ExportError {
     #[error("there is no scenario to export")]
     Nothing,
@@ -163,7 +163,7 @@ pub enum ExportError {
 
 /// Why a scenario does not fit nuPlan's formats.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum ScenarioExportFault {
     #[error(transparent)]
     Timeline(#[from] TimelineError),
@@ -175,7 +175,7 @@ pub enum ScenarioExportFault {
 
 /// Why a file cannot be written.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
+#[allow(missing_docs, reason = "the message of a variant says what it is")]
 pub enum WriteFault {
     #[error(transparent)]
     Database(#[from] rusqlite::Error),
