@@ -137,6 +137,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
         Command::Models(command) => commands::models::run(command, config, printer),
         Command::Dataset(flags) => commands::dataset::run(flags, config, printer),
+        Command::Memory(command) => commands::memory::run(command, config, printer),
         Command::Study(flags) => commands::study::run(flags, config, printer),
         Command::Bench(flags) => commands::bench::run(flags, config, printer),
         Command::Config(flags) => commands::config::run(flags, &settings, printer),

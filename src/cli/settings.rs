@@ -119,6 +119,7 @@ impl Settings {
         config
             .learned
             .all_mut()
+            .chain(config.language_agents.memories_mut())
             .for_each(|path| *path = absolute_path(path));
         for word in [
             Some(&mut config.mllm.model),

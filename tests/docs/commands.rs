@@ -217,6 +217,21 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         HOURS,
     ),
     (
+        "docs/agents.md",
+        "planagent simulate --planner gpt-driver,dilu,agent-driver --model HuggingFaceTB/SmolLM2-135M-Instruct",
+        WEIGHTS,
+    ),
+    (
+        "docs/agents.md",
+        "planagent memory fill dilu --out dilu.json --scenarios 20 --model HuggingFaceTB/SmolLM2-135M-Instruct",
+        WEIGHTS,
+    ),
+    (
+        "docs/agents.md",
+        "planagent simulate --planner dilu --set language_agents.dilu.memory=dilu.json --model HuggingFaceTB/SmolLM2-135M-Instruct",
+        WEIGHTS,
+    ),
+    (
         "docs/llm_assist.md",
         "planagent simulate --split generated --planner pdm-closed,llm-assist-unc,llm-assist-par --model \
          llava-hf/llava-1.5-7b-hf",
@@ -606,6 +621,7 @@ macro_rules! pages {
 
 pages! {
     commands_of_the_readme: "README.md",
+    commands_of_agents: "docs/agents.md",
     commands_of_devkit: "docs/devkit.md",
     commands_of_endpoint: "docs/endpoint.md",
     commands_of_exec: "docs/exec.md",

@@ -68,7 +68,7 @@ impl CompactParts {
                 .flat_map(|call| &call.attempts)
                 .flat_map(|attempt| &attempt.rounds);
             rounds
-                .filter(move |one| one.round == round)
+                .filter(move |one| one.round == round.into())
                 .map(|one| one.answer.as_str())
         };
         let is_choice = |answer: &str| {

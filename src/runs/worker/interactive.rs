@@ -277,7 +277,7 @@ fn listed(header: &str, words: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planagent_scenario::DataRoots;
+    use planagent_scenario::{DataRoots, ScenarioReader};
     use std::collections::BTreeSet;
 
     #[test]
