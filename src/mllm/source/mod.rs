@@ -93,14 +93,18 @@ impl ModelPlace {
                 }
             }
             Self::Gguf { model, mmproj } => (model.clone(), mmproj.clone()),
-            Self::Decoder(model) => return Ok(Some((model.clone(), None))),
+            Self::Decoder(model) => (model.clone(), None),
             Self::Folder(_) | Self::Embedded(_) | Self::Random { .. } => return Ok(None),
         };
         let header = open_model(&model)?.0;
         if header.architecture()? == WHOLE_MODEL {
             return Ok(None);
         }
-        let tower = tower_for(&header, mmproj.as_deref())?;
+        let tower = if matches!(self, Self::Decoder(_)) {
+            None
+        } else {
+            tower_for(&header, mmproj.as_deref())?
+        };
         Ok(Some((model, tower)))
     }
 
