@@ -169,7 +169,7 @@ const WRITERS: [&str; 8] = [
     "src/cli/",
     "src/mllm/trial/verdicts.rs",
     "src/scenario/nuplan/side_index.rs",
-    "src/scenario/nuplan/export/",
+    "src/files/whole_folder.rs",
 ];
 
 /// Files that hold nothing but unit tests or what only these use.

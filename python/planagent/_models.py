@@ -20,6 +20,10 @@ from .errors import ArgumentError
 __all__ = ["Answer", "Model"]
 
 
+#: Most tokens of an answer that can be asked for; the model's context ends it before.
+MAX_TOKENS = 2**31 - 1
+
+
 @dataclass(frozen=True)
 class Answer:
     """An answer of a model.
@@ -84,9 +88,9 @@ class Model:
     def __init__(self, name: str | os.PathLike[str] = "nano", *, settings: Mapping[str, Any] | None = None) -> None:
         if not isinstance(name, (str, os.PathLike)):
             raise wrong("name", name, "expected the name of a model")
-        name = os.fspath(name)
-        self._arguments = (name, None if settings is None else dict(settings))
+        name = arguments.text("name", os.fspath(name))
         self._native = _core.Model(settings_json(settings, mllm__model=name))
+        self._arguments = (name, None if settings is None else dict(settings))
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
         return _model, self._arguments
@@ -163,9 +167,11 @@ class Model:
         wanted = None if choices is None else arguments.texts("choices", choices)
         if wanted is not None and not wanted:
             raise wrong("choices", choices, "there is nothing to choose from")
+        if wanted is not None and "" in wanted:
+            raise wrong("choices", choices, "one of them is empty")
         asked = {
             "system": arguments.text("system", system),
-            "max_tokens": whole("max_tokens", max_tokens, 1),
+            "max_tokens": whole("max_tokens", max_tokens, 1, MAX_TOKENS),
             "choices": wanted,
             "regex": None if regex is None else arguments.text("regex", regex),
             "deadline_s": None if deadline_s is None else real("deadline_s", deadline_s, 0.0, above=True),

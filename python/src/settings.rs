@@ -1,5 +1,6 @@
 //! Settings of Python as configurations, and loaded models, kept once a process.
 
+use crate::command::trial;
 use crate::errors::{Failure, Outcome};
 use crate::work::{computed, lock};
 use planagent::runs::{Config, Event, Listener};
@@ -19,6 +20,7 @@ pub(crate) fn config(settings: &str) -> Outcome<Config> {
         .map_err(|error| invalid(format!("the settings: {error}")))?;
     let mut config = Config::default();
     config.mllm.offline = offline_variable().is_some();
+    config.mllm.trust = trial();
     config
         .overlaid(&table)
         .map_err(|error| invalid(planagent_runs::worker::run::with_causes(&error)))

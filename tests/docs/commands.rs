@@ -15,6 +15,7 @@ const CARGO: &str = "builds this program";
 const HOURS: &str = "takes minutes to hours";
 const WEIGHTS: &str = "needs weights of gigabytes";
 const SERVER: &str = "needs a server";
+const PACKAGE: &str = "needs the Python package";
 const NUPLAN: &str = "needs nuPlan's data";
 const DEVKIT: &str = "needs clones of nuplan-devkit and tuplan_garage";
 const NETWORK: &str = "downloads";
@@ -333,6 +334,16 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         CARGO,
     ),
     ("docs/reliability.md", "cargo install cargo-fuzz", NETWORK),
+    (
+        "docs/reliability.md",
+        "PROPTEST_CASES=2000 cargo test -p planagent-runs --lib wild_values_in_records",
+        CARGO,
+    ),
+    (
+        "docs/reliability.md",
+        "python python/tests/mutated_runs.py 900 1",
+        PACKAGE,
+    ),
     (
         "docs/reliability.md",
         "cargo +nightly fuzz run gguf -- -dict=fuzz/dictionaries/gguf.dict -max_total_time=600 -rss_limit_mb=4096 -timeout=20",

@@ -278,10 +278,10 @@ fn the_first_failed_simulation_is_told_before_the_others_are_done() {
     let folder = TempDir::new().unwrap();
     let model = folder.path().join("server.toml");
     fs::write(&model, description(&server, "")).unwrap();
-    let scenes = format!("{SCENE},generated/changing_lane/1,generated/changing_lane/2");
     let output = planagent()
         .env("TEST_API_KEY", KEY)
-        .args(["--threads", "1", "simulate", "--scenario", &scenes])
+        .args(["--threads", "1", "simulate", "--scenario", SCENE])
+        .args(["generated/changing_lane/1", "generated/changing_lane/2"])
         .arg("--model")
         .arg(&model)
         .arg("--out")

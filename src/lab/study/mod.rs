@@ -197,6 +197,7 @@ impl Study {
         }
         let mut seen = BTreeSet::new();
         let needs_x = matches!(self.figure, Figure::Lines(_));
+        // A table has a cell for each label, and a row for each variant.
         for Variant { labels, x, .. } in &self.variants {
             if labels.len() != self.labels.len() {
                 return Err(format!(

@@ -450,10 +450,8 @@ impl Weights {
         wanted: WeightFormat,
     ) -> Result<Matrix, MllmError> {
         let format = stored.place.format;
-        let held = held_as(format) == Some(wanted);
-        if held || wanted == WeightFormat::Q8_0 && format.is_within_q8_0() {
+        if held_as(format) == Some(wanted) {
             let bytes = self.bytes(stored)?;
-            let bytes = format.to_q8_0(&bytes).unwrap_or(bytes);
             self.check_blocks(stored, wanted, &bytes)?;
             return Ok(Matrix::from_blocks(wanted, outputs, inputs, &bytes)?);
         }

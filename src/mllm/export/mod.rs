@@ -265,7 +265,7 @@ fn plan_tensors(
             let format = weights
                 .weight_format_of(name)
                 .unwrap_or(WeightFormat::F32)
-                .ggml();
+                .stored();
             layout.tensors.push(PlannedTensor {
                 name: renamed,
                 format,

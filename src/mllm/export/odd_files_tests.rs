@@ -6,14 +6,14 @@ use crate::gguf::{FILE, find, open_header, tokenizer, tower_beside};
 use crate::local::test_reference::fixture;
 use crate::source::ModelPlace;
 use candle_core::quantized::GgmlDType;
-use planagent_kernels::matrix::{StoredFormat, WeightFormat};
+use planagent_kernels::matrix::WeightFormat;
 use serde_json::{Value, json};
 use std::path::Path;
 
 fn write(path: &Path, metadata: &[(&str, Value)]) {
     let tensors = vec![PlannedTensor {
         name: "a".into(),
-        format: GgmlDType::F32,
+        format: GgmlDType::F32.into(),
         shape: vec![2, 2],
     }];
     let metadata = metadata
@@ -90,12 +90,9 @@ fn split(path: &Path) -> [std::path::PathBuf; 2] {
         }
         let planned = names.iter().map(|name| {
             let place = &header.tensors[*name];
-            let StoredFormat::Ggml(format) = place.format else {
-                panic!("{name}")
-            };
             PlannedTensor {
                 name: (*name).clone(),
-                format,
+                format: place.format,
                 shape: place.shape.clone(),
             }
         });

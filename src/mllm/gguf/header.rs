@@ -442,7 +442,7 @@ const FORMATS: [(u32, GgmlDType); 14] = [
     (30, GgmlDType::BF16),
 ];
 
-/// Formats that candle does not know, by their `ggml_type`.
+/// Formats that candle does not have, by their `ggml_type`.
 const FURTHER: [(u32, StoredFormat); 3] = [
     (20, StoredFormat::Iq4Nl),
     (23, StoredFormat::Iq4Xs),
@@ -493,9 +493,13 @@ fn format_of(number: u32) -> Result<StoredFormat, Option<&'static str>> {
 }
 
 /// The `ggml_type` of a format.
-pub(crate) fn number_of(format: GgmlDType) -> Option<u32> {
-    FORMATS
+pub(crate) fn number_of(format: StoredFormat) -> Option<u32> {
+    let further = || FURTHER.iter().copied();
+    let known = FORMATS
         .iter()
+        .map(|(number, format)| (*number, StoredFormat::Ggml(*format)));
+    known
+        .chain(further())
         .find(|(_, known)| *known == format)
-        .map(|(number, _)| *number)
+        .map(|(number, _)| number)
 }

@@ -283,7 +283,9 @@ impl LocalConversation<'_> {
         };
         let thoughts = self.think(rest, request, context, start)?;
         // What the answer follows.
-        let thought = thoughts.as_ref().map_or(&[][..], |thoughts| &thoughts.ids);
+        let thought = thoughts
+            .as_ref()
+            .map_or(&[][..], |thoughts| thoughts.ids.as_slice());
         let whole = [ids.as_slice(), thought].concat();
         let computed_so_far = if thoughts.is_some() {
             let agree = self.sequence.agree(&whole);

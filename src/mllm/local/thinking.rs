@@ -67,7 +67,7 @@ impl Thinking {
         sampler: Sampler,
         at: ThinkingBounds<'_>,
     ) -> Result<Thoughts, MllmError> {
-        let ends = [&[self.mark], at.ends].concat();
+        let ends = [&[self.mark][..], at.ends].concat();
         let end = End {
             tokens: &ends,
             max_new_tokens: self.limit,

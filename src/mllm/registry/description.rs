@@ -25,6 +25,7 @@ pub struct ModelSpec {
     pub license: Option<String>,
     /// Format of its weights in memory, where no setting names one; none for that of its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(deserialize_with = "WeightFormat::choice")]
     pub quantize: Option<WeightFormat>,
     /// Where its tokenizer is; none if among its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -43,10 +44,7 @@ pub struct ModelSpec {
     pub image: ImageSettings,
     /// Whether the decoder of a GGUF file is opened with its vision tower, if it has one. Without,
     /// it is a language model that reads text alone.
-    #[serde(
-        default = "without_tower::yes",
-        skip_serializing_if = "without_tower::is_yes"
-    )]
+    #[serde(default = "without_tower::yes", skip_serializing_if = "Clone::clone")]
     pub vision: bool,
     /// Whether its author vouches for its chat template and tokenizer, so that they need no trial.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]

@@ -29,11 +29,6 @@ pub(super) fn yes() -> bool {
     true
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
-pub(super) fn is_yes(flag: &bool) -> bool {
-    *flag
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -120,6 +120,7 @@ impl RunComparison {
                 rows.iter().filter(|row| row.planner == name).count()
             };
             simulations += own(first.1, &pair.first) + own(second.1, &pair.second);
+            // Scenes that one run alone completed are counted, and not compared.
             scenes.extend(common(first.1, second.1, pair));
         }
         if scenes.is_empty() {

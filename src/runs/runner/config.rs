@@ -59,7 +59,10 @@ pub struct MllmConfig {
     /// Do not use the network: a hub id must be in the cache, a server on this machine.
     pub offline: bool,
     /// Weight format in memory; `None` for that of the description or the files.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "WeightFormat::choice"
+    )]
     pub quantize: Option<WeightFormat>,
     /// Longest chat, tokens: prompts, image and answers. It bounds the memory of keys and values.
     /// `None` for that of the model.

@@ -109,6 +109,7 @@ impl Shard {
                 number(TASK_MIN)?.unwrap_or(1),
                 number(TASK_STEP)?.unwrap_or(1).max(1),
             );
+            // An array with gaps would leave simulations out.
             let last = first.saturating_add(step.saturating_mul(of.saturating_sub(1)));
             let place = task.saturating_sub(first);
             if number(TASK_MAX)?.is_some_and(|found| found != last) || place % step != 0 {

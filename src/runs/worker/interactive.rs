@@ -339,7 +339,7 @@ mod tests {
         }
 
         fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
-            let good: Spec = "following_lane_with_lead/3"
+            let good: Spec = "generated/following_lane_with_lead/3"
                 .parse()
                 .expect("a name of a scene");
             let broken = ScenarioRef::unreadable(&Path::new(word).join("b"), "cut".to_owned());

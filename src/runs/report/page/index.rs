@@ -157,6 +157,7 @@ impl Index {
                 sketch: part
                     .sketch
                     .clone()
+                    // Planners share the sketch of a scenario.
                     .filter(|_| sketched.insert(row.scenario.clone())),
             };
         Self {

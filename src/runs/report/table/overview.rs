@@ -167,6 +167,7 @@ fn type_table(
         };
         let mut lines = vec![String::new(); lines_of_names];
         lines.extend(broken(planner, widest));
+        // Names end in the same line, however many lines they have.
         let lines = lines.split_off(lines.len() - lines_of_names);
         format!("{}\n{}", lines.join("\n"), short(challenge))
     };
