@@ -103,7 +103,7 @@ pub(super) fn run(markdown: bool, printer: Printer) -> anyhow::Result<Exit> {
         }
     } else {
         let cells = |row: &Row| {
-            [
+            vec![
                 row.family.to_owned(),
                 row.model_types().collect::<Vec<_>>().join(", "),
                 row.gguf(""),
