@@ -98,6 +98,7 @@ fn logits(folder: &Path, quantize: Option<WeightFormat>, ids: &[u32]) -> (Tensor
     let input = DecoderInput {
         rows: decoder.embed(ids).unwrap(),
         positions: Positions::plain(0..ids.len() as u32).rotary,
+        prompt_end: 0,
         vision: 0..0,
         deep: Vec::new(),
     };
