@@ -259,6 +259,12 @@ impl Default for PlannerRegistry {
                     plan_agent,
                 ),
                 PlannerEntry::new(
+                    name("plan-agent-paper"),
+                    "the agent with the paper's form of a plan",
+                    Model,
+                    plan_agent_of_paper,
+                ),
+                PlannerEntry::new(
                     name("log-replay"),
                     "the recorded driver",
                     Recording,
@@ -364,6 +370,16 @@ fn plan_agent(parts: &PlannerParts<'_>) -> Built {
     Ok(Box::new(parts.agent(parts.model.cloned().ok_or(missing)?)))
 }
 
+/// PlanAgent with the paper's form of a plan, whatever the settings say of that.
+/// Why: docs/decisions/128-comfortable-plans.md.
+fn plan_agent_of_paper(parts: &PlannerParts<'_>) -> Built {
+    let settings = parts.settings.clone().in_form_of_paper();
+    plan_agent(&PlannerParts {
+        settings: &settings,
+        ..*parts
+    })
+}
+
 fn llm_assist(parts: &PlannerParts<'_>, variant: AssistVariant) -> Built {
     let Some(CodeSource::Model {
         model,
@@ -408,7 +424,9 @@ mod tests {
         );
         let error = registry.find("imd").unwrap_err().to_string();
         assert!(
-            error.starts_with("unknown planner 'imd'; known planners are plan-agent, log-replay"),
+            error.starts_with(
+                "unknown planner 'imd'; known planners are plan-agent, plan-agent-paper, log-replay"
+            ),
             "{error}"
         );
     }

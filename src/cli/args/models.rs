@@ -51,6 +51,13 @@ pub(crate) enum ModelsCommand {
         #[command(flatten)]
         network: NetworkArgument,
     },
+    /// List the families of models: what opens, in which formats, and an example.
+    #[command(after_long_help = help::MODELS_FAMILIES)]
+    Families {
+        /// Print the page docs/supported-models.md.
+        #[arg(long, conflicts_with = "json")]
+        markdown: bool,
+    },
     /// Write a model as GGUF, for a faster start and for llama.cpp.
     #[command(after_long_help = help::MODELS_QUANTIZE)]
     Quantize(QuantizeArguments),
@@ -86,7 +93,7 @@ impl ModelsCommand {
     /// What the options about models say.
     pub(super) fn flags(&self) -> ModelFlags {
         match self {
-            Self::List { .. } | Self::Show { .. } => ModelFlags::default(),
+            Self::List { .. } | Self::Show { .. } | Self::Families { .. } => ModelFlags::default(),
             Self::Check {
                 format,
                 memory,

@@ -2,6 +2,7 @@
 
 mod check;
 mod check_server;
+mod families;
 mod fetch;
 mod list;
 pub(crate) mod quantize;
@@ -13,7 +14,7 @@ use crate::progress::listener;
 use crate::{Exit, Printer};
 use planagent_runs::runner::{Config, model_registry};
 
-/// Lists, shows, checks, fetches or quantizes models.
+/// Lists, shows, checks, fetches or quantizes models, or lists families.
 pub(crate) fn run(
     command: &ModelsCommand,
     config: &Config,
@@ -22,6 +23,7 @@ pub(crate) fn run(
     let registry = model_registry(config, &listener(printer));
     match command {
         ModelsCommand::List { csv } => list::run(&registry, *csv, printer),
+        ModelsCommand::Families { markdown } => families::run(*markdown, printer),
         ModelsCommand::Show { model } => show::run(model, &registry, printer),
         ModelsCommand::Check { models, .. } => check::run(models, &registry, config, printer),
         ModelsCommand::Fetch { models, .. } => fetch::run(models, &registry, printer),
