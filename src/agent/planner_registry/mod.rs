@@ -94,6 +94,7 @@ pub struct PlannerEntry {
     unsupported: fn(&PlanAgentSettings) -> Option<&'static str>,
     prepare: Arc<Prepare>,
     digests: Arc<Digests>,
+    least_context: usize,
 }
 
 impl PlannerEntry {
@@ -113,6 +114,7 @@ impl PlannerEntry {
             unsupported: |_| None,
             prepare,
             digests: Arc::new(|_: &PlanAgentSettings| BTreeMap::new()),
+            least_context: 0,
         }
     }
 
@@ -150,6 +152,22 @@ impl PlannerEntry {
             digests: Arc::new(digests),
             ..self
         }
+    }
+
+    /// The same, whose prompts and answers need a context of this many tokens.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn needing_context(self, tokens: usize) -> Self {
+        Self {
+            least_context: tokens,
+            ..self
+        }
+    }
+
+    /// Tokens that the context of its model has at least.
+    #[doc(hidden)]
+    pub fn least_context(&self) -> usize {
+        self.least_context
     }
 
     /// BLAKE3 of the texts of its own that it reads, by name, hexadecimal: part of a run's inputs.
