@@ -17,6 +17,7 @@
     reason = "many names say all; the root describes what users see"
 )]
 
+mod adapter;
 mod checkpoint;
 #[cfg(test)]
 mod class_keys;
@@ -50,6 +51,7 @@ mod tiled;
 pub mod trial;
 mod vision;
 
+pub use adapter::{AdapterSpec, MergedAdapter};
 pub use checkpoint::{
     LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights,
 };

@@ -1,6 +1,7 @@
 //! In which formats the tensors of a checkpoint were loaded.
 
 use super::weight_format_plan::PlannedFormat;
+use crate::adapter::MergedAdapter;
 use planagent_kernels::matrix::{StoredFormat, WeightFormat};
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +12,9 @@ pub struct LoadReport {
     /// The format of `mllm.quantize`; none for the format of the files.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantize: Option<WeightFormat>,
+    /// The adapter that is merged into the weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<MergedAdapter>,
     /// Tensors and bytes of each format.
     pub weight_formats: Vec<WeightFormatShare>,
     /// Tensors in another format than the wanted one.

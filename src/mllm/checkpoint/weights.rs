@@ -3,14 +3,15 @@
 use super::load_report::LoadReport;
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
-use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
+use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, held_as, is_matrix};
 use crate::MllmError;
 use candle_core::quantized::GgmlDType;
 use candle_core::{Device, Tensor};
 use half::f16;
-use planagent_kernels::matrix::{Matrix, WeightFormat};
+use planagent_kernels::matrix::{Matrix, StoredFormat, WeightFormat};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to
 /// be finite, and converted as the [`WeightFormatPlan`] says. So at most one tensor is in memory
@@ -22,10 +23,10 @@ use std::path::{Path, PathBuf};
 #[derive(Debug)]
 pub struct Weights {
     place: PathBuf,
-    files: Vec<Box<dyn TensorSource>>,
-    tensors: BTreeMap<String, StoredTensor>,
+    pub(super) files: Vec<Arc<dyn TensorSource>>,
+    pub(super) tensors: BTreeMap<String, StoredTensor>,
     plan: WeightFormatPlan,
-    report: LoadReport,
+    pub(super) report: LoadReport,
     blake3: String,
     access: TensorAccess,
 }
@@ -55,14 +56,26 @@ const MAX_MATRIX: usize = 1 << 33;
 const MAX_TENSOR: usize = 1 << 26;
 
 /// A tensor that is not taken yet.
-#[derive(Debug)]
-struct StoredTensor {
+#[derive(Debug, Clone)]
+pub(super) struct StoredTensor {
     /// Index into the files.
-    file: usize,
+    pub(super) file: usize,
     /// Its name in the file.
-    name: String,
-    place: TensorPlace,
-    rows: RowOrder,
+    pub(super) name: String,
+    pub(super) place: TensorPlace,
+    pub(super) rows: RowOrder,
+    /// The number format of the stored tensor that this one was made of.
+    pub(super) merged: Option<StoredFormat>,
+}
+
+impl StoredTensor {
+    /// The format in memory of a matrix with `inputs` columns.
+    fn planned(&self, plan: WeightFormatPlan, name: &str, inputs: usize) -> PlannedFormat {
+        match self.merged {
+            None => plan.matrix(name, self.place.format, inputs),
+            Some(base) => plan.merged(name, base, inputs),
+        }
+    }
 }
 
 impl Weights {
@@ -84,7 +97,7 @@ impl Weights {
 
     /// Adds a file and gives its index for [`Self::add`].
     pub(crate) fn add_file(&mut self, file: impl TensorSource + 'static) -> usize {
-        self.files.push(Box::new(file));
+        self.files.push(Arc::new(file));
         self.files.len() - 1
     }
 
@@ -97,14 +110,13 @@ impl Weights {
         place: TensorPlace,
         rows: RowOrder,
     ) -> Result<(), MllmError> {
-        if canonical == "lm_head.weight" {
-            self.plan.tied = false;
-        }
+        self.unless_tied(&canonical);
         let stored = StoredTensor {
             file,
             name,
             place,
             rows,
+            merged: None,
         };
         match self.tensors.insert(canonical, stored) {
             None => Ok(()),
@@ -112,6 +124,13 @@ impl Weights {
                 place: self.place.clone(),
                 name: other.name,
             }),
+        }
+    }
+
+    /// Notes that a tensor is added which tied embeddings do not have.
+    pub(super) fn unless_tied(&mut self, canonical: &str) {
+        if canonical == "lm_head.weight" {
+            self.plan.tied = false;
         }
     }
 
@@ -262,10 +281,10 @@ impl Weights {
 
     /// The format in memory of a tensor that is not taken yet.
     pub(crate) fn weight_format_of(&self, name: &str) -> Option<WeightFormat> {
-        let TensorPlace { format, shape, .. } = &self.tensors.get(name)?.place;
-        match shape.as_slice() {
-            [_, inputs] if is_matrix(name, shape) => {
-                Some(self.plan.matrix(name, *format, *inputs).weight_format)
+        let stored = self.tensors.get(name)?;
+        match stored.place.shape.as_slice() {
+            shape @ [_, inputs] if is_matrix(name, shape) => {
+                Some(stored.planned(self.plan, name, *inputs).weight_format)
             }
             _ => Some(WeightFormat::F32),
         }
@@ -285,7 +304,7 @@ impl Weights {
             .iter()
             .filter_map(move |(name, stored)| match stored.place.shape.as_slice() {
                 shape @ &[outputs, inputs] if is_matrix(name, shape) => {
-                    let planned = plan.matrix(name, stored.place.format, inputs);
+                    let planned = stored.planned(plan, name, inputs);
                     Some((name.as_str(), [outputs, inputs], planned.weight_format))
                 }
                 _ => None,
@@ -300,18 +319,19 @@ impl Weights {
         };
         let mut report = LoadReport {
             quantize,
+            adapter: self.report.adapter.clone(),
             ..LoadReport::default()
         };
         for (name, stored) in &self.tensors {
-            let TensorPlace { format, shape, .. } = &stored.place;
+            let shape = &stored.place.shape;
             match shape.as_slice() {
                 [outputs, inputs] if is_matrix(name, shape) => {
-                    let planned = plan.matrix(name, *format, *inputs);
+                    let planned = stored.planned(plan, name, *inputs);
                     let bytes = planned
                         .weight_format
                         .matrix_bytes(*outputs, *inputs)
                         .unwrap_or(usize::MAX);
-                    report.add_matrix(name, *format, planned, bytes as u64);
+                    report.add_matrix(name, stored.file_format(), planned, bytes as u64);
                 }
                 _ => report.add(WeightFormat::F32, f32_bytes(shape)),
             }
@@ -391,7 +411,7 @@ impl Weights {
         }
         let stored = self.remove(name, &shape)?;
         let format = stored.place.format;
-        let planned = self.plan.matrix(name, format, inputs);
+        let planned = stored.planned(self.plan, name, inputs);
         let held = held_as(format) == Some(planned.weight_format);
         let matrix =
             if held || planned.weight_format == WeightFormat::Q8_0 && format.is_within_q8_0() {
@@ -408,7 +428,7 @@ impl Weights {
                 )?
             };
         self.report
-            .add_matrix(name, format, planned, matrix.bytes() as u64);
+            .add_matrix(name, stored.file_format(), planned, matrix.bytes() as u64);
         Ok(matrix)
     }
 

@@ -3,7 +3,9 @@
 use super::described_prompts::DescribedPrompts;
 use super::hub::{HubName, addressed, plain};
 use crate::checkpoint::read_text;
-use crate::{Architecture, EndpointSettings, ImageSettings, MllmError, Sampling, WeightFormat};
+use crate::{
+    AdapterSpec, Architecture, EndpointSettings, ImageSettings, MllmError, Sampling, WeightFormat,
+};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -24,6 +26,9 @@ pub struct ModelSpec {
     /// Format of its weights in memory, where no setting names one; none for that of its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quantize: Option<WeightFormat>,
+    /// What is merged into its weights, where no setting names another.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<AdapterSpec>,
     /// Where its tokenizer is; none if among its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tokenizer: Option<ModelSource>,
@@ -256,6 +261,7 @@ impl ModelSpec {
             source,
             license: None,
             quantize: None,
+            adapter: None,
             tokenizer: None,
             draft_model: None,
             prompt_set: None,
@@ -321,6 +327,14 @@ impl ModelSpec {
             return Err(broken(
                 "quantize belongs to models of this machine; remove it".into(),
             ));
+        }
+        if matches!(spec.source, ModelSource::Endpoint(_)) && spec.adapter.is_some() {
+            return Err(broken(
+                "adapter belongs to models of this machine; remove it".into(),
+            ));
+        }
+        if let Some(adapter) = &mut spec.adapter {
+            adapter.start_at(base);
         }
         if matches!(spec.source, ModelSource::Endpoint(_)) && !spec.image.is_default() {
             return Err(broken(

@@ -1,0 +1,421 @@
+//! Finds the tensors of the base that an adapter changes.
+
+use super::change::{Change, Entry, Rows, Target, flat};
+use super::initial::Initial;
+use super::merge::MergedTensor;
+use super::source::AdapterFiles;
+use super::{About, refused};
+use crate::MllmError;
+use crate::checkpoint::{BaseTensor, TensorPlace, TensorSource, Weights};
+use crate::gguf::GgufLayout;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Names that a message lists.
+const SHOWN: usize = 4;
+const OUTPUT: &str = "lm_head.weight";
+const EMBEDDING: &str = "embed_tokens.weight";
+/// The layers of a tower.
+const TOWER_LAYERS: &str = "vision_tower.encoder.layers.";
+
+/// The model that an adapter is merged into.
+pub(crate) struct BaseModel<'a> {
+    /// Name of its family.
+    pub family: &'a str,
+    /// The canonical name of a tensor, by its name in Hugging Face's files.
+    pub canonical_name: &'a dyn Fn(&str) -> Option<String>,
+    /// How llama.cpp names its tensors, or the part that its format has no place for.
+    pub gguf: Result<&'a dyn GgufLayout, &'a str>,
+    /// llama.cpp's name of its decoder; none if llama.cpp knows no such decoder.
+    pub architecture: Option<&'a str>,
+    /// Heads of queries and of keys of its decoder.
+    pub heads: [usize; 2],
+}
+
+/// A merged adapter, for reports.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MergedAdapter {
+    /// Its folder or file.
+    pub path: String,
+    /// `LoRA` or `DoRA`.
+    pub kind: String,
+    /// The model that it was trained for, as it says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub base: Option<String>,
+    /// Number of the model's tensors that it changes.
+    pub tensors: usize,
+}
+
+impl fmt::Display for MergedAdapter {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            out,
+            "{} ({}, {} tensors",
+            self.path, self.kind, self.tensors
+        )?;
+        if let Some(base) = &self.base {
+            write!(out, ", for {}", base.escape_debug())?;
+        }
+        out.write_str(")")
+    }
+}
+
+/// The changes of each tensor, by canonical names.
+type Changes = BTreeMap<String, Vec<(String, Change)>>;
+
+/// Puts the changed tensors in the place of the base's.
+pub(super) fn merge(
+    path: &Path,
+    files: Arc<AdapterFiles>,
+    entries: Vec<Entry>,
+    about: About,
+    weights: &mut Weights,
+    base: &BaseModel<'_>,
+) -> Result<MergedAdapter, MllmError> {
+    if entries.is_empty() {
+        return Err(refused(path, "it has no tensors"));
+    }
+    let count = entries.len();
+    let (mut changes, mut unmatched, mut beyond) = (Changes::new(), Vec::new(), 0_usize);
+    for Entry {
+        target,
+        tensor,
+        change,
+    } in entries
+    {
+        let canonical = match target {
+            Target::Canonical(name) => Some(name),
+            Target::Stored(name) => (base.canonical_name)(&name),
+        };
+        let places = canonical
+            .as_deref()
+            .map_or_else(Vec::new, |name| places(name, &change, weights));
+        if places.is_empty() {
+            match canonical.filter(|name| is_beyond(name, weights)) {
+                Some(_) => beyond += 1,
+                None => unmatched.push(tensor),
+            }
+            continue;
+        }
+        for (name, change) in places {
+            let known = changes.entry(name).or_default();
+            known.push((tensor.clone(), change));
+        }
+    }
+    if !unmatched.is_empty() {
+        return Err(matches_nothing(path, &unmatched, count, &about, base));
+    }
+    untie(&changes, about.tied, weights);
+    let tensors = changes.len();
+    for (name, changes) in changes {
+        put(path, &name, changes, &about, weights)?;
+    }
+    weights.add_file(Shared(files));
+    let merged = MergedAdapter {
+        path: path.display().to_string(),
+        kind: about.kind,
+        base: about.base,
+        tensors,
+    };
+    weights.note(format!("adapter {merged} is merged"));
+    if beyond > 0 {
+        weights.note(format!(
+            "{beyond} tensors of the adapter are for the tower's last layer, which the files of the model leave out"
+        ));
+    }
+    about.notes.into_iter().for_each(|note| weights.note(note));
+    weights.set_adapter(merged.clone());
+    Ok(merged)
+}
+
+/// The files of an adapter as a file of the model, for its digest.
+#[derive(Debug)]
+struct Shared(Arc<AdapterFiles>);
+
+impl TensorSource for Shared {
+    fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
+        self.0.bytes(place)
+    }
+
+    fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
+        self.0.hash(hasher)
+    }
+}
+
+/// The tensors of the base that a change is for, each with its part of the change. Files have the
+/// projections to queries, keys and values of a tower as three tensors, or as one.
+fn places(canonical: &str, change: &Change, weights: &Weights) -> Vec<(String, Change)> {
+    const PARTS: [&str; 3] = ["q_proj", "k_proj", "v_proj"];
+    if weights.contains(canonical) || canonical == OUTPUT && embedding(weights).is_some() {
+        return vec![(canonical.to_owned(), change.clone())];
+    }
+    let Some((module, parameter)) = canonical.rsplit_once('.') else {
+        return Vec::new();
+    };
+    let Some((before, part)) = module.rsplit_once('.') else {
+        return Vec::new();
+    };
+    let height = |name: &str| weights.base_tensor(name)?.shape().first().copied();
+    let mut found = Vec::new();
+    if part == "qkv" {
+        let mut source = 0;
+        for part in PARTS {
+            let name = format!("{before}.{part}.{parameter}");
+            let Some(count) = height(&name) else {
+                return Vec::new();
+            };
+            let rows = Rows::Part {
+                source,
+                target: 0,
+                count,
+            };
+            source += count;
+            found.extend(change.clone().of_rows(rows).map(|change| (name, change)));
+        }
+        return if found.len() == PARTS.len() && change.rows_of_source() == Some(source) {
+            found
+        } else {
+            Vec::new()
+        };
+    }
+    if let Some(index) = PARTS.iter().position(|known| *known == part) {
+        let name = format!("{before}.qkv.{parameter}");
+        let count = height(&name).unwrap_or(0) / PARTS.len();
+        let rows = Rows::Part {
+            source: 0,
+            target: index * count,
+            count,
+        };
+        if count > 0 && change.rows_of_source() == Some(count) {
+            found.extend(change.clone().of_rows(rows).map(|change| (name, change)));
+        }
+    }
+    found
+}
+
+/// The name of the embedding, where it is the output layer too.
+fn embedding(weights: &Weights) -> Option<String> {
+    if weights.contains(OUTPUT) {
+        return None;
+    }
+    let mut names = weights.shapes().map(|(name, _)| name);
+    names
+        .find(|name| name.ends_with(EMBEDDING))
+        .map(str::to_owned)
+}
+
+/// Whether a tensor is of the layer behind the last of the tower: converters to GGUF leave out a
+/// layer that no feature is taken from.
+fn is_beyond(canonical: &str, weights: &Weights) -> bool {
+    let layer = |name: &str| -> Option<usize> {
+        name.strip_prefix(TOWER_LAYERS)?
+            .split('.')
+            .next()?
+            .parse()
+            .ok()
+    };
+    let last = weights.shapes().filter_map(|(name, _)| layer(name)).max();
+    layer(canonical).is_some_and(|layer| last.is_some_and(|last| layer == last + 1))
+}
+
+/// Gives the output layer numbers of its own where an adapter changes an embedding that serves as
+/// both: in training, only the embedding was adapted.
+fn untie(changes: &Changes, tied: bool, weights: &mut Weights) {
+    let Some(embedding) = embedding(weights).filter(|_| !tied) else {
+        return;
+    };
+    let of_embedding = changes.get(&embedding).into_iter().flatten();
+    let parts = of_embedding.into_iter().any(|(_, change)| match change {
+        Change::LowRank(_) => true,
+        Change::Replace { own, .. } => *own,
+        Change::Add { .. } | Change::Tokens { .. } | Change::Experts(_) => false,
+    });
+    if parts && !changes.contains_key(OUTPUT) {
+        weights.copy(&embedding, OUTPUT);
+    }
+}
+
+/// Puts one tensor in the place of the base's.
+fn put(
+    path: &Path,
+    name: &str,
+    mut changes: Vec<(String, Change)>,
+    about: &About,
+    weights: &mut Weights,
+) -> Result<(), MllmError> {
+    let tied = embedding(weights).filter(|_| name == OUTPUT);
+    let Some(base) = weights.base_tensor(tied.as_deref().unwrap_or(name)) else {
+        return Err(refused(path, format!("the model has no tensor {name}")));
+    };
+    changes.sort_by_key(|(_, change)| change.order());
+    let mut fitting = Vec::with_capacity(changes.len());
+    for (tensor, change) in changes {
+        let Some(change) = change.fitting(base.shape()) else {
+            return Err(unfit(path, &tensor, &base, about));
+        };
+        fitting.push(change);
+    }
+    let merged = MergedTensor {
+        adapter: path.to_path_buf(),
+        base: base.clone(),
+        changes: fitting,
+    };
+    weights.put_merged(name, &base, merged);
+    Ok(())
+}
+
+fn matches_nothing(
+    path: &Path,
+    unmatched: &[String],
+    count: usize,
+    about: &About,
+    base: &BaseModel<'_>,
+) -> MllmError {
+    let shown: Vec<String> = unmatched
+        .iter()
+        .take(SHOWN)
+        .map(|name| name.escape_debug().to_string())
+        .collect();
+    let more = if unmatched.len() > SHOWN { ", …" } else { "" };
+    refused(
+        path,
+        format!(
+            "{} of its {count} changes match no tensor of this {} model: {}{more}; {}",
+            unmatched.len(),
+            base.family,
+            shown.join(", "),
+            wanted(about)
+        ),
+    )
+}
+
+fn unfit(path: &Path, tensor: &str, base: &BaseTensor, about: &About) -> MllmError {
+    refused(
+        path,
+        format!(
+            "tensor {} does not fit the model's {} of shape {:?} ({}); {}",
+            tensor.escape_debug(),
+            base.name(),
+            base.shape(),
+            base.path().display(),
+            wanted(about)
+        ),
+    )
+}
+
+/// Which model to take instead.
+fn wanted(about: &About) -> String {
+    match &about.base {
+        Some(base) => format!("the adapter is for {}", base.escape_debug()),
+        None => "the adapter is for another model".to_owned(),
+    }
+}
+
+impl Change {
+    /// Rows of the adapter's tensor.
+    fn rows_of_source(&self) -> Option<usize> {
+        match self {
+            Self::LowRank(low) => low.left.shape().map(|[rows, _]| rows),
+            other => other.main_tensor().shape().first().copied(),
+        }
+    }
+
+    /// The change for a tensor of this shape; none if it does not fit.
+    fn fitting(self, shape: &[usize]) -> Option<Self> {
+        let columns = flat(shape).map_or(1, |[_, columns]| columns);
+        let height = shape.first().copied()?;
+        let elements = |shape: &[usize]| shape.iter().product::<usize>();
+        let fits = match &self {
+            Self::Replace { tensor, rows, .. } | Self::Add { tensor, rows, .. } => match rows {
+                Rows::All => tensor.shape() == shape,
+                Rows::Part { .. } => {
+                    rows.lie_within(height, tensor.shape())
+                        && elements(tensor.shape()).is_multiple_of(columns)
+                        && elements(tensor.shape()) / columns == tensor.shape().first().copied()?
+                }
+            },
+            Self::Tokens { tensor, indices } => {
+                shape.len() == 2
+                    && tensor.shape() == [indices.len(), columns]
+                    && indices.iter().all(|index| *index < height)
+            }
+            Self::LowRank(low) => {
+                let matrix = flat(shape)?;
+                let (left, right) = (low.left.shape()?, low.right.shape()?);
+                let rows = match low.rows {
+                    Rows::All => left == [matrix[0], low.rank],
+                    part => left[1] == low.rank && part.lie_within(height, &left),
+                };
+                let fits = rows && right == [low.rank, matrix[1]] && low.rank > 0;
+                if !fits && low.flips && low.rows == Rows::All && !low.transposed {
+                    let flipped = Self::LowRank(super::change::LowRank {
+                        flips: false,
+                        ..low.clone()
+                    });
+                    // Of OLoRA only the orientation of linear layers is known.
+                    return match low.initial {
+                        Initial::FirstColumns { .. } => None,
+                        _ => flipped.flipped().fitting(shape),
+                    };
+                }
+                let outputs = if low.transposed { right[1] } else { left[0] };
+                let magnitude = low.magnitude.as_ref();
+                fits && magnitude.is_none_or(|magnitude| elements(magnitude.shape()) == outputs)
+            }
+            Self::Experts(experts) => experts.fit(shape),
+        };
+        fits.then_some(self).map(|change| change.of_axis(shape))
+    }
+
+    /// The same change with the axis of experts that the shape decides.
+    fn of_axis(self, shape: &[usize]) -> Self {
+        match (self, shape) {
+            (Self::Experts(experts), &[_, rows, columns]) if rows != columns => {
+                let older = experts.a.shape().get(1) == Some(&rows);
+                Self::Experts(super::change::Experts { older, ..experts })
+            }
+            (change, _) => change,
+        }
+    }
+}
+
+impl Rows {
+    /// Whether the rows lie within those of both tensors.
+    fn lie_within(self, height: usize, source_shape: &[usize]) -> bool {
+        match self {
+            Self::All => true,
+            Self::Part {
+                source,
+                target,
+                count,
+            } => {
+                let end = |first: usize| first.checked_add(count);
+                end(target).is_some_and(|end| end <= height)
+                    && source_shape
+                        .first()
+                        .is_some_and(|rows| end(source).is_some_and(|end| end <= *rows))
+            }
+        }
+    }
+}
+
+impl super::change::Experts {
+    /// Whether A and B are those of all experts of a parameter, on either axis.
+    fn fit(&self, shape: &[usize]) -> bool {
+        let &[count, rows, columns] = shape else {
+            return false;
+        };
+        let Some(all) = count.checked_mul(self.rank).filter(|all| *all > 0) else {
+            return false;
+        };
+        let fits = |wide, high| self.a.shape() == [all, wide] && self.b.shape() == [high, all];
+        rows > 0 && columns > 0 && (fits(columns, rows) || fits(rows, columns))
+    }
+}
