@@ -18,8 +18,8 @@ use planagent_agent::reasoning::{
 };
 use planagent_learned::Checkpoint;
 use planagent_mllm::{
-    Constraint, Deadline, HubAccess, Loading, LocalModel, ModelPlace, ModelRegistry, ModelSpec,
-    PromptPrefix, Request, Sampling,
+    AdapterSpec, Constraint, Deadline, HubAccess, Loading, LocalModel, ModelPlace, ModelRegistry,
+    ModelSpec, PromptPrefix, Request, Sampling,
 };
 use planagent_runs::report::RunFolder;
 use planagent_runs::report::page::{self, PageSettings};
@@ -42,7 +42,7 @@ use tempfile::TempDir;
 pub(crate) type Target = (&'static str, fn(&[u8]) -> bool);
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 22] = [
+pub(crate) const TARGETS: [Target; 23] = [
     ("planner_code", planner_code),
     ("answers", answers),
     ("prompts", prompts),
@@ -56,6 +56,7 @@ pub(crate) const TARGETS: [Target; 22] = [
     ("configuration", configuration),
     ("gguf", gguf),
     ("safetensors", safetensors),
+    ("adapter", adapter),
     ("run_folder", run_folder),
     ("run_manifest", |bytes| run_record(0, bytes)),
     ("run_record", |bytes| run_record(1, bytes)),
@@ -474,8 +475,6 @@ fn gguf(bytes: &[u8]) -> bool {
 /// A text has a configuration, and behind a line of `---` the header of the weights, which are
 /// zero.
 fn safetensors(bytes: &[u8]) -> bool {
-    /// Bytes of a file of weights; it is sparse.
-    const MAX_WEIGHTS: u64 = 1 << 34;
     let Some(written) = as_text(bytes) else {
         let config = br#"{"model_type": "llava"}"#;
         let folder = folder(&[("config.json", config), ("model.safetensors", bytes)]);
@@ -488,6 +487,18 @@ fn safetensors(bytes: &[u8]) -> bool {
     let kept = ["config.json", "model.safetensors"]
         .map(|name| (model.join(name), fs::read(model.join(name))));
     fs::write(model.join("config.json"), config).expect("a file can be written");
+    write_header(&model.join("model.safetensors"), header);
+    let fits = check(&ModelPlace::Folder(model));
+    for (path, bytes) in kept {
+        fs::write(path, bytes.expect("the model has the file")).expect("a file can be written");
+    }
+    fits
+}
+
+/// Writes a safetensors file with this header, whose weights are zero.
+fn write_header(path: &Path, header: &str) {
+    /// Bytes of a file of weights; it is sparse.
+    const MAX_WEIGHTS: u64 = 1 << 34;
     let head = [&(header.len() as u64).to_le_bytes()[..], header.as_bytes()].concat();
     let ends = header.split("\"data_offsets\"").skip(1).filter_map(|rest| {
         rest.split(']')
@@ -498,17 +509,43 @@ fn safetensors(bytes: &[u8]) -> bool {
             .ok()
     });
     let length = head.len() as u64 + ends.max().unwrap_or(0).min(MAX_WEIGHTS);
-    let mut file =
-        fs::File::create(model.join("model.safetensors")).expect("a file can be written");
+    let mut file = fs::File::create(path).expect("a file can be written");
     file.write_all(&head)
         .and_then(|()| file.set_len(length))
         .expect("a file can be written");
-    drop(file);
-    let fits = check(&ModelPlace::Folder(model));
-    for (path, bytes) in kept {
-        fs::write(path, bytes.expect("the model has the file")).expect("a file can be written");
-    }
-    fits
+}
+
+/// An adapter of a small model: a GGUF file, or a text. A text has the entries of a GGUF file, or
+/// the settings of PEFT, and behind a line of `---` the header of the weights, which are zero.
+fn adapter(bytes: &[u8]) -> bool {
+    let Some(model) = tiny_model() else {
+        return false;
+    };
+    let folder = match as_text(bytes) {
+        None => folder(&[("adapter.gguf", bytes)]),
+        Some(text) if !text.trim_start().starts_with('{') => {
+            folder(&[("adapter.gguf", &formats::gguf(&text))])
+        }
+        Some(text) => {
+            let (settings, header) = parts(&text);
+            let folder = folder(&[("adapter_config.json", settings.as_bytes())]);
+            write_header(&folder.path().join("adapter_model.safetensors"), header);
+            folder
+        }
+    };
+    let file = folder.path().join("adapter.gguf");
+    let place = if file.is_file() {
+        file
+    } else {
+        folder.path().to_owned()
+    };
+    let loading = Loading {
+        adapter: Some(AdapterSpec::new(place)),
+        ..Loading::default()
+    };
+    LocalModel::check(&ModelPlace::Folder(model), &loading)
+        .problems
+        .is_empty()
 }
 
 /// A complete run in which one file, by its place in [`run_folder`], has these bytes.

@@ -1,13 +1,15 @@
 //! Adapters: tensors of few numbers that change a model. They are merged into its weights when it is
 //! loaded, a tensor at a time, so that a family computes as without them.
 //!
-//! A folder of PEFT (`peft`) and a GGUF file of llama.cpp (`gguf`) become changes by the names of the base's tensors (`change`). `target` finds these tensors among the weights
-//! and checks the shapes. `merge` computes a tensor when it is read.
+//! A folder of PEFT (`peft`) and a GGUF file of llama.cpp (`gguf`) become changes by the names of the
+//! base's tensors (`change`). `target` finds these tensors among the weights and checks the shapes.
+//! `merge` computes a tensor when it is read.
 //!
 //! LoRA: Hu et al., arXiv:2106.09685. rsLoRA: Kalajdzievski, arXiv:2312.03732. DoRA: Liu et al.,
 //! arXiv:2402.09353. PiSSA: Meng et al., arXiv:2404.02948. OLoRA: Büyükakyüz, arXiv:2406.01775.
 
 mod change;
+mod fit;
 mod gguf;
 mod initial;
 mod leading;
@@ -22,7 +24,13 @@ mod target;
 mod targeted;
 
 #[cfg(test)]
+mod gguf_tests;
+#[cfg(test)]
 mod hostile_tests;
+#[cfg(test)]
+mod identity_tests;
+#[cfg(test)]
+mod merge_tests;
 #[cfg(test)]
 mod reference_tests;
 #[cfg(test)]
@@ -30,10 +38,9 @@ mod test_adapter;
 
 pub use spec::AdapterSpec;
 pub(crate) use target::BaseModel;
-pub use target::MergedAdapter;
 
 use super::MllmError;
-use super::checkpoint::{TensorSource, Weights};
+use super::checkpoint::{MergedAdapter, TensorSource, Weights};
 use gguf::GgufAdapter;
 use peft::PeftAdapter;
 use source::AdapterFiles;
@@ -42,6 +49,8 @@ use std::sync::Arc;
 
 /// The settings of a PEFT adapter.
 pub(crate) const PEFT_CONFIG: &str = "adapter_config.json";
+/// The tensors of a PEFT adapter.
+const PEFT_WEIGHTS: &str = "adapter_model.safetensors";
 
 /// An adapter whose settings and headers are read, and no weights.
 #[derive(Debug)]
@@ -76,10 +85,15 @@ impl Adapter {
                 files,
             });
         }
-        let folder = if path.is_dir() {
-            path
-        } else {
-            path.parent().unwrap_or(Path::new(""))
+        let folder = match path.file_name() {
+            _ if path.is_dir() => path,
+            Some(name) if name == PEFT_CONFIG || name == PEFT_WEIGHTS => {
+                path.parent().unwrap_or(Path::new(""))
+            }
+            _ => {
+                let problem = "an adapter is a folder of PEFT, or a GGUF file of llama.cpp";
+                return Err(refused(path, problem));
+            }
         };
         let (adapter, files) = PeftAdapter::open(folder, spec.changed_base)?;
         Ok(Self {

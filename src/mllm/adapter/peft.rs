@@ -5,7 +5,7 @@ use super::initial::Initial;
 use super::names::{Name, Role};
 use super::settings::Settings;
 use super::source::AdapterFiles;
-use super::{About, PEFT_CONFIG, refused};
+use super::{About, PEFT_CONFIG, PEFT_WEIGHTS as WEIGHTS, refused};
 use crate::MllmError;
 use crate::checkpoint::{
     BaseTensor, TensorPlace, WeightFile, parse_json, read_text, safetensors_folder::read_header,
@@ -14,7 +14,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-const WEIGHTS: &str = "adapter_model.safetensors";
 /// Weights as Python objects, which may run code.
 const PICKLE: &str = "adapter_model.bin";
 /// The weights of mlx-lm.

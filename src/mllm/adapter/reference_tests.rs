@@ -1,18 +1,18 @@
 //! PEFT's own merged weights and logits: `quantized_reference` in the data folder, which is not part
 //! of the project. `cargo test -p planagent-mllm -- --ignored adapter` runs these.
 
-use super::test_adapter::{identity, merged, names_of_llama};
+use super::test_adapter::{identity, merged, names_of_llama, weights};
 use super::{Adapter, AdapterSpec, BaseModel};
 use crate::checkpoint::{
-    RowOrder, TensorPlace, WeightFormatPlan, Weights, paired, safetensors_folder,
+    ConfigObject, DecoderType, LlamaConfig, Weights, paired, read_json, safetensors_folder,
 };
+use crate::decoder::{Decoder, DecoderInput, LanguageModel, LlamaLayer, Logits};
 use crate::families::Families;
 use crate::family::{Tiles, VisionLanguageModel};
 use crate::llava::{Llava, LlavaConfig};
 use crate::local::test_reference::{LOGIT_TOLERANCE, Reference, difference, logits_in_pieces};
 use crate::source::{Checkpoint, ModelPlace};
 use crate::vision::ClipImageProcessor;
-use candle_core::quantized::GgmlDType;
 use candle_core::{Device, Tensor};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -98,6 +98,44 @@ fn merged_weights_are_those_of_peft() {
     }
 }
 
+/// The logits of a llama with these weights.
+fn logits(mut weights: Weights, folder: &str, ids: &[u32]) -> Tensor {
+    let path = data().join(folder).join("config.json");
+    let json = read_json(&path).unwrap();
+    let root = ConfigObject::root(&path, &json).unwrap();
+    let config = LlamaConfig::read(root, DecoderType::Llama).unwrap();
+    let decoder: Decoder<LlamaLayer> = Decoder::take(&mut weights, &config, "model.").unwrap();
+    let input = DecoderInput {
+        rows: decoder.embed(ids).unwrap(),
+        positions: (0..ids.len() as u32).map(|at| [at; 3]).collect(),
+        vision: 0..0,
+        deep: Vec::new(),
+    };
+    let mut cache = decoder.new_cache(ids.len());
+    let logits = decoder.forward(&input, &mut cache, Logits::All).unwrap();
+    logits.unwrap()
+}
+
+#[test]
+#[ignore = "needs quantized_reference in $PLANAGENT_DATA"]
+fn logits_are_those_of_peft() {
+    for (case, folder) in LLAMA {
+        let mut weights = base(folder, &identity);
+        let adapter = Adapter::open(&AdapterSpec::new(data().join(case))).unwrap();
+        adapter
+            .merge_into(&mut weights, &merged(&identity))
+            .unwrap();
+        let reference = Reference::open(&data().join(case).join("expected.safetensors"));
+        let found = logits(weights, folder, &reference.ids("input_ids", 0));
+        let error = difference(&found, reference.tensor("logits"));
+        assert!(
+            error < LOGIT_TOLERANCE,
+            "{case}: the logits differ by {error}"
+        );
+        println!("{case}: logits {error:e}");
+    }
+}
+
 #[test]
 #[ignore = "needs quantized_reference in $PLANAGENT_DATA"]
 fn weights_of_gpt2_whose_outputs_are_columns_are_those_of_peft() {
@@ -113,22 +151,13 @@ fn weights_of_experts_are_those_of_peft() {
     let stored =
         candle_core::safetensors::load(data().join("base_mixtral/model.safetensors"), &Device::Cpu)
             .unwrap();
-    let mut weights = Weights::empty(Path::new("base_mixtral"), WeightFormatPlan::default());
+    let mut made = Vec::new();
     let mut add = |name: String, tensor: Tensor| {
         let numbers: Vec<f32> = tensor
             .to_dtype(candle_core::DType::F32)
             .and_then(|tensor| tensor.flatten_all()?.to_vec1())
             .unwrap();
-        let place = TensorPlace {
-            format: GgmlDType::F32.into(),
-            shape: tensor.dims().to_vec(),
-            begin: 0,
-            bytes: (numbers.len() * 4) as u64,
-        };
-        let file = weights.add_file(super::test_adapter::in_memory(&numbers));
-        weights
-            .add(name.clone(), file, name, place, RowOrder::Plain)
-            .unwrap();
+        made.push((name, tensor.dims().to_vec(), numbers));
     };
     for layer in 0..2 {
         let expert = |expert: usize, part: &str| {
@@ -145,6 +174,7 @@ fn weights_of_experts_are_those_of_peft() {
         let name = format!("model.layers.{layer}.self_attn.q_proj.weight");
         add(name.clone(), stored[&name].clone());
     }
+    let weights = weights(&made);
     let worst = check("lora_moe", weights, &merged(&identity), &str::to_owned);
     println!("lora_moe: {worst:e}");
 }

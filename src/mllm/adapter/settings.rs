@@ -47,7 +47,7 @@ const WITHOUT_EFFECT: [&str; 22] = [
     "merge_weights",
     "modules_to_save",
     "layers_pattern",
-    "use_qrlora",
+    "layers_to_transform",
 ];
 
 /// Keys that [`Settings::read`] reads.
@@ -231,10 +231,7 @@ fn check_unread(
         if let Some((_, kind)) = REFUSED.iter().find(|(refused, _)| refused == key) {
             return Err(root.error(key, format!("{kind}: not supported")));
         }
-        if WITHOUT_EFFECT.contains(&key.as_str())
-            || READ.contains(&key.as_str())
-            || key == "layers_to_transform"
-        {
+        if WITHOUT_EFFECT.contains(&key.as_str()) || READ.contains(&key.as_str()) {
             continue;
         }
         let key = key.escape_debug().to_string();

@@ -1,16 +1,13 @@
 //! Finds the tensors of the base that an adapter changes.
 
-use super::change::{Change, Entry, Rows, Target, flat};
-use super::initial::Initial;
+use super::change::{Change, Entry, Rows, Target};
 use super::merge::MergedTensor;
 use super::source::AdapterFiles;
 use super::{About, refused};
 use crate::MllmError;
-use crate::checkpoint::{BaseTensor, TensorPlace, TensorSource, Weights};
+use crate::checkpoint::{BaseTensor, MergedAdapter, TensorPlace, TensorSource, Weights};
 use crate::gguf::GgufLayout;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -35,34 +32,6 @@ pub(crate) struct BaseModel<'a> {
     pub heads: [usize; 2],
 }
 
-/// A merged adapter, for reports.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct MergedAdapter {
-    /// Its folder or file.
-    pub path: String,
-    /// `LoRA` or `DoRA`.
-    pub kind: String,
-    /// The model that it was trained for, as it says.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub base: Option<String>,
-    /// Number of the model's tensors that it changes.
-    pub tensors: usize,
-}
-
-impl fmt::Display for MergedAdapter {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            out,
-            "{} ({}, {} tensors",
-            self.path, self.kind, self.tensors
-        )?;
-        if let Some(base) = &self.base {
-            write!(out, ", for {}", base.escape_debug())?;
-        }
-        out.write_str(")")
-    }
-}
-
 /// The changes of each tensor, by canonical names.
 type Changes = BTreeMap<String, Vec<(String, Change)>>;
 
@@ -79,6 +48,8 @@ pub(super) fn merge(
         return Err(refused(path, "it has no tensors"));
     }
     let count = entries.len();
+    let layers = weights.shapes().filter_map(|(name, _)| tower_layer(name));
+    let last = layers.max().map(|last| last.saturating_add(1));
     let (mut changes, mut unmatched, mut beyond) = (Changes::new(), Vec::new(), 0_usize);
     for Entry {
         target,
@@ -94,9 +65,14 @@ pub(super) fn merge(
             .as_deref()
             .map_or_else(Vec::new, |name| places(name, &change, weights));
         if places.is_empty() {
-            match canonical.filter(|name| is_beyond(name, weights)) {
-                Some(_) => beyond += 1,
-                None => unmatched.push(tensor),
+            // Converters to GGUF leave out a last layer that no feature is taken from.
+            if weights.is_gguf()
+                && last.is_some()
+                && canonical.as_deref().and_then(tower_layer) == last
+            {
+                beyond += 1;
+            } else {
+                unmatched.push(tensor);
             }
             continue;
         }
@@ -110,8 +86,14 @@ pub(super) fn merge(
     }
     untie(&changes, about.tied, weights);
     let tensors = changes.len();
+    // All before the first is put: an output layer may be made of an embedding that changes too.
+    let mut prepared = Vec::with_capacity(tensors);
     for (name, changes) in changes {
-        put(path, &name, changes, &about, weights)?;
+        let (base, merged) = prepare(path, &name, changes, &about, weights)?;
+        prepared.push((name, base, merged));
+    }
+    for (name, base, merged) in prepared {
+        weights.put_merged(&name, &base, merged);
     }
     weights.add_file(Shared(files));
     let merged = MergedAdapter {
@@ -211,18 +193,10 @@ fn embedding(weights: &Weights) -> Option<String> {
         .map(str::to_owned)
 }
 
-/// Whether a tensor is of the layer behind the last of the tower: converters to GGUF leave out a
-/// layer that no feature is taken from.
-fn is_beyond(canonical: &str, weights: &Weights) -> bool {
-    let layer = |name: &str| -> Option<usize> {
-        name.strip_prefix(TOWER_LAYERS)?
-            .split('.')
-            .next()?
-            .parse()
-            .ok()
-    };
-    let last = weights.shapes().filter_map(|(name, _)| layer(name)).max();
-    layer(canonical).is_some_and(|layer| last.is_some_and(|last| layer == last + 1))
+/// The layer of a tower that a tensor belongs to.
+fn tower_layer(canonical: &str) -> Option<usize> {
+    let layer = canonical.strip_prefix(TOWER_LAYERS)?.split('.').next()?;
+    layer.parse().ok()
 }
 
 /// Gives the output layer numbers of its own where an adapter changes an embedding that serves as
@@ -242,24 +216,32 @@ fn untie(changes: &Changes, tied: bool, weights: &mut Weights) {
     }
 }
 
-/// Puts one tensor in the place of the base's.
-fn put(
+/// The merged tensor of some changes, with the tensor of the base that it is made of.
+fn prepare(
     path: &Path,
     name: &str,
     mut changes: Vec<(String, Change)>,
     about: &About,
-    weights: &mut Weights,
-) -> Result<(), MllmError> {
+    weights: &Weights,
+) -> Result<(BaseTensor, MergedTensor), MllmError> {
     let tied = embedding(weights).filter(|_| name == OUTPUT);
     let Some(base) = weights.base_tensor(tied.as_deref().unwrap_or(name)) else {
         return Err(refused(path, format!("the model has no tensor {name}")));
     };
     changes.sort_by_key(|(_, change)| change.order());
-    let mut fitting = Vec::with_capacity(changes.len());
+    let mut fitting: Vec<Change> = Vec::with_capacity(changes.len());
     for (tensor, change) in changes {
         let Some(change) = change.fitting(base.shape()) else {
             return Err(unfit(path, &tensor, &base, about));
         };
+        let before = fitting.last();
+        if change.is_whole() && before.is_some_and(|before| before.order() == change.order()) {
+            let problem = format!(
+                "tensor {} changes {name} a second time, perhaps under the names of two layouts",
+                tensor.escape_debug()
+            );
+            return Err(refused(path, problem));
+        }
         fitting.push(change);
     }
     let merged = MergedTensor {
@@ -267,8 +249,7 @@ fn put(
         base: base.clone(),
         changes: fitting,
     };
-    weights.put_merged(name, &base, merged);
-    Ok(())
+    Ok((base, merged))
 }
 
 fn matches_nothing(
@@ -315,107 +296,5 @@ fn wanted(about: &About) -> String {
     match &about.base {
         Some(base) => format!("the adapter is for {}", base.escape_debug()),
         None => "the adapter is for another model".to_owned(),
-    }
-}
-
-impl Change {
-    /// Rows of the adapter's tensor.
-    fn rows_of_source(&self) -> Option<usize> {
-        match self {
-            Self::LowRank(low) => low.left.shape().map(|[rows, _]| rows),
-            other => other.main_tensor().shape().first().copied(),
-        }
-    }
-
-    /// The change for a tensor of this shape; none if it does not fit.
-    fn fitting(self, shape: &[usize]) -> Option<Self> {
-        let columns = flat(shape).map_or(1, |[_, columns]| columns);
-        let height = shape.first().copied()?;
-        let elements = |shape: &[usize]| shape.iter().product::<usize>();
-        let fits = match &self {
-            Self::Replace { tensor, rows, .. } | Self::Add { tensor, rows, .. } => match rows {
-                Rows::All => tensor.shape() == shape,
-                Rows::Part { .. } => {
-                    rows.lie_within(height, tensor.shape())
-                        && elements(tensor.shape()).is_multiple_of(columns)
-                        && elements(tensor.shape()) / columns == tensor.shape().first().copied()?
-                }
-            },
-            Self::Tokens { tensor, indices } => {
-                shape.len() == 2
-                    && tensor.shape() == [indices.len(), columns]
-                    && indices.iter().all(|index| *index < height)
-            }
-            Self::LowRank(low) => {
-                let matrix = flat(shape)?;
-                let (left, right) = (low.left.shape()?, low.right.shape()?);
-                let rows = match low.rows {
-                    Rows::All => left == [matrix[0], low.rank],
-                    part => left[1] == low.rank && part.lie_within(height, &left),
-                };
-                let fits = rows && right == [low.rank, matrix[1]] && low.rank > 0;
-                if !fits && low.flips && low.rows == Rows::All && !low.transposed {
-                    let flipped = Self::LowRank(super::change::LowRank {
-                        flips: false,
-                        ..low.clone()
-                    });
-                    // Of OLoRA only the orientation of linear layers is known.
-                    return match low.initial {
-                        Initial::FirstColumns { .. } => None,
-                        _ => flipped.flipped().fitting(shape),
-                    };
-                }
-                let outputs = if low.transposed { right[1] } else { left[0] };
-                let magnitude = low.magnitude.as_ref();
-                fits && magnitude.is_none_or(|magnitude| elements(magnitude.shape()) == outputs)
-            }
-            Self::Experts(experts) => experts.fit(shape),
-        };
-        fits.then_some(self).map(|change| change.of_axis(shape))
-    }
-
-    /// The same change with the axis of experts that the shape decides.
-    fn of_axis(self, shape: &[usize]) -> Self {
-        match (self, shape) {
-            (Self::Experts(experts), &[_, rows, columns]) if rows != columns => {
-                let older = experts.a.shape().get(1) == Some(&rows);
-                Self::Experts(super::change::Experts { older, ..experts })
-            }
-            (change, _) => change,
-        }
-    }
-}
-
-impl Rows {
-    /// Whether the rows lie within those of both tensors.
-    fn lie_within(self, height: usize, source_shape: &[usize]) -> bool {
-        match self {
-            Self::All => true,
-            Self::Part {
-                source,
-                target,
-                count,
-            } => {
-                let end = |first: usize| first.checked_add(count);
-                end(target).is_some_and(|end| end <= height)
-                    && source_shape
-                        .first()
-                        .is_some_and(|rows| end(source).is_some_and(|end| end <= *rows))
-            }
-        }
-    }
-}
-
-impl super::change::Experts {
-    /// Whether A and B are those of all experts of a parameter, on either axis.
-    fn fit(&self, shape: &[usize]) -> bool {
-        let &[count, rows, columns] = shape else {
-            return false;
-        };
-        let Some(all) = count.checked_mul(self.rank).filter(|all| *all > 0) else {
-            return false;
-        };
-        let fits = |wide, high| self.a.shape() == [all, wide] && self.b.shape() == [high, all];
-        rows > 0 && columns > 0 && (fits(columns, rows) || fits(rows, columns))
     }
 }

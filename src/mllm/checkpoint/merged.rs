@@ -1,10 +1,11 @@
 //! Tensors that are made of stored ones, such as those that an adapter is merged into.
 
+use super::load_report::MergedAdapter;
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{TensorPlace, TensorSource};
+use super::weight_format_plan::FileKind;
 use super::weights::{StoredTensor, Weights};
 use crate::MllmError;
-use crate::adapter::MergedAdapter;
 use candle_core::quantized::GgmlDType;
 use planagent_kernels::matrix::StoredFormat;
 use std::path::Path;
@@ -79,6 +80,11 @@ impl Weights {
             place: stored.place.clone(),
             rows: stored.rows,
         })
+    }
+
+    /// Whether the weights are those of GGUF files.
+    pub(crate) fn is_gguf(&self) -> bool {
+        self.plan.kind == FileKind::Gguf
     }
 
     /// Gives a tensor a second name, under which it is a tensor of its own.

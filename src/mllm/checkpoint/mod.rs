@@ -24,7 +24,7 @@ pub use files::ModelFiles;
 pub use llama_config::LlamaConfig;
 pub(crate) use load_report::any_layer;
 pub use load_report::{
-    LoadReport, WeightFormatException, WeightFormatShare, in_bytes, parameter_count,
+    LoadReport, MergedAdapter, WeightFormatException, WeightFormatShare, in_bytes, parameter_count,
 };
 pub(crate) use merged::BaseTensor;
 pub(crate) use mistaken::what_instead_of_weights;

@@ -25,7 +25,7 @@ pub struct Weights {
     place: PathBuf,
     pub(super) files: Vec<Arc<dyn TensorSource>>,
     pub(super) tensors: BTreeMap<String, StoredTensor>,
-    plan: WeightFormatPlan,
+    pub(super) plan: WeightFormatPlan,
     pub(super) report: LoadReport,
     blake3: String,
     access: TensorAccess,

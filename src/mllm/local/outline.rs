@@ -2,6 +2,7 @@
 
 use super::{MemoryNeed, PictureNeed};
 use crate::MllmError;
+use crate::checkpoint::MergedAdapter;
 use crate::family::ImageSettings;
 use crate::source::Checkpoint;
 use planagent_kernels::matrix::WeightFormat;
@@ -19,6 +20,8 @@ pub struct ModelOutline {
     pub image_tokens: usize,
     /// Longest chat, tokens.
     pub context: usize,
+    /// What is merged into its weights.
+    pub adapter: Option<MergedAdapter>,
     /// The model in each of [`ModelOutline::FORMATS`], as `--quantize` gives it.
     pub formats: Vec<FormatOutline>,
 }
@@ -56,6 +59,7 @@ impl ModelOutline {
         let tokens = model.image_layout(side, side)?.tokens;
         let formats = Self::FORMATS.into_iter().zip(memory);
         Ok(Self {
+            adapter: checkpoint.weights.report().adapter.clone(),
             family: info.architecture,
             parameters: info.parameters,
             image_size: info.image_size,

@@ -401,9 +401,9 @@ impl ModelRegistry {
         export_model(&spec.name, &place, &loading, &added, create, progress)
     }
 
-    /// The settings for a model without a description.
+    /// The settings for a model without a description and an adapter.
     pub fn plain_loading(&self) -> Loading {
-        self.loading.clone()
+        self.of_drafts().loading
     }
 
     /// The settings for a described model.

@@ -34,6 +34,9 @@ pub(super) struct Row {
     pub problem: Option<String>,
     /// Its description: a file, or `built in`.
     pub description: Option<String>,
+    /// What is merged into its weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
     /// Its prompt set.
     pub prompt_set: Option<String>,
     /// Where the templates of its prompt set are: a folder, or `built in`.
@@ -141,6 +144,7 @@ impl Row {
             image_tokens,
             context,
             formats,
+            adapter,
             ..
         } = &outline;
         Self {
@@ -149,6 +153,7 @@ impl Row {
             image_size: Some(*image_size),
             image_tokens: Some(*image_tokens),
             context: Some(*context),
+            adapter: adapter.as_ref().map(ToString::to_string),
             memory: formats
                 .iter()
                 .map(|format| (format.weight_format.name(), format.memory))
