@@ -42,7 +42,7 @@ use tempfile::TempDir;
 pub(crate) type Target = (&'static str, fn(&[u8]) -> bool);
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 23] = [
+pub(crate) const TARGETS: [Target; 24] = [
     ("planner_code", planner_code),
     ("answers", answers),
     ("prompts", prompts),
@@ -57,6 +57,7 @@ pub(crate) const TARGETS: [Target; 23] = [
     ("gguf", gguf),
     ("safetensors", safetensors),
     ("adapter", adapter),
+    ("quantized_folder", quantized_folder),
     ("run_folder", run_folder),
     ("run_manifest", |bytes| run_record(0, bytes)),
     ("run_record", |bytes| run_record(1, bytes)),
@@ -475,30 +476,73 @@ fn gguf(bytes: &[u8]) -> bool {
 /// A text has a configuration, and behind a line of `---` the header of the weights, which are
 /// zero.
 fn safetensors(bytes: &[u8]) -> bool {
+    /// Bytes of a file of weights; it is sparse.
+    const MAX_WEIGHTS: u64 = 1 << 34;
     let Some(written) = as_text(bytes) else {
         let config = br#"{"model_type": "llava"}"#;
         let folder = folder(&[("config.json", config), ("model.safetensors", bytes)]);
         return check(&ModelPlace::Folder(folder.path().to_owned()));
     };
-    let (config, header) = parts(&written);
+    with_weights(&written, MAX_WEIGHTS, &[], |model| {
+        check(&ModelPlace::Folder(model.to_owned()))
+    })
+}
+
+/// The tiny model with packed layers. A text is as that of [`safetensors`]; behind a further line
+/// of `---` are pieces of the weights: an offset, and bytes as hexadecimal digits or, behind `"`,
+/// as text. All other bytes are `0x3c`, so that no scale is zero.
+fn quantized_folder(bytes: &[u8]) -> bool {
+    /// Bytes of a file of weights.
+    const MAX_WEIGHTS: u64 = 1 << 20;
+    let Some(written) = as_text(bytes) else {
+        return false;
+    };
+    let (head, pieces) = match written.rsplit_once("\n---\n") {
+        Some((head, pieces)) if head.contains("\n---\n") => (head, pieces),
+        _ => (written.as_str(), ""),
+    };
+    let piece = |line: &str| {
+        let (offset, piece) = line.split_once(' ')?;
+        let bytes = match piece.strip_prefix('"') {
+            Some(text) => text.as_bytes().to_vec(),
+            None => (0..piece.len() / 2)
+                .filter_map(|at| u8::from_str_radix(piece.get(2 * at..2 * at + 2)?, 16).ok())
+                .collect(),
+        };
+        Some((offset.parse().ok()?, bytes))
+    };
+    let pieces: Vec<(u64, Vec<u8>)> = pieces.lines().filter_map(piece).collect();
+    with_weights(head, MAX_WEIGHTS, &pieces, |model| {
+        let place = ModelPlace::Folder(model.to_owned());
+        check(&place) && LocalModel::load("packed", &place, &Loading::default()).is_ok()
+    })
+}
+
+/// Runs `use_model` with the tiny model, whose configuration and header of weights are those of a
+/// text. `pieces` of the weights are set; where there are some, the others are `0x3c`, else zero.
+fn with_weights(
+    written: &str,
+    most: u64,
+    pieces: &[(u64, Vec<u8>)],
+    use_model: impl Fn(&Path) -> bool,
+) -> bool {
+    let (config, header) = parts(written);
     let Some(model) = tiny_model() else {
         return false;
     };
     let kept = ["config.json", "model.safetensors"]
         .map(|name| (model.join(name), fs::read(model.join(name))));
     fs::write(model.join("config.json"), config).expect("a file can be written");
-    write_header(&model.join("model.safetensors"), header);
-    let fits = check(&ModelPlace::Folder(model));
+    write_weights(&model.join("model.safetensors"), header, most, pieces);
+    let fits = use_model(&model);
     for (path, bytes) in kept {
         fs::write(path, bytes.expect("the model has the file")).expect("a file can be written");
     }
     fits
 }
 
-/// Writes a safetensors file with this header, whose weights are zero.
-fn write_header(path: &Path, header: &str) {
-    /// Bytes of a file of weights; it is sparse.
-    const MAX_WEIGHTS: u64 = 1 << 34;
+/// Writes a safetensors file of at most `most` bytes of weights with this header.
+fn write_weights(path: &Path, header: &str, most: u64, pieces: &[(u64, Vec<u8>)]) {
     let head = [&(header.len() as u64).to_le_bytes()[..], header.as_bytes()].concat();
     let ends = header.split("\"data_offsets\"").skip(1).filter_map(|rest| {
         rest.split(']')
@@ -508,16 +552,27 @@ fn write_header(path: &Path, header: &str) {
             .parse::<u64>()
             .ok()
     });
-    let length = head.len() as u64 + ends.max().unwrap_or(0).min(MAX_WEIGHTS);
+    let weights = ends.max().unwrap_or(0).min(most);
     let mut file = fs::File::create(path).expect("a file can be written");
-    file.write_all(&head)
-        .and_then(|()| file.set_len(length))
-        .expect("a file can be written");
+    let written = if pieces.is_empty() {
+        let length = head.len() as u64 + weights;
+        file.write_all(&head).and_then(|()| file.set_len(length))
+    } else {
+        let mut data = vec![0x3c; weights as usize];
+        for (offset, piece) in pieces {
+            let places = data.iter_mut().skip(*offset as usize);
+            places.zip(piece).for_each(|(place, byte)| *place = *byte);
+        }
+        file.write_all(&[head, data].concat())
+    };
+    written.expect("a file can be written");
 }
 
 /// An adapter of a small model: a GGUF file, or a text. A text has the entries of a GGUF file, or
 /// the settings of PEFT, and behind a line of `---` the header of the weights, which are zero.
 fn adapter(bytes: &[u8]) -> bool {
+    /// Bytes of a file of weights; it is sparse.
+    const MAX_WEIGHTS: u64 = 1 << 34;
     let Some(model) = tiny_model() else {
         return false;
     };
@@ -529,7 +584,8 @@ fn adapter(bytes: &[u8]) -> bool {
         Some(text) => {
             let (settings, header) = parts(&text);
             let folder = folder(&[("adapter_config.json", settings.as_bytes())]);
-            write_header(&folder.path().join("adapter_model.safetensors"), header);
+            let weights = folder.path().join("adapter_model.safetensors");
+            write_weights(&weights, header, MAX_WEIGHTS, &[]);
             folder
         }
     };

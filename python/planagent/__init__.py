@@ -7,7 +7,7 @@ True
 """
 
 from ._arrays import KINDS
-from ._core import __version__, threads
+from ._core import __version__
 from ._models import Answer, Model
 from ._observation import EgoState, Lane, Observation, Sample, Trajectory, TrajectoryScores
 from ._planners import Agent, Planner, planners
@@ -16,7 +16,7 @@ from ._results import Results, Table
 from ._runs import merge, open_run, resume, shard_of_environment, simulate
 from ._scenario import Scenario, find, open, scenario_types
 from ._simulation import Score, Simulation
-from ._threads import set_threads
+from ._threads import set_threads, threads
 from .errors import PlanAgentError
 
 __all__ = [

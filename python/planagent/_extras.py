@@ -9,6 +9,8 @@ from .errors import MissingPackageError
 
 #: Packages by the extra of planagent that installs them.
 EXTRAS = {"gymnasium": "gymnasium", "matplotlib": "plot", "pandas": "pandas", "pyarrow": "pandas", "ray": "ray"}
+#: How to install what pip does not find.
+NOT_ON_AN_INDEX = {"nuplan": "install nuplan-devkit from its sources, then pip install 'planagent[nuplan]'"}
 
 
 def installed(module: str, needed_by: str) -> Any:
@@ -21,5 +23,5 @@ def installed(module: str, needed_by: str) -> Any:
         if error.name is not None and error.name.partition(".")[0] != package:
             raise
         extra = EXTRAS.get(package)
-        how = f"pip install 'planagent[{extra}]'" if extra else f"pip install {package}"
+        how = NOT_ON_AN_INDEX.get(package) or f"pip install 'planagent[{extra}]'" if extra else f"pip install {package}"
         raise MissingPackageError(f"{needed_by} needs {package}, which is not installed: {how}", name=package) from None

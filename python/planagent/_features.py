@@ -23,6 +23,12 @@ class Feature(NamedTuple):
         The unit after scaling; empty for a share, a cosine or a truth value.
     scale : float
         What the number is multiplied by to have its unit.
+
+    Examples
+    --------
+    >>> import planagent.envs
+    >>> len(planagent.envs.FEATURES), planagent.envs.FEATURES[0].name
+    (97, 'ego_speed')
     """
 
     name: str

@@ -34,6 +34,14 @@ class Answer:
         Numbers of tokens: `text`, `image` and `cached` of the prompt, `sampled` and `fast_forwarded` of the answer.
     milliseconds : dict
         Wall times of the parts, `total` among them.
+
+    Examples
+    --------
+    >>> import planagent
+    >>> observation = planagent.open("generated/changing_lane/2").observe()
+    >>> answer = planagent.Model("nano").ask(observation.image(), "Which lane?", choices=["left", "right"])
+    >>> answer.finish, str(answer) == answer.text, answer.milliseconds["total"] > 0
+    ('complete', True, True)
     """
 
     text: str
@@ -107,7 +115,14 @@ class Model:
         return about
 
     def count_tokens(self, text: str) -> int | None:
-        """Number of tokens of a text; `None` for a model behind a server."""
+        """Number of tokens of a text; `None` for a model behind a server.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> planagent.Model("nano").count_tokens("Which lane is free?") > 3
+        True
+        """
         return self._native.count_tokens(arguments.text("text", text))
 
     def ask(
@@ -140,6 +155,13 @@ class Model:
             Time for the answer, seconds.
         seed
             Seed of samples; that of the settings by default.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> observation = planagent.open("generated/changing_lane/2").observe()
+        >>> planagent.Model("nano").ask(observation.image(), "How many?", regex="[0-9]").text.isdigit()
+        True
         """
         picture = None
         if image is not None:

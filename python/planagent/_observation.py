@@ -37,6 +37,13 @@ class EgoState(NamedTuple):
         Of the front wheels, radians and rad/s.
     angular_velocity, angular_acceleration : float
         Yaw rate and its derivative, rad/s and rad/s².
+
+    Examples
+    --------
+    >>> import planagent
+    >>> ego = planagent.open("generated/changing_lane/2").observe().ego
+    >>> ego.pose.shape, ego.speed == abs(complex(ego.vx, ego.vy))
+    ((3,), True)
     """
 
     time_us: int
@@ -68,7 +75,15 @@ class EgoState(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """The ego and the objects at an instant of the past."""
+    """The ego and the objects at an instant of the past.
+
+    Examples
+    --------
+    >>> import planagent
+    >>> observation = planagent.open("generated/changing_lane/2").observe()
+    >>> observation.history[-1].ego == observation.ego
+    True
+    """
 
     ego: EgoState
     objects: NDArray[np.void]
@@ -88,6 +103,13 @@ class Lane:
         m/s.
     on_route : bool
         Whether it belongs to the route of the ego.
+
+    Examples
+    --------
+    >>> import planagent
+    >>> lane = planagent.open("generated/changing_lane/2").lanes()[0]
+    >>> lane.id, lane.connector, lane.centerline.shape[1]
+    (0, False, 2)
     """
 
     id: int
@@ -168,7 +190,14 @@ class Trajectory:
         return self.states[:, :3]
 
     def at(self, time_us: int) -> NDArray[np.float64]:
-        """The interpolated pose at a time in microseconds."""
+        """The interpolated pose at a time in microseconds.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> planagent.Trajectory([[0, 0, 0], [2, 0, 0]], [0, 200_000]).at(100_000)
+        array([1., 0., 0.])
+        """
         pose: NDArray[np.float64] = _arrays.unpacked(self._native.at(int(time_us)), 3)[0].copy()
         return pose
 
@@ -191,6 +220,14 @@ class TrajectoryScores:
         Weight 2: 1 where all comfort bounds hold.
     progress_m : numpy.ndarray
         Progress along the centerline, meters.
+
+    Examples
+    --------
+    >>> import planagent
+    >>> observation = planagent.open("generated/changing_lane/2").observe()
+    >>> scores = observation.score(observation.code().poses[None, 1:41])
+    >>> scores.score.shape, scores.no_collision
+    ((1,), array([1.]))
     """
 
     score: NDArray[np.float64]
@@ -294,6 +331,13 @@ class Observation:
         ----------
         within_m
             Half the side of a square around the ego, meters; `None` for the whole map.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> observation = planagent.open("generated/changing_lane/2").observe()
+        >>> len(observation.lanes(20.0)) < len(observation.lanes(None))
+        True
         """
         if within_m is not None:
             try:
@@ -310,6 +354,13 @@ class Observation:
         -------
         numpy.ndarray
             Height x width x 3 numbers of type uint8.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> observation = planagent.open("generated/changing_lane/2").observe()
+        >>> observation.image(pixels=64, meters=32.0).shape
+        (64, 64, 3)
         """
         pixels, meters = whole("pixels", pixels, 1, MAX_PIXELS), real("meters", meters, 0.0, above=True)
         return _arrays.image(self._native.image(pixels, meters))
@@ -330,6 +381,13 @@ class Observation:
         -------
         numpy.ndarray
             Height x width x 3 numbers of type uint8.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> observation = planagent.open("generated/changing_lane/2").observe()
+        >>> observation.render(pixels=200, plan=observation.code()).dtype
+        dtype('uint8')
         """
         native = None if plan is None else self.trajectory(plan)._native
         pixels, meters = whole("pixels", pixels, 1, MAX_PIXELS), real("meters", meters, 0.0, above=True)
@@ -342,11 +400,26 @@ class Observation:
         ----------
         form
             `paper`, in short English lines, or `compact-2`, as `nano` reads it.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> observation = planagent.open("generated/changing_lane/2").observe()
+        >>> "Ego: " in observation.lane_graph()
+        True
         """
         return self._native.lane_graph(text("form", form))
 
     def centerlines(self) -> list[str]:
-        """The centerlines that a planner code may follow, `ego_lane` first."""
+        """The centerlines that a planner code may follow, `ego_lane` first.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> observation = planagent.open("generated/changing_lane/2").observe()
+        >>> observation.centerlines()[0]
+        'ego_lane'
+        """
         return self._native.centerlines()
 
     def code(
@@ -365,6 +438,13 @@ class Observation:
             Desired speed as a share of the speed limit.
         accelerations
             Maximum acceleration and deceleration, m/s².
+
+        Examples
+        --------
+        >>> import planagent
+        >>> observation = planagent.open("generated/changing_lane/2").observe()
+        >>> observation.code(speed=0.0, accelerations=(1.0, 2.0))
+        Trajectory(81 states over 8 s)
         """
         try:
             fastest, hardest = accelerations
@@ -383,6 +463,13 @@ class Observation:
             `Trajectory` is returned as it is.
         dt
             Seconds between two poses.
+
+        Examples
+        --------
+        >>> import numpy as np, planagent
+        >>> observation = planagent.open("generated/changing_lane/2").observe()
+        >>> observation.trajectory(np.tile(observation.ego.pose, (40, 1)))
+        Trajectory(41 states over 4 s)
         """
         if isinstance(plan, Trajectory):
             return plan

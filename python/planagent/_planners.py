@@ -49,7 +49,17 @@ class Planner(Protocol):
     """
 
     def plan(self, observation: Observation) -> Trajectory | ArrayLike:
-        """The trajectory from now on: a `Trajectory`, or poses as `Simulation.step` takes them."""
+        """The trajectory from now on: a `Trajectory`, or poses as `Simulation.step` takes them.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> class Slow:
+        ...     def plan(self, observation):
+        ...         return observation.code(speed=0.5)
+        >>> isinstance(Slow(), planagent.Planner)
+        True
+        """
         ...
 
 
@@ -326,11 +336,29 @@ class Agent:
         return self._native.name
 
     def reset(self) -> None:
-        """Discards all state."""
+        """Discards all state.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> agent = planagent.Agent(planner="idm")
+        >>> plan = agent.plan(planagent.open("generated/changing_lane/2").observe())
+        >>> agent.reset()
+        >>> agent.calls
+        []
+        """
         self._native.reset()
 
     def plan(self, observation: Observation) -> Trajectory:
-        """The trajectory from an observation on. Call it at growing times."""
+        """The trajectory from an observation on. Call it at growing times.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> observation = planagent.open("generated/changing_lane/2").observe()
+        >>> planagent.Agent(planner="pdm-closed").plan(observation)
+        Trajectory(81 states over 8 s)
+        """
         return Trajectory._of(self._native.plan(native_observation(observation)))
 
     @property

@@ -26,6 +26,14 @@ class Progress:
         Steps of 0.1 s that all simulations made.
     notes : list of str
         What the user should know; each comes once.
+
+    Examples
+    --------
+    >>> import planagent
+    >>> seen = []
+    >>> results = planagent.simulate("generated/changing_lane/2", "idm", progress=seen.append)
+    >>> seen[-1].done, seen[-1].total, seen[-1].failed
+    (1, 1, 0)
     """
 
     done: int

@@ -67,7 +67,15 @@ class Table:
         return iter(self.rows())
 
     def rows(self) -> list[dict[str, Any]]:
-        """The rows as dictionaries."""
+        """The rows as dictionaries.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> table = planagent.simulate("generated/changing_lane/2", "idm").table()
+        >>> table.rows()[0]["planner"]
+        'idm'
+        """
         columns = self.to_dict()
         return [dict(zip(columns, values)) for values in zip(*columns.values())]
 
@@ -84,7 +92,15 @@ class Table:
         return self._native.columns
 
     def to_dict(self) -> dict[str, list[Any]]:
-        """The columns as lists; a missing value is `None`."""
+        """The columns as lists; a missing value is `None`.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> table = planagent.simulate("generated/changing_lane/2", "idm").table()
+        >>> table.to_dict()["challenge"]
+        ['nonreactive']
+        """
         return self._native.to_dict()
 
     def __arrow_c_schema__(self) -> Any:
@@ -96,11 +112,27 @@ class Table:
         return self._native.__arrow_c_stream__(requested_schema)
 
     def to_pyarrow(self) -> pyarrow.Table:
-        """The table of pyarrow, which must be installed."""
+        """The table of pyarrow, which must be installed.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> table = planagent.simulate("generated/changing_lane/2", "idm").table()
+        >>> table.to_pyarrow().num_rows
+        1
+        """
         return installed("pyarrow", "Table.to_pyarrow").table(self)
 
     def to_pandas(self) -> pandas.DataFrame:
-        """The frame of pandas, which must be installed. Numbers and counts have numeric types, also without any value."""
+        """The frame of pandas, which must be installed. Numbers and counts have numeric types, also without any value.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> table = planagent.simulate("generated/changing_lane/2", "idm").table()
+        >>> table.to_pandas()["score"].dtype
+        dtype('float64')
+        """
         pandas = installed("pandas", "Table.to_pandas")
         kinds = {"number": "float64", "count": "int64", "truth": "object", "text": "object"}
         return pandas.DataFrame(
@@ -114,6 +146,13 @@ class Table:
         """Writes the table as CSV; a missing value is an empty cell.
 
         A text that a spreadsheet would compute begins with an apostrophe, as in the CSV of `planagent simulate`.
+
+        Examples
+        --------
+        >>> import os, planagent, tempfile
+        >>> table = planagent.simulate("generated/changing_lane/2", "idm").table()
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     table.to_csv(os.path.join(folder, "results.csv"))
         """
         columns = self.to_dict()
         with open(path("file", file), "w", newline="", encoding="utf-8") as out:
@@ -254,6 +293,12 @@ class Results:
         """A row for each simulation: its score, the scores of the metrics, its error, and how it was planned.
 
         The columns are those of `planagent simulate --csv`, with `scenario`, the name that `open` takes, and `seconds` beside them.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> planagent.simulate("generated/changing_lane/2", ["idm", "simple"]).table()["planner"]
+        ['idm', 'simple']
         """
         return Table._of(self._native.table())
 
@@ -307,7 +352,13 @@ class Results:
         return {key: mean.score for key, mean in means.items() if mean.score is not None}
 
     def warn(self) -> None:
-        """Warns of simulations that failed."""
+        """Warns of simulations that failed.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> planagent.simulate("generated/changing_lane/2", "idm").warn()
+        """
         failures = self.failures
         if failures:
             _warn(f"{self._said()}; the first: {failures[0].scenario} by {failures[0].planner}: {failures[0].error}. See Results.failures")
@@ -330,7 +381,15 @@ class Results:
         return place
 
     def plot(self, axes: Any = None) -> Any:
-        """Draws the mean score of each planner in each challenge as bars with matplotlib, which must be installed; gives the axes."""
+        """Draws the mean score of each planner in each challenge as bars with matplotlib, which must be installed; gives the axes.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> results = planagent.simulate("generated/changing_lane/2", ["idm", "simple"])
+        >>> results.plot().get_ylabel()  # doctest: +SKIP
+        'mean score'
+        """
         if axes is None:
             axes = installed("matplotlib.pyplot", "Results.plot").subplots()[1]
         means = self.means()

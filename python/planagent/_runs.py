@@ -262,7 +262,19 @@ def _existing(folder: Any, argument: str = "out") -> str:
 
 
 def merge(runs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], out: str | os.PathLike[str]) -> Results:
-    """Merges the shards of a run into a new folder, which is that of a run without shards."""
+    """Merges the shards of a run into a new folder, which is that of a run without shards.
+
+    Examples
+    --------
+    >>> import os, planagent, tempfile
+    >>> scenarios = ["generated/changing_lane/2", "generated/changing_lane/3"]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     parts = [os.path.join(folder, name) for name in ("first", "second")]
+    ...     for number, part in enumerate(parts, 1):
+    ...         results = planagent.simulate(scenarios, "idm", shard=f"{number}/2", out=part)
+    ...     len(planagent.merge(parts, os.path.join(folder, "all")))
+    2
+    """
     folders = [path("runs", run) for run in many("runs", runs, (str, os.PathLike), "the folder of a run")]
     merged = Results(_core.merge(folders, path("out", out)), is_kept=True)
     merged.warn()

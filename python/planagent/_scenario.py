@@ -23,6 +23,13 @@ class Scenario:
     """A recorded or generated scenario: map, logged agents, traffic lights, route and expert.
 
     `open` gives one by name, `Scenario.of_tables` one from tables of your own. It pickles by its name.
+
+    Examples
+    --------
+    >>> import planagent
+    >>> scenario = planagent.open("generated/changing_lane/2")
+    >>> scenario.id, scenario.log_name, scenario.expert.shape
+    ('generated/changing_lane/2', 'generated-2', (151, 7))
     """
 
     __slots__ = ("_made_of", "_native")
@@ -81,15 +88,36 @@ class Scenario:
         return _arrays.unpacked(data, 11)[:, :7].copy()
 
     def lanes(self) -> list[Lane]:
-        """All lanes of the map; the n-th has the number n."""
+        """All lanes of the map; the n-th has the number n.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> any(lane.on_route for lane in planagent.open("generated/changing_lane/2").lanes())
+        True
+        """
         return [Lane._of(lane) for lane in self._native.lanes()]
 
     def observe(self, iteration: int = 0) -> Observation:
-        """The recorded scene of an iteration."""
+        """The recorded scene of an iteration.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> planagent.open("generated/changing_lane/2").observe(20).time_s
+        2.0
+        """
         return Observation._of(self._native.observe(whole("iteration", iteration, 0, self.iterations - 1)))
 
     def simulation(self, challenge: str = "nonreactive") -> Simulation:
-        """A simulation of this scenario; see `Simulation`."""
+        """A simulation of this scenario; see `Simulation`.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> planagent.open("generated/changing_lane/2").simulation("reactive")
+        Simulation('generated/changing_lane/2', 'reactive', iteration=0 of 150)
+        """
         from ._simulation import Simulation
 
         return Simulation(self, challenge)
@@ -108,6 +136,15 @@ class Scenario:
         -------
         tuple of str
             The folders that `NUPLAN_DATA_ROOT` and `NUPLAN_MAPS_ROOT` shall name.
+
+        Examples
+        --------
+        >>> import os, planagent, tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     scenario = planagent.open("generated/changing_lane/2")
+        ...     data, maps = scenario.export_nuplan(os.path.join(folder, "nuplan"), stand_in_maps=False)
+        ...     os.path.basename(data), os.path.basename(maps)
+        ('data', 'maps')
         """
         data, maps = self._native.export_nuplan(path("folder", folder), truth("stand_in_maps", stand_in_maps))
         return os.fspath(data), os.fspath(maps)

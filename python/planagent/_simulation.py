@@ -34,6 +34,13 @@ class Score:
         The same names to `multiplier` or `weight W`.
     metrics : dict
         All metrics to their scores; `None` for one that has none.
+
+    Examples
+    --------
+    >>> import planagent
+    >>> score = planagent.Simulation("generated/changing_lane/2").run("pdm-closed").score()
+    >>> float(score) == score.value, score.roles["no_ego_at_fault_collisions"]
+    (True, 'multiplier')
     """
 
     value: float
@@ -100,12 +107,27 @@ class Simulation:
         return self._native.is_over
 
     def reset(self) -> Observation:
-        """Starts again at iteration 0."""
+        """Starts again at iteration 0.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> simulation = planagent.Simulation("generated/changing_lane/2").run("idm", steps=3)
+        >>> simulation.reset().iteration
+        0
+        """
         self._native.reset()
         return self.observe()
 
     def observe(self) -> Observation:
-        """What a planner sees now."""
+        """What a planner sees now.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> planagent.Simulation("generated/changing_lane/2").run("idm", steps=3).observe().iteration
+        3
+        """
         return Observation._of(self._native.observe())
 
     def step(self, plan: Trajectory | ArrayLike, dt: float = 0.1) -> Observation:
@@ -123,6 +145,14 @@ class Simulation:
         ------
         SimulationError
             Where the simulation is over or the trajectory cannot be tracked.
+
+        Examples
+        --------
+        >>> import numpy as np, planagent
+        >>> simulation = planagent.Simulation("generated/changing_lane/2")
+        >>> stop = np.tile(simulation.observe().ego.pose, (40, 1))
+        >>> simulation.step(stop).iteration
+        1
         """
         if isinstance(plan, Trajectory):
             self._native.step(plan._native)
@@ -131,7 +161,16 @@ class Simulation:
         return self.observe()
 
     def clone(self) -> Simulation:
-        """A copy in the same state, to try several plans from one state."""
+        """A copy in the same state, to try several plans from one state.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> simulation = planagent.Simulation("generated/changing_lane/2").run("idm", steps=3)
+        >>> other = simulation.clone().run("idm", steps=1)
+        >>> simulation.iteration, other.iteration
+        (3, 4)
+        """
         made = Simulation.__new__(Simulation)
         made.scenario, made._native = self.scenario, self._native.duplicate()
         return made
@@ -177,7 +216,14 @@ class Simulation:
         return self
 
     def score(self) -> Score:
-        """nuPlan's score; the simulation must be over."""
+        """nuPlan's score; the simulation must be over.
+
+        Examples
+        --------
+        >>> import planagent
+        >>> planagent.Simulation("generated/changing_lane/2").run("log-replay").score().value > 0.5
+        True
+        """
         value, multiplier, average, parts, metrics = self._native.score()
         return Score(
             value,

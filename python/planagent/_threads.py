@@ -131,6 +131,18 @@ def serve(run: _core.Run, seat: int, planners: Sequence[Callable[[], Bound]], tr
     thread.serve(_Serving(run, seat, planners, tracebacks))
 
 
+def threads() -> int:
+    """Number of threads that simulations and models use.
+
+    Examples
+    --------
+    >>> import planagent
+    >>> planagent.threads() >= 1
+    True
+    """
+    return _core.threads()
+
+
 def set_threads(count: int | None = None) -> None:
     """Sets the number of threads; `None` restores the default. Work in progress keeps the old ones.
 

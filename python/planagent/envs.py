@@ -265,6 +265,16 @@ class TrajectoryEnv(_Env):
         Steps of 0.1 s for each action.
     render_mode
         `rgb_array` or `None`.
+
+    Examples
+    --------
+    >>> import numpy as np, planagent.envs
+    >>> environment = planagent.envs.TrajectoryEnv("generated/changing_lane/2")
+    >>> observation, info = environment.reset(seed=0)
+    >>> ahead = np.column_stack([10 * 0.5 * np.arange(1, 9), np.zeros(8), np.zeros(8)])
+    >>> observation, reward, terminated, truncated, info = environment.step(ahead)
+    >>> info["iteration"], terminated
+    (1, False)
     """
 
     def __init__(
@@ -383,7 +393,17 @@ class TrajectoryVectorEnv(_VectorEnv):
 
 
 class CodeVectorEnv(_VectorEnv):
-    """`CodeEnv` for many episodes at once."""
+    """`CodeEnv` for many episodes at once.
+
+    Examples
+    --------
+    >>> import numpy as np, planagent.envs
+    >>> environments = planagent.envs.CodeVectorEnv(2, "generated/changing_lane/2", actions="multi")
+    >>> observations, infos = environments.reset(seed=0)
+    >>> observations, rewards, terminated, truncated, infos = environments.step(np.array([[0, 10, 0], [0, 0, 0]]))
+    >>> bool(infos["speed"][0] > infos["speed"][1])
+    True
+    """
 
     def __init__(
         self,
@@ -401,7 +421,15 @@ class CodeVectorEnv(_VectorEnv):
 
 
 def register() -> None:
-    """Registers the environments, as the import of this module does."""
+    """Registers the environments, as the import of this module does.
+
+    Examples
+    --------
+    >>> import gymnasium, planagent.envs
+    >>> planagent.envs.register()
+    >>> "planagent/Code-v0" in gymnasium.registry
+    True
+    """
     for name, single, vector in (
         ("planagent/Trajectory-v0", "TrajectoryEnv", "TrajectoryVectorEnv"),
         ("planagent/Code-v0", "CodeEnv", "CodeVectorEnv"),

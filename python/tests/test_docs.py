@@ -1,8 +1,12 @@
 """The examples of docs/python.md run, in their order."""
 
+import inspect
 import re
+import subprocess
+import sys
 from pathlib import Path
 
+import planagent
 import pytest
 
 PAGE = Path(__file__).parents[2] / "docs" / "python.md"
@@ -22,3 +26,51 @@ def test_the_examples_of_the_page_run(capsys):
         (planner, challenge) for planner in ("pdm-closed", "straight") for challenge in ("nonreactive", "reactive")
     }
     assert "Ego: " in capsys.readouterr().out
+
+
+def documented(module):
+    """The public classes, functions and methods of a module with their names."""
+    for name in module.__all__:
+        value = getattr(module, name)
+        if not callable(value):
+            continue
+        yield f"{module.__name__}.{name}", value
+        if not inspect.isclass(value):
+            continue
+        for member, method in vars(value).items():
+            method = getattr(method, "__func__", method)
+            if not member.startswith("_") and inspect.isfunction(method):
+                yield f"{module.__name__}.{name}.{member}", method
+
+
+def test_each_public_function_has_an_example():
+    pytest.importorskip("gymnasium")
+    import planagent.envs
+
+    without = [
+        name
+        for module in (planagent, planagent.envs)
+        for name, value in documented(module)
+        # Exceptions are raised, and environments of gymnasium have its methods.
+        if not (inspect.isclass(value) and issubclass(value, BaseException)) and ">>>" not in (inspect.getdoc(value) or "")
+    ]
+    assert without == []
+
+
+@pytest.mark.parametrize("module", ["planagent.ray", "planagent.envs", "planagent.nuplan"])
+def test_a_missing_package_is_named_with_what_to_do(module):
+    code = f"""
+import importlib.abc, sys
+class Missing(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.split('.')[0] in ('ray', 'gymnasium', 'nuplan'):
+            raise ModuleNotFoundError(f'no module {{name}}', name=name)
+sys.meta_path.insert(0, Missing())
+import planagent
+try:
+    import {module}
+except planagent.errors.MissingPackageError as error:
+    print(error)
+"""
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.startswith(f"{module} needs ") and "install" in said, said

@@ -329,7 +329,7 @@ pub enum FinishReason {
 pub struct Mark(pub(super) usize);
 
 /// Identity and size of a model.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelDescription {
     /// The name in results.
     pub name: String,

@@ -74,13 +74,20 @@ pub enum MllmError {
         found: Vec<usize>,
     },
     #[error(
-        "{path}: tensor {name} has number format {found}; f32, f16 and bf16 are read from safetensors: take the model's \
-         original repository (--quantize makes it small), or a GGUF file"
+        "{path}: tensor {name} has number format {found}; f32, f16 and bf16 are read from safetensors, others where \
+         a quantization_config describes them: take the model's original repository (--quantize makes it small), or a GGUF file"
     )]
     TensorType {
         path: PathBuf,
         name: String,
         found: String,
+    },
+    /// A tensor or a layer of a quantizer's folder.
+    #[error("{path}: {name}: {problem}")]
+    PackedTensor {
+        path: PathBuf,
+        name: String,
+        problem: String,
     },
     #[error(
         "{path}: tensor {name} has number format {format}, which is not read; take a file of the same model in Q4_K_M, \

@@ -40,11 +40,10 @@ pub use recording::error::{FileError, FilePlace, RecordingFault};
 pub use registry::{RECORDINGS, Readers};
 pub use split::{ExcludedToken, MissingTokens, Split};
 
-/// The scenario that commands take where none is named: cones close the ego's lane, and the agent has
-/// to leave it in time. Planner codes decide the score, so a model that reads the scene is clearly
+/// The scenario that commands take where none is named: a person steps out, and the agent has to
+/// leave the lane in time. Planner codes decide the score, so a model that reads the scene is clearly
 /// better than one that does not (docs/decisions/127-default-scene.md).
-pub const DEFAULT_SCENARIO: &str =
-    "generated/near_multiple_vehicles/2~approaching_construction_zone";
+pub const DEFAULT_SCENARIO: &str = "generated/traversing_intersection/2~jaywalking_pedestrian";
 
 /// nuPlan's type of a scenario without a tag (devkit `DEFAULT_SCENARIO_NAME`).
 pub const UNKNOWN_TYPE: &str = "unknown";

@@ -48,7 +48,13 @@ fn pointers_of_git_lfs_are_recognized() {
 fn weights_that_are_not_read_are_named_with_what_to_take() {
     let quantized = Copy::new();
     quantized.edit("config.json", |config| {
-        config["quantization_config"] = json!({"quant_method": "awq", "bits": 4});
+        config["quantization_config"] = json!({"quant_method": "hqq", "bits": 4});
+    });
+    quantized.edit_tensors(|tensors| {
+        let gate = tensors
+            .get_mut("language_model.model.layers.1.mlp.gate_proj.weight")
+            .unwrap();
+        gate.0 = Dtype::I32;
     });
     let error = quantized.error().to_string();
     assert!(

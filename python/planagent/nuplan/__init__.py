@@ -4,7 +4,10 @@ This package needs nuplan-devkit. Its hydra configurations are found with
 `hydra.searchpath=[pkg://planagent.nuplan.config]`: `planner=plan_agent`, `planner=pdm_closed_rust`, `planner=idm_rust`.
 """
 
-from ._adapter import adapted
-from ._planner import PlanAgentPlanner
+from .._extras import installed
+
+installed("nuplan", "planagent.nuplan")
+from ._adapter import adapted  # noqa: E402
+from ._planner import PlanAgentPlanner  # noqa: E402
 
 __all__ = ["PlanAgentPlanner", "adapted"]

@@ -8,7 +8,8 @@ use super::source::AdapterFiles;
 use super::{About, PEFT_CONFIG, PEFT_WEIGHTS as WEIGHTS, refused};
 use crate::MllmError;
 use crate::checkpoint::{
-    BaseTensor, TensorPlace, WeightFile, parse_json, read_text, safetensors_folder::read_header,
+    BaseTensor, TensorPlace, WeightFile, parse_json, read_text,
+    safetensors_folder::{RawTensor, read_header},
 };
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -67,7 +68,12 @@ impl PeftAdapter {
             return Err(refused(folder, problem));
         }
         let weights = WeightFile::open(&path)?;
-        let tensors = read_header(&path, &mut weights.reader()?, weights.len())?;
+        let raw = read_header(&path, &mut weights.reader()?, weights.len())?;
+        let plain = |tensor: RawTensor| Ok((tensor.name.clone(), tensor.plain(&path)?));
+        let tensors: Vec<(String, TensorPlace)> = raw
+            .into_iter()
+            .map(plain)
+            .collect::<Result<_, MllmError>>()?;
         if tensors.len() > MAX_TENSORS {
             let problem = format!(
                 "{} tensors; at most {MAX_TENSORS} are supported",

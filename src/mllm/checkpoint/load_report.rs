@@ -1,12 +1,12 @@
 //! In which formats the tensors of a checkpoint were loaded.
 
 use super::weight_format_plan::PlannedFormat;
-use planagent_kernels::matrix::{StoredFormat, WeightFormat};
+use planagent_kernels::matrix::WeightFormat;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// The formats of a model's weights in memory.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct LoadReport {
     /// The format of `mllm.quantize`; none for the format of the files.
@@ -61,7 +61,7 @@ pub struct WeightFormatShare {
 }
 
 /// A tensor of all layers in another format than the wanted one.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WeightFormatException {
     /// Its name, the number of the layer as `*`.
     pub name: String,
@@ -72,20 +72,24 @@ pub struct WeightFormatException {
     /// Its format in memory.
     pub weight_format: WeightFormat,
     pub reason: String,
+    /// Largest distance of a number in memory from that of a quantizer's file; none before it is
+    /// loaded, and for other files.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub largest_error: Option<f32>,
 }
 
 impl LoadReport {
     pub(super) fn add_matrix(
         &mut self,
         name: &str,
-        format: StoredFormat,
+        file: String,
         planned: PlannedFormat,
         bytes: u64,
+        largest_error: Option<f32>,
     ) {
         self.add(planned.weight_format, bytes);
         let Some(reason) = planned.reason else { return };
         let name = any_layer(name);
-        let file = format.name();
         let same = |known: &&mut WeightFormatException| {
             known.name == name
                 && known.weight_format == planned.weight_format
@@ -94,6 +98,7 @@ impl LoadReport {
         };
         if let Some(known) = self.exceptions.iter_mut().find(same) {
             known.tensors += 1;
+            known.largest_error = larger(known.largest_error, largest_error);
         } else {
             let (weight_format, reason) = (planned.weight_format, reason.to_string());
             self.exceptions.push(WeightFormatException {
@@ -102,6 +107,7 @@ impl LoadReport {
                 file,
                 weight_format,
                 reason,
+                largest_error,
             });
         }
     }
@@ -163,13 +169,26 @@ impl LoadReport {
                 .exceptions
                 .iter()
                 .filter(|other| (other.weight_format, &*other.file, &*other.reason) == kind);
-            lines.push(format!("{file} loaded as {weight_format}: {reason}"));
+            let largest = alike
+                .clone()
+                .map(|exception| exception.largest_error)
+                .fold(None, larger);
+            let error =
+                largest.map_or_else(String::new, |error| format!("; largest error {error:.1e}"));
+            lines.push(format!("{file} loaded as {weight_format}: {reason}{error}"));
             lines.extend(
                 alike.map(|exception| format!("  {} ({})", exception.name, exception.tensors)),
             );
         }
         lines.extend(self.notes.iter().cloned());
         lines
+    }
+}
+
+fn larger(first: Option<f32>, second: Option<f32>) -> Option<f32> {
+    match (first, second) {
+        (Some(first), Some(second)) => Some(first.max(second)),
+        (first, second) => first.or(second),
     }
 }
 
@@ -208,7 +227,6 @@ pub fn in_bytes(bytes: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use candle_core::quantized::GgmlDType;
 
     #[test]
     fn tensors_of_all_layers_are_one_line() {
@@ -220,9 +238,10 @@ mod tests {
         for layer in 0..3 {
             report.add_matrix(
                 &format!("layers.{layer}.up.weight"),
-                GgmlDType::F16.into(),
+                "f16".into(),
                 planned,
                 34,
+                None,
             );
         }
         report.add(WeightFormat::F32, 400);

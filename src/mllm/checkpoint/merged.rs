@@ -11,6 +11,15 @@ use planagent_kernels::matrix::StoredFormat;
 use std::path::Path;
 use std::sync::Arc;
 
+/// The format of a tensor that another is made of.
+#[derive(Debug, Clone)]
+pub(super) struct MergedFormat {
+    /// What a report calls it.
+    pub(super) name: String,
+    /// The format itself; of a packed tensor the one that holds its numbers in memory.
+    pub(super) format: StoredFormat,
+}
+
 /// A tensor of a file, for what is made of it.
 #[derive(Debug, Clone)]
 pub(crate) struct BaseTensor {
@@ -43,6 +52,16 @@ impl BaseTensor {
 
     pub(crate) fn shape(&self) -> &[usize] {
         &self.place.shape
+    }
+
+    /// Its format, for what is made of it.
+    fn format(&self) -> MergedFormat {
+        let packed = self.file.packed(&self.place);
+        let format = packed.map_or(self.place.format, |form| form.weight_format.ggml().into());
+        MergedFormat {
+            name: packed.map_or_else(|| format.name(), |form| form.label.clone()),
+            format,
+        }
     }
 
     pub(crate) fn path(&self) -> &Path {
@@ -122,16 +141,9 @@ impl Weights {
                 bytes,
             },
             rows: RowOrder::Plain,
-            merged: Some(base.place.format),
+            merged: Some(base.format()),
         };
         self.unless_tied(canonical);
         self.tensors.insert(canonical.to_owned(), stored);
-    }
-}
-
-impl StoredTensor {
-    /// Its number format in the file of the model.
-    pub(super) fn file_format(&self) -> StoredFormat {
-        self.merged.unwrap_or(self.place.format)
     }
 }

@@ -16,6 +16,7 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The file of a checkpoint that is not sharded.
 const WEIGHTS: &str = "model.safetensors";
@@ -29,10 +30,78 @@ const MAX_HEADER: u64 = 100_000_000;
 /// Bytes of the header's length.
 const LENGTH: u64 = 8;
 
-/// Opens the safetensors of a folder. `canonical` gives the canonical name of a tensor, or none to
-/// leave it out.
+/// A tensor as its header describes it, of any number type.
+#[derive(Debug, Clone)]
+pub(crate) struct RawTensor {
+    pub name: String,
+    pub dtype: Dtype,
+    /// Shape, the slowest dimension first.
+    pub shape: Vec<usize>,
+    /// First byte in the file.
+    pub begin: u64,
+    /// Number of bytes, which is that of its shape and type.
+    pub bytes: u64,
+}
+
+impl RawTensor {
+    /// Whether it has a type that needs no description: f32, f16 or bf16.
+    pub(crate) fn is_plain(&self) -> bool {
+        self.plain_format().is_some()
+    }
+
+    fn plain_format(&self) -> Option<GgmlDType> {
+        match self.dtype {
+            Dtype::F32 => Some(GgmlDType::F32),
+            Dtype::F16 => Some(GgmlDType::F16),
+            Dtype::BF16 => Some(GgmlDType::BF16),
+            _ => None,
+        }
+    }
+
+    /// The place of plain numbers; `path` is that of the file.
+    pub(crate) fn plain(&self, path: &Path) -> Result<TensorPlace, MllmError> {
+        let format = self.plain_format().ok_or_else(|| MllmError::TensorType {
+            path: path.to_path_buf(),
+            name: self.name.clone(),
+            found: format!("{:?}", self.dtype),
+        })?;
+        Ok(TensorPlace {
+            format: format.into(),
+            shape: self.shape.clone(),
+            begin: self.begin,
+            bytes: self.bytes,
+        })
+    }
+}
+
+/// The files of a folder with the tensors of each.
+pub(crate) type RawFiles = Vec<(Arc<WeightFile>, Vec<RawTensor>)>;
+
+/// Reads the headers of the safetensors of a folder.
+pub(crate) fn read(folder: &Path) -> Result<RawFiles, MllmError> {
+    let open = |path: &PathBuf| {
+        let file = WeightFile::open(path)?;
+        let tensors = read_header(path, &mut file.reader()?, file.len())?;
+        Ok((Arc::new(file), tensors))
+    };
+    weight_files(folder)?.iter().map(open).collect()
+}
+
+/// Opens the plain safetensors of a folder. `canonical` gives the canonical name of a tensor, or
+/// none to leave it out.
+#[cfg(test)]
 pub(crate) fn open(
     folder: &Path,
+    quantize: Option<WeightFormat>,
+    canonical: impl Fn(&str) -> Option<String>,
+) -> Result<Weights, MllmError> {
+    of_files(folder, read(folder)?, quantize, canonical)
+}
+
+/// Makes weights of files that have nothing but plain numbers.
+pub(crate) fn of_files(
+    folder: &Path,
+    files: RawFiles,
     quantize: Option<WeightFormat>,
     canonical: impl Fn(&str) -> Option<String>,
 ) -> Result<Weights, MllmError> {
@@ -43,9 +112,7 @@ pub(crate) fn open(
             ..WeightFormatPlan::default()
         },
     );
-    for path in weight_files(folder)? {
-        let file = WeightFile::open(&path)?;
-        let tensors = read_header(&path, &mut file.reader()?, file.len())?;
+    for (file, tensors) in files {
         add(&mut weights, file, tensors, &canonical)?;
     }
     Ok(weights)
@@ -79,13 +146,15 @@ pub(crate) fn of_bytes(
 fn add(
     weights: &mut Weights,
     file: impl TensorSource + 'static,
-    tensors: Vec<(String, TensorPlace)>,
+    tensors: Vec<RawTensor>,
     canonical: &impl Fn(&str) -> Option<String>,
 ) -> Result<(), MllmError> {
+    let path = file.path().to_path_buf();
     let index = weights.add_file(file);
-    for (name, place) in tensors {
-        if let Some(canonical) = canonical(&name) {
-            weights.add(canonical, index, name, place, RowOrder::Plain)?;
+    for tensor in tensors {
+        let place = tensor.plain(&path)?;
+        if let Some(canonical) = canonical(&tensor.name) {
+            weights.add(canonical, index, tensor.name, place, RowOrder::Plain)?;
         }
     }
     Ok(())
@@ -121,7 +190,7 @@ pub(crate) fn read_header(
     path: &Path,
     source: &mut dyn Read,
     file_bytes: u64,
-) -> Result<Vec<(String, TensorPlace)>, MllmError> {
+) -> Result<Vec<RawTensor>, MllmError> {
     let broken = |problem: String| MllmError::Safetensors {
         path: path.to_path_buf(),
         problem,
@@ -155,36 +224,23 @@ pub(crate) fn read_header(
              goes on behind its end"
         )));
     }
-    let place = |(name, info): (String, &safetensors::tensor::TensorInfo)| {
+    let tensor = |(name, info): (String, &safetensors::tensor::TensorInfo)| {
         let (begin, end) = info.data_offsets;
-        let format = match info.dtype {
-            Dtype::F32 => GgmlDType::F32,
-            Dtype::F16 => GgmlDType::F16,
-            Dtype::BF16 => GgmlDType::BF16,
-            other => {
-                let found = format!("{other:?}");
-                return Err(MllmError::TensorType {
-                    path: path.to_path_buf(),
-                    name,
-                    found,
-                });
-            }
-        };
-        let place = TensorPlace {
-            format: format.into(),
+        RawTensor {
+            name,
+            dtype: info.dtype,
             shape: info.shape.clone(),
             begin: LENGTH + length + begin as u64,
             bytes: (end - begin) as u64,
-        };
-        Ok((name, place))
+        }
     };
-    metadata
+    Ok(metadata
         .tensors()
         .into_iter()
         // Buffers that are no weights may be of any type.
         .filter(|(name, _)| !is_buffer(name))
-        .map(place)
-        .collect()
+        .map(tensor)
+        .collect())
 }
 
 pub(crate) fn has_safetensors(folder: &Path) -> bool {
@@ -246,7 +302,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn places(bytes: &[u8]) -> Result<Vec<(String, TensorPlace)>, MllmError> {
+    fn places(bytes: &[u8]) -> Result<Vec<RawTensor>, MllmError> {
         read_header(Path::new("w"), &mut &*bytes, bytes.len() as u64)
     }
 

@@ -3,11 +3,13 @@
 //! Files are read, not mapped: pages of a mapped file count as the program's own memory, and a file
 //! that shrinks under a mapping ends the program.
 
+use super::packed::{PackedBlocks, PackedForm};
 use crate::MllmError;
 use planagent_kernels::matrix::StoredFormat;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Where and how a tensor lies in a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -29,8 +31,46 @@ pub(crate) trait TensorSource: std::fmt::Debug + Send + Sync {
 
     fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError>;
 
+    /// How a quantizer packed a tensor; none for plain numbers. The bytes of a packed tensor are
+    /// its numbers in f32.
+    fn packed(&self, place: &TensorPlace) -> Option<&PackedForm> {
+        let _ = place;
+        None
+    }
+
+    /// A packed tensor as blocks of [`PackedForm::weight_format`], which holds it
+    /// (but for the rounding of its scales).
+    fn blocks(&self, place: &TensorPlace) -> Result<PackedBlocks, MllmError> {
+        Ok(PackedBlocks {
+            bytes: self.bytes(place)?,
+            largest_error: 0.0,
+        })
+    }
+
     /// Adds its whole content to a hash.
     fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError>;
+}
+
+impl<S: TensorSource> TensorSource for Arc<S> {
+    fn path(&self) -> &Path {
+        (**self).path()
+    }
+
+    fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
+        (**self).bytes(place)
+    }
+
+    fn packed(&self, place: &TensorPlace) -> Option<&PackedForm> {
+        (**self).packed(place)
+    }
+
+    fn blocks(&self, place: &TensorPlace) -> Result<PackedBlocks, MllmError> {
+        (**self).blocks(place)
+    }
+
+    fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
+        (**self).hash(hasher)
+    }
 }
 
 /// The beginning of a file that stands for another in a repository of git-lfs.
@@ -85,6 +125,16 @@ impl WeightFile {
         Ok(BufReader::with_capacity(1 << 20, &self.file))
     }
 
+    /// Reads some of its bytes.
+    pub(crate) fn part(&self, begin: u64, bytes: u64) -> Result<Vec<u8>, MllmError> {
+        self.seek(begin)?;
+        let mut part = vec![0; bytes as usize];
+        (&self.file)
+            .read_exact(&mut part)
+            .map_err(|source| self.failed(source))?;
+        Ok(part)
+    }
+
     fn seek(&self, position: u64) -> Result<(), MllmError> {
         (&self.file)
             .seek(SeekFrom::Start(position))
@@ -106,12 +156,7 @@ impl TensorSource for WeightFile {
     }
 
     fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
-        self.seek(place.begin)?;
-        let mut bytes = vec![0; place.bytes as usize];
-        (&self.file)
-            .read_exact(&mut bytes)
-            .map_err(|source| self.failed(source))?;
-        Ok(bytes)
+        self.part(place.begin, place.bytes)
     }
 
     fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {

@@ -1,5 +1,6 @@
 //! Which format each tensor of a checkpoint has in memory.
 
+use super::packed::{Held, PackedForm};
 use candle_core::quantized::GgmlDType;
 use planagent_kernels::matrix::{StoredFormat, WeightFormat};
 
@@ -19,6 +20,9 @@ pub(crate) enum FileKind {
     /// Training checkpoints: f32 by default.
     #[default]
     Safetensors,
+    /// Checkpoints of which a quantizer packed some layers. The others are as in
+    /// [`Self::Safetensors`].
+    Quantized,
     /// Inference files: their own format by default.
     Gguf,
 }
@@ -60,16 +64,30 @@ impl WeightFormatPlan {
             None => self.as_in_file(format),
             Some(asked) => asked_for(asked, self.role(name), format),
         };
-        let weight_format = wanted.or_finer(inputs);
-        let reason = if weight_format == wanted {
-            reason
-        } else {
-            Some("the rows are no whole blocks of the wanted format")
+        fitting(wanted, reason, inputs)
+    }
+
+    /// The format in memory of a matrix with `inputs` columns that a quantizer packed.
+    pub(crate) fn packed_matrix(
+        self,
+        name: &str,
+        form: &PackedForm,
+        inputs: usize,
+    ) -> PlannedFormat {
+        let (wanted, reason) = match self.quantize {
+            None => (form.weight_format, form.held.reason()),
+            // Who asks for floats gets the numbers of the file, and unrounded activations.
+            Some(asked @ (WeightFormat::F32 | WeightFormat::F16)) => (asked, None),
+            Some(asked) => {
+                let (wanted, reason) = at_least(asked, self.role(name));
+                if form.held != Held::Rounded && form.weight_format.bits() <= wanted.bits() {
+                    (form.weight_format, form.held.reason())
+                } else {
+                    (wanted, reason)
+                }
+            }
         };
-        PlannedFormat {
-            weight_format,
-            reason,
-        }
+        fitting(wanted, reason, inputs)
     }
 
     /// The format in memory of a matrix that an adapter was merged into in f32; its base has the
@@ -99,8 +117,10 @@ impl WeightFormatPlan {
 
     fn as_in_file(self, format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
         match (self.kind, held_as(format)) {
-            (FileKind::Safetensors, Some(WeightFormat::F16)) => (WeightFormat::F16, None),
-            (FileKind::Safetensors, _) => (WeightFormat::F32, None),
+            (FileKind::Safetensors | FileKind::Quantized, Some(WeightFormat::F16)) => {
+                (WeightFormat::F16, None)
+            }
+            (FileKind::Safetensors | FileKind::Quantized, _) => (WeightFormat::F32, None),
             (FileKind::Gguf, Some(weight_format)) => (weight_format, None),
             (FileKind::Gguf, None) => replacement(format),
         }
@@ -125,12 +145,23 @@ impl WeightFormatPlan {
     }
 }
 
-fn asked_for(
-    asked: WeightFormat,
-    role: Role,
-    format: StoredFormat,
-) -> (WeightFormat, Option<&'static str>) {
-    let (wanted, reason) = match role {
+/// A format that can hold rows of `inputs` numbers.
+fn fitting(wanted: WeightFormat, reason: Option<&'static str>, inputs: usize) -> PlannedFormat {
+    let weight_format = wanted.or_finer(inputs);
+    let reason = if weight_format == wanted {
+        reason
+    } else {
+        Some("the rows are no whole blocks of the wanted format")
+    };
+    PlannedFormat {
+        weight_format,
+        reason,
+    }
+}
+
+/// The asked format, or the smallest for the role.
+fn at_least(asked: WeightFormat, role: Role) -> (WeightFormat, Option<&'static str>) {
+    match role {
         Role::Output if asked.bits() < WeightFormat::Q6K.bits() => {
             (WeightFormat::Q6K, Some("the output layer gets more bits"))
         }
@@ -139,7 +170,15 @@ fn asked_for(
             Some("vision tower and projector get at least 8 bits"),
         ),
         _ => (asked, None),
-    };
+    }
+}
+
+fn asked_for(
+    asked: WeightFormat,
+    role: Role,
+    format: StoredFormat,
+) -> (WeightFormat, Option<&'static str>) {
+    let (wanted, reason) = at_least(asked, role);
     match held_as(format) {
         // A matrix that was rounded to few bits gains nothing from more, and loses by as many in
         // another format.

@@ -1,6 +1,8 @@
 //! The tensors of a checkpoint under one set of names, from any kind of file.
 
 use super::load_report::LoadReport;
+use super::merged::MergedFormat;
+use super::packed::{Held, PackedBlocks, PackedForm, largest_difference};
 use super::row_order::{RowOrder, unpaired};
 use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
 use super::weight_format_plan::{PlannedFormat, WeightFormatPlan, held_as, is_matrix};
@@ -8,7 +10,7 @@ use crate::MllmError;
 use candle_core::quantized::GgmlDType;
 use candle_core::{Device, Tensor};
 use half::f16;
-use planagent_kernels::matrix::{Matrix, StoredFormat, WeightFormat};
+use planagent_kernels::matrix::{Matrix, WeightFormat};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -64,18 +66,8 @@ pub(super) struct StoredTensor {
     pub(super) name: String,
     pub(super) place: TensorPlace,
     pub(super) rows: RowOrder,
-    /// The number format of the stored tensor that this one was made of.
-    pub(super) merged: Option<StoredFormat>,
-}
-
-impl StoredTensor {
-    /// The format in memory of a matrix with `inputs` columns.
-    fn planned(&self, plan: WeightFormatPlan, name: &str, inputs: usize) -> PlannedFormat {
-        match self.merged {
-            None => plan.matrix(name, self.place.format, inputs),
-            Some(base) => plan.merged(name, base, inputs),
-        }
-    }
+    /// The format of the stored tensor that this one was made of.
+    pub(super) merged: Option<MergedFormat>,
 }
 
 impl Weights {
@@ -282,12 +274,42 @@ impl Weights {
     /// The format in memory of a tensor that is not taken yet.
     pub(crate) fn weight_format_of(&self, name: &str) -> Option<WeightFormat> {
         let stored = self.tensors.get(name)?;
-        match stored.place.shape.as_slice() {
-            shape @ [_, inputs] if is_matrix(name, shape) => {
-                Some(stored.planned(self.plan, name, *inputs).weight_format)
+        let shape = &stored.place.shape;
+        match shape.as_slice() {
+            [_, inputs] if is_matrix(name, shape) => {
+                Some(self.planned(self.plan, name, stored, *inputs).weight_format)
             }
             _ => Some(WeightFormat::F32),
         }
+    }
+
+    /// The format in memory of a matrix with `inputs` columns.
+    fn planned(
+        &self,
+        plan: WeightFormatPlan,
+        name: &str,
+        stored: &StoredTensor,
+        inputs: usize,
+    ) -> PlannedFormat {
+        match (&stored.merged, self.packed(stored)) {
+            (Some(base), _) => plan.merged(name, base.format, inputs),
+            (None, Some(form)) => plan.packed_matrix(name, form, inputs),
+            (None, None) => plan.matrix(name, stored.place.format, inputs),
+        }
+    }
+
+    /// How a quantizer packed a tensor, if it did.
+    pub(super) fn packed(&self, stored: &StoredTensor) -> Option<&PackedForm> {
+        self.files.get(stored.file)?.packed(&stored.place)
+    }
+
+    /// What a report calls the format of a tensor in its file.
+    pub(super) fn format_name(&self, stored: &StoredTensor) -> String {
+        if let Some(base) = &stored.merged {
+            return base.name.clone();
+        }
+        self.packed(stored)
+            .map_or_else(|| stored.place.format.name(), |form| form.label.clone())
     }
 
     /// Names, shapes and formats in memory of the matrices that are left, with another wanted
@@ -304,7 +326,7 @@ impl Weights {
             .iter()
             .filter_map(move |(name, stored)| match stored.place.shape.as_slice() {
                 shape @ &[outputs, inputs] if is_matrix(name, shape) => {
-                    let planned = stored.planned(plan, name, inputs);
+                    let planned = self.planned(plan, name, stored, inputs);
                     Some((name.as_str(), [outputs, inputs], planned.weight_format))
                 }
                 _ => None,
@@ -326,12 +348,13 @@ impl Weights {
             let shape = &stored.place.shape;
             match shape.as_slice() {
                 [outputs, inputs] if is_matrix(name, shape) => {
-                    let planned = stored.planned(plan, name, *inputs);
+                    let planned = self.planned(plan, name, stored, *inputs);
                     let bytes = planned
                         .weight_format
                         .matrix_bytes(*outputs, *inputs)
                         .unwrap_or(usize::MAX);
-                    report.add_matrix(name, stored.file_format(), planned, bytes as u64);
+                    let file = self.format_name(stored);
+                    report.add_matrix(name, file, planned, bytes as u64, None);
                 }
                 _ => report.add(WeightFormat::F32, f32_bytes(shape)),
             }
@@ -400,7 +423,7 @@ impl Weights {
         if matches!(self.access, TensorAccess::Random(_)) {
             return Ok(Matrix::from_tensor(&self.take(name, &shape)?)?);
         }
-        let [outputs, inputs] = shape;
+        let [_, inputs] = shape;
         if self.looked(name, &shape, MAX_MATRIX)? {
             return Ok(Matrix::quantize(
                 &vec![0.0; inputs],
@@ -410,26 +433,68 @@ impl Weights {
             )?);
         }
         let stored = self.remove(name, &shape)?;
-        let format = stored.place.format;
-        let planned = stored.planned(self.plan, name, inputs);
-        let held = held_as(format) == Some(planned.weight_format);
-        let matrix =
-            if held || planned.weight_format == WeightFormat::Q8_0 && format.is_within_q8_0() {
-                let bytes = self.bytes(&stored)?;
-                let bytes = format.to_q8_0(&bytes).unwrap_or(bytes);
-                self.check_blocks(&stored, planned.weight_format, &bytes)?;
-                Matrix::from_blocks(planned.weight_format, outputs, inputs, &bytes)?
-            } else {
-                Matrix::quantize(
-                    &self.values(&stored)?,
-                    outputs,
-                    inputs,
-                    planned.weight_format,
-                )?
-            };
+        let planned = self.planned(self.plan, name, &stored, inputs);
+        let (matrix, largest_error) = match self.packed(&stored).cloned() {
+            Some(form) => self.packed_matrix(&stored, &form, planned.weight_format)?,
+            None => (self.matrix(&stored, shape, planned.weight_format)?, None),
+        };
+        let file = self.format_name(&stored);
+        let bytes = matrix.bytes() as u64;
         self.report
-            .add_matrix(name, stored.file_format(), planned, matrix.bytes() as u64);
+            .add_matrix(name, file, planned, bytes, largest_error);
         Ok(matrix)
+    }
+
+    /// Reads a matrix of plain numbers or ggml's blocks.
+    fn matrix(
+        &self,
+        stored: &StoredTensor,
+        [outputs, inputs]: [usize; 2],
+        wanted: WeightFormat,
+    ) -> Result<Matrix, MllmError> {
+        let format = stored.place.format;
+        let held = held_as(format) == Some(wanted);
+        if held || wanted == WeightFormat::Q8_0 && format.is_within_q8_0() {
+            let bytes = self.bytes(stored)?;
+            let bytes = format.to_q8_0(&bytes).unwrap_or(bytes);
+            self.check_blocks(stored, wanted, &bytes)?;
+            return Ok(Matrix::from_blocks(wanted, outputs, inputs, &bytes)?);
+        }
+        Ok(Matrix::quantize(
+            &self.values(stored)?,
+            outputs,
+            inputs,
+            wanted,
+        )?)
+    }
+
+    /// Reads a matrix that a quantizer packed, with the largest error where its numbers are
+    /// rounded.
+    fn packed_matrix(
+        &self,
+        stored: &StoredTensor,
+        form: &PackedForm,
+        wanted: WeightFormat,
+    ) -> Result<(Matrix, Option<f32>), MllmError> {
+        let &[outputs, inputs] = stored.place.shape.as_slice() else {
+            return Err(candle_core::Error::Msg(format!("{} is no matrix", stored.name)).into());
+        };
+        if form.held != Held::Rounded && wanted == form.weight_format {
+            let PackedBlocks {
+                bytes,
+                largest_error,
+            } = self.file(stored)?.blocks(&stored.place)?;
+            self.check_blocks(stored, wanted, &bytes)?;
+            let matrix = Matrix::from_blocks(wanted, outputs, inputs, &bytes)?;
+            let rounded = form.held == Held::ScalesRounded;
+            return Ok((matrix, rounded.then_some(largest_error)));
+        }
+        let values = self.values(stored)?;
+        let matrix = Matrix::quantize(&values, outputs, inputs, wanted)?;
+        let rounded = (wanted != WeightFormat::F32)
+            .then(|| largest_difference(&matrix, &values))
+            .transpose()?;
+        Ok((matrix, rounded))
     }
 
     fn remove(&mut self, name: &str, shape: &[usize]) -> Result<StoredTensor, MllmError> {
@@ -457,16 +522,19 @@ impl Weights {
             .map_or_else(|| self.place.clone(), |file| file.path().to_path_buf())
     }
 
-    /// The bytes of a tensor, its rows in order.
-    fn bytes(&self, stored: &StoredTensor) -> Result<Vec<u8>, MllmError> {
-        let file = self
-            .files
-            .get(stored.file)
-            .ok_or_else(|| MllmError::MissingTensor {
+    fn file(&self, stored: &StoredTensor) -> Result<&dyn TensorSource, MllmError> {
+        match self.files.get(stored.file) {
+            Some(file) => Ok(&**file),
+            None => Err(MllmError::MissingTensor {
                 folder: self.place.clone(),
                 name: stored.name.clone(),
-            })?;
-        let bytes = file.bytes(&stored.place)?;
+            }),
+        }
+    }
+
+    /// The bytes of a tensor, its rows in order.
+    fn bytes(&self, stored: &StoredTensor) -> Result<Vec<u8>, MllmError> {
+        let bytes = self.file(stored)?.bytes(&stored.place)?;
         Ok(match stored.rows {
             RowOrder::Plain => bytes,
             RowOrder::Paired { heads } => unpaired(

@@ -46,6 +46,10 @@ impl Reference {
         self.0.contains_key(name)
     }
 
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.0.keys().map(String::as_str)
+    }
+
     pub(crate) fn tensor(&self, name: &str) -> &Tensor {
         &self.0[name]
     }

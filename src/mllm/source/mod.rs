@@ -4,6 +4,7 @@
 mod adapted;
 mod embedded;
 mod gguf;
+mod quantized;
 mod random;
 mod shape;
 mod unread;
@@ -97,7 +98,8 @@ impl ModelPlace {
                     .get("model_type")
                     .or(config.pointer("/architectures/0"));
                 let kind = named?.as_str()?.to_owned();
-                let weights = safetensors_folder::open(folder, None, |name| Some(name.to_owned()));
+                let files = ModelFiles::folder(folder).ok()?;
+                let weights = quantized::open(&files, folder, None, |name| Some(name.to_owned()));
                 Some((kind, weights.map_or(0, |weights| weights.elements() as u64)))
             }
             Self::Folder(folder) => gguf(&find_gguf(folder).ok()??),
@@ -175,7 +177,7 @@ impl Checkpoint {
         unread::check_folder(folder)?;
         unread::check_config(&files)?;
         let family = families.detect_in(&files)?;
-        let weights = safetensors_folder::open(folder, quantize, family.family().canonical_name)?;
+        let weights = quantized::open(&files, folder, quantize, family.family().canonical_name)?;
         Ok(Self {
             family,
             files,

@@ -37,7 +37,7 @@ pub(super) fn check_without_adapter(folder: &Path) -> Result<(), MllmError> {
     Err(root.error("base_model_name_or_path", problem))
 }
 
-/// Checks that the configuration of a folder is one of transformers with plain weights.
+/// Checks that the configuration of a folder is one of transformers.
 pub(super) fn check_config(files: &ModelFiles) -> Result<(), MllmError> {
     let json = files.required_json("config.json")?;
     let path = files.path("config.json");
@@ -47,25 +47,7 @@ pub(super) fn check_config(files: &ModelFiles) -> Result<(), MllmError> {
                        transformers, for example llava-hf/llava-1.5-7b-hf";
         return Err(root.error(key, problem));
     }
-    let nested = root.child("text_config")?;
-    let quantized = match root.child("quantization_config")? {
-        None => nested
-            .map(|text| text.child("quantization_config"))
-            .transpose()?
-            .flatten(),
-        quantized => quantized,
-    };
-    let Some(quantized) = quantized else {
-        return Ok(());
-    };
-    let method: String = quantized
-        .value("quant_method")?
-        .unwrap_or_else(|| "unnamed".into());
-    let problem = format!(
-        "weights quantized by '{method}' are not read; take the model's original repository, which --quantize makes small, or a \
-         GGUF file"
-    );
-    Err(quantized.error("quant_method", problem))
+    Ok(())
 }
 
 #[cfg(test)]
@@ -92,21 +74,6 @@ mod tests {
                 "config.json",
                 r#"{"model_type": "llava", "mm_vision_tower": "x"}"#,
                 ["original layout", "llava-hf/"],
-            ),
-            (
-                "config.json",
-                r#"{"quantization_config": {"quant_method": "awq"}}"#,
-                ["'awq'", "--quantize"],
-            ),
-            (
-                "config.json",
-                r#"{"quantization_config": {"quant_method": "bitsandbytes"}}"#,
-                ["bitsandbytes", "GGUF"],
-            ),
-            (
-                "config.json",
-                r#"{"text_config": {"quantization_config": {"quant_method": "fp8"}}}"#,
-                ["'fp8'", "GGUF"],
             ),
         ] {
             let found = problem(file, text);
