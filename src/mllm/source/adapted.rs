@@ -14,7 +14,9 @@ impl Checkpoint {
     /// Merges an adapter into the weights, if there is one.
     pub(crate) fn adapted(mut self, adapter: Option<&AdapterSpec>) -> Result<Self, MllmError> {
         let Some(adapter) = adapter else {
-            unread::check_without_adapter(self.files.place())?;
+            if self.files.is_folder() {
+                unread::check_without_adapter(self.files.place())?;
+            }
             return Ok(self);
         };
         let adapter = Adapter::open(adapter)?;
